@@ -1,0 +1,149 @@
+# groundwalk: phone captures in, checked ground truth, regressors, fusion and tables out. `make help` lists what there is.
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+scene ?=
+profile ?= demo
+captures ?=
+web ?=
+python ?= python3
+
+py := .venv/bin/python
+installed := .venv/.installed
+run := data/runs/$(profile)/$(scene)
+capture := data/captures/$(scene)
+stages := import sfm align train fuse report
+arguments = --scene "$(scene)" --profile "$(profile)"
+scene_goals := all $(stages) simulate view clean
+FORCE:
+
+ifneq ($(filter $(scene_goals),$(MAKECMDGOALS)),)
+ifeq ($(scene),)
+$(error name a scene, for example `make scene=Church all`; `make help` lists the scenes)
+endif
+endif
+
+# ---------------------------------------------------------------- installation
+# One lock file for every platform: constraints.txt pins each package that pip resolves.
+$(installed): pyproject.toml constraints.txt
+	@echo "Installing into .venv (3.6 GB, a few minutes; once)"
+	@$(python) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "error: Python 3.11 or later is needed, found $$($(python) --version); name one: make python=python3.12 ..."; exit 2; }
+	@$(python) -m venv .venv
+	@.venv/bin/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+install: $(installed) ## Create .venv from the pinned dependencies
+
+# ---------------------------------------------------------------- captures
+# A folder of one's own is linked, not copied: data/captures/<scene> -> captures=<folder>.
+ifneq ($(captures),)
+ifneq ($(shell realpath -q "$(captures)"),$(shell realpath -q "$(capture)"))
+link := link-captures
+endif
+endif
+link-captures: | $(installed)
+	@$(py) -m artefacts link-captures --scene "$(scene)" --folder "$(captures)"
+
+settings := data/profiles/$(profile).toml $(wildcard data/scenes/$(scene).toml)
+
+# A scene that simulation/ knows is simulated where nobody has put captures of it.
+has_captures := $(shell find -L "$(capture)" -type f -print -quit 2>/dev/null)
+is_simulated := $(wildcard $(capture)/SIMULATED.json)
+simulable := $(shell grep -qs '^can_simulate = true' "data/scenes/$(scene).toml" && echo yes)
+ifeq ($(captures)$(simulable),yes)
+ifneq ($(is_simulated)$(if $(has_captures),,none),)
+simulated := $(capture)/SIMULATED.json
+endif
+endif
+$(capture)/SIMULATED.json: $(settings) | $(installed)
+	@$(py) -m simulation $(arguments)
+
+simulate: $(capture)/SIMULATED.json ## Simulate the scene's captures, where it has none
+
+# ---------------------------------------------------------------- stages
+# A group of scenes (outdoor, indoor) shares one model; its members come first.
+members := $(shell sed -n 's/^members = \[\(.*\)\]/\1/p' "data/scenes/$(scene).toml" 2>/dev/null | tr -d '",')
+
+ifeq ($(members),)
+# Anything newer than the last import, whatever its name, makes import look again.
+changed := $(shell find -L "$(capture)" -newer "$(run)/import/manifest.json" -print -quit 2>/dev/null)
+all: $(run)/report/manifest.json ## Everything: import, sfm, align, train, fuse, report
+$(run)/import/manifest.json: $(settings) $(simulated) $(if $(changed),FORCE) | $(installed) $(link)
+	@$(py) -m capture_import $(arguments)
+$(run)/sfm/manifest.json: $(run)/import/manifest.json $(settings)
+	@$(py) -m sfm $(arguments)
+$(run)/align/manifest.json: $(run)/sfm/manifest.json $(settings)
+	@$(py) -m alignment $(arguments)
+$(run)/train/manifest.json: $(run)/align/manifest.json $(settings)
+	@$(py) -m training $(arguments)
+else
+all:
+	@for member in $(members); do $(MAKE) --no-print-directory scene=$$member all; done
+	@$(MAKE) --no-print-directory group-report
+group-report: $(run)/report/manifest.json
+member_manifests := $(foreach member,$(members),data/runs/$(profile)/$(member)/report/manifest.json)
+$(run)/train/manifest.json: $(member_manifests) $(settings)
+	@$(py) -m training $(arguments)
+endif
+$(run)/fuse/manifest.json: $(run)/train/manifest.json $(settings)
+	@$(py) -m fusion $(arguments)
+$(run)/report/manifest.json: $(run)/fuse/manifest.json $(settings)
+	@$(py) -m reports $(arguments)
+	@echo "Look at $(run)/report/page.html, or: make scene=$(scene) profile=$(profile) view"
+
+import: $(run)/import/manifest.json ## Stage 1: any capture -> checked frames
+sfm: $(run)/sfm/manifest.json ## Stage 2: frames -> COLMAP model
+align: $(run)/align/manifest.json ## Stage 3: model and VIO -> metric, gravity-aligned ground truth; drift
+train: $(run)/train/manifest.json ## Stage 4: PN and MS-T, and their predictions
+fuse: $(run)/fuse/manifest.json ## Stage 5: predictions and VIO -> fused poses and errors
+report: $(run)/report/manifest.json ## Stage 6: tables, figures, page.html
+
+paper: ## All six scenes in the paper profile, then one MS-T outdoors and one indoors
+	@for group in outdoor indoor; do $(MAKE) --no-print-directory scene=$$group profile=paper all; done
+
+view: | $(installed) ## Open the scene's recordings in the Rerun viewer (web=1: in a browser)
+	@$(py) -m artefacts view $(arguments) $(if $(web),--web)
+
+clean: | $(installed) ## Remove the scene's artefacts of this profile and its simulated captures; never a real capture
+	@$(py) -m artefacts clean $(arguments)
+
+# ---------------------------------------------------------------- development
+check: $(installed) ## Lint, format, types, layering
+	@.venv/bin/ruff check --quiet .
+	@.venv/bin/ruff format --quiet --check .
+	@.venv/bin/mypy --no-error-summary
+	@$(py) -m pytest --quiet tests/test_layering.py
+
+test: $(installed) check ## Checks and tests, under ten minutes on two cores
+	@$(py) -m pytest -n 2 -m "not slow"
+
+test-slow: $(installed) ## Whole-pipeline cases
+	@$(py) -m pytest -m slow
+
+bench: $(installed) ## Time, memory and bytes of each stage (profile=demo scene=Church unless named)
+	@$(py) -m benchmarks.stages --scene "$(or $(scene),Church)" --profile "$(profile)"
+
+docs: $(installed) ## Write docs/artefacts.md from the table schemas
+	@$(py) -m artefacts docs > docs/artefacts.md
+
+lock: ## Resolve the dependencies again into constraints.txt (needs uv)
+	uv pip compile --universal --extra dev --python-version 3.11 --no-annotate --upgrade pyproject.toml -o constraints.txt
+
+help: ## This text
+	@echo "make scene=<scene> [profile=demo|paper|tiny] [captures=<folder>] <target>"
+	@echo
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14 | sed 's/^/  /'
+	@echo
+	@echo "scenes that can be simulated:  $(sort $(basename $(notdir $(shell grep -ls '^can_simulate = true' data/scenes/*.toml))))"
+	@echo "groups of scenes:              $(sort $(basename $(notdir $(shell grep -ls '^members = ' data/scenes/*.toml))))"
+	@echo "your captures:                 $(notdir $(wildcard data/captures/*))"
+	@for file in data/profiles/*.toml; do \
+		printf 'profile %-8s %s\n' "$$(basename $$file .toml):" "$$(sed -n 's/^description = "\(.*\)"/\1/p' $$file)"; done
+	@echo
+	@echo "your own captures:  make scene=<name> captures=<folder> all"
+	@echo "one stage's help:   .venv/bin/python -m sfm --help   (capture_import, sfm, alignment, training, fusion, reports)"
+
+.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench docs lock help
