@@ -1,0 +1,63 @@
+"""The paper's errors: relative (eq. 4 to 7), absolute (APE, AOE), and the shares within its accuracy levels.
+
+"RPE" and "ROE" here are the paper's: differences of the *lengths* of two steps, blind to their direction.
+`relative_error` is the usual one, the motion left between two relative poses.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geometry.poses import Array, inverse, quaternion_angle, relative, rotation_angle, tq_from_pose
+
+# (metres, degrees): high, medium and low accuracy.
+ACCURACY_LEVELS = {"high": (0.25, 2.0), "medium": (0.5, 5.0), "low": (5.0, 10.0)}
+
+
+def step_lengths(poses: ArrayLike) -> tuple[Array, Array]:
+    """Lengths of the steps between consecutive poses (N, 4, 4): metres (N-1,) and degrees (N-1,), eq. 1 to 3."""
+    t, q = tq_from_pose(poses)
+    return np.linalg.norm(np.diff(t, axis=0), axis=1), np.degrees(quaternion_angle(q[1:], q[:-1]))
+
+
+def rpe_roe(poses_a: ArrayLike, poses_b: ArrayLike) -> tuple[Array, Array]:
+    """The paper's RPE (metres) and ROE (degrees), both (N-1,), between consecutive poses of two paths (N, 4, 4).
+
+    Eq. 4 to 7: the absolute difference of step lengths. The paths may be given in different frames.
+    """
+    trans_a, rot_a = step_lengths(poses_a)
+    trans_b, rot_b = step_lengths(poses_b)
+    return np.abs(trans_a - trans_b), np.abs(rot_a - rot_b)
+
+
+def relative_error(poses_a: ArrayLike, poses_b: ArrayLike) -> tuple[Array, Array]:
+    """The motion left between consecutive relative poses of two paths (N, 4, 4): metres and degrees, both (N-1,)."""
+    poses_a, poses_b = np.asarray(poses_a, dtype=float), np.asarray(poses_b, dtype=float)
+    left = inverse(relative(poses_a[:-1], poses_a[1:])) @ relative(poses_b[:-1], poses_b[1:])
+    return np.linalg.norm(left[:, :3, 3], axis=1), np.degrees(rotation_angle(left[:, :3, :3]))
+
+
+def position_error(estimated: ArrayLike, true: ArrayLike) -> Array:
+    """APE in metres (...,): distance of the positions of poses (..., 4, 4)."""
+    difference = np.asarray(estimated, dtype=float)[..., :3, 3] - np.asarray(true, dtype=float)[..., :3, 3]
+    return np.linalg.norm(difference, axis=-1)
+
+
+def rotation_error_deg(estimated: ArrayLike, true: ArrayLike) -> Array:
+    """AOE in degrees (...,): angle between the rotations of poses (..., 4, 4).
+
+    The paper's 2 acos|<q, q'>|, computed so that small angles keep their digits.
+    """
+    return np.degrees(rotation_angle(relative(estimated, true)[..., :3, :3]))
+
+
+def accuracy_shares(position_m: ArrayLike, rotation_deg: ArrayLike, frames: int | None = None) -> dict[str, float]:
+    """The share (0..1) of frames within each accuracy level.
+
+    `frames` counts frames without an estimate too: missing is failed. NaN errors reach no level. NaN for no frames.
+    """
+    position_m, rotation_deg = np.asarray(position_m, dtype=float), np.asarray(rotation_deg, dtype=float)
+    total = len(position_m) if frames is None else frames
+    return {
+        name: float(np.sum((position_m <= metres) & (rotation_deg <= degrees)) / total) if total else float("nan")
+        for name, (metres, degrees) in ACCURACY_LEVELS.items()
+    }

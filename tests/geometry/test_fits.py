@@ -1,0 +1,174 @@
+"""Fits against evo's and COLMAP's own estimators, and the inputs that determine no fit."""
+
+import numpy as np
+import pycolmap
+import pytest
+from evo.core.geometry import umeyama_alignment
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from geometry import GeometryError
+from geometry.fits import (
+    Sim3,
+    fit_poses,
+    fit_robust,
+    fit_se3,
+    fit_sim3,
+    fit_yaw,
+    mean_direction,
+    pose_residuals,
+    rotation_to_up,
+)
+from geometry.poses import make_pose, transform, yaw_rotation
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def random_sim3(rng: np.random.Generator) -> Sim3:
+    return Sim3(float(np.exp(rng.normal())), Rotation.random(rng=rng).as_matrix(), rng.normal(0, 10, 3))
+
+
+def noisy_pair(rng: np.random.Generator, count: int = 30) -> tuple[np.ndarray, np.ndarray]:
+    b = rng.normal(0, 3, (count, 3))
+    return random_sim3(rng).points(b) + rng.normal(0, 0.3, (count, 3)), b
+
+
+@settings(max_examples=25)
+@given(seeds)
+def test_least_squares_fits_agree_with_evo_and_colmap(seed: int) -> None:
+    a, b = noisy_pair(np.random.default_rng(seed))
+    fitted = fit_sim3(a, b)
+
+    rotation, translation, scale = umeyama_alignment(b.T, a.T, with_scale=True)
+    np.testing.assert_allclose(fitted.rotation, rotation, atol=1e-9)
+    np.testing.assert_allclose(fitted.translation, translation, atol=1e-9)
+    assert fitted.scale == pytest.approx(scale, abs=1e-9)
+
+    colmap = pycolmap.estimate_sim3d(b, a)
+    np.testing.assert_allclose(fitted.points(b), [colmap * x for x in b], atol=1e-9)
+
+    rotation, translation, _ = umeyama_alignment(b.T, a.T, with_scale=False)
+    np.testing.assert_allclose(fit_se3(a, b), make_pose(rotation, translation), atol=1e-9)
+
+
+@settings(max_examples=25)
+@given(seeds)
+def test_weights_are_repetitions(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = noisy_pair(rng)
+    times = rng.integers(0, 4, len(a))
+    again = np.repeat(np.arange(len(a)), times)
+    np.testing.assert_allclose(fit_sim3(a, b, times).points(b), fit_sim3(a[again], b[again]).points(b), atol=1e-9)
+    np.testing.assert_allclose(fit_yaw(a, b, times), fit_yaw(a[again], b[again]), atol=1e-9)
+
+
+@settings(max_examples=25)
+@given(seeds)
+def test_yaw_fit_is_the_best_turn_about_up(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    b = rng.normal(0, 3, (20, 3))
+    a_T_b = make_pose(yaw_rotation(rng.uniform(-np.pi, np.pi)), rng.normal(0, 5, 3))
+    np.testing.assert_allclose(fit_yaw(transform(a_T_b, b), b), a_T_b, atol=1e-9)
+
+    a = transform(a_T_b, b) + rng.normal(0, 0.5, b.shape)
+    best = fit_yaw(a, b)
+    cost = np.sum((a - transform(best, b)) ** 2)
+    for turn in (-1e-3, 1e-3):
+        rotation = yaw_rotation(turn) @ best[:3, :3]
+        other = make_pose(rotation, a.mean(0) - rotation @ b.mean(0))
+        assert np.sum((a - transform(other, b)) ** 2) > cost
+
+
+@settings(max_examples=25)
+@given(seeds, st.integers(1, 8), st.booleans())
+def test_pose_fit_recovers_even_straight_paths_and_single_poses(seed: int, count: int, yaw_only: bool) -> None:
+    rng = np.random.default_rng(seed)
+    straight = np.arange(count)[:, None] * rng.normal(size=3)
+    b_T_cam = make_pose(Rotation.random(count, rng=rng).as_matrix(), straight)
+    turn = yaw_rotation(rng.uniform(-3, 3)) if yaw_only else Rotation.random(rng=rng).as_matrix()
+    a_T_b = make_pose(turn, rng.normal(0, 5, 3))
+    fitted = fit_poses(a_T_b @ b_T_cam, b_T_cam, position_sd_m=0.02, rotation_sd=0.01, yaw_only=yaw_only)
+    np.testing.assert_allclose(fitted, a_T_b, atol=1e-9)
+    metres, radians = pose_residuals(a_T_b @ b_T_cam, b_T_cam, fitted)
+    assert metres.max() < 1e-8 and radians.max() < 1e-7
+
+
+def test_pose_fit_without_rotations_is_the_point_fit() -> None:
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=(2, 12, 3))
+    poses = [make_pose(Rotation.random(12, rng=rng).as_matrix(), x) for x in (a, b)]
+    fitted = fit_poses(*poses, position_sd_m=1.0, rotation_sd=1e9)
+    np.testing.assert_allclose(fitted, fit_se3(a, b), atol=1e-9)
+
+
+@settings(max_examples=25)
+@given(seeds)
+def test_similarities_compose_and_invert(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a_S_b, b_S_c, x = random_sim3(rng), random_sim3(rng), rng.normal(size=(5, 3))
+    np.testing.assert_allclose((a_S_b @ b_S_c).points(x), a_S_b.points(b_S_c.points(x)), atol=1e-9)
+    np.testing.assert_allclose(a_S_b.inverse().points(a_S_b.points(x)), x, atol=1e-9)
+    cam = make_pose(Rotation.random(rng=rng).as_matrix(), x[0])
+    np.testing.assert_allclose(a_S_b.poses(cam)[:3, 3], a_S_b.points(x[0]), atol=1e-12)
+
+
+@settings(max_examples=25)
+@given(seeds)
+def test_robust_fit_lets_a_fifth_of_gross_outliers_go(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    b = rng.normal(0, 3, (30, 3))
+    truth = random_sim3(rng)
+    a = truth.points(b) + truth.scale * rng.normal(0, 0.01, b.shape)
+    wrong = rng.choice(30, 6, replace=False)
+    a[wrong] += truth.scale * rng.normal(0, 20, (6, 3))
+    fitted, weights = fit_robust(
+        lambda w: fit_sim3(a, b, w),
+        lambda model: np.linalg.norm(a - model.points(b), axis=1),
+        30,
+        floor=0.005 * truth.scale,
+    )
+    left = np.linalg.norm(fitted.points(b) - truth.points(b), axis=1) / truth.scale
+    assert left.max() < 0.05
+    assert np.median(weights) > 0.3
+
+
+@settings(max_examples=50)
+@given(seeds)
+def test_rotation_to_up_is_the_smallest(seed: int) -> None:
+    up = mean_direction(np.random.default_rng(seed).normal(size=(1, 3)))
+    rotation = rotation_to_up(3 * up)
+    np.testing.assert_allclose(rotation @ up, [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert Rotation.from_matrix(rotation).magnitude() == pytest.approx(np.arccos(up[1]), abs=1e-7)
+
+
+def test_up_that_points_down_is_turned_over() -> None:
+    np.testing.assert_allclose(rotation_to_up([0, -2, 0]) @ [0, -1, 0], [0, 1, 0])
+
+
+line = np.outer(np.arange(5.0), [1.0, 2.0, 3.0])
+vertical = np.outer(np.arange(5.0), [0.0, 1.0, 0.0])
+
+
+@pytest.mark.parametrize("fit", [fit_sim3, fit_se3])
+@pytest.mark.parametrize("points", [np.eye(3)[:2], line, np.ones((4, 3))])
+def test_undetermined_rotations_are_refused(fit, points) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(GeometryError):
+        fit(points, points)
+
+
+def test_other_undetermined_fits_are_refused() -> None:
+    with pytest.raises(GeometryError):
+        fit_yaw(vertical, vertical)
+    with pytest.raises(GeometryError):
+        fit_sim3(np.full((4, 3), 0.1), np.full((4, 3), 0.3), line_ok=True)
+    assert fit_sim3(2 * line, line, line_ok=True).scale == pytest.approx(2)
+    with pytest.raises(GeometryError):
+        fit_poses(np.empty((0, 4, 4)), np.empty((0, 4, 4)), position_sd_m=1, rotation_sd=1)
+    with pytest.raises(GeometryError):
+        fit_sim3(line, line[:3])
+    with pytest.raises(GeometryError):
+        mean_direction([[0, 1, 0], [0, -1, 0]])
+    with pytest.raises(GeometryError):
+        rotation_to_up([0, 0, 0])
