@@ -1,0 +1,88 @@
+"""`python -m artefacts`: look at, link and remove what the stages made; the artefact reference."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
+from artefacts.errors import UserError
+from artefacts.recording import RECORDING
+from artefacts.reference import reference
+from artefacts.settings import STAGES, DataRoot
+from artefacts.stage import SIMULATED_MARKER
+
+app = new_app("Look at, link and remove what the stages made.")
+
+
+@app.command()
+def view(
+    scene: SceneOption,
+    profile: ProfileOption = "demo",
+    web: Annotated[bool, typer.Option("--web", help="In a browser, served to this machine only.")] = False,
+    data: DataOption = Path("data"),
+) -> None:
+    """Open the recordings of all finished stages in the Rerun viewer; each has its own blueprint."""
+    root = DataRoot(data)
+    recordings = [root.run(profile, scene, stage) / RECORDING for stage in STAGES]
+    found = [str(path) for path in recordings if path.is_file()]
+    if not found:
+        where = root.run(profile, scene)
+        raise UserError("there is no recording to view", where=where, do=f"make scene={scene} profile={profile} all")
+    command = [str(Path(sys.executable).with_name("rerun")), *found]
+    if web:
+        command += ["--web-viewer", "--bind", "127.0.0.1"]
+    # The viewer sends no telemetry where CI is set; a user's own rerun keeps the user's own choice.
+    sys.exit(subprocess.run(command, env={**os.environ, "CI": "1"}).returncode)
+
+
+@app.command()
+def link_captures(
+    scene: SceneOption,
+    folder: Annotated[Path, typer.Option(help="A folder of phone captures.")],
+    data: DataOption = Path("data"),
+) -> None:
+    """Make data/captures/<scene> a link to a folder of captures, which stays as it is."""
+    link = DataRoot(data).captures(scene)
+    if not folder.is_dir():
+        raise UserError("the captures folder isn't there", where=folder, expected="a folder of phone captures")
+    if link.is_symlink():
+        link.unlink()
+    elif link.exists():
+        raise UserError(
+            f"scene {scene} has captures already",
+            where=link,
+            expected="nothing, or a link to other captures",
+            do="name another scene, or move that folder away",
+        )
+    link.parent.mkdir(parents=True, exist_ok=True)
+    link.symlink_to(folder.resolve(), target_is_directory=True)
+    print(f"{link} → {folder}")
+
+
+@app.command()
+def clean(scene: SceneOption, profile: ProfileOption = "demo", data: DataOption = Path("data")) -> None:
+    """Remove a scene's artefacts of one profile, and its captures where they are simulated; never a real capture."""
+    root = DataRoot(data)
+    root.scene(scene)  # refuses a name that would lead elsewhere
+    captures = root.captures(scene)
+    for path in (root.run(profile, scene), captures):
+        if path == captures and (captures.is_symlink() or not (captures / SIMULATED_MARKER).is_file()):
+            continue
+        if path.is_dir():
+            shutil.rmtree(path)
+            print(f"removed {path}")
+
+
+@app.command()
+def docs() -> None:
+    """Print the reference of all tables (docs/artefacts.md)."""
+    print(reference(), end="")
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,78 @@
+"""The command line that every stage shares: `python -m <stage> --scene … --profile …`."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from artefacts.errors import UserError
+from artefacts.settings import DataRoot, Settings
+from artefacts.stage import Stage, execute
+
+SceneOption = Annotated[str, typer.Option(help="The scene: a folder of data/captures, or one that can be simulated.")]
+ProfileOption = Annotated[str, typer.Option(help="Settings for the whole run: demo, paper or tiny (data/profiles).")]
+DataOption = Annotated[Path, typer.Option(help="The data folder, with captures/ and runs/.")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="One setting, key=value as in TOML; may be given several times."),
+]
+
+
+class App(typer.Typer):
+    """A typer application that shows a UserError in a few lines and exits with 2."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return super().__call__(*args, **kwargs)
+        except UserError as error:
+            print(f"error: {error}", file=sys.stderr)
+            sys.exit(2)
+        except KeyboardInterrupt:
+            print("stopped; the same command goes on from the last safe point", file=sys.stderr)
+            sys.exit(130)
+
+
+def new_app(help_text: str) -> App:
+    """An empty application; subcommands are added by its caller."""
+    return App(help=help_text, add_completion=False, rich_markup_mode="markdown", pretty_exceptions_enable=False)
+
+
+def stage_app(stage: Stage[Any]) -> App:
+    """The command line of a stage: without a subcommand it runs the stage."""
+    app = new_app(f"{stage.help}\n\n{settings_help(stage.name, stage.settings)}")
+
+    @app.callback(invoke_without_command=True)
+    def main(
+        context: typer.Context,
+        scene: SceneOption = "",
+        profile: ProfileOption = "demo",
+        set_: SetOption = None,
+        seed: Annotated[int, typer.Option(help="Seed of everything random in this stage.")] = 0,
+        force: Annotated[bool, typer.Option("--force", help="Run even if the artefact is up to date.")] = False,
+        data: DataOption = Path("data"),
+    ) -> None:
+        if context.invoked_subcommand is not None:
+            return
+        if not scene:
+            raise UserError(
+                "no scene was named",
+                do=f"add --scene <name>, for example --scene Church (stage {stage.name})",
+            )
+        execute(stage, scene, profile, DataRoot(data), set_, seed, force)
+
+    return app
+
+
+def settings_help(section: str, model: type[Settings]) -> str:
+    """The settings of a stage as a Markdown list for --help."""
+    lines = [
+        f"**Settings**, section `[{section}]` of a profile or scene file (data/profiles, data/scenes), "
+        "or `--set key=value`:",
+        "",
+    ]
+    for name, info in model.model_fields.items():
+        default = info.get_default(call_default_factory=True)
+        shown = "" if isinstance(default, Settings) else f" (default {default!r})"
+        lines.append(f"- `{name}`{shown}: {info.description or ''}")
+    return "\n".join(lines)

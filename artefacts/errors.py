@@ -1,0 +1,35 @@
+"""The one exception for what a user can cause, and how it's shown."""
+
+
+class UserError(Exception):
+    """Something in the user's input, settings or machine that stops the work.
+
+    Says what is wrong, where, what was expected, what was found and what to do about it; the command lines print it
+    in a few lines and exit with 2.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        where: object = None,
+        expected: object = None,
+        found: object = None,
+        do: str | None = None,
+    ) -> None:
+        self.what = what
+        self.details = {"where": where, "expected": expected, "found": found, "do": do}
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        lines = [self.what]
+        lines += [f"  {name + ':':<10}{value}" for name, value in self.details.items() if value is not None]
+        return "\n".join(lines)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Keyword arguments need help to cross a process border.
+        return _rebuild, (self.what, self.details)
+
+
+def _rebuild(what: str, details: dict[str, object]) -> UserError:
+    return UserError(what, **details)  # type: ignore[arg-type]

@@ -1,0 +1,85 @@
+"""Rerun recordings: one file a stage with its blueprint inside, and the colours that all stages share."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from geometry.poses import Array
+
+RECORDING = "recording.rrd"
+
+# One meaning, one colour, in recordings and in figures alike (Okabe-Ito, told apart by colour-blind readers).
+GROUND_TRUTH = (0, 158, 115)
+VIO = (230, 159, 0)
+APR = (86, 180, 233)
+FUSED = (204, 121, 167)
+REJECTED = (213, 94, 0)
+NEUTRAL = (150, 150, 150)
+
+UP_AXIS = rr.ViewCoordinates.RIGHT_HAND_Y_UP
+TIMELINE = "capture_time"
+
+
+@contextlib.contextmanager
+def open_recording(path: Path, stage: str, name: str, blueprint: object) -> Iterator[rr.RecordingStream]:
+    """Write `path`; it gets its name only when the block ends well.
+
+    Each stage is an application of its own, so that every recording keeps its own blueprint when several are opened
+    in one viewer.
+    """
+    partial = path.with_name(path.name + ".partial")
+    stream = rr.RecordingStream(f"groundwalk_{stage}", recording_id=f"{name}/{stage}")
+    stream.save(partial, default_blueprint=blueprint)  # type: ignore[arg-type]
+    stream.send_recording_name(f"{name} · {stage}")
+    try:
+        yield stream
+        stream.flush()
+    finally:
+        stream.disconnect()
+    partial.replace(path)
+
+
+def set_time(stream: rr.RecordingStream, t_ns: int) -> None:
+    """Move the recording's clock to a capture time in nanoseconds."""
+    stream.set_time(TIMELINE, duration=np.timedelta64(int(t_ns), "ns"))
+
+
+def log_camera(
+    stream: rr.RecordingStream,
+    path: str,
+    world_T_cam: Array,
+    frame: Any,
+    colour: tuple[int, int, int],
+    size_m: float = 0.3,
+    static: bool = False,
+) -> None:
+    """A camera frustum at `path`: pose (4, 4) in OpenCV axes, `frame` a row of import.frames."""
+    stream.log(path, rr.Transform3D(translation=world_T_cam[:3, 3], mat3x3=world_T_cam[:3, :3]), static=static)
+    stream.log(
+        f"{path}/image",
+        rr.Pinhole(
+            focal_length=(frame.fx, frame.fy),
+            principal_point=(frame.cx, frame.cy),
+            width=int(frame.width),
+            height=int(frame.height),
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=size_m,
+            color=colour,
+        ),
+        static=static,
+    )
+
+
+def log_path(
+    stream: rr.RecordingStream, path: str, xyz_N3: Array, colour: tuple[int, int, int], radius_px: float = 1.5
+) -> None:
+    """A trajectory as one static line; NaN positions break it."""
+    known = np.isfinite(xyz_N3).all(axis=1)
+    # Where known flips, a strip begins or ends.
+    borders = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    strips = [xyz_N3[start:stop] for start, stop in borders.reshape(-1, 2)]
+    stream.log(path, rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(radius_px)), static=True)

@@ -1,0 +1,121 @@
+"""What the align stage writes: the ground truth, how VIO compares with it, and what was checked."""
+
+from artefacts.schemas import Column, TableSchema, pose_columns
+
+_SESSION = Column("session_id", "string", "capture session")
+_SEGMENT = Column("segment", "int64", "part of the session between two VIO jumps, from 0")
+
+TABLES = [
+    TableSchema(
+        "align",
+        "ground_truth",
+        "One row a frame: where its camera was in the map (metric, +y up). Frames without ground truth have quality "
+        "'none' and a null pose.",
+        [
+            Column("frame_id", "string", "<session>/<six digits>"),
+            _SESSION,
+            Column("split", "string", "train, val or test"),
+            Column("t_ns", "int64", "capture time on the session's clock", "ns"),
+            *pose_columns("map_cam", "ground truth map_T_cam", nullable=True),
+            Column(
+                "covariance",
+                "list<float64>",
+                "6x6, row-major, of (rotation, position) with true rotation = exp(rotation) @ map_R_cam and true "
+                "position = map_t_cam + position: SfM's part and the map's scale and vertical; null where SfM has none",
+                "rad, m",
+                "map",
+                True,
+            ),
+            Column("position_sd_m", "float64", "SfM's part alone, largest axis, one sigma", "m", "map", True),
+            Column("rotation_sd_deg", "float64", "SfM's part alone, largest axis, one sigma", "deg", "map", True),
+            Column("quality", "string", "A, B, C (see docs/ground-truth.md) or none"),
+            Column("reason", "string", "why quality is none; empty otherwise"),
+            Column("gt_uses_vio", "bool", "VIO positions took part in the bundle adjustment"),
+        ],
+    ),
+    TableSchema(
+        "align",
+        "sessions",
+        "One row a session, or a part of one between VIO jumps: where its VIO frame lies in the map, and how well it "
+        "fits. Null where the part has too few frames.",
+        [
+            _SESSION,
+            _SEGMENT,
+            Column("t_start_ns", "int64", "first frame", "ns"),
+            Column("t_end_ns", "int64", "last frame", "ns"),
+            Column("frames", "int64", "frames of this part"),
+            Column("registered", "int64", "frames that SfM registered"),
+            Column("used", "int64", "frames with ground truth"),
+            Column("path_m", "float64", "length of the VIO path through the frames", "m", "vio"),
+            *pose_columns("map_vio", "map_T_vio, rigid fit", nullable=True),
+            *pose_columns("map_vio_yaw", "map_T_vio, fit of yaw and translation only", nullable=True),
+            Column("scale", "float64", "metres of this session's VIO per metre of the map", "", "", True),
+            Column("scale_sd", "float64", "one sigma of scale, from the scatter of its windows", "", "", True),
+            Column(
+                "up_error_deg", "float64", "angle between this session's vertical and the map's", "deg", "map", True
+            ),
+            Column("position_rms_m", "float64", "residual of the rigid fit", "m", "map", True),
+            Column("position_median_m", "float64", "residual of the rigid fit", "m", "map", True),
+            Column("position_max_m", "float64", "residual of the rigid fit", "m", "map", True),
+            Column("rotation_rms_deg", "float64", "residual of the rigid fit", "deg", "map", True),
+            Column("rotation_median_deg", "float64", "residual of the rigid fit", "deg", "map", True),
+            Column("rotation_max_deg", "float64", "residual of the rigid fit", "deg", "map", True),
+            Column("yaw_position_rms_m", "float64", "residual of the yaw and translation fit", "m", "map", True),
+            Column("yaw_rotation_rms_deg", "float64", "residual of the yaw and translation fit", "deg", "map", True),
+            Column("sim3_position_rms_m", "float64", "residual with a scale of its own, all frames", "m", "map", True),
+            Column("sim3_rotation_median_deg", "float64", "residual with a scale of its own", "deg", "map", True),
+        ],
+    ),
+    TableSchema(
+        "align",
+        "drift",
+        "How far VIO moves away from the ground truth, one row a session, definition and interval; session 'all' pools "
+        "the samples of all sessions.",
+        [
+            Column("session_id", "string", "capture session, or 'all'"),
+            Column("definition", "string", "what was measured; docs/ground-truth.md defines each name"),
+            Column("interval", "float64", "length of the compared pieces; null for a whole path", "", "", True),
+            Column("interval_unit", "string", "s, m, pair or path"),
+            Column("unit", "string", "unit of the figures: m, deg, %, deg/m, deg/min, deg/100m"),
+            Column("samples", "int64", "number of compared pieces"),
+            Column("mean", "float64", "mean of the samples"),
+            Column("median", "float64", "median of the samples"),
+            Column("rms", "float64", "root mean square of the samples"),
+            Column("p95", "float64", "95th percentile of the samples"),
+            Column("max", "float64", "largest sample"),
+        ],
+    ),
+    TableSchema(
+        "align",
+        "gate",
+        "What was checked before the ground truth was given out: one row a check of the scene, a session or a window.",
+        [
+            Column("check", "string", "name of the check"),
+            Column("session_id", "string", "capture session; empty for the scene"),
+            Column("t_start_ns", "int64", "first frame of the window", "ns", "", True),
+            Column("t_end_ns", "int64", "last frame of the window", "ns", "", True),
+            Column("frames", "int64", "frames under this check"),
+            Column("value", "float64", "what was found", "", "", True),
+            Column("limit", "float64", "what is allowed"),
+            Column("unit", "string", "unit of value and limit"),
+            Column("passed", "bool", "value within limit"),
+            Column("reason", "string", "in words, where it failed"),
+        ],
+    ),
+    TableSchema(
+        "align",
+        "residuals",
+        "One row a frame with ground truth and VIO: how far VIO is from the ground truth there.",
+        [
+            Column("frame_id", "string", "<session>/<six digits>"),
+            _SESSION,
+            _SEGMENT,
+            Column("t_ns", "int64", "capture time on the session's clock", "ns"),
+            Column("travelled_m", "float64", "VIO path length since the segment's first frame", "m"),
+            Column("position_m", "float64", "after the segment's rigid fit", "m", "map", True),
+            Column("rotation_deg", "float64", "after the segment's rigid fit", "deg", "map", True),
+            Column("window_position_m", "float64", "after a rigid fit of the window around", "m", "map", True),
+            Column("window_rotation_deg", "float64", "after a rigid fit of the window around", "deg", "map", True),
+        ],
+    ),
+]

@@ -1,0 +1,101 @@
+"""Frames of a capture with the phone's own poses, and everything that was left out."""
+
+from artefacts.schemas import Column, TableSchema, pose_columns
+
+_SESSION = Column("session_id", "string", "recording; a part of one where VIO jumped (`walk`, `walk.part2`)")
+_TIME = Column("t_ns", "int64", "time on the session's clock", "ns")
+
+TABLES = [
+    TableSchema(
+        "import",
+        "frames",
+        "Images that the later stages use, each with its intrinsics and the phone's pose.",
+        [
+            Column("frame_id", "string", "<session>/<six digits>, the row's number in the capture's log"),
+            _SESSION,
+            _TIME,
+            Column("clock", "string", "what t_ns counts from: boot, unix, video or frame_index"),
+            Column("image", "string", "path in the capture folder; `import:` in front: in this artefact"),
+            Column("image_sha256", "string", "sha256 of the image file"),
+            Column("width", "int64", "image width", "px"),
+            Column("height", "int64", "image height", "px"),
+            Column("fx", "float64", "focal length, x", "px"),
+            Column("fy", "float64", "focal length, y", "px"),
+            Column("cx", "float64", "principal point, x; the first pixel's outer corner is 0", "px"),
+            Column("cy", "float64", "principal point, y; the first pixel's outer corner is 0", "px"),
+            Column("distortion", "list<float64>", "OpenCV's k1, k2, p1, p2, k3, ...; empty: none"),
+            *pose_columns("vio_cam", "vio_T_cam by the phone's odometry", nullable=True),
+            Column("gravity_x", "float64", "unit vector of gravity, x", "", "cam", nullable=True),
+            Column("gravity_y", "float64", "unit vector of gravity, y", "", "cam", nullable=True),
+            Column("gravity_z", "float64", "unit vector of gravity, z", "", "cam", nullable=True),
+            Column("tracking", "string", "the odometry's state: normal, limited, lost or unknown"),
+            Column("sharpness", "float64", "1 - blur after Crete et al. 2007, 0 to 1; higher is sharper"),
+            Column("exposure_s", "float64", "exposure time", "s", nullable=True),
+            Column("split", "string", "train, val (held-out block of the training walks) or test"),
+        ],
+    ),
+    TableSchema(
+        "import",
+        "sessions",
+        "The recordings of a capture.",
+        [
+            _SESSION,
+            Column("recording", "string", "the recording that the session is, or is a part of"),
+            Column("format", "string", "capture format, as `python -m capture_import formats` lists it"),
+            Column("device", "string", "phone, as far as the capture says"),
+            Column("clock", "string", "what t_ns counts from"),
+            Column("duration_s", "float64", "time from the first to the last pose", "s"),
+            Column("path_m", "float64", "length of the VIO path", "m"),
+            Column("poses", "int64", "poses in the log"),
+            Column("images", "int64", "sound images with a pose, before sampling"),
+            Column("frames", "int64", "images kept by sampling"),
+            Column("split", "string", "train (with val inside), test, mixed, or unused"),
+        ],
+    ),
+    TableSchema(
+        "import",
+        "rejects",
+        "Everything that was left out for a reason; frames thinned out by sampling aren't here.",
+        [
+            _SESSION,
+            Column("source", "string", "file or row in the capture"),
+            Column("t_ns", "int64", "time on the session's clock, where it could be read", "ns", nullable=True),
+            Column("reason", "string", "why"),
+        ],
+    ),
+    TableSchema(
+        "import",
+        "jumps",
+        "Motion between two poses that no hand can do: relocalisations of the odometry.",
+        [
+            _SESSION,
+            Column("t_ns", "int64", "time of the first pose after the jump", "ns"),
+            Column("dt_s", "float64", "time between the two poses", "s"),
+            Column("jump_m", "float64", "displacement beyond the motion around it", "m"),
+            Column("jump_deg", "float64", "rotation beyond the motion around it", "deg"),
+            Column("splits", "bool", "so large that the session was split here"),
+        ],
+    ),
+    TableSchema(
+        "import",
+        "reference",
+        "Poses that a public data set has instead of VIO; no rows for phone captures. Its world is the data set's.",
+        [
+            Column("frame_id", "string", "frame, as in `frames`"),
+            _SESSION,
+            _TIME,
+            *pose_columns("map_cam", "map_T_cam by the data set"),
+        ],
+    ),
+    TableSchema(
+        "import",
+        "vio",
+        "All sound poses of the odometry at its full rate, also those without an image.",
+        [
+            _SESSION,
+            _TIME,
+            *pose_columns("vio_cam", "vio_T_cam by the phone's odometry"),
+            Column("tracking", "string", "the odometry's state: normal, limited, lost or unknown"),
+        ],
+    ),
+]

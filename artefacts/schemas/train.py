@@ -1,0 +1,81 @@
+"""What the train stage writes: the regressors' poses, how they learned, and what they are."""
+
+from artefacts.schemas import Column, TableSchema, pose_columns
+
+_MODEL = Column("model", "string", "PN or MS-T")
+_SCENES = Column("scenes", "list<string>", "the scenes that the model was trained on, in the order of its queries")
+
+TABLES = [
+    TableSchema(
+        "train",
+        "predictions",
+        "One row a model and frame: the pose estimated from the frame's image alone, for every frame of every split.",
+        [
+            _MODEL,
+            Column("scene", "string", "the scene that the frame is of"),
+            Column("frame_id", "string", "<session>/<six digits>"),
+            Column("session_id", "string", "capture session"),
+            Column("split", "string", "train, val or test; val: frames that chose the epoch, not trained on"),
+            Column("t_ns", "int64", "capture time on the session's clock", "ns"),
+            *pose_columns("map_cam", "estimated map_T_cam, in the map of picked_scene"),
+            Column(
+                "covariance",
+                "list<float64>",
+                "6x6 as in align.ground_truth; null: these models give none",
+                "rad, m",
+                "map",
+                True,
+            ),
+            Column(
+                "picked_scene", "string", "the scene that the model took the image for; MS-T of several scenes can err"
+            ),
+            Column("inference_ms", "float64", "one image through the network, crop to pose, batch of 1, float32", "ms"),
+        ],
+    ),
+    TableSchema(
+        "train",
+        "history",
+        "Learning curves: one row a model and epoch.",
+        [
+            _MODEL,
+            _SCENES,
+            Column("epoch", "int64", "passes over the training frames, from 1"),
+            Column("learning_rate", "float64", "of the epoch's last step"),
+            Column("train_loss", "float64", "mean over the epoch's steps; comparable within a model only"),
+            Column("val_position_m", "float64", "median position error on held-out frames", "m"),
+            Column("val_rotation_deg", "float64", "median rotation error on held-out frames", "deg"),
+            Column("sx", "float64", "learned log-variance of the position loss"),
+            Column("sq", "float64", "learned log-variance of the rotation loss"),
+            Column("seconds", "float64", "wall time of the epoch", "s"),
+            Column("kept", "bool", "the epoch whose weights were kept: least product of the two held-out medians"),
+        ],
+    ),
+    TableSchema(
+        "train",
+        "models",
+        "Model cards: one row a model.",
+        [
+            _MODEL,
+            _SCENES,
+            Column("file", "string", "the weights, relative to the artefact"),
+            Column("parameters", "int64", "numbers that training can change"),
+            Column("bytes", "int64", "float32 weights: parameters and the batch norms' running statistics", "byte"),
+            Column("layers", "string", "sizes that the settings choose, in words; empty where there are none"),
+            Column(
+                "weights", "string", "where the backbone's first weights came from: ImageNet, a file, scratch, and why"
+            ),
+            Column("resize_px", "int64", "shorter side of the images before cropping", "px"),
+            Column("crop_px", "int64", "side of the square that the network sees", "px"),
+            Column("train_frames", "int64", "frames trained on"),
+            Column("val_frames", "int64", "frames held out to choose the epoch"),
+            Column("epochs", "int64", "epochs trained"),
+            Column("best_epoch", "int64", "the epoch whose weights were kept"),
+            Column("seed", "int64", "seed of everything random"),
+            Column("config", "string", "settings of this model, JSON"),
+            Column("reduced", "string", "what the profile makes smaller than in the paper; empty: nothing"),
+            Column("device", "string", "where it was trained and timed, and in which precision it was trained"),
+            Column("inference_ms", "float64", "median of predictions.inference_ms", "ms"),
+            Column("train_seconds", "float64", "wall time of training", "s"),
+        ],
+    ),
+]

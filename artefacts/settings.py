@@ -1,0 +1,165 @@
+"""Settings of stages and scenes: strict, typed, resolved from code, profile, scene and command line."""
+
+import tomllib
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from artefacts.errors import UserError
+
+SHIPPED_DATA = Path(__file__).resolve().parent.parent / "data"
+STAGES = ("import", "sfm", "align", "train", "fuse", "report")
+_SECTIONS = ("simulate", *STAGES)
+
+
+class Settings(BaseModel):
+    """Base of every stage's settings: frozen, and an unknown key is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class SplitRules(Settings):
+    """Which sessions are for training and which for testing."""
+
+    test: list[str] | None = Field(None, description="sessions to test on; the others train")
+    train: list[str] | None = Field(None, description="sessions to train on; with `test`, others are left out")
+    test_fraction: float = Field(0.25, gt=0, lt=1, description="share of a single session's time to test on")
+    val_fraction: float = Field(0.1, ge=0, lt=0.5, description="share of the training walks held out")
+    allow_leak: bool = Field(False, description="allow test frames within 5 s of training frames of a session")
+
+
+class SceneConfig(Settings):
+    """A scene, or a group of scenes that share a model (`members`)."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
+    description: str = ""
+    environment: Literal["outdoor", "indoor", "unknown"] = "unknown"
+    extent_m: list[float] | None = Field(None, description="published or expected extent, metres")
+    can_simulate: bool = Field(False, description="simulation/ knows this place")
+    members: list[str] = Field(default_factory=list, description="a group's scenes, or groups")
+    stages: list[str] = Field(default_factory=lambda: list(STAGES), description="what a group itself runs")
+    split: SplitRules = SplitRules()
+
+    @property
+    def is_group(self) -> bool:
+        return bool(self.members)
+
+
+T = TypeVar("T", bound=Settings)
+
+
+class DataRoot:
+    """The data folder: captures/, runs/, and the scene and profile files (the shipped ones where it has none)."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root.absolute()
+
+    def captures(self, scene: str) -> Path:
+        return self.root / "captures" / scene
+
+    def run(self, profile: str, scene: str, stage: str = "") -> Path:
+        return self.root / "runs" / profile / scene / stage
+
+    def config_file(self, kind: Literal["profiles", "scenes"], name: str) -> Path | None:
+        """data/<kind>/<name>.toml here or as shipped, or None."""
+        for base in (self.root, SHIPPED_DATA):
+            path = base / kind / f"{name}.toml"
+            if path.is_file():
+                return path
+        return None
+
+    def names(self, kind: Literal["profiles", "scenes"]) -> list[str]:
+        """The names of all scene or profile files."""
+        return sorted({p.stem for base in (self.root, SHIPPED_DATA) for p in (base / kind).glob("*.toml")})
+
+    def profile(self, name: str) -> dict[str, Any]:
+        """A profile's sections; UserError where there is no such profile."""
+        path = self.config_file("profiles", name)
+        if path is None:
+            known = ", ".join(self.names("profiles"))
+            raise UserError(f"there is no profile {name!r}", where=self.root / "profiles", expected=f"one of {known}")
+        content = _read_toml(path)
+        _refuse_unknown_sections(content, ("description",), path)
+        return content
+
+    def scene(self, name: str) -> tuple[SceneConfig, dict[str, Any]]:
+        """A scene's config and its stage sections; a scene without a file has the defaults."""
+        path = self.config_file("scenes", name)
+        content = _read_toml(path) if path else {}
+        sections = {key: content.pop(key) for key in _SECTIONS if key in content}
+        return validated(SceneConfig, {**content, "name": name}, path or f"scene {name!r}"), sections
+
+    def leaves(self, scene: SceneConfig) -> list[str]:
+        """The scenes under a group, in order; a plain scene is its own only leaf."""
+        if not scene.is_group:
+            return [scene.name]
+        return [leaf for member in scene.members for leaf in self.leaves(self.scene(member)[0])]
+
+
+def resolve_settings(model: type[T], section: str, data: DataRoot, profile: str, scene: str, overrides: list[str]) -> T:
+    """A stage's settings: code defaults, then the profile, the scene and `key=value` overrides, later ones winning.
+
+    UserError for an unknown key, a wrong type or a value out of range.
+    """
+    merged: dict[str, Any] = {}
+    _merge(merged, data.profile(profile).get(section, {}))
+    _merge(merged, data.scene(scene)[1].get(section, {}))
+    for override in overrides:
+        key, eq, value = override.partition("=")
+        if not eq:
+            raise UserError("a setting needs a value", found=override, expected="key=value", where="--set")
+        nested: dict[str, Any] = {}
+        inner = nested
+        *parents, leaf = key.strip().split(".")
+        for parent in parents:
+            inner = inner.setdefault(parent, {})
+        inner[leaf] = _parse_value(value.strip())
+        _merge(merged, nested)
+    return validated(model, merged, f"[{section}] of profile {profile}, scene {scene} and --set")
+
+
+def validated(model: type[T], content: dict[str, Any], where: object) -> T:
+    """`content` as a settings model; UserError naming each key that doesn't fit."""
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise UserError(
+            f"setting {key!r}: {first['msg']}",
+            where=where,
+            found=repr(first.get("input")),
+            expected="one of " + ", ".join(model.model_fields) if first["type"] == "extra_forbidden" else None,
+            do="correct it; `python -m <stage> --help` lists the settings",
+        ) from None
+
+
+def _parse_value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text  # a bare word is a string
+
+
+def _merge(into: dict[str, Any], other: dict[str, Any]) -> None:
+    for key, value in other.items():
+        if isinstance(value, dict) and isinstance(into.get(key), dict):
+            _merge(into[key], value)
+        else:
+            into[key] = dict(value) if isinstance(value, dict) else value
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UserError("a settings file can't be read", where=path, found=error, expected="TOML in UTF-8") from None
+
+
+def _refuse_unknown_sections(content: dict[str, Any], more: tuple[str, ...], path: Path) -> None:
+    unknown = [key for key in content if key not in _SECTIONS and key not in more]
+    if unknown:
+        raise UserError(
+            f"unknown section {unknown[0]!r}", where=path, expected="one of " + ", ".join((*_SECTIONS, *more))
+        )

@@ -1,0 +1,96 @@
+"""Parquet tables that are checked against their schema on the way out and on the way in."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from artefacts.errors import UserError
+from artefacts.schemas import TableSchema
+from geometry.poses import Array, pose_from_tq, tq_from_pose
+
+_QUATERNION_TOLERANCE = 1e-6
+
+
+def write_table(path: Path, frame: pd.DataFrame, schema: TableSchema) -> None:
+    """Write `frame` as Parquet with the schema's metadata, atomically.
+
+    Columns come out in the schema's order. A programming error here is a ValueError: a column missing, unknown,
+    of another type, null where it may not be, or a quaternion that isn't unit.
+    """
+    name = f"{schema.stage}.{schema.name}"
+    missing = [c for c in schema.column_names if c not in frame.columns]
+    unknown = [c for c in frame.columns if c not in schema.column_names]
+    if missing or unknown:
+        raise ValueError(f"{name}: missing columns {missing}, unknown columns {unknown}")
+    try:
+        table = pa.Table.from_pandas(frame[schema.column_names], schema.arrow(), preserve_index=False)
+    except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
+        raise ValueError(f"{name}: {error}") from error
+    for column in schema.columns:
+        if not column.nullable and table[column.name].null_count:
+            raise ValueError(f"{name}.{column.name}: {table[column.name].null_count} nulls, none allowed")
+    for prefix in pose_prefixes(schema):
+        q = frame[[f"{prefix}_q{a}" for a in "xyzw"]].to_numpy(float)
+        norm = np.linalg.norm(q[~np.isnan(q).any(axis=1)], axis=1)
+        if norm.size and np.abs(norm - 1).max() > _QUATERNION_TOLERANCE:
+            raise ValueError(f"{name}.{prefix}_q*: quaternion lengths {norm.min():.6f}..{norm.max():.6f}, not 1")
+    partial = path.with_name(path.name + ".partial")
+    pq.write_table(table, partial)
+    partial.replace(path)
+
+
+def read_table(path: Path, schema: TableSchema) -> pd.DataFrame:
+    """Read a table; UserError where the file is missing, unreadable, another table, or of another major version."""
+    name = f"{schema.stage}.{schema.name}"
+    if not path.is_file():
+        raise UserError(f"table {name} isn't there", where=path, do=f"run the {schema.stage} stage first")
+    try:
+        table = pq.read_table(path)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise UserError(f"table {name} can't be read", where=path, found=error, expected="a Parquet file") from error
+    metadata = {k.decode(): v.decode() for k, v in (table.schema.metadata or {}).items()}
+    version = metadata.get("groundwalk.version", "none")
+    if version.split(".")[0] != schema.version.split(".")[0]:
+        raise UserError(
+            f"table {name} has another version of its schema",
+            where=path,
+            expected=f"{schema.version.split('.')[0]}.x",
+            found=version,
+            do=f"run the {schema.stage} stage again",
+        )
+    missing = [c for c in schema.column_names if c not in table.column_names]
+    if missing:
+        raise UserError(f"table {name} lacks columns", where=path, found=f"no {', '.join(missing)}")
+    frame: pd.DataFrame = table.select(schema.column_names).to_pandas()
+    return frame
+
+
+def pose_prefixes(schema: TableSchema) -> list[str]:
+    """The prefixes of a schema's pose groups: ``map_cam`` where it has map_cam_qw."""
+    return [c.removesuffix("_qw") for c in schema.column_names if c.endswith("_qw")]
+
+
+def poses_of(frame: pd.DataFrame, prefix: str) -> Array:
+    """The pose group `prefix` of a table as (N, 4, 4); rows with a null are all NaN."""
+    t = frame[[f"{prefix}_t{a}" for a in "xyz"]].to_numpy(float, na_value=np.nan)
+    q = frame[[f"{prefix}_q{a}" for a in "xyzw"]].to_numpy(float, na_value=np.nan)
+    poses = np.full((len(frame), 4, 4), np.nan)
+    known = ~(np.isnan(t).any(axis=1) | np.isnan(q).any(axis=1))
+    if known.any():
+        poses[known] = pose_from_tq(t[known], q[known])
+    return poses
+
+
+def pose_frame(prefix: str, poses: Array) -> pd.DataFrame:
+    """Poses (N, 4, 4) as the seven columns of the pose group `prefix`; a NaN pose gives nulls."""
+    poses = np.asarray(poses, dtype=float).reshape(-1, 4, 4)
+    known = np.isfinite(poses).all(axis=(1, 2))
+    values = np.full((len(poses), 7), np.nan)
+    if known.any():
+        t, q = tq_from_pose(poses[known])
+        values[known] = np.hstack([t, q])
+    names = [f"{prefix}_t{a}" for a in "xyz"] + [f"{prefix}_q{a}" for a in "xyzw"]
+    return pd.DataFrame(values, columns=names)

@@ -1,0 +1,105 @@
+"""Settings come from code, profile, scene and command line, and a mistake in one is said in one line."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pydantic import Field
+
+from artefacts import DataRoot, Settings, UserError
+from artefacts.cli import settings_help
+from artefacts.settings import resolve_settings
+
+
+class Inner(Settings):
+    depth: int = 1
+
+
+class Example(Settings):
+    features: int = Field(100, gt=0, description="how many")
+    ratio: float = 0.5
+    inner: Inner = Inner()
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> DataRoot:
+    for kind in ("profiles", "scenes"):
+        (tmp_path / kind).mkdir()
+    (tmp_path / "profiles" / "own.toml").write_text("[sfm]\nfeatures = 200\nratio = 0.1\n")
+    (tmp_path / "scenes" / "place.toml").write_text("environment = 'indoor'\n[sfm]\nratio = 0.2\ninner.depth = 2\n")
+    return DataRoot(tmp_path)
+
+
+def test_later_sources_win(data: DataRoot) -> None:
+    settings = resolve_settings(Example, "sfm", data, "own", "place", ["inner.depth=3"])
+    assert settings == Example(features=200, ratio=0.2, inner=Inner(depth=3))
+    assert data.scene("place")[0].environment == "indoor"
+    assert data.scene("unheard-of")[0].environment == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [("nonsense=1", "nonsense"), ("features=0", "greater than 0"), ("features", "key=value"), ("ratio=x", "ratio")],
+)
+def test_a_wrong_setting_is_named(data: DataRoot, override: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        resolve_settings(Example, "sfm", data, "own", "place", [override])
+
+
+def test_a_wrong_file_is_named(data: DataRoot) -> None:
+    (data.root / "profiles" / "own.toml").write_text("[sfmm]\n")
+    with pytest.raises(UserError, match="unknown section 'sfmm'"):
+        data.profile("own")
+    (data.root / "scenes" / "place.toml").write_text("environment = \n")
+    with pytest.raises(UserError, match=r"place\.toml"):
+        data.scene("place")
+    with pytest.raises(UserError, match="no profile 'none'"):
+        data.profile("none")
+
+
+@pytest.mark.parametrize("name", ["../up", "a/b", ".hidden", ""])
+def test_a_scene_name_cannot_lead_out_of_the_data_folder(data: DataRoot, name: str) -> None:
+    with pytest.raises(UserError, match="name"):
+        data.scene(name)
+
+
+def test_every_shipped_profile_and_scene_is_valid() -> None:
+    data = DataRoot(Path("nowhere"))
+    assert {"demo", "paper", "tiny"} <= set(data.names("profiles"))
+    for name in data.names("profiles"):
+        assert data.profile(name)["description"]
+    for name in data.names("scenes"):
+        assert data.scene(name)[0].environment != "unknown"
+    assert data.leaves(data.scene("indoor")[0]) == ["Stairs", "Office", "Atrium"]
+
+
+def test_help_lists_each_setting() -> None:
+    text = settings_help("sfm", Example)
+    assert "`features` (default 100): how many" in text
+
+
+def artefacts(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "artefacts", *arguments], capture_output=True, text=True, cwd=cwd)
+
+
+def test_clean_spares_real_captures(tmp_path: Path) -> None:
+    real, simulated = tmp_path / "data/captures/real", tmp_path / "data/captures/made"
+    for folder in (real, simulated, tmp_path / "data/runs/demo/real", tmp_path / "data/runs/demo/made"):
+        folder.mkdir(parents=True)
+    (simulated / "SIMULATED.json").write_text("{}")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    assert artefacts("link-captures", "--scene", "linked", "--folder", str(elsewhere), cwd=tmp_path).returncode == 0
+    for scene in ("real", "made", "linked"):
+        assert artefacts("clean", "--scene", scene, cwd=tmp_path).returncode == 0
+    assert real.is_dir() and elsewhere.is_dir() and not simulated.exists()
+    assert not (tmp_path / "data/runs/demo/real").exists()
+
+
+def test_user_errors_are_short(tmp_path: Path) -> None:
+    refused = artefacts("link-captures", "--scene", "x", "--folder", "missing", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert refused.stderr.startswith("error: the captures folder isn't there")
+    assert "Traceback" not in refused.stderr
+    assert "no recording" in artefacts("view", "--scene", "x", cwd=tmp_path).stderr

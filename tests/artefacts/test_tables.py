@@ -1,0 +1,82 @@
+"""Tables keep their schema's promises on the way out and in."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+from artefacts import UserError
+from artefacts.reference import reference
+from artefacts.schemas import Column, TableSchema, all_tables, pose_columns
+from artefacts.tables import pose_frame, poses_of, read_table, write_table
+from geometry.poses import make_pose
+
+SCHEMA = TableSchema(
+    "sfm",
+    "example",
+    "An example.",
+    [
+        Column("frame_id", "string", "key"),
+        Column("t_ns", "int64", "time", "ns"),
+        *pose_columns("map_cam", "map_T_cam", nullable=True),
+        Column("covariance", "list<float64>", "6x6", nullable=True),
+    ],
+    version="2.1",
+)
+
+
+def example() -> pd.DataFrame:
+    poses = np.stack([make_pose(np.eye(3), [1, 2, 3]), np.full((4, 4), np.nan)])
+    frame = pd.DataFrame({"frame_id": ["a/000001", "a/000002"], "t_ns": [1, 2]}).join(pose_frame("map_cam", poses))
+    return frame.assign(covariance=[np.arange(36.0), None])
+
+
+def test_table_round_trip(tmp_path: Path) -> None:
+    write_table(tmp_path / "t.parquet", example(), SCHEMA)
+    back = read_table(tmp_path / "t.parquet", SCHEMA)
+    assert list(back.columns) == SCHEMA.column_names
+    poses = poses_of(back, "map_cam")
+    assert np.array_equal(poses[0, :3, 3], [1, 2, 3])
+    assert np.isnan(poses[1]).all()
+    assert np.array_equal(back.covariance[0], np.arange(36))
+    assert back.covariance[1] is None
+    field = pq.read_schema(tmp_path / "t.parquet").field("t_ns")
+    assert field.metadata == {b"unit": b"ns", b"meaning": b"time"}
+    assert [p.name for p in tmp_path.iterdir()] == ["t.parquet"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda f: f.drop(columns="t_ns"), "missing columns"),
+        (lambda f: f.assign(extra=1), "unknown columns"),
+        (lambda f: f.assign(t_ns=[1.5, 2]), "t_ns"),
+        (lambda f: f.assign(frame_id=["a", None]), "frame_id"),
+        (lambda f: f.assign(map_cam_qw=[2.0, np.nan]), "quaternion"),
+    ],
+)
+def test_a_table_that_breaks_its_schema_is_not_written(tmp_path: Path, change: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        write_table(tmp_path / "t.parquet", change(example()), SCHEMA)  # type: ignore[operator]
+    assert not list(tmp_path.iterdir())
+
+
+def test_reader_refuses_another_major_version_and_what_is_no_table(tmp_path: Path) -> None:
+    path = tmp_path / "t.parquet"
+    with pytest.raises(UserError, match="isn't there"):
+        read_table(path, SCHEMA)
+    write_table(path, example(), SCHEMA)
+    newer = TableSchema("sfm", "example", "", SCHEMA.columns, version="3.0")
+    with pytest.raises(UserError, match=r"expected: +3.x"):
+        read_table(path, newer)
+    path.write_bytes(b"not parquet")
+    with pytest.raises(UserError, match="can't be read"):
+        read_table(path, SCHEMA)
+
+
+def test_reference_is_up_to_date_and_complete() -> None:
+    page = Path(__file__).resolve().parents[2] / "docs" / "artefacts.md"
+    assert page.read_text(encoding="utf-8") == reference(), "run `make docs`"
+    assert all(column.meaning for table in all_tables() for column in table.columns)
