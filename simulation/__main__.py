@@ -1,0 +1,39 @@
+"""`python -m simulation --scene …`: simulated captures for a scene that has none."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from artefacts.cli import DataOption, ProfileOption, SceneOption, SetOption, new_app, settings_help
+from artefacts.settings import DataRoot
+from simulation.scenes import NAMES
+from simulation.settings import SimulateSettings
+from simulation.simulate import simulate
+
+_HELP = (
+    f"Simulate captures of {', '.join(NAMES)} into data/captures: procedural places, hand-held walks, rendered images, "
+    "poses with the drift of a phone. Captures that are there and weren't written by it are never touched."
+)
+app = new_app(f"{_HELP}\n\n{settings_help('simulate', SimulateSettings)}")
+
+
+@app.command()
+def main(
+    scene: SceneOption,
+    profile: ProfileOption = "demo",
+    set_: SetOption = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    force: Annotated[bool, typer.Option("--force", help="Simulate even if it's up to date.")] = False,
+    processes: Annotated[int, typer.Option(help="Processes that render.", min=1)] = os.cpu_count() or 1,
+    data: DataOption = Path("data"),
+) -> None:
+    """Simulate one scene, or each scene of a group."""
+    root = DataRoot(data)
+    for leaf in root.leaves(root.scene(scene)[0]):
+        simulate(leaf, profile, root, set_, seed, force, processes)
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,125 @@
+"""What a phone's camera does to a picture: autofocus, auto exposure, motion blur, noise."""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from simulation.place import Vec
+from simulation.render import Rendering, View
+
+FOCAL = 1447.65 / 1920  # of the image width: a phone's wide camera, 4:3
+_CENTRE = (967.5 / 1920, 692.5 / 1920)
+_BREATHING = 0.0022  # one sigma of the focal length, as a share of it
+_WANDER_PX = 1.2  # one sigma of the principal point, at 1920 pixels
+_TARGET = 118.0  # mean grey level that auto exposure aims at
+_LAG_S = 0.8
+_LONGEST_S = 1 / 60
+_MAX_BLUR_TAPS = 9
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """How one picture is taken: seconds, gain on display values a channel, noise in grey levels at mid grey."""
+
+    duration_s: float
+    gain_bgr: tuple[float, float, float]
+    noise: float
+
+
+def wander(t_s: Vec, low_hz: float, high_hz: float, rng: np.random.Generator) -> Vec:
+    """Smooth noise (N,) of about unit deviation with frequencies from low to high."""
+    n = 9
+    frequency = np.exp(rng.uniform(math.log(low_hz), math.log(high_hz), n))
+    phase = rng.uniform(0, 2 * math.pi, n)
+    return np.sin(2 * math.pi * np.outer(t_s, frequency) + phase).sum(axis=1) * math.sqrt(2 / n)
+
+
+def intrinsics(t_s: Vec, width: int, height: int, rng: np.random.Generator) -> Vec:
+    """fx, fy, cx, cy (N, 4) in pixels: the focal length breathes with focus, stabilisation moves the centre."""
+    focal = FOCAL * width * (1 + _BREATHING * np.clip(wander(t_s, 0.01, 0.12, rng), -2.2, 2.2))
+    scale = width / 1920
+    cx = _CENTRE[0] * width + scale * _WANDER_PX * wander(t_s, 0.05, 0.5, rng)
+    cy = _CENTRE[1] * width + (height - 0.75 * width) / 2 + scale * _WANDER_PX * 0.7 * wander(t_s, 0.05, 0.5, rng)
+    return np.stack([focal, focal, cx, cy], axis=1)
+
+
+def auto_exposure(brightness: Vec, step_s: float, indoor: bool, rng: np.random.Generator) -> list[Exposure]:
+    """Exposures that follow the mean grey level (N,), sampled each step_s, with the lag of a real control loop."""
+    wish = np.log(_TARGET / np.maximum(brightness, 8)) * 0.75
+    keep = math.exp(-step_s / _LAG_S)
+    log_gain, _ = lfilter([1 - keep], [1, -keep], wish, zi=[keep * wish[0]])
+    daylight = rng.uniform(-0.12, 0.12)
+    balance = np.exp(rng.normal(0, 0.025, 3))
+    base_s = _LONGEST_S * (0.75 if indoor else 0.3)
+    exposures = []
+    for value in log_gain:
+        light = math.exp(2 * value)  # display values go with the root of light
+        duration = min(base_s * light, _LONGEST_S)
+        amplified = base_s * light / duration
+        noise = (2.2 if indoor else 1.3) * math.sqrt(amplified)
+        blue, green, red = math.exp(value + daylight) * balance
+        exposures.append(Exposure(duration, (blue, green, red), noise))
+    return exposures
+
+
+def expose(
+    rendering: Rendering,
+    view: View,
+    velocity_cam: Vec,
+    spin_cam: Vec,
+    exposure: Exposure,
+    rng: np.random.Generator,
+) -> NDArray[np.uint8]:
+    """The 8-bit BGR picture of a sharp rendering taken from the middle of the exposure.
+
+    `velocity_cam` (m/s) and `spin_cam` (rad/s) are the camera's own motion in its axes.
+    """
+    image = _motion_blur(rendering, view, velocity_cam, spin_cam, exposure.duration_s)
+    image = image * (np.array(exposure.gain_bgr, np.float32) * _vignette(view)[..., None])
+    # Highlights roll off instead of clipping hard.
+    image = np.where(image > 205, 205 + 50 * np.tanh((image - 205) / 50), image)
+    sigma = np.float32(exposure.noise) * np.sqrt(0.35 + np.maximum(image, 0) / 180)
+    image += sigma * rng.standard_normal(image.shape, dtype=np.float32)
+    return np.clip(np.round(image), 0, 255).astype(np.uint8)
+
+
+def _vignette(view: View) -> NDArray[np.float32]:
+    x = (np.arange(view.width, dtype=np.float32) + 0.5 - view.cx) / view.fx
+    y = (np.arange(view.height, dtype=np.float32) + 0.5 - view.cy) / view.fy
+    return np.float32(1) - np.float32(0.11) * (x[None, :] ** 2 + y[:, None] ** 2).astype(np.float32)
+
+
+def _motion_blur(
+    rendering: Rendering, view: View, velocity_cam: Vec, spin_cam: Vec, duration_s: float
+) -> NDArray[np.float32]:
+    """Average the picture along each pixel's path over the exposure, from depth and the camera's motion."""
+    x = ((np.arange(view.width, dtype=np.float32) + 0.5 - view.cx) / view.fx)[None, :].astype(np.float32)
+    y = ((np.arange(view.height, dtype=np.float32) + 0.5 - view.cy) / view.fy)[:, None].astype(np.float32)
+    near = 1 / rendering.depth
+    vx, vy, vz = velocity_cam.astype(np.float32)
+    wx, wy, wz = spin_cam.astype(np.float32)
+    flow_x = (x * vz - vx) * near + x * y * wx - (1 + x * x) * wy + y * wz
+    flow_y = (y * vz - vy) * near + (1 + y * y) * wx - x * y * wy - x * wz
+    flow_x = (flow_x * np.float32(view.fx * duration_s)).astype(np.float32)
+    flow_y = (flow_y * np.float32(view.fy * duration_s)).astype(np.float32)
+    reach = float(np.percentile(np.hypot(flow_x[::8, ::8], flow_y[::8, ::8]), 98))
+    taps = min(_MAX_BLUR_TAPS, 2 * math.ceil(reach / 2) + 1)
+    if reach < 0.25:
+        return rendering.image
+    taps = max(taps, 3)
+    column, row = np.meshgrid(np.arange(view.width, dtype=np.float32), np.arange(view.height, dtype=np.float32))
+    total = np.zeros_like(rendering.image)
+    for k in range(taps):
+        share = np.float32((k + 0.5) / taps - 0.5)
+        total += cv2.remap(
+            rendering.image,
+            column + share * flow_x,
+            row + share * flow_y,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+    return total / np.float32(taps)

@@ -1,0 +1,183 @@
+"""A place ready to be rendered: triangles, the picture of each, all pictures in an atlas; kept in a folder."""
+
+import zlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation import atlas
+from simulation.canvas import Canvas
+from simulation.lighting import brightness, light_on_quad
+from simulation.place import Crown, Place, Quad, Vec
+from simulation.raycast import Caster
+
+_ARRAYS = "mesh.npz"
+_ATLAS = "atlas.npy"
+Track = Callable[[Iterable[Quad | Crown], str], Iterable[Quad | Crown]]
+
+
+@dataclass(frozen=True)
+class TexturedMesh:
+    """Triangles of a place and how each looks up its colour.
+
+    texel = texel_a_T23 @ point + texel_b_T2 maps a world point on triangle t to its picture (x right, y down, texel
+    centres at 0.5); `box_T4` is that picture's place in the atlas (x, y, width, height). `tint_T` multiplies colours,
+    `surface_T` tells surfaces apart, `glass_T` marks panes.
+    """
+
+    vertices_V3: Vec
+    triangles_T3: NDArray[np.int64]
+    texel_a_T23: Vec
+    texel_b_T2: Vec
+    box_T4: NDArray[np.float32]
+    tint_T: NDArray[np.float32]
+    surface_T: NDArray[np.int32]
+    glass_T: NDArray[np.bool_]
+    atlas_shape: NDArray[np.int64]
+    atlas_HW3: NDArray[np.uint8]
+
+    @property
+    def normals_T3(self) -> Vec:
+        """Unit normals, outward."""
+        a, b, c = (self.vertices_V3[self.triangles_T3[:, k]] for k in range(3))
+        n = np.cross(b - a, c - a)
+        return n / np.linalg.norm(n, axis=1, keepdims=True)
+
+    def save(self, folder: Path) -> None:
+        """Write the mesh so that several processes can map it; complete once _ARRAYS is there."""
+        folder.mkdir(parents=True, exist_ok=True)
+        np.save(folder / _ATLAS, self.atlas_HW3)
+        arrays = {k: v for k, v in vars(self).items() if k != "atlas_HW3"}
+        partial = folder / "partial.npz"
+        np.savez(partial, **arrays)
+        partial.replace(folder / _ARRAYS)
+
+    @staticmethod
+    def load(folder: Path) -> "TexturedMesh":
+        """A saved mesh; the atlas stays on disk, mapped into memory."""
+        with np.load(folder / _ARRAYS) as arrays:
+            return TexturedMesh(**arrays, atlas_HW3=np.load(folder / _ATLAS, mmap_mode="r"))
+
+
+def is_saved(folder: Path) -> bool:
+    """Whether a whole mesh lies in the folder."""
+    return (folder / _ARRAYS).is_file()
+
+
+def build_mesh(place: Place, texel_m: float, seed: int, track: Track = lambda items, _: items) -> TexturedMesh:
+    """Paint and light every surface of a place; texel_m is the texel's size before the
+    factors of the place and of each surface."""
+    texel_m *= place.texel
+    quad_points = np.array(
+        [[q.corner, q.corner + q.right, q.corner + q.right + q.up, q.corner + q.up] for q in place.quads]
+    )
+    first = 4 * np.arange(len(place.quads))[:, None]
+    quad_triangles = (first[:, None] + np.array([[[0, 1, 2], [0, 2, 3]]])).reshape(-1, 3)
+    crown_points = [crown.triangles_T33.reshape(-1, 3) for crown in place.crowns]
+    vertices = np.concatenate([quad_points.reshape(-1, 3), *crown_points])
+    loose = np.arange(quad_points.size // 3, len(vertices)).reshape(-1, 3)
+    triangles = np.concatenate([quad_triangles, loose])
+    glass = np.repeat(
+        [q.glass for q in place.quads] + [False] * len(place.crowns),
+        [2] * len(place.quads) + [len(c.triangles_T33) for c in place.crowns],
+    )
+    # Panes let the light through, so they cast no shadow.
+    caster = Caster(vertices, triangles[~glass])
+
+    quads: list[Quad | Crown] = [*place.quads]
+    things = [*quads, *place.crowns]
+    sizes = [_size(thing, texel_m) for thing in things]
+    origins, (height, width) = atlas.pack(sizes)
+    pixels = np.zeros((height, width * 3 // 2, 3), np.uint8)
+    a, b, box, tint, surface = [], [], [], [], []
+    for i, thing in enumerate(track(things, "painting surfaces")):
+        rng = np.random.default_rng([seed, zlib.crc32(place.name.encode()), zlib.crc32(thing.name.encode())])
+        picture = _paint(thing, texel_m, rng)
+        h, w = picture.shape[:2]
+        if isinstance(thing, Quad):
+            if not thing.glass:
+                picture = _lit(picture, light_on_quad(thing, place.light, caster))
+            maps, count = _quad_map(thing, w, h), 2
+            shade = np.ones(2)
+        else:
+            count = len(thing.triangles_T33)
+            maps = _crown_map(thing, texel_m, w, rng)
+            shade = _crown_shade(thing, place, caster)
+        atlas.put(pixels, origins[i], picture)
+        a.append(np.broadcast_to(maps[0], (count, 2, 3)))
+        b.append(np.broadcast_to(maps[1], (count, 2)))
+        box.append(np.tile([*origins[i], w, h], (count, 1)))
+        tint.append(shade)
+        surface.append(np.full(count, i))
+    atlas.fill_levels(pixels, height, width)
+    return TexturedMesh(
+        vertices_V3=vertices,
+        triangles_T3=triangles,
+        texel_a_T23=np.concatenate(a),
+        texel_b_T2=np.concatenate(b),
+        box_T4=np.concatenate(box).astype(np.float32),
+        tint_T=np.concatenate(tint).astype(np.float32),
+        surface_T=np.concatenate(surface).astype(np.int32),
+        glass_T=glass,
+        atlas_shape=np.array([height, width]),
+        atlas_HW3=pixels,
+    )
+
+
+def _metres(thing: Quad | Crown, texel_m: float) -> tuple[float, float, float]:
+    """Width, height and texel of a thing's picture."""
+    if isinstance(thing, Crown):
+        return thing.picture_m, thing.picture_m, texel_m
+    return thing.width_m, thing.height_m, texel_m * thing.texel
+
+
+def _size(thing: Quad | Crown, texel_m: float) -> tuple[int, int]:
+    w, h, texel = _metres(thing, texel_m)
+    return Canvas(w, h, texel, np.random.default_rng(0)).shape
+
+
+def _paint(thing: Quad | Crown, texel_m: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+    w, h, texel = _metres(thing, texel_m)
+    canvas = Canvas(w, h, texel, rng)
+    thing.paint(canvas)
+    return canvas.image
+
+
+def _lit(picture: NDArray[np.uint8], light: NDArray[np.float32]) -> NDArray[np.uint8]:
+    h, w = picture.shape[:2]
+    # Display values go with about the square root of light.
+    gain = cv2.resize(np.sqrt(light), (w, h), interpolation=cv2.INTER_LINEAR)
+    return np.clip(picture * gain[..., None], 0, 255).astype(np.uint8)
+
+
+def _quad_map(quad: Quad, width: int, height: int) -> tuple[Vec, Vec]:
+    along = quad.right / (quad.right @ quad.right) * width
+    down = -quad.up / (quad.up @ quad.up) * height
+    a = np.stack([along, down])
+    return a, np.array([0.0, float(height)]) - a @ quad.corner
+
+
+def _crown_map(crown: Crown, texel_m: float, size: int, rng: np.random.Generator) -> tuple[Vec, Vec]:
+    """Each facet gets its own piece of the leaves."""
+    p = crown.triangles_T33
+    first = p[:, 1] - p[:, 0]
+    normal = np.cross(first, p[:, 2] - p[:, 0])
+    x = first / np.linalg.norm(first, axis=1, keepdims=True)
+    y = np.cross(normal, x)
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    a = np.stack([x, y], axis=1) / texel_m
+    reach = np.einsum("tij,tkj->tki", a, p - p[:, :1])
+    low, high = reach.min(axis=1), reach.max(axis=1)
+    start = rng.uniform(0, 1, low.shape) * np.maximum(size - (high - low), 0) - low
+    return a, start - np.einsum("tij,tj->ti", a, p[:, 0])
+
+
+def _crown_shade(crown: Crown, place: Place, caster: Caster) -> Vec:
+    p = crown.triangles_T33
+    normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.sqrt(brightness(p.mean(axis=1), normal, place.light, caster))

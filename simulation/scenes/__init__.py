@@ -1,0 +1,30 @@
+"""The places that can be simulated, one module each, with the extents of the paper's Table I."""
+
+from dataclasses import dataclass
+from importlib import import_module
+
+from artefacts import UserError
+from simulation.place import Place
+from simulation.walks import Route
+
+NAMES = ("Square", "Church", "Bar", "Stairs", "Office", "Atrium")
+
+
+@dataclass(frozen=True)
+class SceneryPlan:
+    """A place and the course of the walks through it."""
+
+    place: Place
+    route: Route
+
+
+def scenery(name: str, seed: int) -> SceneryPlan:
+    """Build the place `name`; UserError where it isn't one that can be simulated."""
+    if name not in NAMES:
+        raise UserError(
+            f"scene {name} can't be simulated",
+            expected=f"one of {', '.join(NAMES)}",
+            do=f"make scene={name} captures=<folder> all, for captures of your own",
+        )
+    module = import_module(f"simulation.scenes.{name.lower()}")
+    return SceneryPlan(module.build(seed), module.ROUTE)

@@ -1,0 +1,303 @@
+"""Houses and other things that more than one scene has."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from simulation import details, materials
+from simulation.canvas import Bgr, Canvas, vary
+from simulation.materials import Material
+from simulation.place import Builder, Xz
+
+BRICK_RED = materials.masonry(
+    0.075, 0.22, [(62, 74, 150), (70, 84, 168), (58, 66, 128), (80, 98, 170)], (160, 168, 172)
+)
+BRICK_YELLOW = materials.masonry(0.075, 0.22, [(120, 168, 196), (104, 150, 180), (90, 132, 160)], (150, 160, 165))
+BRICK_DARK = materials.masonry(0.075, 0.22, [(66, 62, 74), (80, 74, 88), (52, 52, 66)], (130, 135, 140))
+SANDSTONE = materials.masonry(
+    0.34, 0.7, [(132, 172, 198), (118, 158, 184), (146, 184, 204)], (96, 110, 120), 0.015, 12, 0.4
+)
+GRANITE = materials.masonry(0.4, 0.8, [(140, 142, 142), (122, 124, 126), (158, 158, 156)], (84, 86, 88), 0.015, 14, 0.4)
+RUBBLE = materials.cobbles(0.3, [(120, 132, 140), (98, 112, 124), (140, 152, 160), (84, 94, 110)], (96, 104, 110))
+TIMBER = materials.wood((72, 104, 140), 0.18)
+SLATES = materials.masonry(0.2, 0.16, [(84, 78, 74), (96, 90, 86), (70, 66, 64)], (48, 48, 48), 0.012, 12)
+ROOF_TILES = materials.masonry(0.22, 0.2, [(52, 72, 150), (60, 84, 170), (46, 60, 122)], (36, 44, 80), 0.015, 16)
+
+
+@dataclass(frozen=True)
+class Facade:
+    """How the front of a house looks. `same` repeats one window; `blank` is the share of windows left out."""
+
+    wall: Material
+    storeys: int = 3
+    storey_m: float = 3.0
+    frame: Bgr = (225, 228, 230)
+    window_m: tuple[float, float] = (1.1, 1.5)
+    pitch_m: float = 2.4
+    shop: bool = False
+    same: bool = False
+    graffiti: bool = False
+    posters: int = 2
+    ivy: bool = False
+    blank: float = 0.06
+
+    def paint(self, c: Canvas) -> None:
+        """The front, with its ground floor on the canvas's lower edge."""
+        self.wall(c)
+        w, h = self.window_m
+        rng = c.rng
+        count = max(1, int((c.width_m - 0.6) / self.pitch_m))
+        margin = (c.width_m - count * self.pitch_m) / 2
+        doorway = int(rng.integers(count))
+        for storey in range(self.storeys):
+            base = storey * self.storey_m + 0.95
+            if storey and not self.same:
+                c.box(0, base - 0.75, c.width_m, base - 0.62, (150, 158, 164))
+            for k in range(count):
+                x = margin + (k + 0.5) * self.pitch_m - w / 2
+                if storey == 0 and (k == doorway or self.shop):
+                    continue
+                if not self.same and rng.random() < self.blank:
+                    self._something(c, x, base)
+                    continue
+                jitter = 0.0 if self.same else rng.uniform(-0.12, 0.12)
+                if base + h < c.height_m:
+                    details.window(c, x + jitter, base, w, h, self.frame, self.same)
+        colour = vary(details.bright(rng), rng, 15)
+        if self.shop:
+            self._shop(c, colour)
+        else:
+            details.door(c, margin + (doorway + 0.5) * self.pitch_m - 0.5, 1.0, 2.2, colour)
+        if self.graffiti:
+            for _ in range(max(1, int(c.width_m / 5))):
+                details.graffiti(c, rng.uniform(0.2, max(0.3, c.width_m - 2.4)), rng.uniform(0.1, 0.8), 2.0, 0.9)
+        for _ in range(self.posters):
+            x, y = rng.uniform(0.1, max(0.2, c.width_m - 0.9)), rng.uniform(0.75, 1.5)
+            details.poster(c, x, y, rng.uniform(0.45, 0.75), rng.uniform(0.6, 1.05))
+        if self.ivy:
+            x = rng.uniform(0, 0.6) * c.width_m
+            details.ivy(c, x, 0, 0.35 * c.width_m, 0.75 * c.height_m)
+        c.box(0, 0, c.width_m, 0.28, (92, 98, 102))
+        c.add(c.noise((0.05, 0.2, 0.8)), (5, 5, 5))
+
+    def _something(self, c: Canvas, x: float, y: float) -> None:
+        """What hangs where a window is missing."""
+        kind = c.rng.integers(3)
+        if kind == 0:
+            details.emblem(c, x + 0.5, y + 0.7, 0.45)
+        elif kind == 1:
+            details.poster(c, x, y, 0.9, 1.3)
+        else:
+            c.box(x, y + 0.2, x + 0.9, y + 0.9, (70, 75, 80))
+            for k in range(5):
+                c.box(x + 0.05, y + 0.27 + 0.12 * k, x + 0.85, y + 0.32 + 0.12 * k, (170, 175, 180))
+
+    def _shop(self, c: Canvas, colour: Bgr) -> None:
+        """A shop front: panes with goods, a door between them, a sign above."""
+        w = c.width_m
+        c.box(0.15, 0, w - 0.15, self.storey_m - 0.1, colour)
+        entry = w * c.rng.uniform(0.35, 0.6)
+        for x0, x1 in ((0.35, entry - 0.65), (entry + 0.65, w - 0.35)):
+            if x1 - x0 < 0.6:
+                continue
+            c.box(x0 - 0.05, 0.5, x1 + 0.05, 2.25, (40, 42, 45))
+            c.box(x0, 0.55, x1, 2.2, vary((95, 85, 75), c.rng, 20))
+            for _ in range(int((x1 - x0) * 7)):
+                u, size = c.rng.uniform(x0 + 0.1, x1 - 0.25), c.rng.uniform(0.08, 0.3)
+                v = 0.6 + 0.5 * c.rng.integers(3)
+                c.box(u, v, u + size * 0.7, min(v + size * 1.3, 2.15), vary(details.bright(c.rng), c.rng, 30))
+            for level in (1.08, 1.58):
+                c.box(x0, level, x1, level + 0.03, (190, 195, 200))
+        details.door(c, entry - 0.5, 1.0, 2.2, vary(colour, c.rng, 40))
+        details.shop_sign(c, 0.4, self.storey_m - 0.62, w - 0.8, 0.58)
+
+
+def house(
+    b: Builder, name: str, left: Xz, right: Xz, facade: Facade, roof: Material = ROOF_TILES, depth: float = 4.0
+) -> None:
+    """A house whose front runs from left to right as one faces it; side walls and a roof behind it."""
+    a, c = np.array(left), np.array(right)
+    along = (c - a) / np.linalg.norm(c - a)
+    back = np.array([along[1], -along[0]])
+    top = facade.storeys * facade.storey_m + 0.7
+    b.wall(name, left, right, 0, top, facade.paint)
+    far_left, far_right = a + depth * back, c + depth * back
+    plain = replace(facade, posters=0, graffiti=False, shop=False, blank=0.5)
+    b.wall(f"{name}.left", tuple(far_left), left, 0, top, plain.wall, 2)
+    b.wall(f"{name}.right", right, tuple(far_right), 0, top, plain.wall, 2)
+    width = float(np.linalg.norm(c - a))
+    eaves = a - 0.35 * along - 0.35 * back
+    b.quad(
+        f"{name}.roof",
+        (eaves[0], top, eaves[1]),
+        ((width + 0.7) * along[0], 0, (width + 0.7) * along[1]),
+        ((depth + 0.35) * back[0], 0.75 * depth, (depth + 0.35) * back[1]),
+        roof,
+        1.5,
+    )
+    middle = (a + c) / 2
+    yaw = math.degrees(math.atan2(-along[1], along[0]))
+    cornice = materials.plain((170, 178, 184))
+    at = middle - 0.1 * back
+    b.box(
+        f"{name}.cornice",
+        tuple(at),
+        (width, 0.3, 0.25),
+        cornice,
+        bottom=top - 0.3,
+        yaw_deg=yaw,
+        faces="flru",
+        solid=False,
+    )
+    low = np.minimum.reduce([a, c, far_left, far_right])
+    high = np.maximum.reduce([a, c, far_left, far_right])
+    b.block((low[0], 0, low[1]), (high[0], top, high[1]))
+
+
+def dress(b: Builder, name: str, left: Xz, right: Xz, facade: Facade) -> None:
+    """Things that stand out from a front: awnings, balconies, hanging signs, boxes of flowers, a drainpipe."""
+    a, c = np.array(left), np.array(right)
+    width = float(np.linalg.norm(c - a))
+    along = (c - a) / width
+    out = np.array([-along[1], along[0]])
+    yaw = math.degrees(math.atan2(-along[1], along[0]))
+    rng = b.rng
+
+    def at(x: float, forward: float) -> Xz:
+        p = a + x * along + forward * out
+        return float(p[0]), float(p[1])
+
+    if facade.shop:
+        tone, other = details.bright(rng), (230.0, 232.0, 234.0)
+
+        def striped(canvas: Canvas) -> None:
+            for k in range(int(canvas.width_m / 0.3) + 1):
+                canvas.box(0.3 * k, 0, 0.3 * k + 0.3, canvas.height_m, tone if k % 2 else other)
+            canvas.add(canvas.noise((0.05, 0.3, 1.0)), (8, 8, 8))
+
+        corner, high = at(0.3, 1.1), facade.storey_m - 0.75
+        run = (width - 0.6) * along
+        b.quad(
+            f"{name}.awning",
+            (corner[0], high, corner[1]),
+            (run[0], 0, run[1]),
+            (-1.1 * out[0], 0.4, -1.1 * out[1]),
+            striped,
+        )
+    for k in range(facade.storeys - 1):
+        if rng.random() < 0.6 and not facade.same:
+            x = rng.uniform(1.2, max(1.3, width - 1.2))
+            floor = (k + 1) * facade.storey_m + 0.2
+            rail = materials.masonry(0.9, 0.12, [(60, 60, 62), (150, 155, 160)], (30, 30, 30), 0.02, 20)
+            b.box(
+                f"{name}.balcony{k}",
+                at(x, 0.4),
+                (1.9, 0.95, 0.8),
+                rail,
+                bottom=floor,
+                yaw_deg=yaw,
+                faces="flrtu",
+                solid=False,
+            )
+    if rng.random() < 0.75:
+
+        def sign(canvas: Canvas) -> None:
+            canvas.fill(details.bright(canvas.rng))
+            details.emblem(canvas, canvas.width_m / 2, canvas.height_m * 0.62, 0.25 * canvas.width_m)
+            canvas.text(0.05, 0.12, 0.14, details.word(canvas.rng, 2), (245, 245, 245), canvas.width_m - 0.1)
+
+        b.box(
+            f"{name}.sign",
+            at(rng.uniform(0.5, width - 0.5), 0.5),
+            (0.06, 0.8, 0.8),
+            sign,
+            bottom=2.75,
+            yaw_deg=yaw,
+            solid=False,
+        )
+    pipe = materials.plain((90, 100, 96))
+    b.box(
+        f"{name}.pipe",
+        at(width - 0.2, 0.07),
+        (0.12, facade.storeys * facade.storey_m, 0.12),
+        pipe,
+        yaw_deg=yaw,
+        faces="flr",
+    )
+    if rng.random() < 0.6:
+        x = rng.uniform(0.8, max(0.9, width - 0.8))
+        planter(b, f"{name}.planter", at(x, 0.45), yaw)
+
+
+def planter(b: Builder, name: str, centre: Xz, yaw_deg: float = 0.0) -> None:
+    """A box with a shrub in it."""
+    side = materials.masonry(0.2, 0.3, [(100, 120, 150), (120, 140, 165)], (70, 80, 90), 0.012, 15)
+    b.box(name, centre, (0.9, 0.45, 0.5), side, yaw_deg=yaw_deg)
+    b.bush(f"{name}.bush", centre, 0.42, 0.35)
+
+
+def row_of_houses(
+    b: Builder, name: str, left: Xz, right: Xz, facades: list[Facade], widths: list[float], setback_m: float = 0.6
+) -> None:
+    """Houses side by side from left to right, `widths` sharing the length; some stand back a little."""
+    a, c = np.array(left), np.array(right)
+    length = float(np.linalg.norm(c - a))
+    along = (c - a) / length
+    back = np.array([along[1], -along[0]])
+    marks = np.concatenate([[0], np.cumsum(widths)]) / sum(widths) * length
+    for k, facade in enumerate(facades):
+        step = back * b.rng.uniform(0, setback_m)
+        ends = [a + marks[k + i] * along + step for i in (0, 1)]
+        (x0, z0), (x1, z1) = ends
+        house(b, f"{name}{k}", (x0, z0), (x1, z1), facade, [ROOF_TILES, SLATES][k % 2])
+        dress(b, f"{name}{k}", (x0, z0), (x1, z1), facade)
+
+
+def kiosk(b: Builder, name: str, centre: Xz, yaw_deg: float = 0.0) -> None:
+    """An advertising pillar's square cousin: a stall covered with posters."""
+
+    def side(c: Canvas) -> None:
+        materials.plain(details.bright(c.rng))(c)
+        for k in range(int(c.width_m / 0.8)):
+            for row in range(2):
+                details.poster(c, 0.12 + 0.78 * k, 0.25 + 1.05 * row, 0.62, 0.9)
+        details.shop_sign(c, 0.1, c.height_m - 0.38, c.width_m - 0.2, 0.34)
+
+    b.box(name, centre, (2.0, 2.6, 1.6), side, yaw_deg=yaw_deg)
+
+
+def car(b: Builder, name: str, centre: Xz, yaw_deg: float) -> None:
+    """A parked van, boxy."""
+    colour = vary(details.bright(b.rng), b.rng, 20)
+
+    def side(c: Canvas) -> None:
+        materials.plain(colour, 4)(c)
+        for x in (0.18, 0.8):
+            c.disc(x * c.width_m, 0.2, 0.3, (25, 25, 25))
+            c.disc(x * c.width_m, 0.2, 0.16, (160, 165, 170))
+        for k in range(3):
+            x = (0.08 + 0.3 * k) * c.width_m
+            c.box(x, 0.95, x + 0.25 * c.width_m, 1.55, (70, 60, 50))
+            c.polygon([(x, 1.55), (x + 0.1 * c.width_m, 1.55), (x + 0.04, 0.95), (x, 0.95)], (150, 140, 130))
+        c.text(
+            0.1 * c.width_m,
+            0.55,
+            0.22,
+            f"{details.word(c.rng)} {c.rng.integers(10, 99)}",
+            (240, 240, 240),
+            0.6 * c.width_m,
+        )
+
+    b.box(name, centre, (4.2, 1.75, 1.8), side, yaw_deg=yaw_deg)
+
+
+def bin_(b: Builder, name: str, centre: Xz) -> None:
+    """A litter bin with stickers."""
+
+    def side(c: Canvas) -> None:
+        materials.plain((50, 90, 45))(c)
+        details.notice(c, 0.1, 0.4, 0.25, 0.3)
+        details.emblem(c, 0.25, 0.25, 0.1)
+
+    b.box(name, centre, (0.5, 0.9, 0.5), side)

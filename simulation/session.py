@@ -1,0 +1,181 @@
+"""One simulated session: where the phone was, what it believed, and how each picture is to be taken."""
+
+import math
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.poses import inverse
+from simulation import camera
+from simulation.camera import Exposure
+from simulation.capture import FRAME, SessionFrames
+from simulation.place import Vec
+from simulation.render import Renderer, Sky, View
+from simulation.scenes import SceneryPlan
+from simulation.settings import SimulateSettings
+from simulation.vio import simulate_vio
+from simulation.walks import plan_walk
+
+_METER_PX = (32, 24)  # the picture auto exposure looks at
+_METER_STEP_S = 0.5
+_CAMERA_HZ = 60
+
+
+@dataclass(frozen=True)
+class SessionOutline:
+    """A session's place in the plan: its name, number of images, preferred side of the course and start on it."""
+
+    name: str
+    images: int
+    side: float
+    start: float
+    boot_s: float
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One picture to be taken: everything that a worker needs."""
+
+    path: Path
+    view: View
+    velocity_cam: Vec
+    spin_cam: Vec
+    exposure: Exposure
+    sky_seed: int
+    clock_s: float
+    noise_seed: int
+
+
+@dataclass(frozen=True)
+class Session:
+    """A planned session: what is written as JSON, the truth, and the pictures to take."""
+
+    frames: SessionFrames
+    world_T_cam: Vec
+    shots: list[Shot]
+
+    @property
+    def t_ns(self) -> Vec:
+        """Times of the poses, int64, as whoever reads the JSON gets them."""
+        return np.array([round(t * 1e9) for t in self.frames.time_s], np.int64)
+
+
+def outline(settings: SimulateSettings, scene: str, seed: int) -> list[SessionOutline]:
+    """The sessions of a scene: training walks spread over the course's width, test walks between them, hours apart."""
+    rng = np.random.default_rng([seed, zlib.crc32(scene.encode())])
+    boot = rng.uniform(15_000, 40_000)
+    sessions = []
+    for kind, frames, least in (
+        ("train", settings.train_frames, settings.train_sessions),
+        ("test", settings.test_frames, settings.test_sessions),
+    ):
+        total = max(2, round(settings.frame_share * frames))
+        count = max(least, math.ceil(total / settings.image_hz / settings.max_session_s))
+        for k in range(count):
+            images = (k + 1) * total // count - k * total // count
+            reach = 1.0 if kind == "train" else 0.6
+            side = reach * (2 * k / (count - 1) - 1) if count > 1 else 0.0
+            start = (k + float(rng.uniform(0, 0.6))) / count
+            sessions.append(SessionOutline(f"{kind}-{k + 1}", images, side, start, boot))
+            boot += images / settings.image_hz + rng.uniform(2, 6) * 3600
+    return sessions
+
+
+def plan_session(
+    plan: SessionOutline,
+    scenery: SceneryPlan,
+    settings: SimulateSettings,
+    indoor: bool,
+    renderer: Renderer,
+    folder: Path,
+    seed: int,
+) -> Session:
+    """Walk, believe, measure light: all of a session but its pictures, which go to `folder`."""
+    seeds = np.random.SeedSequence([seed, zlib.crc32(f"{scenery.place.name}/{plan.name}".encode())])
+    walk_seed, focus_seed, light_seed, time_seed = (np.random.default_rng(s) for s in seeds.spawn(4))
+    every = max(1, round(settings.rate_hz / settings.image_hz))
+    count = plan.images * every
+    duration = count / settings.rate_hz
+    walk = plan_walk(scenery.route, scenery.place, duration, plan.side, plan.start, walk_seed)
+
+    t = np.round(np.arange(count) / settings.rate_hz * _CAMERA_HZ) / _CAMERA_HZ
+    t = np.clip(t + time_seed.normal(0, 4e-5, count), 0, None)
+    t = t if count < 2 or np.diff(t).min() > 0 else np.arange(count) / settings.rate_hz
+    time_s = plan.boot_s + t
+    world_T_cam = walk.world_T_cam(t)
+    lens = camera.intrinsics(t, settings.width, settings.height, focus_seed)
+    sky_seed = int(seeds.generate_state(1)[0])
+
+    meter_t = np.arange(0, duration + _METER_STEP_S, _METER_STEP_S)
+    grey = _meter(renderer, walk.world_T_cam(meter_t), sky_seed, plan.boot_s + meter_t)
+    brightness = np.interp(t, meter_t, grey)
+    exposures = camera.auto_exposure(brightness, 1 / settings.rate_hz, indoor, light_seed)
+
+    t_ns = np.array([round(v * 1e9) for v in time_s], np.int64)
+    vio = simulate_vio(t_ns, world_T_cam, int(seeds.generate_state(2)[1]))
+    frames = SessionFrames(
+        name=plan.name,
+        time_s=time_s,
+        vio_T_cam=vio.vio_T_cam,
+        intrinsics_N4=lens,
+        exposure_s=np.array([e.duration_s for e in exposures]),
+        noise=np.array([e.noise for e in exposures]),
+        width=settings.width,
+        height=settings.height,
+        image_every=every,
+    )
+    shots = []
+    for i in frames.image_indices:
+        velocity, spin = _motion(walk.world_T_cam(t[i] + np.array([-0.005, 0.0, 0.005])), 0.01)
+        shots.append(
+            Shot(
+                path=folder / f"{FRAME.format(i)}.jpg",
+                # The JSON holds single precision, and the picture is to agree with it.
+                view=_view(world_T_cam[i], lens[i].astype(np.float32), settings),
+                velocity_cam=velocity,
+                spin_cam=spin,
+                exposure=exposures[i],
+                sky_seed=sky_seed,
+                clock_s=float(t[i]),
+                noise_seed=zlib.crc32(f"{seed}/{scenery.place.name}/{plan.name}/{i}".encode()),
+            )
+        )
+    return Session(frames, world_T_cam, shots)
+
+
+def _view(world_T_cam: Vec, lens: NDArray[np.float32], settings: SimulateSettings) -> View:
+    fx, fy, cx, cy = (float(v) for v in lens)
+    return View(world_T_cam, fx, fy, cx, cy, settings.width, settings.height)
+
+
+def take(shot: Shot, renderer: Renderer, settings: SimulateSettings) -> None:
+    """Render, expose and write one picture; it's there whole or not at all."""
+    sharp = renderer.render(shot.view, Sky(shot.sky_seed, shot.clock_s), settings.supersampling)
+    rng = np.random.default_rng(shot.noise_seed)
+    picture = camera.expose(sharp, shot.view, shot.velocity_cam, shot.spin_cam, shot.exposure, rng)
+    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, settings.jpeg_quality])
+    partial = shot.path.with_suffix(".partial")
+    partial.write_bytes(data.tobytes())
+    partial.replace(shot.path)
+
+
+def _motion(world_T_cam_3: Vec, span_s: float) -> tuple[Vec, Vec]:
+    """Velocity (m/s) and spin (rad/s) of the middle one of three poses, in its own axes."""
+    before, now, after = world_T_cam_3
+    velocity = now[:3, :3].T @ (after[:3, 3] - before[:3, 3]) / span_s
+    turn = (inverse(before) @ after)[:3, :3]
+    spin = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2 / span_s
+    return velocity, spin
+
+
+def _meter(renderer: Renderer, world_T_cam: Vec, sky_seed: int, clock_s: Vec) -> Vec:
+    """Mean grey level (N,) of what the camera sees."""
+    w, h = _METER_PX
+    focal = camera.FOCAL * w
+    sky = Sky(sky_seed, float(clock_s[0]))
+    views = [View(pose, focal, focal, w / 2, h / 2, w, h) for pose in world_T_cam]
+    return np.array([float(renderer.render(view, sky, 1).image.mean()) for view in views])

@@ -1,0 +1,231 @@
+"""Simulates the captures of a scene: plans, renders in several processes, writes, and puts all in place at the end."""
+
+import fcntl
+import hashlib
+import json
+import multiprocessing
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pandas as pd
+
+from artefacts import DataRoot, UserError
+from artefacts.progress import console, track
+from artefacts.schemas import schema
+from artefacts.settings import resolve_settings
+from artefacts.stage import SIMULATED_MARKER, write_json
+from artefacts.tables import pose_frame, write_table
+from simulation.capture import FRAME, write_frames
+from simulation.mesh import TexturedMesh, build_mesh, is_saved
+from simulation.render import Renderer
+from simulation.scenes import NAMES, scenery
+from simulation.session import Session, Shot, outline, plan_session, take
+from simulation.settings import SimulateSettings
+
+VERSION = 1  # goes up when the same settings give other captures
+TRUE_POSES = "true_poses.parquet"
+_KEY = "key.json"
+_MESH = "mesh"
+
+
+def simulate(
+    scene: str,
+    profile: str,
+    data: DataRoot,
+    overrides: list[str] | None = None,
+    seed: int = 0,
+    force: bool = False,
+    processes: int = 2,
+) -> Path:
+    """Simulate the captures of `scene` into data/captures/<scene> unless they are there; returns that folder.
+
+    A killed run leaves only the hidden folder .<scene>.partial, from which the same call goes on. UserError for a
+    scene that can't be simulated, or a folder that holds anything which this function didn't write.
+    """
+    if scene not in NAMES:
+        scenery(scene, seed)  # raises with the names
+    settings = resolve_settings(SimulateSettings, "simulate", data, profile, scene, overrides or [])
+    config = data.scene(scene)[0]
+    final = data.captures(scene)
+    parts = {"version": VERSION, "scene": scene, "seed": seed, "settings": settings.model_dump(mode="json")}
+    key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    title = f"simulate · {scene} · {profile}"
+    work = final.with_name(f".{scene}.partial")
+    work.parent.mkdir(parents=True, exist_ok=True)
+    with _alone(final.with_name(f".{scene}.lock")):
+        marker = _own_marker(final)
+        if marker and marker["key"] == key and not force:
+            console.print(f"{title}: up to date", markup=False)
+            os.utime(final / SIMULATED_MARKER)
+            return final
+        resumed = not force and _read_json(work / _KEY).get("key") == key
+        if not resumed:
+            shutil.rmtree(work, ignore_errors=True)
+            work.mkdir()
+            write_json(work / _KEY, {"key": key})
+        console.print(f"{title}{': goes on where it was stopped' if resumed else ''}", markup=False, style="bold")
+        reduced = _reduced(settings, data, scene)
+        if reduced:
+            shown = ", ".join(f"{name} {here} instead of {full}" for name, (here, full) in reduced.items())
+            console.print(f"  this profile makes less than the paper's counts: {shown}", markup=False)
+
+        sessions = _plan(scene, settings, config.environment == "indoor", work, seed)
+        _take_pictures([shot for s in sessions for shot in s.shots], settings, work / _MESH, processes)
+        for session in track(sessions, "writing poses"):
+            write_frames(work / session.frames.name, session.frames)
+        _write_truth(work / TRUE_POSES, sessions)
+        content = {
+            **parts,
+            "key": key,
+            "what": "Simulated capture: a procedural place rendered by simulation/, not a recording of a real one.",
+            "profile": profile,
+            "environment": config.environment,
+            "extent_m": config.extent_m,
+            "reduced": {name: {"here": here, "paper": full} for name, (here, full) in reduced.items()},
+            "sessions": {s.frames.name: _count(s) for s in sessions},
+        }
+        shutil.rmtree(work / _MESH)
+        (work / _KEY).unlink()
+        write_json(work / SIMULATED_MARKER, content)
+        _swap_in(work, final)
+    images = sum(len(s.shots) for s in sessions)
+    console.print(f"{title}: {len(sessions)} sessions, {images} images → {final}", markup=False)
+    return final
+
+
+def _plan(scene: str, settings: SimulateSettings, indoor: bool, work: Path, seed: int) -> list[Session]:
+    """Every session of the scene; the painted place is left in work/mesh for the renderers."""
+    plan = scenery(scene, seed)
+    if not is_saved(work / _MESH):
+        build_mesh(plan.place, settings.texel_m, seed, track).save(work / _MESH)
+    renderer = Renderer(TexturedMesh.load(work / _MESH))
+    cv2.setNumThreads(1)
+    return [
+        plan_session(item, plan, settings, indoor, renderer, work / item.name, seed)
+        for item in track(outline(settings, scene, seed), "walking and measuring light")
+    ]
+
+
+def _count(session: Session) -> dict[str, int]:
+    return {"poses": len(session.frames.time_s), "images": len(session.shots)}
+
+
+def _take_pictures(shots: list[Shot], settings: SimulateSettings, mesh: Path, processes: int) -> None:
+    """All pictures that aren't there yet. Each depends on its shot alone, so the number of processes doesn't matter."""
+    for folder in {shot.path.parent for shot in shots}:
+        folder.mkdir(exist_ok=True)
+    missing = [shot for shot in shots if not shot.path.is_file()]
+    if not missing:
+        return
+    if processes == 1:
+        renderer = Renderer(TexturedMesh.load(mesh))
+        for shot in track(missing, "rendering images"):
+            take(shot, renderer, settings)
+        return
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(min(processes, len(missing)), _start_worker, (mesh, settings)) as pool:
+        for _ in track(pool.imap_unordered(_work, missing), "rendering images", len(missing)):
+            pass
+
+
+_worker: tuple[Renderer, SimulateSettings]
+
+
+def _start_worker(mesh: Path, settings: SimulateSettings) -> None:
+    global _worker
+    cv2.setNumThreads(1)
+    _worker = Renderer(TexturedMesh.load(mesh)), settings
+
+
+def _work(shot: Shot) -> None:
+    renderer, settings = _worker
+    take(shot, renderer, settings)
+
+
+def _write_truth(path: Path, sessions: list[Session]) -> None:
+    tables = []
+    for session in sessions:
+        frame = pose_frame("map_cam", session.world_T_cam)
+        frame.insert(0, "session_id", session.frames.name)
+        frame.insert(1, "t_ns", session.t_ns)
+        tables.append(frame)
+    write_table(path, pd.concat(tables, ignore_index=True), schema("simulate", "true_poses"))
+
+
+def _reduced(settings: SimulateSettings, data: DataRoot, scene: str) -> dict[str, tuple[Any, Any]]:
+    """What is smaller here than in the paper profile: name -> (here, paper's)."""
+    full = resolve_settings(SimulateSettings, "simulate", data, "paper", scene, [])
+    here: dict[str, tuple[Any, Any]] = {}
+    for kind in ("train", "test"):
+        made = [round(s.frame_share * getattr(s, f"{kind}_frames")) for s in (settings, full)]
+        if made[0] < made[1]:
+            here[f"{kind} images"] = (made[0], made[1])
+    sizes = [f"{s.width}x{s.height}" for s in (settings, full)]
+    if settings.width < full.width:
+        here["image size"] = (sizes[0], sizes[1])
+    if settings.texel_m > full.texel_m:
+        here["texel"] = (f"{settings.texel_m} m", f"{full.texel_m} m")
+    return here
+
+
+def _own_marker(folder: Path) -> dict[str, Any] | None:
+    """The marker of a simulated capture folder, None for an absent or empty folder; UserError for anything else."""
+    if not folder.exists() or not any(folder.iterdir()):
+        return None
+    marker = _read_json(folder / SIMULATED_MARKER)
+    if not marker:
+        raise UserError(
+            "this folder holds captures that the simulator didn't write, and it won't touch them",
+            where=folder,
+            expected=f"an empty folder, or one with {SIMULATED_MARKER}",
+            do="use them as they are, or move them away to simulate this scene",
+        )
+    own = {SIMULATED_MARKER, TRUE_POSES}
+    for name, count in marker["sessions"].items():
+        own |= {f"{name}/info.json"} | {f"{name}/{FRAME.format(i)}.json" for i in range(count["poses"])}
+        every = count["poses"] // count["images"]
+        own |= {f"{name}/{FRAME.format(i)}.jpg" for i in range(0, count["poses"], every)}
+    files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if not p.is_dir() or p.is_symlink()}
+    foreign = sorted(files - own)
+    if foreign:
+        raise UserError(
+            "beside simulated captures this folder holds files that the simulator didn't write",
+            where=folder,
+            found=", ".join(foreign[:3]) + (f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""),
+            do="move them away",
+        )
+    return marker
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    """The content of a JSON file, {} where there is none that can be read."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _swap_in(work: Path, final: Path) -> None:
+    old = final.with_name(f".{final.name}.old")
+    shutil.rmtree(old, ignore_errors=True)
+    if final.exists():
+        final.rename(old)
+    work.rename(final)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold a lock, so that two runs don't write the same captures at once."""
+    with path.open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise UserError("another run is simulating this scene", where=path, do="wait until it ends") from None
+        yield

@@ -1,0 +1,231 @@
+"""How a phone's visual-inertial odometry would have seen a walk: drift fitted to real recordings.
+
+Drift is a smooth deformation of the walk, a function of the path walked: yaw and position errors are rates, in
+degrees and metres a metre, that vary over `correlation_m`, and the recorded poses are the true relative motions
+integrated with these errors. So two poses close by keep their relative pose and the error grows with distance.
+Because it hangs on the path and not on the frames, one seed gives one drift whatever the frame rate.
+
+`docs/vio-drift.md` says how each number was measured; `python -m simulation.fit_vio` measures it again.
+"""
+
+import tomllib
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+
+from geometry import GeometryError
+from geometry.poses import Array, inverse, make_pose, yaw_rotation
+
+Times = NDArray[np.int64]
+
+FIT_FILE = Path(__file__).with_name("vio_fit.toml")
+
+NORMAL = "normal"
+LIMITED = "limited"
+
+# Each effect has its own stream of random numbers, so that turning one off leaves the others as they were.
+_SESSION, _YAW, _POSITION, _JITTER, _JUMPS, _INTERRUPTIONS = range(6)
+
+
+def _number(unit: str, meaning: str) -> float:
+    return field(metadata={"unit": unit, "meaning": meaning})
+
+
+@dataclass(frozen=True, kw_only=True)
+class VioModel:
+    """How large each error of the odometry is. A zero turns the error off; `correlation_m` must be above zero.
+
+    Spreads are standard deviations. A random walk of w per sqrt(m) has a spread of w * sqrt(path) on paths much longer
+    than `correlation_m`, and less on shorter ones.
+    """
+
+    scale_std: float = _number("1", "relative scale error of a session, spread over sessions")
+    gravity_std_deg: float = _number("deg", "tilt of a session's up axis about each horizontal axis, over sessions")
+    yaw_bias_deg_per_m: float = _number("deg/m", "constant part of a session's yaw drift, over sessions")
+    yaw_walk_deg_per_sqrt_m: float = _number("deg/sqrt(m)", "random walk of yaw, root mean square over sessions")
+    yaw_session_spread: float = _number("1", "spread over sessions of the logarithm of both yaw drifts")
+    position_walk_m_per_sqrt_m: float = _number("m/sqrt(m)", "random walk of each horizontal coordinate")
+    height_walk_m_per_sqrt_m: float = _number("m/sqrt(m)", "random walk of height")
+    correlation_m: float = _number("m", "path over which the rates of the random walks forget themselves")
+    jitter_m: float = _number("m", "white noise of a frame's position, each axis; it doesn't build up")
+    jitter_deg: float = _number("deg", "white noise of a frame's rotation, each axis; it doesn't build up")
+    jumps_per_min: float = _number("1/min", "corrections of position from one frame to the next; they stay")
+    jump_min_m: float = _number("m", "length that each of these jumps has at least")
+    jump_mean_m: float = _number("m", "mean length of these jumps, exponential above the least")
+    interruptions_per_min: float = _number("1/min", "losses of tracking: the pose stands still, then starts anew")
+    interruption_s: float = _number("s", "how long the pose stands still")
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if not np.isfinite(value) or value < 0:
+                raise GeometryError(f"VIO model: {f.name} is {value} {f.metadata['unit']}, below zero or no number")
+        if self.correlation_m == 0:
+            raise GeometryError("VIO model: correlation_m is 0 m; rates need a path to vary over")
+        if self.jump_mean_m < self.jump_min_m:
+            raise GeometryError(f"VIO model: mean jump {self.jump_mean_m} m is below the least, {self.jump_min_m} m")
+
+
+def read_model(path: Path) -> VioModel:
+    """The model that `python -m simulation.fit_vio` wrote to a TOML file."""
+    entries = tomllib.loads(path.read_text(encoding="utf-8"))
+    return VioModel(**{f.name: float(entries[f.name]["value"]) for f in fields(VioModel)})
+
+
+FITTED: VioModel = read_model(FIT_FILE)
+
+EXACT = VioModel(**{f.name: float(f.name == "correlation_m") for f in fields(VioModel)})
+"""No error at all: the true relative motions in the session's own frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class VioTrack:
+    """A session as its odometry reports it.
+
+    `vio_T_cam` (N, 4, 4): metric, +y up up to the session's tilt, OpenCV camera axes; the origin is the first camera
+    and -z its heading. `tracking` (N,): "normal" or "limited". `jumps` (J,): index of the first frame after each break
+    in the motion, rising; `jump_m` (J,): length of the break. After a lost tracking the frame itself is a new one.
+    """
+
+    vio_T_cam: Array
+    tracking: NDArray[np.str_]
+    jumps: NDArray[np.int64]
+    jump_m: Array
+
+
+def simulate_vio(t_ns: ArrayLike, world_T_cam: ArrayLike, seed: int, model: VioModel = FITTED) -> VioTrack:
+    """What odometry with the errors of `model` reports for the true walk world_T_cam (N, 4, 4), +y up, OpenCV camera
+    axes, at rising times t_ns (N,). The same seed gives the same track.
+
+    Raises GeometryError where shapes don't fit or times don't rise.
+    """
+    times = np.asarray(t_ns, dtype=np.int64)
+    truth = np.asarray(world_T_cam, dtype=float)
+    if truth.shape != (len(times), 4, 4) or len(times) == 0 or np.any(np.diff(times) <= 0):
+        raise GeometryError(f"a walk needs N rising times and (N, 4, 4) poses: got {len(times)} and {truth.shape}")
+
+    vio_T_cam = _drifted(truth, seed, model)
+    vio_T_cam, jumps = _with_jumps(times, vio_T_cam, seed, model)
+    vio_T_cam = vio_T_cam @ _jitter(len(times), seed, model)
+    vio_T_cam, limited, restarts = _with_interruptions(times, vio_T_cam, seed, model)
+
+    breaks = {i: m for i, m in {**jumps, **restarts}.items() if not limited[i]}
+    return VioTrack(
+        vio_T_cam=vio_T_cam,
+        tracking=np.where(limited, LIMITED, NORMAL),
+        jumps=np.array(sorted(breaks), dtype=np.int64),
+        jump_m=np.array([breaks[i] for i in sorted(breaks)], dtype=float),
+    )
+
+
+def start_frame(world_T_cam: ArrayLike) -> Array:
+    """world_T_vio (4, 4) of a session that starts at world_T_cam (4, 4): its origin at the camera, +y up and -z the
+    camera's heading, as ARKit's world alignment `gravity`."""
+    world_T_cam = np.asarray(world_T_cam, dtype=float)
+    forward = world_T_cam[:3, 2]
+    if np.hypot(forward[0], forward[2]) < 1e-3:
+        # Looking straight down (or up), the top (or bottom) of the image tells the heading.
+        forward = world_T_cam[:3, 1] * np.sign(forward[1])
+    return make_pose(yaw_rotation(np.arctan2(-forward[0], -forward[2])), world_T_cam[:3, 3])
+
+
+def wander(rng: np.random.Generator, along_m: Array, correlation_m: float, columns: int) -> Array:
+    """Random walks (N, columns) over the path along_m (N,), rising from 0: the integral of a stationary
+    Ornstein-Uhlenbeck rate with this correlation length, of variance 1 a metre on long paths."""
+    step = correlation_m / 10
+    count = int(np.ceil(along_m[-1] / step)) + 2
+    keep = np.exp(-step / correlation_m)
+    white = rng.standard_normal((count, columns))
+    white[1:] *= np.sqrt(1 - keep**2)
+    rate = lfilter([1.0], [1.0, -keep], white, axis=0) / np.sqrt(2 * correlation_m)
+    walked = np.concatenate([np.zeros((1, columns)), np.cumsum((rate[1:] + rate[:-1]) * (step / 2), axis=0)])
+    grid = step * np.arange(count)
+    return np.stack([np.interp(along_m, grid, walked[:, c]) for c in range(columns)], axis=-1)
+
+
+def wander_variance(path_m: ArrayLike, correlation_m: float) -> Array:
+    """Variance of `wander` after path_m: path less the part that the correlation holds back."""
+    path = np.asarray(path_m, dtype=float)
+    return path - correlation_m * -np.expm1(-path / correlation_m)
+
+
+def _drifted(truth: Array, seed: int, model: VioModel) -> Array:
+    """The true walk (N, 4, 4) deformed by scale, gravity, yaw and position errors, in the session's frame."""
+    true_T_cam = inverse(start_frame(truth[0])) @ truth
+    steps = np.diff(true_T_cam[:, :3, 3], axis=0)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
+
+    session = np.random.default_rng([seed, _SESSION])
+    scale = np.exp(model.scale_std * session.standard_normal())
+    tilt_x, tilt_z = np.radians(model.gravity_std_deg) * session.standard_normal(2)
+    bias = model.yaw_bias_deg_per_m * session.standard_normal()
+    # Sessions differ; the shift keeps the root mean square over sessions.
+    spread = model.yaw_session_spread
+    yaw_size = np.exp(spread * session.standard_normal() - spread**2)
+
+    walk = wander(np.random.default_rng([seed, _YAW]), along, model.correlation_m, 1)[:, 0]
+    yaw = np.radians(yaw_size * (bias * along + model.yaw_walk_deg_per_sqrt_m * walk))
+    tilt = Rotation.from_rotvec([tilt_x, 0.0, tilt_z]).as_matrix()
+
+    rotation = yaw_rotation(yaw) @ tilt @ true_T_cam[:, :3, :3]
+    turned = scale * np.einsum("nij,nj->ni", yaw_rotation((yaw[1:] + yaw[:-1]) / 2) @ tilt, steps)
+    sizes = np.array(
+        [model.position_walk_m_per_sqrt_m, model.height_walk_m_per_sqrt_m, model.position_walk_m_per_sqrt_m]
+    )
+    strayed = sizes * wander(np.random.default_rng([seed, _POSITION]), along, model.correlation_m, 3)
+    position = strayed + np.concatenate([np.zeros((1, 3)), np.cumsum(turned, axis=0)])
+    return make_pose(rotation, position)
+
+
+def _with_jumps(times: Times, vio_T_cam: Array, seed: int, model: VioModel) -> tuple[Array, dict[int, float]]:
+    """The track with small lasting jumps of position, and their lengths by frame."""
+    rng = np.random.default_rng([seed, _JUMPS])
+    starts = _poisson_frames(rng, times, model.jumps_per_min)
+    length = model.jump_min_m + rng.exponential(model.jump_mean_m - model.jump_min_m, len(starts))
+    direction = rng.standard_normal((len(starts), 3))
+    jump = direction / np.linalg.norm(direction, axis=1, keepdims=True) * length[:, None]
+    shift = np.zeros((len(times), 3))
+    np.add.at(shift, starts, jump)
+    moved = vio_T_cam.copy()
+    moved[:, :3, 3] += np.cumsum(shift, axis=0)
+    return moved, {int(i): float(np.linalg.norm(shift[i])) for i in starts}
+
+
+def _with_interruptions(
+    times: Times, vio_T_cam: Array, seed: int, model: VioModel
+) -> tuple[Array, NDArray[np.bool_], dict[int, float]]:
+    """The track with lost tracking: the pose stands still while tracking is limited, then the session starts anew with
+    its origin at the camera. Returns poses, which frames are limited, and the lengths of the breaks by frame."""
+    rng = np.random.default_rng([seed, _INTERRUPTIONS])
+    limited = np.zeros(len(times), dtype=bool)
+    breaks: dict[int, float] = {}
+    out = vio_T_cam.copy()
+    for first in _poisson_frames(rng, times, model.interruptions_per_min):
+        if limited[first]:
+            continue
+        after = int(np.searchsorted(times, times[first] + round(model.interruption_s * 1e9)))
+        limited[first:after] = True
+        standing = out[first - 1].copy()
+        if after < len(times):
+            out[after:] = inverse(start_frame(out[after])) @ out[after:]
+            breaks[after] = float(np.linalg.norm(out[after, :3, 3] - standing[:3, 3]))
+        out[first:after] = standing
+    return out, limited, breaks
+
+
+def _poisson_frames(rng: np.random.Generator, times: Times, per_min: float) -> NDArray[np.int64]:
+    """The first frames, rising, after the events of a Poisson process over the session."""
+    duration_s = (times[-1] - times[0]) * 1e-9
+    at_s = np.sort(rng.uniform(0.0, duration_s, rng.poisson(per_min * duration_s / 60)))
+    return np.searchsorted((times - times[0]) * 1e-9, at_s)
+
+
+def _jitter(count: int, seed: int, model: VioModel) -> Array:
+    """Small motions (N, 4, 4) in camera axes, new at every frame."""
+    rng = np.random.default_rng([seed, _JITTER])
+    turn = Rotation.from_rotvec(np.radians(model.jitter_deg) * rng.standard_normal((count, 3)))
+    return make_pose(turn.as_matrix(), model.jitter_m * rng.standard_normal((count, 3)))

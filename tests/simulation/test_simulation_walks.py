@@ -1,0 +1,77 @@
+"""Walks through every place: how fast, how smooth, how near to things, and that several meet the same views."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from simulation.scenes import NAMES, scenery
+from simulation.session import outline
+from simulation.settings import SimulateSettings
+from simulation.walks import MARGIN_M, SPEED_LIMIT_MPS, Walk, plan_walk
+
+SWAY_M = 0.06  # gait moves the camera off the walked line by no more
+
+
+@functools.cache
+def walks(name: str) -> list[Walk]:
+    plan = scenery(name, 0)
+    sessions = outline(SimulateSettings(), name, 0)
+    return [
+        plan_walk(plan.route, plan.place, 100.0, s.side, s.start, np.random.default_rng(k))
+        for k, s in enumerate(sessions)
+    ]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_walks_are_slow_smooth_and_bump_into_nothing(name: str) -> None:
+    place = scenery(name, 0).place
+    t = np.arange(0, 100, 1 / 60)
+    for walk in walks(name):
+        poses = walk.world_T_cam(t)
+        speed = np.linalg.norm(walk.velocity_mps(t), axis=1)
+        assert speed.max() <= SPEED_LIMIT_MPS
+        assert place.clearance_m(poses[:, :3, 3]).min() > MARGIN_M - SWAY_M
+        # Continuous velocity: no jump between ticks beyond what gait's acceleration explains.
+        assert np.linalg.norm(np.diff(walk.velocity_mps(t), axis=0), axis=1).max() < 0.12
+        turn = np.degrees(np.linalg.norm(walk.angles(t, 1), axis=1))
+        assert turn.max() < 75
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_place_is_seen_by_other_sessions_from_alike(name: str) -> None:
+    t = np.arange(0, 100, 1.0)
+    poses = [walk.world_T_cam(t) for walk in walks(name)]
+    near = {"Stairs": 1.0, "Office": 1.0}.get(name, 3.0)
+    for k, mine in enumerate(poses):
+        others = np.concatenate(poses[:k] + poses[k + 1 :])
+        away = np.linalg.norm(mine[:, None, :3, 3] - others[None, :, :3, 3], axis=2)
+        cosine = np.einsum("ni,mi->nm", mine[:, :3, 2], others[:, :3, 2])
+        met = ((away < near) & (cosine > np.cos(np.radians(40)))).sum(axis=1)
+        assert (met >= 2).mean() > 0.97
+
+
+def test_sessions_walk_differently() -> None:
+    t = np.arange(0, 60, 1.0)
+    positions = [w.world_T_cam(t)[:, :3, 3] for w in walks("Church")]
+    for k, a in enumerate(positions):
+        for b in positions[k + 1 :]:
+            assert np.linalg.norm(a - b, axis=1).mean() > 0.5
+
+
+def test_poses_are_upright_cameras() -> None:
+    pose = walks("Square")[0].world_T_cam(np.arange(0, 60, 0.5))
+    assert np.allclose(np.linalg.det(pose[:, :3, :3]), 1)
+    assert (pose[:, 1, 1] < -0.9).all()  # the image's down is the world's down
+    assert np.abs(pose[:, 1, 0]).max() < 0.12  # little roll
+
+
+def test_table_one_counts_decide_the_sessions() -> None:
+    settings = SimulateSettings(frame_share=1.0, train_frames=1643, test_frames=853)
+    sessions = outline(settings, "Church", 0)
+    for kind, total in (("train", 1643), ("test", 853)):
+        images = [s.images for s in sessions if s.name.startswith(kind)]
+        assert sum(images) == total
+        assert max(images) / settings.image_hz <= settings.max_session_s + 1
+    starts = np.array([s.boot_s for s in sessions])
+    assert np.diff(starts).min() > 3600
