@@ -1,0 +1,11 @@
+"""`python -m capture_import`: the import stage, and a look at captures without importing."""
+
+from artefacts.cli import stage_app
+from capture_import.commands import add_commands
+from capture_import.stage import STAGE
+
+app = stage_app(STAGE)
+add_commands(app)
+
+if __name__ == "__main__":
+    app()

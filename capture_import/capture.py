@@ -1,0 +1,116 @@
+"""What a format's reader returns: a session of logged instants, in one convention whatever the app that wrote it.
+
+Every reader turns its poses into ours: ``vio_T_cam`` takes OpenCV camera axes (x right, y down, z forward) to a metric
+world whose +y is up. What a row of the log can't be read from is a `Reject`, never a silent gap.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from geometry.poses import Array
+
+Tracking = Literal["normal", "limited", "lost", "unknown"]
+Clock = Literal["boot", "unix", "video", "frame_index"]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How much of a capture is read before it counts as hostile."""
+
+    max_megapixels: float = 100.0
+    max_archive_bytes: int = 64 * 2**30
+    max_archive_files: int = 500_000
+    max_text_bytes: int = 1 << 30
+
+
+@dataclass(frozen=True)
+class ImageFile:
+    """An image that lies in the capture as a file of its own."""
+
+    path: Path
+
+
+@dataclass(frozen=True)
+class VideoFrame:
+    """The frame of a video with this index, counted from 0 in the order of display."""
+
+    path: Path
+    index: int
+
+
+ImageRef = ImageFile | VideoFrame
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera in pixels, with (0, 0) the outer corner of the first pixel as in COLMAP.
+
+    `width` and `height` are the size that the capture states for them; None where it states none. `distortion` holds
+    OpenCV's coefficients k1, k2, p1, p2, k3, ...; empty for an image that is already a pinhole image.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int | None = None
+    height: int | None = None
+    distortion: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, fx_fy_cx_cy: Iterable[float], width: int | None = None, height: int | None = None) -> "Intrinsics":
+        """From the four numbers as most logs have them in a row."""
+        fx, fy, cx, cy = fx_fy_cx_cy
+        return cls(fx, fy, cx, cy, width, height)
+
+
+@dataclass(frozen=True)
+class RawFrame:
+    """One logged instant: an image, a pose or both.
+
+    `number` is the row's place in the log and becomes the frame's number; `source` names the row for the user.
+    `vio_T_cam` (4, 4) is None where the app logs poses apart from images: it's interpolated then.
+    """
+
+    number: int
+    source: str
+    t_ns: int
+    vio_T_cam: Array | None
+    image: ImageRef | None = None
+    intrinsics: Intrinsics | None = None
+    tracking: Tracking = "unknown"
+    exposure_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Reject:
+    """A row or file that is left out, and why."""
+
+    session_id: str
+    source: str
+    t_ns: int | None
+    reason: str
+
+
+@dataclass(frozen=True)
+class RawSession:
+    """One recording, in the order of its log.
+
+    `poses_are` says what the poses are: the phone's own odometry, or a reference from elsewhere, as in public data
+    sets, which must never pass for VIO. `gravity_aligned` is False where the world's +y isn't known to be up. `split`
+    is what a public data set says the recording is for.
+    """
+
+    session_id: str
+    format: str
+    device: str
+    clock: Clock
+    folder: Path
+    frames: Sequence[RawFrame]
+    rejects: Sequence[Reject] = ()
+    poses_are: Literal["vio", "reference"] = "vio"
+    gravity_aligned: bool = True
+    split: Literal["train", "test"] | None = None
+    notes: Sequence[str] = field(default_factory=tuple)

@@ -1,0 +1,33 @@
+"""`formats` and `inspect`: what import understands, and what a capture holds."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from artefacts.cli import App
+from capture_import.formats import formats
+from capture_import.inspection import inspect_capture
+
+
+def add_commands(app: App) -> None:
+    """Add the subcommands to the stage's command line."""
+
+    @app.command("formats")
+    def formats_command() -> None:
+        """List the capture formats that import reads."""
+        table = Table("name", "format", "gives", "recognised by", box=None, pad_edge=False)
+        for format in formats():
+            table.add_row(format.name, format.title, format.gives, format.looks_for)
+        Console(highlight=False).print(table)
+
+    @app.command("inspect")
+    def inspect_command(
+        path: Annotated[Path, typer.Argument(help="A capture: a folder of recordings, or one recording.")],
+        format: Annotated[str, typer.Option(help="The capture's format, as `formats` lists it.")] = "auto",
+    ) -> None:
+        """Print what a capture holds, its health and a verdict, without importing it."""
+        for line in inspect_capture(path, format):
+            typer.echo(line)

@@ -1,0 +1,230 @@
+"""Do a recording's poses and intrinsics explain its images, and if not, which usual mistake would?
+
+For pairs of images with enough parallax, matched points must lie on each other's epipolar lines and in front of both
+cameras. That is tried with the poses as the format declares them and as they would be under each usual mistake.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from capture_import.capture import Limits
+from capture_import.intake import Image, Session
+from capture_import.scan import load_gray
+from geometry.poses import (
+    ARKIT_CAM_T_CAM,
+    Array,
+    inverse,
+    make_pose,
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    relative,
+    rotation_angle,
+)
+
+_LONG_SIDE = 640
+_FEATURES = 800
+_RATIO = 0.8
+# Points this near to their epipolar line, in pixels of the working image, are explained: odometry is off by some tenths
+# of a degree from one image to the next.
+_NEAR_PX = 3.0
+_MOST_PAIRS = 8
+_FEWEST_MATCHES = 30
+_FEWEST_PAIRS = 4
+_LONGEST_S = 4.0
+_MOST_TURN_DEG = 35.0
+_SHORTEST_M = 0.08
+# Another convention is taken for the true one where it explains so much more, and most of what there is.
+_CLEARLY = 0.2
+_MOST = 0.6
+
+# Below this share even the best convention is in doubt.
+SUSPECT = 0.5
+
+# A camera for the check: its pose (4, 4) and fx, fy, cx, cy of the working image.
+Camera = tuple[Array, Array]
+Change = Callable[[Camera], Camera]
+
+
+@dataclass(frozen=True)
+class ConventionCheck:
+    """Which share of matches the declared convention explains, and the best of the others.
+
+    `contradicted` is the name of a convention that fits clearly better; None where the declared one holds up, or where
+    too few pairs have parallax to tell.
+    """
+
+    pairs: int
+    declared: float
+    other: str
+    other_share: float
+    contradicted: str | None
+
+
+def check_convention(session: Session, roots: Sequence[Path], limits: Limits) -> ConventionCheck:
+    """Hold a session's poses against its images."""
+    pairs = _pairs(session.images)
+    features = _features(sorted({i for pair in pairs for i in pair}), session.images, roots, limits)
+    shares = []
+    for a, b in pairs:
+        matches = _match(features[a][1], features[b][1])
+        if len(matches) >= _FEWEST_MATCHES:
+            points_a, points_b = features[a][0][matches[:, 0]], features[b][0][matches[:, 1]]
+            cameras = [_camera(session.images[i]) for i in (a, b)]
+            shares.append([_explained(points_a, points_b, *map(change, cameras)) for _, change in CONVENTIONS])
+    if not shares:
+        return ConventionCheck(0, np.nan, "", np.nan, None)
+    table = np.array(shares)
+    mean = table.mean(axis=0)
+    best = 1 + int(np.argmax(mean[1:]))
+    wins = np.mean(table[:, best] > table[:, 0])
+    contradicted = len(shares) >= _FEWEST_PAIRS and mean[best] > max(_MOST, mean[0] + _CLEARLY) and wins > 0.75
+    name = CONVENTIONS[best][0]
+    return ConventionCheck(len(shares), float(mean[0]), name, float(mean[best]), name if contradicted else None)
+
+
+def _pairs(images: Sequence[Image]) -> list[tuple[int, int]]:
+    """Pairs of images near in time whose poses differ by a step and little rotation, spread over the session.
+
+    Distances are the same in all conventions but the world-to-camera one, so that a wrong one has pairs too.
+    """
+    poses = np.array([image.frame.vio_T_cam for image in images], dtype=float)
+    t_s = np.array([image.frame.t_ns for image in images]) * 1e-9
+    found = []
+    for a in range(len(images)):
+        for b in range(a + 1, len(images)):
+            if t_s[b] - t_s[a] > _LONGEST_S:
+                break
+            step = relative(poses[a], poses[b])
+            if np.degrees(rotation_angle(step[:3, :3])) > _MOST_TURN_DEG:
+                break
+            if np.linalg.norm(step[:3, 3]) > _SHORTEST_M:
+                found.append((a, b))
+                break
+    spread = np.unique(np.linspace(0, len(found) - 1, min(len(found), _MOST_PAIRS)).astype(int))
+    return [found[i] for i in spread]
+
+
+def _features(
+    indices: list[int], images: Sequence[Image], roots: Sequence[Path], limits: Limits
+) -> dict[int, tuple[Array, NDArray[np.float32]]]:
+    """SIFT positions (N, 2) with (0, 0) the image's corner, and descriptors, of the images in the working size."""
+    sift = cv2.SIFT.create(nfeatures=_FEATURES)
+    found = {}
+    grays = load_gray([images[i].frame.image for i in indices], _LONG_SIDE, roots, limits)
+    for i, gray in zip(indices, grays, strict=True):
+        points, descriptors = sift.detectAndCompute(gray, None)
+        positions = np.array([p.pt for p in points], dtype=float).reshape(-1, 2) + 0.5
+        found[i] = (
+            positions,
+            np.zeros((0, 128), np.float32) if descriptors is None else descriptors.astype(np.float32),
+        )
+    return found
+
+
+def _match(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Mutual nearest neighbours that pass the ratio test, as index pairs (M, 2)."""
+    if min(len(a), len(b)) < 2:
+        return np.zeros((0, 2), np.int64)
+    forward = cv2.BFMatcher().knnMatch(a, b, k=2)
+    back = {m.queryIdx: m.trainIdx for m in cv2.BFMatcher().match(b, a)}
+    good = [m for m, n in forward if m.distance < _RATIO * n.distance and back.get(m.trainIdx) == m.queryIdx]
+    return np.array([(m.queryIdx, m.trainIdx) for m in good], dtype=np.int64).reshape(-1, 2)
+
+
+def _camera(image: Image) -> Camera:
+    pose, intrinsics = image.frame.vio_T_cam, image.frame.intrinsics
+    assert pose is not None and intrinsics is not None  # intake keeps images with both
+    scale = min(1.0, _LONG_SIDE / max(image.check.width, image.check.height))
+    return pose, scale * np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
+
+
+def _explained(points_a: Array, points_b: Array, camera_a: Camera, camera_b: Camera) -> float:
+    """Share of matches near to their epipolar lines (Sampson's distance) and in front of both cameras."""
+    (world_T_a, k_a), (world_T_b, k_b) = camera_a, camera_b
+    b_T_a = relative(world_T_b, world_T_a)
+    rays_a, rays_b = _rays(points_a, k_a), _rays(points_b, k_b)
+    rotation, t = b_T_a[:3, :3], b_T_a[:3, 3]
+    essential = np.cross(np.eye(3), t) @ rotation
+    line_b, line_a = rays_a @ essential.T, rays_b @ essential
+    residual = np.sum(rays_b * line_b, axis=1)
+    # Distances in pixels: lines in normalised coordinates, divided by the focal lengths.
+    gradient = (line_b[:, :2] / k_b[:2]) ** 2
+    gradient_sum = gradient.sum(axis=1) + ((line_a[:, :2] / k_a[:2]) ** 2).sum(axis=1)
+    near = np.abs(residual) < _NEAR_PX * np.sqrt(gradient_sum)
+    # Depths along both rays where they come nearest: depth_b * ray_b = depth_a * R ray_a + t.
+    turned = rays_a @ rotation.T
+    aa, bb, ab = (np.sum(x * y, axis=1) for x, y in ((turned, turned), (rays_b, rays_b), (turned, rays_b)))
+    at, bt = turned @ t, rays_b @ t
+    depth_a = ab * bt - bb * at
+    depth_b = aa * bt - ab * at
+    return float(np.mean(near & (depth_a > 0) & (depth_b > 0)))
+
+
+def _rays(points: Array, k: Array) -> Array:
+    return np.column_stack([(points - k[2:]) / k[:2], np.ones(len(points))])
+
+
+def _on_arkit(change: Callable[[Array], Array]) -> Change:
+    """A mistake in reading the pose as the log has it, in ARKit's camera axes."""
+    return lambda camera: (change(camera[0] @ ARKIT_CAM_T_CAM) @ ARKIT_CAM_T_CAM, camera[1])
+
+
+def _on_pose(change: Callable[[Array], Array]) -> Change:
+    return lambda camera: (change(camera[0]), camera[1])
+
+
+def _axes(*signs: float) -> Change:
+    return _on_pose(lambda pose: pose @ np.diag([*signs, 1.0]))
+
+
+def _transposed(pose: Array) -> Array:
+    return make_pose(pose[:3, :3].T, pose[:3, 3])
+
+
+def _rolled(places: int) -> Callable[[Array], Array]:
+    def change(pose: Array) -> Array:
+        q = np.roll(quaternion_from_matrix(pose[:3, :3]), places)
+        return make_pose(matrix_from_quaternion(q), pose[:3, 3])
+
+    return change
+
+
+def _turned(quarters: int, swap: bool) -> Change:
+    """The image is turned by quarters clockwise against the pose; `swap`: its intrinsics aren't."""
+    c, s = np.cos(quarters * np.pi / 2), np.sin(quarters * np.pi / 2)
+    turn = make_pose([[c, s, 0], [-s, c, 0], [0, 0, 1]], [0.0, 0.0, 0.0])
+    return lambda camera: (camera[0] @ turn, camera[1][[1, 0, 3, 2]] if swap else camera[1])
+
+
+def _scaled(factor: float) -> Change:
+    return lambda camera: (camera[0], camera[1] * factor)
+
+
+CONVENTIONS: tuple[tuple[str, Change], ...] = (
+    ("as declared", lambda camera: camera),
+    ("camera y and z axes have the other sign (ARKit's or OpenGL's for OpenCV's, or back)", _axes(1, -1, -1)),
+    ("camera x and z axes have the other sign", _axes(-1, 1, -1)),
+    ("image is turned by 180 degrees against the pose", _axes(-1, -1, 1)),
+    ("poses are world to camera", _on_arkit(inverse)),
+    ("poses are world to camera, in OpenCV's axes", _on_pose(inverse)),
+    ("rotations are transposed", _on_arkit(_transposed)),
+    ("rotations are transposed, in OpenCV's axes", _on_pose(_transposed)),
+    ("quaternions are w first, read as w last", _on_arkit(_rolled(-1))),
+    ("quaternions are w last, read as w first", _on_arkit(_rolled(1))),
+    ("quaternions are w first, read as w last, in OpenCV's axes", _on_pose(_rolled(-1))),
+    ("quaternions are w last, read as w first, in OpenCV's axes", _on_pose(_rolled(1))),
+    ("image is turned by 90 degrees clockwise against the pose", _turned(1, swap=False)),
+    ("image is turned by 90 degrees counter-clockwise against the pose", _turned(3, swap=False)),
+    ("image is turned by 90 degrees clockwise against pose and intrinsics", _turned(1, swap=True)),
+    ("image is turned by 90 degrees counter-clockwise against pose and intrinsics", _turned(3, swap=True)),
+    ("intrinsics have width and height swapped", lambda camera: (camera[0], camera[1][[1, 0, 3, 2]])),
+    *(
+        (f"intrinsics are for an image {1 / factor:g} times as large", _scaled(factor))
+        for factor in (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
+    ),
+)

@@ -1,0 +1,161 @@
+"""Finding the recordings in a capture folder."""
+
+import os
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from artefacts import UserError
+from capture_import.archive import SUFFIXES, unpack
+from capture_import.capture import Limits, RawSession
+from capture_import.formats import Format, formats
+
+_DEEPEST = 5
+# The simulator's truth is for checks alone; import doesn't so much as open it.
+_IGNORED = {"true_poses.parquet", "SIMULATED.json", "LICENSE", "README.md", "__MACOSX"}
+_IMAGES = (".jpg", ".jpeg", ".png")
+
+
+@dataclass(frozen=True)
+class Found:
+    """A recording: where it is, in which format, and its id."""
+
+    path: Path
+    format: Format
+    session_id: str
+
+    def read(self, limits: Limits) -> RawSession:
+        return self.format.read(self.path, self.session_id, limits)
+
+
+@dataclass(frozen=True)
+class _Hit:
+    path: Path
+    format: Format
+    parts: tuple[str, ...]
+
+
+def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str = "auto") -> list[Found]:
+    """The recordings in `root`, sorted by id: `root` itself, or folders, files and archives below it.
+
+    Archives are unpacked into the folder `unpacked`, but not archives inside archives. A recording's id is its
+    folder's (or file's) name; where two have the same, the path from `root` with dashes. UserError where there is none,
+    where one fits two formats, where a link leads out of `root`, or where a name isn't UTF-8.
+    """
+    known = _chosen(format_name)
+    root = root.resolve()
+    if not root.exists():
+        raise UserError("there is no capture", where=root, expected="a folder of phone captures")
+    hits = _Search(root, unpacked, limits, known).run(root, (), 0)
+    if not hits:
+        looked_for = "\n".join(f"            {f.title}: {f.looks_for}" for f in known)
+        raise UserError(
+            "no capture in a known format",
+            where=root,
+            found=_content(root),
+            expected="one of\n" + looked_for,
+            do="see docs/captures.md; any app can join by writing our own frames.jsonl",
+        )
+    names = [_plain((hit.parts or (root.stem if root.is_file() else root.name,))[-1]) for hit in hits]
+    counts = Counter(names)
+    found = []
+    for hit, name in zip(hits, names, strict=True):
+        unique = name if counts[name] == 1 else _plain("-".join(hit.parts))
+        found.append(Found(hit.path, hit.format, unique))
+    return sorted(found, key=lambda f: f.session_id)
+
+
+def _chosen(format_name: str) -> tuple[Format, ...]:
+    if format_name == "auto":
+        return formats()
+    chosen = tuple(f for f in formats() if f.name == format_name)
+    if not chosen:
+        names = ", ".join(f.name for f in formats())
+        raise UserError(f"there is no capture format {format_name!r}", expected=f"auto or one of {names}")
+    return chosen
+
+
+@dataclass(frozen=True)
+class _Search:
+    root: Path
+    unpacked: Path
+    limits: Limits
+    known: tuple[Format, ...]
+    in_archive: bool = False
+
+    def run(self, path: Path, parts: tuple[str, ...], depth: int) -> list[_Hit]:
+        """Recordings at or below `path`; `parts` is the way to it by the names that a user sees."""
+        _refuse_link_out(self.root, path)
+        fits = [f for f in self.known if f.detect(path)]
+        if len(fits) > 1:
+            raise UserError(
+                "a recording fits more than one format",
+                where=path,
+                found=", ".join(f.name for f in fits),
+                do="name one with the import setting `format`",
+            )
+        if fits:
+            _refuse_odd_name(self.root, path)
+            _refuse_links_below(self.root, path)
+            return [_Hit(path, fits[0], parts)]
+        if path.is_file() and path.suffix.lower() in SUFFIXES and not self.in_archive:
+            return self._in_archive(path, parts, depth)
+        if not path.is_dir() or depth == _DEEPEST:
+            return []
+        inside = sorted(p for p in path.iterdir() if not p.name.startswith(".") and p.name not in _IGNORED)
+        return [hit for p in inside for hit in self.run(p, (*parts, p.stem if p.is_file() else p.name), depth + 1)]
+
+    def _in_archive(self, path: Path, parts: tuple[str, ...], depth: int) -> list[_Hit]:
+        _refuse_odd_name(self.root, path)
+        target = self.unpacked.resolve() / _plain("-".join((*parts[:-1], path.name)))
+        unpack(path, target, self.limits)
+        return _Search(target, target, self.limits, self.known, in_archive=True).run(target, parts, depth + 1)
+
+
+def _refuse_link_out(root: Path, path: Path) -> None:
+    try:
+        out = not path.resolve().is_relative_to(root)
+    except (OSError, RuntimeError):  # a loop of links
+        out = True
+    if out:
+        raise UserError(
+            "a link leads out of the capture folder", where=path, do="copy what it points to into the capture folder"
+        )
+
+
+def _refuse_links_below(root: Path, path: Path) -> None:
+    """Logs and videos of a recording must lie in the capture; images that don't become rejects one by one."""
+    if not path.is_dir():
+        return
+    with os.scandir(path) as scan:
+        entries = list(scan)
+    for entry in entries:
+        if entry.is_symlink() and not entry.name.lower().endswith(_IMAGES):
+            _refuse_link_out(root, Path(entry.path))
+        elif entry.is_dir(follow_symlinks=False):
+            _refuse_links_below(root, Path(entry.path))
+
+
+def _refuse_odd_name(root: Path, path: Path) -> None:
+    relative = os.fsencode(path.relative_to(root))
+    try:
+        relative.decode("utf-8")
+    except UnicodeDecodeError:
+        raise UserError(
+            "a recording's name isn't UTF-8",
+            where=root,
+            found=repr(relative),
+            do="rename it",
+        ) from None
+
+
+def _plain(name: str) -> str:
+    """`name` with everything replaced that could not be part of an id."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name).strip(".") or "capture"
+
+
+def _content(root: Path) -> str:
+    if root.is_file():
+        return "a file of an unknown kind"
+    names = sorted(os.fsencode(p.name).decode("utf-8", "replace") for p in root.iterdir())
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "") if names else "nothing"

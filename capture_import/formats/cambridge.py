@@ -1,0 +1,131 @@
+"""Cambridge Landmarks: `dataset_train.txt` and `dataset_test.txt` over folders of images.
+
+Documented at https://www.repository.cam.ac.uk/handle/1810/251342 (readme). What matters:
+
+- a row is an image's path, the camera's position in metres, and a quaternion w, x, y, z of the world-to-camera
+  rotation, with OpenCV's camera axes; poses come from SfM: a reference, not VIO, and nothing says where up is;
+- `reconstruction.nvm` (VisualSFM) has each image's focal length; the centre is in the middle of the image;
+- frames have no time; the videos were sampled twice a second.
+
+A folder of images (`seq1`) is one recording; it's wholly for training or for testing.
+"""
+
+import re
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from artefacts import UserError
+from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from capture_import.formats import Format
+from capture_import.images import BadImage, image_size
+from capture_import.parsing import (
+    BadRow,
+    collect,
+    lines_of,
+    quaternion_pose,
+    refuse_unreadable,
+    seconds_to_ns,
+    split_numbers,
+)
+from geometry.poses import make_pose
+
+_FRAMES_A_SECOND = 2.0
+_LISTS: dict[str, Literal["train", "test"]] = {"dataset_train.txt": "train", "dataset_test.txt": "test"}
+
+
+def detect(path: Path) -> bool:
+    """A folder of images beside dataset_train.txt or dataset_test.txt."""
+    return (
+        path.is_dir()
+        and any((path.parent / name).is_file() for name in _LISTS)
+        and any(p.suffix in (".png", ".jpg") for p in path.iterdir())
+    )
+
+
+def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+    """Read the rows of both lists that lie in this folder."""
+    rows: list[tuple[str, str]] = []
+    splits = set()
+    for name, split in _LISTS.items():
+        file = path.parent / name
+        if file.is_file():
+            own = [row for row in lines_of(file, limits.max_text_bytes) if row[1].startswith(f"{path.name}/")]
+            rows += own
+            splits |= {split} if own else set()
+    focal = _focal_lengths(path.parent / "reconstruction.nvm", path.name, limits)
+
+    def read_row(source: str, line: str) -> RawFrame:
+        name, _, numbers = line.strip().partition(" ")
+        values = split_numbers(numbers)
+        index = re.search(r"(\d{1,9})\.", name)
+        if len(values) != 7 or index is None or ".." in Path(name).parts:
+            raise BadRow("row isn't an image's path and 7 numbers")
+        if Path(name).stem not in focal:
+            raise BadRow("image isn't in reconstruction.nvm")
+        qw, qx, qy, qz = values[3:]
+        cam_R_world = quaternion_pose([0.0, 0.0, 0.0], [qx, qy, qz, qw])[:3, :3]
+        image = path.parent / name
+        width, height = _size(image)
+        f = focal[Path(name).stem]
+        return RawFrame(
+            number=int(index[1]),
+            source=source,
+            t_ns=seconds_to_ns(int(index[1]) / _FRAMES_A_SECOND),
+            vio_T_cam=make_pose(cam_R_world.T, values[:3]),
+            image=ImageFile(image),
+            intrinsics=Intrinsics(f, f, width / 2, height / 2, width, height),
+        )
+
+    frames, rejects = collect(rows, session_id, read_row)
+    refuse_unreadable(path, frames, rejects, "seq/frame00001.png X Y Z W P Q R, and reconstruction.nvm")
+    return RawSession(
+        session_id,
+        FORMAT.name,
+        "Cambridge Landmarks",
+        "frame_index",
+        path,
+        sorted(frames, key=lambda frame: frame.number),
+        rejects,
+        poses_are="reference",
+        gravity_aligned=False,
+        split=splits.pop() if len(splits) == 1 else None,
+    )
+
+
+def _focal_lengths(file: Path, folder: str, limits: Limits) -> dict[str, float]:
+    """Focal lengths in pixels by the image's name without suffix, of one folder."""
+    if not file.is_file():
+        raise UserError(
+            "reconstruction.nvm is missing", where=file, do="it comes with the data set; it has the focal lengths"
+        )
+    found = {}
+    for _, line in lines_of(file, limits.max_text_bytes):
+        fields = line.split()
+        # A camera's row: name, focal length, quaternion, centre, radial distortion, 0.
+        if len(fields) == 11 and fields[0].startswith(f"{folder}/"):
+            value = float(fields[1]) if re.fullmatch(r"[0-9.]+(e[+-]?\d+)?", fields[1]) else np.nan
+            found[Path(fields[0]).stem] = value
+    return found
+
+
+def _size(image: Path) -> tuple[int, int]:
+    if not image.is_file():
+        raise BadRow("image is missing, or no ordinary file")
+    try:
+        with image.open("rb") as file:
+            return image_size(file.read(1 << 16))
+    except (OSError, BadImage) as error:
+        raise BadRow(f"image can't be read: {error}") from None
+
+
+FORMAT = Format(
+    name="cambridge",
+    title="Cambridge Landmarks",
+    gives="images, reference poses",
+    looks_for="a folder of images beside dataset_train.txt and reconstruction.nvm",
+    documentation="https://www.repository.cam.ac.uk/handle/1810/251342",
+    detect=detect,
+    read=read,
+)

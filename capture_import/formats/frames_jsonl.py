@@ -1,0 +1,109 @@
+"""Our own format: `frames.jsonl`, one JSON object a line, with images beside it. docs/captures.md describes it.
+
+The first line says what the recording is, each other line is one instant:
+
+    {"groundwalk": "frames", "version": 1, "device": "iPhone 14 Pro", "clock": "boot"}
+    {"t_ns": 5000100000000, "image": "images/000001.jpg", "vio_T_cam": [...16 numbers...],
+     "fx": 1447.6, "fy": 1447.6, "cx": 966.0, "cy": 691.7, "width": 1920, "height": 1440, "tracking": "normal"}
+"""
+
+from pathlib import Path
+from typing import Any, get_args
+
+from artefacts import UserError
+from capture_import.capture import Clock, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Tracking
+from capture_import.formats import Format
+from capture_import.parsing import (
+    BadRow,
+    collect,
+    inside,
+    lines_of,
+    number,
+    numbers,
+    optional_number,
+    parse_json,
+    refuse_unreadable,
+    row_major_pose,
+    to_number,
+    whole,
+)
+
+_VERSION = 1
+
+
+def detect(path: Path) -> bool:
+    """A folder with frames.jsonl."""
+    return (path / "frames.jsonl").is_file()
+
+
+def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+    """Read the header and the rows."""
+    lines = lines_of(path / "frames.jsonl", limits.max_text_bytes)
+    header = _header(path, lines[0][1] if lines else "")
+
+    def read_row(source: str, line: tuple[int, str]) -> RawFrame:
+        index, text = line
+        row = parse_json(text)
+        t_ns = row.get("t_ns")
+        if not isinstance(t_ns, int) or abs(t_ns) >= 2**63:
+            raise BadRow("t_ns is no whole number of nanoseconds")
+        tracking = row.get("tracking", "unknown")
+        if tracking not in get_args(Tracking):
+            raise BadRow(f"tracking is none of {', '.join(get_args(Tracking))}")
+        return RawFrame(
+            number=index,
+            source=source,
+            t_ns=t_ns,
+            vio_T_cam=row_major_pose(numbers(row, "vio_T_cam", 16)) if row.get("vio_T_cam") is not None else None,
+            image=ImageFile(inside(path, row["image"])) if row.get("image") is not None else None,
+            intrinsics=_intrinsics(row) if row.get("image") is not None else None,
+            tracking=tracking,
+            exposure_s=optional_number(row, "exposure_s"),
+        )
+
+    rows = [(source, (i, line)) for i, (source, line) in enumerate(lines[1:])]
+    frames, rejects = collect(rows, session_id, read_row)
+    refuse_unreadable(path, frames, rejects, "rows with t_ns, vio_T_cam, image and intrinsics")
+    return RawSession(session_id, FORMAT.name, header["device"], header["clock"], path, frames, rejects)
+
+
+def _header(path: Path, line: str) -> dict[str, Any]:
+    try:
+        header = parse_json(line)
+    except BadRow:
+        header = {}
+    device, clock = header.get("device", "unknown"), header.get("clock", "boot")
+    if (
+        header.get("groundwalk") != "frames"
+        or header.get("version") != _VERSION
+        or not isinstance(device, str)
+        or clock not in get_args(Clock)
+    ):
+        raise UserError(
+            "the first line of frames.jsonl isn't its header",
+            where=path / "frames.jsonl",
+            expected=f'{{"groundwalk": "frames", "version": {_VERSION}, "device": "...", "clock": "boot"}}, '
+            f"clock one of {', '.join(get_args(Clock))}",
+            found=line[:120] or "an empty file",
+        )
+    return {"device": device, "clock": clock}
+
+
+def _intrinsics(row: dict[str, Any]) -> Intrinsics:
+    distortion = row.get("distortion", [])
+    if not isinstance(distortion, list):
+        raise BadRow("distortion is no list")
+    fx, fy, cx, cy = (number(row, key) for key in ("fx", "fy", "cx", "cy"))
+    coefficients = tuple(to_number(k, "distortion") for k in distortion)
+    return Intrinsics(fx, fy, cx, cy, whole(row, "width"), whole(row, "height"), coefficients)
+
+
+FORMAT = Format(
+    name="frames_jsonl",
+    title="frames.jsonl (our own)",
+    gives="images, VIO",
+    looks_for="frames.jsonl",
+    documentation="docs/captures.md",
+    detect=detect,
+    read=read,
+)

@@ -1,0 +1,84 @@
+"""NeRFCapture: `transforms.json` with `images/<n>.png`.
+
+Documented by the app's source, https://github.com/jc211/NeRFCapture (DatasetWriter.swift, Manifest.swift). What
+matters:
+
+- each frame has `timestamp` (seconds since the phone was started), `transform_matrix` (4x4 in rows, ARKit's camera to
+  world, which is what NeRF tools call OpenGL axes), fl_x, fl_y, cx, cy, w, h of its own;
+- `file_path` has no suffix; the frames aren't always in the order of time, as they're written in parallel.
+
+Other transforms.json, whose poses come from SfM and have no time, aren't phone captures and are refused.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from artefacts import UserError
+from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from capture_import.formats import Format
+from capture_import.joining import join_by_time
+from capture_import.parsing import (
+    BadRow,
+    collect,
+    from_arkit,
+    inside,
+    json_of,
+    number,
+    numbers,
+    refuse_unreadable,
+    row_major_pose,
+    seconds_to_ns,
+    whole,
+)
+
+
+def detect(path: Path) -> bool:
+    """A folder with transforms.json and images."""
+    return (path / "transforms.json").is_file() and (path / "images").is_dir()
+
+
+def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+    """Read the frames and put them in the order of time."""
+    rows = json_of(path / "transforms.json", limits.max_text_bytes).get("frames")
+    if not isinstance(rows, list) or not any(isinstance(row, dict) and "timestamp" in row for row in rows):
+        raise UserError(
+            "transforms.json isn't NeRFCapture's",
+            where=path,
+            expected="frames with a timestamp each",
+            found="no timestamps" if rows else "no frames",
+            do="poses from SfM aren't VIO; import the phone's own recording",
+        )
+
+    def read_row(source: str, row: Any) -> RawFrame:
+        if not isinstance(row, dict):
+            raise BadRow("frame is no object")
+        image = inside(path, row.get("file_path"))
+        if not image.suffix or not image.exists():
+            image = image.with_name(image.name + ".png")
+        return RawFrame(
+            number=0,
+            source=source,
+            t_ns=seconds_to_ns(number(row, "timestamp"), "timestamp"),
+            vio_T_cam=from_arkit(row_major_pose(numbers(row, "transform_matrix", 16))),
+            image=ImageFile(image),
+            intrinsics=Intrinsics.of(
+                (number(row, key) for key in ("fl_x", "fl_y", "cx", "cy")),
+                width=whole(row, "w"),
+                height=whole(row, "h"),
+            ),
+        )
+
+    frames, rejects = collect([(f"frame {i}", row) for i, row in enumerate(rows)], session_id, read_row)
+    refuse_unreadable(path, frames, rejects, "timestamp, transform_matrix, fl_x, fl_y, cx, cy, w, h, file_path")
+    return RawSession(session_id, FORMAT.name, "iOS, NeRFCapture", "boot", path, join_by_time([], frames), rejects)
+
+
+FORMAT = Format(
+    name="nerf_capture",
+    title="NeRFCapture",
+    gives="images, VIO",
+    looks_for="transforms.json and images/",
+    documentation="https://github.com/jc211/NeRFCapture",
+    detect=detect,
+    read=read,
+)

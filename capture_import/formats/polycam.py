@@ -1,0 +1,77 @@
+"""Polycam raw export: `keyframes/images/<t>.jpg` with `keyframes/cameras/<t>.json`.
+
+Documented at https://github.com/PolyCam/polyform (README, "Polycam's data format"). What matters:
+
+- a file's name is its time in microseconds;
+- `t_00` .. `t_23`: 3x4, row-major, ARKit's camera to world (y up, z backward);
+- `cameras` are the phone's poses; `corrected_cameras` are optimised afterwards and are no odometry: they aren't read;
+- `images` are as the camera took them, with the little distortion that is left in a phone's images.
+"""
+
+from pathlib import Path
+
+from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from capture_import.formats import Format
+from capture_import.parsing import (
+    BadRow,
+    collect,
+    from_arkit,
+    number,
+    parse_json,
+    read_text,
+    refuse_unreadable,
+    row_major_pose,
+    whole,
+)
+
+_MAX_FRAME_BYTES = 1 << 20
+_LATEST_US = 2**62 // 1000
+
+
+def detect(path: Path) -> bool:
+    """A folder with keyframes/cameras and keyframes/images."""
+    return (path / "keyframes" / "cameras").is_dir() and (path / "keyframes" / "images").is_dir()
+
+
+def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+    """Read the camera files in the order of their times and join images by name."""
+    cameras, images = path / "keyframes" / "cameras", path / "keyframes" / "images"
+    files = sorted((p for p in cameras.glob("*.json") if p.stem.isdecimal()), key=lambda p: int(p.stem))
+    rows = [(f"cameras/{file.name}", (i, file, images / f"{file.stem}.jpg")) for i, file in enumerate(files)]
+    frames, rejects = collect(rows, session_id, _read_row)
+    refuse_unreadable(path, frames, rejects, "keyframes/cameras/<microseconds>.json with t_00 .. t_23, fx, fy, cx, cy")
+    known = {file.stem for file in files}
+    orphans = sorted(p.name for p in images.glob("*.jpg") if p.stem not in known)
+    rejects += [Reject(session_id, f"images/{name}", None, "image has no camera file") for name in orphans]
+    return RawSession(session_id, FORMAT.name, "iOS, Polycam", "boot", path, frames, rejects)
+
+
+def _read_row(source: str, row: tuple[int, Path, Path]) -> RawFrame:
+    index, file, image = row
+    camera = parse_json(read_text(file, _MAX_FRAME_BYTES))
+    if int(file.stem) > _LATEST_US:
+        raise BadRow(f"name {file.stem} is no time")
+    entries = [number(camera, f"t_{i}{j}") for i in range(3) for j in range(4)]
+    return RawFrame(
+        number=index,
+        source=source,
+        t_ns=int(file.stem) * 1000,
+        vio_T_cam=from_arkit(row_major_pose(entries)),
+        image=ImageFile(image) if image.exists() else None,
+        intrinsics=Intrinsics.of(
+            (number(camera, key) for key in ("fx", "fy", "cx", "cy")),
+            width=whole(camera, "width"),
+            height=whole(camera, "height"),
+        ),
+    )
+
+
+FORMAT = Format(
+    name="polycam",
+    title="Polycam raw",
+    gives="images, VIO",
+    looks_for="keyframes/cameras and keyframes/images",
+    documentation="https://github.com/PolyCam/polyform",
+    detect=detect,
+    read=read,
+)

@@ -1,0 +1,107 @@
+"""Record3D: an `.r3d` archive (`metadata`, `rgbd/<n>.jpg`) or an exported folder (`metadata.json`, `rgb/<n>.jpg`).
+
+The app is at https://record3d.app; the format is described by its files, and at
+https://github.com/marek-simonik/record3d. What matters:
+
+- `poses`: one row a frame, qx qy qz qw tx ty tz, ARKit's camera to world (y up, z backward);
+- `K`: 9 numbers, column-major; `perFrameIntrinsicCoeffs`, where there is one, fx fy cx cy a frame, for `w` x `h`;
+- time is `frameTimestamps` in seconds where there is one, else the frame's number over `fps`;
+- images and poses belong together by number; exports are known where one has a few more than the other.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from artefacts import UserError
+from capture_import.capture import Clock, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from capture_import.formats import Format
+from capture_import.parsing import (
+    BadRow,
+    collect,
+    from_arkit,
+    json_of,
+    number,
+    numbers,
+    quaternion_pose,
+    refuse_unreadable,
+    seconds_to_ns,
+    to_number,
+    whole,
+)
+
+
+def detect(path: Path) -> bool:
+    """A folder with metadata beside a folder rgbd or rgb."""
+    return _metadata(path) is not None and _images(path) is not None
+
+
+def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+    """Read the poses and join them to images by number."""
+    metadata, images = _metadata(path), _images(path)
+    assert metadata is not None and images is not None  # detect() has seen them
+    content = json_of(metadata, limits.max_text_bytes)
+    poses = content.get("poses")
+    if not isinstance(poses, list):
+        raise UserError("Record3D's metadata has no poses", where=metadata, expected="poses: a list")
+    times = content.get("frameTimestamps")
+    coefficients = content.get("perFrameIntrinsicCoeffs")
+    found = {int(p.stem): p for p in images.glob("*.jpg") if p.stem.isdecimal()}
+
+    def read_row(source: str, index: int) -> RawFrame:
+        qx, qy, qz, qw, *t = numbers({source: poses[index]}, source, 7)
+        return RawFrame(
+            number=index,
+            source=source,
+            t_ns=_time(content, times, index),
+            vio_T_cam=from_arkit(quaternion_pose(t, [qx, qy, qz, qw])),
+            image=ImageFile(found[index]) if index in found else None,
+            intrinsics=_intrinsics(content, coefficients, index),
+        )
+
+    frames, rejects = collect([(f"pose {i}", i) for i in range(len(poses))], session_id, read_row)
+    refuse_unreadable(path, frames, rejects, "poses of 7 numbers, K, w, h, and frameTimestamps or fps")
+    rejects += [Reject(session_id, found[i].name, None, "image has no pose") for i in sorted(found) if i >= len(poses)]
+    notes = []
+    if len(found) != len(poses):
+        notes.append(f"{len(found)} images and {len(poses)} poses: joined by number")
+    clock: Clock = "video" if isinstance(times, list) else "frame_index"
+    return RawSession(session_id, FORMAT.name, "iOS, Record3D", clock, path, frames, rejects, notes=notes)
+
+
+def _metadata(path: Path) -> Path | None:
+    return next((p for name in ("metadata", "metadata.json") if (p := path / name).is_file()), None)
+
+
+def _images(path: Path) -> Path | None:
+    return next((p for name in ("rgbd", "rgb") if (p := path / name).is_dir()), None)
+
+
+def _time(content: dict[str, Any], times: object, index: int) -> int:
+    if not isinstance(times, list):
+        fps = number(content, "fps")
+        if not 0 < fps < 1000:
+            raise BadRow(f"fps {fps} is no frame rate")
+        return seconds_to_ns(index / fps)
+    if index >= len(times):
+        raise BadRow("frame has no time")
+    return seconds_to_ns(to_number(times[index], "frameTimestamps"))
+
+
+def _intrinsics(content: dict[str, Any], coefficients: object, index: int) -> Intrinsics:
+    width, height = whole(content, "w"), whole(content, "h")
+    if isinstance(coefficients, list) and index < len(coefficients):
+        fx, fy, cx, cy = numbers({"row": coefficients[index]}, "row", 4)
+    else:
+        fx, _, _, _, fy, _, cx, cy, _ = numbers(content, "K", 9)
+    return Intrinsics(fx, fy, cx, cy, width, height)
+
+
+FORMAT = Format(
+    name="record3d",
+    title="Record3D",
+    gives="images, VIO",
+    looks_for="name.r3d, or metadata with rgbd/ or rgb/",
+    documentation="https://github.com/marek-simonik/record3d",
+    detect=detect,
+    read=read,
+)

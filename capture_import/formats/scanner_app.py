@@ -1,0 +1,108 @@
+"""3D Scanner App (Laan Labs), export "All Data": one `frame_XXXXX.json` a pose, one JPEG for some of them.
+
+Documented by the app's maker at https://3dscannerapp.com (export "All Data") and by files from versions 1.9.5 and
+1.9.7. What matters:
+
+- `cameraPoseARFrame`: 16 numbers, row-major, ARKit's camera.transform (camera to world, camera y up and z backward);
+- `intrinsics`: 9 numbers, row-major, for the full image and different in each frame, as autofocus moves;
+- `projectionMatrix`: OpenGL's, row-major; with the intrinsics it gives the image size that both are for;
+- `time`: seconds since the phone was started; `exposureDuration`: seconds;
+- poses without a JPEG are sound poses of the odometry between the images.
+
+Latitude and longitude may be in `info.json` and the frames; they're never read.
+"""
+
+import re
+from pathlib import Path
+
+from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from capture_import.formats import Format
+from capture_import.parsing import (
+    BadRow,
+    collect,
+    from_arkit,
+    number,
+    numbers,
+    optional_number,
+    parse_json,
+    read_text,
+    refuse_unreadable,
+    row_major_pose,
+    seconds_to_ns,
+)
+
+_FRAME = re.compile(r"frame_(\d{1,9})\.json")
+_MAX_FRAME_BYTES = 1 << 20
+
+
+def detect(path: Path) -> bool:
+    """A folder with `frame_<digits>.json` files."""
+    return path.is_dir() and any(_FRAME.fullmatch(p.name) for p in path.iterdir())
+
+
+def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+    """Read the JSON files of one recording; those that can't be read become rejects."""
+    found = {int(m[1]): p for p in path.iterdir() if (m := _FRAME.fullmatch(p.name))}
+    rows = [(found[index].name, (found[index], index)) for index in sorted(found)]
+    frames, rejects = collect(rows, session_id, _read_frame)
+    refuse_unreadable(path, frames, rejects, "frame_XXXXX.json with time, cameraPoseARFrame and intrinsics")
+    orphans = sorted(p for p in path.glob("frame_*.jpg") if not p.with_suffix(".json").exists())
+    rejects += [Reject(session_id, p.name, None, "image has no JSON file") for p in orphans]
+    return RawSession(
+        session_id=session_id,
+        format=FORMAT.name,
+        device=_device(path),
+        clock="boot",
+        folder=path,
+        frames=frames,
+        rejects=rejects,
+    )
+
+
+def _read_frame(source: str, row_file: tuple[Path, int]) -> RawFrame:
+    path, index = row_file
+    row = parse_json(read_text(path, _MAX_FRAME_BYTES))
+    image = path.with_suffix(".jpg")
+    return RawFrame(
+        number=index,
+        source=source,
+        t_ns=seconds_to_ns(number(row, "time")),
+        vio_T_cam=from_arkit(row_major_pose(numbers(row, "cameraPoseARFrame", 16))),
+        image=ImageFile(image) if image.exists() else None,
+        intrinsics=_intrinsics(row),
+        exposure_s=optional_number(row, "exposureDuration"),
+    )
+
+
+def _intrinsics(row: dict[str, object]) -> Intrinsics:
+    fx, _, cx, _, fy, cy, *_ = numbers(row, "intrinsics", 9)
+    width = height = None
+    if "projectionMatrix" in row:
+        projection = numbers(row, "projectionMatrix", 16)
+        if min(projection[0], projection[5]) > 1e-6 and max(fx, fy) < 1e9:
+            width, height = _pixels(2 * fx / projection[0]), _pixels(2 * fy / projection[5])
+    return Intrinsics(fx, fy, cx, cy, width, height)
+
+
+def _pixels(value: float) -> int | None:
+    return round(value) if 0 < value < 1e6 else None
+
+
+def _device(path: Path) -> str:
+    try:
+        info = parse_json(read_text(path / "info.json", _MAX_FRAME_BYTES))
+    except BadRow:
+        return "unknown"
+    version = info.get("appVersionString")
+    return f"iOS, 3D Scanner App {version}" if isinstance(version, str) else "iOS"
+
+
+FORMAT = Format(
+    name="3d_scanner_app",
+    title="3D Scanner App",
+    gives="images, VIO",
+    looks_for="frame_XXXXX.json with frame_XXXXX.jpg for some of them",
+    documentation="https://3dscannerapp.com",
+    detect=detect,
+    read=read,
+)

@@ -1,0 +1,99 @@
+"""7-Scenes (Microsoft): `seq-XX/frame-000000.color.png` with `frame-000000.pose.txt`.
+
+Documented at https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes. What matters:
+
+- a pose is a 4x4 matrix, camera to world, with OpenCV's camera axes; it comes from KinectFusion: a reference, not VIO,
+  and nothing says where up is;
+- frames have no time; the camera took 30 a second;
+- the colour camera wasn't calibrated; its nominal focal length is 525 px with the centre in the middle;
+- `TrainSplit.txt` and `TestSplit.txt` beside the sequences say which is for what.
+"""
+
+import re
+from pathlib import Path
+from typing import Literal
+
+from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from capture_import.formats import Format
+from capture_import.parsing import (
+    BadRow,
+    collect,
+    read_text,
+    refuse_unreadable,
+    row_major_pose,
+    seconds_to_ns,
+    split_numbers,
+)
+
+_POSE = re.compile(r"frame-(\d{6})\.pose\.txt")
+_FRAMES_A_SECOND = 30.0
+_CAMERA = Intrinsics(525.0, 525.0, 320.0, 240.0, 640, 480)
+
+
+def detect(path: Path) -> bool:
+    """A folder with frame-<six digits>.pose.txt."""
+    return path.is_dir() and any(_POSE.fullmatch(p.name) for p in path.iterdir())
+
+
+def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+    """Read the poses and join the colour images by number."""
+    found = {int(m[1]): p for p in path.iterdir() if (m := _POSE.fullmatch(p.name))}
+    rows = [(found[index].name, (index, found[index])) for index in sorted(found)]
+    frames, rejects = collect(rows, session_id, _read_row)
+    refuse_unreadable(path, frames, rejects, "frame-000000.pose.txt with 16 numbers")
+    return RawSession(
+        session_id,
+        FORMAT.name,
+        "Kinect",
+        "frame_index",
+        path,
+        frames,
+        rejects,
+        poses_are="reference",
+        gravity_aligned=False,
+        split=_split(path),
+        notes=["nominal intrinsics: the colour camera wasn't calibrated"],
+    )
+
+
+def _read_row(source: str, row: tuple[int, Path]) -> RawFrame:
+    index, file = row
+    values = split_numbers(read_text(file, 1 << 16))
+    if len(values) != 16:
+        raise BadRow(f"pose has {len(values)} numbers, not 16")
+    image = file.with_name(f"frame-{index:06d}.color.png")
+    return RawFrame(
+        number=index,
+        source=source,
+        t_ns=seconds_to_ns(index / _FRAMES_A_SECOND),
+        vio_T_cam=row_major_pose(values),
+        image=ImageFile(image) if image.exists() else None,
+        intrinsics=_CAMERA,
+    )
+
+
+def _split(path: Path) -> Literal["train", "test"] | None:
+    number = re.search(r"(\d+)$", path.name)
+    splits: tuple[tuple[str, Literal["train", "test"]], ...] = (
+        ("TrainSplit.txt", "train"),
+        ("TestSplit.txt", "test"),
+    )
+    for name, split in splits:
+        try:
+            listed = re.findall(r"sequence(\d+)", read_text(path.parent / name, 1 << 16))
+        except BadRow:
+            continue
+        if number and int(number[1]) in map(int, listed):
+            return split
+    return None
+
+
+FORMAT = Format(
+    name="seven_scenes",
+    title="7-Scenes",
+    gives="images, reference poses",
+    looks_for="frame-000000.color.png and frame-000000.pose.txt",
+    documentation="https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes",
+    detect=detect,
+    read=read,
+)

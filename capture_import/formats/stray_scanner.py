@@ -1,0 +1,113 @@
+"""Stray Scanner (Stray Robots): `rgb.mp4` with one row of `odometry.csv` a frame.
+
+Documented at https://github.com/StrayRobots/scanner/blob/main/docs/format.md. What matters:
+
+- `odometry.csv` has a header; `timestamp` in seconds since the phone was started, position in metres, quaternion xyzw;
+- camera axes are OpenCV's already (the app turns ARKit's by half a turn about x), the world is ARKit's;
+- video and rows belong together by number; the video's own clock starts a frame early, so it only checks the join;
+- the older generation has one `camera_matrix.csv`, which is the last frame's; the newer logs fx, fy, cx, cy a row.
+"""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from artefacts import UserError
+from capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
+from capture_import.formats import Format
+from capture_import.parsing import (
+    BadRow,
+    collect,
+    lines_of,
+    number,
+    quaternion_pose,
+    read_text,
+    refuse_unreadable,
+    seconds_to_ns,
+    split_numbers,
+    whole,
+)
+from capture_import.video import frame_times
+
+_COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+_PER_FRAME = ("fx", "fy", "cx", "cy")
+
+
+def detect(path: Path) -> bool:
+    """A folder with odometry.csv and rgb.mp4."""
+    return (path / "odometry.csv").is_file() and (path / "rgb.mp4").is_file()
+
+
+def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+    """Read the rows and join them to the video's frames by number."""
+    header, *rows = lines_of(path / "odometry.csv", limits.max_text_bytes) or [("odometry.csv", "")]
+    names = [name.strip() for name in header[1].split(",")]
+    if missing := [name for name in _COLUMNS if name not in names]:
+        raise UserError(
+            "odometry.csv lacks columns", where=path, expected=", ".join(_COLUMNS), found=f"no {', '.join(missing)}"
+        )
+    per_frame = all(name in names for name in _PER_FRAME)
+    shared = None if per_frame else _camera_matrix(path)
+    video = path / "rgb.mp4"
+
+    def read_row(source: str, line: str) -> RawFrame:
+        row: dict[str, Any] = dict(zip(names, next(csv.reader([line], skipinitialspace=True)), strict=False))
+        index = whole(row, "frame")
+        return RawFrame(
+            number=index,
+            source=source,
+            t_ns=seconds_to_ns(number(row, "timestamp"), "timestamp"),
+            vio_T_cam=quaternion_pose([number(row, a) for a in "xyz"], [number(row, f"q{a}") for a in "xyzw"]),
+            image=VideoFrame(video, index),
+            intrinsics=shared or Intrinsics.of(number(row, name) for name in _PER_FRAME),
+        )
+
+    frames, rejects = collect(rows, session_id, read_row)
+    refuse_unreadable(path, frames, rejects, ", ".join(_COLUMNS))
+    notes = [] if per_frame else ["one camera matrix, the last frame's, stands for all frames"]
+    if note := _check_join(frames, len(rows), frame_times(video, limits), path):
+        notes.append(note)
+    return RawSession(session_id, FORMAT.name, "iOS, Stray Scanner", "boot", path, frames, rejects, notes=notes)
+
+
+def _camera_matrix(path: Path) -> Intrinsics:
+    file = path / "camera_matrix.csv"
+    try:
+        rows = [split_numbers(line, ",") for line in read_text(file, 1 << 16).split("\n") if line.strip()]
+        fx, _, cx, _, fy, cy, *_ = [value for row in rows for value in row]
+    except (BadRow, ValueError) as error:
+        raise UserError("the camera matrix can't be read", where=file, expected="3 rows of 3", found=error) from None
+    return Intrinsics(fx, fy, cx, cy)
+
+
+def _check_join(frames: list[RawFrame], rows: int, video_ns: np.ndarray, path: Path) -> str | None:
+    """Rows and frames that differ in number may only differ at the end, and their clocks must then run together."""
+    if rows == len(video_ns):
+        return None
+    joined = [f for f in frames if f.number < len(video_ns)]
+    row_ns = np.array([f.t_ns for f in joined], dtype=np.int64)
+    video = video_ns[[f.number for f in joined]]
+    interval = float(np.median(np.diff(video_ns))) if len(video_ns) > 1 else 0.0
+    apart = np.abs((row_ns - row_ns[0]) - (video - video[0])).max() if len(joined) else np.inf
+    if apart > interval / 2:
+        raise UserError(
+            "the video's frames can't be joined to the rows of odometry.csv",
+            where=path,
+            expected="as many frames as rows",
+            found=f"{len(video_ns)} frames, {rows} rows, clocks apart by up to {apart * 1e-9:.3f} s",
+            do="export the recording again",
+        )
+    return f"{len(video_ns)} video frames for {rows} rows: the end without a partner is left out"
+
+
+FORMAT = Format(
+    name="stray_scanner",
+    title="Stray Scanner",
+    gives="video, VIO",
+    looks_for="odometry.csv and rgb.mp4",
+    documentation="https://github.com/StrayRobots/scanner/blob/main/docs/format.md",
+    detect=detect,
+    read=read,
+)

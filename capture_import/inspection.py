@@ -1,0 +1,109 @@
+"""What a capture holds, its health and a verdict, for reading on a terminal."""
+
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from artefacts.progress import track
+from capture_import.clock import check_clock
+from capture_import.convention import SUSPECT, ConventionCheck, check_convention
+from capture_import.discovery import Found, find_recordings
+from capture_import.intake import Intake, Scan, path_length, scan_all, take_in
+from capture_import.settings import ImportSettings
+from capture_import.tables import printable, sampled
+
+
+def inspect_capture(path: Path, format_name: str = "auto") -> Iterator[str]:
+    """Lines about each recording in `path`; reads everything, writes nothing.
+
+    Raises UserError where there is no capture in a known format.
+    """
+    settings = ImportSettings()
+    root = path.resolve()
+    with tempfile.TemporaryDirectory() as unpacked:
+        roots = [root if root.is_dir() else root.parent, Path(unpacked).resolve()]
+        scan = scan_all(roots, settings.limits)
+        for found in find_recordings(path, Path(unpacked), settings.limits, format_name):
+            yield from _inspect(found, scan, roots, settings)
+
+
+def _inspect(found: Found, scan: Scan, roots: Sequence[Path], settings: ImportSettings) -> Iterator[str]:
+    raw = found.read(settings.limits)
+    count = sum(f.image is not None for f in raw.frames)
+    intake = take_in(raw, settings, lambda frames: track(scan(frames), "checking images", len(frames)))
+    yield f"{found.session_id} · {found.format.title} · {raw.device} · clock: {raw.clock}"
+    yield f"  log        {len(raw.frames)} rows, {count} with an image"
+    yield from _health(intake, settings)
+    for note in raw.notes:
+        yield f"  note       {note}"
+    longest = max(intake.sessions, key=lambda s: len(s.images))
+    check = check_convention(longest, roots, settings.limits)
+    if check.pairs:
+        yield (
+            f"  convention {check.declared:.0%} of matched points in {check.pairs} pairs of images fit the poses; "
+            f"the next best convention explains {check.other_share:.0%}"
+        )
+    clock = check_clock(longest, roots, settings.limits)
+    if clock.offset_s is not None:
+        yield f"  clock      images fit the poses at {clock.offset_s:+.3f} s (correlation {clock.correlation:.2f})"
+    yield f"  verdict    {_verdict(intake, raw.poses_are, check)}"
+
+
+def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:
+    for session in intake.sessions:
+        if not session.frames:
+            continue
+        t_ns, poses = session.t_ns, session.poses
+        duration = float(t_ns[-1] - t_ns[0]) * 1e-9
+        name = f"{session.session_id}: " if len(intake.sessions) > 1 else ""
+        rate = (len(t_ns) - 1) / duration if duration else 0.0
+        speed = path_length(session) / duration if duration else 0.0
+        yield (
+            f"  poses      {name}{len(poses)} over {duration:.1f} s ({rate:.1f} Hz), "
+            f"{path_length(session):.1f} m walked at {speed:.2f} m/s"
+        )
+        states = Counter(f.tracking for f in session.frames)
+        yield "  tracking   " + ", ".join(f"{state} {n / len(poses):.0%}" for state, n in states.most_common())
+        if session.images:
+            checks = [i.check for i in session.images]
+            sizes = Counter((c.width, c.height) for c in checks)
+            sharp = np.percentile([c.sharpness for c in checks], [0, 50, 100])
+            focal = [i.frame.intrinsics.fx for i in session.images if i.frame.intrinsics]
+            yield (
+                f"  images     {len(checks)} sound, "
+                + ", ".join(f"{w}x{h}" for w, h in sizes)
+                + f", fx {min(focal):.1f}..{max(focal):.1f} px, "
+                f"sharpness {sharp[0]:.2f}..{sharp[2]:.2f} (median {sharp[1]:.2f})"
+            )
+            kept = len(sampled(session, settings))
+            yield f"  sampling   {kept} frames at {settings.rate_hz:g} Hz"
+        for jump, splits in session.jumps:
+            at = (jump.t_ns - int(t_ns[0])) * 1e-9
+            effect = ", splits the session" if splits else ""
+            yield f"  jump       at {at:.1f} s: {jump.jump_m:.2f} m, {jump.jump_deg:.1f} deg{effect}"
+    for reason, n in Counter(reject.reason for reject in intake.rejects).most_common(8):
+        yield f"  left out   {n} x {printable(reason)}"
+
+
+def _verdict(intake: Intake, poses_are: str, check: ConventionCheck) -> str:
+    images = sum(len(s.images) for s in intake.sessions)
+    poses = sum(len(s.frames) for s in intake.sessions)
+    if not poses:
+        return "unusable: no sound pose"
+    if not images:
+        return "poses only: good for the study of odometry, not for a data set"
+    if check.contradicted:
+        return f"wrong convention: {check.contradicted}"
+    faults = []
+    if check.pairs and check.declared < SUSPECT:
+        faults.append("its poses fit its images badly")
+    if poses_are == "reference":
+        faults.append("its poses are a reference, not VIO")
+    if len(intake.sessions) > 1:
+        faults.append(f"VIO jumps split it into {len(intake.sessions)} sessions")
+    if intake.rejects:
+        faults.append(f"{len(intake.rejects)} rows are left out")
+    return "good" if not faults else "usable: " + "; ".join(faults)

@@ -1,0 +1,195 @@
+"""Typed reading of logs that nobody has checked: numbers, matrices and JSON, with one exception for what is wrong."""
+
+import json
+import math
+import stat
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from artefacts import UserError
+from capture_import.capture import RawFrame, Reject
+from geometry import GeometryError
+from geometry.poses import Array, pose_from_tq
+
+Row = TypeVar("Row")
+
+_MOST_NS = 2**63 - 1
+
+
+class BadRow(ValueError):
+    """A row or file of a log that can't be read; the message says why, short enough for a rejects table."""
+
+
+def read_text(path: Path, max_bytes: int) -> str:
+    """A text file in UTF-8; BadRow where it's missing, unreadable, larger than the limit or not UTF-8."""
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise BadRow("no ordinary file")
+        if status.st_size > max_bytes:
+            raise BadRow(f"file is larger than {max_bytes} bytes")
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise BadRow("file isn't UTF-8 text") from None
+    except OSError as error:
+        raise BadRow(f"file can't be read: {error.strerror}") from None
+
+
+def parse_json(text: str) -> dict[str, Any]:
+    """A JSON object; BadRow where the text isn't one."""
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        reason = str(error).split("\n")[0][:80] or "nested too deep"
+        raise BadRow(f"file isn't JSON: {reason}") from None
+    if not isinstance(content, dict):
+        raise BadRow("JSON holds no object")
+    return content
+
+
+def number(row: Mapping[str, Any], key: str) -> float:
+    """The number under a key (it may be NaN or infinite); BadRow where it's missing or no number."""
+    return to_number(_get(row, key), key)
+
+
+def whole(row: Mapping[str, Any], key: str) -> int:
+    """The whole number under a key; BadRow where it's missing or none."""
+    value = number(row, key)
+    if not math.isfinite(value) or value != int(value):
+        raise BadRow(f"{key} {value} is no whole number")
+    return int(value)
+
+
+def optional_number(row: Mapping[str, Any], key: str) -> float | None:
+    """The finite number under a key, or None where there is none."""
+    try:
+        value = number(row, key)
+    except BadRow:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def to_number(value: Any, name: str) -> float:
+    """`value`, a number or its text, as a float; BadRow otherwise."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise BadRow(f"{name} is no number")
+    try:
+        return float(value)
+    except (ValueError, OverflowError):
+        raise BadRow(f"{name} is no number") from None
+
+
+def numbers(row: Mapping[str, Any], key: str, count: int) -> Array:
+    """The list of `count` numbers under a key, nested lists flattened in row order; BadRow otherwise."""
+    flat = list(_flatten(_get(row, key), key))
+    if len(flat) != count:
+        raise BadRow(f"{key} has {len(flat)} numbers, not {count}")
+    return np.array([to_number(v, key) for v in flat])
+
+
+def seconds_to_ns(seconds: float, name: str = "time") -> int:
+    """Seconds as int64 nanoseconds; BadRow where they aren't finite or don't fit."""
+    ns = seconds * 1e9
+    if not math.isfinite(ns) or abs(ns) > _MOST_NS:
+        raise BadRow(f"{name} {seconds} is no time")
+    return round(ns)
+
+
+def split_numbers(line: str, separator: str | None = None) -> list[float]:
+    """The numbers of a line of text; BadRow where one isn't a number."""
+    return [to_number(part.strip(), "value") for part in line.split(separator)]
+
+
+def collect(
+    rows: Iterable[tuple[str, Row]], session_id: str, read: Callable[[str, Row], RawFrame]
+) -> tuple[list[RawFrame], list[Reject]]:
+    """Read the (source, row) pairs of a log; rows that can't be read become rejects."""
+    frames, rejects = [], []
+    for source, row in rows:
+        try:
+            frames.append(read(source, row))
+        except BadRow as error:
+            rejects.append(Reject(session_id, source, None, str(error)))
+    return frames, rejects
+
+
+def refuse_unreadable(path: Path, frames: Sequence[RawFrame], rejects: Sequence[Reject], expected: str) -> None:
+    """UserError where no row of a recording could be read."""
+    if not frames:
+        raise UserError(
+            "no frame of this recording can be read",
+            where=path,
+            expected=expected,
+            found=f"{rejects[0].source}: {rejects[0].reason}" if rejects else "no rows",
+        )
+
+
+def lines_of(path: Path, max_bytes: int) -> list[tuple[str, str]]:
+    """The lines of a text log as (source, line), without empty lines and comments; UserError where it can't be read."""
+    try:
+        text = read_text(path, max_bytes)
+    except BadRow as error:
+        raise UserError("a log can't be read", where=path, found=error) from None
+    numbered = enumerate(text.splitlines(), start=1)
+    return [(f"{path.name} line {n}", line) for n, line in numbered if line.strip() and not line.startswith("#")]
+
+
+def json_of(path: Path, max_bytes: int) -> dict[str, Any]:
+    """A recording's JSON file as an object; UserError where it can't be read."""
+    try:
+        return parse_json(read_text(path, max_bytes))
+    except BadRow as error:
+        raise UserError("a log can't be read", where=path, found=error) from None
+
+
+def row_major_pose(values: Sequence[float] | Array) -> Array:
+    """A 4x4 pose from 12 or 16 numbers in row order."""
+    pose = np.eye(4)
+    flat = np.asarray(values, dtype=float)
+    pose[: len(flat) // 4] = flat.reshape(-1, 4)
+    return pose
+
+
+def _get(row: Mapping[str, Any], key: str) -> Any:
+    if key not in row:
+        raise BadRow(f"{key} is missing")
+    return row[key]
+
+
+def _flatten(value: Any, key: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise BadRow(f"{key} is no list")
+    if value and all(isinstance(v, list) for v in value):
+        return [x for inner in value for x in inner]
+    return value
+
+
+def from_arkit(world_T_arkit_cam: Array) -> Array:
+    """The same pose (4, 4) for OpenCV's camera axes, from ARKit's (x right, y up, z backward)."""
+    # Signs alone: a matrix product would warn about the numbers that a broken log holds.
+    return world_T_arkit_cam * np.array([1.0, -1.0, -1.0, 1.0])
+
+
+def quaternion_pose(translation: Sequence[float], xyzw: Sequence[float]) -> Array:
+    """A 4x4 pose from a position and a quaternion; BadRow where the quaternion is none."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        norm = float(np.linalg.norm(xyzw))
+    if not math.isfinite(norm) or abs(norm - 1) > 0.01:
+        raise BadRow(f"quaternion has length {norm:.3g}, not 1")
+    try:
+        return pose_from_tq(translation, xyzw)
+    except GeometryError as error:
+        raise BadRow(str(error)) from None
+
+
+def inside(folder: Path, name: Any) -> Path:
+    """The path that a log names, relative to its folder; BadRow for one that is no text or leads out of the folder."""
+    if not isinstance(name, str) or not name or "\0" in name:
+        raise BadRow("image name is no text")
+    path = folder / name
+    if Path(name).is_absolute() or ".." in Path(name).parts:
+        raise BadRow("image name leads out of the recording")
+    return path

@@ -1,0 +1,157 @@
+"""The import stage's recording: one entity tree a session, each in its own VIO frame."""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+import rerun as rr
+import rerun.blueprint as rrb
+
+from artefacts.recording import NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, log_camera, set_time
+from artefacts.tables import poses_of
+from capture_import.capture import Reject
+from capture_import.images import decode_rgb
+from capture_import.intake import Session
+from capture_import.tables import printable
+from geometry.poses import Array
+
+_THUMBNAIL = 320
+_THUMBNAIL_QUALITY = 70
+_TRACKING_COLOURS = {"normal": VIO, "unknown": VIO, "limited": REJECTED, "lost": NEUTRAL}
+_MOST_FRUSTA = 150
+
+
+def blueprint(session_ids: Sequence[str]) -> rrb.Blueprint:
+    """A tab a session: its path and cameras, the image at the time cursor, speed and sharpness, what was left out."""
+    return rrb.Blueprint(
+        rrb.Tabs(*[_session_view(session_id) for session_id in session_ids], name="sessions"),
+        rrb.TimePanel(state="collapsed"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="collapsed"),
+    )
+
+
+def log_session(
+    stream: rr.RecordingStream,
+    session: Session,
+    frames: pd.DataFrame,
+    rejects: Sequence[Reject],
+    image_path: Callable[[str], Path],
+) -> None:
+    """Log one session; `frames` are its rows of the frames table. Time counts from the session's first pose."""
+    at = f"/{session.session_id}"
+    t_ns, poses = session.t_ns, session.poses
+    stream.log(at, UP_AXIS, static=True)
+    if not len(poses):
+        return
+    start = int(t_ns[0])
+    _log_path(stream, f"{at}/vio", session)
+    _log_curves(stream, at, t_ns - start, poses, frames, start)
+    _log_marks(stream, at, session, rejects, start)
+    size = float(np.clip(np.ptp(poses[:, :3, 3], axis=0).max() / 15, 0.05, 1.5))
+    cameras = poses_of(frames, "vio_cam")
+    shown = set(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_FRUSTA)).astype(int))
+    rows: list[Any] = list(frames.itertuples())
+    for i, (row, vio_T_cam) in enumerate(zip(rows, cameras, strict=True)):
+        if not np.isfinite(vio_T_cam).all():
+            continue
+        set_time(stream, row.t_ns - start)
+        image = decode_rgb(image_path(row.image).read_bytes(), _THUMBNAIL)
+        scale = image.shape[1] / row.width
+        small = pd.Series(
+            {
+                "fx": row.fx * scale,
+                "fy": row.fy * scale,
+                "cx": row.cx * scale,
+                "cy": row.cy * scale,
+                "width": image.shape[1],
+                "height": image.shape[0],
+            }
+        )
+        log_camera(stream, f"{at}/camera", vio_T_cam, small, VIO, size)
+        jpeg = cv2.imencode(".jpg", image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, _THUMBNAIL_QUALITY])[1]
+        stream.log(f"{at}/camera/image", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
+        if i in shown:
+            log_camera(stream, f"{at}/frames/{row.frame_id[-6:]}", vio_T_cam, small, NEUTRAL, size / 4, static=True)
+
+
+def _session_view(session_id: str) -> rrb.Container:
+    at = f"/{session_id}"
+    return rrb.Horizontal(
+        rrb.Spatial3DView(origin=at, name="VIO path and cameras"),
+        rrb.Vertical(
+            rrb.Spatial2DView(origin=f"{at}/camera/image", name="image"),
+            rrb.TimeSeriesView(origin=f"{at}/speed", name="speed, m/s"),
+            rrb.TimeSeriesView(origin=f"{at}/sharpness", name="sharpness"),
+            rrb.TextLogView(origin=f"{at}/log", name="left out, and jumps"),
+            row_shares=[3, 1.5, 1.5, 1.5],
+        ),
+        column_shares=[3, 2],
+        name=session_id,
+    )
+
+
+def _log_path(stream: rr.RecordingStream, at: str, session: Session) -> None:
+    """The VIO path, in one strip for each stretch of the same tracking state."""
+    positions = session.poses[:, :3, 3]
+    states = np.array([f.tracking for f in session.frames])
+    borders = [0, *(np.flatnonzero(states[1:] != states[:-1]) + 1), len(states)]
+    # A strip reaches to the first pose of the next one, so that the path has no gaps.
+    strips = [positions[a : b + 1] for a, b in pairwise(borders)]
+    colours = [_TRACKING_COLOURS[states[a]] for a in borders[:-1]]
+    stream.log(at, rr.LineStrips3D(strips, colors=colours, radii=rr.Radius.ui_points(1.5)), static=True)
+
+
+def _log_curves(
+    stream: rr.RecordingStream, at: str, since_ns: Array, poses: Array, frames: pd.DataFrame, start: int
+) -> None:
+    if len(poses) > 1:
+        dt = np.diff(since_ns) * 1e-9
+        speed = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / dt
+        _log_curve(stream, f"{at}/speed", since_ns[1:], speed, "speed", VIO)
+    if len(frames):
+        t_ns = frames["t_ns"].to_numpy() - start
+        _log_curve(stream, f"{at}/sharpness", t_ns, frames["sharpness"].to_numpy(), "sharpness", NEUTRAL)
+
+
+def _log_curve(
+    stream: rr.RecordingStream, at: str, t_ns: Array, values: Array, name: str, colour: tuple[int, int, int]
+) -> None:
+    stream.log(at, rr.SeriesLines(names=name, colors=colour), static=True)
+    times = rr.TimeColumn(TIMELINE, duration=t_ns.astype("timedelta64[ns]"))
+    stream.send_columns(at, indexes=[times], columns=rr.Scalars.columns(scalars=values))
+
+
+def _log_marks(stream: rr.RecordingStream, at: str, session: Session, rejects: Sequence[Reject], start: int) -> None:
+    """Rejects and jumps: a point where the phone was, and a line in the log."""
+    t_ns, positions = session.t_ns, session.poses[:, :3, 3]
+    places, labels = [], []
+    for reject in rejects:
+        t = start if reject.t_ns is None else reject.t_ns
+        set_time(stream, t - start)
+        line = f"{printable(reject.source)}: {printable(reject.reason)}"
+        stream.log(f"{at}/log/rejects", rr.TextLog(line, level="WARN"))
+        if reject.t_ns is not None and t_ns[0] <= t <= t_ns[-1]:
+            places.append(positions[np.searchsorted(t_ns, t)])
+            labels.append(printable(reject.reason))
+    if places:
+        stream.log(
+            f"{at}/rejects",
+            rr.Points3D(places, colors=REJECTED, radii=rr.Radius.ui_points(5), labels=labels, show_labels=False),
+            static=True,
+        )
+    if session.jumps:
+        ends = [min(int(np.searchsorted(t_ns, jump.t_ns)), len(t_ns) - 1) for jump, _ in session.jumps]
+        texts = [f"jump {j.jump_m:.2f} m, {j.jump_deg:.1f} deg" for j, _ in session.jumps]
+        stream.log(
+            f"{at}/jumps",
+            rr.Points3D(positions[ends], colors=REJECTED, radii=rr.Radius.ui_points(6), labels=texts),
+            static=True,
+        )
+        for (jump, splits), text in zip(session.jumps, texts, strict=True):
+            set_time(stream, jump.t_ns - start)
+            stream.log(f"{at}/log/jumps", rr.TextLog(text + (", session split" if splits else ""), level="WARN"))

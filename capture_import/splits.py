@@ -1,0 +1,155 @@
+"""Training, validation and test: by session where there are several, by time where there is one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from artefacts import UserError
+from artefacts.settings import SplitRules
+
+# Frames of one walk this close in time show the same place from the same side: testing on one after training on the
+# other measures memory.
+LEAK_S = 5.0
+
+
+@dataclass(frozen=True)
+class Split:
+    """The split of each frame ("train", "val", "test", or "unused"), how it was made, and how near test frames come in
+    time to training frames of the same recording (None where no recording has both)."""
+
+    of_frame: NDArray[np.object_]
+    how: str
+    leak_s: float | None
+
+
+def split_frames(frames: pd.DataFrame, rules: SplitRules, by_time: bool) -> Split:
+    """Split frames (columns session_id, recording, said, t_ns; sorted by session and time).
+
+    Sessions are split as `rules` lists them; else as a public data set says (`said`), or by their names where these
+    begin with train and test; else the last
+    sessions, about `test_fraction` of the frames, are for testing. A single recording, or any with `by_time`, is split
+    in time: its last `test_fraction` is for testing. Validation is a block of each training walk, at another place in
+    each; in a walk split in time it's the block before the test frames, at least five seconds where the walk allows,
+    and so keeps training and test apart.
+
+    UserError for unknown or doubly listed sessions, or for listed ones that leak.
+    """
+    recordings = sorted(frames["recording"].unique())
+    listed = rules.test is not None or rules.train is not None
+    if listed:
+        of_session, how = _listed(frames, rules), "listed in the scene's config"
+    elif by_time or len(recordings) == 1:
+        split = np.full(len(frames), "train", dtype=object)
+        for recording in recordings:
+            rows = np.flatnonzero(frames["recording"] == recording)
+            split[rows] = _time_split(frames["t_ns"].to_numpy()[rows], rules)
+        return Split(split, "by time within each recording", leak_seconds(frames, split))
+    else:
+        of_session, how = _as_said(frames) or _by_name(frames) or _by_fraction(frames, rules.test_fraction)
+    split = frames["session_id"].map(of_session).to_numpy(dtype=object)
+    _hold_out(frames, split, rules.val_fraction)
+    leak = leak_seconds(frames, split)
+    if leak is not None and leak < LEAK_S and not rules.allow_leak:
+        raise UserError(
+            "test frames are too close in time to training frames of the same recording",
+            where="[split] of the scene's config",
+            expected=f"at least {LEAK_S:g} s",
+            found=f"{leak:.2f} s",
+            do="put whole recordings on one side, or set allow_leak = true in [split]",
+        )
+    return Split(split, how, leak)
+
+
+def leak_seconds(frames: pd.DataFrame, split: NDArray[np.object_]) -> float | None:
+    """The shortest time between a test and a training frame of the same recording; None where none has both."""
+    shortest = None
+    for rows in frames.groupby("recording", sort=True).indices.values():
+        t_s = frames["t_ns"].to_numpy()[rows] * 1e-9
+        train, test = np.sort(t_s[split[rows] == "train"]), t_s[split[rows] == "test"]
+        if len(train) and len(test):
+            after = np.searchsorted(train, test)
+            gaps = np.minimum(
+                np.abs(test - train[np.minimum(after, len(train) - 1)]), np.abs(test - train[np.maximum(after - 1, 0)])
+            )
+            shortest = min(float(gaps.min()), np.inf if shortest is None else shortest)
+    return shortest
+
+
+def _listed(frames: pd.DataFrame, rules: SplitRules) -> dict[str, str]:
+    names = {s: {s, r} for s, r in zip(frames["session_id"], frames["recording"], strict=True)}
+    known = set().union(*names.values())
+    test, train = set(rules.test or []), set(rules.train or [])
+    for name in sorted(test | train):
+        if name not in known or (name in test and name in train):
+            raise UserError(
+                "a session is listed for training and testing" if name in known else "there is no such session",
+                where="[split] of the scene's config",
+                found=name,
+                expected="one of " + ", ".join(sorted(known)),
+            )
+    # One list alone says what the other one is; with both, what neither names is left out.
+    rest = "unused" if test and train else ("train" if test else "test")
+    # A part's own name goes before its recording's.
+    return {s: _side(s, test, train) or _side(r, test, train) or rest for s, r in _pairs(frames)}
+
+
+def _side(name: str, test: set[str], train: set[str]) -> str | None:
+    return "test" if name in test else "train" if name in train else None
+
+
+def _as_said(frames: pd.DataFrame) -> tuple[dict[str, str], str] | None:
+    said = dict(zip(frames["session_id"], frames["said"], strict=True))
+    complete = {"train", "test"} == set(said.values())
+    return (said, "as the data set says") if complete else None
+
+
+def _by_name(frames: pd.DataFrame) -> tuple[dict[str, str], str] | None:
+    sides = {s: "test" if r.lower().startswith("test") else "train" for s, r in _pairs(frames)}
+    recordings = [r.lower() for _, r in _pairs(frames)]
+    named = all(r.startswith(("train", "test")) for r in recordings)
+    return (sides, "by the sessions' names") if named and len(set(sides.values())) == 2 else None
+
+
+def _by_fraction(frames: pd.DataFrame, fraction: float) -> tuple[dict[str, str], str]:
+    counts = frames["recording"].value_counts().sort_index()
+    # The number of recordings from the end whose frames come nearest to the fraction; one is left to train on.
+    shares = np.cumsum(counts.to_numpy()[::-1])[:-1] / len(frames)
+    taken = int(np.argmin(np.abs(shares - fraction))) + 1
+    test = set(counts.index[-taken:])
+    return {s: "test" if r in test else "train" for s, r in _pairs(frames)}, f"the last {taken} of the recordings"
+
+
+def _pairs(frames: pd.DataFrame) -> Sequence[tuple[str, str]]:
+    unique = frames[["session_id", "recording"]].drop_duplicates()
+    return list(zip(unique["session_id"], unique["recording"], strict=True))
+
+
+def _time_split(t_ns: NDArray[np.int64], rules: SplitRules) -> NDArray[np.object_]:
+    """The split of one recording's frames in time."""
+    start, end = int(t_ns.min()), int(t_ns.max())
+    test_from = end - (end - start) * rules.test_fraction
+    split = np.full(len(t_ns), "train", dtype=object)
+    if rules.val_fraction > 0:
+        block = (test_from - start) * rules.val_fraction
+        # The held-out block is the gap as well, unless that would take more than a quarter of the training walk.
+        block = max(block, min(LEAK_S * 1e9, (test_from - start) / 4))
+        split[t_ns > test_from - block] = "val"
+    split[t_ns > test_from] = "test"
+    return split
+
+
+def _hold_out(frames: pd.DataFrame, split: NDArray[np.object_], fraction: float) -> None:
+    """Turn a contiguous block of each training session into validation, in place; the block wanders from session to
+    session, so that what one walk hides another shows."""
+    if fraction == 0:
+        return
+    sessions = [s for s in frames["session_id"].unique() if (split[frames["session_id"] == s] == "train").any()]
+    for k, session in enumerate(sessions):
+        rows = np.flatnonzero((frames["session_id"] == session).to_numpy())
+        size = round(len(rows) * fraction)
+        centre = (k + 0.5) / len(sessions) * len(rows)
+        first = int(np.clip(round(centre - size / 2), 0, len(rows) - size))
+        split[rows[first : first + size]] = "val"

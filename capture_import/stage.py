@@ -1,0 +1,241 @@
+"""The import stage: any phone capture to frames, poses, rejects and splits."""
+
+import dataclasses
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from artefacts import Stage, StageRun, UserError
+from artefacts.stage import write_json
+from capture_import.capture import RawFrame, Reject
+from capture_import.clock import NOTICEABLE_S, check_clock
+from capture_import.convention import SUSPECT, check_convention
+from capture_import.discovery import Found, find_recordings
+from capture_import.images import ImageCheck
+from capture_import.intake import Image, Intake, Scan, Session, scan_all, take_in
+from capture_import.placing import place_images
+from capture_import.recording import blueprint, log_session
+from capture_import.settings import ImportSettings
+from capture_import.splits import LEAK_S, Split, split_frames
+from capture_import.tables import (
+    frames_table,
+    jumps_table,
+    printable,
+    reference_table,
+    rejects_table,
+    sampled,
+    sessions_table,
+    vio_table,
+)
+from capture_import.upright import quarters_to_upright, turned
+
+
+def run(r: StageRun[ImportSettings]) -> None:
+    """Import the scene's captures."""
+    root = r.captures.resolve()
+    with r.step("images"):
+        unpacked = r.scratch / "unpacked"
+        unpacked.mkdir(exist_ok=True)
+        found = find_recordings(root, unpacked, r.settings.limits, r.settings.format)
+        roots = [root, unpacked.resolve()]
+        intakes = [_take_in(r, recording, roots) for recording in found]
+    sessions = [session for intake in intakes for session in intake.sessions]
+    rejects = [reject for intake in intakes for reject in intake.rejects]
+    _refuse_same_ids(sessions, root)
+    _refuse_empty(sessions, rejects, root)
+    if r.settings.check_convention:
+        with r.step("convention check"):
+            _check_conventions(r, intakes, roots)
+
+    quarters = {s.session_id: quarters_to_upright(s) if r.settings.upright else 0 for s in sessions}
+    sessions = [turned(s, quarters[s.session_id]) for s in sessions]
+    with r.step("tables"):
+        kept = _sample(r, sessions)
+        parts = []
+        for session in sessions:
+            if own := kept[session.session_id]:
+                places = place_images(
+                    own,
+                    session.session_id,
+                    root,
+                    r.work,
+                    r.settings.images,
+                    quarters[session.session_id],
+                    r.settings.limits,
+                )
+                parts.append(frames_table(session, own, places))
+        frames = pd.concat(parts, ignore_index=True)
+        split = split_frames(frames, r.scene.split, r.settings.split_by == "time")
+        frames["split"] = split.of_frame
+        frames = frames[frames["split"] != "unused"].reset_index(drop=True)
+        table = sessions_table(sessions, frames)
+        r.write("frames", frames.drop(columns=["recording", "said"]))
+        r.write("sessions", table)
+        r.write("rejects", rejects_table(rejects))
+        r.write("jumps", jumps_table(sessions))
+        by_session = {s.session_id: frames[frames["session_id"] == s.session_id] for s in sessions}
+        reference = [reference_table(s, by_session[s.session_id]) for s in sessions]
+        r.write("reference", pd.concat(reference, ignore_index=True))
+        r.write("vio", pd.concat([vio_table(s) for s in sessions], ignore_index=True))
+    _report(r, sessions, frames, table, rejects, split)
+
+    with r.step("recording"), r.recording(blueprint([s.session_id for s in sessions])) as stream:
+        for session in r.track(sessions, "writing the recording"):
+            left_out = [reject for reject in rejects if reject.session_id == session.recording.session_id]
+            log_session(stream, session, by_session[session.session_id], left_out, _image_path(r.work, root))
+
+
+def _image_path(work: Path, root: Path) -> Callable[[str], Path]:
+    """Where the image of a `frames.image` entry is while the artefact isn't finished."""
+    return lambda entry: work / entry.removeprefix("import:") if entry.startswith("import:") else root / entry
+
+
+def _take_in(r: StageRun[ImportSettings], found: Found, roots: Sequence[Path]) -> Intake:
+    raw = found.read(r.settings.limits)
+    for note in raw.notes:
+        r.say(f"{raw.session_id}: {note}")
+    return take_in(raw, r.settings, _remembered(r, found.session_id, scan_all(roots, r.settings.limits)))
+
+
+def _remembered(r: StageRun[ImportSettings], session_id: str, scan: Scan) -> Scan:
+    """`scan`, with a finished recording's result kept in scratch: the safe point of a killed run."""
+    path = r.scratch / f"{session_id}.json"
+
+    def remembered(frames: list[RawFrame]) -> Iterable[ImageCheck | str]:
+        if path.is_file():
+            return [e if isinstance(e, str) else ImageCheck(**e) for e in json.loads(path.read_text())]
+        results = list(r.track(scan(frames), f"{session_id}: checking images", len(frames)))
+        write_json(path, [e if isinstance(e, str) else dataclasses.asdict(e) for e in results])
+        return results
+
+    return remembered
+
+
+def _check_conventions(r: StageRun[ImportSettings], intakes: Sequence[Intake], roots: Sequence[Path]) -> None:
+    """Hold each recording's longest session against its images: poses, intrinsics and clock.
+
+    UserError where another convention fits; a clock that is off is told.
+    """
+    lowest = None
+    offsets = []
+    for intake in r.track(intakes, "checking poses against images"):
+        session = max(intake.sessions, key=lambda s: len(s.images))
+        check = check_convention(session, roots, r.settings.limits)
+        if check.contradicted:
+            raise UserError(
+                "the poses don't fit the images as their format declares them",
+                where=session.recording.folder,
+                expected=f"matched points that fit (they're {check.declared:.0%} in {check.pairs} pairs of images)",
+                found=f"{check.other_share:.0%} fit where {check.contradicted}",
+                do="look whether another app or version wrote this; check_convention = false in [import] skips this",
+            )
+        if check.pairs and check.declared < SUSPECT:
+            r.say(
+                f"warning: {session.session_id}: only {check.declared:.0%} of matched points fit the poses; no usual "
+                "mistake explains it"
+            )
+        if check.pairs:
+            lowest = check.declared if lowest is None else min(lowest, check.declared)
+        clock = check_clock(session, roots, r.settings.limits)
+        if clock.offset_s is not None:
+            offsets.append(clock.offset_s)
+            if abs(clock.offset_s) > NOTICEABLE_S:
+                r.say(
+                    f"warning: {session.session_id}: images fit the poses {clock.offset_s:+.3f} s from their stated "
+                    f"times (correlation {clock.correlation:.2f})"
+                )
+    r.figure("convention_fit_lowest", lowest)
+    r.figure("clock_offset_s", max(offsets, key=abs) if offsets else None)
+
+
+def _sample(r: StageRun[ImportSettings], sessions: Sequence[Session]) -> dict[str, list[Image]]:
+    kept = {s.session_id: sampled(s, r.settings) for s in sessions}
+    count, images = sum(map(len, kept.values())), sum(len(s.images) for s in sessions)
+    if count < min(r.settings.min_frames, images):
+        r.say(f"sampling would keep {count} of {images} images, fewer than {r.settings.min_frames}: all are kept")
+        return {s.session_id: s.images for s in sessions}
+    return kept
+
+
+def _refuse_same_ids(sessions: Sequence[Session], root: Path) -> None:
+    ids = [session.session_id for session in sessions]
+    if same := sorted({i for i in ids if ids.count(i) > 1}):
+        raise UserError("two recordings have the same name", where=root, found=same[0], do="rename one of them")
+
+
+def _refuse_empty(sessions: Sequence[Session], rejects: Sequence[Reject], root: Path) -> None:
+    if any(s.images for s in sessions):
+        return
+    poses = sum(len(s.frames) for s in sessions)
+    reasons = ", ".join(f"{n} x {printable(reason)}" for reason, n in _most_common(rejects)) or "no images at all"
+    raise UserError(
+        "the capture holds no usable image",
+        where=root,
+        found=f"{poses} sound poses; {reasons}",
+        expected="images with intrinsics and poses",
+        do=f"python -m capture_import inspect {root}",
+    )
+
+
+def _most_common(rejects: Sequence[Reject]) -> Iterator[tuple[str, int]]:
+    counts = pd.Series([reject.reason for reject in rejects], dtype=object).value_counts()
+    yield from counts.head(3).items()  # type: ignore[misc]
+
+
+def _report(
+    r: StageRun[ImportSettings],
+    sessions: Sequence[Session],
+    frames: pd.DataFrame,
+    table: pd.DataFrame,
+    rejects: Sequence[Reject],
+    split: Split,
+) -> None:
+    images = sum(len(s.images) for s in sessions)
+    for row in table.itertuples():
+        r.say(
+            f"{row.session_id}: {row.poses} poses, {row.images} images, {row.frames} kept, "
+            f"{row.path_m:.1f} m in {row.duration_s:.0f} s ({row.split})"
+        )
+    if rejects:
+        reasons = "; ".join(f"{n} x {printable(reason)}" for reason, n in _most_common(rejects))
+        r.say(f"{len(rejects)} rows left out: {reasons} (all in rejects.parquet)")
+    cuts = sum(splits for s in sessions for _, splits in s.jumps)
+    jumps = sum(len(s.jumps) for s in sessions)
+    if jumps:
+        r.say(f"VIO jumps: {jumps}, of which {cuts} split a session")
+    if split.leak_s is not None and split.leak_s < LEAK_S:
+        r.say(
+            f"warning: test frames are {split.leak_s:.1f} s from training frames of the same walk (5 s or more are "
+            "needed): accuracy on this split says nothing about new walks"
+        )
+    counts = frames["split"].value_counts()
+    figures: dict[str, float | int | str | None] = {
+        "recordings": table["recording"].nunique(),
+        "sessions": len(sessions),
+        "poses": int(table["poses"].sum()),
+        "images": images,
+        "frames": len(frames),
+        **{f"frames_{name}": int(counts.get(name, 0)) for name in ("train", "val", "test")},
+        "not_sampled": images - len(frames),
+        "rejects": len(rejects),
+        "jumps": jumps,
+        "jumps_that_split": int(cuts),
+        "path_m": float(table["path_m"].sum()),
+        "split": split.how,
+        "leak_s": split.leak_s,
+    }
+    for name, value in figures.items():
+        r.figure(name, value)
+
+
+STAGE = Stage(
+    name="import",
+    version=1,
+    settings=ImportSettings,
+    needs=(),
+    run=run,
+    help="Import: phone captures to frames with intrinsics and VIO poses.",
+    reads_captures=True,
+)

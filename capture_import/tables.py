@@ -1,0 +1,158 @@
+"""The import stage's tables from its sessions."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from artefacts.tables import pose_frame
+from capture_import.capture import Reject
+from capture_import.health import gravity_of
+from capture_import.intake import Image, Session, path_length
+from capture_import.placing import Placed
+from capture_import.sampling import sample_motion, sample_rate
+from capture_import.settings import ImportSettings
+from geometry.poses import Array
+
+
+def sampled(session: Session, settings: ImportSettings) -> list[Image]:
+    """The session's images that its sampling keeps."""
+    images = session.images
+    if not images or settings.sampling == "all":
+        return images
+    sharpness = np.array([i.check.sharpness for i in images])
+    if settings.sampling == "rate":
+        t_ns = np.array([i.frame.t_ns for i in images], dtype=np.int64)
+        kept = sample_rate(t_ns, sharpness, settings.rate_hz)
+    else:
+        kept = sample_motion(_poses(images), sharpness, settings.step_m, settings.step_deg)
+    return [images[i] for i in kept]
+
+
+def frames_table(session: Session, kept: Sequence[Image], places: Sequence[Placed]) -> pd.DataFrame:
+    """Rows of `frames`, all but the split; and what the split is made from: the recording's name in `recording`, and
+    what a public data set says it's for in `said`."""
+    raw = session.recording
+    rows = []
+    for image, place in zip(kept, places, strict=True):
+        camera = image.frame.intrinsics
+        assert camera is not None  # health rejects images without
+        exposure = image.frame.exposure_s
+        rows.append(
+            {
+                "frame_id": f"{session.session_id}/{image.frame.number:06d}",
+                "session_id": session.session_id,
+                "recording": raw.session_id,
+                "said": raw.split,
+                "t_ns": image.frame.t_ns,
+                "clock": raw.clock,
+                "image": place.entry,
+                "image_sha256": place.sha256,
+                "width": image.check.width,
+                "height": image.check.height,
+                "fx": camera.fx,
+                "fy": camera.fy,
+                "cx": camera.cx,
+                "cy": camera.cy,
+                "distortion": list(camera.distortion),
+                "tracking": image.frame.tracking,
+                "sharpness": image.check.sharpness,
+                "exposure_s": math.nan if exposure is None else exposure,
+            }
+        )
+    poses = _poses(kept)
+    gravity = gravity_of(poses) if raw.gravity_aligned else np.full((len(kept), 3), np.nan)
+    if raw.poses_are == "reference":
+        poses = np.full_like(poses, np.nan)
+    return pd.concat(
+        [
+            pd.DataFrame(rows),
+            pose_frame("vio_cam", poses),
+            pd.DataFrame(gravity, columns=["gravity_x", "gravity_y", "gravity_z"]),
+        ],
+        axis=1,
+    )
+
+
+def reference_table(session: Session, frames: pd.DataFrame) -> pd.DataFrame:
+    """Rows of `reference` for a session's rows of `frames`: none where the poses are the phone's."""
+    if session.recording.poses_are == "vio":
+        frames = frames.iloc[:0]
+    pose_of = {f"{session.session_id}/{i.frame.number:06d}": i.frame.vio_T_cam for i in session.images}
+    poses = np.array([pose_of[frame_id] for frame_id in frames["frame_id"]], dtype=float).reshape(-1, 4, 4)
+    keys = frames[["frame_id", "session_id", "t_ns"]].reset_index(drop=True)
+    return pd.concat([keys, pose_frame("map_cam", poses)], axis=1)
+
+
+def sessions_table(sessions: Sequence[Session], frames: pd.DataFrame) -> pd.DataFrame:
+    """One row a session; `frames` is the frames table with its splits."""
+    rows = []
+    for session in sessions:
+        own = frames[frames["session_id"] == session.session_id]
+        t_ns = session.t_ns
+        rows.append(
+            {
+                "session_id": session.session_id,
+                "recording": session.recording.session_id,
+                "format": session.recording.format,
+                "device": session.recording.device,
+                "clock": session.recording.clock,
+                "duration_s": float(t_ns[-1] - t_ns[0]) * 1e-9 if len(t_ns) else 0.0,
+                "path_m": path_length(session),
+                "poses": len(session.frames),
+                "images": len(session.images),
+                "frames": len(own),
+                "split": _session_split(set(own["split"])),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def rejects_table(rejects: Sequence[Reject]) -> pd.DataFrame:
+    """Rows of `rejects`; names that aren't UTF-8 are shown with their bytes escaped."""
+    return pd.DataFrame(
+        {
+            "session_id": [r.session_id for r in rejects],
+            "source": [printable(r.source) for r in rejects],
+            "t_ns": pd.array([r.t_ns for r in rejects], dtype="Int64"),
+            "reason": [printable(r.reason) for r in rejects],
+        }
+    )
+
+
+def jumps_table(sessions: Sequence[Session]) -> pd.DataFrame:
+    """Rows of `jumps`."""
+    rows = [(s.session_id, j.t_ns, j.dt_s, j.jump_m, j.jump_deg, splits) for s in sessions for j, splits in s.jumps]
+    return pd.DataFrame(rows, columns=["session_id", "t_ns", "dt_s", "jump_m", "jump_deg", "splits"])
+
+
+def vio_table(session: Session) -> pd.DataFrame:
+    """Rows of `vio`: none where the poses aren't the phone's."""
+    frames = session.frames if session.recording.poses_are == "vio" else []
+    columns = pd.DataFrame(
+        {
+            "session_id": [session.session_id] * len(frames),
+            "t_ns": np.array([f.t_ns for f in frames], dtype=np.int64),
+            "tracking": [f.tracking for f in frames],
+        }
+    )
+    poses = session.poses if frames else np.empty((0, 4, 4))
+    return pd.concat([columns, pose_frame("vio_cam", poses)], axis=1)
+
+
+def printable(text: str) -> str:
+    """`text` with bytes that aren't UTF-8 escaped."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+
+def _session_split(splits: set[str]) -> str:
+    if not splits:
+        return "unused"
+    if splits <= {"train", "val"}:
+        return "train"
+    return "test" if splits == {"test"} else "mixed"
+
+
+def _poses(images: Sequence[Image]) -> Array:
+    return np.array([i.frame.vio_T_cam for i in images], dtype=float).reshape(-1, 4, 4)

@@ -1,0 +1,60 @@
+"""Turning a session's images upright: pixels, intrinsics and poses together."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture_import.capture import Intrinsics, RawFrame
+from capture_import.health import gravity_of
+from capture_import.intake import Image, Session
+from geometry.poses import Array, inverse, make_pose
+
+# A quarter turn clockwise: what was right is down, what was down is left.
+_CLOCKWISE: Array = make_pose([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0, 0, 0])
+
+
+def quarters_to_upright(session: Session) -> int:
+    """How many quarter turns clockwise (0 to 3) put gravity down in most of a session's images.
+
+    One answer a session, so that its images and all its poses keep one set of axes. 0 where up isn't known.
+    """
+    if not session.recording.gravity_aligned or not session.images:
+        return 0
+    poses = np.array([image.frame.vio_T_cam for image in session.images], dtype=float)
+    gravity = gravity_of(poses).sum(axis=0)
+    downs = [(np.linalg.matrix_power(_CLOCKWISE, k)[:3, :3] @ gravity)[1] for k in range(4)]
+    return int(np.argmax(downs))
+
+
+def turned(session: Session, quarters: int) -> Session:
+    """The session with camera axes, poses and intrinsics turned by quarters clockwise."""
+    if quarters == 0:
+        return session
+    frames = {id(frame): _turned_pose(frame, quarters) for frame in session.frames}
+    images = []
+    for image in session.images:
+        camera, width, height = image.frame.intrinsics, image.check.width, image.check.height
+        assert camera is not None  # intake keeps images with intrinsics
+        for _ in range(quarters):
+            camera, width, height = _turned_camera(camera, height), height, width
+        frame = replace(_turned_pose(image.frame, quarters), intrinsics=camera)
+        images.append(Image(frame, replace(image.check, width=width, height=height)))
+    return replace(session, frames=list(frames.values()), images=images)
+
+
+def turned_pixels(image: NDArray[np.uint8], quarters: int) -> NDArray[np.uint8]:
+    """An image (H, W, 3) turned by quarters clockwise."""
+    return np.ascontiguousarray(np.rot90(image, -quarters))
+
+
+def _turned_pose(frame: RawFrame, quarters: int) -> RawFrame:
+    assert frame.vio_T_cam is not None  # intake keeps rows with poses
+    return replace(frame, vio_T_cam=frame.vio_T_cam @ inverse(np.linalg.matrix_power(_CLOCKWISE, quarters)))
+
+
+def _turned_camera(camera: Intrinsics, height: int) -> Intrinsics:
+    """Intrinsics after a quarter turn clockwise of an image of this height: x becomes y, y becomes height - x."""
+    k1, k2, p1, p2, *rest = (*camera.distortion, 0.0, 0.0, 0.0, 0.0)[: max(4, len(camera.distortion))]
+    distortion = (k1, k2, p2, -p1, *rest) if camera.distortion else ()
+    return Intrinsics(camera.fy, camera.fx, height - camera.cy, camera.cx, camera.height, camera.width, distortion)

@@ -1,0 +1,137 @@
+"""Damage to a written capture, of the kinds that broken phones, tired disks and hostile people cause."""
+
+import os
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+Random = np.random.Generator
+
+_HOSTILE = (
+    b"NaN",
+    b"Infinity",
+    b"-1e400",
+    b"1e308",
+    b"null",
+    b"true",
+    b'"x"',
+    b"[]",
+    b"{}",
+    b"9" * 400,
+    b"-0",
+    b"",
+    b"\xff",
+    b"1e-320",
+    b"9223372036854775808",
+    b"[[1]]",
+    b'"../../../etc/passwd"',
+    b'"\\u0000"',
+    b"[" * 20000,
+)
+
+
+def _flip_bytes(path: Path, rng: Random) -> None:
+    data = bytearray(path.read_bytes())
+    for at in rng.integers(0, max(len(data), 1), rng.integers(1, 20)):
+        if data:
+            data[at] = rng.integers(0, 256)
+    path.write_bytes(data)
+
+
+def _truncate(path: Path, rng: Random) -> None:
+    data = path.read_bytes()
+    path.write_bytes(data[: rng.integers(0, len(data) + 1)])
+
+
+def _empty(path: Path, _: Random) -> None:
+    path.write_bytes(b"")
+
+
+def _delete(path: Path, _: Random) -> None:
+    path.unlink()
+
+
+def _junk(path: Path, rng: Random) -> None:
+    path.write_bytes(rng.bytes(int(rng.integers(1, 5000))))
+
+
+def _hostile_value(path: Path, rng: Random) -> None:
+    data = path.read_bytes()
+    numbers = list(re.finditer(rb"-?\d+\.?\d*(e-?\d+)?", data))
+    if numbers:
+        at = numbers[rng.integers(len(numbers))]
+        path.write_bytes(data[: at.start()] + _HOSTILE[rng.integers(len(_HOSTILE))] + data[at.end() :])
+
+
+def _rename_key(path: Path, rng: Random) -> None:
+    data = path.read_bytes()
+    keys = list(re.finditer(rb'"(\w+)":', data))
+    if keys:
+        at = keys[rng.integers(len(keys))]
+        path.write_bytes(data[: at.start()] + b'"other":' + data[at.end() :])
+
+
+def _shuffle_lines(path: Path, rng: Random) -> None:
+    lines = path.read_bytes().split(b"\n")
+    path.write_bytes(b"\n".join(lines[i] for i in rng.permutation(len(lines))))
+
+
+def _repeat_lines(path: Path, rng: Random) -> None:
+    lines = path.read_bytes().split(b"\n")
+    path.write_bytes(b"\n".join(lines[i] for i in rng.integers(0, len(lines), len(lines))))
+
+
+def _link_out(path: Path, _: Random) -> None:
+    path.unlink()
+    path.symlink_to("/etc/hostname")
+
+
+def _link_loop(path: Path, _: Random) -> None:
+    path.unlink()
+    path.symlink_to(path.name)
+
+
+def _folder(path: Path, _: Random) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def _pipe(path: Path, _: Random) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def _other_file(path: Path, rng: Random) -> None:
+    others = [p for p in sorted(path.parent.iterdir()) if p.is_file() and not p.is_symlink()]
+    shutil.copyfile(others[rng.integers(len(others))], path.with_name("copy"))
+    path.with_name("copy").replace(path)
+
+
+def _odd_name(path: Path, _: Random) -> None:
+    path.rename(os.fsdecode(os.fsencode(path) + b"\xff\n"))
+
+
+MUTATIONS: tuple[Callable[[Path, Random], None], ...] = (
+    _flip_bytes, _truncate, _empty, _delete, _junk, _hostile_value, _hostile_value, _hostile_value, _rename_key,
+    _shuffle_lines, _repeat_lines, _link_out, _link_loop, _folder, _pipe, _other_file, _odd_name,
+)  # fmt: skip
+
+
+def mutate(folder: Path, rng: Random) -> list[str]:
+    """Damage one to three files below `folder`; returns what was done."""
+    done = []
+    for _ in range(rng.integers(1, 4)):
+        files = [p for p in sorted(folder.rglob("*")) if p.is_file() and not p.is_symlink()]
+        # Logs are few and images many; half of the damage is to logs.
+        logs = [p for p in files if p.suffix not in (".jpg", ".png")]
+        chosen = logs if logs and rng.random() < 0.7 else files
+        if not chosen:
+            break
+        path = chosen[rng.integers(len(chosen))]
+        mutation = MUTATIONS[rng.integers(len(MUTATIONS))]
+        mutation(path, rng)
+        done.append(f"{mutation.__name__} {path.name}")
+    return done

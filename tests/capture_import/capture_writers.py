@@ -1,0 +1,331 @@
+"""A tiny walk, and writers that store it as each app would."""
+
+import json
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose, tq_from_pose
+
+WIDTH, HEIGHT = 96, 72
+
+
+@dataclass(frozen=True)
+class Walk:
+    """The truth that a written capture must read back to: OpenCV camera axes, world +y up."""
+
+    t_ns: np.ndarray
+    vio_T_cam: Array
+    camera: Array  # (N, 4): fx, fy, cx, cy
+    has_image: np.ndarray
+
+    def arkit(self) -> Array:
+        """The poses as ARKit writes them (N, 4, 4)."""
+        return self.vio_T_cam @ inverse(ARKIT_CAM_T_CAM)
+
+
+def make_walk(count: int = 24, rate_hz: float = 10.0, every: int = 2, seed: int = 0, start_s: float = 5000.0) -> Walk:
+    """A curved walk at about 1 m/s, the phone upright and looking around; an image at every `every`-th pose."""
+    rng = np.random.default_rng(seed)
+    s = np.arange(count) / rate_hz
+    positions = np.stack([2 * np.sin(0.5 * s), 1.4 + 0.02 * np.sin(6 * s), -0.9 * s], axis=-1)
+    yaw, pitch, roll = 0.4 * np.sin(0.7 * s), 0.1 * np.sin(1.3 * s) - 0.1, 0.05 * np.sin(s)
+    # Camera axes of a phone that looks along -z of the world: x right, y down, z forward.
+    upright = np.diag([1.0, -1.0, -1.0])
+    rotations = Rotation.from_euler("YXZ", np.stack([yaw, pitch, roll], axis=-1)).as_matrix() @ upright
+    camera = np.stack([np.full(count, 80.0), np.full(count, 80.0), np.full(count, 48.5), np.full(count, 35.5)], axis=-1)
+    camera += rng.uniform(-0.4, 0.4, (count, 1)) * [1, 1, 0.2, 0.2]
+    t_ns = np.round((start_s + s) * 1e9).astype(np.int64)
+    return Walk(t_ns, make_pose(rotations, positions), camera, np.arange(count) % every == 0)
+
+
+def image(index: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
+    """A textured image (H, W, 3) that differs from index to index."""
+    rng = np.random.default_rng(1000 + index)
+    coarse = rng.integers(0, 255, (height // 8 + 1, width // 8 + 1, 3), dtype=np.uint8)
+    return cv2.resize(coarse, (width, height), interpolation=cv2.INTER_NEAREST)
+
+
+def jpeg(index: int, width: int = WIDTH, height: int = HEIGHT) -> bytes:
+    return cv2.imencode(".jpg", image(index, width, height))[1].tobytes()
+
+
+def write_scanner_app(folder: Path, walk: Walk, private: bool = False) -> None:
+    """3D Scanner App, "All Data"."""
+    folder.mkdir(parents=True)
+    info = {"title": "a room", "appVersionString": "1.9.7"}
+    if private:
+        info |= {"latitude": 48.123456, "longitude": 11.654321}
+    (folder / "info.json").write_text(json.dumps(info))
+    for i, pose in enumerate(walk.arkit()):
+        fx, fy, cx, cy = walk.camera[i]
+        projection = np.zeros((4, 4))
+        projection[0, 0], projection[1, 1] = 2 * fx / WIDTH, 2 * fy / HEIGHT
+        row = {
+            "time": walk.t_ns[i] * 1e-9,
+            "frame_index": i,
+            "cameraPoseARFrame": pose.ravel().tolist(),
+            "intrinsics": [fx, 0, cx, 0, fy, cy, 0, 0, 1],
+            "projectionMatrix": projection.ravel().tolist(),
+            "exposureDuration": 0.01,
+        }
+        if private:
+            row |= {"latitude": 48.123456, "longitude": 11.654321}
+        (folder / f"frame_{i:05d}.json").write_text(json.dumps(row))
+        if walk.has_image[i]:
+            (folder / f"frame_{i:05d}.jpg").write_bytes(jpeg(i))
+
+
+def write_video(path: Path, indices: range, rate_hz: int = 10, start: int = 0, codec: str = "libx264") -> None:
+    """A video of the images with these indices; its first frame's time is `start` frames."""
+    with av.open(path, "w") as container:
+        stream = container.add_stream(codec, rate=rate_hz)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        stream.options = {"crf": "10"}
+        for n, index in enumerate(indices):
+            frame = av.VideoFrame.from_ndarray(image(index), format="bgr24")
+            frame.pts = n + start
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+
+
+def write_stray_scanner(folder: Path, walk: Walk, per_frame: bool = True) -> None:
+    """Stray Scanner: OpenCV camera axes, xyzw."""
+    folder.mkdir(parents=True)
+    t, q = tq_from_pose(walk.vio_T_cam)
+    names = ["timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw"] + ["fx", "fy", "cx", "cy"] * per_frame
+    lines = [", ".join(names)]
+    for i in range(len(t)):
+        values = [f"{walk.t_ns[i] * 1e-9:.9f}", f"{i:06d}", *map(repr, [*t[i].tolist(), *q[i].tolist()])]
+        lines.append(", ".join(values + [repr(float(v)) for v in walk.camera[i]] * per_frame))
+    (folder / "odometry.csv").write_text("\n".join(lines) + "\n")
+    fx, fy, cx, cy = walk.camera[-1]
+    (folder / "camera_matrix.csv").write_text(f"{fx}, 0.0, {cx}\n0.0, {fy}, {cy}\n0.0, 0.0, 1.0")
+    write_video(folder / "rgb.mp4", range(len(t)))
+
+
+def write_record3d(folder: Path, walk: Walk, archive: bool = False) -> None:
+    """Record3D: an exported folder, or an .r3d archive beside it."""
+    t, q = tq_from_pose(walk.arkit())
+    metadata = {
+        "w": WIDTH,
+        "h": HEIGHT,
+        "fps": 10,
+        "K": [80.0, 0, 0, 0, 80.0, 0, 48.5, 35.5, 1],
+        "poses": np.hstack([q, t]).tolist(),
+        "frameTimestamps": (walk.t_ns * 1e-9).tolist(),
+        "perFrameIntrinsicCoeffs": walk.camera.tolist(),
+    }
+    files = {"metadata" if archive else "metadata.json": json.dumps(metadata).encode()}
+    for i in np.flatnonzero(walk.has_image):
+        files[f"{'rgbd' if archive else 'rgb'}/{i}.jpg"] = jpeg(int(i))
+    _write(folder.with_suffix(".r3d") if archive else folder, files)
+
+
+def write_polycam(folder: Path, walk: Walk) -> None:
+    """Polycam raw."""
+    files = {}
+    for i, pose in enumerate(walk.arkit()):
+        fx, fy, cx, cy = walk.camera[i].tolist()
+        camera = {f"t_{r}{c}": pose[r, c] for r in range(3) for c in range(4)}
+        camera |= {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "width": WIDTH, "height": HEIGHT, "blur_score": 80.0}
+        name = walk.t_ns[i] // 1000
+        files[f"keyframes/cameras/{name}.json"] = json.dumps(camera).encode()
+        wrong = camera | {"t_03": 99.0}
+        files[f"keyframes/corrected_cameras/{name}.json"] = json.dumps(wrong).encode()
+        if walk.has_image[i]:
+            files[f"keyframes/images/{name}.jpg"] = jpeg(i)
+    _write(folder, files)
+
+
+def write_nerf_capture(folder: Path, walk: Walk) -> None:
+    """NeRFCapture: frames out of order, as the app writes them."""
+    rows, files = [], {}
+    for i in np.flatnonzero(walk.has_image):
+        fx, fy, cx, cy = walk.camera[i].tolist()
+        rows.append(
+            {
+                "file_path": f"images/{i}",
+                "transform_matrix": walk.arkit()[i].tolist(),
+                "timestamp": walk.t_ns[i] * 1e-9,
+                **{"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": WIDTH, "h": HEIGHT},
+            }
+        )
+        files[f"images/{i}.png"] = cv2.imencode(".png", image(int(i)))[1].tobytes()
+    files["transforms.json"] = json.dumps({"w": WIDTH, "h": HEIGHT, "frames": rows[::-1]}).encode()
+    _write(folder, files)
+
+
+def write_scan_capture(folder: Path, walk: Walk) -> None:
+    """ScanCapture: a row a pose, a frame every second pose."""
+    t, q = tq_from_pose(walk.arkit())
+    lines = ["# phone iOS 15", "# timestamp, status, tx, ty, tz, qx, qy, qz, qw, w, h, fx, fy, cx, cy, exposure"]
+    for i in range(len(t)):
+        values = [*t[i].tolist(), *q[i].tolist(), WIDTH, HEIGHT, *walk.camera[i].tolist()]
+        lines.append(", ".join([str(walk.t_ns[i] // 1000), "normal", *map(repr, values), "16000"]))
+    _write(folder, {"poses.txt": "\n".join(lines).encode()})
+    write_video(folder / "images.mp4", range(0, len(t), 2), rate_hz=5)
+
+
+def write_ios_logger(folder: Path, walk: Walk) -> None:
+    """ios_logger: quaternions w first, seconds since 1970."""
+    t, q = tq_from_pose(walk.arkit())
+    poses = [[walk.t_ns[i] * 1e-9, *t[i].tolist(), q[i, 3], *q[i, :3].tolist()] for i in range(len(t))]
+    frames = [[walk.t_ns[i] * 1e-9, n, *walk.camera[i].tolist()] for n, i in enumerate(range(0, len(t), 2))]
+    text = {
+        name: "\r\n".join(",".join(repr(float(v)) for v in row) for row in rows)
+        for name, rows in {"ARposes.txt": poses, "Frames.txt": frames}.items()
+    }
+    _write(folder, {name: content.encode() for name, content in text.items()})
+    write_video(folder / "Frames.m4v", range(0, len(t), 2), rate_hz=5)
+
+
+def write_spectacular_ai(folder: Path, walk: Walk) -> None:
+    """Spectacular AI: device axes, world +z up, video every second pose."""
+    device_T_cam = make_pose(Rotation.from_rotvec([0.3, -1.2, 0.5]).as_matrix(), [0.02, -0.01, 0.005])
+    zup_T_yup = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    t, q = tq_from_pose(zup_T_yup @ walk.vio_T_cam @ inverse(device_T_cam))
+    output, data = [], []
+    for i in range(len(t)):
+        time = walk.t_ns[i] * 1e-9
+        pose = {"position": dict(zip("xyz", t[i].tolist(), strict=True))}
+        pose["orientation"] = dict(zip("xyzw", q[i].tolist(), strict=True))
+        output.append({"time": time, "status": "TRACKING", **pose})
+        data.append({"time": time, "sensor": {"type": "gyroscope", "values": [0, 0, 0]}})
+        if i % 2 == 0:
+            fx, fy, cx, cy = walk.camera[i].tolist()
+            camera = {"focalLengthX": fx, "focalLengthY": fy, "principalPointX": cx, "principalPointY": cy}
+            data.append({"time": time, "number": i // 2, "frames": [{"cameraInd": 0, "cameraParameters": camera}]})
+    calibration = {"cameras": [{"model": "pinhole", "imuToCamera": inverse(device_T_cam).tolist()}]}
+    rows = {"output.jsonl": output, "data.jsonl": data, "calibration.json": [calibration]}
+    _write(folder, {name: "\n".join(map(json.dumps, content)).encode() for name, content in rows.items()})
+    write_video(folder / "data.mp4", range(0, len(t), 2), rate_hz=5)
+
+
+def write_frames_jsonl(folder: Path, walk: Walk) -> None:
+    """Our own format."""
+    rows: list[dict[str, object]] = [{"groundwalk": "frames", "version": 1, "device": "phone", "clock": "boot"}]
+    files = {}
+    for i, pose in enumerate(walk.vio_T_cam):
+        row: dict[str, object] = {"t_ns": int(walk.t_ns[i]), "vio_T_cam": pose.ravel().tolist(), "tracking": "normal"}
+        if walk.has_image[i]:
+            fx, fy, cx, cy = walk.camera[i].tolist()
+            row |= {"image": f"images/{i}.jpg", "fx": fx, "fy": fy, "cx": cx, "cy": cy}
+            row |= {"width": WIDTH, "height": HEIGHT}
+            files[f"images/{i}.jpg"] = jpeg(i)
+        rows.append(row)
+    files["frames.jsonl"] = "\n".join(map(json.dumps, rows)).encode()
+    _write(folder, files)
+
+
+def write_arkit_logger(folder: Path, walk: Walk) -> None:
+    """ARKit Data Logger: poses only."""
+    rows = [f"{walk.t_ns[i]} " + " ".join(map(repr, p[:3].ravel().tolist())) for i, p in enumerate(walk.arkit())]
+    _write(folder, {"ARKit_camera_pose.txt": "\n".join(["# Created at noon", *rows]).encode()})
+
+
+def write_arcore_logger(folder: Path, walk: Walk) -> None:
+    """ARCore Data Logger: poses only."""
+    t, q = tq_from_pose(walk.arkit())
+    rows = [f"{walk.t_ns[i]} " + " ".join(map(repr, [*q[i].tolist(), *t[i].tolist()])) for i in range(len(t))]
+    _write(folder, {"ARCore_sensor_pose.txt": "\n".join(["# Created at noon", *rows]).encode()})
+
+
+def write_invisible_map(folder: Path, walk: Walk) -> None:
+    """An invisible map's walk: poses only, column-major."""
+    poses = [
+        {"timestamp": walk.t_ns[i] * 1e-9, "pose": p.T.ravel().tolist(), "id": i} for i, p in enumerate(walk.arkit())
+    ]
+    _write(folder, {"walk.json": json.dumps({"map_id": "m", "pose_data": poses}).encode()})
+
+
+def write_arkit_scenes(folder: Path, walk: Walk) -> None:
+    """ARKitScenes raw: world-to-camera axis-angle in a world with +z up."""
+    zup_T_yup = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    cam_T_world = inverse(zup_T_yup @ walk.vio_T_cam)
+    vectors = Rotation.from_matrix(cam_T_world[:, :3, :3]).as_rotvec()
+    lines, files = [], {}
+    for i in range(len(vectors)):
+        time = f"{walk.t_ns[i] * 1e-9:.3f}"
+        lines.append(" ".join([time, *map(repr, [*vectors[i].tolist(), *cam_T_world[i, :3, 3].tolist()])]))
+        if walk.has_image[i]:
+            files[f"vga_wide/4711_{time}.png"] = cv2.imencode(".png", image(i))[1].tobytes()
+            numbers = " ".join(map(repr, walk.camera[i].tolist()))
+            files[f"vga_wide_intrinsics/4711_{time}.pincam"] = f"{WIDTH} {HEIGHT} {numbers}".encode()
+    files["lowres_wide.traj"] = "\n".join(lines).encode()
+    _write(folder, files)
+
+
+def write_seven_scenes(folder: Path, walk: Walk) -> None:
+    """7-Scenes: a sequence, with the scene's split beside it."""
+    files = {}
+    for i, pose in enumerate(walk.vio_T_cam):
+        files[f"frame-{i:06d}.pose.txt"] = "\n".join("\t".join(map(repr, row)) for row in pose.tolist()).encode()
+        if walk.has_image[i]:
+            files[f"frame-{i:06d}.color.png"] = cv2.imencode(".png", image(i, 640, 480))[1].tobytes()
+    _write(folder, files)
+
+
+def write_cambridge(folder: Path, walk: Walk) -> None:
+    """Cambridge Landmarks: world-to-camera quaternions, w first, and a VisualSFM model with focal lengths."""
+    _, q = tq_from_pose(inverse(walk.vio_T_cam))
+    rows, cameras, files = [], [], {}
+    for i in np.flatnonzero(walk.has_image):
+        name = f"{folder.name}/frame{i:05d}"
+        xyz = walk.vio_T_cam[i, :3, 3].tolist()
+        rows.append(f"{name}.png " + " ".join(map(repr, [*xyz, q[i, 3].item(), *q[i, :3].tolist()])))
+        cameras.append(f"{name}.jpg {walk.camera[i, 0].item()!r} 1 0 0 0 0 0 0 0 0")
+        files[f"{name}.png"] = cv2.imencode(".png", image(int(i)))[1].tobytes()
+    heads = "Visual Landmark Dataset V1\nImageFile, Camera Position [X Y Z W P Q R]\n\n"
+    files["dataset_train.txt"] = (heads + "\n".join(rows)).encode()
+    files["reconstruction.nvm"] = f"NVM_V3\n\n{len(cameras)}\n{chr(10).join(cameras)}".encode()
+    _write(folder.parent, files)
+
+
+def _write(place: Path, files: dict[str, bytes]) -> None:
+    """Write files into a folder, or into a zip archive where `place` has a suffix."""
+    if place.suffix in (".r3d", ".zip"):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with zipfile.ZipFile(place, "w") as archive:
+            for name, content in files.items():
+                archive.writestr(name, content)
+        return
+    for name, content in files.items():
+        path = place / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+
+
+@dataclass(frozen=True)
+class Written:
+    """A format's writer and what of a walk its files can hold."""
+
+    write: Callable[[Path, Walk], None]
+    images: bool = True
+    camera: bool = True  # each image's own intrinsics
+    clock: bool = True  # times to the microsecond
+
+
+WRITERS = {
+    "3d_scanner_app": Written(write_scanner_app),
+    "stray_scanner": Written(write_stray_scanner),
+    "record3d": Written(write_record3d),
+    "polycam": Written(write_polycam),
+    "nerf_capture": Written(write_nerf_capture),
+    "scan_capture": Written(write_scan_capture),
+    "ios_logger": Written(write_ios_logger),
+    "spectacular_ai": Written(write_spectacular_ai),
+    "frames_jsonl": Written(write_frames_jsonl),
+    "arkit_logger": Written(write_arkit_logger, images=False),
+    "arcore_logger": Written(write_arcore_logger, images=False),
+    "invisible_map": Written(write_invisible_map, images=False),
+    "arkit_scenes": Written(write_arkit_scenes),
+    "seven_scenes": Written(write_seven_scenes, camera=False, clock=False),
+    "cambridge": Written(write_cambridge, camera=False, clock=False),
+}

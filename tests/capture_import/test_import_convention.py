@@ -1,0 +1,145 @@
+"""The convention check: right poses pass, each usual mistake is named."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from artefacts import DataRoot, UserError, execute
+from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from capture_import.clock import check_clock
+from capture_import.convention import CONVENTIONS, check_convention
+from capture_import.discovery import find_recordings
+from capture_import.images import check_image
+from capture_import.intake import Image, Session, scan_all, take_in
+from capture_import.settings import ImportSettings
+from capture_import.stage import STAGE
+from geometry.poses import Array, interpolate, make_pose
+
+# What undoes a mistake, where it isn't the mistake itself.
+UNDONE_BY = {
+    "quaternions are w first, read as w last": "quaternions are w last, read as w first",
+    "image is turned by 90 degrees clockwise against the pose": "image is turned by 90 degrees counter-clockwise "
+    "against the pose",
+}
+
+
+def room(tmp_path: Path, count: int = 10, step_m: float = 0.12, pace: float = 1.0) -> Session:
+    """A walk along two textured walls at different depths, seen by a camera that looks around."""
+    rng = np.random.default_rng(3)
+    texture = cv2.resize(rng.integers(0, 255, (150, 150), dtype=np.uint8), (1200, 1200), interpolation=cv2.INTER_CUBIC)
+    texture = cv2.addWeighted(texture, 0.5, rng.integers(0, 255, texture.shape, dtype=np.uint8), 0.5, 0)
+    k = np.array([[300.0, 0, 165], [0, 300.0, 118], [0, 0, 1]])
+    images = []
+    for i in range(count):
+        at = pace * i
+        yaw, pitch, roll = 0.06 * np.sin(at), 0.05 * np.cos(2 * at), 0.3 + 0.05 * np.sin(3 * at)
+        rotation = cv2.Rodrigues(np.array([np.pi + pitch, yaw, 0.0]))[0] @ cv2.Rodrigues(np.array([0, 0, roll]))[0]
+        pose = make_pose(rotation, [step_m * i, 1.5 + step_m / 2 * np.sin(i), -step_m / 2 * i])
+        picture = np.zeros((240, 320), np.uint8)
+        for depth, left, right in ((-4.0, -3.0, 0.6), (-2.6, 0.6, 3.0)):
+            picture = np.maximum(picture, _wall(texture, k, pose, depth, left, right))
+        path = tmp_path / f"{i}.png"
+        cv2.imwrite(str(path), picture)
+        camera = Intrinsics(k[0, 0], k[1, 1], k[0, 2], k[1, 2])
+        frame = RawFrame(i, path.name, i * 10**8, pose, ImageFile(path), camera)
+        images.append(Image(frame, check_image(path.read_bytes(), 1.0)))
+    raw = RawSession("room", "test", "phone", "boot", tmp_path, [i.frame for i in images])
+    return Session("room", raw, [i.frame for i in images], images, [])
+
+
+def _wall(texture: np.ndarray, k: Array, world_T_cam: Array, depth: float, left: float, right: float) -> np.ndarray:
+    """A wall in the plane z = depth between two x, as the camera sees it."""
+    cam_R_world, centre = world_T_cam[:3, :3].T, world_T_cam[:3, 3]
+    per_px = 0.006
+    # Texture pixels to the world, then to the image.
+    plane = np.array([[per_px, 0, -3.0], [0, -per_px, 4.5], [0, 0, 1]])
+    world = np.array([[1, 0, 0], [0, 1, 0], [0, 0, depth]]) - np.outer(centre, [0, 0, 1])
+    columns = np.arange(texture.shape[1]) * per_px - 3.0
+    strip = np.where((columns >= left) & (columns < right), texture, 0).astype(np.uint8)
+    return cv2.warpPerspective(strip, k @ cam_R_world @ world @ plane, (320, 240), flags=cv2.INTER_AREA)
+
+
+def with_mistake(session: Session, name: str) -> Session:
+    change = dict(CONVENTIONS)[name]
+    images = []
+    for image in session.images:
+        camera = image.frame.intrinsics
+        assert camera is not None and image.frame.vio_T_cam is not None
+        pose, k = change((image.frame.vio_T_cam, np.array([camera.fx, camera.fy, camera.cx, camera.cy])))
+        frame = replace(image.frame, vio_T_cam=pose, intrinsics=Intrinsics.of(k.tolist()))
+        images.append(replace(image, frame=frame))
+    return replace(session, images=images)
+
+
+def test_right_poses_pass_and_mistakes_are_named(tmp_path: Path) -> None:
+    session = room(tmp_path)
+    right = check_convention(session, [tmp_path], Limits())
+    assert right.pairs >= 4 and right.declared > 0.9 and right.contradicted is None
+    for name in (
+        "camera y and z axes have the other sign (ARKit's or OpenGL's for OpenCV's, or back)",
+        "poses are world to camera",
+        "quaternions are w first, read as w last",
+        "image is turned by 90 degrees clockwise against the pose",
+    ):
+        wrong = check_convention(with_mistake(session, name), [tmp_path], Limits())
+        assert wrong.contradicted == UNDONE_BY.get(name, name)
+
+
+def test_images_without_parallax_tell_nothing(tmp_path: Path) -> None:
+    session = room(tmp_path)
+    still = replace(session, images=[session.images[0]] * 5)
+    check = check_convention(still, [tmp_path], Limits())
+    assert check.pairs == 0 and check.contradicted is None
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 0.12, -0.08])
+def test_a_clock_that_is_off_is_measured(tmp_path: Path, offset_s: float) -> None:
+    session = room(tmp_path, count=40, step_m=0.004, pace=0.3)
+    # Poses at four times the rate of the images, which are stamped too early by the offset.
+    poses = np.array([frame.vio_T_cam for frame in session.frames])
+    dense_ns = np.arange(0, int(session.t_ns[-1]), 25_000_000)
+    dense = [
+        RawFrame(i, "", int(t), pose)
+        for i, (t, pose) in enumerate(zip(dense_ns, interpolate(session.t_ns, poses, dense_ns), strict=True))
+    ]
+    stamped = [
+        replace(image, frame=replace(image.frame, t_ns=image.frame.t_ns - round(offset_s * 1e9)))
+        for image in session.images[5:-5]
+    ]
+    check = check_clock(replace(session, frames=dense, images=stamped), [tmp_path], Limits())
+    assert check.offset_s == pytest.approx(offset_s, abs=0.02)
+
+
+def test_import_stops_at_a_wrong_convention(tmp_path: Path, shared_captures: Path) -> None:
+    folder = tmp_path / "captures" / "chair" / "walk"
+    folder.mkdir(parents=True)
+    for path in (shared_captures / "chair" / "chair_scan").glob("frame_*"):
+        if path.suffix == ".jpg":
+            (folder / path.name).write_bytes(path.read_bytes())
+            continue
+        row = json.loads(path.read_text())
+        pose = np.reshape(row["cameraPoseARFrame"], (4, 4)) @ np.diag([1.0, -1.0, -1.0, 1.0])
+        (folder / path.name).write_text(json.dumps(row | {"cameraPoseARFrame": pose.ravel().tolist()}))
+    with pytest.raises(UserError, match=r"(?s)don't fit the images.*y and z axes have the other sign"):
+        execute(STAGE, "chair", "tiny", DataRoot(tmp_path))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("capture", ["chair", "corridor"])
+def test_every_mistake_is_found_in_real_captures(shared_captures: Path, tmp_path: Path, capture: str) -> None:
+    root = (shared_captures / capture).resolve()
+    (found,) = find_recordings(root, tmp_path, Limits())
+    raw = found.read(Limits())
+    (session,) = take_in(raw, ImportSettings(), scan_all([root], Limits())).sessions
+    right = check_convention(session, [root], Limits())
+    assert right.declared > 0.85 and right.contradicted is None
+    for name, _ in CONVENTIONS[1:]:
+        wrong = check_convention(with_mistake(session, name), [root], Limits())
+        assert wrong.contradicted is not None, name
+        # The one that was found leads back to the right poses.
+        mended = check_convention(with_mistake(with_mistake(session, name), wrong.contradicted), [root], Limits())
+        assert mended.declared > 0.85, name

@@ -1,0 +1,153 @@
+"""Each format: written from a walk, read back to the same walk."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from capture_writers import (
+    HEIGHT,
+    WIDTH,
+    WRITERS,
+    image,
+    make_walk,
+    write_cambridge,
+    write_record3d,
+    write_seven_scenes,
+    write_stray_scanner,
+    write_video,
+)
+
+from artefacts import DataRoot, UserError, execute
+from capture_import.capture import Limits
+from capture_import.discovery import Found, find_recordings
+from capture_import.formats import formats
+from capture_import.images import decode_rgb
+from capture_import.intake import Intake, scan_all, take_in
+from capture_import.settings import ImportSettings
+from capture_import.stage import STAGE
+from geometry.poses import relative, rotation_angle
+
+
+def find_one(root: Path) -> Found:
+    found = find_recordings(root, root.parent / "unpacked", Limits())
+    assert len(found) == 1
+    return found[0]
+
+
+def take(root: Path) -> Intake:
+    settings = ImportSettings()
+    raw = find_one(root).read(Limits())
+    return take_in(raw, settings, scan_all([root.resolve(), root.parent / "unpacked"], Limits()))
+
+
+def test_every_format_has_a_writer() -> None:
+    assert {f.name for f in formats()} == WRITERS.keys()
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_written_walk_reads_back_the_same(tmp_path: Path, name: str) -> None:
+    walk, writer = make_walk(24), WRITERS[name]
+    writer.write(tmp_path / "place" / "walk", walk)
+    assert find_one(tmp_path / "place").format.name == name
+    intake = take(tmp_path / "place")
+    (session,) = intake.sessions
+    assert not intake.rejects
+    # Which instants of the walk the format kept: all, or those with an image.
+    t_ns, poses = session.t_ns, session.poses
+    kept = np.arange(24) if len(t_ns) == 24 else np.flatnonzero(walk.has_image)
+    assert len(t_ns) == len(kept)
+    off = relative(walk.vio_T_cam[kept], poses)
+    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 1e-6
+    assert rotation_angle(off[:, :3, :3]).max() < 1e-6
+    if writer.clock:
+        np.testing.assert_allclose(t_ns, walk.t_ns[kept], atol=1000)
+    if not writer.images:
+        assert not session.images
+        return
+    for found in session.images:
+        index = int(np.argmin(np.abs(poses - found.frame.vio_T_cam).sum(axis=(1, 2))))
+        camera = found.frame.intrinsics
+        assert camera is not None
+        if writer.camera:
+            assert (found.check.width, found.check.height) == (WIDTH, HEIGHT)
+            np.testing.assert_allclose([camera.fx, camera.fy, camera.cx, camera.cy], walk.camera[kept[index]])
+    assert len(session.images) == (24 if name == "stray_scanner" else 12)
+
+
+@pytest.mark.parametrize("name", ["stray_scanner", "scan_capture"])
+def test_video_frames_are_joined_to_their_own_poses(tmp_path: Path, name: str) -> None:
+    walk = make_walk(24)
+    WRITERS[name].write(tmp_path / "captures" / "place" / "walk", walk)
+    folder = execute(STAGE, "place", "tiny", DataRoot(tmp_path))
+    frames = pd.read_parquet(folder / "frames.parquet")
+    for row in frames.itertuples():
+        index = int(np.argmin(np.abs(walk.t_ns - row.t_ns)))
+        written = decode_rgb((folder / row.image.removeprefix("import:")).read_bytes(), 1000)
+        errors = [np.abs(written.astype(int) - image(i)[:, :, ::-1]).mean() for i in range(24)]
+        assert int(np.argmin(errors)) == index and errors[index] < 20
+
+
+def test_older_stray_scanner_has_one_camera_for_all(tmp_path: Path) -> None:
+    walk = make_walk(12)
+    write_stray_scanner(tmp_path / "place" / "walk", walk, per_frame=False)
+    (session,) = take(tmp_path / "place").sessions
+    assert {i.frame.intrinsics.fx for i in session.images if i.frame.intrinsics} == {walk.camera[-1, 0]}
+    assert "last frame" in session.recording.notes[0]
+
+
+def test_video_that_starts_elsewhere_is_not_joined_silently(tmp_path: Path) -> None:
+    walk = make_walk(24)
+    folder = tmp_path / "place" / "walk"
+    write_stray_scanner(folder, walk)
+    # One frame fewer at the end is told; frames missing in the middle are refused.
+    write_video(folder / "rgb.mp4", range(23))
+    intake = take(tmp_path / "place")
+    assert [r.reason for r in intake.rejects] == ["video ends before this frame"]
+    header, *rows = (folder / "odometry.csv").read_text().splitlines()
+    numbered = [row.split(", ") for row in rows[:4] + rows[12:]]
+    rows = [", ".join([time, f"{n:06d}", *rest]) for n, (time, _, *rest) in enumerate(numbered)]
+    (folder / "odometry.csv").write_text("\n".join([header, *rows]))
+    with pytest.raises(UserError, match="can't be joined"):
+        take(tmp_path / "place")
+
+
+def test_record3d_archive_is_read_like_its_folder(tmp_path: Path) -> None:
+    walk = make_walk(24)
+    write_record3d(tmp_path / "place" / "walk", walk, archive=True)
+    found = find_one(tmp_path / "place")
+    assert found.session_id == "walk" and found.format.name == "record3d"
+    (session,) = take(tmp_path / "place").sessions
+    np.testing.assert_allclose(session.poses, walk.vio_T_cam, atol=1e-9)
+    assert len(session.images) == 12
+
+
+def test_public_data_sets_keep_their_split_and_have_no_vio(tmp_path: Path) -> None:
+    place = tmp_path / "place"
+    for n in (1, 2):
+        write_seven_scenes(place / f"seq-0{n}", make_walk(8, seed=n))
+    (place / "TrainSplit.txt").write_text("sequence1\n")
+    (place / "TestSplit.txt").write_text("sequence2\n")
+    raws = [found.read(Limits()) for found in find_recordings(place, tmp_path / "unpacked", Limits())]
+    assert [(raw.split, raw.poses_are, raw.gravity_aligned) for raw in raws] == [
+        ("train", "reference", False),
+        ("test", "reference", False),
+    ]
+    write_cambridge(tmp_path / "church" / "seq1", make_walk(8))
+    assert find_one(tmp_path / "church").read(Limits()).split == "train"
+
+
+def test_real_recordings_are_read(shared_captures: Path, shared_trajectories: Path, tmp_path: Path) -> None:
+    found = find_recordings(shared_trajectories, tmp_path, Limits())
+    rows = {f"{f.format.name} {f.session_id}": f.read(Limits()) for f in found}
+    assert {name.split()[0] for name in rows} == {"arkit_logger", "arcore_logger", "invisible_map", "spectacular_ai"}
+    jumps = {}
+    for name, raw in rows.items():
+        intake = take_in(raw, ImportSettings(), lambda frames: [])
+        assert not intake.rejects, name
+        jumps[name] = [round(j.jump_m, 1) for s in intake.sessions for j, _ in s.jumps]
+        (first, *_) = intake.sessions
+        # Phones are held so that the camera looks more or less ahead: its view axis is rarely vertical.
+        assert abs(np.median(first.poses[:, 1, 2])) < 0.95, name
+    assert {name: found for name, found in jumps.items() if found} == {"invisible_map floor_2_straight": [4.6]}
+    assert len(found) == 10

@@ -1,0 +1,113 @@
+"""Rows, times, jumps, gravity and sharpness, without files."""
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from capture_writers import image, make_walk
+from hypothesis import given
+from hypothesis import strategies as st
+
+from capture_import.capture import RawFrame, RawSession
+from capture_import.health import check_session, find_jumps, gravity_of
+from capture_import.images import BadImage, check_image, sharpness
+from geometry.poses import Array, make_pose, nearest_rotation, rotation_angle, yaw_rotation
+
+
+def session_of(t_ns: np.ndarray, poses: list[Array | None]) -> RawSession:
+    frames = [RawFrame(i, f"row {i}", int(t), pose) for i, (t, pose) in enumerate(zip(t_ns, poses, strict=True))]
+    return RawSession("walk", "test", "phone", "boot", Path(), frames)
+
+
+@given(st.lists(st.integers(0, 2**62), max_size=60))
+def test_kept_times_rise_and_nothing_vanishes(times: list[int]) -> None:
+    checked = check_session(session_of(np.array(times, dtype=np.int64), [np.eye(4)] * len(times)), 0.5)
+    kept = [f.t_ns for f in checked.frames]
+    assert all(a < b for a, b in pairwise(kept))
+    assert len(kept) + len(checked.rejects) == len(times)
+
+
+def test_one_wild_time_costs_one_row() -> None:
+    t_ns = np.arange(50) * 10**8
+    t_ns[20] = 10**17
+    checked = check_session(session_of(t_ns, [np.eye(4)] * 50), 0.5)
+    assert [r.source for r in checked.rejects] == ["row 20"]
+
+
+def test_poses_between_poses_are_interpolated_and_gaps_are_not_bridged() -> None:
+    walk = make_walk(60)
+    missing = [i for i in range(60) if i % 3 == 1 or 30 < i < 40]
+    poses: list[Array | None] = [None if i in missing else pose for i, pose in enumerate(walk.vio_T_cam)]
+    checked = check_session(session_of(walk.t_ns, poses), 0.5)
+    assert [r.source for r in checked.rejects] == [f"row {i}" for i in range(31, 41)]
+    for frame in checked.frames:
+        assert frame.vio_T_cam is not None
+        off = np.linalg.inv(frame.vio_T_cam) @ walk.vio_T_cam[frame.number]
+        assert np.linalg.norm(off[:3, 3]) < 5e-3 and rotation_angle(off[:3, :3]) < 5e-3
+
+
+@given(st.floats(0.15, 50.0), st.integers(8, 80), st.floats(-np.pi, np.pi))
+def test_a_jump_is_found_where_it_is(jump_m: float, at: int, direction: float) -> None:
+    walk = make_walk(90)
+    poses = walk.vio_T_cam.copy()
+    poses[at:, :3, 3] += jump_m * np.array([np.cos(direction), 0.0, np.sin(direction)])
+    jumps = find_jumps(walk.t_ns, poses)
+    assert [j.index for j in jumps] == [at]
+    assert jumps[0].jump_m == pytest.approx(jump_m, abs=0.05)
+
+
+def test_a_turn_of_the_whole_frame_is_a_jump_and_gauges_do_not_matter() -> None:
+    walk = make_walk(90)
+    turned = walk.vio_T_cam.copy()
+    turned[40:] = make_pose(yaw_rotation(np.radians(25.0)), np.zeros(3)) @ turned[40:]
+    found = find_jumps(walk.t_ns, turned)
+    assert [j.index for j in found] == [40] and found[0].jump_deg == pytest.approx(25, abs=1)
+    elsewhere = make_pose(yaw_rotation(1.0), [100.0, -3.0, 7.0]) @ turned
+    again = find_jumps(walk.t_ns, elsewhere)
+    assert again[0].jump_m == pytest.approx(found[0].jump_m, abs=1e-9)
+
+
+def test_jumps_in_real_walks(shared_trajectories: Path) -> None:
+    folder = shared_trajectories / "invisible_map_arkit" / "benchmarking" / "datasets"
+    for path in sorted(folder.glob("*.json")):
+        rows = json.loads(path.read_text())["pose_data"]
+        poses = np.array([np.reshape(row["pose"], (4, 4)).T for row in rows])
+        poses[:, :3, :3] = nearest_rotation(poses[:, :3, :3])
+        t_ns = np.array([round(row["timestamp"] * 1e9) for row in rows])
+        jumps = [round(j.jump_m, 1) for j in find_jumps(t_ns, poses)]
+        assert jumps == ([4.6] if path.stem == "floor_2_straight" else []), path.stem
+
+
+def test_gravity_points_down_in_the_image_of_an_upright_phone() -> None:
+    walk = make_walk(40)
+    gravity = gravity_of(walk.vio_T_cam)
+    np.testing.assert_allclose(np.linalg.norm(gravity, axis=1), 1)
+    # Back in the world it is -y.
+    world = np.einsum("nij,nj->ni", walk.vio_T_cam[:, :3, :3], gravity)
+    np.testing.assert_allclose(world, np.tile([0, -1, 0], (40, 1)), atol=1e-12)
+
+
+def test_sharpness_falls_with_blur_and_not_with_exposure() -> None:
+    gray = cv2.cvtColor(cv2.resize(image(3), (640, 480), interpolation=cv2.INTER_NEAREST), cv2.COLOR_BGR2GRAY)
+    last = sharpness(gray)
+    for length in (3, 7, 15, 31):
+        blurred = sharpness(cv2.blur(gray, (length, 1)))
+        assert blurred < last
+        last = blurred
+    assert sharpness((gray * 0.5).astype(np.uint8)) == pytest.approx(sharpness(gray), abs=0.02)
+
+
+@given(st.integers(0, 10**6), st.binary(min_size=1, max_size=20))
+def test_a_damaged_image_is_refused_or_measured(at: int, junk: bytes) -> None:
+    data = bytearray(cv2.imencode(".jpg", image(1))[1].tobytes())
+    at %= len(data)
+    data[at : at + len(junk)] = junk
+    for content in (bytes(data), bytes(data[:at])):
+        try:
+            check = check_image(content, 1.0)
+        except BadImage:
+            continue
+        assert 0 <= check.sharpness <= 1

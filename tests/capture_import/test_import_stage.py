@@ -1,0 +1,195 @@
+"""The whole import stage on small captures, and on the real ones."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from capture_writers import HEIGHT, WIDTH, make_walk, write_scanner_app
+
+from artefacts import DataRoot, UserError, execute
+from artefacts.tables import poses_of
+from capture_import.stage import STAGE
+
+
+def run_import(data: Path, scene: str, *settings: str) -> dict[str, pd.DataFrame]:
+    folder = execute(STAGE, scene, "tiny", DataRoot(data), list(settings))
+    assert (folder / "recording.rrd").stat().st_size > 1000
+    tables = {p.stem: pd.read_parquet(p) for p in folder.glob("*.parquet")}
+    return tables | {"figures": json.loads((folder / "manifest.json").read_text())["figures"]}
+
+
+def test_tables_hold_the_walk_as_it_was(tmp_path: Path) -> None:
+    walks = {"train-1": make_walk(60), "train-2": make_walk(60, seed=1), "test-1": make_walk(60, seed=2)}
+    for name, walk in walks.items():
+        write_scanner_app(tmp_path / "captures" / "place" / name, walk, private=True)
+    (tmp_path / "captures/place/true_poses.parquet").write_text("never opened")
+    tables = run_import(tmp_path, "place", "sampling='all'")
+    frames = tables["frames"]
+    assert len(frames) == 90 and frames["frame_id"].is_unique
+    for name, walk in walks.items():
+        own = frames[frames["session_id"] == name]
+        index = own["frame_id"].str[-6:].astype(int).to_numpy()
+        np.testing.assert_allclose(poses_of(own, "vio_cam"), walk.vio_T_cam[index], atol=1e-9)
+        np.testing.assert_array_equal(own["t_ns"], walk.t_ns[index])
+        np.testing.assert_allclose(own[["fx", "fy", "cx", "cy"]], walk.camera[index])
+        assert (own["width"] == WIDTH).all() and (own["height"] == HEIGHT).all()
+        vio = tables["vio"][tables["vio"]["session_id"] == name]
+        np.testing.assert_allclose(poses_of(vio, "vio_cam"), walk.vio_T_cam, atol=1e-9)
+        # The phone is held upright: gravity is along the image's y axis.
+        assert (own["gravity_y"] > 0.9).all()
+        path = np.linalg.norm(np.diff(walk.vio_T_cam[:, :3, 3], axis=0), axis=1).sum()
+        row = tables["sessions"].set_index("session_id").loc[name]
+        assert row["path_m"] == pytest.approx(path) and row["duration_s"] == pytest.approx(5.9)
+    by_split = frames.groupby("session_id")["split"].agg(set).to_dict()
+    assert by_split == {"train-1": {"train", "val"}, "train-2": {"train", "val"}, "test-1": {"test"}}
+    assert tables["rejects"].empty and tables["jumps"].empty
+    assert tables["figures"]["leak_s"] is None
+
+
+def test_nothing_personal_enters_artefacts(tmp_path: Path) -> None:
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(), private=True)
+    run_import(tmp_path, "place")
+    for path in (tmp_path / "runs").rglob("*"):
+        if path.is_file():
+            content = path.read_bytes()
+            assert b"latitude" not in content and b"48.123456" not in content
+    values = pd.read_parquet(tmp_path / "runs/tiny/place/import/frames.parquet").select_dtypes("number").to_numpy()
+    assert not np.isclose(values, 48.123456).any()
+
+
+def test_few_frames_are_all_kept_and_the_leak_is_told(tmp_path: Path) -> None:
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(48))
+    tables = run_import(tmp_path, "place")
+    assert len(tables["frames"]) == 24
+    assert set(tables["frames"]["split"]) == {"train", "val", "test"}
+    assert 0 < tables["figures"]["leak_s"] < 5
+
+
+def test_sampling_takes_one_frame_a_second(tmp_path: Path) -> None:
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(201))
+    frames = run_import(tmp_path, "place", "min_frames=0")["frames"]
+    steps = np.diff(frames["t_ns"]) * 1e-9
+    assert len(frames) == 21 and steps.min() >= 0.5 and steps.max() <= 1.5
+
+
+@pytest.mark.parametrize("images", ["copy", "link"])
+def test_images_copied_or_linked_are_the_same_bytes(tmp_path: Path, images: str) -> None:
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk())
+    frames = run_import(tmp_path, "place", f"images='{images}'")["frames"]
+    folder = tmp_path / "runs/tiny/place/import"
+    for row in frames.itertuples():
+        number = int(row.frame_id[-6:])
+        copied = (folder / row.image.removeprefix("import:")).read_bytes()
+        assert copied == (tmp_path / f"captures/place/walk/frame_{number:05d}.jpg").read_bytes()
+
+
+def test_a_broken_row_costs_that_row_and_says_why(tmp_path: Path) -> None:
+    folder = tmp_path / "captures" / "place" / "walk"
+    write_scanner_app(folder, make_walk(40, every=1))
+
+    def change(index: int, **values: object) -> None:
+        path = folder / f"frame_{index:05d}.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | values))
+
+    def fetch(index: int, key: str) -> list[float]:
+        return json.loads((folder / f"frame_{index:05d}.json").read_text())[key]
+
+    expected = {}
+    cut = (folder / "frame_00003.jpg").read_bytes()
+    (folder / "frame_00003.jpg").write_bytes(cut[: len(cut) // 2])
+    expected["frame_00003.json"] = "image is broken"
+    (folder / "frame_00004.json").write_text("{")
+    expected["frame_00004.json"] = "file isn't JSON"
+    change(5, cameraPoseARFrame=[float("nan")] * 16)
+    expected["frame_00005.json"] = "pose has a value that isn't finite"
+    change(6, cameraPoseARFrame=(np.array(fetch(6, "cameraPoseARFrame")) * 1.2).tolist())
+    expected["frame_00006.json"] = "pose isn't rigid"
+    change(7, intrinsics=[80, 0, 400, 0, 80, 35, 0, 0, 1])
+    expected["frame_00007.json"] = "principal point"
+    change(8, time=fetch(9, "time"))
+    expected["frame_00008.json"] = "time is a duplicate"
+    change(10, time=1.0)
+    expected["frame_00010.json"] = "time goes backward"
+    (folder / "frame_00011.jpg").write_bytes(b"")
+    expected["frame_00011.json"] = "image is empty"
+    outside = tmp_path / "outside.jpg"
+    (folder / "frame_00012.jpg").rename(outside)
+    (folder / "frame_00012.jpg").symlink_to(outside)
+    expected["frame_00012.json"] = "image is a link that leads out"
+    (folder / "frame_00099.jpg").write_bytes(cut)
+    expected["frame_00099.jpg"] = "image has no JSON file"
+    tables = run_import(tmp_path, "place")
+    found = dict(zip(tables["rejects"]["source"], tables["rejects"]["reason"], strict=True))
+    # Of two rows with the same time either may go.
+    found["frame_00008.json"] = found.pop("frame_00008.json", None) or found.pop("frame_00009.json")
+    assert found.keys() == expected.keys()
+    for source, reason in expected.items():
+        assert found[source].startswith(reason)
+    assert len(tables["frames"]) == 40 - 9
+
+
+def test_a_large_jump_splits_the_session_and_a_small_one_is_told(tmp_path: Path) -> None:
+    walk = make_walk(90, every=1)
+    walk.vio_T_cam[30:, :3, 3] += [0.0, 0.0, 0.2]
+    walk.vio_T_cam[60:, :3, 3] += [3.0, 0.0, 0.0]
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", walk)
+    tables = run_import(tmp_path, "place", "sampling='all'")
+    jumps = tables["jumps"]
+    assert jumps["splits"].tolist() == [False, True]
+    np.testing.assert_allclose(jumps["jump_m"], [0.2, 3.0], atol=0.05)
+    assert jumps["t_ns"].tolist() == walk.t_ns[[30, 60]].tolist()
+    assert tables["frames"]["session_id"].value_counts().to_dict() == {"walk": 60, "walk.part2": 30}
+    # The three metres of the jump are no part of the walk.
+    assert tables["sessions"]["path_m"].sum() < 11
+
+
+def test_user_mistakes_are_told_in_a_few_lines(tmp_path: Path) -> None:
+    captures = tmp_path / "captures"
+    (captures / "empty").mkdir(parents=True)
+    with pytest.raises(UserError, match="no captures"):
+        run_import(tmp_path, "empty")
+    (captures / "other").mkdir()
+    (captures / "other" / "holiday.txt").write_text("sun")
+    with pytest.raises(UserError, match=r"(?s)known format.*frame_XXXXX.json.*holiday.txt"):
+        run_import(tmp_path, "other")
+    write_scanner_app(captures / "broken" / "walk", make_walk(6))
+    for path in (captures / "broken" / "walk").glob("frame*.json"):
+        path.write_text("[]")
+    with pytest.raises(UserError, match="no frame of this recording can be read"):
+        run_import(tmp_path, "broken")
+    write_scanner_app(captures / "huge" / "walk", make_walk(6))
+    with pytest.raises(UserError, match=r"(?s)no usable image.*larger than 0.001 megapixels"):
+        run_import(tmp_path, "huge", "max_megapixels=0.001")
+    write_scanner_app(captures / "bytes" / "walk", make_walk(6))
+    (captures / "bytes" / "walk").rename(os.fsdecode(os.fsencode(captures / "bytes") + b"/w\xff"))
+    with pytest.raises(UserError, match="isn't UTF-8"):
+        run_import(tmp_path, "bytes")
+
+
+def test_the_same_capture_gives_the_same_bytes(tmp_path: Path) -> None:
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk())
+    folder = execute(STAGE, "place", "tiny", DataRoot(tmp_path))
+    first = {p.name: p.read_bytes() for p in folder.glob("*.parquet")}
+    execute(STAGE, "place", "tiny", DataRoot(tmp_path), force=True)
+    assert first == {p.name: p.read_bytes() for p in folder.glob("*.parquet")}
+
+
+def test_chair_is_imported_whole(tmp_path: Path, shared_captures: Path) -> None:
+    (tmp_path / "captures").mkdir()
+    (tmp_path / "captures" / "chair").symlink_to(shared_captures / "chair")
+    tables = run_import(tmp_path, "chair")
+    assert len(tables["frames"]) == 24 and len(tables["vio"]) == 70
+    assert tables["rejects"].empty and tables["jumps"].empty
+
+
+@pytest.mark.slow
+def test_corridor_has_its_length_and_every_image(tmp_path: Path, shared_captures: Path) -> None:
+    (tmp_path / "captures").mkdir()
+    (tmp_path / "captures" / "corridor").symlink_to(shared_captures / "corridor")
+    tables = run_import(tmp_path, "corridor", "sampling='all'")
+    assert len(tables["frames"]) == 146 and len(tables["vio"]) == 436
+    assert tables["sessions"]["path_m"].item() == pytest.approx(67.7, abs=0.1)
+    assert tables["rejects"].empty and tables["jumps"].empty
