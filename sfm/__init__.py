@@ -1,0 +1,1 @@
+"""Structure from motion: one COLMAP model over all sessions of a scene, and how good it is."""

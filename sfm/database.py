@@ -1,0 +1,103 @@
+"""COLMAP's database of a scene: a camera of its own for every frame, and what extraction and matching left in it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+import pandas as pd
+import pycolmap
+from numpy.typing import NDArray
+
+Ints = NDArray[np.int64]
+
+
+def image_name(frame_id: str, image: str) -> str:
+    """The name of a frame in COLMAP: its id with the file's suffix, without spaces, which separate names in lists."""
+    return quote(frame_id, safe="/") + Path(image).suffix
+
+
+def image_id(row: int) -> int:
+    """COLMAP's id of the image, camera, rig and frame of a row of the frames table; COLMAP counts from 1."""
+    return row + 1
+
+
+def camera_of(frame: Any, camera_id: int) -> pycolmap.Camera:
+    """A row of the frames table as a COLMAP camera.
+
+    PINHOLE without distortion, otherwise the smallest of OPENCV and FULL_OPENCV that holds its coefficients.
+    """
+    distortion = [float(k) for k in frame.distortion]
+    if not any(distortion):
+        model, extra = "PINHOLE", []
+    elif len(distortion) <= 4:
+        model, extra = "OPENCV", distortion + [0.0] * (4 - len(distortion))
+    else:
+        model, extra = "FULL_OPENCV", distortion[:8] + [0.0] * (8 - len(distortion))
+    camera = pycolmap.Camera(
+        camera_id=camera_id,
+        model=model,
+        width=int(frame.width),
+        height=int(frame.height),
+        params=[frame.fx, frame.fy, frame.cx, frame.cy, *extra],
+    )
+    camera.has_prior_focal_length = True
+    return camera
+
+
+def create_database(path: Path, frames: pd.DataFrame, names: Sequence[str]) -> None:
+    """Write a database with one camera, rig, frame and image for each row of `frames`, unless it is there."""
+    if path.is_file():
+        return
+    partial = path.with_name(path.name + ".partial")
+    partial.unlink(missing_ok=True)
+    with pycolmap.Database.open(partial) as database, pycolmap.DatabaseTransaction(database):
+        for row, frame in enumerate(frames.itertuples(index=False)):
+            number = image_id(row)
+            camera = camera_of(frame, number)
+            rig = pycolmap.Rig(rig_id=number)
+            rig.add_ref_sensor(camera.sensor_id)
+            image = pycolmap.Image(image_id=number, camera_id=number, name=names[row])
+            placed = pycolmap.Frame(frame_id=number, rig_id=number)
+            placed.add_data_id(image.data_id)
+            image.frame_id = number
+            database.write_camera(camera, use_camera_id=True)
+            database.write_rig(rig, use_rig_id=True)
+            database.write_frame(placed, use_frame_id=True)
+            database.write_image(image, use_image_id=True)
+    partial.replace(path)
+
+
+def read_descriptors(path: Path, count: int) -> list[NDArray[np.uint8]]:
+    """The SIFT descriptors (M, 128) of each of the `count` frames."""
+    with pycolmap.Database.open(path) as database:
+        return [np.asarray(database.read_descriptors(image_id(row)).data) for row in range(count)]
+
+
+def keypoint_counts(path: Path, count: int) -> Ints:
+    """How many keypoints each of the `count` frames has."""
+    with pycolmap.Database.open(path) as database:
+        return np.array([database.num_keypoints_for_image(image_id(row)) for row in range(count)])
+
+
+def have_results(path: Path, pairs: Ints) -> NDArray[np.bool_]:
+    """Which pairs of rows (P, 2) have been matched and verified, (P,)."""
+    with pycolmap.Database.open(path) as database:
+        done, _ = database.read_two_view_geometry_num_inliers()
+    return np.isin(_pair_ids(pairs), done)
+
+
+def read_pair_results(path: Path, pairs: Ints) -> tuple[Ints, Ints]:
+    """Matches and verified inliers of pairs of rows (P, 2); both (P,)."""
+    with pycolmap.Database.open(path) as database:
+        ids, matches = database.read_num_matches()
+        matched = dict(zip(ids, matches, strict=True))
+        ids, inliers = database.read_two_view_geometry_num_inliers()
+        verified = dict(zip(ids, inliers, strict=True))
+    ids = _pair_ids(pairs)
+    return np.array([matched.get(i, 0) for i in ids], int), np.array([verified.get(i, 0) for i in ids], int)
+
+
+def _pair_ids(pairs: Ints) -> list[int]:
+    return [pycolmap.image_pair_to_pair_id(image_id(int(a)), image_id(int(b))) for a, b in pairs]

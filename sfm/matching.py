@@ -1,0 +1,58 @@
+"""Matching of proposed pairs, and their geometric verification."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from sfm.child import Report
+from sfm.database import have_results
+from sfm.pairs import Pairs
+from sfm.settings import SfmSettings
+
+_CHUNK = 128
+
+
+@dataclass(frozen=True)
+class MatchedPairs:
+    """P pairs of frames, each with who proposed it, its matches and its verified inliers; all arrays (P, ...)."""
+
+    pairs: Pairs
+    origin: NDArray[np.str_]
+    matches: NDArray[np.int64]
+    inliers: NDArray[np.int64]
+    min_inliers: int
+
+    @property
+    def verified(self) -> NDArray[np.bool_]:
+        """Whether the pair has inliers enough."""
+        return self.inliers >= self.min_inliers
+
+
+def match_pairs(
+    report: Report, database: Path, names: Sequence[str], pairs: Pairs, settings: SfmSettings, seed: int
+) -> None:
+    """Match pairs of rows (P, 2) and verify each by its essential matrix; pairs that are done are left as they are.
+
+    Each pair's result depends on the pair and the seed alone, so that a killed run goes on as if it hadn't been.
+    """
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.use_gpu = False
+    matching.num_threads = settings.threads
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.min_num_inliers = settings.min_inliers
+    verification.ransac.random_seed = seed
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.block_size = _CHUNK
+    pairing.match_list_path = database.with_name("pairs.txt")
+    # Matching has no progress of its own, so it gets some pairs at a time.
+    done = have_results(database, pairs)
+    todo = pairs[~done]
+    for start in range(0, len(todo), _CHUNK):
+        chunk = todo[start : start + _CHUNK]
+        pairing.match_list_path.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in chunk), encoding="utf-8")
+        pycolmap.match_image_pairs(database, matching, pairing, verification, pycolmap.Device.cpu)
+        report(int(done.sum()) + start + len(chunk))

@@ -1,0 +1,113 @@
+"""The stage's Rerun recording: points, cameras, the pair graph and each session's path."""
+
+import cv2
+import numpy as np
+import pandas as pd
+import rerun as rr
+import rerun.blueprint as rrb
+
+from artefacts import StageRun
+from artefacts.recording import APR, FUSED, GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
+from artefacts.tables import poses_of
+from geometry.poses import Array
+from sfm.matching import MatchedPairs
+from sfm.model import Model
+from sfm.settings import SfmSettings
+
+_TIMELINE = "frame"
+_MOST_FRUSTA = 200
+_MOST_IMAGES = 250
+_IMAGE_SIDE = 480
+_ORIGIN_COLOURS = {"sequence": NEUTRAL, "vio": VIO, "retrieval": FUSED, "transitive": APR}
+
+
+def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, matched: MatchedPairs) -> None:
+    """Write recording.rrd: the model upright, and through it frame by frame what each image sees of it."""
+    registered = np.flatnonzero(model.registered)
+    centres = model.sfm_T_cam[:, :3, 3]
+    steps = np.linalg.norm(np.diff(centres[registered], axis=0), axis=1)
+    frustum = 0.5 * float(np.median(steps))
+    with r.recording(_blueprint()) as stream:
+        stream.log("/", UP_AXIS, static=True)
+        upright = _upright(model, poses_of(frames, "vio_cam"))
+        stream.log("sfm", rr.Transform3D(mat3x3=upright), static=True)
+        stream.log("sfm/points", rr.Points3D(model.xyz, colors=model.rgb, radii=rr.Radius.ui_points(1.5)), static=True)
+        for session, rows in frames.groupby("session_id", sort=True).indices.items():
+            log_path(stream, f"sfm/paths/{session}", centres[np.sort(rows)], GROUND_TRUTH)
+        for row in _spread(registered, _MOST_FRUSTA):
+            frame = frames.iloc[row]
+            path = f"sfm/cameras/{frame.frame_id}"
+            log_camera(stream, path, model.sfm_T_cam[row], frame, NEUTRAL, frustum, static=True)
+        _log_pairs(stream, centres, model, matched)
+        _log_quality(stream, model, registered)
+        for row in _spread(registered, _MOST_IMAGES):
+            stream.set_time(_TIMELINE, sequence=int(row))
+            frame = frames.iloc[row]
+            _log_view(stream, r, frame, model, int(row), 2 * frustum)
+
+
+def _blueprint() -> rrb.Blueprint:
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Spatial3DView(origin="/", name="model", overrides={"sfm/pairs": rrb.EntityBehavior(visible=False)}),
+            rrb.Vertical(
+                rrb.Spatial2DView(origin="sfm/camera/image", name="frame and the points it sees"),
+                rrb.TimeSeriesView(origin="quality/observations", name="points seen"),
+                rrb.TimeSeriesView(origin="quality/reprojection_px", name="reprojection error, px"),
+                row_shares=[2, 1, 1],
+            ),
+            column_shares=[2, 1],
+        ),
+        rrb.TimePanel(timeline=_TIMELINE, state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _upright(model: Model, vio_T_cam: Array) -> Array:
+    """The rotation (3, 3) of the sfm frame that turns up, as VIO knows it, to +y; none where no frame has VIO."""
+    known = model.registered & np.isfinite(vio_T_cam).all(axis=(1, 2))
+    if not known.any():
+        return np.eye(3)
+    # vio's +y in camera axes is the second row of vio_R_cam.
+    up = np.einsum("nij,nj->ni", model.sfm_T_cam[known, :3, :3], vio_T_cam[known, 1, :3]).mean(axis=0)
+    up /= np.linalg.norm(up)
+    side = np.cross(np.eye(3)[np.argmin(np.abs(up))], up)
+    side /= np.linalg.norm(side)
+    return np.stack([side, up, np.cross(side, up)])
+
+
+def _spread(rows: np.ndarray, most: int) -> np.ndarray:
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int))]
+
+
+def _log_pairs(stream: rr.RecordingStream, centres: Array, model: Model, matched: MatchedPairs) -> None:
+    shown = matched.verified & model.registered[matched.pairs].all(axis=1)
+    for origin, colour in _ORIGIN_COLOURS.items():
+        segments = centres[matched.pairs[shown & (matched.origin == origin)]]
+        lines = rr.LineStrips3D(segments, colors=colour, radii=rr.Radius.ui_points(0.5))
+        stream.log(f"sfm/pairs/{origin}", lines, static=True)
+
+
+def _log_quality(stream: rr.RecordingStream, model: Model, registered: np.ndarray) -> None:
+    times = [rr.TimeColumn(_TIMELINE, sequence=registered)]
+    for name, values in (("observations", model.observations()), ("reprojection_px", model.frame_error_px())):
+        stream.log(f"quality/{name}", rr.SeriesLines(colors=GROUND_TRUTH), static=True)
+        stream.send_columns(f"quality/{name}", times, rr.Scalars.columns(scalars=values[registered].astype(float)))
+
+
+def _log_view(
+    stream: rr.RecordingStream, r: StageRun[SfmSettings], frame: pd.Series, model: Model, row: int, size: float
+) -> None:
+    image = cv2.imread(str(r.image_path(frame.image)), cv2.IMREAD_COLOR_RGB)
+    assert image is not None, frame.image
+    shrink = min(1.0, _IMAGE_SIDE / max(image.shape[:2]))
+    image = cv2.resize(image, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+    small = frame.copy()
+    small[["fx", "fy", "cx", "cy", "width", "height"]] *= shrink
+    log_camera(stream, "sfm/camera", model.sfm_T_cam[row], small, REJECTED, size)
+    stream.log("sfm/camera/image", rr.Image(image).compress(75))
+    seen = model.frame == row
+    stream.log(
+        "sfm/camera/image/seen",
+        rr.Points2D(model.seen_px[seen] * shrink, colors=GROUND_TRUTH, radii=rr.Radius.ui_points(1.5)),
+    )

@@ -1,0 +1,35 @@
+"""The stage's settings."""
+
+from pydantic import Field
+
+from artefacts import Settings
+
+
+class SfmSettings(Settings):
+    """[sfm]"""
+
+    max_image_size: int = Field(1600, ge=64, description="images are shrunk to this longest side for features, px")
+    max_features: int = Field(2048, gt=0, description="SIFT features kept per image")
+    first_octave: int = Field(
+        0, ge=-1, le=2, description="-1 doubles the image first: more features, 2 to 4 times slower"
+    )
+    sequence_pairs: int = Field(
+        5, ge=1, description="following frames of the same recording that a frame is matched to"
+    )
+    vio_pairs: int = Field(10, ge=0, description="frames of the same session with the most view overlap by VIO")
+    vio_max_distance_m: float = Field(
+        8.0, gt=0, description="farther apart in VIO two frames of a session aren't matched"
+    )
+    vio_max_angle_deg: float = Field(60.0, gt=0, le=180, description="nor if their views turn apart by more than this")
+    retrieval_pairs: int = Field(10, ge=0, description="frames of other sessions that look most alike")
+    retrieval_words: int = Field(64, ge=2, description="visual words, learned from the scene, behind `look alike`")
+    transitive_pairs: int = Field(5, ge=0, description="pairs a frame gains where both match a third one; 0: none")
+    min_inliers: int = Field(15, ge=8, description="verified matches that a pair needs")
+    refine_intrinsics: bool = Field(False, description="let bundle adjustment move the captured focal lengths")
+    min_registered: float = Field(0.5, ge=0, le=1, description="share of frames that the final model must have")
+    covariance_max_images: int = Field(
+        2500, ge=0, description="larger models get no covariances (memory: 36 n² numbers)"
+    )
+    threads: int = Field(
+        -1, ge=-1, description="threads for features and matching; -1: all cores. Mapping has one, to repeat"
+    )

@@ -1,0 +1,118 @@
+"""The covariance that sfm writes against the errors that bundle adjustment really makes."""
+
+import numpy as np
+import pycolmap
+from scipy.spatial.transform import Rotation
+
+from geometry.poses import Array, inverse, make_pose
+from sfm.covariance import pose_covariance
+
+_FRAMES, _POINTS, _RUNS = 8, 50, 60
+_NOISE_PX = 0.7
+_FOCAL_PX = 500.0
+_SIZE_PX = (800, 600)
+
+
+def test_normalised_errors_have_the_size_that_the_covariance_says() -> None:
+    rng = np.random.default_rng(3)
+    truth = _ring_of_cameras()
+    xyz = rng.uniform(-1, 1, (_POINTS, 3))
+    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
+    exact_px = _project(truth, xyz, frame, point)
+    squared, rotation_too = [], []
+    for _ in range(_RUNS):
+        seen_px = exact_px + rng.normal(0, _NOISE_PX, exact_px.shape)
+        adjusted, adjusted_xyz = _bundle_adjusted(truth, xyz, seen_px.reshape(_FRAMES, _POINTS, 2))
+        residual_px = _project(adjusted, adjusted_xyz, frame, point) - seen_px
+        focal = np.full((_FRAMES, 2), _FOCAL_PX)
+        covariance = pose_covariance(adjusted, focal, adjusted_xyz, frame, point, residual_px)
+        assert covariance is not None
+        error = _error_without_gauge(truth, adjusted)
+        squared.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error))
+        rotation_too.append(error**2 / np.diagonal(covariance, axis1=1, axis2=2))
+    # Chi square with 6 degrees of freedom; the 480 samples hang together a little.
+    assert abs(np.mean(squared) - 6) < 0.6
+    assert 0.91 < np.mean(np.array(squared) < 12.59) < 0.985
+    # Each of the six axes on its own, so that no mixed-up order or unit goes unseen.
+    assert np.allclose(np.mean(rotation_too, axis=(0, 1)), 1, atol=0.35)
+
+
+def test_covariance_follows_the_gauge() -> None:
+    truth = _ring_of_cameras()
+    rng = np.random.default_rng(4)
+    xyz = rng.uniform(-1, 1, (_POINTS, 3))
+    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
+    residual_px = rng.normal(0, _NOISE_PX, (len(frame), 2))
+    focal = np.full((_FRAMES, 2), _FOCAL_PX)
+    turn, shift, scale = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix(), np.array([5.0, -3.0, 2.0]), 3.0
+    moved = make_pose(turn @ truth[:, :3, :3], scale * truth[:, :3, 3] @ turn.T + shift)
+    here = pose_covariance(truth, focal, xyz, frame, point, residual_px)
+    there = pose_covariance(moved, focal, scale * xyz @ turn.T + shift, frame, point, residual_px)
+    assert here is not None and there is not None
+    jacobian = np.kron(np.diag([1.0, scale]), turn)
+    assert np.allclose(there, jacobian @ here @ jacobian.T, rtol=1e-5, atol=1e-12)
+
+
+def test_no_covariance_where_the_observations_do_not_determine_the_poses() -> None:
+    frame, point = (index.ravel() for index in np.indices((_FRAMES, 2)))
+    covariance = pose_covariance(
+        _ring_of_cameras(), np.full((_FRAMES, 2), _FOCAL_PX), np.eye(3)[:2], frame, point, np.ones((len(frame), 2))
+    )
+    assert covariance is None
+
+
+def _ring_of_cameras() -> Array:
+    """Cameras around the origin, looking at it, (N, 4, 4)."""
+    angle = np.linspace(0, 1.2 * np.pi, _FRAMES)
+    centre = np.stack([4 * np.sin(angle), 0.3 * np.cos(3 * angle), -4 * np.cos(angle)], axis=1)
+    forward = -centre / np.linalg.norm(centre, axis=1, keepdims=True)
+    right = np.cross([0.0, 1.0, 0.0], forward)
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    return make_pose(np.stack([right, np.cross(forward, right), forward], axis=2), centre)
+
+
+def _project(world_T_cam: Array, xyz: Array, frame: np.ndarray, point: np.ndarray) -> Array:
+    cam_T_world = inverse(world_T_cam)[frame]
+    p = np.einsum("mij,mj->mi", cam_T_world[:, :3, :3], xyz[point]) + cam_T_world[:, :3, 3]
+    return p[:, :2] / p[:, 2:] * _FOCAL_PX + np.array(_SIZE_PX) / 2
+
+
+def _bundle_adjusted(world_T_cam: Array, xyz: Array, seen_px_NP2: Array) -> tuple[Array, Array]:
+    model = pycolmap.Reconstruction()
+    for row, cam_T_world in enumerate(inverse(world_T_cam)):
+        camera = pycolmap.Camera(
+            camera_id=row + 1,
+            model="PINHOLE",
+            width=_SIZE_PX[0],
+            height=_SIZE_PX[1],
+            params=[_FOCAL_PX, _FOCAL_PX, _SIZE_PX[0] / 2, _SIZE_PX[1] / 2],
+        )
+        model.add_camera_with_trivial_rig(camera)
+        image = pycolmap.Image(name=str(row), keypoints=seen_px_NP2[row], camera_id=row + 1, image_id=row + 1)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(cam_T_world[:3]))
+    for number, position in enumerate(xyz):
+        track = pycolmap.Track([pycolmap.TrackElement(row + 1, number) for row in range(len(world_T_cam))])
+        model.add_point3D(position, track)
+    options = pycolmap.BundleAdjustmentOptions()
+    options.refine_focal_length = options.refine_extra_params = options.print_summary = False
+    pycolmap.bundle_adjustment(model, options)
+    poses = [model.image(row + 1).cam_from_world().inverse().matrix() for row in range(len(world_T_cam))]
+    poses = np.array(poses)
+    points = model.points3D
+    return make_pose(poses[:, :, :3], poses[:, :, 3]), np.array([points[i].xyz for i in sorted(points)])
+
+
+def _error_without_gauge(truth: Array, adjusted: Array) -> Array:
+    """Rotation and position errors (N, 6) that no similarity of all poses explains, in the least-squares sense."""
+    rotation = Rotation.from_matrix(truth[:, :3, :3] @ np.swapaxes(adjusted[:, :3, :3], 1, 2)).as_rotvec()
+    error = np.concatenate([rotation, truth[:, :3, 3] - adjusted[:, :3, 3]], axis=1)
+    centred = truth[:, :3, 3] - truth[:, :3, 3].mean(axis=0)
+    extent = np.sqrt(np.mean(np.sum(centred**2, axis=1)))
+    moves = np.zeros((len(truth), 6, 7))
+    for axis in range(3):
+        moves[:, axis, axis] = moves[:, 3 + axis, 3 + axis] = 1
+        moves[:, 3:, axis] = np.cross(np.eye(3)[axis], centred)
+    moves[:, 3:, 6] = centred
+    weight = np.repeat([extent, 1.0], 3)[:, None]
+    explained, *_ = np.linalg.lstsq((weight * moves).reshape(-1, 7), (weight[:, 0] * error).ravel(), rcond=None)
+    return error - (moves @ explained)
