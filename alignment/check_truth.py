@@ -1,0 +1,118 @@
+"""`python -m alignment check-truth`: a simulated scene's ground truth against the poses that the simulator knows.
+
+A check for people and benchmarks: no stage reads the true poses.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from artefacts import UserError
+from artefacts.cli import DataOption, ProfileOption
+from artefacts.schemas import schema
+from artefacts.settings import DataRoot
+from artefacts.tables import poses_of, read_table
+from geometry import GeometryError
+from geometry.fits import fit_sim3, pose_residuals
+from geometry.poses import Array
+
+
+@dataclass(frozen=True)
+class Target:
+    """One line of the check: what was found, what it must keep, in which unit."""
+
+    name: str
+    found: float
+    limit: float
+    unit: str
+    at_least: bool = False
+
+    @property
+    def met(self) -> bool:
+        return self.found >= self.limit if self.at_least else self.found <= self.limit
+
+
+def compare_with_truth(map_T_cam: Array, true_T_cam: Array, frames: int) -> list[Target]:
+    """The targets for poses (N, 4, 4) with ground truth, out of `frames`, and the true poses of the same frames.
+
+    Position and rotation errors are after one similarity fit (Umeyama). Scale and vertical are the map's own: what
+    that fit had to correct, without the heading, which is free. Raises GeometryError where there are too few poses.
+    """
+    true_S_map = fit_sim3(true_T_cam[:, :3, 3], map_T_cam[:, :3, 3])
+    metres, radians = pose_residuals(true_T_cam, true_S_map.poses(map_T_cam), np.eye(4))
+    degrees = np.degrees(radians)
+    up_in_true = true_S_map.rotation[:, 1]
+    tilt_deg = float(np.degrees(np.arctan2(np.hypot(up_in_true[0], up_in_true[2]), up_in_true[1])))
+    return [
+        Target("frames with ground truth", 100 * len(map_T_cam) / frames, 98.0, "%", at_least=True),
+        Target("position error, median", 100 * float(np.median(metres)), 2.0, "cm"),
+        Target("position error, 95th percentile", 100 * float(np.percentile(metres, 95)), 5.0, "cm"),
+        Target("rotation error, median", float(np.median(degrees)), 0.1, "deg"),
+        Target("rotation error, 95th percentile", float(np.percentile(degrees, 95)), 0.3, "deg"),
+        # The map is too large where truth must be shrunk onto it.
+        Target("metric scale error", 100 * abs(1 / true_S_map.scale - 1), 0.5, "%"),
+        Target("vertical error", tilt_deg, 0.2, "deg"),
+    ]
+
+
+def check_truth(
+    scene: Annotated[str, typer.Option(help="A simulated scene.")],
+    profile: ProfileOption = "demo",
+    data: DataOption = Path("data"),
+) -> None:
+    """Compare a simulated scene's ground truth with its true poses; exits with 1 where a target is missed."""
+    root = DataRoot(data)
+    gt = read_table(root.run(profile, scene, "align") / "ground_truth.parquet", schema("align", "ground_truth"))
+    sessions = read_table(root.run(profile, scene, "import") / "sessions.parquet", schema("import", "sessions"))
+    truth_path = root.captures(scene) / "true_poses.parquet"
+    if not truth_path.is_file():
+        raise UserError(
+            f"nobody knows the true poses of scene {scene}",
+            where=truth_path,
+            expected="the simulator's true_poses.parquet",
+            do="this check is for simulated scenes",
+        )
+    truth = read_table(truth_path, schema("simulate", "true_poses"))
+    map_T_cam, true_T_cam = _joined(gt, truth, sessions, truth_path)
+    try:
+        targets = compare_with_truth(map_T_cam, true_T_cam, len(gt))
+    except GeometryError as error:
+        raise UserError("too little ground truth to compare", where=scene, found=error) from None
+    table = Table(title=f"{scene}, {profile}: {len(map_T_cam)} of {len(gt)} frames against the truth")
+    for heading in ("", "found", "target", ""):
+        table.add_column(heading, justify="left" if not heading else "right")
+    for target in targets:
+        sign = "≥" if target.at_least else "≤"
+        table.add_row(
+            target.name,
+            f"{target.found:.3f} {target.unit}",
+            f"{sign} {target.limit:g} {target.unit}",
+            "ok" if target.met else "missed",
+        )
+    Console().print(table)
+    if not all(target.met for target in targets):
+        raise typer.Exit(1)
+
+
+def _joined(gt: pd.DataFrame, truth: pd.DataFrame, sessions: pd.DataFrame, where: Path) -> tuple[Array, Array]:
+    """Ground truth and true poses (N, 4, 4) of the frames that have the former."""
+    recording = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
+    known = gt[gt["quality"] != "none"]
+    keys = pd.DataFrame({"session_id": known["session_id"].map(recording), "t_ns": known["t_ns"]})
+    true = keys.merge(truth, on=["session_id", "t_ns"], how="left", validate="many_to_one")
+    missing = int(true["map_cam_qw"].isna().sum())
+    if missing:
+        raise UserError(
+            "some frames have no true pose",
+            where=where,
+            expected="a row for each frame's session and time",
+            found=f"{missing} of {len(keys)} frames without one",
+            do="import and align the captures that these true poses belong to",
+        )
+    return poses_of(known, "map_cam"), poses_of(true, "map_cam")

@@ -1,0 +1,162 @@
+"""How far VIO moves away from ground truth, in the measures that the literature uses, each named by its definition.
+
+docs/ground-truth.md lists the definitions. Paths here are poses (N, 4, 4) of the same frames in order of time; the
+ground truth is metric, VIO is taken as it is, so a wrong scale of VIO is drift.
+"""
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from artefacts.schemas import schema
+from geometry import GeometryError
+from geometry.fits import fit_se3, fit_sim3, fit_yaw
+from geometry.poses import Array, heading, inverse, relative, rotation_angle, transform
+
+DISTANCES_M = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
+# What counts as one second: the frame nearest to a second later, if it lies within these.
+_SECOND_S = (0.5, 1.5)
+# Yaw's rate over less time or path than this would be noise.
+_LEAST_YAW_S = 10.0
+_LEAST_YAW_M = 5.0
+
+ALL = "all"
+
+
+@dataclass
+class DriftSamples:
+    """Samples of every definition, by (definition, interval, interval_unit, unit)."""
+
+    samples: dict[tuple[str, float | None, str, str], list[float]] = field(default_factory=lambda: defaultdict(list))
+
+    def add(self, definition: str, interval: float | None, interval_unit: str, unit: str, values: Array) -> None:
+        self.samples[definition, interval, interval_unit, unit].extend(np.asarray(values, dtype=float).tolist())
+
+    def extend(self, other: "DriftSamples") -> None:
+        for key, values in other.samples.items():
+            self.samples[key].extend(values)
+
+    def rows(self, session_id: str) -> list[dict[str, object]]:
+        """Rows of align.drift; definitions without a sample have none."""
+        rows = []
+        for (definition, interval, interval_unit, unit), values in self.samples.items():
+            if not values:
+                continue
+            v = np.array(values)
+            rows.append(
+                {
+                    "session_id": session_id,
+                    "definition": definition,
+                    "interval": interval,
+                    "interval_unit": interval_unit,
+                    "unit": unit,
+                    "samples": len(v),
+                    "mean": v.mean(),
+                    "median": np.median(v),
+                    "rms": np.sqrt(np.mean(v**2)),
+                    "p95": np.percentile(v, 95),
+                    "max": v.max(),
+                }
+            )
+        return rows
+
+
+def measure_drift(t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: Array) -> DriftSamples:
+    """All measures of one segment: times (N,), ground truth and VIO poses (N, 4, 4) of the same frames."""
+    found = DriftSamples()
+    if len(t_ns) < 2:
+        return found
+    _steps(found, t_ns, map_T_cam, vio_T_cam)
+    _distances(found, map_T_cam, vio_T_cam)
+    _yaw(found, t_ns, map_T_cam, vio_T_cam)
+    _trajectory(found, map_T_cam[:, :3, 3], vio_T_cam[:, :3, 3])
+    return found
+
+
+def drift_table(by_session: dict[str, DriftSamples]) -> pd.DataFrame:
+    """The align.drift table: each session's rows, then those of all sessions together."""
+    pooled = DriftSamples()
+    rows = []
+    for session_id, samples in by_session.items():
+        rows += samples.rows(session_id)
+        pooled.extend(samples)
+    rows += pooled.rows(ALL)
+    return pd.DataFrame(rows, columns=schema("align", "drift").column_names).astype({"interval": float})
+
+
+def second_pairs(t_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index pairs (M,), (M,) of frames about a second apart: for each frame the one nearest to a second later."""
+    seconds = (t_ns - t_ns[0]) * 1e-9
+    after = np.searchsorted(seconds, seconds + 1.0)
+    before = np.maximum(after - 1, 0)
+    inside = np.minimum(after, len(seconds) - 1)
+    nearer = np.abs(seconds[inside] - seconds - 1.0) < np.abs(seconds[before] - seconds - 1.0)
+    later = np.where(nearer, inside, before)
+    gap = seconds[later] - seconds
+    good = (gap >= _SECOND_S[0]) & (gap <= _SECOND_S[1])
+    return np.flatnonzero(good), later[good]
+
+
+def distance_pairs(xyz: Array, distance_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Index pairs (M,), (M,): each frame and the first one that lies `distance_m` or more further along the path."""
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
+    last = np.searchsorted(travelled, travelled + distance_m)
+    first = np.flatnonzero(last < len(travelled))
+    return first, last[first]
+
+
+def _steps(found: DriftSamples, t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: Array) -> None:
+    """The paper's RPE and ROE (eq. 4 and 5), and the whole relative pose, per pair of frames and per second."""
+    consecutive = (np.arange(len(t_ns) - 1), np.arange(1, len(t_ns)))
+    for (first, last), unit in ((consecutive, "pair"), (second_pairs(t_ns), "s")):
+        step, vio_step = relative(map_T_cam[first], map_T_cam[last]), relative(vio_T_cam[first], vio_T_cam[last])
+        (length, angle), (vio_length, vio_angle) = _motion(step), _motion(vio_step)
+        found.add("paper_rpe", 1.0, unit, "m", np.abs(length - vio_length))
+        found.add("paper_roe", 1.0, unit, "deg", np.abs(angle - vio_angle))
+        left_m, left_deg = _motion(inverse(step) @ vio_step)
+        found.add("relative_position", 1.0, unit, "m", left_m)
+        found.add("relative_rotation", 1.0, unit, "deg", left_deg)
+
+
+def _distances(found: DriftSamples, map_T_cam: Array, vio_T_cam: Array) -> None:
+    """KITTI's odometry error (Geiger et al., CVPR 2012): relative motion over fixed travelled distances."""
+    for distance_m in DISTANCES_M:
+        first, last = distance_pairs(map_T_cam[:, :3, 3], distance_m)
+        step, vio_step = relative(map_T_cam[first], map_T_cam[last]), relative(vio_T_cam[first], vio_T_cam[last])
+        left_m, left_deg = _motion(inverse(step) @ vio_step)
+        found.add("distance_position", distance_m, "m", "%", 100 * left_m / distance_m)
+        found.add("distance_rotation", distance_m, "m", "deg/m", left_deg / distance_m)
+
+
+def _motion(a_T_b: Array) -> tuple[Array, Array]:
+    """Lengths in metres and angles in degrees (N,) of motions (N, 4, 4)."""
+    return np.linalg.norm(a_T_b[:, :3, 3], axis=1), np.degrees(rotation_angle(a_T_b[:, :3, :3]))
+
+
+def _yaw(found: DriftSamples, t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: Array) -> None:
+    """The steady rate of VIO's yaw error, by least squares over the whole segment; its size, not its sign."""
+    map_R_vio = map_T_cam[:, :3, :3] @ np.swapaxes(vio_T_cam[:, :3, :3], 1, 2)
+    yaw_deg = np.degrees(np.unwrap(heading(map_R_vio)))
+    minutes = (t_ns - t_ns[0]) / 60e9
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(map_T_cam[:, :3, 3], axis=0), axis=1))])
+    if minutes[-1] >= _LEAST_YAW_S / 60:
+        found.add("yaw_rate", None, "path", "deg/min", np.abs(np.polyfit(minutes, yaw_deg, 1)[:1]))
+    if travelled[-1] >= _LEAST_YAW_M:
+        found.add("yaw_rate", None, "path", "deg/100m", np.abs(np.polyfit(travelled / 100, yaw_deg, 1)[:1]))
+
+
+def _trajectory(found: DriftSamples, map_xyz: Array, vio_xyz: Array) -> None:
+    """ATE: position errors after a least-squares fit of the whole path (Zhang and Scaramuzza, IROS 2018)."""
+    try:
+        found.add("ate_se3", None, "path", "m", _left(map_xyz, transform(fit_se3(map_xyz, vio_xyz), vio_xyz)))
+        found.add("ate_yaw", None, "path", "m", _left(map_xyz, transform(fit_yaw(map_xyz, vio_xyz), vio_xyz)))
+        found.add("ate_sim3", None, "path", "m", _left(map_xyz, fit_sim3(map_xyz, vio_xyz).points(vio_xyz)))
+    except GeometryError:
+        # Too few frames, or a path so straight that positions leave the fit open: this segment has no ATE.
+        return
+
+
+def _left(a: Array, b: Array) -> Array:
+    return np.linalg.norm(a - b, axis=1)

@@ -1,0 +1,103 @@
+"""recording.rrd: the model in the map, ground truth by quality, VIO beside it, and how they part over time."""
+
+import numpy as np
+import pandas as pd
+import rerun as rr
+import rerun.blueprint as rrb
+
+from alignment.ground_truth import DISAGREES, Aligned
+from alignment.sessions import SessionFit
+from alignment.settings import AlignSettings
+from artefacts import StageRun
+from artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
+from artefacts.tables import poses_of
+from geometry.poses import Array, transform
+
+# Shades of one colour: all of these are ground truth. The frames that the gate took out stay where SfM had them.
+_QUALITY_COLOURS = {"A": GROUND_TRUTH, "B": (110, 200, 170), "C": NEUTRAL, "refused": REJECTED}
+# Sessions have clocks of their own; from each one's start their curves lie over each other.
+_TIMELINE = "session_time"
+# Cameras are drawn this long, as a share of the ground truth's extent, within these metres.
+_CAMERA_SHARE, _CAMERA_RANGE_M = 0.04, (0.03, 0.3)
+
+
+def write_recording(r: StageRun[AlignSettings], aligned: Aligned, frames: pd.DataFrame, points: pd.DataFrame) -> None:
+    """Write the stage's recording; `frames` is import's table, `points` SfM's."""
+    blueprint = rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Spatial3DView(origin="map", name="Map: ground truth and VIO"),
+            rrb.Vertical(
+                rrb.TimeSeriesView(origin="residuals/position_m", name="VIO from ground truth, metres"),
+                rrb.TimeSeriesView(origin="residuals/rotation_deg", name="VIO from ground truth, degrees"),
+            ),
+            column_shares=[3, 2],
+        ),
+        rrb.TimePanel(timeline=_TIMELINE, state="collapsed"),
+        collapse_panels=True,
+    )
+    xyz = aligned.ground_truth[["map_cam_tx", "map_cam_ty", "map_cam_tz"]]
+    extent_m = float(np.linalg.norm(xyz.max() - xyz.min()))
+    camera_m = float(np.clip(_CAMERA_SHARE * extent_m, *_CAMERA_RANGE_M))
+    with r.recording(blueprint) as rec:
+        rec.log("map", UP_AXIS, static=True)
+        _log_points(rec, aligned, points)
+        _log_frusta(rec, aligned, frames, camera_m)
+        for fit in aligned.fits:
+            _log_segment(rec, aligned, fit, frames, camera_m)
+
+
+def _log_points(rec: rr.RecordingStream, aligned: Aligned, points: pd.DataFrame) -> None:
+    xyz = aligned.map_S_sfm.points(points[["x", "y", "z"]].to_numpy(float))
+    colours = points[["r", "g", "b"]].to_numpy(np.uint8)
+    rec.log("map/points", rr.Points3D(xyz, colors=colours, radii=rr.Radius.ui_points(1.5)), static=True)
+
+
+def _log_frusta(rec: rr.RecordingStream, aligned: Aligned, frames: pd.DataFrame, camera_m: float) -> None:
+    """All cameras as wire pyramids, one entity a quality, so that each can be switched off."""
+    gt = aligned.ground_truth
+    map_T_cam = poses_of(gt, "map_cam")
+    shown_as = gt["quality"].to_numpy(str)
+    refused = (gt["reason"] == DISAGREES).to_numpy()
+    for fit in aligned.fits:
+        rows = fit.segment.rows[refused[fit.segment.rows]]
+        map_T_cam[rows] = aligned.map_S_sfm.poses(fit.segment.sfm_T_cam[refused[fit.segment.rows]])
+    shown_as[refused] = "refused"
+    for name, colour in _QUALITY_COLOURS.items():
+        strips = [
+            strip
+            for row in np.flatnonzero(shown_as == name)
+            for strip in _pyramid(map_T_cam[row], frames.iloc[row], camera_m)
+        ]
+        lines = rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(0.8))
+        rec.log(f"map/ground_truth/cameras/quality_{name}", lines, static=True)
+
+
+def _pyramid(map_T_cam: Array, frame: pd.Series, depth_m: float) -> list[Array]:
+    """A camera's view as two line strips: the image's border with two edges, and the other two edges."""
+    border = np.array([(0, 0), (frame.width, 0), (frame.width, frame.height), (0, frame.height)], float)
+    corners = depth_m * np.column_stack([(border - [frame.cx, frame.cy]) / [frame.fx, frame.fy], np.ones(4)])
+    a, b, c, d, eye = transform(map_T_cam, np.vstack([corners, np.zeros(3)]))
+    return [np.stack([eye, a, b, c, d, a]), np.stack([b, eye, c]), np.stack([d, eye])]
+
+
+def _log_segment(
+    rec: rr.RecordingStream, aligned: Aligned, fit: SessionFit, frames: pd.DataFrame, camera_m: float
+) -> None:
+    """A segment's paths, its two cameras moving along them, and how far they are apart."""
+    s = fit.segment
+    name = f"{s.session_id}-{s.index + 1}" if s.index else s.session_id
+    map_T_cam = aligned.map_S_sfm.poses(s.sfm_T_cam)
+    map_T_cam[~fit.used] = np.nan
+    log_path(rec, f"map/ground_truth/{name}/path", map_T_cam[:, :3, 3], GROUND_TRUTH)
+    if not len(fit.compared):
+        return
+    vio_in_map = fit.map_T_vio @ s.vio_T_cam
+    log_path(rec, f"map/vio/{name}/path", vio_in_map[:, :3, 3], VIO)
+    start_ns = frames.loc[frames["session_id"] == s.session_id, "t_ns"].min()
+    for number, index in enumerate(fit.compared):
+        rec.set_time(_TIMELINE, duration=np.timedelta64(int(s.t_ns[index] - start_ns), "ns"))
+        frame = frames.iloc[s.rows[index]]
+        log_camera(rec, f"map/ground_truth/{name}/camera", map_T_cam[index], frame, GROUND_TRUTH, 2 * camera_m)
+        log_camera(rec, f"map/vio/{name}/camera", vio_in_map[index], frame, VIO, 2 * camera_m)
+        rec.log(f"residuals/position_m/{name}", rr.Scalars(fit.position_m[number]))
+        rec.log(f"residuals/rotation_deg/{name}", rr.Scalars(fit.rotation_deg[number]))

@@ -1,0 +1,137 @@
+"""Sessions as the alignment sees them: SfM and VIO poses of the same frames, cut where VIO jumped."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from artefacts.tables import poses_of
+from geometry.poses import Array
+
+UNTRACKED = ("limited", "lost")
+
+# Frames that a window needs so that a robust fit of 7 unknowns sees which of them is wrong.
+LEAST_WINDOW = 6
+
+
+@dataclass(frozen=True)
+class Segment:
+    """The frames of a session between two VIO jumps, in order of time.
+
+    `rows` (N,) are their positions in the frames table. Poses (N, 4, 4) are NaN where SfM or VIO has none; `up_cam`
+    (N, 3) is the unit vector against gravity in camera axes, or NaN. `recording` is the same for all parts of one
+    recording, which share the phone's scale and gravity errors.
+    """
+
+    session_id: str
+    recording: str
+    index: int
+    rows: np.ndarray
+    t_ns: np.ndarray
+    sfm_T_cam: Array
+    vio_T_cam: Array
+    up_cam: Array
+
+    @property
+    def registered(self) -> np.ndarray:
+        """(N,) SfM has a pose."""
+        return np.isfinite(self.sfm_T_cam[:, 0, 0])
+
+    @property
+    def tracked(self) -> np.ndarray:
+        """(N,) VIO has a pose."""
+        return np.isfinite(self.vio_T_cam[:, 0, 0])
+
+    @property
+    def both(self) -> np.ndarray:
+        """(N,) SfM and VIO have a pose."""
+        return self.registered & self.tracked
+
+    @property
+    def travelled_m(self) -> Array:
+        """(N,) length of the VIO path since the first frame; a frame without VIO stays where the last one was."""
+        xyz = pd.DataFrame(self.vio_T_cam[:, :3, 3]).ffill().bfill().to_numpy()
+        if np.isnan(xyz).any():
+            return np.zeros(len(xyz))
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
+
+    def where(self, wanted: np.ndarray) -> "Segment":
+        """The segment's frames for which `wanted` (N,) holds."""
+        return Segment(
+            self.session_id,
+            self.recording,
+            self.index,
+            self.rows[wanted],
+            self.t_ns[wanted],
+            self.sfm_T_cam[wanted],
+            self.vio_T_cam[wanted],
+            self.up_cam[wanted],
+        )
+
+
+def cut_segments(
+    frames: pd.DataFrame,
+    images: pd.DataFrame,
+    jumps: pd.DataFrame,
+    recordings: dict[str, str],
+    *,
+    jump_m: float,
+    jump_deg: float,
+) -> list[Segment]:
+    """All segments, by session and time; cut at VIO jumps of `jump_m` or `jump_deg` or more.
+
+    `frames` and `jumps` are import's tables, `images` SfM's with the same frame_ids; `recordings` names each
+    session's recording. A pose that the phone itself calls limited or lost counts as none: it may stand still
+    while the phone moves.
+    """
+    images = images.set_index("frame_id").loc[frames["frame_id"]].reset_index()
+    sfm_T_cam = poses_of(images, "sfm_cam")
+    sfm_T_cam[~images["registered"].to_numpy(bool)] = np.nan
+    vio_T_cam = poses_of(frames, "vio_cam")
+    vio_T_cam[frames["tracking"].isin(UNTRACKED).to_numpy()] = np.nan
+    up_cam = -frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
+    t_ns = frames["t_ns"].to_numpy(np.int64)
+    session = frames["session_id"].to_numpy(str)
+    big = jumps[(jumps["jump_m"] >= jump_m) | (jumps["jump_deg"] >= jump_deg)]
+
+    segments = []
+    for session_id in sorted(set(session)):
+        rows = np.flatnonzero(session == session_id)
+        rows = rows[np.argsort(t_ns[rows], kind="stable")]
+        cuts_ns = np.sort(big.loc[big["session_id"] == session_id, "t_ns"].to_numpy(np.int64))
+        # side="left": the frame at the jump's time is the first one after it.
+        borders = np.searchsorted(t_ns[rows], cuts_ns, side="left")
+        parts = [part for part in np.split(rows, borders) if len(part)]
+        for index, part in enumerate(parts):
+            segments.append(
+                Segment(
+                    session_id,
+                    recordings.get(session_id, session_id),
+                    index,
+                    part,
+                    t_ns[part],
+                    sfm_T_cam[part],
+                    vio_T_cam[part],
+                    up_cam[part],
+                )
+            )
+    return segments
+
+
+def windows(segment: Segment, length_m: float, least_frames: int = LEAST_WINDOW) -> list[np.ndarray]:
+    """Indices (n,) of the segment's frames in windows of `length_m` of VIO path, each half over the next.
+
+    The windows are spread so that the last one ends with the path; a shorter path is one window. Where frames are far
+    apart a window is longer, so that it has `least_frames`; a segment of fewer is one window.
+    """
+    travelled, count = segment.travelled_m, len(segment.rows)
+    path_m = float(travelled[-1])
+    steps = 0 if path_m <= length_m else int(np.ceil((path_m - length_m) / (length_m / 2)))
+    starts = np.linspace(0.0, max(path_m - length_m, 0.0), steps + 1)
+    # Rounding must not cost a window its last frame.
+    slack = 1e-9 * (1 + path_m)
+    first = np.searchsorted(travelled, starts - slack)
+    last = np.searchsorted(travelled, starts + length_m + slack, side="right")
+    last = np.minimum(np.maximum(last, first + least_frames), count)
+    first = np.maximum(np.minimum(first, last - least_frames), 0)
+    return [np.arange(a, b) for a, b in dict.fromkeys(zip(first.tolist(), last.tolist(), strict=True))]

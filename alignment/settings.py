@@ -1,0 +1,48 @@
+"""Settings of the align stage."""
+
+from pydantic import Field
+
+from alignment.uncertainty import QualityLimits
+from artefacts import Settings
+
+
+class QualitySettings(Settings):
+    """What a frame must keep for a quality class."""
+
+    position_sd_m: float = Field(gt=0, description="one sigma of SfM's position, least certain axis")
+    rotation_sd_deg: float = Field(gt=0, description="one sigma of SfM's rotation, least certain axis")
+    observations: int = Field(ge=0, description="points of the model seen in the frame, at least")
+    reprojection_deg: float = Field(gt=0, description="mean reprojection error as an angle")
+
+    def limits(self) -> QualityLimits:
+        return QualityLimits(self.position_sd_m, self.rotation_sd_deg, self.observations, self.reprojection_deg)
+
+
+class AlignSettings(Settings):
+    """How ground truth is made; docs/ground-truth.md says why these defaults."""
+
+    window_m: float = Field(10.0, gt=0, description="VIO path over which SfM and VIO are compared, metres")
+    least_extent_m: float = Field(
+        0.15, gt=0, description="windows whose VIO positions spread less (root mean square) tell no scale, metres"
+    )
+    window_scale_sd: float = Field(0.01, gt=0, description="expected scale error of one window, share")
+    phone_scale_sd: float = Field(0.003, gt=0, description="expected scale error of one recording's VIO, share")
+    phone_tilt_sd_deg: float = Field(0.3, gt=0, description="expected gravity error of one recording, degrees an axis")
+    position_sd_m: float = Field(0.01, gt=0, description="position's weight in fits of VIO to the map, metres")
+    rotation_sd_deg: float = Field(1.0, gt=0, description="rotation's weight in the same fits, degrees")
+    segment_jump_m: float = Field(0.5, gt=0, description="a session is aligned apart before and after such a VIO jump")
+    segment_jump_deg: float = Field(5.0, gt=0, description="the same for a jump in rotation, degrees")
+    drift_m: float = Field(0.1, ge=0, description="gate: VIO and SfM may differ by this within a window, metres, ...")
+    drift_m_per_m: float = Field(0.03, ge=0, description="... and by this share of the distance travelled in it")
+    drift_deg: float = Field(2.0, ge=0, description="gate: the same for rotation, degrees, ...")
+    drift_deg_per_m: float = Field(0.8, ge=0, description="... and degrees a metre")
+    session_scale_limit: float = Field(0.03, gt=0, description="gate: a session's scale may differ by this share")
+    session_tilt_limit_deg: float = Field(2.0, gt=0, description="gate: a session's vertical may differ by this")
+    least_registered: float = Field(0.5, ge=0, le=1, description="share of frames that SfM must register")
+    least_agreeing: float = Field(0.5, ge=0, le=1, description="share of registered frames that must pass the gate")
+    quality_a: QualitySettings = QualitySettings(
+        position_sd_m=0.02, rotation_sd_deg=0.1, observations=100, reprojection_deg=0.15
+    )
+    quality_b: QualitySettings = QualitySettings(
+        position_sd_m=0.05, rotation_sd_deg=0.3, observations=50, reprojection_deg=0.3
+    )

@@ -1,0 +1,109 @@
+"""Stage 3: ground truth in a metric, gravity-aligned map, and how VIO drifts from it."""
+
+import numpy as np
+import pandas as pd
+
+from alignment.ground_truth import Aligned, align
+from alignment.recording import write_recording
+from alignment.sessions import SessionFit
+from alignment.settings import AlignSettings
+from artefacts import Stage, StageRun
+from geometry.poses import Array
+
+
+def run(r: StageRun[AlignSettings]) -> None:
+    frames, sessions = r.read("import", "frames"), r.read("import", "sessions")
+    recordings = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
+    with r.step("align"):
+        # SfM adjusts its poses without VIO priors, so none of this ground truth leans on VIO positions.
+        aligned = align(
+            frames, r.read("sfm", "images"), r.read("import", "jumps"), recordings, r.settings, gt_uses_vio=False
+        )
+    for table in ("ground_truth", "sessions", "drift", "gate", "residuals"):
+        r.write(table, getattr(aligned, table))
+    _figures(r, aligned)
+    with r.step("recording"):
+        write_recording(r, aligned, frames, r.read("sfm", "points"))
+
+
+def _figures(r: StageRun[AlignSettings], aligned: Aligned) -> None:
+    gt, sessions = aligned.ground_truth, aligned.sessions
+    known = gt["quality"] != "none"
+    registered = int(sessions["registered"].sum())
+    counts = {name: int((gt["quality"] == name).sum()) for name in ("A", "B", "C", "none")}
+    failed = int((~aligned.gate["passed"]).sum())
+    figures = {
+        "frames": len(gt),
+        "registered": registered,
+        "with_ground_truth": int(known.sum()),
+        **{f"quality_{name}": count for name, count in counts.items()},
+        "metres_per_sfm_unit": aligned.map_S_sfm.scale,
+        "scale_sd": aligned.scale.sd,
+        "session_scale_spread": float(sessions["scale"].max() - sessions["scale"].min()),
+        "vertical_sd_deg": float(np.degrees(aligned.vertical.sd)),
+        "vertical_correction_deg": _or_none(sessions["up_error_deg"].max()),
+        "position_rms_m": _pooled_rms(sessions["position_rms_m"], sessions["used"]),
+        "rotation_rms_deg": _pooled_rms(sessions["rotation_rms_deg"], sessions["used"]),
+        "sim3_position_rms_m": _pooled_rms(sessions["sim3_position_rms_m"], sessions["registered"]),
+        "sim3_rotation_median_deg": _or_none(sessions["sim3_rotation_median_deg"].max()),
+        "checks": len(aligned.gate),
+        "checks_failed": failed,
+    }
+    for name, value in figures.items():
+        r.figure(name, value)
+    r.say(
+        f"{registered} of {len(gt)} frames registered, {int(known.sum())} with ground truth "
+        f"(A {counts['A']}, B {counts['B']}, C {counts['C']})"
+    )
+    r.say(
+        f"map: {aligned.map_S_sfm.scale:.6g} m per SfM unit ± {100 * aligned.scale.sd:.2f} %, vertical "
+        f"± {figures['vertical_sd_deg']:.2f}°, from {len(aligned.scale.recordings)} VIO recordings"
+    )
+    for fit in aligned.fits:
+        r.say(_describe(fit))
+    r.say(f"gate: {failed} of {len(aligned.gate)} checks failed" if failed else "gate: all checks passed")
+
+
+def _describe(fit: SessionFit) -> str:
+    """One line on how a session's VIO compares with the ground truth."""
+    name = f"{fit.segment.session_id}, part {fit.segment.index}"
+    if not len(fit.compared):
+        return f"{name}: too few frames with ground truth and VIO to align"
+    text = (
+        f"{name}: VIO off by {_rms(fit.position_m):.3f} m RMS, rotation median {np.median(fit.rotation_deg):.2f}° "
+        f"over {fit.segment.travelled_m[-1]:.1f} m"
+    )
+    if not len(fit.sim3_position_m):
+        return text
+    return (
+        f"{text}; after a Sim3 fit of its own {1000 * _rms(fit.sim3_position_m):.1f} mm RMS, rotation median "
+        f"{np.median(fit.sim3_rotation_deg):.2f}°"
+    )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _pooled_rms(rms: pd.Series, counts: pd.Series) -> float | None:
+    """Root mean square over all frames from each session's own."""
+    known = rms.notna()
+    if not counts[known].any():
+        return None
+    return float(np.sqrt(np.average(rms[known].astype(float) ** 2, weights=counts[known])))
+
+
+def _or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+STAGE = Stage(
+    name="align",
+    version=1,
+    settings=AlignSettings,
+    needs=("import", "sfm"),
+    run=run,
+    help="Ground truth: SfM's model put into a metric map with +y up, checked against the phones' VIO. Metric scale "
+    "and vertical come from all sessions together; writes each frame's pose with covariance and quality, where each "
+    "session's VIO frame lies, how VIO drifts, and what was checked.",
+)

@@ -1,0 +1,157 @@
+"""Walks with known truth: SfM in a gauge of its own, VIO with drift, as the tables that the stage reads."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from alignment.uncertainty import covariance_in_map
+from artefacts.tables import pose_frame, poses_of
+from geometry.fits import Sim3
+from geometry.poses import make_pose, yaw_rotation
+
+
+@dataclass(frozen=True)
+class Walks:
+    """Settings of a synthetic scene; the defaults are noise-free."""
+
+    seed: int = 0
+    sessions: int = 3
+    frames: int = 60
+    speed_m: float = 1.2
+    """metres between frames, which are a second apart"""
+    sfm_m: float = 0.0
+    sfm_deg: float = 0.0
+    drift_m: float = 0.0
+    """random walk of VIO's position, metres in each axis over one metre walked"""
+    drift_yaw_deg: float = 0.0
+    """random walk of VIO's yaw over one metre walked"""
+    jitter_m: float = 0.0
+    phone_scale: float = 0.0
+    """one sigma of each session's VIO scale"""
+    phone_tilt_deg: float = 0.0
+    """one sigma of each session's gravity error, per axis"""
+    gauge: Sim3 = field(
+        default_factory=lambda: Sim3(
+            0.37, Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix(), np.array([3.0, -7.0, 1.0])
+        )
+    )
+
+    def make(self, **changes) -> "Scene":
+        return _make(replace(self, **changes))
+
+
+@dataclass
+class Scene:
+    """The stage's inputs, and the truth: map_T_cam (N, 4, 4) in the true map."""
+
+    frames: pd.DataFrame
+    images: pd.DataFrame
+    jumps: pd.DataFrame
+    true_T_cam: np.ndarray
+    phone_scales: np.ndarray
+
+    @property
+    def recordings(self) -> dict[str, str]:
+        return {s: s for s in self.frames["session_id"]}
+
+    def in_gauge(self, other_S_sfm: Sim3) -> "Scene":
+        """The same scene with SfM's poses and covariances in another gauge."""
+        images = self.images.copy()
+        poses = other_S_sfm.poses(poses_of(images, "sfm_cam"))
+        images[pose_frame("sfm_cam", poses).columns] = pose_frame("sfm_cam", poses)
+        images["covariance"] = [
+            None if c is None else covariance_in_map(np.reshape(c, (1, 6, 6)), other_S_sfm).ravel().tolist()
+            for c in images["covariance"]
+        ]
+        return replace(self, images=images)
+
+    def set_sfm(self, sfm_T_cam: np.ndarray) -> None:
+        table = pose_frame("sfm_cam", sfm_T_cam)
+        self.images[table.columns] = table
+
+    def set_vio(self, vio_T_cam: np.ndarray) -> None:
+        table = pose_frame("vio_cam", vio_T_cam)
+        self.frames[table.columns] = table
+
+
+def _walk(rng: np.random.Generator, w: Walks) -> np.ndarray:
+    """Smooth path in the plane with a little height, looking ahead and around."""
+    turn = np.cumsum(rng.normal(0, 0.15, w.frames)) + rng.uniform(-np.pi, np.pi)
+    step = w.speed_m * np.stack([np.cos(turn), np.zeros_like(turn), np.sin(turn)], axis=1)
+    xyz = rng.normal(0, 8, 3) * [1, 0, 1] + np.cumsum(step, axis=0)
+    xyz[:, 1] = 1.6 + 0.05 * np.sin(np.arange(w.frames)) * min(1.0, w.speed_m)
+    yaw = -turn + 0.5 * np.sin(np.arange(w.frames) / 5)
+    pitch = 0.2 * np.sin(np.arange(w.frames) / 3 + rng.uniform(0, 6))
+    level = yaw_rotation(yaw) @ np.diag([1.0, -1.0, -1.0])
+    return make_pose(level @ Rotation.from_euler("x", pitch[:, None]).as_matrix(), xyz)
+
+
+def _vio(rng: np.random.Generator, w: Walks, true_T_cam: np.ndarray, scale: float) -> np.ndarray:
+    tilt = Rotation.from_rotvec(np.radians(w.phone_tilt_deg) * rng.normal(size=3) * [1, 0, 1]).as_matrix()
+    vio_T_true = make_pose(tilt @ yaw_rotation(rng.uniform(-np.pi, np.pi)), rng.normal(0, 5, 3))
+    path = scale * true_T_cam[:, :3, 3]
+    steps = np.diff(path, axis=0)
+    length = np.linalg.norm(steps, axis=1)
+    yaw = np.radians(w.drift_yaw_deg) * np.cumsum(np.sqrt(length) * rng.normal(size=len(length)))
+    bent = yaw_rotation(yaw)
+    steps = np.einsum("nij,nj->ni", bent, steps)
+    steps += w.drift_m * np.sqrt(length)[:, None] * rng.normal(size=steps.shape)
+    xyz = np.concatenate([path[:1], path[0] + np.cumsum(steps, axis=0)])
+    rotation = np.concatenate([np.eye(3)[None], bent]) @ true_T_cam[:, :3, :3]
+    return vio_T_true @ make_pose(rotation, xyz + w.jitter_m * rng.normal(size=xyz.shape))
+
+
+def _make(w: Walks) -> Scene:
+    rng = np.random.default_rng(w.seed)
+    scales = 1 + w.phone_scale * rng.normal(size=w.sessions)
+    frames, true = [], []
+    for number in range(w.sessions):
+        true_T_cam = _walk(rng, w)
+        vio_T_cam = _vio(rng, w, true_T_cam, scales[number])
+        gravity = -np.swapaxes(vio_T_cam[:, :3, :3], 1, 2)[:, :, 1]
+        name = f"walk{number}"
+        table = pd.DataFrame(
+            {
+                "frame_id": [f"{name}/{i:06d}" for i in range(w.frames)],
+                "session_id": name,
+                "split": "test" if number == w.sessions - 1 else "train",
+                "t_ns": 10**12 * (number + 1) + 10**9 * np.arange(w.frames),
+                "tracking": "normal",
+                "fx": 1400.0,
+                **{f"gravity_{axis}": gravity[:, i] for i, axis in enumerate("xyz")},
+            }
+        )
+        frames.append(pd.concat([table, pose_frame("vio_cam", vio_T_cam)], axis=1))
+        true.append(true_T_cam)
+    table, true_T_cam = pd.concat(frames, ignore_index=True), np.concatenate(true)
+    sigma = np.concatenate([np.full(3, np.radians(max(w.sfm_deg, 0.01))), np.full(3, max(w.sfm_m, 0.001))])
+    error = Rotation.from_rotvec(np.radians(w.sfm_deg) * rng.normal(size=(len(true_T_cam), 3))).as_matrix()
+    seen = make_pose(
+        error @ true_T_cam[:, :3, :3], true_T_cam[:, :3, 3] + w.sfm_m * rng.normal(size=(len(true_T_cam), 3))
+    )
+    images = pd.DataFrame(
+        {
+            "frame_id": table["frame_id"],
+            "registered": True,
+            "observations": 500,
+            "reprojection_px": 0.8,
+            "covariance": [np.diag(sigma**2).ravel().tolist()] * len(table),
+        }
+    )
+    scene = Scene(
+        table,
+        pd.concat([images, pose_frame("sfm_cam", seen)], axis=1),
+        pd.DataFrame({"session_id": [], "t_ns": [], "jump_m": [], "jump_deg": []}).astype({"session_id": str}),
+        true_T_cam,
+        scales,
+    )
+    return scene.in_gauge(w.gauge)
+
+
+@pytest.fixture
+def walks() -> Walks:
+    """Settings of synthetic walks; `walks.make(seed=3, ...)` gives a scene."""
+    return Walks()

@@ -1,0 +1,96 @@
+"""Drift measures against evo's, the paper's formulas, and drifts that are known."""
+
+import numpy as np
+import pytest
+from evo.core import metrics as evo_metrics
+from evo.core.trajectory import PosePath3D
+from scipy.spatial.transform import Rotation
+
+from alignment.drift import DriftSamples, distance_pairs, drift_table, measure_drift, second_pairs
+from geometry.metrics import rpe_roe
+from geometry.poses import make_pose, yaw_rotation
+
+
+@pytest.fixture
+def paths() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, ground truth and VIO of a walk of 100 frames."""
+    rng = np.random.default_rng(3)
+    xyz = np.cumsum(rng.normal(0, 0.6, (100, 3)), axis=0)
+    gt = make_pose(Rotation.random(100, rng=rng).as_matrix(), xyz)
+    error = Rotation.from_rotvec(rng.normal(0, 0.02, (100, 3))).as_matrix()
+    turned = make_pose(Rotation.random(rng=rng).as_matrix(), [1.0, 2, 3])
+    vio = turned @ make_pose(error @ gt[:, :3, :3], xyz + np.cumsum(rng.normal(0, 0.02, (100, 3)), axis=0))
+    return np.arange(100) * 10**9, gt, vio
+
+
+def values(found: DriftSamples, definition: str, unit: str, interval_unit: str | None = None) -> np.ndarray:
+    (key,) = [k for k in found.samples if k[0] == definition and k[3] == unit and interval_unit in (None, k[2])]
+    return np.array(found.samples[key])
+
+
+def evo_errors(metric, gt: np.ndarray, vio: np.ndarray, align: bool = False, scale: bool = False) -> np.ndarray:
+    a, b = PosePath3D(poses_se3=list(gt)), PosePath3D(poses_se3=list(vio))
+    if align:
+        b.align(a, correct_scale=scale)
+    metric.process_data((a, b))
+    return np.asarray(metric.error)
+
+
+def test_measures_agree_with_evo(paths) -> None:
+    t_ns, gt, vio = paths
+    found = measure_drift(t_ns, gt, vio)
+    part, rotation = evo_metrics.PoseRelation.translation_part, evo_metrics.PoseRelation.rotation_angle_deg
+    for relation, name, unit in ((part, "relative_position", "m"), (rotation, "relative_rotation", "deg")):
+        expected = evo_errors(evo_metrics.RPE(relation, delta=1, delta_unit=evo_metrics.Unit.frames), gt, vio)
+        np.testing.assert_allclose(values(found, name, unit, "pair"), expected, atol=1e-9)
+        np.testing.assert_allclose(values(found, name, unit, "s"), expected, atol=1e-9)
+    for name, scale in (("ate_se3", False), ("ate_sim3", True)):
+        expected = evo_errors(evo_metrics.APE(part), gt, vio, align=True, scale=scale)
+        np.testing.assert_allclose(values(found, name, "m"), expected, atol=1e-9)
+
+
+def test_paper_measures_are_the_papers(paths) -> None:
+    t_ns, gt, vio = paths
+    found = measure_drift(t_ns, gt, vio)
+    rpe, roe = rpe_roe(gt, vio)
+    np.testing.assert_allclose(values(found, "paper_rpe", "m", "pair"), rpe, atol=1e-12)
+    np.testing.assert_allclose(values(found, "paper_roe", "deg", "pair"), roe, atol=1e-6)
+
+
+def test_known_drifts_have_their_size() -> None:
+    """Straight on at 1 m/s with a turn of the head; VIO 2 % too long, and turning 3 degrees a minute."""
+    seconds = np.arange(121.0)
+    gt = make_pose(yaw_rotation(np.sin(seconds / 9)), np.stack([seconds, 0 * seconds, 0.01 * seconds**1.5], axis=1))
+    longer = gt.copy()
+    longer[:, :3, 3] *= 1.02
+    found = measure_drift((seconds * 1e9).astype(np.int64), gt, longer)
+    for (name, _, interval_unit, unit), samples in found.samples.items():
+        if name == "distance_position" and unit == "%":
+            # The first frame beyond the distance lies up to a step further.
+            np.testing.assert_allclose(samples, 2, rtol=0.25)
+        if name == "paper_rpe" and interval_unit == "s":
+            np.testing.assert_allclose(samples, 0.02, rtol=0.05)
+    assert values(found, "ate_sim3", "m").max() < 1e-9
+
+    bent = gt.copy()
+    bent[:, :3, :3] = yaw_rotation(-np.radians(3 * seconds / 60)) @ gt[:, :3, :3]
+    found = measure_drift((seconds * 1e9).astype(np.int64), gt, bent)
+    assert values(found, "yaw_rate", "deg/min") == pytest.approx(3, abs=1e-6)
+    assert values(found, "paper_roe", "deg", "s").mean() <= 0.05 + 1e-9
+
+
+def test_pairs_by_time_and_distance() -> None:
+    first, last = second_pairs(np.array([0, 400, 900, 1300, 1900, 5000, 6600]) * 10**6)
+    assert list(zip(first.tolist(), last.tolist(), strict=True)) == [(0, 2), (1, 3), (2, 4), (3, 4)]
+    first, last = distance_pairs(np.array([[0.0, 0, 0], [3, 0, 0], [3, 3, 0], [0, 3, 0]]), 5.0)
+    assert list(zip(first.tolist(), last.tolist(), strict=True)) == [(0, 2), (1, 3)]
+
+
+def test_the_table_pools_sessions_and_counts_samples(paths) -> None:
+    t_ns, gt, vio = paths
+    table = drift_table({"a": measure_drift(t_ns, gt, vio), "b": measure_drift(t_ns[:20], gt[:20], vio[:20])})
+    steps = table[(table["definition"] == "paper_rpe") & (table["interval_unit"] == "pair")]
+    assert steps.set_index("session_id")["samples"].to_dict() == {"a": 99, "b": 19, "all": 118}
+    pooled = steps.set_index("session_id")["mean"]
+    assert pooled["all"] == pytest.approx((99 * pooled["a"] + 19 * pooled["b"]) / 118)
+    assert table[["mean", "median", "rms", "p95", "max"]].notna().all(axis=None)

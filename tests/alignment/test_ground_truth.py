@@ -1,0 +1,215 @@
+"""The whole alignment on synthetic walks: what it recovers, what it doesn't depend on, and what it refuses."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from alignment.ground_truth import Aligned, align
+from alignment.settings import AlignSettings
+from artefacts import UserError
+from artefacts.tables import poses_of
+from geometry.fits import Sim3, fit_sim3
+from geometry.metrics import position_error, rotation_error_deg
+from geometry.poses import make_pose
+
+# About what phones do: a centimetre of model noise, VIO off by 0.3 % and 0.2 degrees a session, drifting meanwhile.
+PHONES = {
+    "sessions": 5,
+    "sfm_m": 0.01,
+    "sfm_deg": 0.05,
+    "drift_m": 0.01,
+    "drift_yaw_deg": 0.1,
+    "jitter_m": 0.003,
+    "phone_scale": 0.003,
+    "phone_tilt_deg": 0.15,
+}
+
+
+def run(scene, **settings) -> Aligned:
+    return align(
+        scene.frames, scene.images, scene.jumps, scene.recordings, AlignSettings(**settings), gt_uses_vio=False
+    )
+
+
+def ground_truth(aligned: Aligned) -> np.ndarray:
+    return poses_of(aligned.ground_truth, "map_cam")
+
+
+def against_truth(aligned: Aligned, scene) -> tuple[Sim3, np.ndarray, np.ndarray]:
+    """true_S_map, and the errors after it in metres and degrees of the frames with ground truth."""
+    gt = ground_truth(aligned)
+    known = np.isfinite(gt[:, 0, 0])
+    true_S_map = fit_sim3(scene.true_T_cam[known, :3, 3], gt[known, :3, 3])
+    moved = true_S_map.poses(gt[known])
+    return (
+        true_S_map,
+        position_error(moved, scene.true_T_cam[known]),
+        rotation_error_deg(moved, scene.true_T_cam[known]),
+    )
+
+
+def test_without_noise_the_truth_comes_back_exactly(walks) -> None:
+    scene = walks.make()
+    aligned = run(scene)
+    true_S_map, metres, degrees = against_truth(aligned, scene)
+    assert true_S_map.scale == pytest.approx(1, abs=1e-9)
+    assert true_S_map.rotation[1, 1] == pytest.approx(1, abs=1e-9)
+    assert metres.max() < 1e-9 and degrees.max() < 1e-6
+    # Rule of the map's origin and heading: those of the first session's VIO frame.
+    first = aligned.fits[0]
+    np.testing.assert_allclose(first.map_T_vio_yaw, np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(first.map_T_vio, np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(ground_truth(aligned)[:60], poses_of(scene.frames, "vio_cam")[:60], atol=1e-9)
+    assert aligned.gate["passed"].all()
+    assert (aligned.ground_truth["quality"] == "A").all()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_any_gauge_of_sfm_gives_the_same_ground_truth(walks, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = walks.make(**PHONES | {"seed": seed, "sessions": 2})
+    other = Sim3(float(np.exp(2 * rng.normal())), Rotation.random(rng=rng).as_matrix(), rng.normal(0, 20, 3))
+    a, b = run(scene), run(scene.in_gauge(other))
+    np.testing.assert_allclose(ground_truth(a), ground_truth(b), atol=1e-9)
+    np.testing.assert_allclose(
+        np.stack(a.ground_truth["covariance"]), np.stack(b.ground_truth["covariance"]), atol=1e-9
+    )
+    pd.testing.assert_frame_equal(a.gate, b.gate, rtol=1e-6, atol=1e-9)
+    pd.testing.assert_frame_equal(a.sessions, b.sessions, rtol=1e-6, atol=1e-9)
+
+
+def test_scale_and_vertical_come_from_all_sessions_together(walks) -> None:
+    scenes = [walks.make(**PHONES | {"seed": seed}) for seed in range(2)]
+    for scene in scenes:
+        aligned = run(scene)
+        true_S_map, metres, degrees = against_truth(aligned, scene)
+        assert abs(true_S_map.scale - 1) < 0.005
+        # The map can't know better than its phones: their mean error is in it, and little else.
+        assert 1 / true_S_map.scale == pytest.approx(scene.phone_scales.mean(), abs=0.0015)
+        assert np.degrees(np.arccos(true_S_map.rotation[1, 1])) < 0.2
+        assert np.median(metres) < 0.02 and np.median(degrees) < 0.1
+        assert aligned.gate["passed"].all()
+        own = aligned.sessions["scale"] * aligned.map_S_sfm.scale * walks.gauge.scale
+        np.testing.assert_allclose(own, scene.phone_scales, atol=0.005)
+
+
+def test_a_tenth_of_wrong_frames_is_found_and_moves_nothing(walks) -> None:
+    scene = walks.make(**PHONES | {"sessions": 3})
+    clean = run(scene)
+    rng = np.random.default_rng(5)
+    sfm = poses_of(scene.images, "sfm_cam")
+    wrong = rng.choice(len(sfm), len(sfm) // 10, replace=False)
+    sfm[wrong, :3, 3] += walks.gauge.scale * rng.uniform(1, 10, (len(wrong), 1)) * rng.choice([-1, 1], (len(wrong), 3))
+    scene.set_sfm(sfm)
+    aligned = run(scene)
+    refused = aligned.ground_truth["quality"].to_numpy() == "none"
+    assert refused[wrong].all()
+    assert refused.sum() <= 1.1 * len(wrong)
+    assert aligned.map_S_sfm.scale == pytest.approx(clean.map_S_sfm.scale, rel=0.002)
+    kept = ~refused
+    assert position_error(ground_truth(aligned)[kept], ground_truth(clean)[kept]).max() < 0.15
+
+
+def test_a_session_with_another_scale_is_named_and_left_out_of_the_mean(walks) -> None:
+    scene = walks.make(**PHONES)
+    vio = poses_of(scene.frames, "vio_cam")
+    vio[120:180, :3, 3] *= 1.1
+    scene.set_vio(vio)
+    aligned = run(scene)
+    assert abs(against_truth(aligned, scene)[0].scale - 1) < 0.005
+    failed = aligned.gate[~aligned.gate["passed"] & (aligned.gate["check"] == "session_scale")]
+    assert failed["session_id"].tolist() == ["walk2"]
+    scale = aligned.sessions.set_index("session_id")["scale"]
+    assert scale["walk2"] == pytest.approx(1.1, abs=0.01)
+
+
+def test_a_jumping_session_is_aligned_by_segment(walks) -> None:
+    scene = walks.make()
+    vio = poses_of(scene.frames, "vio_cam")
+    jump = make_pose(Rotation.from_euler("y", 20, degrees=True).as_matrix(), [3.0, 0, 1])
+    vio[80:120] = jump @ vio[80:120]
+    scene.set_vio(vio)
+    at = scene.frames["t_ns"].iloc[80]
+    scene.jumps = pd.DataFrame({"session_id": ["walk1"], "t_ns": [at], "jump_m": [3.2], "jump_deg": [20.0]})
+    aligned = run(scene)
+    sessions = aligned.sessions
+    assert sessions[["session_id", "segment", "frames"]].to_numpy().tolist() == [
+        ["walk0", 0, 60],
+        ["walk1", 0, 20],
+        ["walk1", 1, 40],
+        ["walk2", 0, 60],
+    ]
+    assert sessions["position_max_m"].max() < 1e-8
+    assert aligned.gate["passed"].all()
+    np.testing.assert_allclose(aligned.fits[1].map_T_vio, aligned.fits[2].map_T_vio @ jump, atol=1e-8)
+
+
+def test_an_unannounced_jump_costs_the_frames_around_it_only(walks) -> None:
+    """A break that import didn't see as VIO's is the model's: there is no ground truth beside it."""
+    scene = walks.make()
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[90:120, :3, 3] += walks.gauge.scale * np.array([2.0, 0, 1])
+    scene.set_sfm(sfm)
+    aligned = run(scene)
+    refused = np.flatnonzero(aligned.ground_truth["quality"] == "none")
+    assert len(refused) > 0 and refused.min() >= 80 and refused.max() < 100
+    assert set(aligned.ground_truth["reason"].iloc[refused]) == {"SfM and VIO disagree here"}
+
+
+def test_a_folded_model_is_refused_with_figures(walks) -> None:
+    """Look-alike places tied together: every few metres the model jumps back."""
+    scene = walks.make()
+    sfm = poses_of(scene.images, "sfm_cam")
+    for start in range(0, len(sfm), 5):
+        sfm[start : start + 5, :3, 3] += sfm[0, :3, 3] - sfm[start, :3, 3]
+    scene.set_sfm(sfm)
+    with pytest.raises(UserError, match="model is wrong") as error:
+        run(scene)
+    assert "checks failed" in str(error.value)
+
+
+def test_unregistered_frames_have_a_row_and_no_pose(walks) -> None:
+    scene = walks.make()
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[10:15] = np.nan
+    scene.set_sfm(sfm)
+    scene.images.loc[10:14, "registered"] = False
+    scene.images.loc[20:24, "covariance"] = None
+    gt = run(scene).ground_truth
+    assert len(gt) == len(scene.frames)
+    assert (gt["quality"].iloc[10:15] == "none").all() and gt["map_cam_tx"].iloc[10:15].isna().all()
+    assert (gt["reason"].iloc[10:15] == "SfM didn't register it").all()
+    assert gt["covariance"].iloc[20:25].isna().all() and (gt["quality"].iloc[20:25] == "B").all()
+
+
+def test_no_registered_frame_is_an_error(walks) -> None:
+    scene = walks.make(frames=6)
+    scene.images["registered"] = False
+    with pytest.raises(UserError, match="registered no frame"):
+        run(scene)
+
+
+@pytest.mark.parametrize("changes", [{"frames": 1}, {"speed_m": 0.0}])
+def test_without_motion_there_is_no_scale(walks, changes) -> None:
+    with pytest.raises(UserError, match="metric scale can't be had"):
+        run(walks.make(jitter_m=0.002, **changes))
+
+
+def test_without_vio_there_is_no_map(walks) -> None:
+    scene = walks.make(frames=10)
+    scene.set_vio(np.full((30, 4, 4), np.nan))
+    with pytest.raises(UserError, match="metric scale"):
+        run(scene)
+    scene = walks.make(frames=10)
+    scene.frames[["gravity_x", "gravity_y", "gravity_z"]] = np.nan
+    with pytest.raises(UserError, match="vertical"):
+        run(scene)
+
+
+def test_too_few_registered_frames_are_refused(walks) -> None:
+    scene = walks.make()
+    scene.images.loc[np.arange(len(scene.images)) % 3 > 0, "registered"] = False
+    with pytest.raises(UserError, match="too few frames") as error:
+        run(scene)
+    assert "60 of 180" in str(error.value)
