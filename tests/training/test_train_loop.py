@@ -1,0 +1,126 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from artefacts import UserError
+from training import loop
+from training.data import Frames, ImageCache
+from training.evaluation import mean_pose_errors, pose_errors
+from training.loop import Run, epoch_batches, learning_rate, train
+from training.models.posenet import PoseNet
+from training.models.regressor import PoseBatch, PoseRegressor
+from training.rotations import exp_quaternion
+from training.settings import PoseNetSettings
+
+CPU = torch.device("cpu")
+
+
+class SmallRegressor(PoseRegressor):
+    """Few weights, but batch norm and dropout, whose state a resumed run must have too."""
+
+    def __init__(self) -> None:
+        super().__init__(scenes=1, sx=0, sq=-3)
+        self.net = nn.Sequential(
+            nn.Conv2d(3, 8, 5, 4), nn.BatchNorm2d(8), nn.ReLU(), nn.Flatten(), nn.Dropout(0.3), nn.LazyLinear(6)
+        )
+        self.net(torch.zeros(2, 3, 32, 32))
+
+    def forward(self, image_B3HW: Tensor) -> PoseBatch:
+        output = self.net(image_B3HW)
+        scene = torch.zeros(len(output), dtype=torch.long)
+        return self.frames.to_map(output[:, :3], exp_quaternion(output[:, 3:]), scene)
+
+    def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
+        found = self(image_B3HW)
+        return self.loss_weights(
+            (found.position_B3 - poses.position_B3).abs().mean(),
+            (found.quaternion_B4 - poses.quaternion_B4).abs().mean(),
+        )
+
+
+def random_frames(folder: Path, count: int) -> Frames:
+    """Frames whose images are noise: nothing to learn but by heart."""
+    rng = np.random.default_rng(0)
+    folder.mkdir()
+    np.save(folder / "shapes.npy", np.tile([36, 48], (count, 1)))
+    rng.integers(0, 255, count * 36 * 48 * 3, dtype=np.uint8).tofile(folder / "pixels.u8")
+    quaternion = rng.normal([0, 0, 0, 4], 1, (count, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    K = np.tile(np.array([[40.0, 0, 24], [0, 40, 18], [0, 0, 1]]), (count, 1, 1))
+    position = rng.uniform(-5, 5, (count, 3))
+    return Frames(ImageCache(folder), np.arange(count), K, position, quaternion, np.zeros(count, np.int64))
+
+
+def test_overfits_a_few_images(tmp_path: Path) -> None:
+    frames = random_frames(tmp_path / "images", 8)
+    torch.manual_seed(0)
+    model = PoseNet(dropout=0)
+    model.frames.fit(frames.poses(CPU), True, True)
+    settings = PoseNetSettings(epochs=40, batch=8, learning_rate=1e-3, turn_deg=(0, 0, 0), schedule="cosine")
+    history = train(model, frames, frames, settings, Run(CPU, False, 32, 0, tmp_path, 1000), "test")
+    position_m, rotation_deg = pose_errors(model, frames, 32, CPU)
+    mean_pose = mean_pose_errors(frames, frames)
+    assert np.median(position_m) < 0.2 * np.median(mean_pose[0])
+    assert np.median(rotation_deg) < 0.4 * np.median(mean_pose[1])
+    assert history[-1]["train_loss"] < history[0]["train_loss"] - 2
+
+
+def test_a_resumed_run_ends_in_the_same_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = random_frames(tmp_path / "images", 10)
+    settings = PoseNetSettings(epochs=5, batch=4, learning_rate=1e-2, jitter=(0.3, 0.3, 0.3, 0.1), turn_deg=(5, 2, 3))
+
+    def start(name: str) -> tuple[SmallRegressor, list[dict[str, object]]]:
+        torch.manual_seed(3)
+        model = SmallRegressor()
+        history = train(model, frames, frames, settings, Run(CPU, False, 32, 7, tmp_path / name, 2), "test")
+        return model, [{k: v for k, v in row.items() if k != "seconds"} for row in history]
+
+    whole, whole_history = start("whole")
+
+    class Killed(Exception):
+        pass
+
+    def killed_at_4(*arguments: object) -> object:
+        nonlocal evaluations
+        evaluations += 1
+        if evaluations == 4:
+            raise Killed
+        return pose_errors(*arguments)  # type: ignore[arg-type]
+
+    evaluations = 0
+    with monkeypatch.context() as patched:
+        patched.setattr(loop, "pose_errors", killed_at_4)
+        with pytest.raises(Killed):
+            start("killed")
+    resumed, resumed_history = start("killed")
+    assert resumed_history == whole_history
+    for name, tensor in whole.state_dict().items():
+        assert torch.equal(tensor, resumed.state_dict()[name]), name
+
+
+def test_a_diverging_run_says_so(tmp_path: Path) -> None:
+    frames = random_frames(tmp_path / "images", 4)
+    settings = PoseNetSettings(epochs=20, batch=4, learning_rate=1e30)
+    with pytest.raises(UserError, match=r"loss is no number[\s\S]*lower learning_rate"):
+        train(SmallRegressor(), frames, frames, settings, Run(CPU, False, 32, 0, tmp_path), "test")
+
+
+def test_learning_rates() -> None:
+    cosine = PoseNetSettings(epochs=10, learning_rate=1.0, schedule="cosine", warmup_epochs=2)
+    rates = [learning_rate(cosine, e) for e in np.arange(0, 10, 0.25)]
+    assert np.argmax(rates) == 8 and rates[8] == pytest.approx(1)
+    assert np.all(np.diff(rates[:9]) > 0) and np.all(np.diff(rates[8:]) < 0) and rates[-1] < 0.01
+    step = PoseNetSettings(epochs=10, learning_rate=1.0, schedule="step", step_epochs=4, step_factor=0.1)
+    assert [learning_rate(step, e) for e in (3.9, 4, 8)] == pytest.approx([1, 0.1, 0.01])
+
+
+def test_batches_hold_every_row_and_as_many_of_each_scene() -> None:
+    scene_N = np.repeat([0, 1], [21, 8])
+    batches = list(epoch_batches(scene_N, 8, np.random.default_rng(0)))
+    rows = np.concatenate(batches)
+    assert set(rows) == set(range(29))
+    assert np.bincount(scene_N[rows]).tolist() == [21, 21]
+    assert min(map(len, batches)) >= 7 and max(map(len, batches)) <= 8

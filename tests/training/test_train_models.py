@@ -1,0 +1,150 @@
+import pytest
+import torch
+from torch import nn
+
+from training.models.efficientnet import EfficientNetB0
+from training.models.ms_transformer import MSTransformer
+from training.models.posenet import PoseNet
+from training.models.regressor import PoseBatch, PoseRegressor
+from training.models.resnet import ResNet34
+
+
+def some_poses(count: int, scenes: int = 1) -> PoseBatch:
+    generator = torch.Generator().manual_seed(1)
+    quaternion = nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1)
+    return PoseBatch(5 * torch.randn(count, 3, generator=generator), quaternion, torch.arange(count) % scenes)
+
+
+def images(count: int, side: int = 32) -> torch.Tensor:
+    return torch.randn(count, 3, side, side, generator=torch.Generator().manual_seed(2))
+
+
+def small_mst(scenes: int = 1) -> MSTransformer:
+    torch.manual_seed(0)
+    return MSTransformer(scenes, encoder_layers=1, decoder_layers=1)
+
+
+@pytest.mark.parametrize(("model", "mib"), [(PoseNet, 85.3), (MSTransformer, 70.9)])
+def test_sizes_are_those_published(model: type[PoseRegressor], mib: float) -> None:
+    assert model().bytes() / 2**20 == pytest.approx(mib, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("backbone", "parameters", "tensors", "shapes"),
+    [
+        (
+            ResNet34(classes=1000),
+            21_797_672,
+            218,
+            {
+                "conv1.weight": (64, 3, 7, 7),
+                "layer1.2.bn2.running_var": (64,),
+                "layer2.0.downsample.0.weight": (128, 64, 1, 1),
+                "layer4.2.conv2.weight": (512, 512, 3, 3),
+                "fc.weight": (1000, 512),
+            },
+        ),
+        (
+            EfficientNetB0(),
+            5_288_548,
+            360,
+            {
+                "features.0.0.weight": (32, 3, 3, 3),
+                "features.1.0.block.1.fc1.weight": (8, 32, 1, 1),
+                "features.2.0.block.2.fc2.bias": (96,),
+                "features.3.1.block.1.0.weight": (240, 1, 5, 5),
+                "features.7.0.block.3.0.weight": (320, 1152, 1, 1),
+                "features.8.1.running_mean": (1280,),
+                "classifier.1.weight": (1000, 1280),
+            },
+        ),
+    ],
+)
+def test_backbones_have_the_layout_of_torchvision(
+    backbone: nn.Module, parameters: int, tensors: int, shapes: dict[str, tuple[int, ...]]
+) -> None:
+    state = backbone.state_dict()
+    assert sum(p.numel() for p in backbone.parameters()) == parameters
+    assert len(state) == tensors
+    assert {name: tuple(state[name].shape) for name in shapes} == shapes
+    assert all(m.eps == 1e-5 for m in backbone.modules() if isinstance(m, nn.BatchNorm2d))
+
+
+def test_feature_maps_of_224_pixels() -> None:
+    map_8, map_16 = EfficientNetB0().eval().maps(torch.zeros(1, 3, 224, 224))
+    assert map_8.shape == (1, 40, 28, 28)
+    assert map_16.shape == (1, 112, 14, 14)
+
+
+@pytest.mark.parametrize("model", [PoseNet(), small_mst(2)], ids=["PN", "MS-T"])
+def test_training_reaches_every_part_and_evaluation_is_deterministic(model: PoseRegressor) -> None:
+    poses = some_poses(4, model.scenes)
+    model.train()
+    model.loss(images(4), poses).backward()
+    unused = ("backbone.features.6", "backbone.features.7", "backbone.features.8", "backbone.classifier")
+    for name, parameter in model.named_parameters():
+        if name.startswith(unused):
+            assert parameter.grad is None, name
+        else:
+            assert parameter.grad is not None, name
+            assert torch.isfinite(parameter.grad).all(), name
+    model.eval()
+    first, second = model(images(4)), model(images(4))
+    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+    assert torch.allclose(first.quaternion_B4.norm(dim=-1), torch.ones(4), atol=1e-5)
+    assert (first.quaternion_B4[:, 3] >= 0).all()
+
+
+@pytest.mark.parametrize("model", [PoseNet(dropout=0), small_mst()], ids=["PN", "MS-T"])
+def test_both_signs_of_a_quaternion_are_the_same_rotation(model: PoseRegressor) -> None:
+    model.eval()
+    poses = some_poses(3)
+    other = poses._replace(quaternion_B4=-poses.quaternion_B4)
+    assert torch.allclose(model.loss(images(3), poses), model.loss(images(3), other))
+
+
+def test_learned_weights_balance_the_losses() -> None:
+    """At exp(sx) = Lx the derivative by sx vanishes, and likewise for sq."""
+    model = PoseNet()
+    position, rotation = torch.tensor(1.7), torch.tensor(0.03)
+    with torch.no_grad():
+        model.loss_weights.sx.copy_(position.log())
+        model.loss_weights.sq.copy_(rotation.log())
+    model.loss_weights(position, rotation).backward()
+    assert model.loss_weights.sx.grad is not None
+    assert float(model.loss_weights.sx.grad) == pytest.approx(0, abs=1e-6)
+    assert float(model.loss_weights.sq.grad) == pytest.approx(0, abs=1e-6)
+
+
+def test_scene_is_the_true_one_in_training_and_the_likeliest_in_testing(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = small_mst(scenes=2)
+    position_BSC, rotation_BSC = torch.randn(3, 2, 256), torch.randn(3, 2, 256)
+    logits_BS = torch.tensor([[0.0, 1], [2, 0], [0, 3]])
+    monkeypatch.setattr(model, "_decode", lambda _: (position_BSC, rotation_BSC, logits_BS))
+    rows, likeliest = torch.arange(3), torch.tensor([1, 0, 1])
+    picked = model(images(3))
+    assert torch.equal(picked.scene_B, likeliest)
+    assert torch.allclose(picked.position_B3, model.position_head(position_BSC[rows, likeliest]), atol=1e-5)
+
+    # A true pose that equals what the true scene's vectors give has no pose error: what is left is the classifier's.
+    true = 1 - likeliest
+    position = model.position_head(position_BSC[rows, true])
+    quaternion = nn.functional.normalize(model.rotation_head(rotation_BSC[rows, true]), dim=-1)
+    loss = model.loss(images(3), PoseBatch(position, quaternion, true))
+    weights = model.loss_weights.sx + model.loss_weights.sq
+    assert float((loss - weights).detach()) == pytest.approx(
+        float(-logits_BS.log_softmax(dim=1)[rows, true].mean()), abs=1e-3
+    )
+
+
+def test_frames_of_the_network_are_undone() -> None:
+    model = PoseNet()
+    poses = some_poses(20)
+    model.frames.fit(poses, normalise_position=True, centre_rotation=True)
+    position, quaternion = model.frames.from_map(poses)
+    assert torch.allclose(position.mean(0), torch.zeros(3), atol=1e-5)
+    assert float(position.square().mean()) == pytest.approx(1, abs=1e-3)
+    back = model.frames.to_map(position, quaternion, poses.scene_B)
+    assert torch.allclose(back.position_B3, poses.position_B3, atol=1e-5)
+    dots = (back.quaternion_B4 * poses.quaternion_B4).sum(-1).abs()
+    assert torch.allclose(dots, torch.ones(20), atol=1e-5)

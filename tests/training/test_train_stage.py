@@ -1,0 +1,95 @@
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from artefacts import DataRoot, UserError, execute
+from artefacts.stage import load_manifest
+from training.build import load_trained
+from training.data import normalised, read_image, to_tensor
+from training.export import export_onnx
+from training.stage import STAGE
+
+SMALL = [
+    "resize=40",
+    "crop=32",
+    "device=cpu",
+    "threads=1",
+    "pn.epochs=1",
+    "pn.weights=scratch",
+    "mst.epochs=1",
+    "mst.weights=scratch",
+    "mst.encoder_layers=1",
+    "mst.decoder_layers=1",
+]
+MakeScene = Callable[..., Path]
+
+
+def table(folder: Path, name: str) -> pd.DataFrame:
+    return pd.read_parquet(folder / f"{name}.parquet")
+
+
+def test_the_stage_predicts_every_frame_and_says_what_it_trained(make_scene: MakeScene, tmp_path: Path) -> None:
+    data = make_scene()
+    folder = execute(STAGE, "Wall", "tiny", DataRoot(data), SMALL)
+    predictions, cards, history = (table(folder, name) for name in ("predictions", "models", "history"))
+    frames = pd.read_parquet(data / "runs/tiny/Wall/import/frames.parquet")
+    for model in ("PN", "MS-T"):
+        mine = predictions[predictions["model"] == model]
+        assert sorted(mine["frame_id"]) == sorted(frames["frame_id"])
+        assert set(mine["split"]) == {"train", "val", "test"}
+        assert (mine["inference_ms"] > 0).all()
+    assert cards["model"].tolist() == ["PN", "MS-T"]
+    assert cards["weights"].tolist() == ["scratch", "scratch"]
+    assert cards["train_frames"].tolist() == [9, 9] and cards["val_frames"].tolist() == [1, 1]
+    assert json.loads(cards["config"][1])["encoder_layers"] == 1
+    assert "1 encoder and 1 decoder" in cards["layers"][1]
+    assert history.groupby("model")["kept"].sum().tolist() == [1, 1]
+    figures = load_manifest(folder)["figures"]
+    assert figures["mean-pose Wall test median position_m"] > 0
+    assert (folder / "recording.rrd").stat().st_size > 1000
+
+    # The weights file alone gives the same poses again, and so does the exported model.
+    trained = load_trained(folder / "weights" / "PN.pt")
+    mine = predictions[(predictions["model"] == "PN") & (predictions["frame_id"] == "later/000000")]
+    image = to_tensor([read_image(data / "captures/Wall/later-0.png", 40)[4:36, 10:42]], torch.device("cpu"))
+    position = mine[["map_cam_tx", "map_cam_ty", "map_cam_tz"]].to_numpy()
+    with torch.no_grad():
+        poses = trained.model(normalised(image))
+    assert poses.position_B3.numpy() == pytest.approx(position, abs=1e-5)
+    onnxruntime = pytest.importorskip("onnxruntime")
+    export_onnx(folder / "weights" / "PN.pt", tmp_path / "pn.onnx")
+    found = onnxruntime.InferenceSession(tmp_path / "pn.onnx").run(None, {"image": image.numpy()})
+    assert np.abs(found[0] - poses.position_B3.numpy()).max() < 1e-5
+    assert np.abs(found[1] - poses.quaternion_B4.numpy()).max() < 1e-5
+
+
+def test_a_group_shares_one_transformer(make_scene: MakeScene) -> None:
+    data = make_scene("Wall", seed=0)
+    make_scene("Other", seed=1)
+    (data / "scenes").mkdir()
+    (data / "scenes" / "both.toml").write_text('members = ["Wall", "Other"]\nstages = ["train"]\n')
+    folder = execute(STAGE, "both", "tiny", DataRoot(data), [*SMALL, "mst.epochs=2"])
+    predictions, cards = table(folder, "predictions"), table(folder, "models")
+    assert cards["model"].tolist() == ["MS-T"]
+    assert cards["scenes"][0].tolist() == ["Wall", "Other"]
+    assert predictions["scene"].value_counts().to_dict() == {"Wall": 14, "Other": 14}
+    assert set(predictions["picked_scene"]) <= {"Wall", "Other"}
+    with pytest.raises(UserError, match="PN holds one scene"):
+        execute(STAGE, "both", "tiny", DataRoot(data), [*SMALL, 'models=["PN"]'])
+
+
+def test_what_a_user_can_get_wrong_is_said(make_scene: MakeScene) -> None:
+    data = DataRoot(make_scene(train=1))
+    with pytest.raises(UserError, match="too few frames to train on"):
+        execute(STAGE, "Wall", "tiny", data, SMALL)
+    with pytest.raises(UserError, match="crop 64 is larger than resize 40"):
+        execute(STAGE, "Wall", "tiny", data, [*SMALL, "crop=64"])
+    data = DataRoot(make_scene("Gone"))
+    (data.captures("Gone") / "walk-3.png").unlink()
+    with pytest.raises(UserError, match=r"walk-3\.png"):
+        execute(STAGE, "Gone", "tiny", data, SMALL)

@@ -1,0 +1,231 @@
+"""Images and poses for training: an image cache decoded once, crops, and colour jitter."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from artefacts import UserError
+from training.models.regressor import PoseBatch
+
+Image = NDArray[np.uint8]
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+
+
+class ImageCache:
+    """RGB images (H, W, 3) uint8 at one short side, in one file on disk that is read as it is needed.
+
+    Full-size photographs take most of a training step to decode; here each is decoded once.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.shapes: NDArray[np.int64] = np.load(folder / "shapes.npy")
+        self._pixels = np.memmap(folder / "pixels.u8", np.uint8, "r")
+        self._starts = np.concatenate([[0], np.cumsum(np.prod(self.shapes, axis=1) * 3)])
+
+    def __len__(self) -> int:
+        return len(self.shapes)
+
+    def __getitem__(self, index: int) -> Image:
+        pixels = self._pixels[self._starts[index] : self._starts[index + 1]]
+        return pixels.reshape(*self.shapes[index], 3)
+
+    @classmethod
+    def build(cls, folder: Path, paths: Iterable[Path], short_side: int) -> "ImageCache":
+        """Fill `folder`, unless it is there from an earlier run; `shapes.npy` comes last and marks it as whole.
+
+        UserError for an image that isn't there or can't be decoded.
+        """
+        if not (folder / "shapes.npy").exists():
+            folder.mkdir(exist_ok=True)
+            shapes = []
+            with (folder / "pixels.u8").open("wb") as file:
+                for path in paths:
+                    image = read_image(path, short_side)
+                    shapes.append(image.shape[:2])
+                    file.write(image.tobytes())
+            partial = folder / "shapes.partial.npy"
+            np.save(partial, np.array(shapes, dtype=np.int64).reshape(-1, 2))
+            partial.replace(folder / "shapes.npy")
+        return cls(folder)
+
+
+def read_image(path: Path, short_side: int) -> Image:
+    """An image file as RGB (H, W, 3) whose shorter side has `short_side` pixels, as the sensor has it (a turn in
+    the file's EXIF is left out, since poses and intrinsics are the sensor's)."""
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR_BGR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None:
+        found = "a file that isn't an image" if path.exists() else "no such file"
+        raise UserError("an image can't be read", where=path, found=found, do="import the capture again")
+    height, width = image.shape[:2]
+    scale = short_side / min(height, width)
+    size = (max(short_side, round(width * scale)), max(short_side, round(height * scale)))
+    image = cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+class Turns(NamedTuple):
+    """The largest camera turns, in degrees either way, that a training crop may stand for."""
+
+    yaw: float
+    pitch: float
+    roll: float
+
+
+@dataclass(frozen=True)
+class Frames:
+    """N frames: where each one's image is in the cache, its calibration and its pose.
+
+    `index_N` into the cache; `K_N33` intrinsics in cached pixels (pixel centres at 0.5); `position_N3` (m) and
+    `quaternion_N4` (unit xyzw) of map_T_cam; `scene_N` the index of the frame's scene.
+    """
+
+    cache: ImageCache
+    index_N: NDArray[np.int64]
+    K_N33: NDArray[np.float64]
+    position_N3: NDArray[np.float64]
+    quaternion_N4: NDArray[np.float64]
+    scene_N: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.index_N)
+
+    def select(self, rows: NDArray[np.int64]) -> "Frames":
+        """The frames of these rows, in their order."""
+        return Frames(
+            self.cache,
+            self.index_N[rows],
+            self.K_N33[rows],
+            self.position_N3[rows],
+            self.quaternion_N4[rows],
+            self.scene_N[rows],
+        )
+
+    def poses(self, device: torch.device) -> PoseBatch:
+        """All poses as tensors."""
+        return pose_batch(self.position_N3, self.quaternion_N4, self.scene_N, device)
+
+    def centre_crops(self, crop: int, device: torch.device) -> Tensor:
+        """Normalised images (N, 3, crop, crop) from the middle of each image, as testing sees them."""
+        crops = []
+        for index in self.index_N:
+            image = self.cache[index]
+            top, left = (image.shape[0] - crop) // 2, (image.shape[1] - crop) // 2
+            crops.append(image[top : top + crop, left : left + crop])
+        return normalised(to_tensor(crops, device))
+
+    def training_crops(
+        self, crop: int, turns: Turns | None, rng: np.random.Generator, device: torch.device
+    ) -> tuple[Tensor, PoseBatch]:
+        """Images (N, 3, crop, crop) in 0..1 for training, and the poses that they are to be given.
+
+        Without `turns`, a crop anywhere in the image with the image's pose, as the paper has it. With them, the
+        picture that the camera would have taken turned by a random angle about its centre, and that turned pose:
+        turning doesn't change what is visible from where, so the picture is right without knowing the scene.
+        """
+        crops, quaternions = [], self.quaternion_N4
+        if turns is None:
+            for index in self.index_N:
+                image = self.cache[index]
+                top, left = (int(rng.integers(0, side - crop + 1)) for side in image.shape[:2])
+                crops.append(image[top : top + crop, left : left + crop])
+        else:
+            angles = rng.uniform(-1, 1, (len(self), 3)) * [turns.yaw, turns.pitch, turns.roll]
+            cam_R_turned = Rotation.from_euler("yxz", angles, degrees=True)
+            for index, K, turn in zip(self.index_N, self.K_N33, cam_R_turned.as_matrix(), strict=True):
+                crops.append(turned_crop(self.cache[index], K, turn, crop))
+            quaternions = (Rotation.from_quat(quaternions) * cam_R_turned).as_quat()
+        return to_tensor(crops, device), pose_batch(self.position_N3, quaternions, self.scene_N, device)
+
+
+def turned_crop(image: Image, K: NDArray[np.float64], cam_R_turned: NDArray[np.float64], crop: int) -> Image:
+    """What a camera turned by `cam_R_turned` (3, 3) sees through the centre crop's window; edges are repeated."""
+    height, width = image.shape[:2]
+    to_window = np.array([[1, 0, -((width - crop) // 2)], [0, 1, -((height - crop) // 2)], [0, 0, 1.0]])
+    window_from_image = to_window @ K @ cam_R_turned.T @ np.linalg.inv(K)
+    # OpenCV counts from pixel centres, the intrinsics from the corner.
+    half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
+    homography = np.linalg.inv(half) @ window_from_image @ half
+    turned = cv2.warpPerspective(image, homography, (crop, crop), borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(turned, np.uint8)
+
+
+def pose_batch(
+    position_N3: NDArray[np.float64],
+    quaternion_N4: NDArray[np.float64],
+    scene_N: NDArray[np.int64],
+    device: torch.device,
+) -> PoseBatch:
+    """Poses as float32 tensors on the device."""
+    return PoseBatch(
+        torch.tensor(position_N3, dtype=torch.float32, device=device),
+        torch.tensor(quaternion_N4, dtype=torch.float32, device=device),
+        torch.tensor(scene_N, dtype=torch.long, device=device),
+    )
+
+
+def to_tensor(images: list[Image], device: torch.device) -> Tensor:
+    """Images (N, 3, H, W) in 0..1, channels last in memory, from N arrays (H, W, 3)."""
+    stacked = torch.from_numpy(np.stack(images)).to(device, non_blocking=True)
+    return stacked.permute(0, 3, 1, 2).float() / 255
+
+
+def normalised(image_N3HW: Tensor) -> Tensor:
+    """Images in 0..1 with ImageNet's mean and deviation taken out, as the backbones expect them."""
+    mean = torch.tensor(IMAGENET_MEAN, device=image_N3HW.device)[:, None, None]
+    return (image_N3HW - mean) / torch.tensor(IMAGENET_STD, device=image_N3HW.device)[:, None, None]
+
+
+class Jitter(NamedTuple):
+    """Largest relative change of brightness, contrast and saturation, and of hue in turns of the colour circle."""
+
+    brightness: float
+    contrast: float
+    saturation: float
+    hue: float
+
+    def apply(self, image_N3HW: Tensor, rng: np.random.Generator) -> Tensor:
+        """Images in 0..1 with colours changed at random, each in its own way, in this order."""
+        if not any(self):
+            return image_N3HW
+
+        def draw(extent: float) -> Tensor:
+            values = rng.uniform(-extent, extent, (len(image_N3HW), 1, 1, 1))
+            return torch.tensor(values, dtype=torch.float32, device=image_N3HW.device)
+
+        image = (image_N3HW * (1 + draw(self.brightness))).clamp(0, 1)
+        mean = _grey(image).mean((1, 2, 3), keepdim=True)
+        image = (mean + (image - mean) * (1 + draw(self.contrast))).clamp(0, 1)
+        grey = _grey(image)
+        image = (grey + (image - grey) * (1 + draw(self.saturation))).clamp(0, 1)
+        return shift_hue(image, draw(self.hue)) if self.hue else image
+
+
+def _grey(image_N3HW: Tensor) -> Tensor:
+    weights = torch.tensor([0.299, 0.587, 0.114], device=image_N3HW.device)[:, None, None]
+    return (image_N3HW * weights).sum(1, keepdim=True)
+
+
+def shift_hue(image_N3HW: Tensor, shift_N111: Tensor) -> Tensor:
+    """Images in 0..1 whose hue is moved along the colour circle, in turns; value and HSV saturation stay."""
+    top, bottom = image_N3HW.amax(1), image_N3HW.amin(1)
+    chroma = top - bottom
+    r, g, b = image_N3HW.unbind(1)
+    safe = chroma.clamp_min(1e-6)
+    sixth = torch.where(top == r, (g - b) / safe, torch.where(top == g, (b - r) / safe + 2, (r - g) / safe + 4))
+    sixth = sixth + 6 * shift_N111.squeeze(1)
+
+    def channel(offset: float) -> Tensor:
+        k = (sixth + offset) % 6
+        return top - chroma * torch.minimum(k, 4 - k).clamp(0, 1)
+
+    return torch.stack([channel(5), channel(3), channel(1)], dim=1)

@@ -1,0 +1,43 @@
+"""Errors of a regressor's poses, and the answer that any regressor has to beat."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from geometry.averages import quaternion_mean
+from geometry.poses import quaternion_angle
+from training.data import Frames
+from training.models.regressor import PoseRegressor
+
+_BATCH = 64
+
+
+@torch.no_grad()
+def pose_errors(
+    model: PoseRegressor, frames: Frames, crop: int, device: torch.device
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Position errors (m) and rotation errors (deg) of the model on centre crops, one a frame."""
+    model.eval()
+    position, quaternion = [], []
+    for start in range(0, len(frames), _BATCH):
+        rows = np.arange(start, min(start + _BATCH, len(frames)))
+        poses = model(frames.select(rows).centre_crops(crop, device))
+        position.append(poses.position_B3.double().cpu().numpy())
+        quaternion.append(poses.quaternion_B4.double().cpu().numpy())
+    return errors(np.concatenate(position), np.concatenate(quaternion), frames)
+
+
+def errors(
+    position_N3: NDArray[np.float64], quaternion_N4: NDArray[np.float64], frames: Frames
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Distances (m) and angles (deg) between given poses and the frames' own."""
+    distance = np.linalg.norm(position_N3 - frames.position_N3, axis=1)
+    return distance, np.degrees(quaternion_angle(quaternion_N4, frames.quaternion_N4))
+
+
+def mean_pose_errors(training: Frames, tested: Frames) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Errors of always answering the mean position and mean rotation (Gramkow's) of the training frames."""
+    position = training.position_N3.mean(axis=0)
+    quaternion = quaternion_mean(training.quaternion_N4)
+    count = len(tested)
+    return errors(np.tile(position, (count, 1)), np.tile(quaternion, (count, 1)), tested)

@@ -1,0 +1,167 @@
+"""The training loop, the same for every regressor."""
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.nn.attention import SDPBackend, sdpa_kernel
+
+from artefacts import UserError
+from artefacts.progress import Reporter
+from training.data import Frames, Jitter, Turns, normalised
+from training.evaluation import pose_errors
+from training.models.regressor import PoseRegressor
+from training.settings import RegressorSettings
+
+CHECKPOINT = "checkpoint.pt"
+
+
+@dataclass(frozen=True)
+class Run:
+    """Where and how exactly a model is trained."""
+
+    device: torch.device
+    mixed_precision: bool
+    crop: int
+    seed: int
+    folder: Path
+    checkpoint_every: int = 1
+
+
+def train(
+    model: PoseRegressor, training: Frames, held_out: Frames, settings: RegressorSettings, run: Run, title: str
+) -> list[dict[str, Any]]:
+    """Train `model`, leave the weights of its best epoch in it, and return the learning curves, a dict an epoch.
+
+    The best epoch has the smallest product of median position and rotation error over the held-out frames.
+
+    Everything random in an epoch comes from (seed, epoch), so a run that goes on from a checkpoint in `run.folder`
+    ends, on a CPU, in the same weights to the bit as one that was never stopped.
+    """
+    model.to(run.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    optimiser = make_optimiser(model, settings)
+    history: list[dict[str, Any]] = []
+    best: dict[str, Any] = {"score": math.inf, "epoch": 0, "weights": {}}
+    if (run.folder / CHECKPOINT).exists():
+        saved = torch.load(run.folder / CHECKPOINT, map_location=run.device)
+        model.load_state_dict(saved["model"])
+        optimiser.load_state_dict(saved["optimiser"])
+        history, best = saved["history"], saved["best"]
+
+    with Reporter(title, settings.epochs) as progress:
+        progress.update(len(history))
+        for epoch in range(len(history), settings.epochs):
+            started = time.monotonic()
+            torch.manual_seed(run.seed * 100_003 + epoch)
+            rng = np.random.default_rng([run.seed, epoch])
+            model.train()
+            batches = list(epoch_batches(training.scene_N, settings.batch, rng))
+            losses = []
+            for step, rows in enumerate(batches):
+                rate = learning_rate(settings, epoch + step / len(batches))
+                for group in optimiser.param_groups:
+                    group["lr"] = rate
+                image, poses = training.select(rows).training_crops(
+                    run.crop, Turns(*settings.turn_deg) if settings.turn_deg else None, rng, run.device
+                )
+                image = normalised(Jitter(*settings.jitter).apply(image, rng))
+                with precision(run):
+                    loss = model.loss(image.contiguous(memory_format=torch.channels_last), poses)
+                optimiser.zero_grad()
+                loss.backward()
+                if settings.clip_gradient:
+                    torch.nn.utils.clip_grad_norm_(model.parameters(), settings.clip_gradient)
+                optimiser.step()
+                losses.append(loss.detach())
+
+            train_loss = torch.stack(losses).mean().item()
+            if not math.isfinite(train_loss):
+                raise UserError(
+                    f"{title}: the loss is no number any more",
+                    found=f"{train_loss} in epoch {epoch + 1}, learning rate {rate:.2g}",
+                    do="lower learning_rate, or set clip_gradient",
+                )
+            position_m, rotation_deg = pose_errors(model, held_out, run.crop, run.device)
+            row = {
+                "epoch": epoch + 1,
+                "learning_rate": rate,
+                "train_loss": train_loss,
+                "val_position_m": float(np.median(position_m)),
+                "val_rotation_deg": float(np.median(rotation_deg)),
+                "sx": model.loss_weights.sx.item(),
+                "sq": model.loss_weights.sq.item(),
+                "seconds": time.monotonic() - started,
+            }
+            history.append(row)
+            score = row["val_position_m"] * row["val_rotation_deg"]
+            if score < best["score"]:
+                weights = {name: tensor.clone() for name, tensor in model.state_dict().items()}
+                best = {"score": score, "epoch": epoch + 1, "weights": weights}
+            if (epoch + 1) % run.checkpoint_every == 0 or epoch + 1 == settings.epochs:
+                state = {"model": model.state_dict(), "optimiser": optimiser.state_dict()}
+                save(run.folder / CHECKPOINT, {**state, "history": history, "best": best})
+            progress.advance(
+                text=f"{title}: {row['val_position_m']:.2f} m, {row['val_rotation_deg']:.1f} deg on held-out frames"
+            )
+    model.load_state_dict(best["weights"])
+    return [{**row, "kept": row["epoch"] == best["epoch"]} for row in history]
+
+
+def make_optimiser(model: PoseRegressor, settings: RegressorSettings) -> torch.optim.Adam:
+    """Adam with an L2 penalty on everything but the loss weights, which it would pull to equal variances."""
+    loss_weights = list(model.loss_weights.parameters())
+    others = [p for name, p in model.named_parameters() if not name.startswith("loss_weights.")]
+    groups: list[dict[str, Any]] = [
+        {"params": others, "weight_decay": settings.weight_decay},
+        {"params": loss_weights},
+    ]
+    return torch.optim.Adam(groups, lr=settings.learning_rate, eps=settings.adam_eps, fused=True)
+
+
+def learning_rate(settings: RegressorSettings, epochs: float) -> float:
+    """The learning rate after so many epochs, a part of one included."""
+    if epochs < settings.warmup_epochs:
+        return settings.learning_rate * (epochs + 1e-2) / (settings.warmup_epochs + 1e-2)
+    if settings.schedule == "step":
+        return settings.learning_rate * settings.step_factor ** (epochs // settings.step_epochs)
+    if settings.schedule == "cosine":
+        done = (epochs - settings.warmup_epochs) / (settings.epochs - settings.warmup_epochs)
+        return settings.learning_rate * 0.5 * (1 + math.cos(math.pi * done))
+    return settings.learning_rate
+
+
+def epoch_batches(scene_N: NDArray[np.int64], batch: int, rng: np.random.Generator) -> Iterator[NDArray[np.int64]]:
+    """Row numbers of an epoch's batches: every row once, and smaller scenes' rows again until all scenes have as
+    many as the largest. Batches are of nearly equal size, since batch norm fails on a last one of a single image."""
+    scenes = [np.flatnonzero(scene_N == scene) for scene in np.unique(scene_N)]
+    largest = max(len(rows) for rows in scenes)
+    drawn = [np.concatenate([rows, rng.choice(rows, largest - len(rows))]) for rows in scenes]
+    order = rng.permutation(np.concatenate(drawn))
+    yield from np.array_split(order, math.ceil(len(order) / batch))
+
+
+@contextlib.contextmanager
+def precision(run: Run) -> Iterator[None]:
+    """bfloat16 where the run asks for it."""
+    with contextlib.ExitStack() as stack:
+        if run.mixed_precision:
+            stack.enter_context(torch.autocast(run.device.type, torch.bfloat16))
+            if run.device.type == "cpu":
+                # The fused attention's bfloat16 backward is several times slower on a CPU than plain products.
+                stack.enter_context(sdpa_kernel(SDPBackend.MATH))
+        yield
+
+
+def save(path: Path, content: dict[str, Any]) -> None:
+    """Write a checkpoint so that a kill leaves the one before it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".partial")
+    torch.save(content, partial)
+    partial.replace(path)

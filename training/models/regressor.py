@@ -1,0 +1,112 @@
+"""What every pose regressor offers to the loop and the exporter, and the frame its network works in."""
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from training.rotations import canonical, conjugate, multiply
+
+
+class PoseBatch(NamedTuple):
+    """Camera poses map_T_cam of a batch: positions (m), unit xyzw quaternions, and the index of each one's scene."""
+
+    position_B3: Tensor
+    quaternion_B4: Tensor
+    scene_B: Tensor
+
+
+class LearnedWeights(nn.Module):
+    """Sums a position and a rotation loss as exp(-sx) Lx + sx + exp(-sq) Lq + sq with learned sx and sq, the
+    logarithms of the two losses' variances (Kendall and Cipolla, 2017)."""
+
+    def __init__(self, sx: float, sq: float) -> None:
+        super().__init__()
+        self.sx = nn.Parameter(torch.tensor(float(sx)))
+        self.sq = nn.Parameter(torch.tensor(float(sq)))
+
+    def forward(self, position_loss: Tensor, rotation_loss: Tensor) -> Tensor:
+        position = torch.exp(-self.sx) * position_loss + self.sx
+        return position + torch.exp(-self.sq) * rotation_loss + self.sq
+
+
+class SceneFrames(nn.Module):
+    """The frame that the network regresses in, one a scene: the map frame shifted, scaled and turned.
+
+        position_net = (position_map - centre) / scale        quaternion_net = turn^-1 quaternion_map
+
+    Without `fit` it is the map frame itself. Held as buffers, so that a model file is complete.
+    """
+
+    centre: Tensor
+    scale: Tensor
+    turn: Tensor
+
+    def __init__(self, scenes: int) -> None:
+        super().__init__()
+        self.register_buffer("centre", torch.zeros(scenes, 3))
+        self.register_buffer("scale", torch.ones(scenes, 1))
+        self.register_buffer("turn", torch.tensor([[0.0, 0.0, 0.0, 1.0]]).repeat(scenes, 1))
+
+    def fit(self, poses: PoseBatch, normalise_position: bool, centre_rotation: bool) -> None:
+        """Take the frame of each scene from its training poses.
+
+        `normalise_position`: zero mean and unit standard deviation, one scale for all axes so that a metre counts
+        the same up and sideways. `centre_rotation`: identity is the mean rotation (Gramkow's), which puts the
+        half-turn where a log-quaternion jumps as far from the poses as can be.
+        """
+        for scene in range(len(self.centre)):
+            mine = poses.scene_B == scene
+            position, quaternion = poses.position_B3[mine].double(), poses.quaternion_B4[mine].double()
+            if normalise_position:
+                self.centre[scene] = position.mean(0)
+                self.scale[scene] = (position - position.mean(0)).square().mean().sqrt().clamp_min(1e-3)
+            if centre_rotation:
+                # The eigenvector of the largest eigenvalue has the largest sum of squared dot products.
+                self.turn[scene] = canonical(torch.linalg.eigh(quaternion.T @ quaternion).eigenvectors[:, -1])
+
+    def from_map(self, poses: PoseBatch) -> tuple[Tensor, Tensor]:
+        """Positions (B, 3) and quaternions (B, 4) in the network's frame."""
+        index = poses.scene_B
+        position = (poses.position_B3 - self.centre[index]) / self.scale[index]
+        return position, multiply(conjugate(self.turn[index]), poses.quaternion_B4)
+
+    def to_map(self, position_B3: Tensor, quaternion_B4: Tensor, scene_B: Tensor) -> PoseBatch:
+        """The poses in the map frame (m, canonical quaternions) of network outputs."""
+        position = position_B3 * self.scale[scene_B] + self.centre[scene_B]
+        return PoseBatch(position, canonical(multiply(self.turn[scene_B], quaternion_B4)), scene_B)
+
+
+class PoseRegressor(nn.Module, ABC):
+    """Images (B, 3, H, W), normalised as ImageNet's, to camera poses in the map frames of `scenes` scenes."""
+
+    backbone: nn.Module
+    backbone_url: str
+
+    def __init__(self, scenes: int, sx: float, sq: float) -> None:
+        super().__init__()
+        self.scenes = scenes
+        self.frames = SceneFrames(scenes)
+        self.loss_weights = LearnedWeights(sx, sq)
+
+    @abstractmethod
+    def forward(self, image_B3HW: Tensor) -> PoseBatch:
+        """The estimated poses, in the map frame of the scene that the model picks."""
+
+    @abstractmethod
+    def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
+        """The training loss, a scalar."""
+
+    def layers(self) -> str:
+        """What a reader of the model card wants to know about sizes that can be set."""
+        return ""
+
+    def parameter_count(self) -> int:
+        """Numbers that training can change, the loss weights with them."""
+        return sum(p.numel() for p in self.parameters())
+
+    def bytes(self) -> int:
+        """Bytes of the float32 weights: parameters and the batch norms' running statistics."""
+        floats = [*self.parameters(), *(b for b in self.buffers() if b.is_floating_point())]
+        return sum(t.numel() for t in floats) * 4

@@ -1,0 +1,47 @@
+"""Poses of frames by a trained regressor, one at a time as a phone would ask for them."""
+
+import time
+from collections.abc import Iterable
+
+import numpy as np
+import pandas as pd
+import torch
+from numpy.typing import NDArray
+
+from artefacts.tables import pose_frame
+from geometry.poses import pose_from_tq
+from training.data import Frames
+from training.models.regressor import PoseRegressor
+
+_WARM_UP = 5  # runs before timing: the first ones choose kernels and allocate
+
+
+@torch.inference_mode()
+def predict(
+    model: PoseRegressor, frames: Frames, scenes: list[str], crop: int, device: torch.device, order: Iterable[int]
+) -> pd.DataFrame:
+    """Predictions of the rows in `order` (all rows, in order, perhaps wrapped in progress): map_cam_*,
+    picked_scene, inference_ms."""
+    model.eval().to(device)
+    position: list[NDArray[np.float64]] = []
+    quaternion: list[NDArray[np.float64]] = []
+    scene, milliseconds = [], []
+    for row in order:
+        image = frames.select(np.array([row])).centre_crops(crop, device)
+        for _ in range(0 if position else _WARM_UP):
+            model(image)
+        _wait(device)
+        start = time.perf_counter()
+        poses = model(image)
+        _wait(device)
+        milliseconds.append((time.perf_counter() - start) * 1e3)
+        position.append(poses.position_B3[0].double().cpu().numpy())
+        quaternion.append(poses.quaternion_B4[0].double().cpu().numpy())
+        scene.append(scenes[int(poses.scene_B[0])])
+    table = pose_frame("map_cam", pose_from_tq(np.array(position), np.array(quaternion)))
+    return table.assign(picked_scene=scene, inference_ms=milliseconds)
+
+
+def _wait(device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)

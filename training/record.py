@@ -1,0 +1,122 @@
+"""The train stage's recording: learning curves, and where each model places the frames."""
+
+import cv2
+import numpy as np
+import pandas as pd
+import rerun as rr
+import rerun.blueprint as rrb
+
+from artefacts import recording as colours
+from artefacts.recording import TIMELINE, UP_AXIS, log_camera, log_path
+from artefacts.tables import poses_of
+from geometry.metrics import position_error, rotation_error_deg
+from training.data import ImageCache
+
+EPOCHS = "epoch"
+FRAMES = "frame"  # sessions one after the other, however far apart their clocks
+_CURVES = ("train_loss", "val_position_m", "val_rotation_deg")
+_MOST_IMAGES = 500  # keeps the file small; cameras and errors of all frames are there
+_JPEG_QUALITY = 80
+_SHADES = {"PN": colours.APR, "MS-T": (0, 114, 178)}  # both blues of the regressors
+
+
+def blueprint(scenes: list[str], models: list[str]) -> rrb.Blueprint:
+    """A tab a scene with each model's places, the image and the errors over time; a tab with the learning curves."""
+    tabs: list[rrb.Container] = []
+    for scene in scenes:
+        places = [
+            rrb.Spatial3DView(
+                origin=f"/{scene}",
+                contents=[f"/{scene}/ground_truth/**", f"/{scene}/{model}/**"],
+                name=f"ground truth green, {model} blue; lines: test frames' errors",
+            )
+            for model in models
+        ]
+        tabs.append(
+            rrb.Vertical(
+                rrb.Horizontal(*places),
+                rrb.Horizontal(
+                    rrb.Spatial2DView(origin=f"/{scene}/image", name="what the models see"),
+                    rrb.TimeSeriesView(origin=f"/{scene}/position_error_m", name="position error, m"),
+                    rrb.TimeSeriesView(origin=f"/{scene}/rotation_error_deg", name="rotation error, degrees"),
+                    column_shares=[1, 2, 2],
+                ),
+                row_shares=[2, 1],
+                name=scene,
+            )
+        )
+    curves = [
+        rrb.Horizontal(
+            *(rrb.TimeSeriesView(origin=f"/learning/{model}/{name}", name=f"{model}: {name}") for name in _CURVES)
+        )
+        for model in models
+    ]
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs, rrb.Vertical(*curves, name="learning")),
+        rrb.TimePanel(timeline=FRAMES, state="collapsed"),
+        collapse_panels=True,
+    )
+
+
+def record(
+    stream: rr.RecordingStream,
+    frames: pd.DataFrame,
+    predictions: pd.DataFrame,
+    history: pd.DataFrame,
+    cache: ImageCache,
+    crop: int,
+) -> None:
+    """Log everything; row i of `frames` has its image in cache[i], and predictions has all frames for each model."""
+    _log_learning(stream, history)
+    map_T_cam = poses_of(frames, "map_cam")
+    estimates = {str(m): poses_of(mine, "map_cam") for m, mine in predictions.groupby("model", sort=False)}
+    every = -(-len(frames) // _MOST_IMAGES)
+    for scene in frames["scene"].unique():
+        rows = np.flatnonzero(frames["scene"] == scene)
+        stream.log(f"/{scene}", UP_AXIS, static=True)
+        for (session, split), block in frames.iloc[rows].groupby(["session_id", "split"], sort=False):
+            at = block.index.to_numpy()
+            path = f"/{scene}/ground_truth/path/{session}/{split}"
+            log_path(stream, path, map_T_cam[at, :3, 3], colours.GROUND_TRUTH)
+        for number, row in enumerate(rows):
+            frame = frames.iloc[row]
+            stream.set_time(FRAMES, sequence=number)
+            stream.set_time(TIMELINE, duration=np.timedelta64(int(frame["t_ns"]), "ns"))
+            if np.isfinite(map_T_cam[row]).all():
+                log_camera(stream, f"/{scene}/ground_truth/now", map_T_cam[row], frame, colours.GROUND_TRUTH, 1.0)
+            for model, estimate in estimates.items():
+                log_camera(stream, f"/{scene}/{model}/now", estimate[row], frame, _SHADES[model], 1.0)
+                _log_errors(stream, f"/{scene}", model, map_T_cam[row], estimate[row])
+            if number % every == 0:
+                stream.log(f"/{scene}/image", _centre_crop_jpeg(cache[int(row)], crop))
+        for model, estimate in estimates.items():
+            for name in ("position_error_m", "rotation_error_deg"):
+                series = rr.SeriesLines(colors=_SHADES[model], names=model)
+                stream.log(f"/{scene}/{name}/{model}", series, static=True)
+            # A line from where the camera was to where the model puts it.
+            both = np.stack([map_T_cam[rows, :3, 3], estimate[rows, :3, 3]], axis=1)
+            both = both[(frames["split"].to_numpy()[rows] == "test") & np.isfinite(both).all(axis=(1, 2))]
+            lines = rr.LineStrips3D(both, colors=_SHADES[model], radii=rr.Radius.ui_points(0.5))
+            stream.log(f"/{scene}/{model}/test_errors", lines, static=True)
+
+
+def _log_learning(stream: rr.RecordingStream, history: pd.DataFrame) -> None:
+    for model, mine in history.groupby("model", sort=False):
+        times = rr.TimeColumn(EPOCHS, sequence=mine["epoch"].to_numpy())
+        for name in _CURVES:
+            path = f"/learning/{model}/{name}"
+            stream.log(path, rr.SeriesLines(colors=_SHADES[str(model)], names=f"{model} {name}"), static=True)
+            stream.send_columns(path, indexes=[times], columns=rr.Scalars.columns(scalars=mine[name].to_numpy()))
+
+
+def _log_errors(stream: rr.RecordingStream, at: str, model: str, true: np.ndarray, estimate: np.ndarray) -> None:
+    if np.isfinite(true).all():
+        stream.log(f"{at}/position_error_m/{model}", rr.Scalars(float(position_error(estimate, true))))
+        stream.log(f"{at}/rotation_error_deg/{model}", rr.Scalars(float(rotation_error_deg(estimate, true))))
+
+
+def _centre_crop_jpeg(image: np.ndarray, crop: int) -> rr.EncodedImage:
+    top, left = (image.shape[0] - crop) // 2, (image.shape[1] - crop) // 2
+    bgr = cv2.cvtColor(image[top : top + crop, left : left + crop], cv2.COLOR_RGB2BGR)
+    jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
+    return rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg")

@@ -1,0 +1,177 @@
+"""Stage 4: train the absolute pose regressors, and predict the pose of every frame."""
+
+import json
+import platform
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+
+from artefacts import Stage, StageRun, UserError
+from training.build import Trained, build, save_trained, settings_of
+from training.data import Frames, ImageCache
+from training.evaluation import errors, mean_pose_errors
+from training.inputs import as_training_frames, check_trainable, image_paths, read_frames, rows_with_truth
+from training.loop import CHECKPOINT, Run, train
+from training.predict import predict
+from training.record import blueprint, record
+from training.settings import ModelName, TrainSettings
+from training.weights import load_first_weights
+
+
+def run(r: StageRun[TrainSettings]) -> None:
+    settings = r.settings
+    frames = read_frames(r)
+    check_trainable(frames, r.folder("align", r.leaves[0]))
+    torch.set_num_threads(settings.threads)
+    device = choose_device(settings.device)
+    mixed_precision = choose_precision(settings.mixed_precision, device)
+    with r.step("images"):
+        cache = ImageCache.build(r.scratch / "images", image_paths(r, frames), settings.resize)
+    data = as_training_frames(frames, cache)
+    report_mean_pose(r, frames, data)
+
+    predictions, history, cards = [], [], []
+    for name in models_of(r):
+        run = Run(device, mixed_precision, settings.crop, r.seed, r.scratch / name, settings.checkpoint_every)
+        card, curve, trained = train_one(r, name, data, frames, run)
+        with r.step(f"predict {name}"):
+            order = r.track(range(len(frames)), f"{name}: predicting")
+            found = predict(trained.model, data, trained.scenes, trained.crop, device, order)
+        card["inference_ms"] = float(found["inference_ms"].median())
+        report_accuracy(r, name, frames, data, found)
+        keys = frames[["scene", "frame_id", "session_id", "split", "t_ns"]]
+        predictions.append(pd.concat([keys, found], axis=1).assign(model=name, covariance=None))
+        history.append(curve)
+        cards.append(card)
+
+    all_predictions, all_history = (pd.concat(t, ignore_index=True) for t in (predictions, history))
+    r.write("predictions", all_predictions)
+    r.write("history", all_history)
+    r.write("models", pd.DataFrame(cards))
+    with r.step("recording"), r.recording(blueprint(r.leaves, [c["model"] for c in cards])) as stream:
+        record(stream, frames, all_predictions, all_history, cache, settings.crop)
+
+
+def models_of(r: StageRun[TrainSettings]) -> list[ModelName]:
+    """The models that this run trains: of a group of scenes MS-T alone, as PN holds one scene."""
+    models = [m for m in r.settings.models if m == "MS-T" or not r.scene.is_group]
+    if not models:
+        raise UserError(
+            f"{r.scene.name} is a group of scenes, and PN holds one scene", found=list(r.settings.models), do="add MS-T"
+        )
+    return models
+
+
+def train_one(
+    r: StageRun[TrainSettings], name: ModelName, data: Frames, frames: pd.DataFrame, run: Run
+) -> tuple[dict[str, Any], pd.DataFrame, Trained]:
+    """Train one model: its card (without inference_ms), its learning curves, and itself."""
+    settings = settings_of(name, r.settings)
+    torch.manual_seed(run.seed)
+    model = build(settings, len(r.leaves), r.scene.environment == "outdoor")
+    # What a resumed run started from was decided when it started.
+    note = run.folder / "first_weights.txt"
+    if (run.folder / CHECKPOINT).exists():
+        origin = note.read_text(encoding="utf-8")
+    else:
+        origin = load_first_weights(model, settings.weights, r.data.root / "weights")
+        run.folder.mkdir(exist_ok=True)
+        note.write_text(origin, encoding="utf-8")
+    r.say(f"{name}: backbone starts from {origin}")
+    training, held_out = (data.select(rows_with_truth(frames, split)) for split in ("train", "val"))
+    model.frames.fit(training.poses(torch.device("cpu")), settings.normalise_position, settings.centre_rotation)
+    with r.step(f"train {name}"):
+        curve = pd.DataFrame(train(model, training, held_out, settings, run, f"training {name}"))
+    trained = Trained(model, r.leaves, r.settings.resize, run.crop)
+    save_trained(r.work / "weights" / f"{name}.pt", name, settings, trained)
+    curve.insert(0, "model", name)
+    curve.insert(1, "scenes", pd.Series([r.leaves] * len(curve)))
+    card: dict[str, Any] = {
+        "model": name,
+        "scenes": r.leaves,
+        "file": f"weights/{name}.pt",
+        "parameters": model.parameter_count(),
+        "bytes": model.bytes(),
+        "layers": model.layers(),
+        "weights": origin,
+        "resize_px": r.settings.resize,
+        "crop_px": r.settings.crop,
+        "train_frames": len(training),
+        "val_frames": len(held_out),
+        "epochs": settings.epochs,
+        "best_epoch": int(curve.loc[curve["kept"], "epoch"].iloc[0]),
+        "seed": run.seed,
+        "config": json.dumps(settings.model_dump(mode="json"), sort_keys=True),
+        "reduced": r.settings.reduced,
+        "device": describe(run),
+        "train_seconds": float(curve["seconds"].sum()),
+    }
+    return card, curve, trained
+
+
+def report_mean_pose(r: StageRun[TrainSettings], frames: pd.DataFrame, data: Frames) -> None:
+    """Keep, as figures, how well the mean training pose of each scene does: what a regressor has to beat."""
+    for scene in r.leaves:
+        here = (frames["scene"] == scene).to_numpy()
+        training, tested = (data.select(rows_with_truth(frames[here], s) + np.argmax(here)) for s in ("train", "test"))
+        if len(tested):
+            keep_figures(r, f"mean-pose {scene}", *mean_pose_errors(training, tested))
+
+
+def report_accuracy(
+    r: StageRun[TrainSettings], name: str, frames: pd.DataFrame, data: Frames, found: pd.DataFrame
+) -> None:
+    """Keep, as figures, the model's errors on each scene's test frames, and say them."""
+    position = found[[f"map_cam_t{a}" for a in "xyz"]].to_numpy()
+    quaternion = found[[f"map_cam_q{a}" for a in "xyzw"]].to_numpy()
+    for scene in r.leaves:
+        rows = np.intersect1d(rows_with_truth(frames, "test"), np.flatnonzero(frames["scene"] == scene))
+        if len(rows):
+            keep_figures(r, f"{name} {scene}", *errors(position[rows], quaternion[rows], data.select(rows)))
+
+
+def keep_figures(r: StageRun[TrainSettings], title: str, position_m: np.ndarray, rotation_deg: np.ndarray) -> None:
+    medians = float(np.median(position_m)), float(np.median(rotation_deg))
+    r.figure(f"{title} test median position_m", medians[0])
+    r.figure(f"{title} test median rotation_deg", medians[1])
+    r.say(f"{title}: median {medians[0]:.2f} m, {medians[1]:.1f} deg over {len(position_m)} test frames")
+
+
+def choose_device(wanted: str) -> torch.device:
+    """The device to train on; UserError where a GPU is asked for and there is none."""
+    if wanted == "cuda" and not torch.cuda.is_available():
+        raise UserError(
+            "no CUDA device", expected="device = auto or cpu", found="device = cuda, which PyTorch doesn't see"
+        )
+    return torch.device("cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu")
+
+
+def choose_precision(wanted: str, device: torch.device) -> bool:
+    """Whether to train in bfloat16: with `auto` where there are instructions for it, as emulation is slower."""
+    if wanted != "auto":
+        return wanted == "bf16"
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    return torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
+
+
+def describe(run: Run) -> str:
+    """The device in words, with the precision."""
+    if run.device.type == "cuda":
+        machine = torch.cuda.get_device_name()
+    else:
+        machine = f"{platform.machine()} CPU, {torch.get_num_threads()} threads"
+    return f"{machine}, trained in {'bfloat16' if run.mixed_precision else 'float32'}"
+
+
+STAGE = Stage(
+    name="train",
+    version=1,
+    settings=TrainSettings,
+    needs=("import", "align"),
+    run=run,
+    help="Train the absolute pose regressors PN and MS-T, and predict the pose of every frame. A group of scenes "
+    "shares one MS-T.",
+)

@@ -1,0 +1,114 @@
+"""Where a backbone's first weights come from: ImageNet, a file, or chance."""
+
+import hashlib
+import pickle
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from artefacts import UserError
+from training.models.regressor import PoseRegressor
+
+_ANSWER_WITHIN_S = 5.0
+_CLASSIFIERS = ("fc.",)  # part of ImageNet's ResNet-34, not of PN's
+
+
+def load_first_weights(model: PoseRegressor, weights: str, downloads: Path) -> str:
+    """Fill the model's backbone as the setting `weights` says; returns where they come from, for the model card.
+
+    "imagenet" downloads torchvision's into `downloads` once, or takes them from there; "scratch" leaves the random
+    ones; "auto" is "imagenet" where it can be had and else "scratch", with the reason in the returned text; anything
+    else names a file. UserError where what is asked for can't be had.
+    """
+    if weights == "scratch":
+        return "scratch"
+    if weights not in ("imagenet", "auto"):
+        return f"file {Path(weights).name}, sha256 {_load_file(model.backbone, Path(weights))}"
+    path = downloads / model.backbone_url.rsplit("/", 1)[1]
+    if not path.exists():
+        try:
+            _download(model.backbone_url, path)
+        except OSError as error:
+            if weights == "auto":
+                return f"scratch (ImageNet weights could not be fetched: {error})"
+            raise UserError(
+                "ImageNet weights can't be fetched",
+                where=model.backbone_url,
+                found=error,
+                do=f"fetch the file elsewhere and put it at {path}, or set weights to its path, or to scratch",
+            ) from None
+    return f"ImageNet, {path.name}, sha256 {_load_file(model.backbone, path)}"
+
+
+def _download(url: str, path: Path) -> None:
+    """Download with a check of the hash in the file's name. OSError, in a few seconds, where there is no way out."""
+    # A resolver without a network can block for minutes whatever its timeout, hence the thread.
+    failure: list[OSError | None] = [TimeoutError(f"no answer within {_ANSWER_WITHIN_S:.0f} s")]
+
+    def ask() -> None:
+        try:
+            urllib.request.urlopen(urllib.request.Request(url, method="HEAD"), timeout=_ANSWER_WITHIN_S).close()
+            failure[0] = None
+        except urllib.error.URLError as error:
+            failure[0] = OSError(error.reason)
+        except OSError as error:
+            failure[0] = error
+
+    thread = threading.Thread(target=ask, daemon=True)
+    thread.start()
+    thread.join(_ANSWER_WITHIN_S)
+    if failure[0] is not None:
+        raise failure[0]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        torch.hub.download_url_to_file(url, str(path), hash_prefix=path.stem.rsplit("-", 1)[1])
+    except RuntimeError as error:  # another hash
+        raise OSError(str(error)) from None
+
+
+def _load_file(backbone: nn.Module, path: Path) -> str:
+    """Load a torchvision state dict strictly; returns the start of the file's sha256."""
+    expected = f"torchvision's state dict of {type(backbone).__name__}"
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+    except FileNotFoundError:
+        raise UserError("a weights file isn't there", where=path, expected=expected) from None
+    except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
+        found = str(error).splitlines()[0]
+        raise UserError("a weights file can't be read", where=path, expected=expected, found=found) from None
+    load_backbone(backbone, state, path)
+    return digest
+
+
+def load_backbone(backbone: nn.Module, state: Any, where: object = None) -> None:
+    """Load torchvision's state dict into a backbone, every tensor of it but a classifier that the backbone lacks.
+
+    UserError naming what is missing, unknown or of another shape.
+    """
+    own = backbone.state_dict()
+    if not isinstance(state, Mapping) or not all(isinstance(value, Tensor) for value in state.values()):
+        raise UserError(
+            "a weights file holds no state dict", where=where, expected="names and tensors", found=type(state).__name__
+        )
+    state = {k: v for k, v in state.items() if k in own or not k.startswith(_CLASSIFIERS)}
+    # Files from before PyTorch 0.4 have no batch counters, which nothing here reads.
+    missing = [k for k in own if k not in state and not k.endswith("num_batches_tracked")]
+    unknown = [k for k in state if k not in own]
+    shapes = [k for k in state if k in own and state[k].shape != own[k].shape]
+    if missing or unknown or shapes:
+        parts = {"missing": missing, "unknown": unknown, "of another shape": shapes}
+        found = "; ".join(f"{len(keys)} {what} ({keys[0]}, ...)" for what, keys in parts.items() if keys)
+        raise UserError(
+            "a weights file is of another network",
+            where=where,
+            expected=f"torchvision's {type(backbone).__name__}, {len(own)} tensors",
+            found=found,
+        )
+    backbone.load_state_dict(own | state)
