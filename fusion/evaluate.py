@@ -1,0 +1,100 @@
+"""The batch evaluation of every method on every scene and model, for the stage and for tables from anywhere."""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import pandas as pd
+from pydantic import Field
+
+from artefacts import Settings, UserError
+from fusion.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_rows, signal_rows
+from fusion.localiser import MethodOptions
+from fusion.methods import METHODS, method, resolve_options
+from fusion.summary import session_figures, summarise
+from fusion.walks import check_frames, check_predictions, evaluated
+
+
+class FuseSettings(Settings):
+    methods: list[str] = Field(list(METHODS), min_length=1, description="fusion methods to run")
+    options: dict[str, dict[str, Any]] = Field(
+        {}, description="a method's options that differ from its defaults: options.mobilearloc.n=3 (docs/fusion.md)"
+    )
+    splits: list[str] = Field(["test"], min_length=1, description="frames to evaluate: test, val, train")
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """One scene's frames, ground truth and predictions."""
+
+    scene: str
+    frames: pd.DataFrame
+    truth: pd.DataFrame
+    predictions: pd.DataFrame
+
+
+@dataclass(frozen=True)
+class Results:
+    """What an evaluation found: its tables by name, the walks behind them, and the counted input rows."""
+
+    fused: list[Fused]
+    tables: dict[str, pd.DataFrame]
+    counts: Counter[str]
+    gates: dict[str, dict[str, float]]
+
+
+def resolved(settings: FuseSettings) -> dict[str, MethodOptions]:
+    """The options of each method that is to run. UserError for an unknown method or option."""
+    for name in settings.options:
+        method(name)
+    return {name: resolve_options(name, settings.options.get(name)) for name in dict.fromkeys(settings.methods)}
+
+
+def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
+    """Run each method on each scene's and model's walks. UserError for inputs that can't be evaluated."""
+    options = resolved(settings)
+    fused: list[Fused] = []
+    counts: Counter[str] = Counter()
+    for scene in inputs:
+        check_frames(scene.frames, scene.truth, f"of {scene.scene}")
+        check_predictions(scene.frames, scene.predictions, f"of {scene.scene}")
+        for number, (model, predictions) in enumerate(scene.predictions.groupby("model", sort=False)):
+            joined = evaluated(scene.scene, scene.frames, scene.truth, predictions, settings.splits)
+            counts.update(joined.prediction_counts)
+            if number == 0:
+                counts.update(joined.frame_counts)
+            for name, chosen in options.items():
+                run = Run(name, options_json(chosen.model_dump(mode="json")), str(model))
+                fused += fuse_all(run, joined.walks, partial(method(name).make, chosen))
+    if not fused:
+        raise UserError("there are no predictions to fuse", do="run the train stage, or give a table of predictions")
+    errors = stacked(error_rows(f) for f in fused)
+    tables = {
+        "poses": stacked(pose_rows(f) for f in fused),
+        "errors": errors,
+        "signals": stacked(signal_rows(f) for f in fused),
+        "summary": summarise(errors),
+        "sessions": pd.DataFrame([session_figures(f) for f in fused]),
+    }
+    return Results(fused, tables, counts, {name: chosen.gates for name, chosen in options.items()})
+
+
+def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    """Tables of one kind below each other."""
+    kept = list(parts)
+    # Empty parts would blur the column types.
+    return pd.concat([p for p in kept if len(p)] or kept[:1], ignore_index=True)
+
+
+def report_lines(results: Results) -> list[str]:
+    """The means over all frames, and the input rows that weren't as they should be, a line each."""
+    summary = results.tables["summary"]
+    lines = []
+    for row in summary[(summary["subset"] == "all") & (summary["scored"] == "method")].to_dict("records"):
+        error = f"{row['position_mean_m']:.2f} m, {row['rotation_mean_deg']:.2f} deg" if row["answered"] else "no pose"
+        coverage = f"{row['coverage_pct']:.0f} % of {row['total']} frames"
+        lines.append(f"{row['scene']} · {row['model']} · {row['method']}: mean error {error} over {coverage}")
+    lines += [f"{name.replace('_', ' ')}: {n}" for name, n in results.counts.items() if n and name != "frames"]
+    return lines

@@ -1,0 +1,136 @@
+"""The streaming interface of every localiser: one frame in, one estimate out, causal, in bounded memory."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from artefacts import Settings
+from geometry import GeometryError
+from geometry.poses import Array, rigidity_error
+
+_RIGID = 1e-4
+
+
+class Status(StrEnum):
+    """What stands behind an estimate."""
+
+    PREDICTED = "predicted"  # the regressor's pose, unchecked
+    RELIABLE = "reliable"  # the regressor's pose, found consistent with odometry
+    OPTIMISED = "optimised"  # odometry carried into the map by the current alignment
+    ALIGNING = "aligning"  # odometry carried by an alignment that is no longer trusted
+    FUSED = "fused"  # both, weighed by how far each can be trusted
+    NONE = "none"  # no pose
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What a localiser says about one frame.
+
+    map_T_cam: pose (4, 4), or None where the status is `none`.
+    covariance: (6, 6) of the pose's error in the map frame, rotation (rad) then translation (m), or None where the
+        method doesn't know.
+    map_T_vio: the alignment (4, 4) in force after this frame, or None before there is one.
+    confirms: earlier frames (their t_ns and map_T_cam) that this frame shows to have been reliable. An app never saw
+        these poses in time; the paper counts them.
+    reasons: short codes of what led to the status, most telling first.
+    signals: the numbers behind the decision, by name and unit (`rpe_m`, `roe_deg`, `similarity`, ...).
+    """
+
+    map_T_cam: Array | None
+    status: Status
+    covariance: Array | None = None
+    map_T_vio: Array | None = None
+    confirms: tuple[tuple[int, Array], ...] = ()
+    reasons: tuple[str, ...] = ()
+    signals: Mapping[str, float] = field(default_factory=dict)
+
+
+class MethodOptions(Settings):
+    """Base of every method's options."""
+
+    @property
+    def gates(self) -> dict[str, float]:
+        """The thresholds that signals are held against, by signal."""
+        return {}
+
+
+State = dict[str, Any]
+"""A localiser's state as plain data: dicts, lists, numbers, strings and None, fit for JSON."""
+
+
+class Localiser(ABC):
+    """Turns odometry and the regressor's predictions into map poses, one frame at a time.
+
+    One localiser follows one device. `step` is fed every odometry frame in order of time; frames without a prediction
+    (odometry runs at 60 Hz, a regressor at 1 Hz) pass None.
+    """
+
+    def __init__(self) -> None:
+        self._t_ns: int | None = None
+
+    def step(
+        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_apr: Array | None, gravity: Array | None = None
+    ) -> Estimate:
+        """The estimate for the frame at `t_ns`.
+
+        vio_T_cam: odometry pose (4, 4) in the session's frame, or None where tracking is lost.
+        map_T_cam_apr: predicted pose (4, 4), or None where there is none. One that isn't finite or isn't rigid is
+            taken as None, and the estimate's reasons hold `prediction_invalid`.
+        gravity: unit vector (3,) pointing down, camera axes, or None.
+
+        Raises GeometryError where time doesn't rise or the odometry pose isn't a finite rigid transform.
+        """
+        if self._t_ns is not None and t_ns <= self._t_ns:
+            raise GeometryError(f"frame at {t_ns} ns comes after one at {self._t_ns} ns: time must rise")
+        if vio_T_cam is not None and not rigidity_error(vio_T_cam) < _RIGID:
+            raise GeometryError(f"odometry pose at {t_ns} ns isn't a finite rigid transform")
+        invalid = map_T_cam_apr is not None and not rigidity_error(map_T_cam_apr) < _RIGID
+        estimate = self._advance(t_ns, vio_T_cam, None if invalid else map_T_cam_apr, gravity)
+        self._t_ns = t_ns
+        if invalid:
+            estimate = replace(estimate, reasons=("prediction_invalid", *estimate.reasons))
+        return estimate
+
+    def reset(self) -> None:
+        """Forget everything: a new odometry session begins, and its frame has nothing to do with the last one's."""
+        self._t_ns = None
+        self._forget()
+
+    def save(self) -> State:
+        """The whole state as plain data; `restore` on a localiser with the same options goes on from it."""
+        return {"t_ns": self._t_ns, **self._state()}
+
+    def restore(self, state: State) -> None:
+        """Take over a state that `save` returned."""
+        self._t_ns = state["t_ns"]
+        self._set_state(state)
+
+    @abstractmethod
+    def _advance(
+        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_apr: Array | None, gravity: Array | None
+    ) -> Estimate:
+        """`step` on inputs that are checked."""
+
+    def _forget(self) -> None:
+        """Drop what was learnt about the odometry's frame. Methods with a state override this and the next two."""
+        return None
+
+    def _state(self) -> State:
+        return {}
+
+    def _set_state(self, state: State) -> None:
+        return None
+
+
+def plain(array: Array | None) -> list[Any] | None:
+    """An array as nested lists, for a `State`."""
+    return None if array is None else np.asarray(array).tolist()
+
+
+def array(plain_value: list[Any] | None) -> Array | None:
+    """The array that `plain` was given."""
+    return None if plain_value is None else np.asarray(plain_value, dtype=float)

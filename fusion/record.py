@@ -1,0 +1,169 @@
+"""The fuse stage's recording: where each source says the device was, and why, as the walk plays."""
+
+from collections import Counter
+from collections.abc import Mapping
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from artefacts import recording as colours
+from artefacts.recording import TIMELINE, UP_AXIS, log_path
+from fusion.fuse import Fused, pose_errors
+from fusion.localiser import Status
+from fusion.methods import METHODS
+from fusion.walks import known
+from geometry.poses import Array
+
+FRAME_TIMELINE = "frame"  # sessions one after the other, however far apart their clocks
+
+STATUS_COLOURS = {
+    Status.RELIABLE: colours.APR,
+    Status.OPTIMISED: colours.FUSED,
+    Status.ALIGNING: colours.VIO,
+    Status.PREDICTED: colours.APR,
+    Status.FUSED: colours.FUSED,
+    Status.NONE: colours.REJECTED,
+}
+# The methods that fuse, in the order of the registry; the first has the shared colour of fused poses.
+_FUSED_COLOURS = (colours.FUSED, (240, 228, 66), (0, 114, 178), (200, 200, 200))
+_MARKER_PX = 6.0
+
+
+def blueprint(fused: list[Fused]) -> rrb.Blueprint:
+    """A tab a scene and model: the paths on the left; errors, status and decisions over time on the right."""
+    tabs = []
+    for scene, model in dict.fromkeys((f.walk.scene, f.run.model) for f in fused):
+        at = f"/{scene}/{model}"
+        decisions = [
+            rrb.Vertical(
+                rrb.StateTimelineView(origin=f"{at}/status/{method}", name="status"),
+                *(rrb.TimeSeriesView(origin=f"{at}/signals/{method}/{signal}", name=signal) for signal in signals),
+                name=method,
+            )
+            for method, signals in _signals(fused).items()
+        ]
+        plots = rrb.Vertical(
+            rrb.TimeSeriesView(origin=f"{at}/position_error_m", name="position error, m"),
+            rrb.TimeSeriesView(origin=f"{at}/rotation_error_deg", name="rotation error, degrees"),
+            rrb.Tabs(*decisions) if decisions else rrb.TextDocumentView(name="no decisions"),
+            row_shares=[1, 1, 3],
+        )
+        paths = rrb.Spatial3DView(
+            origin=f"/{scene}",
+            contents=[f"/{scene}/ground_truth/**", f"{at}/**"],
+            name="ground truth green, regressor blue, aligned odometry orange, fused as on the right",
+        )
+        name = f"{scene} · {model}"
+        tabs.append(rrb.Horizontal(paths, plots, column_shares=[3, 2], name=name))
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs), rrb.TimePanel(timeline=FRAME_TIMELINE, state="collapsed"), collapse_panels=True
+    )
+
+
+def record(stream: rr.RecordingStream, fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> None:
+    """Log what each method said of each walk. `gates` has the thresholds of each method's signals."""
+    starts: dict[tuple[str, str, str], int] = {}
+    frames: Counter[str] = Counter()
+    for f in fused:
+        walk, method = f.walk, f.run.method
+        key = (walk.scene, walk.session_id, walk.split)
+        first = key not in starts
+        if first:
+            starts[key] = frames[walk.scene]
+            frames[walk.scene] += len(walk)
+        times = [
+            rr.TimeColumn(FRAME_TIMELINE, sequence=starts[key] + np.arange(len(walk))),
+            rr.TimeColumn(TIMELINE, duration=walk.t_ns.astype("timedelta64[ns]")),
+        ]
+        name = f"{walk.session_id}/{walk.split}"
+        scene, at = f"/{walk.scene}", f"/{walk.scene}/{f.run.model}"
+        if first:
+            stream.log(scene, UP_AXIS, static=True)
+            _log_walk(stream, f"{scene}/ground_truth", name, times, walk.map_T_cam, colours.GROUND_TRUTH)
+        if method == "apr":
+            _log_walk(stream, f"{at}/apr", name, times, f.live_map_T_cam, colours.APR, 0.5)
+        else:
+            _log_walk(stream, f"{at}/fused/{method}", name, times, f.live_map_T_cam, _colour(method))
+            _log_walk(stream, f"{at}/vio_aligned/{method}", name, times, _vio_aligned(f), colours.VIO, 0.5)
+            _log_decisions(stream, at, f, times, gates[method])
+        colour = _colour(method)
+        position_m, rotation_deg = pose_errors(f.live_map_T_cam, walk.map_T_cam)
+        _log_series(stream, f"{at}/position_error_m/{method}", times, position_m, colour, method)
+        _log_series(stream, f"{at}/rotation_error_deg/{method}", times, rotation_deg, colour, method)
+
+
+def _colour(method: str) -> tuple[int, int, int]:
+    if method == "apr":
+        return colours.APR
+    return _FUSED_COLOURS[(list(METHODS).index(method) - 1) % len(_FUSED_COLOURS)]
+
+
+def _signals(fused: list[Fused]) -> dict[str, list[str]]:
+    """The names of each method's signals, for the methods that decide anything."""
+    names: dict[str, set[str]] = {}
+    for f in fused:
+        if f.run.method != "apr":
+            names.setdefault(f.run.method, set()).update(name for e in f.estimates for name in e.signals)
+    return {method: sorted(found) for method, found in names.items()}
+
+
+def _vio_aligned(f: Fused) -> Array:
+    """Odometry (N, 4, 4) in the map by the alignment in force, NaN before there is one."""
+    none = np.full((4, 4), np.nan)
+    map_T_vio = np.array([none if e.map_T_vio is None else e.map_T_vio for e in f.estimates]).reshape(-1, 4, 4)
+    return map_T_vio @ f.walk.vio_T_cam
+
+
+def _log_walk(
+    stream: rr.RecordingStream,
+    path: str,
+    name: str,
+    times: list[rr.TimeColumn],
+    map_T_cam: Array,
+    colour: tuple[int, int, int],
+    width_px: float = 1.5,
+) -> None:
+    """The whole path as a line, and a marker where the walk is now."""
+    xyz = map_T_cam[:, :3, 3]
+    log_path(stream, f"{path}/path/{name}", xyz, colour, width_px)
+    stream.log(
+        f"{path}/now", rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(_MARKER_PX)), static=True
+    )
+    there = known(map_T_cam)
+    # A frame without a pose takes the marker away.
+    stream.send_columns(
+        f"{path}/now", indexes=times, columns=rr.Points3D.columns(positions=xyz[there]).partition(there.astype(int))
+    )
+
+
+def _log_decisions(
+    stream: rr.RecordingStream, at: str, f: Fused, times: list[rr.TimeColumn], gates: Mapping[str, float]
+) -> None:
+    """The status as a lane, and each signal with its gate."""
+    method = f.run.method
+    lane = f"{at}/status/{method}"
+    stream.log(
+        lane,
+        rr.StateConfiguration(values=[str(s) for s in STATUS_COLOURS], colors=list(STATUS_COLOURS.values())),
+        static=True,
+    )
+    stream.send_columns(lane, indexes=times, columns=rr.StateChange.columns(state=list(f.live_status)))
+    for signal in _signals([f])[method]:
+        path = f"{at}/signals/{method}/{signal}"
+        values = np.array([e.signals.get(signal, np.nan) for e in f.estimates])
+        _log_series(stream, f"{path}/value", times, values, _colour(method), signal)
+        if signal in gates:
+            _log_series(stream, f"{path}/gate", times, np.full(len(values), gates[signal]), colours.REJECTED, "gate")
+
+
+def _log_series(
+    stream: rr.RecordingStream,
+    path: str,
+    times: list[rr.TimeColumn],
+    values: Array,
+    colour: tuple[int, int, int],
+    name: str,
+) -> None:
+    stream.log(path, rr.SeriesLines(colors=colour, names=name), static=True)
+    stream.send_columns(path, indexes=times, columns=rr.Scalars.columns(scalars=values))

@@ -1,0 +1,49 @@
+"""Stage fuse: every method on every model's predictions, their errors and figures."""
+
+import pandas as pd
+
+from artefacts import Stage, StageRun
+from fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines, stacked
+from fusion.record import blueprint, record
+
+
+def run(r: StageRun[FuseSettings]) -> None:
+    inputs = [
+        Inputs(
+            leaf,
+            r.read("import", "frames", scene=leaf),
+            r.read("align", "ground_truth", scene=leaf),
+            _predictions(r, leaf),
+        )
+        for leaf in r.leaves
+    ]
+    with r.step("fuse"):
+        results = evaluate(inputs, r.settings)
+    for name, table in results.tables.items():
+        r.write(name, table)
+    for name, count in results.counts.items():
+        r.figure(name, count)
+    with r.step("recording"), r.recording(blueprint(results.fused)) as stream:
+        record(stream, results.fused, results.gates)
+    for line in report_lines(results):
+        r.say(line)
+
+
+def _predictions(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:
+    """A scene's predictions: its own training's, but for models that a group around it has trained."""
+    own = r.read("train", "predictions", scene=leaf)
+    if not r.scene.is_group or "train" not in r.scene.stages:
+        return own
+    shared = r.read("train", "predictions")
+    shared = shared[shared["scene"] == leaf]
+    return stacked([shared, own[~own["model"].isin(shared["model"])]])
+
+
+STAGE = Stage(
+    name="fuse",
+    version=1,
+    settings=FuseSettings,
+    needs=("import", "align", "train"),
+    run=run,
+    help="Fuse the regressors' predictions with odometry, and measure every method against the ground truth.",
+)

@@ -1,0 +1,29 @@
+"""Random walks as the three tables that an evaluation reads."""
+
+import numpy as np
+import pandas as pd
+from random_walks import random_walk
+
+from artefacts.tables import pose_frame
+
+
+def tables(seeds: list[int], models: tuple[str, ...] = ("PN",), frames: int = 40):
+    """Frames, ground truth and predictions of one test session a seed."""
+    parts: dict[str, list[pd.DataFrame]] = {"frames": [], "truth": [], "predictions": []}
+    for seed in seeds:
+        walk = random_walk(seed, frames)
+        keys = pd.DataFrame(
+            {
+                "frame_id": [f"s{seed}/{i:06d}" for i in range(frames)],
+                "session_id": f"s{seed}",
+                "split": "test",
+                "t_ns": walk.t_ns,
+            }
+        )
+        none = np.full((4, 4), np.nan)
+        vio, apr = (np.array([none if p is None else p for p in poses]) for poses in (walk.vio, walk.apr))
+        parts["frames"].append(pd.concat([keys, pose_frame("vio_cam", vio)], axis=1))
+        parts["truth"].append(pd.concat([keys, pose_frame("map_cam", walk.map_T_cam)], axis=1))
+        for model in models:
+            parts["predictions"].append(pd.concat([keys.assign(model=model), pose_frame("map_cam", apr)], axis=1))
+    return tuple(pd.concat(p, ignore_index=True) for p in parts.values())

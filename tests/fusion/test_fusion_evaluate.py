@@ -1,0 +1,172 @@
+"""Evaluation of tables: figures against a direct count, bad input, and the command line."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from tables import tables
+from typer.testing import CliRunner
+
+from artefacts import UserError
+from artefacts.schemas import schema
+from artefacts.tables import poses_of, read_table
+from fusion.__main__ import app
+from fusion.evaluate import FuseSettings, Inputs, evaluate
+
+SEEDS = [1, 2, 3]
+
+
+def run(frames, truth, predictions, **settings):
+    return evaluate([Inputs("Place", frames, truth, predictions)], FuseSettings(**settings))
+
+
+def test_summary_counts_what_is_there():
+    results = run(*tables(SEEDS, ("PN", "MS-T")))
+    errors, summary = results.tables["errors"], results.tables["summary"]
+    ours = errors[(errors["method"] == "mobilearloc") & (errors["model"] == "PN")]
+    row = summary[(summary["method"] == "mobilearloc") & (summary["model"] == "PN")].set_index(["subset", "scored"]).loc
+
+    reliable = ours[ours["status"] == "reliable"]
+    assert row["rp", "method"]["frames"] == len(reliable)
+    assert row["rp", "method"]["share_pct"] == pytest.approx(100 * len(reliable) / 120)
+    assert row["rp", "method"]["position_median_m"] == pytest.approx(np.median(reliable["position_m"]))
+    # A reliable pose is the prediction itself.
+    assert row["rp", "apr"]["position_mean_m"] == pytest.approx(row["rp", "method"]["position_mean_m"])
+    pooled = row["rp", "method"]["frames"] + row["opt", "method"]["frames"]
+    assert row["rp+opt", "method"]["frames"] == pooled
+
+    everything = row["all", "method"]
+    answered = ours["live_position_m"].dropna()
+    assert everything["frames"] == 120 and everything["answered"] == len(answered) < 120
+    assert everything["position_mean_m"] == pytest.approx(answered.mean())
+    high = (ours["live_position_m"] <= 0.25) & (ours["live_rotation_deg"] <= 2)
+    assert everything["high_pct"] == pytest.approx(100 * high.sum() / 120)
+    # Missing counts as infinitely wrong.
+    filled = ours["live_position_m"].fillna(np.inf)
+    assert everything["position_median_m"] == pytest.approx(np.median(filled))
+    common = summary[(summary["subset"] == "common") & (summary["scored"] == "method")]
+    assert (common["answered"] == common["frames"]).all() and len(set(common["frames"])) == 1
+
+
+def test_poses_confirmed_later_are_not_live():
+    poses = run(*tables(SEEDS)).tables["poses"]
+    ours = poses[poses["method"] == "mobilearloc"]
+    late = ours[ours["status"] != ours["live_status"]]
+    assert len(late) and set(late["status"]) == {"reliable"} and set(late["live_status"]) <= {"none", "aligning"}
+    assert np.isfinite(poses_of(late, "map_cam")).all()
+
+
+def test_each_session_starts_afresh():
+    frames, truth, predictions = tables(SEEDS)
+    together = run(frames, truth, predictions).tables["poses"]
+    alone = [
+        run(*(t[t["session_id"] == s] for t in (frames, truth, predictions))).tables["poses"]
+        for s in frames["session_id"].unique()
+    ]
+    columns = ["method", "frame_id", "status", "map_cam_tx", "map_cam_qw"]
+    expected = pd.concat(alone)[columns].sort_values(columns[:2]).reset_index(drop=True)
+    pd.testing.assert_frame_equal(together[columns].sort_values(columns[:2]).reset_index(drop=True), expected)
+
+
+def test_row_order_does_not_matter_and_is_counted():
+    frames, truth, predictions = tables(SEEDS)
+    shuffled = [t.sample(frac=1, random_state=0) for t in (frames, truth, predictions)]
+    a, b = run(frames, truth, predictions), run(*shuffled)
+    pd.testing.assert_frame_equal(a.tables["summary"], b.tables["summary"])
+    assert a.counts["frames_out_of_order"] == 0 < b.counts["frames_out_of_order"]
+
+
+def test_frames_that_cannot_be_scored_are_counted():
+    frames, truth, predictions = tables([1])
+    predictions.loc[3, "map_cam_tx"] = np.nan
+    predictions.loc[4, [f"map_cam_q{a}" for a in "xyzw"]] = 0.0
+    predictions.loc[5, "frame_id"] = "elsewhere/000001"
+    truth.loc[7, [c for c in truth.columns if c.startswith("map_cam")]] = np.nan
+    counts = run(frames, truth, predictions).counts
+    plain = run(*tables([1])).counts
+    assert counts["predictions_not_finite"] == plain["predictions_not_finite"] + 2
+    assert counts["predictions_of_unknown_frames"] == counts["frames_without_prediction"] == 1
+    assert counts["frames_without_ground_truth"] == 1
+
+
+def drop_column(frames, truth, predictions):
+    return frames, truth, predictions.drop(columns="map_cam_qw")
+
+
+def duplicate_prediction(frames, truth, predictions):
+    return frames, truth, pd.concat([predictions, predictions.iloc[:1]])
+
+
+def duplicate_frame(frames, truth, predictions):
+    return pd.concat([frames, frames.iloc[:1]]), truth, predictions
+
+
+def same_time(frames, truth, predictions):
+    frames.loc[1, "t_ns"] = frames.loc[0, "t_ns"]
+    return frames, truth, predictions
+
+
+def mixed_sessions(frames, truth, predictions):
+    predictions.loc[5, "session_id"] = "another"
+    return frames, truth, predictions
+
+
+def little_overlap(frames, truth, predictions):
+    return frames, truth, predictions.iloc[:10]
+
+
+def other_times(frames, truth, predictions):
+    return frames, truth.assign(t_ns=truth["t_ns"] + 1), predictions
+
+
+def text_for_numbers(frames, truth, predictions):
+    return frames.assign(vio_cam_tx="left"), truth, predictions
+
+
+def no_truth(frames, truth, predictions):
+    return frames, truth.assign(frame_id="x" + truth["frame_id"]), predictions
+
+
+def no_predictions(frames, truth, predictions):
+    return frames, truth, predictions.iloc[:0]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (drop_column, "lack columns"),
+        (duplicate_prediction, "rows twice"),
+        (duplicate_frame, "rows twice"),
+        (same_time, "rows twice"),
+        (mixed_sessions, "another session_id"),
+        (little_overlap, "hardly overlap"),
+        (other_times, "another t_ns"),
+        (text_for_numbers, "text for numbers"),
+        (no_truth, "no frame has ground truth"),
+        (no_predictions, "no predictions"),
+    ],
+)
+def test_input_that_cannot_be_evaluated_is_refused(spoil, message):
+    with pytest.raises(UserError, match=message):
+        run(*spoil(*tables([1])))
+
+
+def test_options_are_recorded_and_checked():
+    poses = run(*tables([1]), options={"mobilearloc": {"n": 3}}).tables["poses"]
+    assert poses[poses["method"] == "mobilearloc"]["options"].str.contains('"n": 3').all()
+    with pytest.raises(UserError, match="gama"):
+        run(*tables([1]), options={"mobilearloc": {"gama": 3}})
+    with pytest.raises(UserError, match="no fusion method"):
+        run(*tables([1]), methods=["magic"])
+
+
+def test_command_line(tmp_path):
+    paths = [tmp_path / f"{name}.parquet" for name in ("frames", "truth", "predictions")]
+    for table, path in zip(tables([1, 2]), paths, strict=True):
+        table.drop(columns="split").to_parquet(path)
+    names = ("--frames", "--ground-truth", "--predictions")
+    arguments = [x for pair in zip(names, map(str, paths), strict=True) for x in pair]
+    done = CliRunner().invoke(app, ["evaluate", *arguments, "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    for name in ("poses", "errors", "signals", "summary", "sessions"):
+        assert len(read_table(tmp_path / "out" / f"{name}.parquet", schema("fuse", name)))
+    assert (tmp_path / "out" / "recording.rrd").stat().st_size > 10_000
