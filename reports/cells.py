@@ -1,0 +1,193 @@
+"""Every number of the tables as one row: what it is, how it prints, and what it was computed from."""
+
+import math
+from collections.abc import Iterator
+
+import pandas as pd
+
+from reports.grids import EMPTY, OURS, PUBLISHED
+from reports.inputs import SceneInputs
+from reports.published import SUBSETS, PrintedTables
+from reports.statistics import PAPER_METHOD, scene_scores
+
+TABLE_I, TABLE_II, TABLE_III, TABLE_IV = "I", "II", "III", "IV"
+AVERAGE = "average"
+ERRORS = {"translation": "m", "rotation": "deg"}
+LEVELS = ("high", "medium", "low")
+_PUBLISHED_FILES = {
+    TABLE_I: "data/published/table1_dataset.csv",
+    TABLE_II: "data/published/table2_pose_errors.csv",
+    TABLE_III: "data/published/table3_accuracy_levels.csv",
+}
+_PUBLISHED_MODELS = {"hloc": "HLoc", "pn": "PN", "mst": "MS-T"}
+
+
+def column_name(model: str, method: str, over: str, *what: str) -> str:
+    """A heading: "PN", "PN, same frames", "PN+VIO" (the paper's rule) or "PN+<method>", then what is counted."""
+    name = model
+    if method == "apr" and over == "subset":
+        name += ", same frames"
+    elif method == PAPER_METHOD:
+        name += "+VIO"
+    elif method not in ("apr", ""):
+        name += f"+{method}"
+    return " ".join([name, *what]).strip()
+
+
+def number(value: float, digits: int) -> str:
+    return EMPTY if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def our_cells(scenes: list[SceneInputs]) -> pd.DataFrame:
+    """All cells of ours: Tables I to IV of each scene, and Table II's averages over each environment's scenes."""
+    rows: list[dict[str, object]] = []
+    for scene in scenes:
+        rows += _dataset(scene)
+        rows += _scores(scene)
+    rows += _averages(rows)
+    return pd.DataFrame(rows)
+
+
+def _cell(
+    table: str,
+    scene: SceneInputs,
+    row: str,
+    column: str,
+    value: float,
+    digits: int,
+    unit: str,
+    source: tuple[int, str],
+    **more: str,
+) -> dict[str, object]:
+    base = {"source": OURS, "table": table, "environment": scene.environment, "scene": scene.name, "row": row}
+    empty = dict.fromkeys(("model", "method", "options", "over", "statistic", "quantity"), "")
+    text = more.pop("text", number(value, digits))
+    numbers = {"value": value, "text": text, "unit": unit, "source_rows": source[0], "source_table": source[1]}
+    return {**base, "column": column, **empty, **more, **numbers}
+
+
+def _dataset(scene: SceneInputs) -> Iterator[dict[str, object]]:
+    def cell(column: str, value: float, unit: str, source: tuple[int, str], **more: str) -> dict[str, object]:
+        keys = {"statistic": "value", "quantity": column}
+        return _cell(TABLE_I, scene, "scene", column, value, 0, unit, source, **(keys | more))
+
+    yield cell("train images", scene.training_frames, "", (len(scene.frames), "import.frames"))
+    yield cell("test images", scene.test_frames, "", (len(scene.frames), "import.frames"))
+    yield cell("scored images", scene.scored_frames, "", (len(scene.errors), "fuse.errors"))
+    known = (int(scene.ground_truth["map_cam_tx"].notna().sum()), "align.ground_truth")
+    length, width, height = scene.extent_m()
+    text = EMPTY if math.isnan(length) else f"{length:.1f}×{width:.1f}×{height:.1f}"
+    yield cell("extent", length, "m", known, text=text)
+    for _, card in scene.cards.iterrows():
+        model = str(card["model"])
+        mib = float(card["bytes"]) / 2**20
+        yield cell(f"{model} storage", mib, "MiB", (1, "train.models"), model=model, text=number(mib, 1))
+        runtime = scene.runtime_ms(model)
+        runs = int((scene.predictions["model"] == model).sum())
+        source = (runs, "train.predictions")
+        yield cell(f"{model} runtime", runtime, "ms", source, model=model, text=number(runtime, 1))
+
+
+def _scores(scene: SceneInputs) -> Iterator[dict[str, object]]:
+    for _, s in scene_scores(scene.errors, scene.name).iterrows():
+        paper = s["subset"] in SUBSETS
+        numbers = [
+            (statistic, q, s[f"{statistic}_{u}"], u, 2) for statistic in ("mean", "median") for q, u in ERRORS.items()
+        ]
+        numbers += [("level", level, s[level], "%", 1) for level in LEVELS]
+        if not paper or s["over"] == "subset":
+            numbers += [(name, "frames", s[name], "%", 1) for name in ("share", "coverage")]
+        keys = {k: str(s[k]) for k in ("model", "method", "options", "over")}
+        for statistic, quantity, value, unit, digits in numbers:
+            table = TABLE_IV if not paper else TABLE_II if statistic in ("mean", "median") else TABLE_III
+            column = column_name(s["model"], s["method"], s["over"], statistic, quantity)
+            more = keys | {"statistic": statistic, "quantity": quantity}
+            source = (int(s["frames"]), "fuse.errors")
+            yield _cell(table, scene, s["subset"], column, float(value), digits, unit, source, **more)
+
+
+def _averages(rows: list[dict[str, object]]) -> list[dict[str, object]]:
+    """Table II's averages: the mean over scenes of each scene's figure, where an environment has several scenes."""
+    errors = pd.DataFrame([r for r in rows if r["table"] == TABLE_II])
+    keys = ["environment", "row", "column"]
+    averages = []
+    for _, scenes in errors.groupby(keys, sort=False):
+        if len(scenes) > 1:
+            # A scene without a figure leaves none for the average either: it would be one over other scenes.
+            value = float(scenes["value"].mean(skipna=False))
+            row: dict[str, object] = {str(name): cell for name, cell in scenes.iloc[0].items()}
+            row |= {"scene": AVERAGE, "options": "", "value": value, "text": number(value, 2)}
+            averages.append(row | {"source_rows": int(scenes["source_rows"].sum())})
+    return averages
+
+
+def published_cells(tables: PrintedTables, scenes: list[SceneInputs]) -> pd.DataFrame:
+    """The paper's cells of the same scenes, and of the averages where all scenes of an environment are there."""
+    names = {scene.name for scene in scenes} & set(tables.dataset["scene"])
+    rows: list[dict[str, object]] = []
+
+    def add(table: str, s: pd.Series, row: str, column: str, value: float, text: str, unit: str, **more: str) -> None:
+        if s["scene"] not in names and not (s["scene"] == AVERAGE and s["environment"] in complete):
+            return
+        base = {"source": PUBLISHED, "table": table, "environment": s["environment"], "scene": s["scene"], "row": row}
+        empty = dict.fromkeys(("model", "method", "options", "over", "statistic", "quantity"), "")
+        shown = {"value": value, "text": text, "unit": unit, "source_rows": 1, "source_table": _PUBLISHED_FILES[table]}
+        rows.append({**base, "column": column, **empty, **more, **shown})
+
+    of_environment = tables.dataset.groupby("environment")["scene"].agg(set)
+    complete = {str(environment) for environment, members in of_environment.items() if members <= names}
+    for _, s in tables.dataset.iterrows():
+        for column in ("train images", "test images"):
+            value = float(s[column.replace(" ", "_")])
+            add(TABLE_I, s, "scene", column, value, f"{value:.0f}", "", statistic="value", quantity=column)
+        extent = str(s["extent_m"])
+        length = float(extent.split("x")[0])
+        text = extent.replace("x", "×")
+        add(TABLE_I, s, "scene", "extent", length, text, "m", statistic="value", quantity="extent")
+        for key, model in _PUBLISHED_MODELS.items():
+            for what, unit in (("storage", "MB"), ("runtime", "ms")):
+                value = float(s[f"{key}_{what}_{unit.lower()}"])
+                keys = {"model": model, "statistic": "value", "quantity": f"{model} {what}"}
+                add(TABLE_I, s, "scene", f"{model} {what}", value, f"{value:g}", unit, **keys)
+    for _, s in tables.errors.iterrows():
+        for quantity, unit in ERRORS.items():
+            value = float(s[f"{quantity}_{unit}"])
+            keys = {k: str(s[k]) for k in ("model", "method", "over", "statistic")} | {"quantity": quantity}
+            column = column_name(s["model"], s["method"], s["over"], s["statistic"], quantity)
+            add(TABLE_II, s, s["subset"], column, value, f"{value:g}", unit, **keys)
+    for _, s in tables.levels.iterrows():
+        keys = {k: str(s[k]) for k in ("model", "method", "over")}
+        for quantity, statistic in [*((level, "level") for level in LEVELS), ("share", "share")]:
+            value = float(s[quantity])
+            if math.isnan(value):
+                continue
+            name = "frames" if quantity == "share" else quantity
+            column = column_name(s["model"], s["method"], s["over"], statistic, name)
+            more = keys | {"statistic": statistic, "quantity": name}
+            add(TABLE_III, s, s["subset"], column, value, f"{value:g}", "%", **more)
+    return pd.DataFrame(rows)
+
+
+def printed_tables(cells: pd.DataFrame) -> PrintedTables:
+    """Our cells as printed tables, for the same checks that the paper's go through."""
+    ours = cells[cells["source"] == OURS].assign(printed=lambda f: pd.to_numeric(f["text"], errors="coerce"))
+    dataset = ours[ours["table"] == TABLE_I].pivot_table(
+        index=["environment", "scene"], columns="column", values="printed", sort=False
+    )
+    dataset = dataset.reset_index().rename(columns={"train images": "train_images", "scored images": "test_images"})
+    keys = ["environment", "scene", "row", "model", "method", "over"]
+    errors = ours[ours["table"] == TABLE_II].pivot_table(
+        index=[*keys, "statistic"], columns="quantity", values="printed", sort=False, dropna=False
+    )
+    errors = errors.reset_index().dropna(subset=["translation", "rotation"])
+    levels = ours[(ours["table"] == TABLE_III) & (ours["statistic"] != "coverage")].pivot_table(
+        index=keys, columns="quantity", values="printed", sort=False, dropna=False
+    )
+    # The cross product of `dropna=False` has rows that were never there.
+    levels = levels.reset_index().dropna(subset=["high", "frames"], how="all")
+    return PrintedTables(
+        OURS,
+        dataset,
+        errors.rename(columns={"row": "subset", "translation": "translation_m", "rotation": "rotation_deg"}),
+        levels.rename(columns={"row": "subset", "frames": "share"}),
+    )

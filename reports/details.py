@@ -1,0 +1,178 @@
+"""The page's smaller tables: capture, ground truth, models, checks, and how the artefacts came about."""
+
+import json
+import math
+from typing import Any
+
+import pandas as pd
+
+from artefacts.progress import format_seconds
+from reports.cells import number
+from reports.checks import AGREES
+from reports.grids import EMPTY, OURS, Block, Grid, Row
+from reports.inputs import SceneInputs
+from reports.statistics import PAPER_METHOD
+
+
+def _grid(key: str, title: str, caption: str, columns: list[str], rows: list[list[Any]], labels: int = 1) -> Grid:
+    lines = tuple(Row(tuple(str(cell) for cell in row), OURS) for row in rows)
+    return Grid(key, title, caption, tuple(("", c) for c in columns), (Block("", lines),), labels)
+
+
+def _records(frame: pd.DataFrame) -> list[Any]:
+    """The rows as named tuples; pandas' stubs don't know their types."""
+    return list(frame.itertuples(index=False))
+
+
+def _range(values: pd.Series) -> str:
+    """The least and the largest of some figures."""
+    known = values.dropna()
+    return " to ".join(dict.fromkeys(f"{v:.3g}" for v in (known.min(), known.max()))) if len(known) else EMPTY
+
+
+def headline(scene: SceneInputs, cells: pd.DataFrame) -> list[tuple[str, str, str]]:
+    """The figures that a reader looks for first: (number, what it is, more)."""
+    registered, frames = int(scene.images["registered"].sum()), len(scene.images)
+    sessions = f"{len(scene.sessions)} session{'s' if len(scene.sessions) > 1 else ''}"
+    walks = f"{sessions}, {scene.sessions['path_m'].sum():.0f} m walked"
+    known = (
+        f"{registered} of {frames} frames; ground truth for {scene.scored_frames} of {scene.test_frames} test frames"
+    )
+    facts = [(f"{frames}", "frames", walks), (f"{100 * registered / frames:.1f} %", "registered", known)]
+    ours = cells[(cells["source"] == OURS) & (cells["scene"] == scene.name) & (cells["statistic"] == "median")]
+    for model in scene.models:
+        of_model = ours[(ours["model"] == model) & (ours["row"] == "rp+opt")]
+        pair = {}
+        for method, over in (("apr", "subset"), (PAPER_METHOD, "subset")):
+            rows = of_model[(of_model["method"] == method) & (of_model["over"] == over)].set_index("quantity")["text"]
+            pair[method] = f"{rows['translation']} m, {rows['rotation']}°"
+        facts.append((pair[PAPER_METHOD], f"{model}+VIO, median", f"{model} alone on the same frames: {pair['apr']}"))
+    return facts
+
+
+def sessions(scene: SceneInputs) -> Grid:
+    """What was captured, and what import made of it."""
+    columns = ["session", "format", "device", "split", "time (s)", "path (m)", "poses", "images", "frames", "left out"]
+    rejected = scene.rejects["session_id"].value_counts()
+    rows = []
+    for s in _records(scene.sessions.sort_values("session_id")):
+        numbers = [f"{s.duration_s:.0f}", f"{s.path_m:.1f}", s.poses, s.images, s.frames, rejected.get(s.session_id, 0)]
+        rows.append([s.session_id, s.format, s.device, s.split, *numbers])
+    return _grid(f"sessions-{scene.name}", "Sessions", "As recorded by the phone.", columns, rows, 4)
+
+
+def rejects(scene: SceneInputs) -> Grid | None:
+    """Why frames were left out; None where none was."""
+    counts = scene.rejects["reason"].value_counts(sort=False).sort_index()
+    rows = [[reason, frames] for reason, frames in counts.items()]
+    return (
+        _grid(f"rejects-{scene.name}", "Left out", "Frames that import left out.", ["reason", "frames"], rows)
+        if rows
+        else None
+    )
+
+
+def alignment(scene: SceneInputs) -> Grid:
+    """How well each session's VIO fits the map."""
+    columns = [
+        "session",
+        "part",
+        "ground truth",
+        "VIO scale",
+        "up (°)",
+        "position rms (m)",
+        "max (m)",
+        "rotation rms (°)",
+    ]
+    rows = []
+    for s in _records(scene.align_sessions.sort_values(["session_id", "segment"])):
+        fit = [number(s.scale, 4), number(s.up_error_deg, 2), number(s.position_rms_m, 3), number(s.position_max_m, 3)]
+        rows.append([s.session_id, s.segment, f"{s.used} of {s.frames}", *fit, number(s.rotation_rms_deg, 2)])
+    caption = "Each session's VIO fitted rigidly to the map: metres of VIO per metre of the map, and what is left."
+    return _grid(f"alignment-{scene.name}", "VIO against the map", caption, columns, rows, 2)
+
+
+def drift(scene: SceneInputs) -> Grid:
+    """All measures of VIO drift, all sessions together."""
+    columns = ["measure", "over", "unit", "samples", "mean", "median", "rms", "95 %", "max"]
+    rows = []
+    for d in _records(scene.drift[scene.drift["session_id"] == "all"]):
+        over = d.interval_unit if math.isnan(d.interval) else f"{d.interval:g} {d.interval_unit}"
+        figures = [f"{v:.3g}" for v in (d.mean, d.median, d.rms, d.p95, d.max)]
+        rows.append([d.definition, over, d.unit, d.samples, *figures])
+    caption = (
+        "All sessions together; docs/ground-truth.md defines each measure. paper_rpe and paper_roe are the paper's "
+        "equations 4 and 5."
+    )
+    return _grid(f"drift-{scene.name}", "VIO drift", caption, columns, rows, 3)
+
+
+def gate(scene: SceneInputs) -> Grid | None:
+    """What the gate let through or not, one line a check; None where nothing was checked."""
+    rows = []
+    for check, of_check in scene.gate.groupby("check", sort=False):
+        failed = of_check[~of_check["passed"]]
+        verdict = "; ".join(dict.fromkeys(failed["reason"])) or "passed"
+        unit = of_check["unit"].iloc[0]
+        figures = [len(of_check), len(failed), _range(of_check["value"]), _range(of_check["limit"])]
+        rows.append([check, verdict, unit, *figures])
+    columns = ["check", "verdict", "unit", "checked", "failed", "found", "limit"]
+    caption = "What had to hold before ground truth was given out."
+    return _grid(f"gate-{scene.name}", "Gate", caption, columns, rows, 3) if rows else None
+
+
+def models(scene: SceneInputs) -> Grid:
+    """The model cards, a column a model: their texts are too long for lines of a table."""
+    cards = _records(scene.cards)
+    facts: list[tuple[str, list[Any]]] = [
+        ("weights of the backbone", [c.weights for c in cards]),
+        ("layers", [c.layers or EMPTY for c in cards]),
+        ("reduced from the paper", [c.reduced or "nothing" for c in cards]),
+        ("trained on", [", ".join(c.scenes) for c in cards]),
+        ("device", [c.device for c in cards]),
+        ("parameters", [f"{c.parameters:,} ({c.bytes / 2**20:.1f} MiB)" for c in cards]),
+        ("input", [f"{c.crop_px} px of {c.resize_px} px" for c in cards]),
+        ("frames", [f"{c.train_frames} to train, {c.val_frames} held out" for c in cards]),
+        ("epochs", [f"{c.epochs}, kept the one after {c.best_epoch}" for c in cards]),
+        ("time", [format_seconds(c.train_seconds) for c in cards]),
+    ]
+    rows = [[name, *values] for name, values in facts]
+    columns = ["", *(c.model for c in cards)]
+    return _grid(f"models-{scene.name}", "Models", "What was trained, and how.", columns, rows, len(columns))
+
+
+def checks(findings: pd.DataFrame, source: str) -> Grid | None:
+    """The findings about one source's tables that don't agree; None where all agree."""
+    rows = [
+        [f.check, f.table, f.scene, f.subset, f.column, f.expected, f.found, f.verdict, f.because]
+        for f in _records(findings[(findings["source"] == source) & (findings["verdict"] != AGREES)])
+    ]
+    columns = ["rule", "table", "scene", "subset", "column", "by the rule", "printed", "verdict", "why"]
+    caption = "Each number is taken as the interval that its rounding leaves open; docs/reports.md explains the rules."
+    return _grid(f"checks-{source}", "What doesn't agree", caption, columns, rows, len(columns)) if rows else None
+
+
+def provenance(scene: SceneInputs) -> Grid:
+    """When, where and how long each stage ran."""
+    columns = ["stage", "finished (UTC)", "revision", "machine", "seconds a step", "time", "memory (MiB)", "seed"]
+    rows = []
+    for name, m in scene.manifests.items():
+        steps = ", ".join(f"{step} {seconds:.0f}" for step, seconds in m["seconds"].items())
+        finished = m["finished"].replace("T", " ").removesuffix("+00:00")
+        figures = [format_seconds(m["total_seconds"]), f"{m['peak_memory_mib']:.0f}", m["seed"]]
+        rows.append([name, finished, m["git_revision"], m["machine"], steps, *figures])
+    return _grid(f"provenance-{scene.name}", "Stages", "As each stage's manifest has it.", columns, rows, 5)
+
+
+def stage_settings(scene: SceneInputs) -> list[tuple[str, str]]:
+    """Each stage's resolved settings as JSON."""
+    return [(name, json.dumps(m["settings"], indent=1, ensure_ascii=False)) for name, m in scene.manifests.items()]
+
+
+def versions(scene: SceneInputs) -> str:
+    """The versions that the stages ran with."""
+    found: dict[str, list[str]] = {}
+    for m in scene.manifests.values():
+        for package, version in m["versions"].items():
+            found.setdefault(package, []).append(version)
+    return ", ".join(f"{package} {' and '.join(dict.fromkeys(v))}" for package, v in found.items())

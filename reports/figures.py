@@ -1,0 +1,305 @@
+"""The report's figures, each from tables alone: the paper's two, and what a reader needs to trust them."""
+
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from artefacts.tables import poses_of
+from geometry.poses import Array
+from reports import style
+from reports.inputs import SceneInputs
+from reports.statistics import paper_errors
+
+_NS = 1e-9
+
+
+@dataclass(frozen=True)
+class NamedFigure:
+    """A figure with the name of its files and its caption."""
+
+    name: str
+    caption: str
+    figure: Figure
+
+
+def scene_figures(scene: SceneInputs) -> dict[str, list[NamedFigure]]:
+    """All figures of a scene, by the section of the page that they belong to."""
+    with style.applied():
+        figures = {
+            "summary": [*(trajectories(scene, model) for model in scene.models), error_distributions(scene)],
+            "ground_truth": [sfm_overview(scene), drift(scene)],
+            "training": [learning_curves(scene)],
+            "fusion": [timeline(scene, model) for model in scene.models],
+        }
+        for figure in chain.from_iterable(figures.values()):
+            # A picture is passed on without its caption.
+            style.mark(figure.figure, f"{scene.name}: {scene.marker()}")
+    return figures
+
+
+# --- the paper's two --------------------------------------------------------------------------------------------
+
+
+def test_session(scene: SceneInputs) -> str:
+    """The test session with the most frames with ground truth: the one that is drawn."""
+    test = scene.errors[scene.errors["split"] == "test"]
+    return str(test.groupby("session_id")["frame_id"].nunique().idxmax())
+
+
+def trajectories(scene: SceneInputs, model: str) -> NamedFigure:
+    """The raw regressor (left) and the paper's rule (right) over one test session seen from above."""
+    session = test_session(scene)
+    truth = scene.ground_truth[scene.ground_truth["session_id"] == session].sort_values("t_ns")
+    truth_xy = from_above(poses_of(truth, "map_cam")[:, :3, 3])
+    errors = paper_errors(scene.errors, model)
+    errors = errors[(errors["session_id"] == session) & (errors["split"] == "test")]
+    paper = (scene.poses["method"] == errors["method"].iloc[0]) & (scene.poses["options"] == errors["options"].iloc[0])
+    fused = scene.poses[paper & (scene.poses["model"] == model)]
+    raw = scene.predictions[scene.predictions["model"] == model]
+    level = _long_side_level(truth_xy)
+    truth_xy = truth_xy @ level
+    panels = (
+        (model, _positions(errors, raw) @ level, errors["apr_position_m"].to_numpy(float)),
+        (f"{model}+VIO", _positions(errors, fused) @ level, errors["position_m"].to_numpy(float)),
+    )
+    known = np.concatenate([e[np.isfinite(e)] for _, _, e in panels])
+    worst = float(np.percentile(known, 95)) if len(known) else 1.0
+    low, high = _limits(truth_xy)
+
+    # The figure's height follows the place's shape, within what fits a page.
+    shape = (high[1] - low[1]) / (high[0] - low[0])
+    figure, axes = style.new_figure(1, 2, float(np.clip(3.1 * shape + 0.6, 1.8, 4.6)))
+    for ax, (title, xy, error) in zip(axes, panels, strict=True):
+        ax.plot(truth_xy[:, 0], truth_xy[:, 1], color=style.GROUND_TRUTH, lw=2.2, label="ground truth")
+        ax.plot(xy[:, 0], xy[:, 1], color=style.NEUTRAL, lw=0.7)
+        colours: Any = {"c": error, "cmap": style.ERROR_MAP, "vmin": 0, "vmax": worst}
+        points = ax.scatter(xy[:, 0], xy[:, 1], s=15, lw=0.4, ec=style.INK, zorder=3, **colours)
+        known_xy = xy[np.isfinite(xy).all(axis=1)]
+        outside = int(((known_xy < low) | (known_xy > high)).any(axis=1).sum())
+        missing = len(xy) - len(known_xy)
+        counts = [f"{n} {what}" for n, what in ((outside, "outside the picture"), (missing, "without a pose")) if n]
+        ax.set_title(" · ".join([title, *counts]))
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
+        ax.spines[:].set_visible(False)
+        _scale_bar(ax)
+    axes[0].legend(loc="lower left", borderaxespad=0, fontsize=7.5)
+    bar = figure.colorbar(points, ax=axes, aspect=30, extend="max", label="position error (m)")
+    bar.ax.grid(False)
+    caption = (
+        f"{scene.name}, test session {session}, from above: {model} alone (left) and with VIO by the paper's rule "
+        f"(right), coloured by position error; the thin line joins poses in order of time."
+    )
+    return NamedFigure(f"trajectory-{_file(model)}", caption, figure)
+
+
+def from_above(xyz_N3: Array) -> Array:
+    """Map positions (N, 3), +y up, as picture coordinates (N, 2) seen from above."""
+    return np.stack([xyz_N3[:, 0], -xyz_N3[:, 2]], axis=1)
+
+
+def _positions(errors: pd.DataFrame, poses: pd.DataFrame) -> Array:
+    """Picture positions (N, 2) of `poses` in the order of `errors`; NaN where there is none."""
+    matched = errors[["frame_id"]].merge(poses.drop_duplicates("frame_id"), on="frame_id", how="left")
+    return from_above(poses_of(matched, "map_cam")[:, :3, 3])
+
+
+def _long_side_level(xy_N2: Array) -> Array:
+    """The rotation (2, 2), for rows from the right, that lays the long side of a walk level: a map's heading is
+    arbitrary, and a page is wide."""
+    known = xy_N2[np.isfinite(xy_N2).all(axis=1)]
+    long_side = np.linalg.svd(known - known.mean(axis=0))[2][0]
+    x, y = long_side if long_side[0] >= 0 else -long_side
+    return np.array([[x, -y], [y, x]])
+
+
+def _limits(xy_N2: Array) -> tuple[Array, Array]:
+    """The picture's lower left and upper right: half again as wide as the walk, which shows how errors spread without
+    letting the worst outlier set the scale."""
+    low, high = np.nanmin(xy_N2, axis=0), np.nanmax(xy_N2, axis=0)
+    margin = 0.25 * max(float((high - low).max()), 0.1)
+    return low - margin, high + margin
+
+
+def _scale_bar(ax: Axes) -> None:
+    low, high = ax.get_xlim()
+    length = _round_length((high - low) / 5)
+    y = ax.get_ylim()[0] + 0.03 * np.ptp(ax.get_ylim())
+    ax.plot([high - length, high], [y, y], color=ax.xaxis.label.get_color(), lw=1.5)
+    ax.text(high - length / 2, y, f"{length:g} m", ha="center", va="bottom", fontsize=7.5)
+
+
+def _round_length(length: float) -> float:
+    """The nearest of 1, 2, 5 times a power of ten that isn't longer."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(max(m * power for m in (1, 2, 5) if m * power <= length))
+
+
+def error_distributions(scene: SceneInputs) -> NamedFigure:
+    """How many test frames lie within an error: raw and fused, position and rotation, a row a model."""
+    figure, axes = style.new_figure(len(scene.models), 2, 2.1 * len(scene.models) + 0.4)
+    quantities = (("position", "m", (0.25, 0.5, 5.0)), ("rotation", "deg", (2.0, 5.0, 10.0)))
+    for row, model in enumerate(scene.models):
+        errors = paper_errors(scene.errors, model)
+        errors = errors[errors["split"] == "test"]
+        scored = errors["status"].isin(["reliable", "optimised"]).to_numpy()
+        for ax, (quantity, unit, levels) in zip(axes[2 * row : 2 * row + 2], quantities, strict=True):
+            raw = errors[f"apr_{quantity}_{unit}"].to_numpy(float)
+            fused = errors[f"{quantity}_{unit}"].to_numpy(float)
+            in_time = errors[f"live_{quantity}_{unit}"].to_numpy(float)
+            for level in levels:
+                ax.axvline(level, color=style.NEUTRAL, lw=0.8, ls=(0, (1, 2)))
+            _cumulative(ax, raw, len(raw), style.APR, "-", "regressor, all frames")
+            _cumulative(ax, raw[scored], int(scored.sum()), style.APR, "--", "regressor, the frames that +VIO answers")
+            _cumulative(ax, fused[scored], int(scored.sum()), style.FUSED, "--", "+VIO, the frames that it answers")
+            _cumulative(ax, in_time, len(in_time), style.FUSED, "-", "+VIO in time, all frames, missing = failed")
+            ax.set(xscale="log", ylim=(0, 102), title=f"{model}: {quantity}")
+            ax.set_xlabel(f"{quantity} error ({'m' if unit == 'm' else '°'})")
+            style.log_axis(ax.xaxis)
+        axes[2 * row].set_ylabel("frames within (%)")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=2, fontsize=7.5)
+    caption = f"{scene.name}: share of test frames within an error. Dotted: the high, medium and low accuracy levels."
+    return NamedFigure("error-distribution", caption, figure)
+
+
+def _cumulative(ax: Axes, errors: Array, frames: int, colour: str, dashes: str, label: str) -> None:
+    known = np.sort(errors[np.isfinite(errors)])
+    if frames and len(known):
+        share = 100 * np.arange(1, len(known) + 1) / frames
+        # A zero has no place on the logarithmic axis.
+        ax.step(np.maximum(known, 1e-3), share, where="post", color=colour, ls=dashes, label=label)
+
+
+# --- fusion -----------------------------------------------------------------------------------------------------
+
+
+def timeline(scene: SceneInputs, model: str) -> NamedFigure:
+    """Position error over the drawn test session, raw and in time, with the status below."""
+    session = test_session(scene)
+    errors = paper_errors(scene.errors, model)
+    errors = errors[(errors["session_id"] == session) & (errors["split"] == "test")].sort_values("t_ns")
+    seconds = (errors["t_ns"] - errors["t_ns"].min()).to_numpy() * _NS
+    statuses = {
+        "reliable": style.APR,
+        "optimised": style.FUSED,
+        "aligning": style.VIO,
+        "predicted": style.NEUTRAL,
+        "none": style.REJECTED,
+    }
+    figure, (ax, band) = style.new_figure(2, 1, 2.6, sharex=True, height_ratios=[5, 1])
+    ax.plot(seconds, errors["apr_position_m"], color=style.APR, marker="o", ms=2.5, lw=0.8, label=model)
+    ax.plot(seconds, errors["live_position_m"], color=style.FUSED, marker="o", ms=2.5, lw=1.2, label=f"{model}+VIO")
+    ax.set(ylabel="position error (m)", yscale="log")
+    style.log_axis(ax.yaxis)
+    ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, fontsize=7.5)
+    for status, colour in statuses.items():
+        at = seconds[(errors["live_status"] == status).to_numpy()]
+        if len(at):
+            band.scatter(at, np.zeros(len(at)), marker="|", s=90, lw=2.2, color=colour, label=status)
+    band.set(xlabel="time (s)", yticks=[], ylim=(-1, 1))
+    band.grid(False)
+    band.spines["left"].set_visible(False)
+    band.legend(loc="lower left", bbox_to_anchor=(0, 0.75), ncols=5, fontsize=7.5, handlelength=0.6)
+    caption = f"{scene.name}, test session {session}: {model} and {model}+VIO in time, and what stood behind each pose."
+    return NamedFigure(f"timeline-{_file(model)}", caption, figure)
+
+
+# --- ground truth -----------------------------------------------------------------------------------------------
+
+
+def sfm_overview(scene: SceneInputs) -> NamedFigure:
+    """Registered frames by session, reprojection errors, and features that see a point."""
+    figure, (bars, pixels, features) = style.new_figure(1, 3, 2.2)
+    images = scene.images.merge(scene.frames[["frame_id", "session_id", "split"]], on="frame_id")
+    sessions = images.groupby("session_id", sort=True)["registered"].agg(["sum", "size"])
+    y = np.arange(len(sessions))[::-1]
+    bars.barh(y, sessions["size"], color="none", ec=style.REJECTED, lw=0.8, label="frames")
+    bars.barh(y, sessions["sum"], color=style.GROUND_TRUTH, label="registered")
+    bars.set(title="Registered", xlabel="frames", yticks=y, yticklabels=[_short(s) for s in sessions.index])
+    bars.grid(axis="y", visible=False)
+    # The bar of a lone session would fill the picture.
+    bars.set_ylim(-0.6, max(len(y), 3) - 0.4)
+    registered = images[images["registered"]]
+    for ax, column, title, label in (
+        (pixels, "reprojection_px", "Reprojection error", "mean of a frame (px)"),
+        (features, "observations", "Features with a point", "in a frame"),
+    ):
+        ax.hist(registered[column].dropna(), bins=int(np.clip(len(registered) / 6, 6, 24)), color=style.GROUND_TRUTH)
+        ax.set(title=title, xlabel=label)
+        ax.yaxis.set_major_locator(MaxNLocator(5, integer=True))
+    pixels.set_ylabel("frames")
+    share = f"{int(images['registered'].sum())} of {len(images)} frames registered"
+    return NamedFigure("sfm", f"{scene.name}: structure from motion, {share}.", figure)
+
+
+def drift(scene: SceneInputs) -> NamedFigure:
+    """VIO against ground truth: relative error over travelled distances, and per second, by session."""
+    figure, (ax, seconds) = style.new_figure(1, 2, 2.3)
+    rows = scene.drift[scene.drift["definition"] == "distance_position"].sort_values("interval")
+    for session_id, of_session in rows.groupby("session_id"):
+        if session_id != "all":
+            ax.plot(of_session["interval"], of_session["median"], color=style.VIO, lw=0.7, alpha=0.7)
+    pooled = rows[rows["session_id"] == "all"]
+    ax.plot(pooled["interval"], pooled["median"], color=style.VIO, lw=2, marker="o", ms=4, label="median, all sessions")
+    ax.plot(
+        pooled["interval"], pooled["p95"], color=style.VIO, lw=1, ls="--", marker="o", ms=3, label="95th percentile"
+    )
+    ax.set(title="VIO drift over distance", xlabel="travelled (m)", ylabel="position error (%)")
+    ax.set_ylim(bottom=0)
+    if len(pooled):
+        ax.legend(fontsize=7.5)
+    else:
+        ax.text(0.5, 0.5, "no walk is long enough", transform=ax.transAxes, ha="center")
+        ax.set(xticks=[], yticks=[])
+    steps = scene.drift[(scene.drift["interval_unit"] == "s") & (scene.drift["definition"] == "relative_position")]
+    steps = steps[steps["session_id"] != "all"].sort_values("session_id")
+    y = np.arange(len(steps))[::-1]
+    seconds.hlines(y, 0, 100 * steps["p95"], color=style.VIO, lw=1)
+    seconds.plot(100 * steps["median"], y, "o", color=style.VIO, ms=5)
+    seconds.set(title="VIO drift over a second", xlabel="median, and 95th percentile (cm)")
+    seconds.margins(y=0.15)
+    seconds.set(yticks=y, yticklabels=[_short(s) for s in steps["session_id"]])
+    seconds.grid(axis="y", visible=False)
+    return NamedFigure("vio-drift", f"{scene.name}: how far VIO moves away from ground truth.", figure)
+
+
+# --- training ---------------------------------------------------------------------------------------------------
+
+
+def learning_curves(scene: SceneInputs) -> NamedFigure:
+    """Loss on training frames and median errors on held-out ones, an epoch at a time; the kept epoch is marked."""
+    figure, axes = style.new_figure(1, 3, 2.3)
+    panels = (
+        ("train_loss", "Training loss", ""),
+        ("val_position_m", "Held-out position", "median error (m)"),
+        ("val_rotation_deg", "Held-out rotation", "median error (°)"),
+    )
+    dashes = ("-", "--", ":", "-.")
+    for index, (model, history) in enumerate(scene.history.groupby("model", sort=False)):
+        history = history.sort_values("epoch")
+        kept = history[history["kept"]]
+        for ax, (column, _, _) in zip(axes, panels, strict=True):
+            ax.plot(history["epoch"], history[column], color=style.APR, ls=dashes[index % 4], label=str(model))
+            ax.plot(kept["epoch"], kept[column], "o", color=style.APR, ms=5, zorder=3)
+    for ax, (_, title, unit) in zip(axes, panels, strict=True):
+        ax.set(title=title, xlabel="epoch", ylabel=unit)
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    for ax in axes[1:]:
+        ax.set_ylim(bottom=0)
+    axes[0].legend(fontsize=7.5)
+    caption = f"{scene.name}: learning curves on frames of the training walks; dots mark the epoch that was kept."
+    return NamedFigure("learning-curves", caption, figure)
+
+
+def _short(session_id: str) -> str:
+    return session_id if len(session_id) <= 18 else session_id[:8] + "…" + session_id[-8:]
+
+
+def _file(model: str) -> str:
+    return model.lower().replace(" ", "-")

@@ -1,0 +1,181 @@
+"""A table as it is read, and the same as Markdown, LaTeX and HTML."""
+
+import html
+import re
+from dataclasses import dataclass, field
+from itertools import groupby
+
+PUBLISHED, OURS = "published", "ours"
+EMPTY = "–"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line: its cells as text, whose numbers they are (`source`), and whether it's an average over scenes."""
+
+    cells: tuple[str, ...]
+    source: str
+    average: bool = False
+
+
+@dataclass(frozen=True)
+class Block:
+    """Lines under one heading."""
+
+    title: str
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table: `key` names its files; columns are (group, name), neighbours of one group share a heading.
+
+    The first `labels` columns hold words, the others numbers. `notes` stand below.
+    """
+
+    key: str
+    title: str
+    caption: str
+    columns: tuple[tuple[str, str], ...]
+    blocks: tuple[Block, ...]
+    labels: int = 2
+    notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        for block in self.blocks:
+            for row in block.rows:
+                if len(row.cells) != len(self.columns):
+                    raise ValueError(f"{self.key}: {len(row.cells)} cells in {len(self.columns)} columns: {row.cells}")
+
+    @property
+    def groups(self) -> list[tuple[str, int]]:
+        """The headings over the columns, each with the number of columns under it."""
+        return [(name, len(list(members))) for name, members in groupby(group for group, _ in self.columns)]
+
+
+# --- Markdown ---------------------------------------------------------------------------------------------------
+
+
+def markdown(grid: Grid) -> str:
+    """The table in GitHub's Markdown: a table a block, as Markdown has no headings that span."""
+    names = [f"{group}: {name}" if group else name for group, name in grid.columns]
+    rule = ["---"] * grid.labels + ["---:"] * (len(names) - grid.labels)
+    lines = [f"### {grid.title}", "", grid.caption, ""]
+    for block in grid.blocks:
+        lines += [f"**{block.title}**", ""] if block.title else []
+        lines += [_md_line(names), _md_line(rule)]
+        lines += [_md_line([f"*{cell}*" for cell in r.cells] if r.source == PUBLISHED else r.cells) for r in block.rows]
+        lines.append("")
+    lines += [f"- {note}" for note in grid.notes]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _md_line(cells: list[str] | tuple[str, ...]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+# --- LaTeX ------------------------------------------------------------------------------------------------------
+
+_LATEX = {
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "#": r"\#",
+    "$": r"\$",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "°": r"$^\circ$",
+    "×": r"$\times$",
+    "≤": r"$\leq$",
+    "–": "--",
+    "·": r"$\cdot$",
+}
+
+
+def latex_text(text: str) -> str:
+    """Plain text as LaTeX."""
+    return re.sub("|".join(map(re.escape, _LATEX)), lambda m: _LATEX[m.group()], text)
+
+
+def latex(grid: Grid) -> str:
+    """The table as a LaTeX float that needs the packages booktabs and graphicx; published numbers are in italics."""
+    count = len(grid.columns)
+    lines = [
+        r"% needs \usepackage{booktabs} and \usepackage{graphicx}",
+        r"\begin{table*}",
+        r"\centering",
+        rf"\caption{{{latex_text(grid.caption)}}}",
+        rf"\label{{tab:{grid.key}}}",
+        r"\resizebox{\linewidth}{!}{%",
+        rf"\begin{{tabular}}{{{'l' * grid.labels}{'r' * (count - grid.labels)}}}",
+        r"\toprule",
+    ]
+    if any(group for group, _ in grid.groups):
+        start, spans, rules = 1, [], []
+        for group, width in grid.groups:
+            spans.append(rf"\multicolumn{{{width}}}{{c}}{{{latex_text(group)}}}")
+            rules += [rf"\cmidrule(lr){{{start}-{start + width - 1}}}"] if group else []
+            start += width
+        lines += [" & ".join(spans) + r" \\", " ".join(rules)]
+    lines.append(" & ".join(latex_text(name) for _, name in grid.columns) + r" \\")
+    for block in grid.blocks:
+        lines.append(r"\midrule")
+        if block.title:
+            lines.append(rf"\multicolumn{{{count}}}{{l}}{{\textbf{{{latex_text(block.title)}}}}} \\")
+        for row in block.rows:
+            cells = [latex_text(cell) for cell in row.cells]
+            if row.source == PUBLISHED:
+                cells = [rf"\emph{{{cell}}}" for cell in cells]
+            lines.append(" & ".join(cells) + r" \\")
+    lines += [r"\bottomrule", r"\end{tabular}}", r"\par\smallskip\raggedright\footnotesize"]
+    lines += [latex_text(note) + r"\par" for note in grid.notes]
+    lines.append(r"\end{table*}")
+    return "\n".join(lines) + "\n"
+
+
+# --- HTML -------------------------------------------------------------------------------------------------------
+
+
+def html_table(grid: Grid) -> str:
+    """The table as an HTML fragment; rows have the class of their source, the page's style tells them apart."""
+    out = [f'<figure class="table" id="{grid.key}">']
+    out.append(f"<figcaption><strong>{_text(grid.title)}.</strong> {_text(grid.caption)}</figcaption>")
+    out.append('<div class="scroll" tabindex="0"><table><thead>')
+    if any(group for group, _ in grid.groups):
+        spans = "".join(f'<th scope="colgroup" colspan="{width}">{_text(group)}</th>' for group, width in grid.groups)
+        out.append(f'<tr class="groups">{spans}</tr>')
+    heads = "".join(
+        f'<th scope="col"{_label(i, grid)}>{_heading(name)}</th>' for i, (_, name) in enumerate(grid.columns)
+    )
+    out.append(f"<tr>{heads}</tr></thead>")
+    for block in grid.blocks:
+        out.append("<tbody>")
+        if block.title:
+            out.append(
+                f'<tr class="block"><th scope="rowgroup" colspan="{len(grid.columns)}">{_text(block.title)}</th></tr>'
+            )
+        for row in block.rows:
+            cells = "".join(f"<td{_label(i, grid)}>{_text(cell)}</td>" for i, cell in enumerate(row.cells))
+            out.append(f'<tr class="{row.source}{" average" if row.average else ""}">{cells}</tr>')
+        out.append("</tbody>")
+    out.append("</table></div>")
+    if grid.notes:
+        out.append('<ul class="notes">' + "".join(f"<li>{_text(note)}</li>" for note in grid.notes) + "</ul>")
+    out.append("</figure>")
+    return "\n".join(out) + "\n"
+
+
+def _label(index: int, grid: Grid) -> str:
+    return ' class="label"' if index < grid.labels else ""
+
+
+def _heading(name: str) -> str:
+    """A heading wraps between words, but not inside MS-T."""
+    return _text(name).replace("-", "\N{NON-BREAKING HYPHEN}")
+
+
+def _text(text: str) -> str:
+    return html.escape(text, quote=False)

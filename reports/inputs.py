@@ -1,0 +1,158 @@
+"""What the report reads of one scene, and the few facts about it that every table and page must say."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+
+from artefacts import StageRun
+from artefacts.tables import poses_of
+
+# Fewer training frames than this, and a regressor's accuracy says nothing about regressors.
+ENOUGH_TRAINING_FRAMES = 100
+# A test frame this close in time to a training frame of its walk shows nearly the same picture.
+LEAK_S = 5.0
+
+
+@dataclass(frozen=True)
+class SceneInputs:
+    """The tables of one scene that the report is made from.
+
+    `manifests` has those of all stages that went in, by a name to show.
+    """
+
+    name: str
+    environment: str
+    simulated: bool
+    profile: str
+    seed: int
+    frames: pd.DataFrame
+    sessions: pd.DataFrame
+    rejects: pd.DataFrame
+    images: pd.DataFrame
+    ground_truth: pd.DataFrame
+    align_sessions: pd.DataFrame
+    drift: pd.DataFrame
+    gate: pd.DataFrame
+    predictions: pd.DataFrame
+    history: pd.DataFrame
+    cards: pd.DataFrame
+    poses: pd.DataFrame
+    errors: pd.DataFrame
+    manifests: dict[str, dict[str, Any]]
+
+    @property
+    def models(self) -> list[str]:
+        return list(dict.fromkeys(self.errors["model"]))
+
+    @property
+    def training_frames(self) -> int:
+        """Frames of the training walks, those held out for choosing a checkpoint included."""
+        return int(self.frames["split"].isin(["train", "val"]).sum())
+
+    @property
+    def test_frames(self) -> int:
+        return int((self.frames["split"] == "test").sum())
+
+    @property
+    def scored_frames(self) -> int:
+        """Test frames with ground truth: what every share and level is a share of."""
+        return int(self.errors.loc[self.errors["split"] == "test", "frame_id"].nunique())
+
+    def marker(self) -> str:
+        """What must stand by every number of this scene."""
+        kind = "simulated" if self.simulated else "real capture"
+        return f"{kind}, {self.profile} profile, seed {self.seed}, {len(self.frames)} frames"
+
+    def extent_m(self) -> tuple[float, float, float]:
+        """Length, width and height of the camera positions with ground truth; length and width are the sides of the
+        smallest rectangle about them, since the map's heading is arbitrary."""
+        xyz_N3 = poses_of(self.ground_truth, "map_cam")[:, :3, 3]
+        xyz_N3 = xyz_N3[np.isfinite(xyz_N3).all(axis=1)]
+        if not len(xyz_N3):
+            return float("nan"), float("nan"), float("nan")
+        _, sides, _ = cv2.minAreaRect(xyz_N3[:, [0, 2]].astype(np.float32))
+        return max(sides), min(sides), float(np.ptp(xyz_N3[:, 1]))
+
+    def runtime_ms(self, model: str) -> float:
+        """Median time of one inference over the test frames."""
+        times = self.predictions.loc[self.predictions["model"] == model, "inference_ms"].dropna()
+        return float(times.median()) if len(times) else float("nan")
+
+    def leak_s(self) -> float | None:
+        """Seconds between the closest test and training frame of one session, or None where no session has both."""
+        gaps = []
+        for _, session in self.frames.groupby("session_id"):
+            test = session.loc[session["split"] == "test", "t_ns"].to_numpy()
+            train = np.sort(session.loc[session["split"].isin(["train", "val"]), "t_ns"].to_numpy())
+            if len(test) and len(train):
+                after = np.searchsorted(train, test)
+                before = np.abs(test - train[np.maximum(after - 1, 0)])
+                gaps.append(np.minimum(before, np.abs(train[np.minimum(after, len(train) - 1)] - test)).min())
+        return float(min(gaps)) * 1e-9 if gaps else None
+
+    def why_meaningless(self) -> list[str]:
+        """Reasons why this scene's accuracy means nothing; none where it may mean something."""
+        reasons = []
+        if self.training_frames < ENOUGH_TRAINING_FRAMES:
+            reasons.append(f"there are only {self.training_frames} training frames")
+        leak = self.leak_s()
+        if leak is not None and leak < LEAK_S:
+            reasons.append(f"training and test frames are of one walk, as little as {leak:.1f} s apart")
+        return reasons
+
+
+def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
+    """Everything about a plain scene. Where the run is a group of scenes that trained or fused together, the models
+    that it trained replace the scene's own of the same name."""
+    trainers = dict.fromkeys([leaf, _owner(r, leaf, "train")])
+    trained_by = {str(m): owner for owner in trainers for m in r.read("train", "models", scene=owner)["model"]}
+    fused_by = _owner(r, leaf, "fuse")
+
+    def trained(table: str) -> pd.DataFrame:
+        parts = []
+        for owner in trainers:
+            part = r.read("train", table, scene=owner)
+            part = part[part["model"].map(trained_by) == owner]
+            parts.append(part[part["scene"] == leaf] if "scene" in part else part)
+        return pd.concat([p for p in parts if len(p)] or parts[:1], ignore_index=True)
+
+    def fused(table: str) -> pd.DataFrame:
+        part = r.read("fuse", table, scene=fused_by)
+        return part[part["scene"] == leaf].reset_index(drop=True)
+
+    manifests = {stage: r.manifest(stage, leaf) for stage in ("import", "sfm", "align")}
+    manifests |= {f"train of {owner}" if owner != leaf else "train": r.manifest("train", owner) for owner in trainers}
+    manifests |= {f"fuse of {fused_by}" if fused_by != leaf else "fuse": r.manifest("fuse", fused_by)}
+    return SceneInputs(
+        name=leaf,
+        environment=r.data.scene(leaf)[0].environment,
+        simulated=bool(manifests["import"]["simulated"]),
+        profile=r.profile,
+        seed=r.seed,
+        frames=r.read("import", "frames", scene=leaf),
+        sessions=r.read("import", "sessions", scene=leaf),
+        rejects=r.read("import", "rejects", scene=leaf),
+        images=r.read("sfm", "images", scene=leaf),
+        ground_truth=r.read("align", "ground_truth", scene=leaf),
+        align_sessions=r.read("align", "sessions", scene=leaf),
+        drift=r.read("align", "drift", scene=leaf),
+        gate=r.read("align", "gate", scene=leaf),
+        predictions=trained("predictions"),
+        history=trained("history"),
+        cards=trained("models"),
+        poses=fused("poses"),
+        errors=fused("errors"),
+        manifests=manifests,
+    )
+
+
+def _owner(r: StageRun[Any], leaf: str, stage: str) -> str:
+    """Whose artefact of a stage counts for a scene: that of the group which runs the stage for it, or its own."""
+    for name in (r.scene.name, *r.scene.members):
+        config = r.data.scene(name)[0]
+        if config.is_group and stage in config.stages and leaf in r.data.leaves(config):
+            return name
+    return leaf

@@ -1,0 +1,77 @@
+"""The paper's printed numbers, from data/published/, in the shape that our own tables have too."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from artefacts import UserError
+from artefacts.settings import SHIPPED_DATA
+
+PUBLISHED = SHIPPED_DATA / "published"
+SUBSETS = ("rp", "opt", "rp+opt")
+_LEVEL_COLUMNS = {
+    "high_pct_0.25m_2deg": "high",
+    "medium_pct_0.5m_5deg": "medium",
+    "low_pct_5m_10deg": "low",
+    "frames_pct": "share",
+}
+
+
+@dataclass(frozen=True)
+class PrintedTables:
+    """Tables I to III as printed, the paper's or ours; numbers are percent, metres and degrees.
+
+    dataset: environment, scene, train_images, test_images, extent_m, {hloc,pn,mst}_storage_mb, ..._runtime_ms.
+    errors: environment, scene (or "average"), subset, model, method, over, statistic, translation_m, rotation_deg.
+    levels: environment, scene, subset, model, method, over, high, medium, low, share.
+
+    `method` is "apr" (the raw regressor) or "mobilearloc" (fused). `over` says which frames a row is over: "subset"
+    (the frames of its subset) or "all" (all test frames: the paper's raw columns, but for its "only optimised" block).
+    """
+
+    source: str
+    dataset: pd.DataFrame
+    errors: pd.DataFrame
+    levels: pd.DataFrame
+
+
+def load_published(folder: Path = PUBLISHED) -> PrintedTables:
+    """The paper's Tables I to III. UserError where a file is missing or isn't what it should be."""
+    dataset = _read(folder / "table1_dataset.csv", ["environment", "scene", "train_images", "test_images", "extent_m"])
+    errors = _read(
+        folder / "table2_pose_errors.csv",
+        ["environment", "scene", "subset", "method", "statistic", "translation_m", "rotation_deg"],
+    )
+    levels = _read(folder / "table3_accuracy_levels.csv", ["environment", "scene", "subset", "method", *_LEVEL_COLUMNS])
+    return PrintedTables(
+        "published", dataset, _split_method(errors), _split_method(levels.rename(columns=_LEVEL_COLUMNS))
+    )
+
+
+def load_claims(folder: Path = PUBLISHED) -> pd.DataFrame:
+    """What the paper's text says about its tables, one claim a row (README.md in `folder` has the columns)."""
+    return _read(
+        folder / "claims.csv",
+        ["claim", "section", "says", "kind", "environment", "scenes", "subset", "model", "statistic", "quantity"],
+    )
+
+
+def _read(path: Path, columns: list[str]) -> pd.DataFrame:
+    try:
+        frame = pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise UserError("a file of published numbers can't be read", where=path, found=error) from None
+    missing = [c for c in columns if c not in frame.columns]
+    if missing:
+        raise UserError("a file of published numbers lacks columns", where=path, found=f"no {', '.join(missing)}")
+    return frame
+
+
+def _split_method(frame: pd.DataFrame) -> pd.DataFrame:
+    fused = frame["method"].str.endswith("+VIO")
+    return frame.assign(
+        model=frame["method"].str.removesuffix("+VIO"),
+        method=fused.map({True: "mobilearloc", False: "apr"}),
+        over=(fused | (frame["subset"] == "opt")).map({True: "subset", False: "all"}),
+    )

@@ -1,0 +1,34 @@
+"""Is this run what its numbers are taken for? Checks on the artefacts that the tables are made from."""
+
+from collections.abc import Iterator
+
+from reports.checks import AGREES, CAUTION, DISAGREES, Finding
+from reports.inputs import LEAK_S, SceneInputs
+
+
+def run_findings(scene: SceneInputs) -> Iterator[Finding]:
+    """What was found of one scene's ground truth, split and errors."""
+    truth = scene.ground_truth
+    known = set(truth.loc[(truth["split"] == "test") & truth["map_cam_tx"].notna(), "frame_id"])
+    test = scene.errors[scene.errors["split"] == "test"]
+    for (model, method), errors in test.groupby(["model", "method"], sort=False):
+        scored = set(errors["frame_id"])
+        yield Finding(
+            *("all_scored", "fuse.errors", scene.name, "all", f"{model} {method}"),
+            *(f"{len(known)} frames", f"{len(known & scored)} of them, {len(scored - known)} others"),
+            AGREES if scored == known else DISAGREES,
+            "each test frame with ground truth has one row for each method, answered or not",
+        )
+    uses_vio = int(truth["gt_uses_vio"].sum())
+    yield Finding(
+        *("ground_truth_without_vio", "align.ground_truth", scene.name, "all", "gt_uses_vio"),
+        *("0 frames", f"{uses_vio} frames", CAUTION if uses_vio else AGREES),
+        "ground truth that leans on VIO flatters methods that use VIO",
+    )
+    leak = scene.leak_s()
+    apart = "in different walks" if leak is None else f"{leak:.1f} s apart in one walk"
+    yield Finding(
+        *("no_leak", "import.frames", scene.name, "all", "split"),
+        *(f"{LEAK_S:g} s apart or more", apart, CAUTION if leak is not None and leak < LEAK_S else AGREES),
+        "a test frame next to a training frame shows nearly the same picture",
+    )

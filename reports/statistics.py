@@ -1,0 +1,129 @@
+"""Scores of poses over sets of test frames, straight from the errors of single frames.
+
+Two ways of counting, always told apart: over the frames that the paper scores (its subsets), and over all test frames
+with a missing pose counted as a failure.
+"""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from artefacts import UserError
+from geometry.metrics import accuracy_shares
+from reports.published import SUBSETS
+
+PAPER_METHOD = "mobilearloc"
+_STATUSES = {"rp": ["reliable"], "opt": ["optimised"], "rp+opt": ["reliable", "optimised"]}
+
+
+@dataclass(frozen=True)
+class Score:
+    """How well a set of frames is answered; errors in metres and degrees, levels in percent of the set.
+
+    Means are over the answered frames. Medians and levels are over all frames of the set: a missing pose is an infinite
+    error, and a median of infinity is NaN.
+    """
+
+    frames: int
+    answered: int
+    mean_m: float
+    median_m: float
+    mean_deg: float
+    median_deg: float
+    high: float
+    medium: float
+    low: float
+
+
+def score(position_m: ArrayLike, rotation_deg: ArrayLike) -> Score:
+    """The score of frames with errors (N,) in metres and degrees; NaN is a frame without a pose."""
+    metres, degrees = np.asarray(position_m, dtype=float), np.asarray(rotation_deg, dtype=float)
+    known = np.isfinite(metres) & np.isfinite(degrees)
+    levels = accuracy_shares(np.where(known, metres, np.nan), degrees)
+    return Score(
+        frames=len(metres),
+        answered=int(known.sum()),
+        mean_m=_mean(metres[known]),
+        median_m=_median(np.where(known, metres, np.inf)),
+        mean_deg=_mean(degrees[known]),
+        median_deg=_median(np.where(known, degrees, np.inf)),
+        **{name: 100 * share for name, share in levels.items()},
+    )
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _median(values: np.ndarray) -> float:
+    median = float(np.median(values)) if len(values) else float("nan")
+    return median if np.isfinite(median) else float("nan")
+
+
+def scene_scores(errors: pd.DataFrame, scene: str) -> pd.DataFrame:
+    """All scores of one scene from fuse.errors (test frames only are used), one row a model, method, subset and set.
+
+    Columns: model, method, options, subset, over, total (test frames with ground truth), share and coverage (percent),
+    and Score's. `subset` is rp, opt or rp+opt (the paper's rule and, beside it, the raw regressor: over the same
+    frames, `over` = "subset", and over all test frames, "all"); "all" (every method, poses in time, a missing pose
+    fails); "common" (every method, on the frames that every method of this model answers in time).
+
+    UserError where there is no test frame with ground truth, or the paper's rule wasn't run.
+    """
+    test = errors[(errors["scene"] == scene) & (errors["split"] == "test")]
+    if test.empty:
+        raise UserError(
+            f"scene {scene} has no test frame with ground truth",
+            expected="errors of test frames in fuse.errors",
+            do="look at the align stage's gate table, and at the split in the scene's config",
+        )
+    rows = [row for model, of_model in test.groupby("model", sort=False) for row in _model_rows(str(model), of_model)]
+    frame = pd.DataFrame(rows)
+    frame.insert(0, "scene", scene)
+    return frame
+
+
+def _model_rows(model: str, errors: pd.DataFrame) -> list[dict[str, object]]:
+    total = errors["frame_id"].nunique()
+    rows: list[dict[str, object]] = []
+
+    def add(method: str, options: str, subset: str, over: str, result: Score) -> None:
+        share = 100 * result.frames / total
+        coverage = 100 * result.answered / result.frames if result.frames else float("nan")
+        keys = {"model": model, "method": method, "options": options, "subset": subset, "over": over}
+        rows.append(keys | {"total": total, "share": share, "coverage": coverage} | asdict(result))
+
+    paper = paper_errors(errors, model)
+    raw_all = score(paper["apr_position_m"], paper["apr_rotation_deg"])
+    for subset in SUBSETS:
+        part = paper[paper["status"].isin(_STATUSES[subset])]
+        raw = score(part["apr_position_m"], part["apr_rotation_deg"])
+        add("apr", "", subset, "all", raw_all)
+        add("apr", "", subset, "subset", raw)
+        options = str(paper["options"].iloc[0])
+        add(PAPER_METHOD, options, subset, "subset", score(part["position_m"], part["rotation_deg"]))
+
+    answered = errors.dropna(subset=["live_position_m", "live_rotation_deg"]).groupby("frame_id").size()
+    methods = errors.groupby(["method", "options"], sort=False)
+    common = set(answered.index[answered == methods.ngroups])
+    for key, part in methods:
+        method, options = map(str, key)
+        add(method, options, "all", "all", score(part["live_position_m"], part["live_rotation_deg"]))
+        shared = part[part["frame_id"].isin(common)]
+        add(method, options, "common", "subset", score(shared["live_position_m"], shared["live_rotation_deg"]))
+    return rows
+
+
+def paper_errors(errors: pd.DataFrame, model: str) -> pd.DataFrame:
+    """The rows of the paper's rule for a model; where it was run with several options, those of the first."""
+    paper = errors[(errors["method"] == PAPER_METHOD) & (errors["model"] == model)]
+    if paper.empty:
+        raise UserError(
+            f"the paper's rule wasn't run with model {model}",
+            expected=f"rows of method {PAPER_METHOD} in fuse.errors",
+            found=", ".join(sorted(errors["method"].unique())),
+            do=f"add {PAPER_METHOD} to the methods of section [fuse]",
+        )
+    return paper[paper["options"] == paper["options"].iloc[0]]

@@ -1,0 +1,104 @@
+"""One look for all figures: thin axes, no boxes, and colours that mean the same here and in the recordings."""
+
+import io
+import re
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from artefacts import recording
+
+
+def _hex(rgb: tuple[int, int, int]) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*rgb)
+
+
+GROUND_TRUTH = _hex(recording.GROUND_TRUTH)
+VIO = _hex(recording.VIO)
+APR = _hex(recording.APR)
+FUSED = _hex(recording.FUSED)
+REJECTED = _hex(recording.REJECTED)
+NEUTRAL = _hex(recording.NEUTRAL)
+# Told apart in grey print and by colour-blind readers; for quantities, not for kinds of poses.
+ERROR_MAP = "cividis_r"
+
+WIDTH = 7.2  # inches, the width of the page's column
+# Text and axes; no data has this colour, so that in SVG it can become the page's own text colour.
+INK = "#1a1a1b"
+
+_STYLE: Any = {
+    "figure.constrained_layout.use": True,
+    "figure.facecolor": "none",
+    "savefig.facecolor": "none",
+    "font.family": "sans-serif",
+    "font.size": 8.5,
+    "axes.titlesize": 9,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.facecolor": "none",
+    "axes.edgecolor": INK,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": NEUTRAL,
+    "grid.alpha": 0.3,
+    "grid.linewidth": 0.5,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+}
+
+
+def applied() -> AbstractContextManager[None]:
+    """Draw in this style: matplotlib looks settings up as each part is drawn."""
+    return mpl.rc_context(_STYLE)
+
+
+def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[Figure, list[Axes]]:
+    """A figure of the page's width and `height` inches, and its axes row by row."""
+    figure = Figure(figsize=(WIDTH, height))
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    return figure, list(axes.ravel())
+
+
+def mark(figure: Figure, text: str) -> None:
+    """Small print on a figure: what its data is."""
+    figure.supxlabel(text, x=0.995, ha="right", fontsize=6.5, color=NEUTRAL)
+
+
+def log_axis(axis: Axis) -> None:
+    """A logarithmic axis with ticks at 1, 2 and 5 times powers of ten, written out."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
+
+
+def save(figure: Figure, folder: Path, name: str) -> str:
+    """Write <name>.png (on white) and <name>.svg; the SVG, whose text takes the colour of the page around it, is
+    returned too. The same figure gives the same bytes."""
+    with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
+        figure.savefig(folder / f"{name}.png", dpi=150, facecolor="white", metadata={"Software": None})
+        # The layout stands now, and takes as long as drawing.
+        figure.set_layout_engine("none")
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    svg = buffer.getvalue()
+    # Inside HTML there's no place for an XML prologue, and no name may be that of another figure's element.
+    svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
+    svg = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", svg)
+    (folder / f"{name}.svg").write_text(svg, encoding="utf-8")
+    return svg

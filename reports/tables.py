@@ -1,0 +1,230 @@
+"""Tables I to III in the paper's layout, the published numbers in lines of their own, and Table IV, which the paper
+leaves out: every method over all test frames."""
+
+import json
+from collections.abc import Callable
+
+import pandas as pd
+
+from reports.cells import AVERAGE, LEVELS, TABLE_I, TABLE_II, TABLE_III, TABLE_IV, column_name
+from reports.grids import EMPTY, OURS, PUBLISHED, Block, Grid, Row
+from reports.inputs import SceneInputs
+from reports.statistics import PAPER_METHOD
+
+SUBSET_TITLES = {
+    "rp": "Only reliable predictions",
+    "opt": "Only optimised poses",
+    "rp+opt": "Reliable predictions and optimised poses",
+}
+_ENVIRONMENTS = ("outdoor", "indoor", "unknown")
+_WAYS = (("apr", "all"), ("apr", "subset"), (PAPER_METHOD, "subset"))
+_PUBLISHED_NOTE = (
+    "Lines marked “published” are printed in the MobileARLoc paper: other captures, other phone, other machine. They "
+    "stand here for orientation; this run didn't measure them."
+)
+
+Look = Callable[[str], str]
+
+
+class Tables:
+    """The four tables of some scenes, laid out from their cells (ours and published)."""
+
+    def __init__(self, cells: pd.DataFrame, scenes: list[SceneInputs]) -> None:
+        self.scenes = {scene.name: scene for scene in scenes}
+        self.models = list(dict.fromkeys(m for scene in scenes for m in scene.models))
+        # Table IV tells methods apart by their options too; the others by their column alone.
+        self.methods_cells = cells[cells["table"] == TABLE_IV]
+        printed = cells[cells["table"] != TABLE_IV]
+        keys = ["table", "source", "environment", "scene", "row", "column"]
+        self.text = dict(zip(printed[keys].itertuples(index=False, name=None), printed["text"], strict=True))
+
+    def all(self) -> list[Grid]:
+        return [self.dataset(), self.errors(), self.levels(), self.methods()]
+
+    def dataset(self) -> Grid:
+        """Table I: frames, extent, storage and time."""
+        models = ["HLoc", *self.models]
+        columns = [("", "scene"), ("", "numbers"), ("images", "train"), ("images", "test"), ("", "extent (m)")]
+        columns += [("storage (MB)", m) for m in models] + [("time an image (ms)", m) for m in models]
+        names = ["train images", "test images", "extent"]
+        names += [f"{m} {what}" for what in ("storage", "runtime") for m in models]
+        blocks = self._blocks(TABLE_I, "scene", "", names, lambda look, name: look(name))
+        cards = pd.concat([scene.cards for scene in self.scenes.values()])
+        devices = cards.groupby("device", sort=False)["model"].unique()
+        notes = [
+            "Extent of ours: length × width × height of the box about the camera positions with ground truth. A MB is "
+            "2^20 bytes, ours and the paper's alike.",
+            "Time of ours: median of single inferences on "
+            + "; ".join(f"{device} ({', '.join(names)})" for device, names in devices.items())
+            + ". Published times were taken on an NVIDIA RTX 3090. HLoc isn't part of this toolkit.",
+        ]
+        return self._grid("table1", "Table I", "Datasets, and what a regressor costs", columns, blocks, notes)
+
+    def errors(self) -> Grid:
+        """Table II: mean and median error over each subset."""
+        columns, names = [("", "scene"), ("", "numbers")], []
+        for statistic in ("mean", "median"):
+            for model in self.models:
+                columns += [(f"{statistic} (m/°)", column_name(model, *way)) for way in _WAYS]
+                names += [column_name(model, *way, statistic) for way in _WAYS]
+
+        def cell(look: Look, name: str) -> str:
+            pair = [look(f"{name} {quantity}") for quantity in ("translation", "rotation")]
+            return EMPTY if EMPTY in pair else "/".join(pair)
+
+        blocks = [b for row, title in SUBSET_TITLES.items() for b in self._blocks(TABLE_II, row, title, names, cell)]
+        caption = "Mean and median error of position (m) and rotation (°) on test walks"
+        return self._grid("table2", "Table II", caption, columns, blocks, self._coverage_notes())
+
+    def levels(self) -> Grid:
+        """Table III: shares of frames within the accuracy levels."""
+        columns = [("", "scene"), ("", "numbers")]
+        columns += [("high/medium/low (share)", column_name(m, *way)) for m in self.models for way in _WAYS]
+        names = [column_name(m, *way) for m in self.models for way in _WAYS]
+
+        def cell(look: Look, name: str) -> str:
+            levels = [look(f"{name} level {level}") for level in LEVELS]
+            share = look(f"{name} share frames")
+            shown = EMPTY if EMPTY in levels else "/".join(levels)
+            return shown if share == EMPTY else f"{shown} ({share})"
+
+        blocks = [b for row, title in SUBSET_TITLES.items() for b in self._blocks(TABLE_III, row, title, names, cell)]
+        caption = (
+            "Percentage of frames with high (0.25 m, 2°), medium (0.5 m, 5°) and low (5 m, 10°) accuracy; in "
+            "parentheses the subset's share of the test frames"
+        )
+        return self._grid("table3", "Table III", caption, columns, blocks, self._coverage_notes())
+
+    def methods(self) -> Grid:
+        """Table IV: every method over all test frames, and over the frames that all of them answer."""
+        missing_fails = "all test frames, a missing pose is a failure"
+        heads = ("coverage (%)", "median (m/°)", "high/medium/low (%)")
+        columns = [("", "scene"), ("", "method"), *((missing_fails, head) for head in heads)]
+        columns += [("answered frames", "mean (m/°)")]
+        columns += [("frames that all answer", head) for head in ("share (%)", "mean (m/°)", "median (m/°)")]
+        blocks = []
+        for scene in self.scenes.values():
+            of_scene = self.methods_cells[self.methods_cells["scene"] == scene.name]
+            for model, cells in of_scene.groupby("model", sort=False):
+                ways = cells.groupby(["method", "options"], sort=False)
+                rows = []
+                for key, way in ways:
+                    method, options = map(str, key)
+                    label = column_name(str(model), method, "all")
+                    if len(cells.loc[cells["method"] == method, "options"].unique()) > 1:
+                        label += f" {shown_options(options)}"
+                    rows.append(Row((scene.name, label, *self._method_numbers(way)), OURS))
+                blocks.append(Block(f"{scene.name}, {model}", tuple(rows)))
+        notes = [
+            "Poses in time: what an app would have had when the frame came, without confirmation by later ones. A "
+            f"frame without a pose is infinitely wrong in a median ({EMPTY}: the median itself is infinite) and a "
+            "failure in the levels; a mean can only be taken over answered frames: read it beside the coverage.",
+        ]
+        title = "All methods over all test frames (the paper has no such table)"
+        return self._grid("table4", "Table IV", title, columns, blocks, notes)
+
+    def _method_numbers(self, way: pd.DataFrame) -> list[str]:
+        text = {
+            (c.row, c.statistic, c.quantity): str(c.text)
+            for c in way[["row", "statistic", "quantity", "text"]].itertuples(index=False)
+        }
+
+        def pair(row: str, statistic: str) -> str:
+            errors = [text[row, statistic, quantity] for quantity in ("translation", "rotation")]
+            return EMPTY if EMPTY in errors else "/".join(errors)
+
+        return [
+            text["all", "coverage", "frames"],
+            pair("all", "median"),
+            "/".join(text["all", "level", level] for level in LEVELS),
+            pair("all", "mean"),
+            text["common", "share", "frames"],
+            pair("common", "mean"),
+            pair("common", "median"),
+        ]
+
+    # --- parts of every table ---
+
+    def _blocks(
+        self, table: str, row: str, title: str, names: list[str], cell: Callable[[Look, str], str]
+    ) -> list[Block]:
+        blocks = []
+        for environment in _ENVIRONMENTS:
+            rows = []
+            for scene in [*(s.name for s in self.scenes.values() if s.environment == environment), AVERAGE]:
+                for source in (OURS, PUBLISHED):
+
+                    def look(column: str, key: tuple[str, ...] = (table, source, environment, scene, row)) -> str:
+                        return self.text.get((*key, column), EMPTY)
+
+                    numbers = [cell(look, name) for name in names]
+                    if set(numbers) != {EMPTY} or (source == OURS and scene != AVERAGE):
+                        label = self._source_label(source, scene, environment)
+                        rows.append(Row((scene, label, *numbers), source, scene == AVERAGE))
+            if rows:
+                place = "" if environment == "unknown" else environment
+                blocks.append(Block(", ".join(filter(None, [title, place])).capitalize(), tuple(rows)))
+        return blocks
+
+    def _source_label(self, source: str, scene: str, environment: str) -> str:
+        if source == PUBLISHED:
+            return "published"
+        members = [s for s in self.scenes.values() if scene in (s.name, AVERAGE) and s.environment == environment]
+        kind = "simulated" if any(s.simulated for s in members) else "ours"
+        return f"{kind}, {members[0].profile}"
+
+    def _grid(
+        self, key: str, title: str, what: str, columns: list[tuple[str, str]], blocks: list[Block], notes: list[str]
+    ) -> Grid:
+        markers = "; ".join(f"{scene.name}: {scene.marker()}" for scene in self.scenes.values())
+        meaningless = [
+            f"{scene.name}: the regressors' accuracy means nothing here: {' and '.join(reasons)}."
+            for scene in self.scenes.values()
+            if (reasons := scene.why_meaningless())
+        ]
+        published = any(row.source == PUBLISHED for block in blocks for row in block.rows)
+        notes = [*meaningless, *notes, *self._card_notes(), *([_PUBLISHED_NOTE] if published else [])]
+        return Grid(key, title, f"{what}. {markers}.", tuple(columns), tuple(blocks), 2, tuple(notes))
+
+    def _coverage_notes(self) -> list[str]:
+        notes = [
+            "“Same frames” is the raw regressor over just the frames of the subset: like for like with “+VIO”, the "
+            "paper's rule. The plain column is over all test frames, as in the paper.",
+        ]
+        for scene in self.scenes.values():
+            shares = []
+            for model in scene.models:
+                key = (TABLE_III, OURS, scene.environment, scene.name, "rp+opt", f"{model}+VIO share frames")
+                shares.append(f"{model}+VIO answers {self.text[key]} %")
+            note = f"{scene.name}: {scene.scored_frames} test frames with ground truth of {scene.test_frames}; "
+            note += f"{', '.join(shares)} of them."
+            if scene.ground_truth["gt_uses_vio"].any():
+                note += " VIO positions took part in this ground truth, which flatters methods that use VIO."
+            notes.append(note)
+        return notes
+
+    def _card_notes(self) -> list[str]:
+        cards: dict[str, list[str]] = {}
+        for scene in self.scenes.values():
+            for _, card in scene.cards.iterrows():
+                cards.setdefault(card_text(card), []).append(scene.name)
+        several = len(self.scenes) > 1
+        return [text + (f" ({', '.join(names)})" if several else "") + "." for text, names in cards.items()]
+
+
+def card_text(card: pd.Series) -> str:
+    """What a reader must know of a model: where its weights come from, its input, and what was made smaller."""
+    parts = [
+        f"backbone weights: {card['weights']}",
+        f"input {card['crop_px']} px",
+        *([str(card["layers"])] if card["layers"] else []),
+        f"{card['epochs']} epochs on {card['train_frames']} frames, seed {card['seed']}",
+        f"reduced from the paper: {card['reduced']}" if card["reduced"] else "as in the paper",
+    ]
+    return f"{card['model']}: {'; '.join(parts)}"
+
+
+def shown_options(options: str) -> str:
+    """A method's options, JSON, as `key=value`."""
+    values = json.loads(options) if options else {}
+    return ", ".join(f"{key}={value}" for key, value in values.items())

@@ -1,0 +1,283 @@
+"""A run folder as the stages before the report leave it, made up through the schemas."""
+
+import json
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from artefacts.schemas import schema, stage_tables
+from artefacts.settings import DataRoot
+from artefacts.stage import write_json
+from artefacts.tables import pose_frame, read_table, write_table
+from geometry.metrics import position_error, rotation_error_deg
+from geometry.poses import Array, make_pose, yaw_rotation
+
+SECOND = 1_000_000_000
+MODELS = ("PN", "MS-T")
+
+
+class MadeUpScene:
+    """One scene's tables: walks around a 40 x 30 m place, a heavy-tailed regressor, a fused method."""
+
+    def __init__(self, name: str, seed: int, train: int = 60, test: int = 30, mixed: bool = False) -> None:
+        self.name = name
+        self.rng = np.random.default_rng(seed)
+        splits = {"walk_1": "train", "walk_2": "train", "walk_3": "test", "walk_4": "test"}
+        rows, poses = [], []
+        for number, (session, split) in enumerate(splits.items()):
+            count = train if split == "train" else test
+            angle = np.linspace(0, 2 * np.pi, count) + 0.3 * number
+            xyz = np.stack(
+                [(20 - number) * np.cos(angle), 1.5 + 0.1 * np.sin(5 * angle), (15 - number) * np.sin(angle)], 1
+            )
+            poses.append(make_pose(yaw_rotation(-angle), xyz))
+            for i in range(count):
+                part = "val" if split == "train" and i >= count - count // 10 else split
+                part = ("test" if i >= 0.75 * count else "train") if mixed else part
+                rows.append(
+                    {"frame_id": f"{session}/{i:06d}", "session_id": session, "split": part, "t_ns": i * SECOND}
+                )
+        self.map_T_cam = np.concatenate(poses)
+        self.frames = pd.DataFrame(rows)
+
+    def disturbed(self, metres: float, degrees: float) -> Array:
+        """The true poses with heavy-tailed errors."""
+        count = len(self.frames)
+        offset = self.rng.standard_t(2, (count, 3)) * metres
+        turn = Rotation.from_rotvec(np.radians(self.rng.standard_t(2, (count, 3)) * degrees)).as_matrix()
+        return make_pose(turn @ self.map_T_cam[:, :3, :3], self.map_T_cam[:, :3, 3] + offset)
+
+    def tables(self) -> dict[str, dict[str, pd.DataFrame]]:
+        frames = self.frames
+        imported = pd.concat([frames, pose_frame("vio_cam", self.map_T_cam)], axis=1).assign(
+            clock="boot", image=frames["frame_id"] + ".jpg", image_sha256="", width=64, height=48, fx=50.0, fy=50.0,
+            cx=32.0, cy=24.0, distortion=[[] for _ in range(len(frames))], gravity_x=1.0, gravity_y=0.0, gravity_z=0.0,
+            tracking="normal", sharpness=0.5, exposure_s=0.01,
+        )  # fmt: skip
+        truth = pd.concat([frames, pose_frame("map_cam", self.map_T_cam)], axis=1).assign(
+            covariance=None, position_sd_m=0.005, rotation_sd_deg=0.02, quality="A", reason="", gt_uses_vio=False
+        )
+        # One test frame without ground truth: it can't be scored, and must be counted as such.
+        lost = truth.index[truth["split"] == "test"][3]
+        truth.loc[lost, [c for c in truth if c.startswith("map_cam")]] = np.nan
+        truth.loc[lost, ["quality", "reason"]] = "none", "not registered"
+        predictions, poses, errors = [], [], []
+        for model in MODELS:
+            raw = self.disturbed(0.6, 2.0)
+            predictions.append(
+                pd.concat([frames, pose_frame("map_cam", raw)], axis=1).assign(
+                    model=model, scene=self.name, covariance=None, picked_scene=self.name, inference_ms=12.0
+                )
+            )
+            for method, options in (("apr", "{}"), ("mobilearloc", '{"gamma": 0.99}')):
+                fused, errs = self._fused(model, method, options, raw)
+                poses.append(fused)
+                errors.append(errs.drop(index=lost))
+        return {
+            "import": {"frames": imported, "sessions": self._sessions(), "rejects": self._rejects()},
+            "sfm": {"images": self._images(lost)},
+            "align": {"ground_truth": truth, "sessions": self._aligned(), "drift": self._drift(), "gate": self._gate()},
+            "train": {"predictions": pd.concat(predictions), "history": self._history(), "models": self._cards()},
+            "fuse": {"poses": pd.concat(poses), "errors": pd.concat(errors)},
+        }
+
+    def _fused(self, model: str, method: str, options: str, raw: Array) -> tuple[pd.DataFrame, pd.DataFrame]:
+        count = len(self.frames)
+        keys = self.frames.assign(model=model, method=method, options=options, scene=self.name)
+        if method == "apr":
+            status = live = np.full(count, "predicted", object)
+            fused = live_poses = raw
+        else:
+            first = (self.frames["t_ns"] < 4 * SECOND).to_numpy()
+            status = self.rng.choice(["reliable", "optimised", "aligning"], count, p=[0.5, 0.4, 0.1]).astype(object)
+            status[first] = "reliable"
+            live = np.where(first, "none", status)
+            fused = np.where((status == "reliable")[:, None, None], raw, self.disturbed(0.3, 0.8))
+            live_poses = np.where(first[:, None, None], np.nan, fused)
+        poses = pd.concat([keys, pose_frame("map_cam", fused), pose_frame("live_map_cam", live_poses)], axis=1)
+        poses = pd.concat([poses, pose_frame("map_vio", np.full((count, 4, 4), np.nan))], axis=1)
+        poses = poses.assign(status=status, live_status=live, covariance=None, reasons="")
+        errors = keys.assign(status=status, live_status=live)
+        for prefix, estimate in (("", fused), ("live_", live_poses), ("apr_", raw)):
+            known = np.isfinite(estimate).all(axis=(1, 2))
+            for name, error in (("position_m", position_error), ("rotation_deg", rotation_error_deg)):
+                values = np.full(count, np.nan)
+                values[known] = error(estimate[known], self.map_T_cam[known])
+                errors[prefix + name] = values
+        return poses, errors
+
+    def _sessions(self) -> pd.DataFrame:
+        rows = []
+        for session, of_session in self.frames.groupby("session_id"):
+            n = len(of_session)
+            row = {
+                "session_id": session,
+                "recording": session,
+                "format": "3d_scanner_app",
+                "device": "made up",
+                "clock": "boot",
+            }
+            split = of_session["split"].iloc[-1].replace("val", "train")
+            rows.append(
+                row | {"duration_s": n - 1.0, "path_m": 110.0, "poses": n, "images": n, "frames": n, "split": split}
+            )
+        return pd.DataFrame(rows)
+
+    def _rejects(self) -> pd.DataFrame:
+        row = {"session_id": "walk_1", "source": "frame_00007.json", "t_ns": None, "reason": "truncated image"}
+        return pd.DataFrame([row]).astype({"t_ns": "Int64"})
+
+    def _images(self, lost: int) -> pd.DataFrame:
+        count = len(self.frames)
+        poses = self.map_T_cam.copy()
+        poses[lost] = np.nan
+        registered = np.arange(count) != lost
+        return pd.concat([self.frames[["frame_id"]], pose_frame("sfm_cam", poses)], axis=1).assign(
+            registered=registered, model_id="incremental/0", keypoints=900, covariance=None,
+            observations=self.rng.integers(150, 700, count) * registered,
+            reprojection_px=np.where(registered, self.rng.gamma(20, 0.04, count), np.nan),
+        )  # fmt: skip
+
+    def _aligned(self) -> pd.DataFrame:
+        sessions = self.frames.groupby("session_id").size().index
+        frame = pd.DataFrame({"session_id": sessions, "segment": 0})
+        for column in schema("align", "sessions").columns:
+            if column.name not in frame and not column.name.startswith("map_vio"):
+                frame[column.name] = 30 if column.dtype == "int64" else 1.003 if column.name == "scale" else 0.021
+        identity = np.tile(np.eye(4), (len(frame), 1, 1))
+        return pd.concat([frame, pose_frame("map_vio", identity), pose_frame("map_vio_yaw", identity)], axis=1)
+
+    def _drift(self) -> pd.DataFrame:
+        rows = []
+        figures = {"samples": 40, "mean": 1.0, "median": 0.9, "rms": 1.1, "p95": 2.0, "max": 2.5}
+        for session in ("walk_1", "walk_2", "all"):
+            for distance in (5.0, 10.0, 20.0, 50.0):
+                rows.append((session, "distance_position", distance, "m", "%", 1 + distance / 50))
+            rows.append((session, "relative_position", 1.0, "s", "m", 0.01))
+            rows.append((session, "paper_rpe", 1.0, "pair", "m", 0.006))
+            rows.append((session, "ate_se3", np.nan, "path", "m", 0.2))
+        columns = ["session_id", "definition", "interval", "interval_unit", "unit", "factor"]
+        frame = pd.DataFrame(rows, columns=columns)
+        for name, figure in figures.items():
+            frame[name] = figure if name == "samples" else figure * frame["factor"]
+        return frame.drop(columns="factor")
+
+    def _gate(self) -> pd.DataFrame:
+        row = {"check": "window_motion", "session_id": "walk_1", "t_start_ns": 0, "t_end_ns": SECOND, "frames": 10}
+        row |= {"value": 0.01, "limit": 0.1, "unit": "m", "passed": True, "reason": ""}
+        failed = row | {"session_id": "walk_2", "value": 0.3, "passed": False, "reason": "VIO and the model disagree"}
+        return pd.DataFrame([row, failed])
+
+    def _history(self) -> pd.DataFrame:
+        rows = []
+        for model in MODELS:
+            for epoch in range(1, 13):
+                row = {
+                    "model": model,
+                    "scenes": [self.name],
+                    "epoch": epoch,
+                    "learning_rate": 1e-4,
+                    "kept": epoch == 11,
+                }
+                row |= {"train_loss": 3 / epoch - 1, "val_position_m": 6 / epoch, "val_rotation_deg": 30 / epoch}
+                rows.append(row | {"sx": 0.0, "sq": -3.0, "seconds": 2.0})
+        return pd.DataFrame(rows)
+
+    def _cards(self) -> pd.DataFrame:
+        base = {
+            "scenes": [self.name],
+            "weights": "scratch: no internet",
+            "resize_px": 256,
+            "crop_px": 224,
+            "epochs": 12,
+        }
+        base |= {
+            "train_frames": 108,
+            "val_frames": 12,
+            "best_epoch": 11,
+            "seed": 0,
+            "config": "{}",
+            "inference_ms": 12.0,
+        }
+        base |= {"device": "made-up processor, float32", "train_seconds": 61.0}
+        pn = {
+            "model": "PN",
+            "file": "pn.pt",
+            "parameters": 22_349_000,
+            "bytes": 89_430_000,
+            "layers": "",
+            "reduced": "",
+        }
+        mst = {"model": "MS-T", "file": "mst.pt", "parameters": 18_000_000, "bytes": 60_000_000, "layers": "2+2 layers"}
+        return pd.DataFrame([base | pn, base | mst | {"reduced": "2+2 instead of 6+6 transformer layers"}])
+
+
+def write_scene(data: DataRoot, scene: MadeUpScene, simulated: bool) -> None:
+    """The scene's artefacts up to fuse, and its images."""
+    tables = scene.tables()
+    for stage, of_stage in tables.items():
+        write_stage(data, scene.name, stage, of_stage, simulated)
+    for image in tables["import"]["frames"]["image"]:
+        path = data.captures(scene.name) / image
+        path.parent.mkdir(parents=True, exist_ok=True)
+        grey = np.tile(np.linspace(0, 255, 64, dtype=np.uint8), (48, 1))
+        cv2.imwrite(str(path), grey)
+
+
+def write_group(data: DataRoot, name: str, members: list[str]) -> None:
+    """A group of written scenes that trained one MS-T for all, which is half as wrong as their own, and fused it."""
+    config = f'environment = "outdoor"\nmembers = {json.dumps(members)}\nstages = ["train", "fuse", "report"]\n'
+    (data.root / "scenes").mkdir(exist_ok=True)
+    (data.root / "scenes" / f"{name}.toml").write_text(config)
+
+    def joined(stage: str, table: str) -> pd.DataFrame:
+        folders = [data.run("tiny", member, stage) for member in members]
+        return pd.concat([read_table(f / f"{table}.parquet", schema(stage, table)) for f in folders], ignore_index=True)
+
+    train = {table: joined("train", table) for table in ("predictions", "history", "models")}
+    train = {table: frame[frame["model"] == "MS-T"] for table, frame in train.items()}
+    for table in ("history", "models"):
+        train[table] = train[table].drop_duplicates("epoch" if table == "history" else "model").copy()
+        train[table]["scenes"] = [members] * len(train[table])
+    errors = joined("fuse", "errors")
+    columns = [c for c in errors if c.endswith(("position_m", "rotation_deg"))]
+    errors.loc[errors["model"] == "MS-T", columns] *= 0.5
+    write_stage(data, name, "train", train, True)
+    write_stage(data, name, "fuse", {"poses": joined("fuse", "poses"), "errors": errors}, True)
+
+
+def write_stage(data: DataRoot, scene: str, stage: str, tables: dict[str, pd.DataFrame], simulated: bool) -> None:
+    folder = data.run("tiny", scene, stage)
+    folder.mkdir(parents=True)
+    for table in stage_tables(stage):
+        if table.name in tables:
+            write_table(folder / f"{table.name}.parquet", tables[table.name], table)
+    write_json(
+        folder / "manifest.json",
+        {
+            "stage": stage, "seed": 0, "simulated": simulated, "settings": {"made": "up"}, "figures": {},
+            "seconds": {"step": 1.5}, "total_seconds": 2.0, "finished": "2026-01-01T00:00:00+00:00",
+            "peak_memory_mib": 100.0, "versions": {"numpy": "2"}, "git_revision": "abc", "machine": "made up",
+            "outputs": {"all": json.dumps([stage, scene])},
+        },
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def make_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., DataRoot]:
+    """A function that makes a data folder with these scenes, and a group of them where it's named:
+    `make_run(Church={"train": 60}, simulated=True)`."""
+
+    def make(simulated: bool = True, group: str = "", **scenes: dict[str, int]) -> DataRoot:
+        data = DataRoot(tmp_path_factory.mktemp("data"))
+        for seed, (name, options) in enumerate(scenes.items()):
+            write_scene(data, MadeUpScene(name, seed, **options), simulated)
+        if group:
+            write_group(data, group, list(scenes))
+        return data
+
+    return make

@@ -1,0 +1,238 @@
+"""The report of made-up runs: its numbers against a recount, its tables' form, its page and its errors."""
+
+import re
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from artefacts import UserError
+from artefacts.schemas import schema
+from artefacts.settings import DataRoot
+from artefacts.stage import execute
+from artefacts.tables import read_table, write_table
+from reports.checks import AGREES
+from reports.grids import Block, Grid, Row, latex, latex_text, markdown
+from reports.published import load_published
+from reports.stage import STAGE
+from reports.statistics import score
+
+MakeRun = Callable[..., DataRoot]
+
+
+@pytest.fixture(scope="module")
+def church(make_run: MakeRun) -> tuple[DataRoot, Path]:
+    data = make_run(Church={})
+    return data, execute(STAGE, "Church", "tiny", data)
+
+
+@pytest.fixture(scope="module")
+def pair(make_run: MakeRun) -> tuple[DataRoot, Path]:
+    data = make_run(group="both", Square={"train": 30, "test": 20}, Hall={"train": 30, "test": 20})
+    (data.root / "scenes" / "Hall.toml").write_text('environment = "outdoor"\n')
+    return data, execute(STAGE, "both", "tiny", data)
+
+
+@pytest.fixture(scope="module")
+def chair(make_run: MakeRun) -> tuple[DataRoot, Path]:
+    data = make_run(simulated=False, chair={"train": 9, "test": 3, "mixed": True})
+    return data, execute(STAGE, "chair", "tiny", data)
+
+
+def cells_of(folder: Path, **keys: str) -> pd.DataFrame:
+    cells = read_table(folder / "cells.parquet", schema("report", "cells"))
+    for column, value in keys.items():
+        cells = cells[cells[column] == value]
+    return cells
+
+
+def table_of(data: DataRoot, scene: str, stage: str, table: str) -> pd.DataFrame:
+    return read_table(data.run("tiny", scene, stage) / f"{table}.parquet", schema(stage, table))
+
+
+def test_cells_are_what_the_errors_say(church: tuple[DataRoot, Path]) -> None:
+    data, folder = church
+    errors = table_of(data, "Church", "fuse", "errors")
+    errors = errors[(errors["split"] == "test") & (errors["method"] == "mobilearloc") & (errors["model"] == "MS-T")]
+    for subset, statuses in (("rp", {"reliable"}), ("opt", {"optimised"}), ("rp+opt", {"reliable", "optimised"})):
+        part = errors[[status in statuses for status in errors["status"]]]
+        ours = cells_of(folder, source="ours", scene="Church", model="MS-T", row=subset).set_index("column")["value"]
+        assert ours["MS-T+VIO mean translation"] == pytest.approx(sum(part["position_m"]) / len(part))
+        assert ours["MS-T+VIO median rotation"] == pytest.approx(np.percentile(part["rotation_deg"], 50))
+        assert ours["MS-T, same frames mean rotation"] == pytest.approx(sum(part["apr_rotation_deg"]) / len(part))
+        assert ours["MS-T mean translation"] == pytest.approx(sum(errors["apr_position_m"]) / len(errors))
+        medium = [p <= 0.5 and r <= 5 for p, r in zip(part["position_m"], part["rotation_deg"], strict=True)]
+        assert ours["MS-T+VIO level medium"] == pytest.approx(100 * sum(medium) / len(part))
+        assert ours["MS-T+VIO share frames"] == pytest.approx(100 * len(part) / len(errors))
+
+
+def test_a_missing_pose_is_a_failure(church: tuple[DataRoot, Path]) -> None:
+    data, folder = church
+    errors = table_of(data, "Church", "fuse", "errors")
+    errors = errors[(errors["split"] == "test") & (errors["method"] == "mobilearloc") & (errors["model"] == "PN")]
+    live = errors["live_position_m"]
+    ours = cells_of(folder, source="ours", table="IV", model="PN", method="mobilearloc", row="all")
+    ours = ours.set_index("column")["value"]
+    assert 0 < live.isna().sum() < len(live)
+    assert ours["PN+VIO coverage frames"] == pytest.approx(100 * live.notna().mean())
+    assert ours["PN+VIO median translation"] == pytest.approx(np.median(live.fillna(np.inf)))
+    low = (live <= 5) & (errors["live_rotation_deg"] <= 10)
+    assert ours["PN+VIO level low"] == pytest.approx(100 * low.sum() / len(live))
+
+
+def test_scores_fail_gracefully_where_most_is_missing() -> None:
+    mostly_missing = score([0.1, np.nan, np.nan], [1.0, np.nan, np.nan])
+    assert np.isnan(mostly_missing.median_m) and mostly_missing.mean_m == pytest.approx(0.1)
+    assert mostly_missing.high == pytest.approx(100 / 3) and mostly_missing.answered == 1
+    assert np.isnan(score([], []).mean_m)
+
+
+def test_our_own_tables_pass_all_checks(church: tuple[DataRoot, Path], pair: tuple[DataRoot, Path]) -> None:
+    for _, folder in (church, pair):
+        checks = read_table(folder / "checks.parquet", schema("report", "checks"))
+        ours = checks[checks["source"] == "ours"]
+        assert len(ours) > 50
+        assert set(ours["verdict"]) == {AGREES}, ours[ours["verdict"] != AGREES].to_string()
+
+
+def test_published_cells_are_the_files_numbers_and_never_ours(church: tuple[DataRoot, Path]) -> None:
+    _, folder = church
+    cells = cells_of(folder, source="published")
+    assert set(cells["scene"]) == {"Church"}
+    printed = load_published().errors
+    printed = printed[printed["scene"] == "Church"]
+    values = printed[["translation_m", "rotation_deg"]].to_numpy().ravel()
+    assert sorted(cells.loc[cells["table"] == "II", "value"]) == sorted(values)
+    assert cells["source_table"].str.startswith("data/published/").all()
+    assert not cells_of(folder, source="ours")["source_table"].str.startswith("data/published/").any()
+
+
+def test_a_group_has_all_members_and_their_average(pair: tuple[DataRoot, Path]) -> None:
+    _, folder = pair
+    ours = cells_of(folder, source="ours", table="II", row="rp+opt", column="PN+VIO median rotation").set_index("scene")
+    assert set(ours.index) == {"Square", "Hall", "average"}
+    assert ours.loc["average", "value"] == pytest.approx((ours.loc["Square", "value"] + ours.loc["Hall", "value"]) / 2)
+    # The paper's average is over other scenes, so it doesn't stand beside ours.
+    assert "average" not in set(cells_of(folder, source="published")["scene"])
+    assert "average" in (folder / "tables" / "table2.md").read_text()
+
+
+def test_a_groups_own_models_replace_its_members(pair: tuple[DataRoot, Path]) -> None:
+    data, folder = pair
+    for model, factor in (("PN", 1.0), ("MS-T", 0.5)):
+        errors = table_of(data, "Hall", "fuse", "errors")
+        errors = errors[(errors["split"] == "test") & (errors["method"] == "apr") & (errors["model"] == model)]
+        ours = cells_of(folder, source="ours", table="II", scene="Hall", column=f"{model} mean translation")
+        assert list(ours["value"]) == pytest.approx([factor * errors["apr_position_m"].mean()] * 3)
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    assert "train of both" in page and "fuse of both" in page
+    assert page.count('<td class="label">Square, Hall</td>') == 2  # trained on, in each scene's model cards
+
+
+def test_tables_are_well_formed(church: tuple[DataRoot, Path], pair: tuple[DataRoot, Path]) -> None:
+    for _, folder in (church, pair):
+        for number in (1, 2, 3, 4):
+            md = (folder / "tables" / f"table{number}.md").read_text()
+            for block in re.split(r"\n\n", md):
+                lines = [line for line in block.splitlines() if line.startswith("|")]
+                assert len({line.count("|") for line in lines}) <= 1
+            assert "simulated" in md
+            assert "scratch" in md and "2+2" in md  # the model cards' facts
+            assert_balanced((folder / "tables" / f"table{number}.tex").read_text())
+
+
+def assert_balanced(tex: str) -> None:
+    """Braces, environments and columns of a LaTeX table fit together."""
+    plain = re.sub(r"\\[\\{}&%#$_]", "", tex)
+    assert plain.count("{") == plain.count("}")
+    assert re.findall(r"\\begin\{(\S+?)\}", tex) == re.findall(r"\\end\{(\S+?)\}", tex)[::-1]
+    columns = len(re.search(r"\\begin\{tabular\}\{([lr]+)\}", tex)[1])  # type: ignore[index]
+    for line in tex.splitlines():
+        if line.endswith(r"\\"):
+            spans = [int(n) for n in re.findall(r"\\multicolumn\{(\d+)\}", line)]
+            assert len(re.findall(r"(?<!\\)&", line)) + 1 + sum(spans) - len(spans) == columns, line
+
+
+def test_text_is_escaped_in_every_format() -> None:
+    assert latex_text("50 % of a_b & 2° ~ {x}") == r"50 \% of a\_b \& 2$^\circ$ \textasciitilde{} \{x\}"
+    grid = Grid("t", "T", "c", (("", "a|b"), ("", "<i>")), (Block("", (Row(("x|y", "1 & 2"), "ours"),)),), 1)
+    assert r"x\|y" in markdown(grid) and r"1 \& 2" in latex(grid)
+    with pytest.raises(ValueError, match="cells"):
+        Grid("t", "T", "c", (("", "a"),), (Block("", (Row(("x", "y"), "ours"),)),))
+
+
+class Links(HTMLParser):
+    """Every address in a page, and whether its elements close."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.open: list[str] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.addresses += [value or "" for name, value in attrs if name in ("href", "src", "xlink:href")]
+        if tag not in ("meta", "img", "link", "br"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.addresses += [value or "" for name, value in attrs if name in ("href", "src", "xlink:href")]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_the_page_is_self_contained_and_says_simulated(church: tuple[DataRoot, Path]) -> None:
+    _, folder = church
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    links = Links(page)
+    assert not links.open
+    for address in links.addresses:
+        assert address.startswith(("#", "data:image/png;base64,")) or (folder / address).is_file(), address
+    assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org|purl\.org|creativecommons\.org)", page)
+    assert 'id="simulated"' in page and 'id="meaningless"' not in page
+    for text in ("Table IV", "published", "truncated image", "2+2 instead of 6+6"):
+        assert text in page
+    ids = re.findall(r'\sid="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+
+
+def test_a_real_capture_of_few_frames_says_that_its_accuracy_means_nothing(chair: tuple[DataRoot, Path]) -> None:
+    _, folder = chair
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    assert 'id="meaningless"' in page and "accuracy means nothing" in page and 'id="simulated"' not in page
+    assert "means nothing" in (folder / "tables" / "table2.tex").read_text()
+    assert cells_of(folder, source="published").empty
+    checks = read_table(folder / "checks.parquet", schema("report", "checks"))
+    assert set(checks.loc[checks["check"] == "no_leak", "verdict"]) == {"caution"}
+
+
+def test_the_same_run_gives_the_same_bytes(chair: tuple[DataRoot, Path]) -> None:
+    data, folder = chair
+    outputs = {
+        p.relative_to(folder): p.read_bytes()
+        for p in folder.rglob("*")
+        if p.suffix in (".svg", ".png", ".html", ".parquet")
+    }
+    execute(STAGE, "chair", "tiny", data, force=True)
+    assert {p: (folder / p).read_bytes() for p in outputs} == outputs
+
+
+def test_bad_input_is_a_clear_error(make_run: MakeRun) -> None:
+    data = make_run(Bar={"train": 12, "test": 6})
+    errors = table_of(data, "Bar", "fuse", "errors")
+    path = data.run("tiny", "Bar", "fuse") / "errors.parquet"
+    write_table(path, errors[errors["method"] == "apr"], schema("fuse", "errors"))
+    with pytest.raises(UserError, match="paper's rule wasn't run"):
+        execute(STAGE, "Bar", "tiny", data)
+    write_table(path, errors[errors["split"] != "test"], schema("fuse", "errors"))
+    with pytest.raises(UserError, match="no test frame with ground truth"):
+        execute(STAGE, "Bar", "tiny", data)
+    write_table(path, errors, schema("fuse", "errors"))
+    for image in data.captures("Bar").rglob("*.jpg"):
+        image.write_bytes(b"not a picture")
+    with pytest.raises(UserError, match="can't be read any more"):
+        execute(STAGE, "Bar", "tiny", data)
