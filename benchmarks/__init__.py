@@ -1,0 +1,1 @@
+"""What the toolkit costs, measured in one run against a named peer or a physical limit."""
