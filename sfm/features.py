@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pycolmap
 
-from sfm.child import Report
+from artefacts.child import Report
 from sfm.settings import SfmSettings
 
 _CHUNK = 8

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pycolmap
 
-from sfm.child import Report
+from artefacts.child import Report
 from sfm.settings import SfmSettings
 
 _SMALLEST_MODEL = 3

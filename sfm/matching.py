@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from sfm.child import Report
+from artefacts.child import Report
 from sfm.database import have_results
 from sfm.pairs import Pairs
 from sfm.settings import SfmSettings

@@ -9,9 +9,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from artefacts import Stage, StageRun, UserError
+from artefacts.child import Task, in_child
 from artefacts.tables import poses_of
 from geometry.poses import Array
-from sfm.child import in_child
 from sfm.covariance import pose_covariance
 from sfm.database import create_database, image_name, keypoint_counts, read_descriptors, read_pair_results
 from sfm.features import extract_features
@@ -36,6 +36,10 @@ from sfm.tables import images_table, models_table, pairs_table, points_table
 _FEWEST_FRAMES = 3
 
 
+# An error on one of COLMAP's threads aborts the process that it runs in, hence child processes.
+_TOO_LITTLE = "too little memory needs a smaller sfm.max_image_size or sfm.max_features"
+
+
 @dataclass(frozen=True)
 class _Scene:
     """The frames and the files that COLMAP works on."""
@@ -53,16 +57,8 @@ class _Scene:
 def run(r: StageRun[SfmSettings]) -> None:
     scene = _prepare(r)
     with r.step("features"):
-        in_child(
-            extract_features,
-            "extracting features",
-            len(scene.names),
-            scene.log,
-            scene.database,
-            scene.images,
-            scene.names,
-            r.settings,
-        )
+        arguments = (scene.database, scene.images, scene.names, r.settings)
+        in_child("extracting features", scene.log, _TOO_LITTLE, Task(extract_features, arguments, len(scene.names)))
         keypoints = keypoint_counts(scene.database, len(scene.names))
         _require_features(r, keypoints)
     with r.step("pairs"):
@@ -176,7 +172,8 @@ def _propose(r: StageRun[SfmSettings], scene: _Scene) -> list[tuple[str, Pairs]]
 def _match(r: StageRun[SfmSettings], scene: _Scene, proposals: list[tuple[str, Pairs]]) -> MatchedPairs:
     def match(text: str) -> MatchedPairs:
         pairs, origin = first_origins(proposals, len(scene.names))
-        in_child(match_pairs, text, len(pairs), scene.log, scene.database, scene.names, pairs, r.settings, r.seed)
+        arguments = (scene.database, scene.names, pairs, r.settings, r.seed)
+        in_child(text, scene.log, _TOO_LITTLE, Task(match_pairs, arguments, len(pairs)))
         return MatchedPairs(pairs, origin, *read_pair_results(scene.database, pairs), r.settings.min_inliers)
 
     matched = match("matching pairs")
@@ -199,17 +196,8 @@ def _map(r: StageRun[SfmSettings], scene: _Scene, matched: MatchedPairs) -> list
     """What was built; the final model is large enough."""
     frames = len(scene.names)
     if not scene.mapping.is_dir():
-        in_child(
-            build_models,
-            "mapping",
-            frames,
-            scene.log,
-            scene.database,
-            scene.images,
-            scene.mapping,
-            r.settings,
-            r.seed,
-        )
+        arguments = (scene.database, scene.images, scene.mapping, r.settings, r.seed)
+        in_child("mapping", scene.log, _TOO_LITTLE, Task(build_models, arguments, frames))
     built = read_built(scene.mapping)
     verified = f"{int(matched.verified.sum())} of {len(matched.pairs)} proposed pairs verified"
     remedy = (

@@ -48,7 +48,7 @@ class Trained(NamedTuple):
     crop: int
 
 
-def save_trained(path: Path, name: ModelName, settings: RegressorSettings, trained: Trained) -> None:
+def save_trained(path: Path, name: str, settings: RegressorSettings, trained: Trained) -> None:
     """Write a weights file that `load_trained` can make the model from, without anything else."""
     path.parent.mkdir(exist_ok=True)
     content = {

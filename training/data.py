@@ -28,12 +28,16 @@ class ImageCache:
     """
 
     def __init__(self, folder: Path) -> None:
+        self.folder = folder
         self.shapes: NDArray[np.int64] = np.load(folder / "shapes.npy")
         self._pixels = np.memmap(folder / "pixels.u8", np.uint8, "r")
         self._starts = np.concatenate([[0], np.cumsum(np.prod(self.shapes, axis=1) * 3)])
 
     def __len__(self) -> int:
         return len(self.shapes)
+
+    def __reduce__(self) -> tuple[type["ImageCache"], tuple[Path]]:
+        return ImageCache, (self.folder,)  # another process opens the file itself
 
     def __getitem__(self, index: int) -> Image:
         pixels = self._pixels[self._starts[index] : self._starts[index + 1]]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from artefacts import UserError
-from artefacts.progress import Reporter
+from artefacts.child import Report
 from training.data import Frames, Jitter, Turns, normalised
 from training.evaluation import pose_errors
 from training.models.regressor import PoseRegressor
@@ -25,8 +25,9 @@ CHECKPOINT = "checkpoint.pt"
 
 @dataclass(frozen=True)
 class Run:
-    """Where and how exactly a model is trained."""
+    """Which model is trained, where and how exactly."""
 
+    title: str
     device: torch.device
     mixed_precision: bool
     crop: int
@@ -36,9 +37,9 @@ class Run:
 
 
 def train(
-    model: PoseRegressor, training: Frames, held_out: Frames, settings: RegressorSettings, run: Run, title: str
-) -> list[dict[str, Any]]:
-    """Train `model`, leave the weights of its best epoch in it, and return the learning curves, a dict an epoch.
+    report: Report, model: PoseRegressor, training: Frames, held_out: Frames, settings: RegressorSettings, run: Run
+) -> None:
+    """Train `model` until the checkpoint in `run.folder` holds all its epochs; `take_best` reads it.
 
     The best epoch has the smallest product of median position and rotation error over the held-out frames.
 
@@ -55,63 +56,66 @@ def train(
         optimiser.load_state_dict(saved["optimiser"])
         history, best = saved["history"], saved["best"]
 
-    with Reporter(title, settings.epochs) as progress:
-        progress.update(len(history))
-        for epoch in range(len(history), settings.epochs):
-            started = time.monotonic()
-            torch.manual_seed(run.seed * 100_003 + epoch)
-            rng = np.random.default_rng([run.seed, epoch])
-            model.train()
-            batches = list(epoch_batches(training.scene_N, settings.batch, rng))
-            losses = []
-            for step, rows in enumerate(batches):
-                rate = learning_rate(settings, epoch + step / len(batches))
-                for group in optimiser.param_groups:
-                    group["lr"] = rate
-                image, poses = training.select(rows).training_crops(
-                    run.crop, Turns(*settings.turn_deg) if settings.turn_deg else None, rng, run.device
-                )
-                image = normalised(Jitter(*settings.jitter).apply(image, rng))
-                with precision(run):
-                    loss = model.loss(image.contiguous(memory_format=torch.channels_last), poses)
-                optimiser.zero_grad()
-                loss.backward()
-                if settings.clip_gradient:
-                    torch.nn.utils.clip_grad_norm_(model.parameters(), settings.clip_gradient)
-                optimiser.step()
-                losses.append(loss.detach())
-
-            train_loss = torch.stack(losses).mean().item()
-            if not math.isfinite(train_loss):
-                raise UserError(
-                    f"{title}: the loss is no number any more",
-                    found=f"{train_loss} in epoch {epoch + 1}, learning rate {rate:.2g}",
-                    do="lower learning_rate, or set clip_gradient",
-                )
-            position_m, rotation_deg = pose_errors(model, held_out, run.crop, run.device)
-            row = {
-                "epoch": epoch + 1,
-                "learning_rate": rate,
-                "train_loss": train_loss,
-                "val_position_m": float(np.median(position_m)),
-                "val_rotation_deg": float(np.median(rotation_deg)),
-                "sx": model.loss_weights.sx.item(),
-                "sq": model.loss_weights.sq.item(),
-                "seconds": time.monotonic() - started,
-            }
-            history.append(row)
-            score = row["val_position_m"] * row["val_rotation_deg"]
-            if score < best["score"]:
-                weights = {name: tensor.clone() for name, tensor in model.state_dict().items()}
-                best = {"score": score, "epoch": epoch + 1, "weights": weights}
-            if (epoch + 1) % run.checkpoint_every == 0 or epoch + 1 == settings.epochs:
-                state = {"model": model.state_dict(), "optimiser": optimiser.state_dict()}
-                save(run.folder / CHECKPOINT, {**state, "history": history, "best": best})
-            progress.advance(
-                text=f"{title}: {row['val_position_m']:.2f} m, {row['val_rotation_deg']:.1f} deg on held-out frames"
+    report(len(history))
+    for epoch in range(len(history), settings.epochs):
+        started = time.monotonic()
+        torch.manual_seed(run.seed * 100_003 + epoch)
+        rng = np.random.default_rng([run.seed, epoch])
+        model.train()
+        batches = list(epoch_batches(training.scene_N, settings.batch, rng))
+        losses = []
+        for step, rows in enumerate(batches):
+            rate = learning_rate(settings, epoch + step / len(batches))
+            for group in optimiser.param_groups:
+                group["lr"] = rate
+            image, poses = training.select(rows).training_crops(
+                run.crop, Turns(*settings.turn_deg) if settings.turn_deg else None, rng, run.device
             )
+            image = normalised(Jitter(*settings.jitter).apply(image, rng))
+            with precision(run):
+                loss = model.loss(image.contiguous(memory_format=torch.channels_last), poses)
+            optimiser.zero_grad()
+            loss.backward()
+            if settings.clip_gradient:
+                torch.nn.utils.clip_grad_norm_(model.parameters(), settings.clip_gradient)
+            optimiser.step()
+            losses.append(loss.detach())
+
+        train_loss = torch.stack(losses).mean().item()
+        if not math.isfinite(train_loss):
+            raise UserError(
+                f"training {run.title}: the loss is no number any more",
+                found=f"{train_loss} in epoch {epoch + 1}, learning rate {rate:.2g}",
+                do="lower learning_rate, or set clip_gradient",
+            )
+        position_m, rotation_deg = pose_errors(model, held_out, run.crop, run.device)
+        row = {
+            "epoch": epoch + 1,
+            "learning_rate": rate,
+            "train_loss": train_loss,
+            "val_position_m": float(np.median(position_m)),
+            "val_rotation_deg": float(np.median(rotation_deg)),
+            "sx": model.loss_weights.sx.item(),
+            "sq": model.loss_weights.sq.item(),
+            "seconds": time.monotonic() - started,
+        }
+        history.append(row)
+        score = row["val_position_m"] * row["val_rotation_deg"]
+        if score < best["score"]:
+            weights = {name: tensor.clone() for name, tensor in model.state_dict().items()}
+            best = {"score": score, "epoch": epoch + 1, "weights": weights}
+        if (epoch + 1) % run.checkpoint_every == 0 or epoch + 1 == settings.epochs:
+            state = {"model": model.state_dict(), "optimiser": optimiser.state_dict()}
+            save(run.folder / CHECKPOINT, {**state, "history": history, "best": best})
+        report(epoch + 1, f"{run.title} {row['val_position_m']:.2f} m, {row['val_rotation_deg']:.1f} deg")
+
+
+def take_best(model: PoseRegressor, folder: Path) -> list[dict[str, Any]]:
+    """Load the best epoch's weights from a finished checkpoint; returns the learning curves, a dict an epoch."""
+    saved = torch.load(folder / CHECKPOINT, map_location="cpu")
+    best = saved["best"]
     model.load_state_dict(best["weights"])
-    return [{**row, "kept": row["epoch"] == best["epoch"]} for row in history]
+    return [{**row, "kept": row["epoch"] == best["epoch"]} for row in saved["history"]]
 
 
 def make_optimiser(model: PoseRegressor, settings: RegressorSettings) -> torch.optim.Adam:

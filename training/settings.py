@@ -38,6 +38,9 @@ class RegressorSettings(Settings):
     centre_rotation: bool = Field(
         False, description="the network regresses rotations relative to the mean training rotation"
     )
+    mixed_precision: Literal["auto", "off", "bf16"] = Field(
+        "auto", description="bfloat16 in training; auto: where the processor computes in it"
+    )
     weights: str = Field(
         "auto",
         description="the backbone's first weights: imagenet (downloaded), scratch, auto (imagenet where it can be"
@@ -90,9 +93,11 @@ class TrainSettings(Settings):
         0.1, gt=0, lt=0.5, description="share of each training session held out where import marked none"
     )
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to train")
-    threads: int = Field(2, gt=0, description="CPU threads; another number gives slightly different results")
-    mixed_precision: Literal["auto", "off", "bf16"] = Field(
-        "auto", description="bfloat16 in training; auto: where the processor computes in it"
+    threads: int = Field(
+        1,
+        gt=0,
+        description="CPU threads a model; the models train side by side, and another number gives slightly different"
+        " results",
     )
     checkpoint_every: int = Field(1, gt=0, description="epochs between two safe points")
     reduced: str = Field("", description="what this profile makes smaller than in the paper, for the model card")

@@ -9,7 +9,7 @@ from artefacts import UserError
 from training import loop
 from training.data import Frames, ImageCache
 from training.evaluation import mean_pose_errors, pose_errors
-from training.loop import Run, epoch_batches, learning_rate, train
+from training.loop import Run, epoch_batches, learning_rate, take_best, train
 from training.models.posenet import PoseNet
 from training.models.regressor import PoseBatch, PoseRegressor
 from training.rotations import exp_quaternion
@@ -41,6 +41,10 @@ class SmallRegressor(PoseRegressor):
         )
 
 
+def silent(done: int, note: str = "") -> None:
+    """Progress that nobody watches."""
+
+
 def random_frames(folder: Path, count: int) -> Frames:
     """Frames whose images are noise: nothing to learn but by heart."""
     rng = np.random.default_rng(0)
@@ -60,7 +64,8 @@ def test_overfits_a_few_images(tmp_path: Path) -> None:
     model = PoseNet(dropout=0)
     model.frames.fit(frames.poses(CPU), True, True)
     settings = PoseNetSettings(epochs=40, batch=8, learning_rate=1e-3, turn_deg=(0, 0, 0), schedule="cosine")
-    history = train(model, frames, frames, settings, Run(CPU, False, 32, 0, tmp_path, 1000), "test")
+    train(silent, model, frames, frames, settings, Run("test", CPU, False, 32, 0, tmp_path, 1000))
+    history = take_best(model, tmp_path)
     position_m, rotation_deg = pose_errors(model, frames, 32, CPU)
     mean_pose = mean_pose_errors(frames, frames)
     assert np.median(position_m) < 0.2 * np.median(mean_pose[0])
@@ -75,7 +80,8 @@ def test_a_resumed_run_ends_in_the_same_weights(tmp_path: Path, monkeypatch: pyt
     def start(name: str) -> tuple[SmallRegressor, list[dict[str, object]]]:
         torch.manual_seed(3)
         model = SmallRegressor()
-        history = train(model, frames, frames, settings, Run(CPU, False, 32, 7, tmp_path / name, 2), "test")
+        train(silent, model, frames, frames, settings, Run("test", CPU, False, 32, 7, tmp_path / name, 2))
+        history = take_best(model, tmp_path / name)
         return model, [{k: v for k, v in row.items() if k != "seconds"} for row in history]
 
     whole, whole_history = start("whole")
@@ -105,7 +111,7 @@ def test_a_diverging_run_says_so(tmp_path: Path) -> None:
     frames = random_frames(tmp_path / "images", 4)
     settings = PoseNetSettings(epochs=20, batch=4, learning_rate=1e30)
     with pytest.raises(UserError, match=r"loss is no number[\s\S]*lower learning_rate"):
-        train(SmallRegressor(), frames, frames, settings, Run(CPU, False, 32, 0, tmp_path), "test")
+        train(silent, SmallRegressor(), frames, frames, settings, Run("test", CPU, False, 32, 0, tmp_path))
 
 
 def test_learning_rates() -> None:

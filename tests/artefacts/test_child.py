@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from artefacts import UserError
-from sfm.child import Report, in_child
+from artefacts.child import Report, Task, in_child, in_children
 
 
 def _double(report: Report, value: int) -> int:
@@ -34,18 +34,38 @@ def _write_for_ever(report: Report, path: Path) -> None:
 
 
 def test_the_result_comes_back(tmp_path: Path) -> None:
-    assert in_child(_double, "doubling", 1, tmp_path / "log", 21) == 42
+    assert in_child("doubling", tmp_path / "log", "", Task(_double, (21,), 1)) == 42
 
 
 def test_an_error_in_the_child_is_raised_here(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="the setting is wrong"):
-        in_child(_refuse, "refusing", None, tmp_path / "log")
+        in_child("refusing", tmp_path / "log", "", Task(_refuse))
+
+
+def _meet(report: Report, mine: Path, other: Path) -> str:
+    mine.touch()
+    _wait_until(other.exists)
+    report(1, "met")
+    return mine.name
+
+
+def test_tasks_run_side_by_side(tmp_path: Path) -> None:
+    a, b = tmp_path / "a", tmp_path / "b"
+    assert in_children("meeting", tmp_path / "log", "", [Task(_meet, (a, b), 1), Task(_meet, (b, a), 1)]) == ["a", "b"]
+
+
+def test_one_error_ends_the_others(tmp_path: Path) -> None:
+    written = tmp_path / "alive"
+    with pytest.raises(UserError, match="the setting is wrong"):
+        in_children("both", tmp_path / "log", "", [Task(_write_for_ever, (written,)), Task(_refuse)])
+    _wait_until(lambda: _stands_still(written))
 
 
 def test_an_aborted_child_is_an_error_with_the_end_of_its_log(tmp_path: Path) -> None:
     with pytest.raises(UserError) as caught:
-        in_child(_abort, "extracting features", 3, tmp_path / "log")
+        in_child("extracting features", tmp_path / "log", "take fewer", Task(_abort, (), 3))
     assert "SIGABRT" in str(caught.value)
+    assert "take fewer" in str(caught.value)
     assert "check failed: points != nullptr" in str(caught.value)
 
 
@@ -53,9 +73,10 @@ def test_the_child_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     written, script = tmp_path / "alive", tmp_path / "parent.py"
     script.write_text(
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        f"from {Path(__file__).stem} import _write_for_ever, in_child, Path\n"
+        f"from {Path(__file__).stem} import _write_for_ever, in_child, Path, Task\n"
         f"if __name__ == '__main__':\n"
-        f"    in_child(_write_for_ever, 'writing', None, Path({str(tmp_path / 'log')!r}), Path({str(written)!r}))\n"
+        f"    task = Task(_write_for_ever, (Path({str(written)!r}),))\n"
+        f"    in_child('writing', Path({str(tmp_path / 'log')!r}), '', task)\n"
     )
     parent = subprocess.Popen([sys.executable, script])
     try:
@@ -64,12 +85,13 @@ def test_the_child_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
         parent.kill()
         parent.wait()
 
-    def stands_still() -> bool:
-        before = written.read_text()
-        time.sleep(0.3)
-        return written.read_text() == before
+    _wait_until(lambda: _stands_still(written))
 
-    _wait_until(stands_still)
+
+def _stands_still(written: Path) -> bool:
+    before = written.read_text() if written.exists() else ""
+    time.sleep(0.3)
+    return (written.read_text() if written.exists() else "") == before
 
 
 def _wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
