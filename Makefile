@@ -90,7 +90,7 @@ $(run)/train/manifest.json: $(member_manifests) $(settings)
 endif
 $(run)/fuse/manifest.json: $(run)/train/manifest.json $(settings)
 	@$(py) -m fusion $(arguments)
-$(run)/report/manifest.json: $(run)/fuse/manifest.json $(settings)
+$(run)/report/manifest.json: $(run)/fuse/manifest.json $(settings) $(wildcard data/published/*)
 	@$(py) -m reports $(arguments)
 	@echo "Look at $(run)/report/page.html, or: make scene=$(scene) profile=$(profile) view"
 

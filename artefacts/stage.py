@@ -25,7 +25,7 @@ import rerun as rr
 from artefacts import progress, recording
 from artefacts.errors import UserError
 from artefacts.schemas import schema
-from artefacts.settings import DataRoot, SceneConfig, Settings, resolve_settings
+from artefacts.settings import SHIPPED_DATA, DataRoot, SceneConfig, Settings, resolve_settings
 from artefacts.tables import read_table, write_table
 
 S = TypeVar("S", bound=Settings)
@@ -63,6 +63,7 @@ class Stage(Generic[S]):
     run: Callable[["StageRun[S]"], None]
     help: str
     reads_captures: bool = False
+    reads_shipped: tuple[str, ...] = ()  # folders of the repository's data/
 
 
 @dataclass
@@ -284,6 +285,9 @@ def _inputs(stage: Stage[Any], scene: SceneConfig, profile: str, data: DataRoot)
         if not (folder / MANIFEST).is_file():
             raise _missing_input(need, folder, name)
         inputs[f"{name}/{need}"] = load_manifest(folder)["outputs"]
+    for name in stage.reads_shipped:
+        folder = SHIPPED_DATA / name
+        inputs[f"data/{name}"] = hash_files(folder, sorted(path for path in folder.rglob("*") if path.is_file()))
     return inputs
 
 

@@ -111,6 +111,7 @@ STAGE = Stage(
     name="report",
     version=1,
     settings=ReportSettings,
+    reads_shipped=("published",),
     needs=("import", "sfm", "align", "train", "fuse"),
     run=run,
     help="Report: Tables I to III beside the paper's numbers, all methods over all frames, figures, checks, a page.",
