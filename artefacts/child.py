@@ -1,11 +1,12 @@
 """Work in child processes: what may abort the process it runs in, and what runs side by side."""
 
+import contextlib
 import multiprocessing
 import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -28,11 +29,13 @@ class Task:
     """`function(report, *arguments)` in a process of its own.
 
     `function` is importable; its arguments and result can be pickled. `total` counts its items, where that is known.
+    `environment` is added to the process's variables before any library loads.
     """
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
     total: int | None = None
+    environment: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -81,9 +84,21 @@ def _start(task: Task, log: Path) -> _Running:
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(there, log, task.function, task.arguments), daemon=True)
-    process.start()
+    with _added_to_environment(task.environment):
+        process.start()
     there.close()
     return _Running(process, here)
+
+
+@contextlib.contextmanager
+def _added_to_environment(variables: Mapping[str, str]) -> Iterator[None]:
+    before = dict(os.environ)
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 def _receive(one: _Running, text: str, log: Path, remedy: str) -> None:

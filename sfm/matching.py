@@ -14,6 +14,8 @@ from sfm.pairs import Pairs
 from sfm.settings import SfmSettings
 
 _CHUNK = 128
+ONE_THREAD = {"OMP_NUM_THREADS": "1"}
+"""Environment of the process that matches: OpenMP would build the descriptors' index in another order each time."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,9 @@ def match_pairs(
     """
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu = False
-    matching.num_threads = settings.threads
+    # Two threads share an index of the descriptors, and now and then lose most of a pair's matches. Its building
+    # repeats on one thread only, too: see ONE_THREAD.
+    matching.num_threads = 1
     verification = pycolmap.TwoViewGeometryOptions()
     verification.min_num_inliers = settings.min_inliers
     verification.ransac.random_seed = seed

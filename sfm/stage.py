@@ -16,7 +16,7 @@ from sfm.covariance import pose_covariance
 from sfm.database import create_database, image_name, keypoint_counts, read_descriptors, read_pair_results
 from sfm.features import extract_features
 from sfm.mapping import BuiltModel, build_models, final_model, read_built
-from sfm.matching import MatchedPairs, match_pairs
+from sfm.matching import ONE_THREAD, MatchedPairs, match_pairs
 from sfm.model import Model, load_model
 from sfm.pairs import (
     Pairs,
@@ -173,7 +173,7 @@ def _match(r: StageRun[SfmSettings], scene: _Scene, proposals: list[tuple[str, P
     def match(text: str) -> MatchedPairs:
         pairs, origin = first_origins(proposals, len(scene.names))
         arguments = (scene.database, scene.names, pairs, r.settings, r.seed)
-        in_child(text, scene.log, _TOO_LITTLE, Task(match_pairs, arguments, len(pairs)))
+        in_child(text, scene.log, _TOO_LITTLE, Task(match_pairs, arguments, len(pairs), ONE_THREAD))
         return MatchedPairs(pairs, origin, *read_pair_results(scene.database, pairs), r.settings.min_inliers)
 
     matched = match("matching pairs")
@@ -243,7 +243,7 @@ def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model) ->
 
 STAGE = Stage(
     name="sfm",
-    version=1,
+    version=2,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -7,8 +7,8 @@ from hypothesis import settings
 
 # The same examples in every run, however slow the machine: a test run says something about the change, not about luck.
 # `pytest --hypothesis-profile=search` draws new ones.
-settings.register_profile("steady", derandomize=True)
-settings.register_profile("search")
+settings.register_profile("steady", derandomize=True, deadline=None)
+settings.register_profile("search", deadline=None)
 settings.load_profile("steady")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
