@@ -126,6 +126,14 @@ test-slow: $(installed) ## Whole-pipeline cases
 bench: $(installed) ## Time, memory and bytes of each stage (profile=demo scene=Church unless named)
 	@$(py) -m benchmarks.stages --scene "$(or $(scene),Church)" --profile "$(profile)"
 
+bench-import: $(installed) ## Import: speed, memory, figures of each format, nerfstudio beside (nerfstudio=<its python>)
+	@$(py) -m benchmarks.import_throughput
+	@$(py) -m benchmarks.import_formats $(if $(wildcard ../shared),--captures ../shared/captures --trajectories ../shared/trajectories)
+	@$(py) -m benchmarks.import_peers $(if $(nerfstudio),--nerfstudio "$(nerfstudio)")
+
+fuzz-import: $(installed) ## Fuzz the capture formats for some seconds (seconds=60); needs the extra `fuzz`
+	@$(py) -m benchmarks.import_fuzz "$(or $(seconds),60)"
+
 docs: $(installed) ## Write docs/artefacts.md from the table schemas
 	@$(py) -m artefacts docs > docs/artefacts.md
 
@@ -146,4 +154,4 @@ help: ## This text
 	@echo "your own captures:  make scene=<name> captures=<folder> all"
 	@echo "one stage's help:   .venv/bin/python -m sfm --help   (capture_import, sfm, alignment, training, fusion, reports)"
 
-.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench docs lock help
+.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench bench-import fuzz-import docs lock help

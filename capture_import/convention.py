@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from capture_import.capture import Limits
 from capture_import.intake import Image, Session
+from capture_import.parallel import in_parallel
 from capture_import.scan import load_gray
 from geometry.poses import (
     ARKIT_CAM_T_CAM,
@@ -113,17 +114,14 @@ def _features(
     indices: list[int], images: Sequence[Image], roots: Sequence[Path], limits: Limits
 ) -> dict[int, tuple[Array, NDArray[np.float32]]]:
     """SIFT positions (N, 2) with (0, 0) the image's corner, and descriptors, of the images in the working size."""
-    sift = cv2.SIFT.create(nfeatures=_FEATURES)
-    found = {}
     grays = load_gray([images[i].frame.image for i in indices], _LONG_SIDE, roots, limits)
-    for i, gray in zip(indices, grays, strict=True):
-        points, descriptors = sift.detectAndCompute(gray, None)
-        positions = np.array([p.pt for p in points], dtype=float).reshape(-1, 2) + 0.5
-        found[i] = (
-            positions,
-            np.zeros((0, 128), np.float32) if descriptors is None else descriptors.astype(np.float32),
-        )
-    return found
+    return dict(zip(indices, in_parallel(_detect, grays), strict=True))
+
+
+def _detect(gray: NDArray[np.uint8]) -> tuple[Array, NDArray[np.float32]]:
+    points, descriptors = cv2.SIFT.create(nfeatures=_FEATURES).detectAndCompute(gray, None)
+    positions = np.array([p.pt for p in points], dtype=float).reshape(-1, 2) + 0.5
+    return positions, np.zeros((0, 128), np.float32) if descriptors is None else descriptors.astype(np.float32)
 
 
 def _match(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]:

@@ -25,7 +25,11 @@ class Found:
     session_id: str
 
     def read(self, limits: Limits) -> RawSession:
-        return self.format.read(self.path, self.session_id, limits)
+        """The recording's rows; UserError where it can't be read as a whole."""
+        try:
+            return self.format.read(self.path, self.session_id, limits)
+        except OSError as error:
+            raise _unreadable(self.path, error) from None
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,10 @@ def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str
     root = root.resolve()
     if not root.exists():
         raise UserError("there is no capture", where=root, expected="a folder of phone captures")
-    hits = _Search(root, unpacked, limits, known).run(root, (), 0)
+    try:
+        hits = _Search(root, unpacked, limits, known).run(root, (), 0)
+    except OSError as error:
+        raise _unreadable(root, error) from None
     if not hits:
         looked_for = "\n".join(f"            {f.title}: {f.looks_for}" for f in known)
         raise UserError(
@@ -63,6 +70,12 @@ def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str
         unique = name if counts[name] == 1 else _plain("-".join(hit.parts))
         found.append(Found(hit.path, hit.format, unique))
     return sorted(found, key=lambda f: f.session_id)
+
+
+def _unreadable(path: Path, error: OSError) -> UserError:
+    return UserError(
+        "a capture can't be read", where=error.filename or path, found=error.strerror, do="look at its permissions"
+    )
 
 
 def _chosen(format_name: str) -> tuple[Format, ...]:
@@ -92,7 +105,7 @@ class _Search:
                 "a recording fits more than one format",
                 where=path,
                 found=", ".join(f.name for f in fits),
-                do="name one with the import setting `format`",
+                do="name one with the import setting `format`, or with --format of `inspect`",
             )
         if fits:
             _refuse_odd_name(self.root, path)
@@ -155,7 +168,7 @@ def _plain(name: str) -> str:
 
 
 def _content(root: Path) -> str:
-    if root.is_file():
+    if not root.is_dir():
         return "a file of an unknown kind"
     names = sorted(os.fsencode(p.name).decode("utf-8", "replace") for p in root.iterdir())
     return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "") if names else "nothing"

@@ -15,8 +15,11 @@ Gray = NDArray[np.uint8]
 # Sharpness is measured on images of this long side, so that it doesn't depend on the camera's resolution.
 WORKING_LONG_SIDE = 640
 _REBLUR = 9
+_QUALITY = 95
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _JPEG_SIGNATURE = b"\xff\xd8\xff"
+_START_OF_SCAN, _COMMENT, _ADOBE = 0xDA, 0xFE, 0xEE
+_PNG_METADATA = (b"eXIf", b"tEXt", b"zTXt", b"iTXt", b"tIME")
 
 
 class BadImage(ValueError):
@@ -70,6 +73,47 @@ def decode_rgb(data: bytes, long_side: int) -> NDArray[np.uint8]:
     return shrunk(image, long_side)
 
 
+def without_metadata(data: bytes) -> bytes:
+    """A JPEG or PNG without what may say where, when and by whom it was taken; its pixels and colour profile stay.
+
+    Data that isn't laid out as expected comes back as it is.
+    """
+    if data.startswith(_JPEG_SIGNATURE):
+        return _without_jpeg_metadata(data)
+    if data.startswith(_PNG_SIGNATURE):
+        return _without_png_metadata(data)
+    return data
+
+
+def _without_jpeg_metadata(data: bytes) -> bytes:
+    kept, at = [data[:2]], 2
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        marker, size = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
+        if marker == _START_OF_SCAN:
+            return b"".join([*kept, data[at:]])
+        segment = data[at : at + 2 + size]
+        personal = marker == _COMMENT or (0xE1 <= marker <= 0xEF and marker != _ADOBE)
+        if not personal or segment[4:].startswith(b"ICC_PROFILE"):
+            kept.append(segment)
+        at += 2 + size
+    return data
+
+
+def _without_png_metadata(data: bytes) -> bytes:
+    kept, at = [data[:8]], 8
+    while at + 12 <= len(data):
+        size, name = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
+        if name not in _PNG_METADATA:
+            kept.append(data[at : at + 12 + size])
+        at += 12 + size
+    return b"".join(kept)
+
+
+def encode_jpeg(rgb: NDArray[np.uint8]) -> bytes:
+    """An image (H, W, 3) that has to be compressed once more, as JPEG."""
+    return bytes(simplejpeg.encode_jpeg(np.ascontiguousarray(rgb), quality=_QUALITY, colorsubsampling="420"))
+
+
 def sharpness(gray: Gray) -> float:
     """How sharp an image (H, W) is: 1 - the blur measure of Crete et al., 0 (blurred) to 1.
 
@@ -83,12 +127,17 @@ def sharpness(gray: Gray) -> float:
 
 
 def _sharpness_along(image: NDArray[np.float32], axis: int) -> float:
-    kernel = (1, _REBLUR) if axis == 0 else (_REBLUR, 1)
-    blurred = cv2.blur(image, kernel)
-    differences = np.abs(np.diff(image, axis=axis))
-    lost = np.maximum(differences - np.abs(np.diff(blurred, axis=axis)), 0)
-    total = float(differences.sum(dtype=np.float64))
-    return float(lost.sum(dtype=np.float64)) / total if total > 0 else 0.0
+    if image.shape[axis] < 2:
+        return 0.0
+    blurred = cv2.blur(image, (1, _REBLUR) if axis == 0 else (_REBLUR, 1))
+    differences, kept = (_differences(i, axis) for i in (image, blurred))
+    lost = cv2.threshold(cv2.subtract(differences, kept), 0, 0, cv2.THRESH_TOZERO)[1]
+    total = cv2.sumElems(differences)[0]
+    return float(cv2.sumElems(lost)[0] / total) if total > 0 else 0.0
+
+
+def _differences(image: Any, axis: int) -> Any:
+    return cv2.absdiff(image[1:], image[:-1]) if axis == 0 else cv2.absdiff(image[:, 1:], image[:, :-1])
 
 
 def decode_gray(data: bytes, long_side: int) -> Gray:
@@ -135,4 +184,5 @@ def shrunk(image: Any, long_side: int) -> Any:
     if scale >= 1:
         return image
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    # Down to half the size every pixel still counts in a linear interpolation, which is the faster one.
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 0.5 else cv2.INTER_LINEAR)

@@ -1,97 +1,141 @@
 """Where the kept images are: in the capture as they are, or in the artefact."""
 
+import contextlib
 import hashlib
 import os
-import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import simplejpeg
 from numpy.typing import NDArray
 
 from artefacts import UserError
+from capture_import.blurring import Detector, Kind, blur_people
 from capture_import.capture import ImageFile, Limits, VideoFrame
-from capture_import.images import decode_rgb
+from capture_import.images import decode_rgb, encode_jpeg, without_metadata
 from capture_import.intake import Image
+from capture_import.parallel import in_parallel
+from capture_import.spool import spooled_path
 from capture_import.upright import turned_pixels
-from capture_import.video import decode
-
-# For what is compressed once more: video frames and turned images.
-_QUALITY = 95
+from capture_import.video import decode, rgb_pixels
 
 
 @dataclass(frozen=True)
 class Placed:
-    """An image's `frames.image` entry and the hash of its file."""
+    """An image's `frames.image` entry, the hash of its file, and what was made unrecognisable in it."""
 
     entry: str
     sha256: str
+    blurred: tuple[Kind, ...] = ()
 
 
-def place_images(
-    images: Sequence[Image],
-    session_id: str,
-    root: Path,
-    work: Path,
-    how: Literal["reference", "copy", "link"],
-    quarters: int,
-    limits: Limits,
-) -> list[Placed]:
+@dataclass(frozen=True)
+class Placement:
+    """How a session's images are placed.
+
+    `root` is the capture folder, `work` the artefact's; `spooled` holds the video frames that were written while the
+    video was checked. Images are turned by `quarters` clockwise where they're wanted upright; `to_upright` turns would
+    put gravity down, turned or not.
+    """
+
+    root: Path
+    work: Path
+    spooled: Path
+    how: Literal["reference", "copy", "link"]
+    quarters: int
+    to_upright: int
+    limits: Limits
+    detect: Detector | None = None
+
+
+def place_images(images: Sequence[Image], session_id: str, where: Placement) -> list[Placed]:
     """Place a session's kept images, in order.
 
-    Frames of a video, images from an archive, and images to be turned by quarters clockwise are always written to
-    `work`; other files of the capture folder `root` are left there, copied or hard-linked.
+    Frames of a video, images from an archive, and images that are turned or blurred are always written to the artefact,
+    without metadata; other files of the capture folder are left there, copied or hard-linked.
     """
-    folder = work / "images" / session_id
-    video = [image.frame.image for image in images if isinstance(image.frame.image, VideoFrame)]
-    if video:
-        decoded = decode(video[0].path, {ref.index for ref in video}, limits, gray=False)
-        return _write_jpegs(images, (rgb for _, rgb in decoded), folder, work, quarters)
-    if quarters:
-        files = [image.frame.image.path for image in images if isinstance(image.frame.image, ImageFile)]
-        full = (decode_rgb(path.read_bytes(), long_side=2**31) for path in files)
-        return _write_jpegs(images, full, folder, work, quarters)
-    return [_place_file(image, root, folder, work, how) for image in images]
+    folder = where.work / "images" / session_id
+    folder.mkdir(parents=True, exist_ok=True)
+    if any(isinstance(image.frame.image, VideoFrame) for image in images):
+        placed = _place_video(images, folder, where)
+    else:
+        placed = list(in_parallel(lambda image: _place_file(image, folder, where), images))
+    with contextlib.suppress(OSError):  # not empty
+        folder.rmdir()
+        folder.parent.rmdir()
+    return placed
 
 
-def _place_file(image: Image, root: Path, folder: Path, work: Path, how: str) -> Placed:
+def _place_video(images: Sequence[Image], folder: Path, where: Placement) -> list[Placed]:
+    placed: dict[int, Placed] = {}
+    missing: dict[int, Image] = {}
+    for image in images:
+        ref = image.frame.image
+        assert isinstance(ref, VideoFrame)  # a recording has files or a video, never both
+        ready = spooled_path(where.spooled, ref)
+        if ready.is_file():
+            placed[ref.index] = _write(image, ready.read_bytes(), folder, where)
+        else:
+            missing[ref.index] = image
+    if missing:
+        video = next(ref.path for image in images if isinstance(ref := image.frame.image, VideoFrame))
+        frames = decode(video, set(missing), where.limits)
+        rendered = in_parallel(lambda found: (found[0], _rendered(rgb_pixels(found[1]), where)), frames)
+        for index, (rgb, blurred) in rendered:
+            placed[index] = _write(missing[index], encode_jpeg(rgb), folder, where, blurred)
+    return [placed[i.frame.image.index] for i in images if isinstance(i.frame.image, VideoFrame)]
+
+
+def _place_file(image: Image, folder: Path, where: Placement) -> Placed:
     ref = image.frame.image
     assert isinstance(ref, ImageFile)  # place_images has seen to the videos
-    in_capture = ref.path.is_relative_to(root)
-    if how == "reference" and in_capture:
-        return Placed(ref.path.relative_to(root).as_posix(), image.check.sha256)
-    target = folder / f"{image.frame.number:06d}{ref.path.suffix.lower()}"
-    target.parent.mkdir(parents=True, exist_ok=True)
+    if where.quarters or where.detect is not None:
+        rgb, blurred = _rendered(decode_rgb(ref.path.read_bytes(), long_side=2**31), where)
+        if where.quarters or blurred:
+            return _write(image, encode_jpeg(rgb), folder, where, blurred)
+    in_capture = ref.path.is_relative_to(where.root)
+    if where.how == "reference" and in_capture:
+        return Placed(ref.path.relative_to(where.root).as_posix(), image.check.sha256)
+    data = ref.path.read_bytes()
+    bare = without_metadata(data)
+    if where.how == "link" and in_capture and bare == data:
+        return Placed(_linked(ref.path, image, folder, where), image.check.sha256)
+    return _write(image, bare, folder, where, suffix=ref.path.suffix.lower())
+
+
+def _rendered(rgb: NDArray[np.uint8], where: Placement) -> tuple[NDArray[np.uint8], tuple[Kind, ...]]:
+    """An image as it's written, and what was blurred in it."""
+    blurred: tuple[Kind, ...] = ()
+    if where.detect is not None:
+        rgb, regions = blur_people(rgb, where.detect, where.to_upright)
+        blurred = tuple(region.kind for region in regions)
+    return turned_pixels(rgb, where.quarters), blurred
+
+
+def _linked(source: Path, image: Image, folder: Path, where: Placement) -> str:
+    target = folder / f"{image.frame.number:06d}{source.suffix.lower()}"
     target.unlink(missing_ok=True)  # from a killed run
-    if how == "link" and in_capture:
-        try:
-            os.link(ref.path.resolve(), target)
-        except OSError as error:
-            raise UserError(
-                "an image can't be hard-linked",
-                where=ref.path,
-                found=error.strerror,
-                do='set images = "copy" or "reference" in [import]',
-            ) from None
-    else:
-        shutil.copyfile(ref.path, target)
-    return Placed(_entry(target, work), image.check.sha256)
+    try:
+        os.link(source.resolve(), target)
+    except OSError as error:
+        raise UserError(
+            "an image can't be hard-linked",
+            where=source,
+            found=error.strerror,
+            do='set images = "copy" or "reference" in [import]',
+        ) from None
+    return _entry(target, where.work)
 
 
-def _write_jpegs(
-    images: Sequence[Image], pixels: Iterable[NDArray[np.uint8]], folder: Path, work: Path, quarters: int
-) -> list[Placed]:
-    folder.mkdir(parents=True, exist_ok=True)
-    placed = []
-    for image, rgb in zip(images, pixels, strict=True):
-        data = simplejpeg.encode_jpeg(turned_pixels(rgb, quarters), quality=_QUALITY, colorsubsampling="420")
-        target = folder / f"{image.frame.number:06d}.jpg"
-        target.write_bytes(data)
-        placed.append(Placed(_entry(target, work), hashlib.sha256(data).hexdigest()))
-    return placed
+def _write(
+    image: Image, data: bytes, folder: Path, where: Placement, blurred: tuple[Kind, ...] = (), suffix: str = ".jpg"
+) -> Placed:
+    target = folder / f"{image.frame.number:06d}{suffix}"
+    target.unlink(missing_ok=True)  # a hard link from a killed run must not be written through
+    target.write_bytes(data)
+    return Placed(_entry(target, where.work), hashlib.sha256(data).hexdigest(), blurred)
 
 
 def _entry(target: Path, work: Path) -> str:

@@ -3,26 +3,30 @@
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
+import simplejpeg
+from numpy.typing import NDArray
 
-from artefacts.recording import NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, log_camera, set_time
+from artefacts.recording import NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, set_time
 from artefacts.tables import poses_of
 from capture_import.capture import Reject
 from capture_import.images import decode_rgb
 from capture_import.intake import Session
+from capture_import.parallel import in_parallel
 from capture_import.tables import printable
-from geometry.poses import Array
+from geometry.poses import Array, transform
 
 _THUMBNAIL = 320
 _THUMBNAIL_QUALITY = 70
 _TRACKING_COLOURS = {"normal": VIO, "unknown": VIO, "limited": REJECTED, "lost": NEUTRAL}
+# Enough to see each place; more would make the recording of a long walk slow to open.
 _MOST_FRUSTA = 150
+_MOST_IMAGES = 300
+_BATCH = 64
 
 
 def blueprint(session_ids: Sequence[str]) -> rrb.Blueprint:
@@ -52,31 +56,13 @@ def log_session(
     _log_path(stream, f"{at}/vio", session)
     _log_curves(stream, at, t_ns - start, poses, frames, start)
     _log_marks(stream, at, session, rejects, start)
-    size = float(np.clip(np.ptp(poses[:, :3, 3], axis=0).max() / 15, 0.05, 1.5))
     cameras = poses_of(frames, "vio_cam")
-    shown = set(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_FRUSTA)).astype(int))
-    rows: list[Any] = list(frames.itertuples())
-    for i, (row, vio_T_cam) in enumerate(zip(rows, cameras, strict=True)):
-        if not np.isfinite(vio_T_cam).all():
-            continue
-        set_time(stream, row.t_ns - start)
-        image = decode_rgb(image_path(row.image).read_bytes(), _THUMBNAIL)
-        scale = image.shape[1] / row.width
-        small = pd.Series(
-            {
-                "fx": row.fx * scale,
-                "fy": row.fy * scale,
-                "cx": row.cx * scale,
-                "cy": row.cy * scale,
-                "width": image.shape[1],
-                "height": image.shape[0],
-            }
-        )
-        log_camera(stream, f"{at}/camera", vio_T_cam, small, VIO, size)
-        jpeg = cv2.imencode(".jpg", image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, _THUMBNAIL_QUALITY])[1]
-        stream.log(f"{at}/camera/image", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
-        if i in shown:
-            log_camera(stream, f"{at}/frames/{row.frame_id[-6:]}", vio_T_cam, small, NEUTRAL, size / 4, static=True)
+    known = np.flatnonzero(np.isfinite(cameras).all(axis=(1, 2)))
+    size = float(np.clip(np.ptp(poses[:, :3, 3], axis=0).max() / 15, 0.05, 1.5))
+    _log_frusta(stream, f"{at}/frames", frames.iloc[_spread(known, _MOST_FRUSTA)], size / 4)
+    shown = _spread(known, _MOST_IMAGES)
+    for first in range(0, len(shown), _BATCH):
+        _log_images(stream, f"{at}/camera", frames.iloc[shown[first : first + _BATCH]], image_path, start, size)
 
 
 def _session_view(session_id: str) -> rrb.Container:
@@ -93,6 +79,70 @@ def _session_view(session_id: str) -> rrb.Container:
         column_shares=[3, 2],
         name=session_id,
     )
+
+
+def _spread(indices: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """At most so many of the indices, evenly spread."""
+    return indices[np.linspace(0, len(indices) - 1, min(len(indices), most)).astype(int)]
+
+
+def _log_frusta(stream: rr.RecordingStream, at: str, frames: pd.DataFrame, depth_m: float) -> None:
+    """The frames' cameras as wire frames, each labelled with the frame's number."""
+    if frames.empty:
+        return
+    k = frames[["fx", "fy", "cx", "cy"]].to_numpy()[:, None]
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * frames[["width", "height"]].to_numpy()[:, None]
+    rays = np.concatenate([(corners - k[..., 2:]) / k[..., :2], np.ones((len(frames), 4, 1))], axis=-1) * depth_m
+    with_centre = np.concatenate([rays, np.zeros((len(frames), 1, 3))], axis=1)
+    points = transform(poses_of(frames, "vio_cam")[:, None], with_centre)
+    stream.log(
+        at,
+        rr.LineStrips3D(
+            list(points[:, [0, 1, 2, 3, 0, 4, 1, 4, 2, 4, 3]]),
+            colors=NEUTRAL,
+            radii=rr.Radius.ui_points(0.7),
+            labels=[frame_id[-6:] for frame_id in frames["frame_id"]],
+            show_labels=False,
+        ),
+        static=True,
+    )
+
+
+def _log_images(
+    stream: rr.RecordingStream,
+    at: str,
+    frames: pd.DataFrame,
+    image_path: Callable[[str], Path],
+    start: int,
+    size_m: float,
+) -> None:
+    """The moving camera with its images, small."""
+    paths = [image_path(entry) for entry in frames["image"]]
+    jpegs, sizes = zip(*in_parallel(_thumbnail, paths), strict=True)
+    poses = poses_of(frames, "vio_cam")
+    k = np.tile(np.eye(3), (len(frames), 1, 1))
+    k[:, [0, 1, 0, 1], [0, 1, 2, 2]] = frames[["fx", "fy", "cx", "cy"]].to_numpy()
+    k[:, :2] *= (np.array(sizes)[:, 0] / frames["width"].to_numpy())[:, None, None]
+    t_ns = frames["t_ns"].to_numpy() - start
+    times = rr.TimeColumn(TIMELINE, duration=t_ns.astype("timedelta64[ns]"))
+    moving = rr.Transform3D.columns(translation=poses[:, :3, 3], mat3x3=poses[:, :3, :3])
+    stream.send_columns(at, indexes=[times], columns=moving)
+    camera = rr.Pinhole.columns(
+        image_from_camera=k,
+        resolution=sizes,
+        camera_xyz=[rr.ViewCoordinates.RDF] * len(frames),
+        image_plane_distance=[size_m] * len(frames),
+        color=[VIO] * len(frames),
+    )
+    image = rr.EncodedImage.columns(blob=jpegs, media_type=["image/jpeg"] * len(frames))
+    stream.send_columns(f"{at}/image", indexes=[times], columns=[*camera, *image])
+
+
+def _thumbnail(path: Path) -> tuple[bytes, tuple[int, int]]:
+    """An image's small JPEG, and its width and height."""
+    image = decode_rgb(path.read_bytes(), _THUMBNAIL)
+    jpeg = simplejpeg.encode_jpeg(image, quality=_THUMBNAIL_QUALITY, colorsubsampling="420")
+    return jpeg, (image.shape[1], image.shape[0])
 
 
 def _log_path(stream: rr.RecordingStream, at: str, session: Session) -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -9,16 +10,19 @@ import pandas as pd
 
 from artefacts import Stage, StageRun, UserError
 from artefacts.stage import write_json
+from capture_import.blurring import CascadeDetector, Kind
 from capture_import.capture import RawFrame, Reject
 from capture_import.clock import NOTICEABLE_S, check_clock
 from capture_import.convention import SUSPECT, check_convention
 from capture_import.discovery import Found, find_recordings
 from capture_import.images import ImageCheck
-from capture_import.intake import Image, Intake, Scan, Session, scan_all, take_in
-from capture_import.placing import place_images
+from capture_import.intake import Image, Intake, Scan, Session, take_in
+from capture_import.placing import Placement, place_images
 from capture_import.recording import blueprint, log_session
+from capture_import.scan import scan_images
 from capture_import.settings import ImportSettings
 from capture_import.splits import LEAK_S, Split, split_frames
+from capture_import.spool import Spool
 from capture_import.tables import (
     frames_table,
     jumps_table,
@@ -35,6 +39,7 @@ from capture_import.upright import quarters_to_upright, turned
 def run(r: StageRun[ImportSettings]) -> None:
     """Import the scene's captures."""
     root = r.captures.resolve()
+    detect = CascadeDetector() if r.settings.blur else None
     with r.step("images"):
         unpacked = r.scratch / "unpacked"
         unpacked.mkdir(exist_ok=True)
@@ -49,22 +54,27 @@ def run(r: StageRun[ImportSettings]) -> None:
         with r.step("convention check"):
             _check_conventions(r, intakes, roots)
 
-    quarters = {s.session_id: quarters_to_upright(s) if r.settings.upright else 0 for s in sessions}
+    to_upright = {s.session_id: quarters_to_upright(s) for s in sessions}
+    quarters = to_upright if r.settings.upright else dict.fromkeys(to_upright, 0)
     sessions = [turned(s, quarters[s.session_id]) for s in sessions]
     with r.step("tables"):
         kept = _sample(r, sessions)
         parts = []
+        blurred: list[tuple[Kind, ...]] = []
         for session in sessions:
             if own := kept[session.session_id]:
-                places = place_images(
-                    own,
-                    session.session_id,
-                    root,
-                    r.work,
-                    r.settings.images,
-                    quarters[session.session_id],
-                    r.settings.limits,
+                where = Placement(
+                    root=root,
+                    work=r.work,
+                    spooled=_spooled(r, session.recording.session_id),
+                    how=r.settings.images,
+                    quarters=quarters[session.session_id],
+                    to_upright=to_upright[session.session_id],
+                    limits=r.settings.limits,
+                    detect=detect,
                 )
+                places = place_images(own, session.session_id, where)
+                blurred += [place.blurred for place in places]
                 parts.append(frames_table(session, own, places))
         frames = pd.concat(parts, ignore_index=True)
         split = split_frames(frames, r.scene.split, r.settings.split_by == "time")
@@ -80,6 +90,8 @@ def run(r: StageRun[ImportSettings]) -> None:
         r.write("reference", pd.concat(reference, ignore_index=True))
         r.write("vio", pd.concat([vio_table(s) for s in sessions], ignore_index=True))
     _report(r, sessions, frames, table, rejects, split)
+    if detect is not None:
+        _report_blurred(r, blurred)
 
     with r.step("recording"), r.recording(blueprint([s.session_id for s in sessions])) as stream:
         for session in r.track(sessions, "writing the recording"):
@@ -96,7 +108,21 @@ def _take_in(r: StageRun[ImportSettings], found: Found, roots: Sequence[Path]) -
     raw = found.read(r.settings.limits)
     for note in raw.notes:
         r.say(f"{raw.session_id}: {note}")
-    return take_in(raw, r.settings, _remembered(r, found.session_id, scan_all(roots, r.settings.limits)))
+
+    def scan(frames: list[RawFrame]) -> Iterator[ImageCheck | str]:
+        # Frames that are yet to be changed aren't written ahead.
+        spool = (
+            None if r.settings.blur or r.settings.upright else Spool(_spooled(r, raw.session_id), frames, r.settings)
+        )
+        yield from scan_images(frames, roots, r.settings.limits, spool.keep if spool else None)
+        if spool:
+            spool.flush()
+
+    return take_in(raw, r.settings, _remembered(r, found.session_id, scan))
+
+
+def _spooled(r: StageRun[ImportSettings], recording: str) -> Path:
+    return r.scratch / "spooled" / recording
 
 
 def _remembered(r: StageRun[ImportSettings], session_id: str, scan: Scan) -> Scan:
@@ -230,9 +256,21 @@ def _report(
         r.figure(name, value)
 
 
+def _report_blurred(r: StageRun[ImportSettings], blurred: Sequence[tuple[Kind, ...]]) -> None:
+    counts = Counter(kind for kinds in blurred for kind in kinds)
+    images = sum(map(bool, blurred))
+    r.say(
+        f"blurred {counts['face']} faces and {counts['plate']} plates in {images} of {len(blurred)} images; "
+        "detectors miss some: look before you publish"
+    )
+    r.figure("blurred_images", images)
+    r.figure("blurred_faces", counts["face"])
+    r.figure("blurred_plates", counts["plate"])
+
+
 STAGE = Stage(
     name="import",
-    version=1,
+    version=2,
     settings=ImportSettings,
     needs=(),
     run=run,

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 
 import av
@@ -10,6 +11,12 @@ from numpy.typing import NDArray
 
 from artefacts import UserError
 from capture_import.capture import Limits
+from capture_import.images import shrunk
+
+# Pixel formats whose first plane is the brightness, a byte a pixel.
+_BRIGHTNESS_FIRST = {f"yuv{j}{chroma}p" for j in ("", "j") for chroma in (420, 422, 444)} | {"nv12", "nv21", "gray"}
+# Phones write a key frame every second or so: seeking over less decodes the same frames again.
+_SKIPPED_S = 3.0
 
 
 def frame_times(path: Path, limits: Limits) -> NDArray[np.int64]:
@@ -20,33 +27,92 @@ def frame_times(path: Path, limits: Limits) -> NDArray[np.int64]:
     try:
         with av.open(path) as container:
             stream = _stream(container, path, limits)
-            base = stream.time_base or Fraction(1, 1)
-            times = [p.pts for p in container.demux(stream) if p.size and p.pts is not None]
+            ticks_ns = _base(stream) * 1_000_000_000
+            times = _ticks(container, stream)
     except (av.FFmpegError, OSError) as error:
         raise _unreadable(path, error) from None
     if not times:
         raise UserError("a video holds no frame", where=path)
-    ticks_ns = base * 1_000_000_000
-    return np.array([round(t * ticks_ns) for t in sorted(times)], dtype=np.int64)
+    return np.array([round(t * ticks_ns) for t in times], dtype=np.int64)
 
 
-def decode(path: Path, wanted: set[int], limits: Limits, gray: bool) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """The wanted frames of a video as (index, image): (H, W) where gray, else (H, W, 3) in RGB.
+def require_row_per_frame(path: Path, log: str, rows: int, limits: Limits) -> None:
+    """UserError where a video hasn't as many frames as its log has rows, so that they can't be joined by number."""
+    frames = len(frame_times(path, limits))
+    if frames != rows:
+        raise UserError(
+            f"the video's frames can't be joined to the rows of {log}",
+            where=path,
+            expected="as many frames as rows",
+            found=f"{frames} frames, {rows} rows",
+            do="export the recording again",
+        )
 
-    A damaged video ends early; the caller notices which frames it didn't get.
+
+def decode(path: Path, wanted: set[int], limits: Limits) -> Iterator[tuple[int, av.VideoFrame]]:
+    """The wanted frames of a video in the order of display, each with its index.
+
+    A frame is told by its time, so that frames which a damaged file has lost don't shift those behind them; the caller
+    notices which ones it didn't get. Long stretches without a wanted frame are skipped.
     """
-    last = max(wanted, default=-1)
     try:
         with av.open(path) as container:
             stream = _stream(container, path, limits)
+            second = round(1 / _base(stream))
+            ticks = _ticks(container, stream)
+        index_of: dict[int | None, int] = {tick: index for index, tick in enumerate(ticks)}
+        with av.open(path) as container:
+            stream = _stream(container, path, limits)
             stream.thread_type = "AUTO"
-            for index, frame in enumerate(container.decode(stream)):
-                if index in wanted:
-                    yield index, np.asarray(frame.to_ndarray(format="gray" if gray else "rgb24"), np.uint8)
-                if index >= last:
-                    return
+            for run in _runs(np.array([[i, ticks[i]] for i in sorted(wanted) if 0 <= i < len(ticks)]), second):
+                first, last = run[[0, -1], 0]
+                # Containers seek by the time of decoding: the key frame found may be shown after the wanted frame.
+                for back in (0, second):
+                    if ticks[first] - second > ticks[0]:
+                        container.seek(ticks[first] - back, stream=stream)
+                    frames = ((index_of.get(frame.pts, -1), frame) for frame in container.decode(stream))
+                    start = next(frames, None)
+                    if start is None or start[0] <= first:
+                        break
+                for index, frame in chain([start] if start else [], frames):
+                    if index in wanted and index >= first:
+                        yield index, frame
+                    if index >= last:
+                        break
     except (av.FFmpegError, OSError):
         return
+
+
+def gray_pixels(frame: av.VideoFrame, long_side: int) -> NDArray[np.uint8]:
+    """A frame's brightness (H, W), scaled down to the long side where it's larger."""
+    if frame.format.name not in _BRIGHTNESS_FIRST:
+        return np.asarray(shrunk(frame.to_ndarray(format="gray"), long_side), np.uint8)
+    plane = frame.planes[0]
+    rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)  # type: ignore[call-overload]
+    pixels = rows[: frame.height, : frame.width]
+    # The decoder uses the frame's memory again.
+    return np.array(shrunk(pixels, long_side), np.uint8)
+
+
+def rgb_pixels(frame: av.VideoFrame) -> NDArray[np.uint8]:
+    """A frame (H, W, 3)."""
+    return np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+
+
+def _ticks(container: av.container.InputContainer, stream: av.VideoStream) -> list[int]:
+    """Presentation times of the frames that the container shows, rising, in units of the stream's time base."""
+    return sorted(p.pts for p in container.demux(stream) if p.size and p.pts is not None and not p.is_discard)
+
+
+def _runs(index_tick_N2: NDArray[np.int64], second: int) -> list[NDArray[np.int64]]:
+    """Frames (N, 2) cut where nothing is wanted for so long that seeking is cheaper than decoding."""
+    if not len(index_tick_N2):
+        return []
+    return np.split(index_tick_N2, np.flatnonzero(np.diff(index_tick_N2[:, 1]) > _SKIPPED_S * second) + 1)
+
+
+def _base(stream: av.VideoStream) -> Fraction:
+    return stream.time_base or Fraction(1, 1)
 
 
 def _stream(container: av.container.InputContainer, path: Path, limits: Limits) -> av.VideoStream:

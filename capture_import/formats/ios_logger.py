@@ -12,7 +12,6 @@ Documented at https://github.com/Varvrar/ios_logger (README, "Dataset format"). 
 
 from pathlib import Path
 
-from artefacts import UserError
 from capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from capture_import.formats import Format
 from capture_import.joining import join_by_time
@@ -26,7 +25,7 @@ from capture_import.parsing import (
     seconds_to_ns,
     split_numbers,
 )
-from capture_import.video import frame_times
+from capture_import.video import require_row_per_frame
 
 
 def detect(path: Path) -> bool:
@@ -40,15 +39,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     refuse_unreadable(path, poses, rejects, "time, x, y, z, qw, qx, qy, qz")
     rows = lines_of(path / "Frames.txt", limits.max_text_bytes)
     video = path / "Frames.m4v"
-    in_video = len(frame_times(video, limits))
-    if in_video != len(rows):
-        raise UserError(
-            "the video's frames can't be joined to the rows of Frames.txt",
-            where=path,
-            expected="as many frames as rows",
-            found=f"{in_video} frames, {len(rows)} rows",
-            do="export the recording again",
-        )
+    require_row_per_frame(video, "Frames.txt", len(rows), limits)
 
     def read_image(source: str, row: tuple[int, str]) -> RawFrame:
         index, line = row

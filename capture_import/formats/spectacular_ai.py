@@ -32,7 +32,7 @@ from capture_import.parsing import (
     row_major_pose,
     seconds_to_ns,
 )
-from capture_import.video import frame_times
+from capture_import.video import require_row_per_frame
 from geometry.poses import Array, inverse, rigidity_error
 
 # A world with +z up, seen with +y up.
@@ -105,14 +105,7 @@ def _device_T_cam(calibration: dict[str, Any], path: Path) -> Array:
 def _read_images(path: Path, session_id: str, limits: Limits) -> tuple[list[RawFrame], list[Any]]:
     lines = [(s, line) for s, line in lines_of(path / "data.jsonl", limits.max_text_bytes) if '"frames"' in line]
     video = path / "data.mp4"
-    in_video = len(frame_times(video, limits))
-    if in_video != len(lines):
-        raise UserError(
-            "the video's frames can't be joined to the rows of data.jsonl",
-            where=path,
-            expected="as many frames as rows with frames",
-            found=f"{in_video} frames, {len(lines)} rows",
-        )
+    require_row_per_frame(video, "data.jsonl", len(lines), limits)
 
     def read_image(source: str, row: tuple[int, str]) -> RawFrame:
         index, line = row

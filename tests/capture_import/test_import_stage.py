@@ -11,6 +11,7 @@ from capture_writers import HEIGHT, WIDTH, make_walk, write_scanner_app
 
 from artefacts import DataRoot, UserError, execute
 from artefacts.tables import poses_of
+from capture_import.inspection import inspect_capture
 from capture_import.stage import STAGE
 
 
@@ -167,6 +168,19 @@ def test_user_mistakes_are_told_in_a_few_lines(tmp_path: Path) -> None:
     (captures / "bytes" / "walk").rename(os.fsdecode(os.fsencode(captures / "bytes") + b"/w\xff"))
     with pytest.raises(UserError, match="isn't UTF-8"):
         run_import(tmp_path, "bytes")
+
+
+def test_what_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UserError, match="unknown kind"):
+        list(inspect_capture(Path("/dev/null")))
+    write_scanner_app(tmp_path / "walk", make_walk(6))
+
+    def refused(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "iterdir", refused)
+    with pytest.raises(UserError, match=r"(?s)can't be read.*walk.*Permission denied"):
+        list(inspect_capture(tmp_path / "walk"))
 
 
 def test_the_same_capture_gives_the_same_bytes(tmp_path: Path) -> None:

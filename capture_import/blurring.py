@@ -1,0 +1,118 @@
+"""Faces and licence plates: found, and made unrecognisable before an image goes anywhere.
+
+The detectors are the boosted cascades that OpenCV 4 has in its package (P. Viola and M. Jones, "Rapid object detection
+using a boosted cascade of simple features", CVPR 2001). OpenCV 5 left them out. They find frontal and side faces and
+plates of European form; docs/captures.md says how much they miss.
+"""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from artefacts import UserError
+from capture_import.images import shrunk
+from capture_import.upright import turned_pixels
+
+Kind = Literal["face", "plate"]
+
+# Cascade, and whether its mirror image is looked for as well.
+_CASCADES: tuple[tuple[Kind, str, bool], ...] = (
+    ("face", "haarcascade_frontalface_default.xml", False),
+    ("face", "haarcascade_profileface.xml", True),
+    ("plate", "haarcascade_russian_plate_number.xml", False),
+)
+_SMALLEST: dict[Kind, tuple[int, int]] = {"face": (24, 24), "plate": (60, 12)}
+_LONG_SIDE = 1920
+# Detections that must agree: few, as a face that is missed costs more than a wall that is blurred.
+_NEIGHBOURS = 3
+# A region is widened by this share on every side, and keeps so many colours across.
+_MARGIN = 0.2
+_CELLS = 5
+
+
+@dataclass(frozen=True)
+class Region:
+    """A rectangle of an image, in pixels."""
+
+    kind: Kind
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+# Finds regions in an upright image (H, W, 3) in RGB.
+Detector = Callable[[NDArray[np.uint8]], list[Region]]
+
+
+class CascadeDetector:
+    """OpenCV's cascades; each thread has its own, as they can't be shared. UserError where OpenCV comes without."""
+
+    def __init__(self) -> None:
+        folder = getattr(getattr(cv2, "data", None), "haarcascades", "")
+        self._paths = [(kind, Path(folder) / name, mirrored) for kind, name, mirrored in _CASCADES]
+        missing = [path.name for _, path, _ in self._paths if not path.is_file()]
+        if missing or not hasattr(cv2, "CascadeClassifier"):
+            raise UserError(
+                "this OpenCV comes without the detectors that blur needs",
+                expected="OpenCV 4, whose package has them",
+                found=f"OpenCV {cv2.__version__}",
+                do="pip install 'opencv-python-headless<5', or set blur = false in [import]",
+            )
+        self._own = threading.local()
+
+    def __call__(self, rgb: NDArray[np.uint8]) -> list[Region]:
+        gray = cv2.cvtColor(shrunk(rgb, _LONG_SIDE), cv2.COLOR_RGB2GRAY)
+        scale = rgb.shape[1] / gray.shape[1]
+        found = []
+        for kind, cascade, mirrored in self._cascades():
+            for flipped in (False, True) if mirrored else (False,):
+                image = cv2.flip(gray, 1) if flipped else gray
+                boxes = cascade.detectMultiScale(
+                    image, scaleFactor=1.1, minNeighbors=_NEIGHBOURS, minSize=_SMALLEST[kind]
+                )
+                for x, y, width, height in boxes:
+                    left = gray.shape[1] - x - width if flipped else x
+                    found.append(Region(kind, *(round(float(v) * scale) for v in (left, y, width, height))))
+        return found
+
+    def _cascades(self) -> list[tuple[Kind, Any, bool]]:
+        if not hasattr(self._own, "cascades"):
+            classifier: Any = getattr(cv2, "CascadeClassifier")  # noqa: B009  (OpenCV 5 has none)
+            self._own.cascades = [(kind, classifier(str(path)), mirrored) for kind, path, mirrored in self._paths]
+        cascades: list[tuple[Kind, Any, bool]] = self._own.cascades
+        return cascades
+
+
+def blur_people(rgb: NDArray[np.uint8], detect: Detector, quarters: int) -> tuple[NDArray[np.uint8], list[Region]]:
+    """An image (H, W, 3) with what `detect` finds made unrecognisable, and what was found.
+
+    `quarters` clockwise turns put the image upright, as detectors know no faces that lie on their side; the image comes
+    back as it was turned, the regions as they are in the upright one.
+    """
+    upright = turned_pixels(rgb, quarters)
+    regions = detect(upright)
+    if not regions:
+        return rgb, []
+    erased = upright.copy()
+    for region in regions:
+        _erase(erased, region)
+    return turned_pixels(erased, -quarters), regions
+
+
+def _erase(rgb: NDArray[np.uint8], region: Region) -> None:
+    """Leave a few averaged colours of a region and its surroundings; in place."""
+    margin_x, margin_y = round(region.width * _MARGIN), round(region.height * _MARGIN)
+    left, top = max(0, region.x - margin_x), max(0, region.y - margin_y)
+    part = rgb[top : region.y + region.height + margin_y, left : region.x + region.width + margin_x]
+    height, width = part.shape[:2]
+    if height == 0 or width == 0:
+        return
+    cells = cv2.resize(part, (min(_CELLS, width), min(_CELLS, height)), interpolation=cv2.INTER_AREA)
+    part[:] = cv2.resize(cells, (width, height), interpolation=cv2.INTER_LINEAR)

@@ -1,0 +1,169 @@
+"""What may tell who was there doesn't get into artefacts: metadata, and faces and plates where that is asked for."""
+
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+from capture_writers import HEIGHT, WIDTH, image, jpeg, make_walk, write_scanner_app, write_stray_scanner
+
+from artefacts import DataRoot, UserError, execute
+from artefacts.stage import load_manifest
+from capture_import import stage as import_stage
+from capture_import.blurring import CascadeDetector, Region, blur_people
+from capture_import.images import decode_rgb, without_metadata
+from capture_import.stage import STAGE
+
+HAS_CASCADES = hasattr(cv2, "CascadeClassifier")
+PLACE = b"48.123456N 11.654321E"
+
+
+def jpeg_with_metadata(index: int) -> bytes:
+    """A JPEG with Exif, XMP, IPTC and a comment, all of which name a place, and with a colour profile."""
+    data = jpeg(index)
+    segments = [
+        (0xE1, b"Exif\0\0" + PLACE),
+        (0xE1, b"http://ns.adobe.com/xap/1.0/\0" + PLACE),
+        (0xE2, b"MPF\0" + PLACE),
+        (0xE2, b"ICC_PROFILE\0\1\1kept"),
+        (0xED, b"Photoshop 3.0\0" + PLACE),
+        (0xFE, PLACE),
+    ]
+    extra = b"".join(struct.pack(">BBH", 0xFF, marker, len(body) + 2) + body for marker, body in segments)
+    return data[:2] + extra + data[2:]
+
+
+def gray(rgb: np.ndarray) -> np.ndarray:
+    return cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY).astype(float)
+
+
+def is_bright(image: np.ndarray) -> bool:
+    """Of the test images about half; none so near the limit that compression takes it to the other side."""
+    return bool(image[:8, :8].mean() > 110)
+
+
+def png_with_metadata(index: int) -> bytes:
+    data = cv2.imencode(".png", image(index))[1].tobytes()
+    chunks = b""
+    for name in (b"tEXt", b"eXIf", b"iTXt"):
+        body = name + b"where\0" + PLACE
+        chunks += struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
+    header_end = 8 + 25
+    return data[:header_end] + chunks + data[header_end:]
+
+
+@pytest.mark.parametrize("write", [jpeg_with_metadata, png_with_metadata])
+def test_metadata_goes_and_pixels_stay(write: object) -> None:
+    data = write(3)  # type: ignore[operator]
+    bare = without_metadata(data)
+    assert PLACE in data and PLACE not in bare
+    assert b"ICC_PROFILE" in bare or write is png_with_metadata
+    np.testing.assert_array_equal(decode_rgb(bare, 1000), decode_rgb(data, 1000))
+    assert without_metadata(bare) == bare
+
+
+@pytest.mark.parametrize("images", ["copy", "link"])
+def test_copied_images_tell_no_place(tmp_path: Path, images: str) -> None:
+    folder = tmp_path / "captures" / "place" / "walk"
+    write_scanner_app(folder, make_walk())
+    for path in folder.glob("*.jpg"):
+        path.write_bytes(jpeg_with_metadata(int(path.stem[-5:])))
+    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), [f"images='{images}'"])
+    written = list((artefact / "images").rglob("*.jpg"))
+    assert len(written) == 12
+    for path in artefact.rglob("*"):
+        assert path.is_dir() or PLACE not in path.read_bytes()
+    assert PLACE in (folder / "frame_00000.jpg").read_bytes()
+
+
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3])
+def test_what_a_detector_finds_is_erased_where_it_is(quarters: int) -> None:
+    upright = np.random.default_rng(5).integers(0, 255, (300, 400, 3), dtype=np.uint8)
+    stored = np.ascontiguousarray(np.rot90(upright, quarters))
+    region = Region("face", 120, 80, 60, 50)
+
+    def detect(rgb: np.ndarray) -> list[Region]:
+        np.testing.assert_array_equal(rgb, upright)
+        return [region, Region("plate", 390, 290, 40, 40)]
+
+    blurred, regions = blur_people(stored, detect, quarters)
+    assert regions[0] == region and blurred.shape == stored.shape
+    back = np.rot90(blurred, -quarters)
+    inside = np.zeros((300, 400), bool)
+    inside[70:140, 108:192] = True  # widened by a fifth
+    inside[282:, 382:] = True
+    np.testing.assert_array_equal(back[~inside], upright[~inside])
+    # What is left of the face is as smooth as a few averaged colours.
+    assert np.abs(np.diff(back[80:130, 120:180].astype(int), axis=1)).mean() < 4
+    assert np.abs(np.diff(upright[80:130, 120:180].astype(int), axis=1)).mean() > 60
+
+
+@pytest.mark.parametrize("write", [write_scanner_app, write_stray_scanner])
+def test_blurred_images_are_written_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: object) -> None:
+    write(tmp_path / "captures" / "place" / "walk", make_walk())  # type: ignore[operator]
+
+    def detect(rgb: np.ndarray) -> list[Region]:
+        # Bright images have a face, so that some have none.
+        return [Region("face", 20, 20, 30, 30)] if is_bright(gray(rgb)) else []
+
+    monkeypatch.setattr(import_stage, "CascadeDetector", lambda: detect)
+    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["blur=true"])
+    figures = load_manifest(artefact)["figures"]
+    frames = pd.read_parquet(artefact / "frames.parquet")
+    bright = 0
+    for row in frames.itertuples():
+        number = int(row.frame_id[-6:])
+        original = gray(image(number)[:, :, ::-1])
+        has_face = is_bright(original)
+        bright += has_face
+        if not row.image.startswith("import:"):
+            assert not has_face
+            continue
+        written = gray(decode_rgb((artefact / row.image.removeprefix("import:")).read_bytes(), 1000))
+        assert written.shape == (HEIGHT, WIDTH)
+        off = np.abs(written - original)
+        assert off[58:].mean() < 6 and (off[24:46, 24:46].mean() > 12) == has_face
+    assert 0 < bright < len(frames)
+    assert figures["blurred_images"] == figures["blurred_faces"] == bright and figures["blurred_plates"] == 0
+
+
+@pytest.mark.skipif(HAS_CASCADES, reason="this OpenCV has the detectors")
+def test_blur_without_detectors_stops_before_any_work(tmp_path: Path) -> None:
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(6))
+    with pytest.raises(UserError, match=r"(?s)detectors that blur needs.*opencv-python-headless<5"):
+        execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["blur=true"])
+
+
+@pytest.mark.skipif(not HAS_CASCADES, reason="OpenCV 5 comes without the detectors; install OpenCV 4 to run this")
+@pytest.mark.parametrize("width", [512, 128])
+def test_a_real_face_is_found_and_then_no_longer(width: int) -> None:
+    """One portrait (public domain, of matplotlib's sample data): shows that the detector is used rightly, not how many
+    faces it finds."""
+    portrait = decode_rgb((Path(matplotlib.get_data_path()) / "sample_data/grace_hopper.jpg").read_bytes(), 2**31)
+    small = cv2.resize(portrait, (width, round(600 / 512 * width)), interpolation=cv2.INTER_AREA)
+    rgb = np.full((800, 1200, 3), 90, np.uint8)
+    rgb[100 : 100 + small.shape[0], 300 : 300 + width] = small
+    detect = CascadeDetector()
+    scale = width / 512
+    face = (300 + 265 * scale, 100 + 215 * scale)
+
+    def hits(regions: list[Region]) -> list[Region]:
+        return [r for r in regions if r.x < face[0] < r.x + r.width and r.y < face[1] < r.y + r.height]
+
+    assert [r.kind for r in hits(detect(rgb))] == ["face"]
+    sideways = np.ascontiguousarray(np.rot90(rgb))
+    blurred, regions = blur_people(sideways, detect, quarters=1)
+    assert hits(regions) and not hits(detect(np.ascontiguousarray(np.rot90(blurred, -1))))
+
+
+@pytest.mark.skipif(not HAS_CASCADES, reason="OpenCV 5 comes without the detectors; install OpenCV 4 to run this")
+def test_a_drawn_plate_is_found() -> None:
+    rgb = np.full((800, 1200, 3), (40, 45, 60), np.uint8)
+    rgb[400:440, 500:686] = 245
+    cv2.putText(rgb, "M AB 1234", (510, 432), cv2.FONT_HERSHEY_SIMPLEX, 0.95, (15, 15, 15), 3, cv2.LINE_AA)
+    plates = [r for r in CascadeDetector()(rgb) if r.kind == "plate"]
+    assert any(r.x < 593 < r.x + r.width and r.y < 420 < r.y + r.height for r in plates)

@@ -1,0 +1,105 @@
+"""Frames of a video are told by their time: seeking, lost frames and frames written ahead don't mix them up."""
+
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from capture_writers import HEIGHT, WIDTH, image, make_walk, write_stray_scanner
+
+from artefacts import DataRoot, UserError, execute
+from artefacts.stage import load_manifest
+from capture_import.capture import Limits
+from capture_import.spool import Spool
+from capture_import.stage import STAGE
+from capture_import.video import decode, frame_times, gray_pixels, require_row_per_frame, rgb_pixels
+
+
+def write_long_video(path: Path, count: int, rate_hz: int = 10) -> None:
+    """A video with a key frame every second and frames that are stored in another order than they're shown."""
+    with av.open(path, "w") as container:
+        stream = container.add_stream("libx264", rate=rate_hz)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        stream.options = {"crf": "10", "bf": "2", "g": str(rate_hz)}
+        for index in range(count):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image(index), format="bgr24")))
+        container.mux(stream.encode())
+
+
+def packets(path: Path) -> list[tuple[int, int]]:
+    """Position in the file and size of each packet, in the order of storage."""
+    with av.open(path) as container:
+        return [(p.pos, p.size) for p in container.demux(video=0) if p.size and p.pos is not None]
+
+
+def looks_like(rgb: np.ndarray) -> int:
+    """The index of the test image that this is."""
+    return int(np.argmin([np.abs(rgb.astype(int) - image(i)[:, :, ::-1]).mean() for i in range(200)]))
+
+
+def test_seeking_gives_the_same_frames_as_decoding_all(tmp_path: Path) -> None:
+    path = tmp_path / "video.mp4"
+    write_long_video(path, 200)
+    every = {index: rgb_pixels(frame) for index, frame in decode(path, set(range(200)), Limits())}
+    assert list(every) == list(range(200))
+    for wanted in ({0}, {199}, {5, 120, 121, 199}, {40, 41, 75, 76, 77, 160}, set(range(60, 90)), {3, 500}):
+        found = {index: rgb_pixels(frame) for index, frame in decode(path, wanted, Limits())}
+        assert found.keys() == {i for i in wanted if i < 200}
+        for index, rgb in found.items():
+            np.testing.assert_array_equal(rgb, every[index])
+    assert [looks_like(every[i]) for i in (0, 73, 199)] == [0, 73, 199]
+
+
+@pytest.mark.parametrize("lost", [30, 31, 95])
+def test_a_lost_frame_does_not_shift_the_others(tmp_path: Path, lost: int) -> None:
+    path = tmp_path / "video.mp4"
+    write_long_video(path, 120)
+    position, size = packets(path)[lost]
+    data = bytearray(path.read_bytes())
+    data[position : position + size] = bytes(size)
+    path.write_bytes(data)
+    found = {index: looks_like(rgb_pixels(frame)) for index, frame in decode(path, set(range(120)), Limits())}
+    # Up to the next key frame a decoder may show what it has; before and behind, each frame is itself.
+    near = range(lost // 10 * 10 - 3, lost // 10 * 10 + 13)
+    assert {i: seen for i, seen in found.items() if i not in near and i != seen} == {}
+    assert found.keys() >= set(range(lost // 10 * 10 - 3))
+
+
+def test_brightness_is_read_as_the_converter_reads_it(tmp_path: Path) -> None:
+    path = tmp_path / "video.mp4"
+    write_long_video(path, 3)
+    for _, frame in decode(path, {0, 2}, Limits()):
+        exact = frame.to_ndarray(format="gray").astype(float)
+        gray = gray_pixels(frame, 1000).astype(float)
+        assert gray.shape == (HEIGHT, WIDTH)
+        # The plane holds 16 to 235, the converted image 0 to 255.
+        np.testing.assert_allclose((gray - 16) * 255 / 219, exact, atol=2)
+        assert gray_pixels(frame, 48).shape == (36, 48)
+
+
+def test_frames_written_ahead_are_the_frames_that_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = ["min_frames=0", "rate_hz=2"]
+    for root in ("ahead", "again"):
+        write_stray_scanner(tmp_path / root / "captures" / "place" / "walk", make_walk(40))
+    written = []
+    flush = Spool.flush
+
+    def counted(self: Spool) -> None:
+        written.append(self._best is not None)
+        flush(self)
+
+    monkeypatch.setattr(Spool, "flush", counted)
+    ahead = load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path / "ahead"), settings))
+    assert sum(written) == ahead["figures"]["frames"] == 9
+    monkeypatch.setattr(Spool, "keep", lambda *_: None)
+    again = load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path / "again"), settings))
+    assert ahead["outputs"] == again["outputs"] and any(name.endswith(".jpg") for name in ahead["outputs"])
+
+
+def test_a_log_with_another_number_of_rows_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "video.mp4"
+    write_long_video(path, 12)
+    assert len(frame_times(path, Limits())) == 12
+    require_row_per_frame(path, "Frames.txt", 12, Limits())
+    with pytest.raises(UserError, match=r"(?s)rows of Frames.txt.*12 frames, 13 rows"):
+        require_row_per_frame(path, "Frames.txt", 13, Limits())
