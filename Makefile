@@ -126,6 +126,9 @@ test-slow: $(installed) ## Whole-pipeline cases
 bench: $(installed) ## Time, memory and bytes of each stage (profile=demo scene=Church unless named)
 	@$(py) -m benchmarks.stages --scene "$(or $(scene),Church)" --profile "$(profile)"
 
+bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures to reach (build/fusion)
+	@$(py) -m benchmarks.fusion
+
 bench-import: $(installed) ## Import: speed, memory, figures of each format, nerfstudio beside (nerfstudio=<its python>)
 	@$(py) -m benchmarks.import_throughput
 	@$(py) -m benchmarks.import_formats $(if $(wildcard ../shared),--captures ../shared/captures --trajectories ../shared/trajectories)
@@ -154,4 +157,4 @@ help: ## This text
 	@echo "your own captures:  make scene=<name> captures=<folder> all"
 	@echo "one stage's help:   .venv/bin/python -m sfm --help   (capture_import, sfm, alignment, training, fusion, reports)"
 
-.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench bench-import fuzz-import docs lock help
+.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench bench-fusion bench-import fuzz-import docs lock help

@@ -1,4 +1,4 @@
-"""Command line of the fuse stage, and `evaluate` for tables from anywhere."""
+"""Command line of the fuse stage, and `evaluate` and `sweep` for tables from anywhere."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,10 +7,14 @@ import typer
 
 from artefacts.cli import SetOption, stage_app
 from fusion.stage import STAGE
-from fusion.tables import evaluate_files
+from fusion.tables import Files, evaluate_files, sweep_files
 
 app = stage_app(STAGE)
 TableOption = Annotated[Path, typer.Option(help="Parquet; docs/fusion.md has the columns.")]
+
+
+OutOption = Annotated[Path, typer.Option(help="Folder for what is written.")]
+NameOption = Annotated[str, typer.Option(help="The scene's name in the tables.")]
 
 
 @app.command()
@@ -18,12 +22,27 @@ def evaluate(
     frames: TableOption,
     ground_truth: TableOption,
     predictions: TableOption,
-    out: Annotated[Path, typer.Option(help="Folder for the tables and the recording.")],
-    scene: Annotated[str, typer.Option(help="The scene's name in the tables.")] = "scene",
+    out: OutOption,
+    scene: NameOption = "scene",
     set_: SetOption = None,
 ) -> None:
     """Fuse and measure predictions of any regressor: three Parquet tables in, the fuse stage's tables out."""
-    evaluate_files(frames, ground_truth, predictions, out, scene, set_ or [])
+    evaluate_files(Files(frames, ground_truth, predictions), out, scene, set_ or [])
+
+
+@app.command()
+def sweep(
+    frames: TableOption,
+    ground_truth: TableOption,
+    predictions: TableOption,
+    out: OutOption,
+    scene: NameOption = "scene",
+    every: Annotated[bool, typer.Option("--every", help="All combinations too, not only one at a time.")] = False,
+    processes: Annotated[int, typer.Option(min=1, help="Worker processes, at most one a model.")] = 1,
+    set_: SetOption = None,
+) -> None:
+    """The paper's rule with other thresholds: how errors and coverage move with N, d_th, o_th and gamma."""
+    sweep_files(Files(frames, ground_truth, predictions), out, scene, set_ or [], every, processes)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The batch evaluation of every method on every scene and model, for the stage and for tables from anywhere."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -10,11 +10,14 @@ import pandas as pd
 from pydantic import Field
 
 from artefacts import Settings, UserError
+from fusion.bootstrap import intervals
 from fusion.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_rows, signal_rows
 from fusion.localiser import MethodOptions
 from fusion.methods import METHODS, method, resolve_options
+from fusion.mobilearloc import MobileARLocOptions
 from fusion.summary import session_figures, summarise
-from fusion.walks import check_frames, check_predictions, evaluated
+from fusion.sweep import around, sweep
+from fusion.walks import Evaluated, Walk, check_frames, check_predictions, evaluated
 
 
 class FuseSettings(Settings):
@@ -57,16 +60,15 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
     options = resolved(settings)
     fused: list[Fused] = []
     counts: Counter[str] = Counter()
+    walks: dict[tuple[str, str], list[Walk]] = {}
     for scene in inputs:
-        check_frames(scene.frames, scene.truth, f"of {scene.scene}")
-        check_predictions(scene.frames, scene.predictions, f"of {scene.scene}")
-        for number, (model, predictions) in enumerate(scene.predictions.groupby("model", sort=False)):
-            joined = evaluated(scene.scene, scene.frames, scene.truth, predictions, settings.splits)
+        for number, (model, joined) in enumerate(joined_walks(scene, settings.splits)):
+            walks[scene.scene, model] = joined.walks
             counts.update(joined.prediction_counts)
             if number == 0:
                 counts.update(joined.frame_counts)
             for name, chosen in options.items():
-                run = Run(name, options_json(chosen.model_dump(mode="json")), str(model))
+                run = Run(name, options_json(chosen.model_dump(mode="json")), model)
                 fused += fuse_all(run, joined.walks, partial(method(name).make, chosen))
     if not fused:
         raise UserError("there are no predictions to fuse", do="run the train stage, or give a table of predictions")
@@ -76,9 +78,21 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
         "errors": errors,
         "signals": stacked(signal_rows(f) for f in fused),
         "summary": summarise(errors),
+        "intervals": intervals(errors),
         "sessions": pd.DataFrame([session_figures(f) for f in fused]),
     }
+    rule = options.get("mobilearloc")
+    if isinstance(rule, MobileARLocOptions):
+        tables["sweep"] = sweep(walks, around(rule))
     return Results(fused, tables, counts, {name: chosen.gates for name, chosen in options.items()})
+
+
+def joined_walks(inputs: Inputs, splits: list[str]) -> Iterator[tuple[str, Evaluated]]:
+    """Each model's name and walks. UserError for inputs that can't be evaluated."""
+    check_frames(inputs.frames, inputs.truth, f"of {inputs.scene}")
+    check_predictions(inputs.frames, inputs.predictions, f"of {inputs.scene}")
+    for model, predictions in inputs.predictions.groupby("model", sort=False):
+        yield str(model), evaluated(inputs.scene, inputs.frames, inputs.truth, predictions, splits)
 
 
 def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from artefacts.tables import pose_frame
 from fusion.localiser import Estimate, Localiser
+from fusion.offline import Offline, stepped
 from fusion.walks import Walk, known
 from geometry.metrics import position_error, rotation_error_deg
 from geometry.poses import Array
@@ -40,19 +41,9 @@ class Fused:
     live_map_T_cam: Array
 
 
-def fuse(run: Run, walk: Walk, localiser: Localiser) -> Fused:
-    """Feed a walk to a fresh localiser, or to one that has been reset."""
-    has_vio, has_apr = known(walk.vio_T_cam), known(walk.map_T_cam_apr)
-    has_gravity = np.asarray(np.isfinite(walk.gravity).all(axis=1))
-    estimates = [
-        localiser.step(
-            int(walk.t_ns[i]),
-            walk.vio_T_cam[i] if has_vio[i] else None,
-            walk.map_T_cam_apr[i] if has_apr[i] else None,
-            walk.gravity[i] if has_gravity[i] else None,
-        )
-        for i in range(len(walk))
-    ]
+def fuse(run: Run, walk: Walk, localiser: Localiser | Offline) -> Fused:
+    """Feed a walk to a fresh localiser, or to one that has been reset, or let an offline method see the whole of it."""
+    estimates = localiser.estimates(walk) if isinstance(localiser, Offline) else stepped(localiser, walk)
     none = np.full((4, 4), np.nan)
     live_status = np.array([str(e.status) for e in estimates], dtype=object)
     live = np.array([none if e.map_T_cam is None else e.map_T_cam for e in estimates]).reshape(-1, 4, 4)
@@ -64,7 +55,7 @@ def fuse(run: Run, walk: Walk, localiser: Localiser) -> Fused:
     return Fused(run, walk, estimates, status, poses, live_status, live)
 
 
-def fuse_all(run: Run, walks: list[Walk], make: Callable[[], Localiser]) -> list[Fused]:
+def fuse_all(run: Run, walks: list[Walk], make: Callable[[], Localiser | Offline]) -> list[Fused]:
     """Each walk with a localiser of its own: nothing is carried across a session's border."""
     return [fuse(run, walk, make()) for walk in walks]
 

@@ -4,9 +4,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from math import isfinite
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from artefacts import Settings
 from geometry import GeometryError
@@ -48,6 +50,10 @@ class Estimate:
     reasons: tuple[str, ...] = ()
     signals: Mapping[str, float] = field(default_factory=dict)
 
+    def because(self, reason: str) -> "Estimate":
+        """The same with one more reason, the most telling one."""
+        return replace(self, reasons=(reason, *self.reasons))
+
 
 class MethodOptions(Settings):
     """Base of every method's options."""
@@ -86,14 +92,12 @@ class Localiser(ABC):
         """
         if self._t_ns is not None and t_ns <= self._t_ns:
             raise GeometryError(f"frame at {t_ns} ns comes after one at {self._t_ns} ns: time must rise")
-        if vio_T_cam is not None and not rigidity_error(vio_T_cam) < _RIGID:
+        if vio_T_cam is not None and not _is_rigid(vio_T_cam):
             raise GeometryError(f"odometry pose at {t_ns} ns isn't a finite rigid transform")
-        invalid = map_T_cam_apr is not None and not rigidity_error(map_T_cam_apr) < _RIGID
+        invalid = map_T_cam_apr is not None and not _is_rigid(map_T_cam_apr)
         estimate = self._advance(t_ns, vio_T_cam, None if invalid else map_T_cam_apr, gravity)
         self._t_ns = t_ns
-        if invalid:
-            estimate = replace(estimate, reasons=("prediction_invalid", *estimate.reasons))
-        return estimate
+        return estimate.because("prediction_invalid") if invalid else estimate
 
     def reset(self) -> None:
         """Forget everything: a new odometry session begins, and its frame has nothing to do with the last one's."""
@@ -124,6 +128,31 @@ class Localiser(ABC):
 
     def _set_state(self, state: State) -> None:
         return None
+
+
+def is_rigid(pose: Array) -> NDArray[np.bool_]:
+    """Whether poses (..., 4, 4) are finite rigid transforms, as near as single precision stores them."""
+    return np.asarray(rigidity_error(pose) < _RIGID)
+
+
+def _is_rigid(pose: Array) -> bool:
+    """`is_rigid` of one pose (4, 4). A step has two of them to check, and numpy takes ten times as long."""
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), last = pose.tolist()
+    gram = (
+        a * a + d * d + g * g - 1,
+        b * b + e * e + h * h - 1,
+        c * c + f * f + i * i - 1,
+        a * b + d * e + g * h,
+        a * c + d * f + g * i,
+        b * c + e * f + h * i,
+        last[0],
+        last[1],
+        last[2],
+        last[3] - 1,
+    )
+    # Comparisons with NaN are false.
+    right_handed = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0
+    return right_handed and isfinite(x + y + z) and all(-_RIGID < error < _RIGID for error in gram)
 
 
 def plain(array: Array | None) -> list[Any] | None:

@@ -8,18 +8,30 @@ from artefacts import UserError
 from artefacts.settings import validated
 from fusion.apr import Apr, AprOptions
 from fusion.drift_aware import DriftAware, DriftAwareOptions
+from fusion.error_state import ErrorState, ErrorStateOptions
+from fusion.last_good import LastGood, LastGoodOptions
 from fusion.localiser import Localiser, MethodOptions
 from fusion.mobilearloc import MobileARLoc, MobileARLocOptions
+from fusion.offline import Offline
+from fusion.pose_graph import PoseGraph, PoseGraphOptions
+from fusion.smoother import Smoother, SmootherOptions
+from fusion.vio_oracle import VioOracle, VioOracleOptions
+from fusion.window import Window, WindowOptions
 
 
 @dataclass(frozen=True)
 class Method:
-    """How to make a localiser: `make(options)`; `options` is the settings model, whose values every result records."""
+    """How to make a method: `make(options)`; `options` is the settings model, whose values every result records.
+
+    causal: it answers a frame from that frame and the ones before it, as an app must. One that isn't makes an
+    `Offline`, which sees whole walks; tables say so and never rank it with the causal ones.
+    """
 
     id: str
-    make: Callable[[Any], Localiser]
+    make: Callable[[Any], Localiser | Offline]
     options: type[MethodOptions]
     meaning: str
+    causal: bool = True
 
 
 METHODS = {
@@ -27,7 +39,13 @@ METHODS = {
     for method in (
         Method("apr", Apr, AprOptions, "the raw regressor"),
         Method("mobilearloc", MobileARLoc, MobileARLocOptions, "the paper's rule"),
+        Method("last_good", LastGood, LastGoodOptions, "the last prediction that passed the pair check, carried on"),
+        Method("window30", Window, WindowOptions, "robust rigid alignment of the last 30 predictions"),
+        Method("pose_graph", PoseGraph, PoseGraphOptions, "sliding window of poses: predictions and odometry's steps"),
+        Method("error_state", ErrorState, ErrorStateOptions, "error-state Kalman filter with a gate"),
         Method("drift_aware", DriftAware, DriftAwareOptions, "slowly drifting alignment, from all the history"),
+        Method("smoother", Smoother, SmootherOptions, "drift_aware from the whole walk: for labelling", causal=False),
+        Method("vio_oracle", VioOracle, VioOracleOptions, "odometry laid on the ground truth: a bound", causal=False),
     )
 }
 

@@ -15,30 +15,22 @@ from typing import Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from fusion.localiser import Estimate, Localiser, MethodOptions, State, Status, array, plain
-from geometry.averages import geometric_median, karcher_mean, quaternion_mean
-from geometry.metrics import relative_error, rpe_roe
-from geometry.poses import Array, inverse, pose_from_tq, quaternion_angle, tq_from_pose
+from fusion.localiser import Estimate, Localiser, State, Status, array, plain
+from fusion.odometry import have_jumped
+from fusion.pair_check import PairOptions, are_consecutive, are_consistent, pair_errors
+from geometry.averages import fermat_points, geometric_median, karcher_mean, quaternion_mean
+from geometry.poses import Array, inverse, pose_from_tq, tq_from_pose
 
 _AT_ORIGIN_M = 1e-12
 
 
-class MobileARLocOptions(MethodOptions):
+class MobileARLocOptions(PairOptions):
     """The paper's four thresholds, and one option for each point that its text leaves open."""
 
     n: int = Field(2, ge=1, description="N: consistent pairs that lock, and reliable drifted frames that unlock")
-    d_th_m: float = Field(0.4, ge=0, description="d_th: largest relative position error of a consistent pair")
-    o_th_deg: float = Field(4.0, ge=0, description="o_th: largest relative orientation error of a consistent pair")
     gamma: float = Field(0.99, ge=-1, le=1, description="gamma: similarity at or below which a frame has drifted")
 
     alignment_frames: Literal["n+1", "n+2"] = Field("n+1", description="frames of a run that locks")
-    rotation_step: Literal["scalar_part", "norm"] = Field(
-        "scalar_part", description="what arccos is taken of; the norm, as printed, makes every rotation step 0"
-    )
-    pair_check: Literal["lengths", "se3"] = Field(
-        "lengths", description="compare the lengths of the steps, or the whole relative poses"
-    )
-    comparison: Literal["<=", "<"] = Field("<=", description="how an error compares with d_th and o_th")
     similarity: Literal["cosine", "metric"] = Field(
         "cosine", description="the paper's S in the map frame, or a test in metres and degrees"
     )
@@ -61,10 +53,6 @@ class MobileARLocOptions(MethodOptions):
     while_aligning: Literal["last_reference", "none"] = Field(
         "last_reference", description="output while aligning again"
     )
-    interval_s: float = Field(1.0, gt=0, description="time between consecutive predictions")
-    interval_tolerance_s: float = Field(0.5, gt=0, description="a pair further off this interval isn't consecutive")
-    vio_speed_m_s: float = Field(2.0, gt=0, description="fastest motion that odometry is believed without question")
-    vio_jump_m: float = Field(1.0, gt=0, description="motion beyond that speed that counts as an odometry jump")
 
     @property
     def run_frames(self) -> int:
@@ -77,7 +65,7 @@ class MobileARLocOptions(MethodOptions):
 
     @property
     def gates(self) -> dict[str, float]:
-        return {"rpe_m": self.d_th_m, "roe_deg": self.o_th_deg, "similarity": self.gate}
+        return super().gates | {"similarity": self.gate}
 
 
 class Verdict(StrEnum):
@@ -155,7 +143,9 @@ class MobileARLoc(Localiser):
     ) -> Estimate:
         if vio_T_cam is None:
             return Estimate(None, Status.NONE, map_T_vio=self._map_T_vio, reasons=("no_odometry",))
-        jumped = self._has_jumped(t_ns, vio_T_cam)
+        jumped = self._vio is not None and have_jumped(
+            (t_ns - self._vio[0]) * 1e-9, float(np.linalg.norm(vio_T_cam[:3, 3] - self._vio[1][:3, 3])), self.options
+        )
         if jumped:
             self._forget()
         self._vio = (t_ns, vio_T_cam)
@@ -163,20 +153,20 @@ class MobileARLoc(Localiser):
             estimate = self._carried(vio_T_cam, Status.OPTIMISED if self._rule.optimising else Status.ALIGNING)
             return replace(estimate, reasons=("no_prediction",))
         estimate = self._judge(_Frame(t_ns, vio_T_cam, map_T_cam_apr))
-        return replace(estimate, reasons=("odometry_jump", *estimate.reasons)) if jumped else estimate
+        return estimate.because("odometry_jump") if jumped else estimate
 
     def _judge(self, frame: _Frame) -> Estimate:
         options = self.options
         last = self._recent[-1] if self._recent else None
         signals: dict[str, float] = {}
-        consistent = last is not None and are_consecutive(last.t_ns, frame.t_ns, options)
+        consistent = last is not None and bool(are_consecutive((frame.t_ns - last.t_ns) * 1e-9, options))
         reasons: tuple[str, ...] = () if consistent or last is None else ("gap",)
         if last is not None and consistent:
             rpe_m, roe_deg = pair_errors(
                 np.array([last.map_T_cam, frame.map_T_cam]), np.array([last.vio_T_cam, frame.vio_T_cam]), options
             )
             signals = {"rpe_m": float(rpe_m[0]), "roe_deg": float(roe_deg[0])}
-            consistent = is_consistent(signals["rpe_m"], signals["roe_deg"], options)
+            consistent = bool(are_consistent(signals["rpe_m"], signals["roe_deg"], options))
             if not consistent:
                 reasons = ("pair_inconsistent",)
 
@@ -210,13 +200,6 @@ class MobileARLoc(Localiser):
             return Estimate(None, Status.NONE, map_T_vio=self._map_T_vio)
         return Estimate(self._map_T_vio @ vio_T_cam, status, map_T_vio=self._map_T_vio)
 
-    def _has_jumped(self, t_ns: int, vio_T_cam: Array) -> bool:
-        if self._vio is None:
-            return False
-        seconds = (t_ns - self._vio[0]) * 1e-9
-        moved_m = float(np.linalg.norm(vio_T_cam[:3, 3] - self._vio[1][:3, 3]))
-        return moved_m > self.options.vio_speed_m_s * seconds + self.options.vio_jump_m
-
     def _state(self) -> State:
         return {
             "rule": asdict(self._rule),
@@ -233,52 +216,59 @@ class MobileARLoc(Localiser):
         self._map_T_vio = array(state["map_T_vio"])
 
 
-def are_consecutive(t_a_ns: int, t_b_ns: int, options: MobileARLocOptions) -> bool:
-    """Whether two frames are one prediction interval apart."""
-    return abs((t_b_ns - t_a_ns) * 1e-9 - options.interval_s) <= options.interval_tolerance_s
-
-
-def is_consistent(rpe_m: float, roe_deg: float, options: MobileARLocOptions) -> bool:
-    """Whether a pair's errors are within d_th and o_th."""
-    if options.comparison == "<":
-        return rpe_m < options.d_th_m and roe_deg < options.o_th_deg
-    return rpe_m <= options.d_th_m and roe_deg <= options.o_th_deg
-
-
-def pair_errors(map_T_cam: Array, vio_T_cam: Array, options: MobileARLocOptions) -> tuple[Array, Array]:
-    """RPE in metres and ROE in degrees, both (N-1,), of predictions against odometry over frames (N, 4, 4).
-
-    The paper's (section III-A) compare the lengths of the steps; `se3` compares the relative poses.
-    """
-    if options.pair_check == "se3":
-        return relative_error(map_T_cam, vio_T_cam)
-    rpe_m, roe_deg = rpe_roe(map_T_cam, vio_T_cam)
-    return rpe_m, np.zeros_like(roe_deg) if options.rotation_step == "norm" else roe_deg
-
-
 def similarity(map_T_a: Array, map_T_b: Array, options: MobileARLocOptions) -> Array:
     """How alike poses (..., 4, 4) are: the paper's S (equation 8), or with `metric` 1 where they are equal, falling to
     0 where they are `similarity_m` or `similarity_deg` apart."""
-    (x_a, q_a), (x_b, q_b) = tq_from_pose(map_T_a), tq_from_pose(map_T_b)
+    trace = np.sum(map_T_a[..., :3, :3] * map_T_b[..., :3, :3], axis=(-1, -2))
+    return scores(map_T_a[..., :3, 3], map_T_b[..., :3, 3], trace, options)
+
+
+def scores(x_a: Array, x_b: Array, trace: Array, options: MobileARLocOptions) -> Array:
+    """`similarity` from positions (..., 3) and the traces (...,) of the rotations' products a^T b."""
+    # The trace is 4 w^2 - 1, and w the product of the two quaternions.
+    product = np.sqrt(np.clip((trace + 1) / 4, 0.0, 1.0))
     if options.similarity == "metric":
         distance = np.linalg.norm(x_a - x_b, axis=-1) / options.similarity_m
-        return 1.0 - np.maximum(distance, np.degrees(quaternion_angle(q_a, q_b)) / options.similarity_deg)
+        return 1.0 - np.maximum(distance, np.degrees(2 * np.arccos(product)) / options.similarity_deg)
     lengths = np.linalg.norm(x_a, axis=-1) * np.linalg.norm(x_b, axis=-1)
     defined = lengths > _AT_ORIGIN_M
     # 0/0 at the origin counts as 1: a pose there has no direction to disagree in.
     cosine = np.where(defined, np.sum(x_a * x_b, axis=-1) / np.where(defined, lengths, 1.0), 1.0)
-    return (cosine + np.abs(np.sum(q_a * q_b, axis=-1))) / 2
+    return (cosine + product) / 2
 
 
 def reference(map_T_cam: Array, vio_T_cam: Array, options: MobileARLocOptions) -> Array:
-    """The alignment map_T_vio (4, 4) from a run's predictions and odometry, both (R, 4, 4)."""
+    """The alignments map_T_vio (..., 4, 4) from runs' predictions and odometry, both (..., R, 4, 4)."""
     if options.reference == "per_frame":
-        return _average(map_T_cam @ inverse(vio_T_cam), options)
-    return _average(map_T_cam, options) @ inverse(_average(vio_T_cam, options))
+        return _average(tq_from_pose(map_T_cam @ inverse(vio_T_cam)), options)
+    return averages_aligned(tq_from_pose(map_T_cam), tq_from_pose(vio_T_cam), options)
 
 
-def _average(poses: Array, options: MobileARLocOptions) -> Array:
-    xyz, q = tq_from_pose(poses)
-    position = geometric_median(xyz) if options.position_average == "geometric_median" else xyz.mean(axis=0)
-    rotation = quaternion_mean(q) if options.rotation_average == "gramkow" else karcher_mean(q)
+def averages_aligned(apr: tuple[Array, Array], vio: tuple[Array, Array], options: MobileARLocOptions) -> Array:
+    """`reference` by averaged poses, from positions (..., R, 3) and quaternions (..., R, 4)."""
+    return _average(apr, options) @ inverse(_average(vio, options))
+
+
+def _average(poses: tuple[Array, Array], options: MobileARLocOptions) -> Array:
+    """The average pose (..., 4, 4) of positions (..., R, 3) and quaternions (..., R, 4)."""
+    xyz, q = poses
+    if options.position_average == "mean":
+        position = xyz.mean(axis=-2)
+    elif options.run_frames == 3:
+        position = fermat_points(xyz.reshape(-1, 3, 3)).reshape(*xyz.shape[:-2], 3)
+    else:
+        position = _each(geometric_median, xyz)
+    rotation = quaternion_mean(q) if options.rotation_average == "gramkow" else _each(karcher_mean, q)
     return pose_from_tq(position, rotation)
+
+
+def has_closed_form(options: MobileARLocOptions) -> bool:
+    """Whether many references cost hardly more than one."""
+    median_of_three = options.position_average == "mean" or options.run_frames == 3
+    return median_of_three and options.rotation_average == "gramkow"
+
+
+def _each(average: Callable[[Array], Array], runs: Array) -> Array:
+    """The average (..., D) of each run (..., R, D)."""
+    flat = runs.reshape(-1, *runs.shape[-2:])
+    return np.array([average(run) for run in flat]).reshape(*runs.shape[:-2], runs.shape[-1])

@@ -13,7 +13,7 @@ from fusion.fuse import Fused, pose_errors
 from fusion.localiser import Status
 from fusion.methods import METHODS
 from fusion.walks import known
-from geometry.poses import Array
+from geometry.poses import Array, quaternion_from_matrix
 
 FRAME_TIMELINE = "frame"  # sessions one after the other, however far apart their clocks
 
@@ -26,8 +26,18 @@ STATUS_COLOURS = {
     Status.NONE: colours.REJECTED,
 }
 # The methods that fuse, in the order of the registry; the first has the shared colour of fused poses.
-_FUSED_COLOURS = (colours.FUSED, (240, 228, 66), (0, 114, 178), (200, 200, 200))
+_FUSED_COLOURS = (
+    colours.FUSED,
+    (240, 228, 66),
+    (0, 114, 178),
+    (200, 200, 200),
+    (166, 86, 40),
+    (102, 166, 30),
+    (117, 112, 179),
+    (231, 41, 138),
+)
 _MARKER_PX = 6.0
+_WITHIN_95 = 7.815  # squared standard deviations that hold 95 % of a Gaussian with three axes
 
 
 def blueprint(fused: list[Fused]) -> rrb.Blueprint:
@@ -86,6 +96,8 @@ def record(stream: rr.RecordingStream, fused: list[Fused], gates: Mapping[str, M
         else:
             _log_walk(stream, f"{at}/fused/{method}", name, times, f.live_map_T_cam, _colour(method))
             _log_walk(stream, f"{at}/vio_aligned/{method}", name, times, _vio_aligned(f), colours.VIO, 0.5)
+            _log_residuals(stream, f"{at}/residual/{method}", f, times)
+            _log_covariance(stream, f"{at}/covariance/{method}", f, times)
             _log_decisions(stream, at, f, times, gates[method])
         colour = _colour(method)
         position_m, rotation_deg = pose_errors(f.live_map_T_cam, walk.map_T_cam)
@@ -135,6 +147,38 @@ def _log_walk(
     stream.send_columns(
         f"{path}/now", indexes=times, columns=rr.Points3D.columns(positions=xyz[there]).partition(there.astype(int))
     )
+
+
+def _log_residuals(stream: rr.RecordingStream, path: str, f: Fused, times: list[rr.TimeColumn]) -> None:
+    """A line from the frame's answer to its prediction."""
+    stream.log(path, rr.LineStrips3D.from_fields(colors=colours.APR, radii=rr.Radius.ui_points(1.0)), static=True)
+    there = known(f.live_map_T_cam) & known(f.walk.map_T_cam_apr)
+    ends = np.stack([f.live_map_T_cam[there, :3, 3], f.walk.map_T_cam_apr[there, :3, 3]], axis=1)
+    columns = rr.LineStrips3D.columns(strips=list(ends)).partition(there.astype(int))
+    stream.send_columns(path, indexes=times, columns=columns)
+
+
+def _log_covariance(stream: rr.RecordingStream, path: str, f: Fused, times: list[rr.TimeColumn]) -> None:
+    """The ellipsoid that holds the position with 95 % by the method's covariance, for methods that have one."""
+    there = known(f.live_map_T_cam) & np.array([e.covariance is not None for e in f.estimates])
+    if not there.any():
+        return
+    covariance = np.array([e.covariance for e, ok in zip(f.estimates, there, strict=True) if ok])[:, 3:, 3:]
+    variance, axes = np.linalg.eigh(covariance)
+    axes[..., 0] *= np.linalg.det(axes)[:, None]
+    stream.log(
+        path,
+        rr.Ellipsoids3D.from_fields(
+            colors=(*_colour(f.run.method), 90), fill_mode="majorwireframe", line_radii=rr.Radius.ui_points(0.7)
+        ),
+        static=True,
+    )
+    columns = rr.Ellipsoids3D.columns(
+        centers=f.live_map_T_cam[there, :3, 3],
+        half_sizes=np.sqrt(_WITHIN_95 * np.maximum(variance, 0.0)),
+        quaternions=quaternion_from_matrix(axes),
+    ).partition(there.astype(int))
+    stream.send_columns(path, indexes=times, columns=columns)
 
 
 def _log_decisions(

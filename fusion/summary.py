@@ -23,17 +23,17 @@ def summarise(errors: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for run, group in errors.groupby(RUN, sort=False):
         same_model = errors[(errors["model"] == run[2]) & (errors["scene"] == run[3])]
-        for subset, frames, prefix in _subsets(group, same_model):
+        for subset, frames, prefix in subsets(group, same_model):
             for scored, columns in (("method", prefix), ("apr", "apr_")):
                 rows.append(
                     dict(zip(RUN, run, strict=True))
                     | {"subset": subset, "scored": scored}
-                    | _figures(frames[f"{columns}position_m"], frames[f"{columns}rotation_deg"], len(group))
+                    | figures(*score_columns(frames, columns), len(group))
                 )
     return pd.DataFrame(rows)
 
 
-def _subsets(group: pd.DataFrame, same_model: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, str]]:
+def subsets(group: pd.DataFrame, same_model: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, str]]:
     """Name, frames and column prefix of each subset of one run's frames."""
     if (group["method"] != "apr").all():
         for name, statuses in SUBSETS.items():
@@ -43,8 +43,13 @@ def _subsets(group: pd.DataFrame, same_model: pd.DataFrame) -> Iterator[tuple[st
     yield "common", group[~group["frame_id"].isin(missed)], "live_"
 
 
-def _figures(position_m: pd.Series, rotation_deg: pd.Series, total: int) -> dict[str, float | int | None]:
-    position, rotation = position_m.to_numpy(float), rotation_deg.to_numpy(float)
+def score_columns(frames: pd.DataFrame, prefix: str) -> tuple[Array, Array]:
+    """Position errors in metres and rotation errors in degrees (N,) of rows of fuse.errors."""
+    return frames[f"{prefix}position_m"].to_numpy(float), frames[f"{prefix}rotation_deg"].to_numpy(float)
+
+
+def figures(position: Array, rotation: Array, total: int) -> dict[str, float | int | None]:
+    """The figures of a row of fuse.summary for errors (N,) in metres and degrees, NaN where there is no pose."""
     frames, answered = len(position), int(np.isfinite(position).sum())
     shares = accuracy_shares(position, rotation)
     return {

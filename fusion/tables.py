@@ -1,5 +1,6 @@
-"""`python -m fusion evaluate`: the stage's evaluation on three Parquet tables from anywhere."""
+"""`python -m fusion evaluate` and `sweep`: on three Parquet tables from anywhere."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -11,32 +12,69 @@ from artefacts.recording import RECORDING, open_recording
 from artefacts.schemas import schema
 from artefacts.settings import SHIPPED_DATA, resolve_settings
 from artefacts.tables import write_table
-from fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines
+from fusion.evaluate import FuseSettings, Inputs, evaluate, joined_walks, report_lines, resolved
+from fusion.mobilearloc import MobileARLocOptions
 from fusion.record import blueprint, record
+from fusion.sweep import around, grid, sweep
+from fusion.sweep_figure import write_sweep_figure
 
 
-def evaluate_files(
-    frames: Path, ground_truth: Path, predictions: Path, out: Path, scene: str, overrides: list[str]
-) -> None:
+@dataclass(frozen=True)
+class Files:
+    """The three tables of one scene, as Parquet."""
+
+    frames: Path
+    ground_truth: Path
+    predictions: Path
+
+    def read(self, scene: str) -> Inputs:
+        """UserError where a file isn't a Parquet table."""
+        frames = _read(self.frames)
+        if "split" not in frames.columns:
+            frames = frames.assign(split="test")
+        return Inputs(scene, frames, _read(self.ground_truth), _read(self.predictions))
+
+
+def evaluate_files(files: Files, out: Path, scene: str, overrides: list[str]) -> None:
     """Evaluate the three tables and write the fuse stage's tables and recording to `out`.
 
     Frames without a column `split` are all evaluated. UserError for whatever the tables have that can't be evaluated.
     """
-    settings = resolve_settings(FuseSettings, "fuse", DataRoot(SHIPPED_DATA), "demo", scene, overrides)
-    frame_table = _read(frames)
-    if "split" not in frame_table.columns:
-        frame_table = frame_table.assign(split="test")
-    results = evaluate([Inputs(scene, frame_table, _read(ground_truth), _read(predictions))], settings)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError("the output folder can't be made", where=out, found=error) from None
+    settings = _settings(scene, overrides)
+    results = evaluate([files.read(scene)], settings)
+    _make(out)
     for name, table in results.tables.items():
         write_table(out / f"{name}.parquet", table, schema("fuse", name))
     with open_recording(out / RECORDING, "fuse", scene, blueprint(results.fused)) as stream:
         record(stream, results.fused, results.gates)
     for line in report_lines(results):
         console.print(line, markup=False)
+
+
+def sweep_files(files: Files, out: Path, scene: str, overrides: list[str], every: bool, processes: int) -> None:
+    """Run the paper's rule over the three tables with other thresholds, one at a time or (`every`) in all combinations
+    too; write sweep.parquet and sweep.svg to `out`."""
+    settings = _settings(scene, overrides)
+    options = resolved(settings.model_copy(update={"methods": ["mobilearloc"]}))["mobilearloc"]
+    assert isinstance(options, MobileARLocOptions)
+    walks = {(scene, model): joined.walks for model, joined in joined_walks(files.read(scene), settings.splits)}
+    chosen = around(options) + (grid(options) if every else [])
+    table = sweep(walks, chosen, min(processes, len(walks)))
+    _make(out)
+    write_table(out / "sweep.parquet", table, schema("fuse", "sweep"))
+    write_sweep_figure(table, options.model_dump(), out / "sweep.svg")
+    console.print(f"{len(chosen)} settings: {out / 'sweep.parquet'}, {out / 'sweep.svg'}", markup=False)
+
+
+def _settings(scene: str, overrides: list[str]) -> FuseSettings:
+    return resolve_settings(FuseSettings, "fuse", DataRoot(SHIPPED_DATA), "demo", scene, overrides)
+
+
+def _make(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError("the output folder can't be made", where=out, found=error) from None
 
 
 def _read(path: Path) -> pd.DataFrame:

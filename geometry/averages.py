@@ -15,9 +15,9 @@ def geometric_median(points: ArrayLike, weights: Array | None = None, tolerance:
 
     Weiszfeld's iteration in the form of Vardi and Zhang (PNAS 97, 2000), which stays defined on a data point, with
     Newton's step taken instead wherever it lowers the cost further: near a data point, or for points close to a line,
-    Weiszfeld's alone all but stands still. For an even number of points on a line, where a whole segment is optimal,
-    the result is one of its points. `tolerance` is relative to the points' spread. Raises GeometryError for no points
-    or a value that isn't finite.
+    Weiszfeld's alone all but stands still. Three points of equal weight have a closed form. For an even number of
+    points on a line, where a whole segment is optimal, the result is one of its points. `tolerance` is relative to the
+    points' spread. Raises GeometryError for no points or a value that isn't finite.
     """
     x = np.asarray(points, dtype=float)
     if x.ndim != 2 or not len(x) or not np.isfinite(x).all():
@@ -26,6 +26,8 @@ def geometric_median(points: ArrayLike, weights: Array | None = None, tolerance:
     spread = float(np.abs(x - x.mean(axis=0)).max())
     if spread == 0:
         return x[0].copy()
+    if len(x) == 3 and weights is None:
+        return fermat_points(x[None])[0]
     # A data point is the median exactly when the pull of the others doesn't exceed its own weight; testing them
     # first spares the slow convergence towards such a point.
     difference = x[None, :, :] - x[:, None, :]
@@ -69,17 +71,36 @@ def _newton(x: Array, w: Array, y: Array, inverse: Array, fallback: Array) -> Ar
     return np.asarray(candidates[int(np.argmin(cost))])
 
 
+def fermat_points(triangles: ArrayLike) -> Array:
+    """The points (N, D) of least summed distance to the corners of triangles (N, 3, D): `geometric_median` of each.
+
+    A corner of 120 degrees or more, or one that is there twice, else by trilinear coordinates csc(A + 60 deg)
+    (Kimberling, "Encyclopedia of Triangle Centers", X(13)).
+    """
+    x = np.asarray(triangles, dtype=float)
+    to_next, to_last = np.roll(x, -1, axis=1) - x, np.roll(x, 1, axis=1) - x
+    opposite = np.linalg.norm(to_next - to_last, axis=2)
+    near = np.linalg.norm(to_next, axis=2) * np.linalg.norm(to_last, axis=2)
+    # A corner that coincides with another has no angle, and is the median.
+    cosine = np.where(near > 0, np.sum(to_next * to_last, axis=2) / np.where(near > 0, near, 1.0), -1.0)
+    wide = cosine <= -0.5
+    angle = np.arccos(np.clip(cosine, -0.5, 1.0))
+    weight = opposite / np.maximum(np.sin(angle + np.pi / 3), 1e-300)
+    weight = np.where(wide.any(axis=1, keepdims=True), np.arange(3) == np.argmax(wide, axis=1)[:, None], weight)
+    return np.einsum("nc,ncd->nd", weight / weight.sum(axis=1, keepdims=True), x)
+
+
 def quaternion_mean(quaternions: ArrayLike, weights: Array | None = None) -> Array:
-    """The sign-aligned, normalised mean (4,) of xyzw quaternions (N, 4): Gramkow's average (JMIV 15, 2001).
+    """The sign-aligned, normalised mean (..., 4) of xyzw quaternions (..., N, 4): Gramkow's average (JMIV 15, 2001).
 
     Signs are aligned to the first quaternion. Raises GeometryError for no quaternions or when they cancel.
     """
     q = np.asarray(quaternions, dtype=float)
-    if q.ndim != 2 or not len(q):
-        raise GeometryError(f"a rotation average needs quaternions (N, 4), N > 0; got shape {q.shape}")
+    if q.ndim < 2 or not q.shape[-2]:
+        raise GeometryError(f"a rotation average needs quaternions (..., N, 4), N > 0; got shape {q.shape}")
     q = canonical_quaternion(q)
-    aligned = np.where((q @ q[0] < 0)[:, None], -q, q)
-    return canonical_quaternion(np.average(aligned, axis=0, weights=weights))
+    aligned = np.where((q @ q[..., 0, :, None] < 0), -q, q)
+    return canonical_quaternion(np.average(aligned, axis=-2, weights=weights))
 
 
 def karcher_mean(quaternions: ArrayLike, weights: Array | None = None, tolerance: float = 1e-12) -> Array:

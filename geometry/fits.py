@@ -133,6 +133,7 @@ def fit_robust(
     *,
     floor: float,
     weights: ArrayLike | None = None,
+    tolerance: float = _IRLS_TOLERANCE,
 ) -> tuple[Model, Array]:
     """A fit of `count` items that outliers hardly move: the model and its final weights (count,), 0 to 1.
 
@@ -140,7 +141,8 @@ def fit_robust(
     outliers among the fitted-to data without a good start, then with Geman and McClure's weights, which let them go
     (Zhang, "Parameter estimation techniques", Image and Vision Computing 15, 1997). The kernel's width is twice the
     median residual, about three sigma for residuals of three axes, and at least `floor`, the size of residuals that
-    nobody minds, in their unit. `weights` are the items' own, multiplied in.
+    nobody minds, in their unit. `weights` are the items' own, multiplied in. It ends when no weight changes by more
+    than `tolerance`.
 
     `fit` takes weights (count,), `residuals` gives (count,) lengths for a model.
     """
@@ -159,7 +161,7 @@ def fit_robust(
             change = float(np.abs(update - robust).max())
             robust = update
             model = fit(own * robust)
-            if change < _IRLS_TOLERANCE:
+            if change < tolerance:
                 break
     return model, robust
 

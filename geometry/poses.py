@@ -46,7 +46,9 @@ def canonical_quaternion(quaternion: ArrayLike) -> Array:
         raise GeometryError(f"quaternion of length {float(np.min(norm)):.3g} is no rotation")
     q = q / norm
     # +0.0 turns -0.0 into 0.0, so that equal rotations are equal bytes.
-    significant = np.where(q[..., 3:4] != 0, q[..., 3:4], _first_nonzero(q[..., :3]))
+    significant = q[..., 3:4]
+    if not significant.all():
+        significant = np.where(significant != 0, significant, _first_nonzero(q[..., :3]))
     return np.where(significant < 0, -q, q) + 0.0
 
 

@@ -88,6 +88,19 @@ def test_frames_that_cannot_be_scored_are_counted():
     assert counts["frames_without_ground_truth"] == 1
 
 
+def test_frames_without_odometry_are_counted():
+    frames, truth, predictions = tables([1])
+    plain = run(frames, truth, predictions).counts["frames_without_odometry"]
+    frames.loc[20:23, [c for c in frames.columns if c.startswith("vio_cam")]] = np.nan
+    results = run(frames, truth, predictions, methods=["apr", "mobilearloc", "drift_aware"])
+    assert results.counts["frames_without_odometry"] > plain
+    poses = results.tables["poses"].set_index(["method", "frame_id"])
+    lost = [f"s1/{i:06d}" for i in range(20, 24)]
+    assert (poses.loc["mobilearloc"].loc[lost, "live_status"] == "none").all()
+    predicted = predictions.set_index("frame_id").loc[lost, "map_cam_tx"].notna()
+    assert ((poses.loc["drift_aware"].loc[lost, "live_status"] == "predicted") == predicted).all()
+
+
 def drop_column(frames, truth, predictions):
     return frames, truth, predictions.drop(columns="map_cam_qw")
 
@@ -122,6 +135,14 @@ def text_for_numbers(frames, truth, predictions):
     return frames.assign(vio_cam_tx="left"), truth, predictions
 
 
+def empty_session(frames, truth, predictions):
+    return frames.assign(session_id=frames["session_id"].where(frames.index != 3)), truth, predictions
+
+
+def empty_id(frames, truth, predictions):
+    return frames, truth, predictions.assign(frame_id=predictions["frame_id"].where(predictions.index != 3))
+
+
 def no_truth(frames, truth, predictions):
     return frames, truth.assign(frame_id="x" + truth["frame_id"]), predictions
 
@@ -141,6 +162,8 @@ def no_predictions(frames, truth, predictions):
         (little_overlap, "hardly overlap"),
         (other_times, "another t_ns"),
         (text_for_numbers, "text for numbers"),
+        (empty_session, "empty values"),
+        (empty_id, "empty values"),
         (no_truth, "no frame has ground truth"),
         (no_predictions, "no predictions"),
     ],
@@ -167,6 +190,6 @@ def test_command_line(tmp_path):
     arguments = [x for pair in zip(names, map(str, paths), strict=True) for x in pair]
     done = CliRunner().invoke(app, ["evaluate", *arguments, "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
-    for name in ("poses", "errors", "signals", "summary", "sessions"):
+    for name in ("poses", "errors", "signals", "summary", "intervals", "sweep", "sessions"):
         assert len(read_table(tmp_path / "out" / f"{name}.parquet", schema("fuse", name)))
     assert (tmp_path / "out" / "recording.rrd").stat().st_size > 10_000

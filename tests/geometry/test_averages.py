@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from geometry import GeometryError
-from geometry.averages import geometric_median, karcher_mean, quaternion_mean
+from geometry.averages import fermat_points, geometric_median, karcher_mean, quaternion_mean
 from geometry.poses import quaternion_angle
 
 seeds = st.integers(0, 2**32 - 1)
@@ -45,6 +45,21 @@ def test_geometric_median_moves_with_its_points(seed: int) -> None:
 def test_weights_pull_the_median() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     assert np.array_equal(geometric_median(points, np.array([10.0, 1, 1, 1])), points[0])
+
+
+@given(seeds, st.sampled_from([1.0, 1e-3, 1e-9]))
+def test_fermat_points_cost_no_more_than_the_iteration(seed: int, flatness: float) -> None:
+    triangles = np.random.default_rng(seed).normal(size=(20, 3, 3)) * [1, flatness, flatness]
+    triangles[0, 1] = triangles[0, 2]
+    for triangle, point in zip(triangles, fermat_points(triangles), strict=True):
+        # Weights of 1 take the general way.
+        iterated = geometric_median(triangle, np.ones(3))
+        assert cost(triangle, point) <= cost(triangle, iterated) * (1 + 1e-9)
+
+
+def test_many_rotation_averages_at_once() -> None:
+    q = Rotation.random(12, rng=np.random.default_rng(0)).as_quat().reshape(4, 3, 4)
+    assert np.allclose(quaternion_mean(q), [quaternion_mean(run) for run in q], atol=1e-15)
 
 
 @given(seeds)

@@ -1,0 +1,257 @@
+"""Every fusion method on the same walks: `python -m benchmarks.fusion`, or `make bench-fusion`.
+
+Prints Markdown tables and writes them, with all figures as JSON, to a folder. The walks:
+
+- *simulated*: walks through the six scenes, odometry with drift as fitted to real recordings (simulation/vio.py);
+- *recorded*: real odometry. It has no ground truth, so the true walk is made: the recorded motion with a drift of the
+  fitted size applied. Motion, noise and jumps are real, the drift's size is fitted, its course is made up;
+- *measured*: real odometry beside motion capture, two walks of 20 m in one room;
+- *trained*: test walks of the pipeline's runs, predicted by trained models;
+- then simulated walks whose odometry is spoilt in one way each, and a phone that is carried on for a minute unseen.
+
+But for *trained*, predictions are simulated: as wrong as the published PN and MS-T are in each of the six scenes
+(simulation/apr_errors.py). Nothing here measures a phone or a regressor.
+"""
+
+import json
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+import typer
+
+from artefacts import DataRoot, UserError
+from artefacts.cli import SetOption, new_app
+from artefacts.progress import track
+from artefacts.settings import SHIPPED_DATA, resolve_settings
+from benchmarks import fusion_inputs as inputs
+from benchmarks import fusion_scores as scores
+from benchmarks.fusion_inputs import Case
+from benchmarks.fusion_scores import OURS, RAW, RULE, Target, Variant, markdown
+from fusion.decide import RuleWalk
+from fusion.evaluate import FuseSettings, resolved
+from fusion.methods import method
+from fusion.mobilearloc import MobileARLocOptions
+from fusion.offline import stepped
+from fusion.sweep import grid, sweep
+from fusion.walks import Walk
+from geometry.poses import Array
+from simulation.fit_apr_errors import REGRESSORS
+from simulation.scenes import NAMES
+
+KINDS = (inputs.SIMULATED, inputs.RECORDED, inputs.MEASURED, inputs.TRAINED, *inputs.BAD_ODOMETRY, inputs.KIDNAPPED)
+_COMPARED = (inputs.SIMULATED, inputs.RECORDED)
+_PHONE_FRAME_MS = 76.0  # published: inference and the rest of a frame on the phone
+
+STEP_MEDIAN, STEP_P99 = f"{OURS}: median step, ms", f"{OURS}: 99th percentile of a step, ms"
+BATCH = "the rule over whole walks, frames a second"
+
+
+# ---------------------------------------------------------------- speed
+
+
+def step_times_ms(variant: Variant, walks: Sequence[Walk]) -> Array:
+    """Milliseconds of each step of a causal method over walks, on one core."""
+    spent = []
+    for walk in walks:
+        localiser: Any = method(variant.method).make(variant.options)
+
+        def timed(*frame: Any, step: Callable[..., Any] = localiser.step) -> Any:
+            start = time.perf_counter_ns()
+            estimate = step(*frame)
+            spent.append(time.perf_counter_ns() - start)
+            return estimate
+
+        localiser.step = timed
+        stepped(localiser, walk)
+    return np.array(spent) * 1e-6
+
+
+def frames_per_second(walks: Sequence[Walk]) -> float:
+    """The paper's rule over whole walks on one core, everything counted in."""
+    start = time.perf_counter()
+    for walk in walks:
+        RuleWalk(walk).decide(MobileARLocOptions())
+    return sum(len(w) for w in walks) / (time.perf_counter() - start)
+
+
+def sweep_seconds(scenes: Sequence[str], processes: int) -> tuple[float, int]:
+    """Wall time of a full grid of the rule's thresholds over one draw of each scene's test walks, predicted by PN, and
+    the number of settings."""
+    walks = {(s, "PN"): inputs.simulated_case(inputs.SIMULATED, s, "PN", [0]).walks for s in scenes}
+    settings = grid(MobileARLocOptions())
+    start = time.perf_counter()
+    sweep(walks, settings, processes)
+    return time.perf_counter() - start, len(settings)
+
+
+def step_table(methods: Sequence[Variant], walks: Sequence[Walk]) -> pd.DataFrame:
+    """Step times of the causal methods."""
+    rows = []
+    for variant in methods:
+        if method(variant.method).causal:
+            step_times_ms(variant, walks[:1])
+            median, p99 = np.percentile(step_times_ms(variant, walks), [50, 99])
+            share = 100 * median / _PHONE_FRAME_MS
+            rows.append({"method": variant.label, "median ms": median, "99 % ms": p99, "median, % of a frame": share})
+    return pd.DataFrame(rows).set_index("method")
+
+
+# ---------------------------------------------------------------- running
+
+
+@dataclass(frozen=True)
+class Task:
+    """One worker's job: build a case and run methods on it."""
+
+    build: Callable[[], Case]
+    methods: Sequence[Variant]
+
+
+def run(task: Task) -> tuple[pd.DataFrame, pd.DataFrame]:
+    return scores.score(task.build(), task.methods)
+
+
+def _as_it_is(case: Case) -> Case:
+    return case
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be run: kinds of walks, scenes, draws of the simulated ones, methods, and ours with parts left out."""
+
+    kinds: Sequence[str]
+    scenes: Sequence[str]
+    seeds: int
+    methods: Sequence[Variant]
+    without: Sequence[Variant]
+    recordings: Path
+    data: DataRoot
+
+    def tasks(self) -> Iterator[Task]:
+        pairs = [(s, m) for s in self.scenes for m in REGRESSORS]
+        for kind in self.kinds:
+            methods = [*self.methods, *(self.without if kind in _COMPARED else ())]
+            if kind == inputs.TRAINED:
+                builds = [partial(_as_it_is, case) for case in inputs.trained_cases(self.data)]
+            elif kind in (inputs.RECORDED, inputs.MEASURED):
+                real = inputs.recorded_tracks if kind == inputs.RECORDED else inputs.measured_tracks
+                tracks = real(self.recordings)
+                builds = [partial(inputs.recorded_case, kind, tracks, *pair) for pair in pairs]
+            else:
+                seeds = range(self.seeds if kind == inputs.SIMULATED else 1)
+                builds = [partial(inputs.simulated_case, kind, *pair, seeds) for pair in pairs]
+            yield from (Task(build, methods) for build in builds)
+
+
+# ---------------------------------------------------------------- report
+
+
+def report(
+    plan: Plan, summary: pd.DataFrame, sessions: pd.DataFrame, steps: pd.DataFrame, speed: Sequence[Target]
+) -> str:
+    """The tables of a run in Markdown."""
+    kinds = [k for k in plan.kinds if (summary["kind"] == k).any()]
+    labels = [v.label for v in plan.without]
+    plain, seen = (t[~t["method"].isin(labels)] for t in (summary, sessions))
+    compared = [k for k in kinds if k in _COMPARED]
+    guarded = [k for k in kinds if k != inputs.KIDNAPPED]
+    targets = [*scores.accuracy_targets(plain, compared), *scores.guard_targets(plain, guarded), *speed]
+    parts = ["# Fusion methods on the same walks", "## Targets", markdown(scores.target_table(targets))]
+    for kind in kinds:
+        if kind not in inputs.BAD_ODOMETRY:
+            parts += [
+                f"## {kind.capitalize()}: means over scenes and regressors",
+                markdown(scores.overview(plain, kind)),
+            ]
+    for kind in compared if labels else []:
+        rows = scores.overview(summary, kind).loc[[OURS, *labels]]
+        parts += [f"## {OURS} without one ingredient, {kind}", markdown(rows.drop(columns=_COMMON))]
+    parts += ["## Worst scene, as a ratio to the raw regressor's error", markdown(scores.worst(plain, guarded))]
+    if inputs.KIDNAPPED in kinds:
+        parts += [
+            "## Back after a minute unseen",
+            markdown(scores.recovery_table(seen[seen["kind"] == inputs.KIDNAPPED])),
+        ]
+    if inputs.SIMULATED in kinds:
+        parts += ["## What a user sees, simulated", markdown(scores.user_table(seen[seen["kind"] == inputs.SIMULATED]))]
+        beside = scores.beside_published(plain)
+        parts += ["## Simulated walks beside the published tables", markdown(scores.differences(beside))]
+        parts += ["### Cell by cell", markdown(beside)]
+    parts += ["## One step on one core", markdown(steps)]
+    return "\n\n".join(parts)
+
+
+_COMMON = ["position /rule, common", "rotation /rule, common"]
+
+app = new_app(__doc__ or "")
+
+
+@app.command()
+def main(
+    recordings: Annotated[Path, typer.Option(help="Folder of real odometry: docs/vio-drift.md.")] = Path(
+        "../shared/trajectories"
+    ),
+    data: Annotated[Path, typer.Option(help="The data folder, whose runs have trained models.")] = Path("data"),
+    out: Annotated[Path, typer.Option(help="Folder for benchmark.md and benchmark.json.")] = Path("build/fusion"),
+    kinds: Annotated[str, typer.Option(help=f"Kinds of walks, of: {', '.join(KINDS)}.")] = ",".join(KINDS),
+    scenes: Annotated[str, typer.Option(help="Scenes, joined by commas.")] = ",".join(NAMES),
+    seeds: Annotated[int, typer.Option(min=1, help="Draws of the simulated walks' errors.")] = 3,
+    processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = os.cpu_count() or 1,
+    ablate: Annotated[bool, typer.Option(help="Also ours without one ingredient each.")] = True,
+    quick: Annotated[bool, typer.Option("--quick", help="Raw, rule and ours on one draw of simulated walks.")] = False,
+    set_: SetOption = None,
+) -> None:
+    """Run it and print the tables. `--set` takes the fuse stage's settings: `options.drift_aware.tilt=false`."""
+    settings = resolve_settings(FuseSettings, "fuse", DataRoot(SHIPPED_DATA), "demo", "benchmark", set_ or [])
+    chosen = [k.strip() for k in kinds.split(",")]
+    if quick:
+        settings = settings.model_copy(update={"methods": [RAW, RULE, OURS]})
+        chosen, seeds, ablate = [inputs.SIMULATED, *inputs.BAD_ODOMETRY], 1, False
+    for name, known in ((chosen, KINDS), (scenes.split(","), NAMES)):
+        if set(name) - set(known):
+            raise UserError(f"unknown: {', '.join(sorted(set(name) - set(known)))}", expected=", ".join(known))
+    if {RAW, RULE, OURS} - set(settings.methods):
+        raise UserError(f"the benchmark compares {RAW}, {RULE} and {OURS}", found=", ".join(settings.methods))
+    if not recordings.is_dir() and {inputs.RECORDED, inputs.MEASURED} & set(chosen):
+        print(f"no recordings in {recordings}: leaving out the walks that need them")
+        chosen = [k for k in chosen if k not in (inputs.RECORDED, inputs.MEASURED)]
+
+    methods = [Variant(name, name, options) for name, options in resolved(settings).items()]
+    ours = next(v for v in methods if v.label == OURS)
+    without = scores.ablations(ours.options) if ablate else []
+    plan = Plan(chosen, scenes.split(","), seeds, methods, without, recordings, DataRoot(data))
+    walks = [w for m in REGRESSORS for w in inputs.simulated_case(inputs.SIMULATED, plan.scenes[0], m, [0]).walks]
+    steps = step_table(methods, walks)
+    speed = [
+        Target(STEP_MEDIAN, "", float(steps.loc[OURS, "median ms"]), high=0.2),
+        Target(STEP_P99, "", float(steps.loc[OURS, "99 % ms"]), high=1.0),
+        Target(BATCH, "", max(frames_per_second(walks) for _ in range(4)), low=100_000),
+    ]
+    if not quick:
+        seconds, settings_tried = sweep_seconds(plan.scenes, 2)
+        what = f"sweep of {settings_tried} settings over {len(plan.scenes)} scenes, two processes, s"
+        speed.append(Target(what, "", seconds, high=60))
+    tasks = list(plan.tasks())
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        parts = list(track(pool.imap_unordered(run, tasks), "running the methods", len(tasks)))
+    summary, sessions = (pd.concat(p, ignore_index=True) for p in zip(*parts, strict=True))
+    text = report(plan, summary, sessions, steps, speed)
+    print(text)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "benchmark.md").write_text(text + "\n", encoding="utf-8")
+    tables = {"summary": summary, "sessions": sessions, "steps": steps.reset_index()}
+    content = {name: json.loads(table.to_json(orient="records")) for name, table in tables.items()}
+    content["speed"] = {t.what: t.found for t in speed}
+    (out / "benchmark.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    app()

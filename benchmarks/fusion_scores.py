@@ -1,0 +1,327 @@
+"""The figures of the fusion benchmark: scores of a case, comparisons over scenes, and the targets."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from artefacts.settings import SHIPPED_DATA
+from benchmarks.fusion_inputs import SIMULATED, Case
+from fusion.evaluate import stacked
+from fusion.fuse import Fused, Run, error_rows, fuse_all, options_json
+from fusion.localiser import MethodOptions
+from fusion.methods import method, resolve_options
+from fusion.summary import session_figures, summarise
+from fusion.walks import known
+from geometry.poses import Array
+
+RAW, RULE, OURS = "apr", "mobilearloc", "drift_aware"
+ERRORS = ["position_mean_m", "rotation_mean_deg"]
+
+_BOUND = float(chi2.ppf(0.95, 3))
+_SETTLED_FRAMES = 10
+_LONG_GAP_S = 10.0
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A method with options: a row of the tables, under its label."""
+
+    label: str
+    method: str
+    options: MethodOptions
+
+
+def ablations(options: MethodOptions) -> list[Variant]:
+    """Ours without one ingredient each: a switch turned off, odometry never distrusted, or no heavy tails."""
+    values = options.model_dump()
+    off: dict[str, dict[str, Any]] = {name: {name: False} for name, value in values.items() if value is True}
+    if len(values.get("distrust", [])) > 1:
+        off["distrust"] = {"distrust": [1.0]}
+    if "degrees_of_freedom" in values:
+        off["heavy tails"] = {"degrees_of_freedom": 1e6}
+    return [
+        Variant(f"{OURS} without {name}", OURS, resolve_options(OURS, values | changed))
+        for name, changed in off.items()
+    ]
+
+
+# ---------------------------------------------------------------- one case
+
+
+def score(case: Case, methods: Sequence[Variant]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """A case's rows of fuse.summary and fuse.sessions, `method` being the variant's label, with the kind of walks.
+
+    Added to the summary: shares of errors within the 95 % bounds of the method's covariance; to the sessions: the time
+    to recover from the walk's longest gap.
+    """
+    fused: list[Fused] = []
+    for variant in methods:
+        run = Run(variant.label, options_json(variant.options.model_dump(mode="json")), case.model)
+        fused += fuse_all(run, list(case.walks), partial(method(variant.method).make, variant.options))
+    summary = summarise(stacked(error_rows(f) for f in fused))
+    within = pd.DataFrame([_within(f) for f in fused]).groupby("method").sum()
+    for name in ("position", "rotation"):
+        share = 100 * within[name] / within["covered"].where(within["covered"] > 0)
+        summary[f"{name}_within_pct"] = summary["method"].map(share)
+    sessions = pd.DataFrame([session_figures(f) | {"recovery_s": _recovery_s(f)} for f in fused])
+    return summary.assign(kind=case.kind, scene=case.scene), sessions.assign(kind=case.kind, scene=case.scene)
+
+
+def _within(fused: Fused) -> dict[str, Any]:
+    """How many frames have a covariance, and how many errors lie within its 95 % bounds, three axes together."""
+    there = known(fused.live_map_T_cam) & known(fused.walk.map_T_cam)
+    there &= np.array([e.covariance is not None for e in fused.estimates])
+    counts = {"method": fused.run.method, "covered": int(there.sum()), "position": 0, "rotation": 0}
+    if there.any():
+        covariance = np.array([e.covariance for e, ok in zip(fused.estimates, there, strict=True) if ok])
+        ours, true = fused.live_map_T_cam[there], fused.walk.map_T_cam[there]
+        turn = Rotation.from_matrix(ours[:, :3, :3] @ true[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
+        counts["position"] = _count_within(ours[:, :3, 3] - true[:, :3, 3], covariance[:, 3:, 3:])
+        counts["rotation"] = _count_within(turn, covariance[:, :3, :3])
+    return counts
+
+
+def _count_within(errors: Array, covariance: Array) -> int:
+    square = np.einsum("ni,ni->n", errors, np.linalg.solve(covariance, errors[..., None])[..., 0])
+    return int((square <= _BOUND).sum())
+
+
+def _recovery_s(fused: Fused) -> float:
+    """Seconds from the end of the walk's longest gap until ten answers in a row are on average no worse than the raw
+    regressor's over the walk; infinite where that never comes, NaN for a walk without a gap."""
+    seconds = fused.walk.t_ns * 1e-9
+    after = int(np.argmax(np.diff(seconds))) + 1
+    if seconds[after] - seconds[after - 1] < _LONG_GAP_S:
+        return float("nan")
+    rows = error_rows(fused)
+    usual = float(rows["apr_position_m"].mean())
+    errors = rows["live_position_m"].fillna(np.inf).to_numpy()[after:]
+    settled = np.convolve(errors, np.full(_SETTLED_FRAMES, 1 / _SETTLED_FRAMES), "valid") <= usual
+    return float(seconds[after + np.argmax(settled)] - seconds[after]) if settled.any() else float("inf")
+
+
+# ---------------------------------------------------------------- over scenes
+
+
+def per_scene(summary: pd.DataFrame, kind: str, subset: str = "all") -> pd.DataFrame:
+    """The methods' rows of one kind of walks over one subset, indexed by method, scene and model."""
+    rows = summary[(summary["kind"] == kind) & (summary["subset"] == subset) & (summary["scored"] == "method")]
+    return rows.set_index(["method", "scene", "model"])
+
+
+def against(summary: pd.DataFrame, kind: str, other: str, subset: str = "all") -> pd.DataFrame:
+    """Each method's mean errors over those of `other` in the same scene with the same model, as ratios."""
+    rows = per_scene(summary, kind, subset)[ERRORS]
+    return rows / rows.loc[other].reindex(rows.index.droplevel("method")).to_numpy()
+
+
+def overview(summary: pd.DataFrame, kind: str) -> pd.DataFrame:
+    """A row a method, averaged over scenes and regressors: figures over all frames, and ratios to the paper's rule."""
+    rows = per_scene(summary, kind)
+    by_method = rows.groupby("method", sort=False)
+    means = by_method[[*ERRORS, "high_pct", "medium_pct", "low_pct", "coverage_pct"]].mean()
+    ratio = against(summary, kind, RULE).groupby("method", sort=False).mean()
+    common = against(summary, kind, RULE, "common").groupby("method", sort=False).mean()
+    return pd.DataFrame(
+        {
+            "position m": means["position_mean_m"],
+            "rotation deg": means["rotation_mean_deg"],
+            "high %": means["high_pct"],
+            "medium %": means["medium_pct"],
+            "low %": means["low_pct"],
+            "coverage %": means["coverage_pct"],
+            "position /rule": ratio["position_mean_m"],
+            "rotation /rule": ratio["rotation_mean_deg"],
+            # A level may be empty in one scene: ratios are of the averages.
+            "high /rule": means["high_pct"] / means.loc[RULE, "high_pct"],
+            "medium /rule": means["medium_pct"] / means.loc[RULE, "medium_pct"],
+            "position /rule, common": common["position_mean_m"],
+            "rotation /rule, common": common["rotation_mean_deg"],
+            "position within 95 %": by_method["position_within_pct"].mean(),
+            "rotation within 95 %": by_method["rotation_within_pct"].mean(),
+        }
+    )
+
+
+def worst(summary: pd.DataFrame, kinds: Iterable[str]) -> pd.DataFrame:
+    """Each method's worst ratios to the raw regressor over scenes and models: a row a kind of walks and method."""
+    rows = []
+    for kind in kinds:
+        coverage = per_scene(summary, kind)["coverage_pct"].groupby("method").mean()
+        for name, group in against(summary, kind, RAW).groupby("method", sort=False):
+            if name == RAW:
+                continue
+            row: dict[str, Any] = {"walks": kind, "method": name}
+            for column, shown in zip(ERRORS, ("position /raw", "rotation /raw"), strict=True):
+                _, scene, model = group[column].idxmax()
+                row |= {shown: group[column].max(), f"where, {shown.split()[0]}": f"{scene} {model}"}
+            rows.append(row | {"coverage %": coverage[name]})
+    return pd.DataFrame(rows)
+
+
+# ---------------------------------------------------------------- published
+
+
+def beside_published(summary: pd.DataFrame) -> pd.DataFrame:
+    """Tables II and III beside the same cells of the simulated walks, raw and by the paper's rule."""
+    folder = SHIPPED_DATA / "published"
+    sizes = pd.read_csv(folder / "table2_pose_errors.csv").set_index(["scene", "subset", "method", "statistic"])
+    levels = pd.read_csv(folder / "table3_accuracy_levels.csv").set_index(["scene", "subset", "method"])
+    names = dict(zip(["high", "medium", "low"], [c for c in levels.columns if "_pct_" in c], strict=True))
+    ours = summary[(summary["kind"] == SIMULATED) & (summary["method"] == RULE)]
+    found = ours.set_index(["scene", "model", "subset", "scored"])
+    rows = []
+    for scene, model in found.index.droplevel(["subset", "scored"]).unique():
+        for subset, scored in ((s, w) for s in ("rp", "opt", "rp+opt") for w in ("apr", "method")):
+            # The paper prints its raw columns over all frames, but for the block of optimised frames.
+            over = "all" if scored == "apr" and subset != "opt" else subset
+            here = found.loc[(scene, model, over, scored)]
+            printed = f"{model}+VIO" if scored == "method" else model
+
+            def row(figure: str, published: float, value: float, *key: str) -> dict[str, Any]:
+                return dict(zip(_KEY, key, strict=True)) | {"figure": figure, "published": published, "found": value}
+
+            key = (scene, model, subset, "the rule" if scored == "method" else "raw")
+            for statistic in ("mean", "median"):
+                size = sizes.loc[(scene, subset, printed, statistic)]
+                position, rotation = f"position_{statistic}_m", f"rotation_{statistic}_deg"
+                rows.append(row(f"{statistic} m", size["translation_m"], here[position], *key))
+                rows.append(row(f"{statistic} deg", size["rotation_deg"], here[rotation], *key))
+            level = levels.loc[(scene, subset, printed)]
+            rows += [row(f"{name} %", level[column], here[f"{name}_pct"], *key) for name, column in names.items()]
+            if scored == "method":
+                rows.append(row("frames %", level["frames_pct"], here["share_pct"], *key))
+    return pd.DataFrame(rows)
+
+
+_KEY = ["scene", "model", "subset", "poses"]
+
+
+def differences(published: pd.DataFrame) -> pd.DataFrame:
+    """By how much they differ over scenes and regressors: errors as ratios found / published, shares in points."""
+    rows = []
+    for (poses, subset, figure), group in published.groupby(["poses", "subset", "figure"], sort=False):
+        row: dict[str, Any] = {"poses": poses, "subset": subset, "figure": figure}
+        if figure.endswith("%"):
+            off = group["found"] - group["published"]
+            row |= {
+                "typically off by": f"{off.median():+.1f} points",
+                "from to": f"{off.min():+.1f} to {off.max():+.1f}",
+            }
+        else:
+            ratio = group["found"] / group["published"]
+            row |= {"typically off by": f"x {ratio.median():.2f}", "from to": f"{ratio.min():.2f} to {ratio.max():.2f}"}
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+# ---------------------------------------------------------------- targets
+
+
+@dataclass(frozen=True)
+class Target:
+    """A figure to reach, between `low` and `high`, and what was found."""
+
+    what: str
+    walks: str
+    found: float
+    low: float = -np.inf
+    high: float = np.inf
+
+    @property
+    def reached(self) -> bool:
+        return bool(self.low <= self.found <= self.high)
+
+    @property
+    def wanted(self) -> str:
+        if np.isinf(self.low):
+            return f"at most {self.high:g}"
+        return f"at least {self.low:g}" if np.isinf(self.high) else f"{self.low:g} to {self.high:g}"
+
+
+def accuracy_targets(summary: pd.DataFrame, kinds: Sequence[str]) -> list[Target]:
+    """Ours against the paper's rule, and its covariance, on each kind of walks."""
+    found = []
+    for kind in kinds:
+        row = overview(summary, kind).loc[OURS]
+        found += [
+            Target("mean position error / the rule's", kind, row["position /rule"], high=0.45),
+            Target("mean rotation error / the rule's", kind, row["rotation /rule"], high=0.33),
+            Target("frames at high level / the rule's", kind, row["high /rule"], low=2.0),
+            Target("frames at medium level / the rule's", kind, row["medium /rule"], low=2.0),
+            Target("coverage %", kind, row["coverage %"], low=100.0),
+            Target("position errors within 95 % bounds, %", kind, row["position within 95 %"], 90.0, 98.0),
+            Target("rotation errors within 95 % bounds, %", kind, row["rotation within 95 %"], 90.0, 98.0),
+        ]
+    return found
+
+
+def guard_targets(summary: pd.DataFrame, kinds: Sequence[str]) -> list[Target]:
+    """Never worse than the raw regressor by more than 5 % in any scene."""
+    rows = worst(summary, kinds)
+    ours = rows[rows["method"] == OURS]
+    return [
+        Target(f"mean {q} error / the raw one's, worst scene", row["walks"], row[f"{q} /raw"], high=1.05)
+        for row in ours.to_dict("records")
+        for q in ("position", "rotation")
+    ]
+
+
+def target_table(found: Sequence[Target]) -> pd.DataFrame:
+    """Each target beside its figure."""
+    return pd.DataFrame(
+        {
+            "target": [t.what for t in found],
+            "walks": [t.walks for t in found],
+            "found": [t.found for t in found],
+            "wanted": [t.wanted for t in found],
+            "": ["ok" if t.reached else "short" for t in found],
+        }
+    )
+
+
+# ---------------------------------------------------------------- what a user sees
+
+
+def recovery_table(sessions: pd.DataFrame) -> pd.DataFrame:
+    """How long each method takes to be right again, over sessions."""
+    rows = []
+    for name, group in sessions.groupby("method", sort=False):
+        seconds = np.sort(group["recovery_s"].to_numpy(float))
+        at = {"median s": 0.5, "90 % within s": 0.9}
+        row = {column: seconds[min(len(seconds) - 1, int(share * len(seconds)))] for column, share in at.items()}
+        rows.append({"method": name} | row | {"never %": 100 * float(np.isinf(seconds).mean()), "walks": len(seconds)})
+    return pd.DataFrame(rows)
+
+
+def user_table(sessions: pd.DataFrame) -> pd.DataFrame:
+    """Times without a pose and jitter of each method, averaged over sessions."""
+    grouped = sessions.groupby("method", sort=False)
+    return pd.DataFrame(
+        {
+            "first pose after s": grouped["first_fix_s"].mean(),
+            "longest outage s": grouped["longest_outage_s"].mean(),
+            "jitter m a frame": grouped["jitter_m"].mean(),
+            "jitter deg a frame": grouped["jitter_deg"].mean(),
+        }
+    )
+
+
+def markdown(table: pd.DataFrame) -> str:
+    """A table in Markdown; an index with a name is its first column."""
+    shown = table.reset_index() if table.index.name else table
+    lines = ["| " + " | ".join(map(str, shown.columns)) + " |", "|---" * len(shown.columns) + "|"]
+    lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in shown.itertuples(index=False)]
+    return "\n".join(lines)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return "" if np.isnan(value) else f"{value:.0f}" if 1000 <= abs(value) < np.inf else f"{value:.3g}"
+    return str(value)

@@ -1,0 +1,90 @@
+"""How far an evaluation's figures would move with other walks: bootstrap confidence intervals over sessions.
+
+Frames of one walk share their error, so frames are no independent samples; sessions are what is drawn again, with
+replacement. With few sessions there is little to draw: two sessions have three different draws, so that the interval
+runs from one session's figure to the other's and says no more than that.
+"""
+
+from collections.abc import Iterator
+from math import comb
+
+import numpy as np
+import pandas as pd
+
+from fusion.summary import RUN, score_columns, subsets
+from geometry.metrics import ACCURACY_LEVELS
+from geometry.poses import Array
+
+DRAWS = 1000
+CONFIDENCE = 0.95
+
+
+def intervals(errors: pd.DataFrame, seed: int = 0) -> pd.DataFrame:
+    """Table fuse.intervals from fuse.errors: a row a method, model, scene, subset and figure of fuse.summary."""
+    rows = []
+    for run, group in errors.groupby(RUN, sort=False):
+        same_model = errors[(errors["model"] == run[2]) & (errors["scene"] == run[3])]
+        for subset, frames, prefix in subsets(group, same_model):
+            sessions = frames["session_id"].to_numpy(object)
+            names = np.unique(sessions)
+            if not len(names):
+                continue
+            weights = _draws(len(names), seed)[:, np.searchsorted(names, sessions)]
+            key = dict(zip(RUN, run, strict=True)) | {"subset": subset}
+            for figure, values in _figures(*score_columns(frames, prefix), weights):
+                low, high = _interval(values[1:]) if len(names) > 1 else (None, None)
+                rows.append(
+                    key
+                    | {"figure": figure, "value": _number(values[0]), "low": low, "high": high}
+                    | {"sessions": len(names), "draws": comb(2 * len(names) - 1, len(names))}
+                )
+    return pd.DataFrame(rows)
+
+
+def _draws(sessions: int, seed: int) -> Array:
+    """How often each session is drawn, (1 + DRAWS, S): first each once, then drawn with replacement."""
+    rng = np.random.default_rng(seed)
+    return np.concatenate(
+        [np.ones((1, sessions)), rng.multinomial(sessions, np.full(sessions, 1 / sessions), size=DRAWS)]
+    )
+
+
+def _figures(position_m: Array, rotation_deg: Array, weights: Array) -> Iterator[tuple[str, Array]]:
+    """Name and values (1 + DRAWS,) of each figure, for errors (N,) of frames with weights (1 + DRAWS, N)."""
+    total = weights.sum(axis=1)
+    answered = np.isfinite(position_m)
+    yield "coverage_pct", 100 * weights @ answered / total
+    for name, errors in (("position", position_m), ("rotation", rotation_deg)):
+        unit = "m" if name == "position" else "deg"
+        yield f"{name}_mean_{unit}", _share(weights @ np.where(answered, errors, 0.0), weights @ answered)
+        yield f"{name}_median_{unit}", _medians(np.where(answered, errors, np.inf), weights)
+    for level, (metres, degrees) in ACCURACY_LEVELS.items():
+        yield f"{level}_pct", 100 * weights @ ((position_m <= metres) & (rotation_deg <= degrees)) / total
+
+
+def _share(part: Array, whole: Array) -> Array:
+    return np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0)
+
+
+def _medians(errors: Array, weights: Array) -> Array:
+    """The median (D,) of errors (N,), each counted as often as weights (D, N) say."""
+    order = np.argsort(errors, kind="stable")
+    below = np.cumsum(weights[:, order], axis=1)
+    half = below[:, -1:] / 2
+    middle = [errors[order][np.argmax(reached, axis=1)] for reached in (below >= half, below > half)]
+    return np.asarray((middle[0] + middle[1]) / 2)
+
+
+def _interval(values: Array) -> tuple[float | None, float | None]:
+    """The middle CONFIDENCE of the values; a bound is None where it is infinite or there is none."""
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return None, None
+    tail = 100 * (1 - CONFIDENCE) / 2
+    # The nearest value, not an interpolated one: between a number and infinity there is none.
+    low, high = np.percentile(known, [tail, 100 - tail], method="nearest")
+    return _number(low), _number(high)
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,99 @@
+"""A chain of poses, each measured by itself and against its neighbour, at its most probable."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from geometry.poses import Array, inverse, relative
+
+_MAX_ITERATIONS = 20
+_TOLERANCE = 1e-7
+
+
+def skew(v: ArrayLike) -> Array:
+    """Matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
+    v = np.asarray(v, dtype=float)
+    x, y, z, zero = v[..., 0], v[..., 1], v[..., 2], np.zeros(v.shape[:-1])
+    rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def inverse_right_jacobian(rotation_vector: ArrayLike) -> Array:
+    """J (..., 3, 3) with log(exp(v) exp(w)) = v + J w for small w (Chirikjian, "Stochastic Models, Information Theory,
+    and Lie Groups" 2, 2012, eq. 10.86), for rotation vectors v (..., 3) shorter than half a turn."""
+    v = np.asarray(rotation_vector, dtype=float)
+    angle = np.linalg.norm(v, axis=-1)
+    large = angle > 1e-4
+    safe = np.where(large, angle, 1.0)
+    k = np.where(large, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe)), 1 / 12)
+    cross = skew(v)
+    return np.eye(3) + cross / 2 + k[..., None, None] * (cross @ cross)
+
+
+def smooth_chain(
+    measured: ArrayLike,
+    steps: ArrayLike,
+    start: ArrayLike,
+    *,
+    measured_sd: tuple[float, float],
+    step_sd: tuple[float, float],
+    huber: float = np.inf,
+) -> tuple[Array, Array]:
+    """The poses (N, 4, 4) that fit measured poses (N, 4, 4) and steps a_T_b (N-1, 4, 4) between neighbours best, and
+    the covariance (6, 6) of the last: rotation (rad, camera axes), then position (m, the measurements' frame).
+
+    Least squares over rotation and position differences, weighted by standard deviations (m, rad); Gauss-Newton from
+    `start` (N, 4, 4). A measured pose with a residual beyond `huber` standard deviations counts by its length, not by
+    its square.
+    """
+    z, d, poses = (np.asarray(x, dtype=float) for x in (measured, steps, start))
+    n = len(z)
+    poses = poses.copy()
+    normal = np.zeros((6 * n, 6 * n))
+    a = np.arange(n - 1)
+    for _ in range(_MAX_ITERATIONS):
+        R, p = poses[:, :3, :3], poses[:, :3, 3]
+        turn = Rotation.from_matrix(z[:, :3, :3].swapaxes(1, 2) @ R).as_rotvec()
+        J = inverse_right_jacobian(turn)
+        off = p - z[:, :3, 3]
+        size = np.sqrt(np.sum((turn / measured_sd[1]) ** 2, axis=1) + np.sum((off / measured_sd[0]) ** 2, axis=1))
+        weight = np.minimum(1.0, huber / np.maximum(size, 1e-12))
+        # Blocks by frame: rotation (camera axes), position.
+        H = np.zeros((n, n, 6, 6))
+        g = np.zeros((n, 6))
+        i = np.arange(n)
+        rotation_weight = (weight / measured_sd[1] ** 2)[:, None]
+        H[i, i, :3, :3] = rotation_weight[..., None] * (J.swapaxes(1, 2) @ J)
+        H[i, i, 3:, 3:] = (weight / measured_sd[0] ** 2)[:, None, None] * np.eye(3)
+        g[:, :3] = rotation_weight * np.einsum("nij,ni->nj", J, turn)
+        g[:, 3:] = (weight / measured_sd[0] ** 2)[:, None] * off
+
+        step = relative(poses[:-1], poses[1:])
+        left = inverse(d) @ step
+        turn = Rotation.from_matrix(left[:, :3, :3]).as_rotvec()
+        off = step[:, :3, 3] - d[:, :3, 3]
+        to_a = R[:-1].swapaxes(1, 2)
+        A, B = np.zeros((n - 1, 6, 6)), np.zeros((n - 1, 6, 6))
+        J = inverse_right_jacobian(turn)
+        A[:, :3, :3] = -J @ step[:, :3, :3].swapaxes(1, 2)
+        A[:, 3:, :3], A[:, 3:, 3:] = skew(step[:, :3, 3]), -to_a
+        B[:, :3, :3], B[:, 3:, 3:] = J, to_a
+        information = np.repeat([step_sd[1] ** -2.0, step_sd[0] ** -2.0], 3)
+        residual = np.concatenate([turn, off], axis=1) * information
+        At, Bt = A.swapaxes(1, 2) * information, B.swapaxes(1, 2) * information
+        H[a, a] += At @ A
+        H[a + 1, a + 1] += Bt @ B
+        H[a, a + 1] += At @ B
+        H[a + 1, a] += Bt @ A
+        g[:-1] += np.einsum("nij,ni->nj", A, residual)
+        g[1:] += np.einsum("nij,ni->nj", B, residual)
+
+        normal = H.transpose(0, 2, 1, 3).reshape(6 * n, 6 * n)
+        update = -np.linalg.solve(normal, g.ravel()).reshape(n, 6)
+        poses[:, :3, :3] = R @ Rotation.from_rotvec(update[:, :3]).as_matrix()
+        poses[:, :3, 3] = p + update[:, 3:]
+        if np.abs(update).max() < _TOLERANCE:
+            break
+    last = np.zeros((6 * n, 6))
+    last[-6:] = np.eye(6)
+    return poses, np.asarray(np.linalg.solve(normal, last)[-6:], dtype=float)

@@ -1,0 +1,65 @@
+"""Confidence intervals: their values are the summary's, and they cover what other sessions would have given."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from tables import tables
+
+from fusion.bootstrap import DRAWS, intervals
+from fusion.evaluate import FuseSettings, Inputs, evaluate
+
+METHODS = ["apr", "mobilearloc"]
+
+
+def errors_of(sessions: list[np.ndarray]) -> pd.DataFrame:
+    """Rows of fuse.errors of one method whose position errors are given by session; NaN is a frame without a pose."""
+    rows = []
+    for number, position_m in enumerate(sessions):
+        part = pd.DataFrame({"live_position_m": position_m, "live_rotation_deg": 2 * position_m})
+        part["apr_position_m"], part["apr_rotation_deg"] = part["live_position_m"], part["live_rotation_deg"]
+        part["frame_id"] = [f"s{number}/{i:06d}" for i in range(len(part))]
+        rows.append(part.assign(session_id=f"s{number}", method="apr", options="{}", model="PN", scene="Place"))
+    return pd.concat(rows, ignore_index=True).assign(status="predicted")
+
+
+def test_values_are_those_of_the_summary():
+    results = evaluate([Inputs("Place", *tables([1, 2, 3]))], FuseSettings(methods=METHODS))
+    summary = results.tables["summary"]
+    ours = summary[summary["scored"] == "method"].set_index(["method", "subset"])
+    for row in results.tables["intervals"].to_dict("records"):
+        expected = ours.loc[(row["method"], row["subset"]), row["figure"]]
+        assert row["value"] == pytest.approx(expected) or (pd.isna(row["value"]) and pd.isna(expected)), row
+        if not pd.isna(row["low"]) and not pd.isna(row["value"]):
+            assert row["low"] <= row["value"] + 1e-9
+        assert row["sessions"] == 3 and row["draws"] == 10
+
+
+def test_two_sessions_give_the_two_sessions():
+    rng = np.random.default_rng(0)
+    sessions = [rng.uniform(0, 1, 40), rng.uniform(1, 2, 40)]
+    found = intervals(errors_of(sessions)).set_index(["subset", "figure"]).loc[("all", "position_mean_m")]
+    assert (found["low"], found["high"]) == pytest.approx([s.mean() for s in sessions])
+    assert found["draws"] == 3
+
+
+def test_one_session_has_no_interval():
+    found = intervals(errors_of([np.linspace(0, 1, 9)]))
+    assert found["low"].isna().all() and found["high"].isna().all() and found["value"].notna().all()
+
+
+def test_interval_covers_the_true_mean_about_as_often_as_it_says():
+    # Sessions differ in their mean error; the true mean over all sessions is 1.
+    rng = np.random.default_rng(1)
+    inside = 0
+    for _ in range(60):
+        sessions = [np.clip(level + 0.1 * rng.standard_normal(10), 0, None) for level in rng.uniform(0.5, 1.5, 20)]
+        found = intervals(errors_of(sessions)).set_index(["subset", "figure"]).loc[("all", "position_mean_m")]
+        inside += bool(found["low"] <= 1.0 <= found["high"])
+    assert 50 <= inside <= 60
+
+
+def test_missing_frames_make_a_median_infinite_where_half_are_missing():
+    found = intervals(errors_of([np.array([0.1, 0.2, np.nan]), np.array([np.nan, np.nan, 0.3])]))
+    median = found.set_index(["subset", "figure"]).loc[("all", "position_median_m")]
+    assert pd.isna(median["value"]) and median["low"] == pytest.approx(0.2) and pd.isna(median["high"])
+    assert DRAWS >= 1000

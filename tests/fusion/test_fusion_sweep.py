@@ -1,0 +1,58 @@
+"""Sweeps over the rule's thresholds: the same figures as the frame-by-frame evaluation, and a figure."""
+
+import pytest
+from tables import tables
+from typer.testing import CliRunner
+
+from artefacts.schemas import schema
+from artefacts.tables import read_table
+from fusion.__main__ import app
+from fusion.evaluate import FuseSettings, Inputs, evaluate, joined_walks
+from fusion.mobilearloc import MobileARLocOptions
+from fusion.sweep import VALUES, around, grid, sweep
+
+INPUTS = Inputs("Place", *tables([1, 2, 3, 4], ("PN", "MS-T")))
+WALKS = {("Place", model): joined.walks for model, joined in joined_walks(INPUTS, ["test"])}
+
+
+@pytest.mark.parametrize("changed", [{}, {"n": 3, "d_th_m": 0.2}, {"o_th_deg": 8.0, "gamma": 0.999}])
+def test_a_setting_has_the_figures_of_the_evaluation(changed):
+    options = {"mobilearloc": changed}
+    summary = evaluate([INPUTS], FuseSettings(methods=["mobilearloc"], options=options)).tables["summary"]
+    stepped = summary[summary["scored"] == "method"].set_index(["model", "subset"])
+    swept = sweep(WALKS, [s for s in around(MobileARLocOptions(**changed)) if s.varied == "n"])
+    swept = swept[swept["n"] == changed.get("n", 2)].set_index(["model", "subset"])
+    assert len(swept) == 4
+    for key, row in swept.iterrows():
+        for figure in ("frames", "answered", "total", "position_mean_m", "rotation_median_deg", "medium_pct"):
+            assert row[figure] == pytest.approx(stepped.loc[key, figure], nan_ok=True), (key, figure)
+
+
+def test_one_at_a_time_and_every_combination():
+    single, every = around(MobileARLocOptions(n=4)), grid(MobileARLocOptions())
+    assert len(single) == sum(map(len, VALUES.values()))
+    assert all(s.options.n == 4 for s in single if s.varied != "n")
+    product = 1
+    for values in VALUES.values():
+        product *= len(values)
+    assert len({s.options.model_dump_json() for s in every}) == len(every) == product >= 1000
+    default = MobileARLocOptions().model_dump()
+    assert all(default[name] in values for name, values in VALUES.items())
+
+
+def test_processes_change_nothing():
+    settings = around(MobileARLocOptions())[:3]
+    assert sweep(WALKS, settings, 2).equals(sweep(WALKS, settings))
+
+
+def test_command_line(tmp_path):
+    paths = [tmp_path / f"{name}.parquet" for name in ("frames", "truth", "predictions")]
+    for table, path in zip(tables([1, 2]), paths, strict=True):
+        table.to_parquet(path)
+    names = ("--frames", "--ground-truth", "--predictions")
+    arguments = [x for pair in zip(names, map(str, paths), strict=True) for x in pair]
+    done = CliRunner().invoke(app, ["sweep", *arguments, "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    table = read_table(tmp_path / "out" / "sweep.parquet", schema("fuse", "sweep"))
+    assert set(table["varied"]) == set(VALUES) and set(table["subset"]) == {"rp+opt", "all"}
+    assert "<svg" in (tmp_path / "out" / "sweep.svg").read_text()
