@@ -12,30 +12,38 @@ import pandas as pd
 import typer
 from rich.console import Console
 from rich.table import Table
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
+from alignment.uncertainty import SharedSd, shared_covariance
 from artefacts import UserError
 from artefacts.cli import DataOption, ProfileOption
 from artefacts.schemas import schema
 from artefacts.settings import DataRoot
+from artefacts.stage import load_manifest
 from artefacts.tables import poses_of, read_table
 from geometry import GeometryError
-from geometry.fits import fit_sim3, pose_residuals
+from geometry.fits import fit_sim3, fit_yaw, pose_residuals
 from geometry.poses import Array
+
+# 95 % of a chi square with 3 degrees of freedom.
+_BOUND = float(chi2.ppf(0.95, 3))
 
 
 @dataclass(frozen=True)
 class Target:
-    """One line of the check: what was found, what it must keep, in which unit."""
+    """One line of the check: what was found, what it must keep (at most `limit`, or from it to `most`), its unit."""
 
     name: str
     found: float
     limit: float
     unit: str
     at_least: bool = False
+    most: float = 100.0
 
     @property
     def met(self) -> bool:
-        return self.found >= self.limit if self.at_least else self.found <= self.limit
+        return self.limit <= self.found <= self.most if self.at_least else self.found <= self.limit
 
 
 def compare_with_truth(map_T_cam: Array, true_T_cam: Array, frames: int) -> list[Target]:
@@ -61,6 +69,34 @@ def compare_with_truth(map_T_cam: Array, true_T_cam: Array, frames: int) -> list
     ]
 
 
+def compare_with_bounds(map_T_cam: Array, true_T_cam: Array, covariance: Array, shared: SharedSd) -> list[Target]:
+    """How many frames lie within their own 95 % bounds; poses (N, 4, 4), covariances (N, 6, 6) as align gives them.
+
+    SfM's part is compared after a similarity fit, which takes away what all frames share. The whole is compared after
+    what is free has been fitted, heading and origin; scale and vertical are one draw each, so it has no upper limit.
+    """
+    xyz = map_T_cam[:, :3, 3]
+    own = covariance - shared_covariance(xyz, xyz.mean(axis=0), shared)
+    true_S_map = fit_sim3(true_T_cam[:, :3, 3], xyz)
+    true_T_map = fit_yaw(true_T_cam[:, :3, 3], xyz)
+    found = {
+        "SfM's part": (true_S_map.poses(map_T_cam), true_S_map.rotation, own, 98.0),
+        "whole": (true_T_map @ map_T_cam, true_T_map[:3, :3], covariance, 100.0),
+    }
+    targets = []
+    for part, (placed, turn, stated, most) in found.items():
+        rotation = true_T_cam[:, :3, :3] @ np.swapaxes(placed[:, :3, :3], 1, 2)
+        errors = {
+            "position": (true_T_cam[:, :3, 3] - placed[:, :3, 3], slice(3, 6)),
+            "rotation": (Rotation.from_matrix(rotation).as_rotvec(), slice(0, 3)),
+        }
+        for name, (error, axes) in errors.items():
+            normalised = np.linalg.solve(turn @ stated[:, axes, axes] @ turn.T, error[..., None])[..., 0]
+            within = 100 * float(np.mean(np.sum(error * normalised, axis=1) <= _BOUND))
+            targets.append(Target(f"{name} within 95 % bounds, {part}", within, 90.0, "%", at_least=True, most=most))
+    return targets
+
+
 def check_truth(
     scene: Annotated[str, typer.Option(help="A simulated scene.")],
     profile: ProfileOption = "demo",
@@ -80,8 +116,15 @@ def check_truth(
         )
     truth = read_table(truth_path, schema("simulate", "true_poses"))
     map_T_cam, true_T_cam = _joined(gt, truth, sessions, truth_path)
+    figures = load_manifest(root.run(profile, scene, "align"))["figures"]
+    stated = gt.loc[gt["quality"] != "none", "covariance"]
+    known = stated.notna().to_numpy()
     try:
         targets = compare_with_truth(map_T_cam, true_T_cam, len(gt))
+        if known.any():
+            covariance = np.stack(list(stated[known])).reshape(-1, 6, 6)
+            shared = SharedSd(figures["scale_sd"], float(np.radians(figures["vertical_sd_deg"])))
+            targets += compare_with_bounds(map_T_cam[known], true_T_cam[known], covariance, shared)
     except GeometryError as error:
         raise UserError("too little ground truth to compare", where=scene, found=error) from None
     table = Table(title=f"{scene}, {profile}: {len(map_T_cam)} of {len(gt)} frames against the truth")
@@ -89,10 +132,11 @@ def check_truth(
         table.add_column(heading, justify="left" if not heading else "right")
     for target in targets:
         sign = "≥" if target.at_least else "≤"
+        upper = f" to {target.most:g}" if target.at_least and target.most < 100 else ""
         table.add_row(
             target.name,
             f"{target.found:.3f} {target.unit}",
-            f"{sign} {target.limit:g} {target.unit}",
+            f"{sign} {target.limit:g}{upper} {target.unit}",
             "ok" if target.met else "missed",
         )
     Console().print(table)

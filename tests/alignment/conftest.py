@@ -1,6 +1,7 @@
 """Walks with known truth: SfM in a gauge of its own, VIO with drift, as the tables that the stage reads."""
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -8,7 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from alignment.uncertainty import covariance_in_map
-from artefacts.tables import pose_frame, poses_of
+from artefacts import DataRoot
+from artefacts.schemas import schema
+from artefacts.stage import write_json
+from artefacts.tables import pose_frame, poses_of, write_table
 from geometry.fits import Sim3
 from geometry.poses import make_pose, yaw_rotation
 
@@ -151,7 +155,61 @@ def _make(w: Walks) -> Scene:
     return scene.in_gauge(w.gauge)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def walks() -> Walks:
     """Settings of synthetic walks; `walks.make(seed=3, ...)` gives a scene."""
     return Walks()
+
+
+def write_artefact(data: DataRoot, stage: str, tables: dict[str, pd.DataFrame]) -> None:
+    folder = data.run("tiny", "Place", stage)
+    folder.mkdir(parents=True)
+    for name, table in tables.items():
+        write_table(folder / f"{name}.parquet", table, schema(stage, name))
+    write_json(folder / "manifest.json", {"outputs": {}, "simulated": True})
+
+
+def filled(table: pd.DataFrame, stage: str, name: str, **values) -> pd.DataFrame:
+    """The table with the columns that the schema asks for; those that this stage doesn't read get a plain value."""
+    plain = {"float64": 0.5, "int64": 1, "string": "", "bool": False, "list<float64>": [], "list<string>": []}
+    missing = {c.name: c for c in schema(stage, name).columns if c.name not in table}
+    extra = {k: values.get(k, plain[c.dtype]) for k, c in missing.items()}
+    return table.assign(**{k: [v] * len(table) if isinstance(v, list) else v for k, v in extra.items()})
+
+
+def make_place(walks: Walks, root: DataRoot) -> None:
+    """Artefacts of two synthetic walks, and their true poses."""
+    scene = walks.make(sessions=2, frames=20, sfm_m=0.005, sfm_deg=0.02, drift_m=0.005)
+    frames = filled(scene.frames, "import", "frames", width=1920, height=1440, cx=960.0, cy=720.0, fy=1400.0)
+    names = pd.DataFrame({"session_id": list(scene.recordings), "recording": list(scene.recordings)})
+    jumps = scene.jumps.assign(dt_s=0.1, splits=False).astype({"t_ns": "int64", "splits": bool})
+    write_artefact(
+        root,
+        "import",
+        {"frames": frames, "sessions": filled(names, "import", "sessions"), "jumps": jumps},
+    )
+    points = pd.DataFrame(np.random.default_rng(0).normal(size=(50, 3)), columns=["x", "y", "z"])
+    write_artefact(
+        root,
+        "sfm",
+        {"images": filled(scene.images, "sfm", "images"), "points": filled(points, "sfm", "points", r=200)},
+    )
+    truth = pd.concat([scene.frames[["session_id", "t_ns"]], pose_frame("map_cam", scene.true_T_cam)], axis=1)
+    root.captures("Place").mkdir(parents=True)
+    write_table(root.captures("Place") / "true_poses.parquet", truth, schema("simulate", "true_poses"))
+
+
+@pytest.fixture
+def data(walks, tmp_path: Path) -> DataRoot:
+    """The scene Place with import and sfm done."""
+    root = DataRoot(tmp_path / "data")
+    make_place(walks, root)
+    return root
+
+
+@pytest.fixture(scope="module")
+def data_of_module(walks, tmp_path_factory: pytest.TempPathFactory) -> DataRoot:
+    """The same for all tests of a module."""
+    root = DataRoot(tmp_path_factory.mktemp("place") / "data")
+    make_place(walks, root)
+    return root

@@ -1,0 +1,45 @@
+"""COLMAP: `sparse/0` with cameras, images and points in the map, `images/`, and lists of image names by split.
+
+Format: https://colmap.github.io/format.html (world-to-camera poses, quaternions w first in text; pixel centres at 0.5,
+as ours). The world is the map: metric, +y up.
+"""
+
+from pathlib import Path
+from urllib.parse import unquote
+
+import pycolmap
+
+from alignment.export.dataset import Dataset, Images, place_image
+from artefacts import UserError
+
+
+def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool = False) -> list[str]:
+    """Write the layout; returns the frames' image paths. Frames without ground truth aren't in the model."""
+    if not dataset.model.is_dir():
+        raise UserError("SfM's model isn't there", where=dataset.model, do="run the sfm stage again")
+    model = pycolmap.Reconstruction(dataset.model)
+    to_map = dataset.map_S_sfm
+    model.transform(pycolmap.Sim3d(to_map.scale, pycolmap.Rotation3d(to_map.rotation), to_map.translation))
+    by_frame = {unquote(str(Path(image.name).with_suffix(""))): image for image in model.images.values()}
+    wanted = set(dataset.frames["frame_id"])
+    if missing := wanted - by_frame.keys():
+        raise UserError(
+            "SfM's model lacks frames that have ground truth",
+            where=dataset.model,
+            found=f"{len(missing)} are missing, {min(missing)} for one",
+            do="run the sfm and align stages again",
+        )
+    for frame_id, image in by_frame.items():
+        if frame_id not in wanted:
+            model.deregister_frame(image.frame_id)
+    sparse = folder / "sparse" / "0"
+    sparse.mkdir(parents=True)
+    (model.write_text if text else model.write_binary)(sparse)
+
+    names = [by_frame[frame_id].name for frame_id in dataset.frames["frame_id"]]
+    for split in ("train", "val", "test"):
+        own = [name for name, of in zip(names, dataset.frames["split"], strict=True) if of == split]
+        (folder / f"{split}.txt").write_text("".join(f"{name}\n" for name in own), encoding="utf-8")
+    for source, name in zip(dataset.images, names, strict=True):
+        place_image(source, folder / "images" / name, images)
+    return [f"images/{name}" for name in names]

@@ -1,0 +1,155 @@
+"""`python -m alignment export`: ground truth in the layout of another tool or data set."""
+
+import json
+import shutil
+from collections.abc import Callable
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import pandas as pd
+import typer
+
+from alignment.export.cambridge import write_cambridge
+from alignment.export.colmap import write_colmap
+from alignment.export.dataset import Dataset, Images, load_dataset
+from alignment.export.nerfstudio import write_nerfstudio
+from alignment.export.seven_scenes import write_seven_scenes
+from alignment.export.tum import write_tum
+from artefacts import DataRoot, UserError, progress
+from artefacts.cli import DataOption, ProfileOption
+from artefacts.stage import write_json
+
+_NOTE = "export.json"
+_FRAMES = "frames.csv"
+
+WRITERS: dict[str, Callable[[Dataset, Path, Images], list[str]]] = {
+    "colmap": write_colmap,
+    "colmap-text": partial(write_colmap, text=True),
+    "tum": write_tum,
+    "nerfstudio": write_nerfstudio,
+    "7scenes": write_seven_scenes,
+    "cambridge": write_cambridge,
+}
+
+
+class FormatOption(StrEnum):
+    """The names of WRITERS."""
+
+    colmap = "colmap"
+    colmap_text = "colmap-text"
+    tum = "tum"
+    nerfstudio = "nerfstudio"
+    seven_scenes = "7scenes"
+    cambridge = "cambridge"
+
+
+class ImagesOption(StrEnum):
+    """What becomes of the images."""
+
+    link = "link"
+    copy = "copy"
+    none = "none"
+
+
+def export(
+    scene: Annotated[str, typer.Option(help="A scene whose ground truth is there.")],
+    format_: Annotated[FormatOption, typer.Option("--format", help="The layout to write.")],
+    out: Annotated[Path, typer.Option(help="The folder to make.")],
+    images: Annotated[ImagesOption, typer.Option(help="Link to the images, copy them, or leave them out.")] = (
+        ImagesOption.link
+    ),
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier export in that folder.")] = False,
+    profile: ProfileOption = "demo",
+    data: DataOption = Path("data"),
+) -> None:
+    """Write ground truth as another tool reads it; docs/ground-truth.md says what each format can't hold.
+
+    Frames without ground truth are left out; `frames.csv` lists every frame with its split, quality and image, and
+    `export.json` says what the export is.
+    """
+    name = format_.value
+    dataset = load_dataset(DataRoot(data), profile, scene)
+    about = {"scene": scene, "profile": profile, "format": name}
+    write_export(dataset, name, out, images.value, about, force=force)
+    left = len(dataset.left_out)
+    progress.console.print(
+        f"{scene} as {name}: {len(dataset.frames)} frames"
+        f"{f', {left} without ground truth left out ({_FRAMES} says which)' if left else ''} → {out}",
+        markup=False,
+    )
+    if dataset.simulated:
+        progress.console.print("  the captures are simulated, and export.json says so", markup=False)
+
+
+def write_export(
+    dataset: Dataset, format_name: str, out: Path, images: Images, about: dict[str, str], *, force: bool
+) -> None:
+    """Write an export to the folder `out`, which appears when it is whole.
+
+    Raises UserError where `out` is there; with `force` an earlier export in it is replaced, nothing else ever is.
+    """
+    out = out.absolute()
+    _refuse_to_overwrite(out, force)
+    partial_ = out.with_name(f".{out.name}.partial")
+    shutil.rmtree(partial_, ignore_errors=True)
+    try:
+        partial_.mkdir(parents=True)
+        placed = WRITERS[format_name](dataset, partial_, images)
+        listed = _listed(dataset, placed)
+        listed.to_csv(partial_ / _FRAMES, index=False)
+        write_json(
+            partial_ / _NOTE,
+            {
+                **about,
+                "simulated": dataset.simulated,
+                "images": images,
+                "frames": len(dataset.frames),
+                "left_out": len(dataset.left_out),
+                "by_split": dataset.frames["split"].value_counts().sort_index().to_dict(),
+                "by_quality": dataset.frames["quality"].value_counts().sort_index().to_dict(),
+                "map": "metres, +y up before any turn that the format asks for",
+            },
+        )
+        _swap_in(partial_, out)
+    except OSError as error:
+        raise UserError("the export can't be written", where=error.filename or out, found=error.strerror) from None
+    finally:
+        shutil.rmtree(partial_, ignore_errors=True)
+
+
+def _listed(dataset: Dataset, placed: list[str]) -> pd.DataFrame:
+    columns = ["frame_id", "session_id", "split", "t_ns", "clock", "quality", "reason"]
+    exported = dataset.frames[columns].assign(image=placed)
+    return pd.concat([exported, dataset.left_out[columns].assign(image="")]).sort_values("frame_id")
+
+
+def _refuse_to_overwrite(out: Path, force: bool) -> None:
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return
+    if not _is_export(out):
+        raise UserError(
+            "the folder holds something else than an export",
+            where=out,
+            expected=f"a new or empty folder, or an earlier export with its {_NOTE}",
+            do="name another folder with --out",
+        )
+    if not force:
+        raise UserError("there is an export already", where=out, do="name another folder, or replace it with --force")
+
+
+def _is_export(folder: Path) -> bool:
+    try:
+        return "format" in json.loads((folder / _NOTE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+
+
+def _swap_in(folder: Path, out: Path) -> None:
+    old = out.with_name(f".{out.name}.old")
+    shutil.rmtree(old, ignore_errors=True)
+    if out.exists():
+        out.rename(old)
+    folder.rename(out)
+    shutil.rmtree(old, ignore_errors=True)

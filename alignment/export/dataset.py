@@ -1,0 +1,128 @@
+"""What is exported: the frames that have ground truth, with their images, and SfM's model brought into the map."""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+import pandas as pd
+
+from artefacts import DataRoot, UserError
+from artefacts.schemas import schema
+from artefacts.stage import MANIFEST, load_manifest
+from artefacts.tables import poses_of, read_table
+from geometry.fits import Sim3
+from geometry.poses import Array
+
+Images = Literal["link", "copy", "none"]
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """`frames` (N rows) have ground truth, `left_out` have none; both are import.frames with align's quality and
+    reason. `images` are the N image files, `map_T_cam` (N, 4, 4) their poses, `map_S_sfm` takes `model`, the folder of
+    SfM's model, into the map."""
+
+    frames: pd.DataFrame
+    left_out: pd.DataFrame
+    map_T_cam: Array
+    images: list[Path]
+    model: Path
+    map_S_sfm: Sim3
+    simulated: bool
+
+    @property
+    def in_test(self) -> np.ndarray:
+        """(N,) for formats that know training and test alone: validation frames are part of the training walks."""
+        return (self.frames["split"] == "test").to_numpy()
+
+    def refuse_distortion(self, format_name: str, coefficients: int = 0) -> None:
+        """UserError where a frame has more distortion coefficients than a format can hold."""
+        most = max(len(np.trim_zeros(np.asarray(d, dtype=float), "b")) for d in self.frames["distortion"])
+        if most > coefficients:
+            raise UserError(
+                f"{format_name} can't hold the lens distortion of these images",
+                expected=f"{coefficients or 'no'} coefficients",
+                found=most,
+                do="export as colmap",
+            )
+
+
+def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
+    """Read a scene's finished import, sfm and align stages.
+
+    Raises UserError where one is missing, where align wasn't made from this sfm, or where no frame has ground truth.
+    """
+    folders = {stage: root.run(profile, scene, stage) for stage in ("import", "sfm", "align")}
+    for stage, folder in folders.items():
+        if not (folder / MANIFEST).is_file():
+            raise UserError(
+                f"stage {stage} of scene {scene} hasn't been run",
+                where=folder,
+                do=f"make scene={scene} profile={profile} align",
+            )
+    manifest = load_manifest(folders["align"])
+    for stage in ("import", "sfm"):
+        used = manifest["inputs"].get(f"{scene}/{stage}")
+        if used != load_manifest(folders[stage])["outputs"]:
+            raise UserError(
+                f"the ground truth was made from another {stage} run than the one that is here",
+                where=folders["align"],
+                do=f"make scene={scene} profile={profile} align",
+            )
+    ground_truth = read_table(folders["align"] / "ground_truth.parquet", schema("align", "ground_truth"))
+    images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
+    frames = read_table(folders["import"] / "frames.parquet", schema("import", "frames")).merge(
+        ground_truth[["frame_id", "quality", "reason"]], on="frame_id", validate="one_to_one"
+    )
+    known = (frames["quality"] != "none").to_numpy()
+    if not known.any():
+        raise UserError("there is nothing to export: no frame has ground truth", where=folders["align"])
+    map_T_cam = poses_of(ground_truth.set_index("frame_id").loc[frames["frame_id"]], "map_cam")[known]
+    sfm_T_cam = poses_of(images.set_index("frame_id").loc[frames["frame_id"]], "sfm_cam")[known]
+    return Dataset(
+        frames[known].reset_index(drop=True),
+        frames[~known].reset_index(drop=True),
+        map_T_cam,
+        [_image_file(root, profile, scene, image) for image in frames.loc[known, "image"]],
+        folders["sfm"] / "model",
+        _similarity(map_T_cam, sfm_T_cam, float(manifest["figures"]["metres_per_sfm_unit"])),
+        bool(manifest["simulated"]),
+    )
+
+
+def place_image(source: Path, target: Path, images: Images) -> None:
+    """Link or copy an image; as the PNG that `target` asks for it is decoded and written anew, its pixels unchanged."""
+    if images == "none":
+        return
+    if not source.is_file():
+        raise UserError("an image is missing", where=source, do="import the scene again")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if target.suffix != source.suffix and target.suffix == ".png":
+        # As stored: a viewer's turn isn't applied, since the intrinsics are the sensor's.
+        pixels = cv2.imread(str(source), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        if pixels is None or not cv2.imwrite(str(target), pixels):
+            raise UserError("an image can't be turned into a PNG", where=source)
+    elif images == "link":
+        target.symlink_to(source.resolve())
+    else:
+        shutil.copyfile(source, target)
+
+
+def number(value: float) -> str:
+    """A number as text that reads back the same."""
+    return repr(float(value))
+
+
+def _similarity(map_T_cam: Array, sfm_T_cam: Array, scale: float) -> Sim3:
+    """The map_S_sfm that align applied: any frame tells it once the scale is known."""
+    rotation = map_T_cam[0, :3, :3] @ sfm_T_cam[0, :3, :3].T
+    return Sim3(scale, rotation, map_T_cam[0, :3, 3] - scale * rotation @ sfm_T_cam[0, :3, 3])
+
+
+def _image_file(root: DataRoot, profile: str, scene: str, image: str) -> Path:
+    if image.startswith("import:"):
+        return root.run(profile, scene, "import") / image.removeprefix("import:")
+    return root.captures(scene) / image

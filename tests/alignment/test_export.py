@@ -1,0 +1,274 @@
+"""Each export read back by the reader of its format, to 1e-6 of the ground truth."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pycolmap
+import pytest
+from evo.tools import file_interface
+from typer.testing import CliRunner
+
+from alignment.__main__ import app
+from alignment.export.command import WRITERS, FormatOption
+from alignment.stage import STAGE
+from artefacts import DataRoot, UserError, execute
+from artefacts.schemas import schema
+from artefacts.tables import poses_of, read_table, write_table
+from capture_import.capture import Limits, RawSession
+from capture_import.discovery import find_recordings
+from geometry.poses import Array, inverse, make_pose
+
+UNREGISTERED, VALIDATION, TESTED = "walk0/000003", range(5, 8), range(15, 20)
+FRAMES = 39
+
+
+@pytest.fixture
+def scene(aligned: DataRoot, tmp_path: Path) -> DataRoot:
+    """A copy of `aligned` that a test may change."""
+    shutil.copytree(aligned.root, tmp_path / "data")
+    return DataRoot(tmp_path / "data")
+
+
+@pytest.fixture(scope="module")
+def aligned(data_of_module: DataRoot) -> DataRoot:
+    """Two aligned walks with images, SfM's model, one frame without ground truth, and a walk with all three splits."""
+    data = data_of_module
+    folders = {stage: data.run("tiny", "Place", stage) for stage in ("import", "sfm")}
+    frames = read_table(folders["import"] / "frames.parquet", schema("import", "frames"))
+    frames["image"] = [f"{frame_id}.jpg" for frame_id in frames["frame_id"]]
+    frames["fx"] += np.arange(len(frames))
+    frames.loc[VALIDATION, "split"] = "val"
+    frames.loc[TESTED, "split"] = "test"
+    write_table(folders["import"] / "frames.parquet", frames, schema("import", "frames"))
+    for row, image in enumerate(frames["image"]):
+        path = data.captures("Place") / image
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(path), np.full((12, 16, 3), 4 * row, np.uint8))
+    images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
+    images.loc[images["frame_id"] == UNREGISTERED, "registered"] = False
+    write_table(folders["sfm"] / "images.parquet", images, schema("sfm", "images"))
+    (folders["sfm"] / "model").mkdir()
+    _model(frames, poses_of(images, "sfm_cam")).write_binary(folders["sfm"] / "model")
+    execute(STAGE, "Place", "tiny", data)
+    return data
+
+
+def _model(frames: pd.DataFrame, sfm_T_cam: Array) -> pycolmap.Reconstruction:
+    """A model of all frames and a point a metre or so ahead of each, seen by it and the next one."""
+    model = pycolmap.Reconstruction()
+    for row, frame in enumerate(frames.itertuples(index=False), start=1):
+        params = [frame.fx, frame.fy, frame.cx, frame.cy]
+        camera = pycolmap.Camera(camera_id=row, model="PINHOLE", width=frame.width, height=frame.height, params=params)
+        model.add_camera_with_trivial_rig(camera)
+        image = pycolmap.Image(
+            name=f"{frame.frame_id}.jpg", keypoints=np.full((2, 2), 100.0), camera_id=row, image_id=row
+        )
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(inverse(sfm_T_cam[row - 1])[:3]))
+    for row in range(1, len(frames)):
+        track = pycolmap.Track([pycolmap.TrackElement(row, 0), pycolmap.TrackElement(row + 1, 1)])
+        model.add_point3D((sfm_T_cam[row - 1] @ [0, 0, 0.4, 1])[:3], track)
+    return model
+
+
+def _export(scene: DataRoot, name: str, *options: str) -> Path:
+    out = scene.root.parent / "out" / name
+    arguments = ["export", "--scene", "Place", "--profile", "tiny", "--data", str(scene.root), "--format", name]
+    done = CliRunner().invoke(app, [*arguments, "--out", str(out), *options], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return out
+
+
+def _truth(scene: DataRoot) -> pd.DataFrame:
+    """Ground truth by frame_id, with intrinsics."""
+    gt = read_table(scene.run("tiny", "Place", "align") / "ground_truth.parquet", schema("align", "ground_truth"))
+    frames = read_table(scene.run("tiny", "Place", "import") / "frames.parquet", schema("import", "frames"))
+    known = gt.merge(frames[["frame_id", "fx", "fy", "cx", "cy"]], on="frame_id")
+    return known[known["quality"] != "none"].set_index("frame_id")
+
+
+def _frame_of(out: Path) -> dict[str, str]:
+    """frame_id by exported image."""
+    listed = pd.read_csv(out / "frames.csv", keep_default_na=False)
+    return {image: frame_id for image, frame_id in zip(listed["image"], listed["frame_id"], strict=True) if image}
+
+
+def _assert_same(scene: DataRoot, found: dict[str, Array]) -> None:
+    """Poses (4, 4) by frame_id are the ground truth of all frames that have it."""
+    truth = _truth(scene)
+    assert set(found) == set(truth.index) and len(truth) == FRAMES
+    np.testing.assert_allclose(np.stack([found[i] for i in truth.index]), poses_of(truth, "map_cam"), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["colmap", "colmap-text"])
+def test_colmap_reads_its_model_in_the_map(scene: DataRoot, name: str) -> None:
+    out = _export(scene, name)
+    model = pycolmap.Reconstruction(out / "sparse" / "0")
+    frame_of, truth = _frame_of(out), _truth(scene)
+    found = {}
+    for image in model.images.values():
+        frame_id = frame_of[f"images/{image.name}"]
+        found[frame_id] = inverse(
+            make_pose(image.cam_from_world().rotation.matrix(), image.cam_from_world().translation)
+        )
+        assert (out / "images" / image.name).is_file()
+        expected = truth.loc[frame_id, ["fx", "fy", "cx", "cy"]].to_numpy(float)
+        np.testing.assert_allclose(model.camera(image.camera_id).params, expected, atol=1e-6)
+    _assert_same(scene, found)
+    # The points came along: each lies ahead of its first camera, 0.4 SfM units in metres.
+    figures = json.loads((scene.run("tiny", "Place", "align") / "manifest.json").read_text())["figures"]
+    for point in model.points3D.values():
+        first = min(point.track.elements, key=lambda e: e.point2D_idx)
+        frame_id = frame_of[f"images/{model.image(first.image_id).name}"]
+        if first.point2D_idx == 0:
+            ahead = found[frame_id] @ [0, 0, 0.4 * figures["metres_per_sfm_unit"], 1]
+            np.testing.assert_allclose(point.xyz, ahead[:3], atol=1e-6)
+    lists = {split: (out / f"{split}.txt").read_text().split() for split in ("train", "val", "test")}
+    assert lists["val"] == [f"walk0/{i:06d}.jpg" for i in VALIDATION]
+    assert len(lists["test"]) == 25 and sum(map(len, lists.values())) == FRAMES
+
+
+def test_evo_reads_tum(scene: DataRoot) -> None:
+    out = _export(scene, "tum")
+    truth, found = _truth(scene), {}
+    for session_id, of_session in truth.groupby("session_id"):
+        trajectory = file_interface.read_tum_trajectory_file(str(out / session_id / "groundtruth.txt"))
+        np.testing.assert_allclose(trajectory.timestamps, of_session["t_ns"] / 1e9, atol=1e-6)
+        found |= dict(zip(of_session.index, trajectory.poses_se3, strict=True))
+        rgb = [line.split() for line in (out / session_id / "rgb.txt").read_text().splitlines()[1:]]
+        assert [float(t) for t, _ in rgb] == trajectory.timestamps.tolist()
+        for frame_id, (_, image) in zip(of_session.index, rgb, strict=True):
+            assert (out / session_id / image).read_bytes() == _image(scene, frame_id).read_bytes()
+    _assert_same(scene, found)
+
+
+def test_nerfstudio_poses_are_opengl_cameras_in_a_world_with_z_up(scene: DataRoot) -> None:
+    """By its documentation: columns are right, up, back and position; applied_transform took our world to theirs."""
+    out = _export(scene, "nerfstudio")
+    content = json.loads((out / "transforms.json").read_text())
+    applied = np.vstack([content["applied_transform"], [0, 0, 0, 1]])
+    np.testing.assert_allclose(applied @ [0, 1, 0, 0], [0, 0, 1, 0], atol=1e-12)
+    frame_of, truth, found = _frame_of(out), _truth(scene), {}
+    for frame in content["frames"]:
+        frame_id = frame_of[frame["file_path"]]
+        right, up, back, position = np.linalg.solve(applied, np.array(frame["transform_matrix"])).T[:, :3]
+        found[frame_id] = make_pose(np.stack([right, -up, -back], axis=1), position)
+        given = [frame[key] for key in ("fl_x", "fl_y", "cx", "cy")]
+        assert given == truth.loc[frame_id, ["fx", "fy", "cx", "cy"]].tolist()
+        assert (out / frame["file_path"]).is_file()
+    _assert_same(scene, found)
+    named = {split: content[f"{split}_filenames"] for split in ("train", "val", "test")}
+    assert len(named["val"]) == 3 and len(named["test"]) == 25
+    assert {path for paths in named.values() for path in paths} == {f["file_path"] for f in content["frames"]}
+
+
+def _sessions(out: Path) -> list[RawSession]:
+    found = find_recordings(out, out.parent / "unpacked", Limits())
+    return [recording.read(Limits()) for recording in found]
+
+
+@pytest.mark.parametrize("name", ["7scenes", "cambridge"])
+def test_our_importer_reads_its_data_sets(scene: DataRoot, name: str) -> None:
+    # Import takes nothing that leads out of the capture folder, links least of all.
+    out = _export(scene, name, "--images", "copy")
+    frame_of, truth, found = _frame_of(out), _truth(scene), {}
+    sessions = _sessions(out)
+    assert [s.split for s in sessions] == ["train", "test", "test"]
+    assert [len(s.frames) for s in sessions] == [14, 5, 20]
+    for session in sessions:
+        assert not session.rejects
+        for raw in session.frames:
+            frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
+            found[frame_id] = raw.vio_T_cam
+            pixels = cv2.imread(str(raw.image.path))
+            assert (pixels == cv2.imread(str(_image(scene, frame_id)))).all()
+            if name == "cambridge":
+                expected = truth.loc[frame_id, ["fx", "fy"]].mean()
+                assert raw.intrinsics.fx == pytest.approx(expected, abs=1e-6)
+    _assert_same(scene, found)
+
+
+def test_what_two_formats_have_no_place_for_lies_beside(scene: DataRoot) -> None:
+    truth = _truth(scene)
+    out = _export(scene, "7scenes")
+    for image, frame_id in _frame_of(out).items():
+        k = np.loadtxt(out / image.replace(".color.png", ".intrinsics.txt"))
+        assert k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == truth.loc[frame_id, ["fx", "fy", "cx", "cy"]].tolist()
+    out = _export(scene, "cambridge")
+    intrinsics = pd.read_csv(out / "intrinsics.csv").set_index("image")
+    for image, frame_id in _frame_of(out).items():
+        columns = ["fx", "fy", "cx", "cy"]
+        assert intrinsics.loc[image, columns].tolist() == truth.loc[frame_id, columns].tolist()
+
+
+def test_every_format_that_can_be_named_can_be_written() -> None:
+    assert {option.value for option in FormatOption} == set(WRITERS)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_frames_without_ground_truth_are_left_out_and_listed(scene: DataRoot, name: str) -> None:
+    out = _export(scene, name, "--images", "none")
+    note = json.loads((out / "export.json").read_text())
+    assert (note["frames"], note["left_out"], note["simulated"], note["format"]) == (FRAMES, 1, True, name)
+    listed = pd.read_csv(out / "frames.csv", keep_default_na=False).set_index("frame_id")
+    assert len(listed) == FRAMES + 1
+    assert listed.loc[UNREGISTERED, ["image", "quality"]].tolist() == ["", "none"]
+    assert "register" in listed.loc[UNREGISTERED, "reason"]
+    assert not [p for p in out.rglob("*") if p.suffix in (".jpg", ".png")]
+
+
+def test_images_are_linked_or_copied(scene: DataRoot) -> None:
+    linked = _export(scene, "nerfstudio") / "images" / "walk0" / "000000.jpg"
+    assert linked.is_symlink() and linked.read_bytes() == _image(scene, "walk0/000000").read_bytes()
+    copied = _export(scene, "nerfstudio", "--images", "copy", "--force") / "images" / "walk0" / "000000.jpg"
+    assert not copied.is_symlink() and copied.read_bytes() == _image(scene, "walk0/000000").read_bytes()
+
+
+def test_nothing_is_overwritten_unasked_and_never_what_is_no_export(scene: DataRoot) -> None:
+    out = _export(scene, "tum")
+    (out / "mark").touch()
+    with pytest.raises(UserError, match="already"):
+        _export(scene, "tum")
+    assert (out / "mark").exists()
+    _export(scene, "tum", "--force")
+    assert not (out / "mark").exists()
+
+    other = scene.root.parent / "out" / "colmap"
+    other.mkdir()
+    (other / "thesis.txt").touch()
+    with pytest.raises(UserError, match="something else"):
+        _export(scene, "colmap", "--force")
+    assert (other / "thesis.txt").exists()
+
+
+def test_an_export_that_fails_leaves_nothing_behind(scene: DataRoot) -> None:
+    _image(scene, "walk1/000019").unlink()
+    for name in WRITERS:
+        with pytest.raises(UserError, match="image is missing"):
+            _export(scene, name)
+    assert list((scene.root.parent / "out").iterdir()) == []
+
+
+def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:
+    path = scene.run("tiny", "Place", "import") / "frames.parquet"
+    frames = read_table(path, schema("import", "frames"))
+    frames["distortion"] = [[0.1, 0.0, 0.01, 0.0]] * len(frames)
+    write_table(path, frames, schema("import", "frames"))
+    for name in ("7scenes", "cambridge"):
+        with pytest.raises(UserError, match=re.escape("lens distortion")):
+            _export(scene, name)
+    frame = json.loads((_export(scene, "nerfstudio") / "transforms.json").read_text())["frames"][0]
+    assert [frame.get(key) for key in ("k1", "k2", "p1", "p2", "k3")] == [0.1, 0.0, 0.01, 0.0, 0.0]
+
+    manifest = scene.run("tiny", "Place", "sfm") / "manifest.json"
+    manifest.write_text(json.dumps({"outputs": {"images.parquet": "another"}, "simulated": True}))
+    with pytest.raises(UserError, match="another sfm run"):
+        _export(scene, "tum")
+
+
+def _image(scene: DataRoot, frame_id: str) -> Path:
+    return scene.captures("Place") / f"{frame_id}.jpg"
