@@ -30,6 +30,9 @@ class SfmSettings(Settings):
     covariance_max_images: int = Field(
         2500, ge=0, description="larger models get no covariances (memory: 36 n² numbers)"
     )
+    common_px: float = Field(
+        0.05, ge=0, description="what all keypoints are off by in common, for the covariances; per image axis, px"
+    )
     threads: int = Field(
         -1, ge=-1, description="threads for features; -1: all cores. Matching and mapping have one, to repeat"
     )

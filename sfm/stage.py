@@ -71,7 +71,7 @@ def run(r: StageRun[SfmSettings]) -> None:
         chosen = next(told for told in built if told.chosen)
         folder = final_model(scene.mapping)
         model = load_model(folder, len(scene.names))
-        covariance = _covariance(r, scene.frames, model)
+        covariance = _covariance(r, scene.frames, model, chosen.loss_px)
 
     frame_ids = list(scene.frames["frame_id"])
     r.write("images", images_table(frame_ids, model, chosen.model_id, keypoints, covariance))
@@ -218,7 +218,7 @@ def _map(r: StageRun[SfmSettings], scene: _Scene, matched: MatchedPairs) -> list
     return built
 
 
-def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model) -> Array | None:
+def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, loss_px: float) -> Array | None:
     """(N, 6, 6), NaN for frames that aren't registered; None where it can't be had."""
     known = model.registered
     if known.sum() > r.settings.covariance_max_images:
@@ -232,9 +232,11 @@ def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model) ->
         row[model.frame],
         model.point,
         model.residual_px,
+        loss_px,
+        r.settings.common_px,
     )
     if blocks is None:
-        r.say("no covariances: the observations don't determine every pose")
+        r.say("no covariances: the model has too few points to tell")
         return None
     covariance = np.full((len(known), 6, 6), np.nan)
     covariance[known] = blocks
