@@ -211,7 +211,7 @@ def execute(
         (work / _KEY_FILE).unlink()
         manifest = {"key": key, **parts, **_circumstances(run, elapsed, resumed), "outputs": _outputs(work)}
         write_json(work / MANIFEST, manifest)
-        _swap_in(work, final)
+        swap_in(work, final)
         progress.console.print(f"{title}: done in {progress.format_seconds(elapsed)} → {_shown(final)}", markup=False)
         return final
 
@@ -360,7 +360,7 @@ def _same_key(work: Path, key: str) -> bool:
         return False
 
 
-def _swap_in(work: Path, final: Path) -> None:
+def swap_in(work: Path, final: Path) -> None:
     """Put a finished folder in its place; a kill between the two renames is mended by the next run."""
     old = _old(final)
     shutil.rmtree(old, ignore_errors=True)
@@ -373,7 +373,7 @@ def _swap_in(work: Path, final: Path) -> None:
 def _finish_interrupted_rename(final: Path) -> None:
     work, old = _partial(final), _old(final)
     if (work / MANIFEST).is_file():
-        _swap_in(work, final)
+        swap_in(work, final)
     elif old.exists() and not final.exists():
         old.rename(final)
     shutil.rmtree(old, ignore_errors=True)

@@ -18,7 +18,7 @@ from artefacts import DataRoot, UserError
 from artefacts.progress import console, track
 from artefacts.schemas import schema
 from artefacts.settings import resolve_settings
-from artefacts.stage import SIMULATED_MARKER, write_json
+from artefacts.stage import SIMULATED_MARKER, swap_in, write_json
 from artefacts.tables import pose_frame, write_table
 from simulation.capture import FRAME, write_frames
 from simulation.mesh import TexturedMesh, build_mesh, is_saved
@@ -92,7 +92,7 @@ def simulate(
         shutil.rmtree(work / _MESH)
         (work / _KEY).unlink()
         write_json(work / SIMULATED_MARKER, content)
-        _swap_in(work, final)
+        swap_in(work, final)
     images = sum(len(s.shots) for s in sessions)
     console.print(f"{title}: {len(sessions)} sessions, {images} images → {final}", markup=False)
     return final
@@ -209,15 +209,6 @@ def _read_json(path: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}
-
-
-def _swap_in(work: Path, final: Path) -> None:
-    old = final.with_name(f".{final.name}.old")
-    shutil.rmtree(old, ignore_errors=True)
-    if final.exists():
-        final.rename(old)
-    work.rename(final)
-    shutil.rmtree(old, ignore_errors=True)
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from alignment.export.seven_scenes import write_seven_scenes
 from alignment.export.tum import write_tum
 from artefacts import DataRoot, UserError, progress
 from artefacts.cli import DataOption, ProfileOption
-from artefacts.stage import write_json
+from artefacts.stage import swap_in, write_json
 
 _NOTE = "export.json"
 _FRAMES = "frames.csv"
@@ -112,7 +112,7 @@ def write_export(
                 "map": "metres, +y up before any turn that the format asks for",
             },
         )
-        _swap_in(partial_, out)
+        swap_in(partial_, out)
     except OSError as error:
         raise UserError("the export can't be written", where=error.filename or out, found=error.strerror) from None
     finally:
@@ -144,12 +144,3 @@ def _is_export(folder: Path) -> bool:
         return "format" in json.loads((folder / _NOTE).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-
-
-def _swap_in(folder: Path, out: Path) -> None:
-    old = out.with_name(f".{out.name}.old")
-    shutil.rmtree(old, ignore_errors=True)
-    if out.exists():
-        out.rename(old)
-    folder.rename(out)
-    shutil.rmtree(old, ignore_errors=True)

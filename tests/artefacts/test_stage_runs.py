@@ -26,7 +26,7 @@ die_at = sys.argv[2]
 def die(place):
     if place == die_at:
         os.kill(os.getpid(), signal.SIGKILL)
-for name in ("_outputs", "_swap_in", "write_json"):
+for name in ("_outputs", "swap_in", "write_json"):
     original = getattr(stage_module, name)
     def wrapped(*args, _original=original, _name=name):
         die("before " + _name)
@@ -124,7 +124,7 @@ MOMENTS = [
     "table written",
     "before _outputs",
     "after write_json",
-    "before _swap_in",
+    "before swap_in",
     "rename to .simulate.old",
     "rename to simulate",
 ]
