@@ -27,7 +27,7 @@ from simulation.scenes import NAMES, scenery
 from simulation.session import Session, Shot, outline, plan_session, take
 from simulation.settings import SimulateSettings
 
-VERSION = 1  # goes up when the same settings give other captures
+VERSION = 2  # goes up when the same settings give other captures
 TRUE_POSES = "true_poses.parquet"
 _KEY = "key.json"
 _MESH = "mesh"

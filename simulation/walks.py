@@ -18,6 +18,7 @@ EYE_M = 1.5
 _STEP_M = 0.05
 _TICK_S = 1 / 60
 _GAIT_HZ = 1.8
+_FAR_DEG = (40.0, 110.0)
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Route:
     """A closed course: points (x, z, gaze in degrees to the left of the way ahead) or (x, z, gaze, floor height).
 
     Walkers keep within `spread_m` to each side of it, at `speed_mps` on the straight, and look `look_deg` around
-    the gaze. `tilt_deg` is how far up they hold the phone.
+    the gaze. `tilt_deg` is how far up they hold the phone. Of their glances aside the share `far_glances` goes far.
     """
 
     points: Sequence[tuple[float, ...]]
@@ -34,6 +35,7 @@ class Route:
     look_deg: float = 8.0
     tilt_deg: float = 4.0
     turn_deg_s: float = 30.0
+    far_glances: float = 0.35
 
 
 @dataclass(frozen=True)
@@ -207,9 +209,14 @@ def _clock(
 
 
 def _glances(t: Vec, duration_s: float, route: Route, rng: np.random.Generator) -> Vec:
-    """Looks aside and back, a few a minute."""
+    """Looks aside and back, a few a minute. Some go far aside, to where no other walk may have looked from there:
+    it's in such views that regressors fail by metres, and that gives their errors the long tail that real ones have.
+    """
     yaw = np.zeros_like(t)
     for moment in np.arange(rng.uniform(4, 14), duration_s, 14):
-        middle, half = moment + rng.uniform(-4, 4), rng.uniform(1.2, 2.2)
-        yaw += math.radians(rng.choice([-1, 1]) * rng.uniform(8, 22)) * np.exp(-(((t - middle) / half) ** 2))
+        middle, side = moment + rng.uniform(-4, 4), rng.choice([-1, 1])
+        far = rng.random() < route.far_glances
+        reach_deg = rng.uniform(*_FAR_DEG) if far else rng.uniform(8, 22)
+        half = max(rng.uniform(1.2, 2.2), reach_deg / route.turn_deg_s)
+        yaw += math.radians(side * reach_deg) * np.exp(-(((t - middle) / half) ** 2))
     return yaw

@@ -1,6 +1,7 @@
 """Walks through every place: how fast, how smooth, how near to things, and that several meet the same views."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def test_walks_are_slow_smooth_and_bump_into_nothing(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_each_place_is_seen_by_other_sessions_from_alike(name: str) -> None:
+def test_most_views_are_seen_by_other_sessions_from_alike(name: str) -> None:
     t = np.arange(0, 100, 1.0)
     poses = [walk.world_T_cam(t) for walk in walks(name)]
     near = {"Stairs": 1.0, "Office": 1.0}.get(name, 3.0)
@@ -48,7 +49,20 @@ def test_each_place_is_seen_by_other_sessions_from_alike(name: str) -> None:
         away = np.linalg.norm(mine[:, None, :3, 3] - others[None, :, :3, 3], axis=2)
         cosine = np.einsum("ni,mi->nm", mine[:, :3, 2], others[:, :3, 2])
         met = ((away < near) & (cosine > np.cos(np.radians(40)))).sum(axis=1)
-        assert (met >= 2).mean() > 0.97
+        assert (met >= 2).mean() > 0.85
+
+
+def test_far_glances_turn_the_view_aside_and_back() -> None:
+    plan = scenery("Church", 0)
+    t = np.arange(0, 90, 0.2)
+    near, far = (
+        plan_walk(replace(plan.route, far_glances=share), plan.place, 90, 0.0, 0.1, np.random.default_rng(4))
+        for share in (0.0, 1.0)
+    )
+    aside = np.abs(np.degrees(far.angles(t)[:, 0] - near.angles(t)[:, 0]))
+    assert 15 < aside.max() < 130
+    assert 0.4 < (aside < 5).mean() < 0.9  # most of the time one looks where one goes
+    np.testing.assert_allclose(far.position(t), near.position(t))
 
 
 def test_sessions_walk_differently() -> None:
