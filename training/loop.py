@@ -33,7 +33,7 @@ class Run:
     crop: int
     seed: int
     folder: Path
-    checkpoint_every: int = 1
+    checkpoint_s: float = 0.0
 
 
 def train(
@@ -57,6 +57,7 @@ def train(
         history, best = saved["history"], saved["best"]
 
     report(len(history))
+    saved_at = time.monotonic()
     for epoch in range(len(history), settings.epochs):
         started = time.monotonic()
         torch.manual_seed(run.seed * 100_003 + epoch)
@@ -104,9 +105,10 @@ def train(
         if score < best["score"]:
             weights = {name: tensor.clone() for name, tensor in model.state_dict().items()}
             best = {"score": score, "epoch": epoch + 1, "weights": weights}
-        if (epoch + 1) % run.checkpoint_every == 0 or epoch + 1 == settings.epochs:
+        if epoch + 1 == settings.epochs or time.monotonic() - saved_at >= run.checkpoint_s:
             state = {"model": model.state_dict(), "optimiser": optimiser.state_dict()}
             save(run.folder / CHECKPOINT, {**state, "history": history, "best": best})
+            saved_at = time.monotonic()
         report(epoch + 1, f"{run.title} {row['val_position_m']:.2f} m, {row['val_rotation_deg']:.1f} deg")
 
 

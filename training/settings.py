@@ -99,7 +99,7 @@ class TrainSettings(Settings):
         description="CPU threads a model; the models train side by side, and another number gives slightly different"
         " results",
     )
-    checkpoint_every: int = Field(1, gt=0, description="epochs between two safe points")
+    checkpoint_s: float = Field(60.0, ge=0, description="seconds between two safe points, at least")
     reduced: str = Field("", description="what this profile makes smaller than in the paper, for the model card")
     pn: PoseNetSettings = Field(PoseNetSettings(), description="of PN: `pn.epochs` and so on")
     mst: MSTransformerSettings = Field(MSTransformerSettings(), description="of MS-T: `mst.epochs` and so on")

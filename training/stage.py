@@ -108,7 +108,7 @@ def prepare(
     origin = torch.load(folder / _FIRST)["origin"]
     r.say(f"{name}: backbone starts from {origin}")
     mixed_precision = choose_precision(settings.mixed_precision, device)
-    run = Run(name, device, mixed_precision, r.settings.crop, r.seed, folder, r.settings.checkpoint_every)
+    run = Run(name, device, mixed_precision, r.settings.crop, r.seed, folder, r.settings.checkpoint_s)
     return Job(settings, r.leaves, outdoor, training, held_out, run, origin)
 
 

@@ -80,7 +80,7 @@ def test_a_resumed_run_ends_in_the_same_weights(tmp_path: Path, monkeypatch: pyt
     def start(name: str) -> tuple[SmallRegressor, list[dict[str, object]]]:
         torch.manual_seed(3)
         model = SmallRegressor()
-        train(silent, model, frames, frames, settings, Run("test", CPU, False, 32, 7, tmp_path / name, 2))
+        train(silent, model, frames, frames, settings, Run("test", CPU, False, 32, 7, tmp_path / name))
         history = take_best(model, tmp_path / name)
         return model, [{k: v for k, v in row.items() if k != "seconds"} for row in history]
 
