@@ -101,8 +101,11 @@ train: $(run)/train/manifest.json ## Stage 4: PN and MS-T, and their predictions
 fuse: $(run)/fuse/manifest.json ## Stage 5: predictions and VIO -> fused poses and errors
 report: $(run)/report/manifest.json ## Stage 6: tables, figures, page.html
 
-paper: ## All six scenes in the paper profile, then one MS-T outdoors and one indoors
-	@for group in outdoor indoor; do $(MAKE) --no-print-directory scene=$$group profile=paper all; done
+paper: ## All six scenes in the paper profile (profile=tiny: a rehearsal), then one MS-T outdoors and one indoors
+	@for group in outdoor indoor; do \
+		$(MAKE) --no-print-directory scene=$$group profile=$(if $(filter command,$(origin profile)),$(profile),paper) all \
+		|| exit; \
+	done
 
 view: | $(installed) ## Open the scene's recordings in the Rerun viewer (web=1: in a browser)
 	@$(py) -m artefacts view $(arguments) $(if $(web),--web)

@@ -4,6 +4,8 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pandas as pd
@@ -36,10 +38,23 @@ def run_all(scene: str, data: Path) -> dict[str, dict]:
     return manifests
 
 
+@pytest.fixture(scope="module")
+def finished(data: Path) -> Callable[[str], dict[str, dict]]:
+    """Simulates a scene and runs all its stages, once for all tests; gives the manifests by stage."""
+
+    @cache
+    def finish(scene: str) -> dict[str, dict]:
+        run("simulation", scene, data)
+        return run_all(scene, data)
+
+    return finish
+
+
 @pytest.mark.parametrize("scene", ["Church", "Square"])
-def test_simulated_scene_runs_to_the_end_and_then_has_nothing_to_do(scene: str, data: Path) -> None:
-    run("simulation", scene, data)
-    manifests = run_all(scene, data)
+def test_simulated_scene_runs_to_the_end_and_then_has_nothing_to_do(
+    scene: str, data: Path, finished: Callable[[str], dict[str, dict]]
+) -> None:
+    manifests = finished(scene)
     assert all(manifest["simulated"] for manifest in manifests.values())
     folder = data / "runs/tiny" / scene
     for stage, module in STAGES.items():
@@ -51,7 +66,9 @@ def test_simulated_scene_runs_to_the_end_and_then_has_nothing_to_do(scene: str, 
     assert (truth.quality != "none").mean() > 0.5  # walks of ten seconds overlap little
 
 
-def test_a_group_trains_one_model_for_its_scenes(data: Path) -> None:
+def test_a_group_trains_one_model_for_its_scenes(data: Path, finished: Callable[[str], dict[str, dict]]) -> None:
+    for scene in ("Church", "Square"):
+        finished(scene)
     (data / "scenes").mkdir(exist_ok=True)
     (data / "scenes" / "two.toml").write_text(
         'environment = "outdoor"\nmembers = ["Church", "Square"]\nstages = ["train", "fuse", "report"]\n'
@@ -89,10 +106,11 @@ def parquet_tables(folder: Path) -> dict[str, pd.DataFrame]:
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_killed_stage_ends_in_the_same_tables(stage: str, data: Path, tmp_path: Path) -> None:
+def test_killed_stage_ends_in_the_same_tables(
+    stage: str, data: Path, finished: Callable[[str], dict[str, dict]], tmp_path: Path
+) -> None:
     scene = "Church"
-    finished = data / "runs/tiny" / scene / stage
-    seconds = json.loads((finished / "manifest.json").read_text())["total_seconds"]
+    seconds = finished(scene)[stage]["total_seconds"]
     # The stage under test runs again beside links to what it reads.
     (tmp_path / "captures").mkdir()
     (tmp_path / "captures" / scene).symlink_to(data / "captures" / scene)
@@ -110,7 +128,10 @@ def test_killed_stage_ends_in_the_same_tables(stage: str, data: Path, tmp_path: 
     process.wait()
     assert not (tmp_path / "runs/tiny" / scene / stage).exists(), "the kill came too late to test anything"
     run(STAGES[stage], scene, tmp_path)
-    expected, found = parquet_tables(finished), parquet_tables(tmp_path / "runs/tiny" / scene / stage)
+    expected, found = (
+        parquet_tables(data / "runs/tiny" / scene / stage),
+        parquet_tables(tmp_path / "runs/tiny" / scene / stage),
+    )
     assert expected.keys() == found.keys()
     for name in expected:
         pd.testing.assert_frame_equal(found[name], expected[name], check_exact=True, obj=f"{stage}.{name}")
