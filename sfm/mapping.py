@@ -138,9 +138,10 @@ def _pipeline_options(settings: SfmSettings, seed: int) -> pycolmap.IncrementalP
     options.triangulation.random_seed = seed
     options.min_model_size = _SMALLEST_MODEL
     options.extract_colors = False
-    # Half the time of COLMAP's own steps, poses as good (docs/sfm.md); the whole is adjusted to the end afterwards.
-    options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.4
-    options.ba_global_max_refinements = 2
+    # A third of the time of COLMAP's own steps, poses as good (docs/sfm.md); the whole is adjusted to the end afterwards.
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = 2.0
+    options.ba_global_max_num_iterations = 15
+    options.ba_global_max_refinements = 1
     options.ba_local_max_refinements = 1
     options.ba_refine_focal_length = settings.refine_intrinsics
     options.ba_refine_extra_params = False
