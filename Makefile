@@ -47,7 +47,8 @@ endif
 link-captures: | $(installed)
 	@$(py) -m artefacts link-captures --scene "$(scene)" --folder "$(captures)"
 
-settings := data/profiles/$(profile).toml $(wildcard data/scenes/$(scene).toml)
+# A scene without a file depends on the folder, which changes when a file of it is taken away.
+settings := data/profiles/$(profile).toml $(or $(wildcard data/scenes/$(scene).toml),data/scenes)
 
 # A scene that simulation/ knows is simulated where nobody has put captures of it.
 has_captures := $(shell find -L "$(capture)" -type f -print -quit 2>/dev/null)
