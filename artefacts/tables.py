@@ -61,10 +61,12 @@ def read_table(path: Path, schema: TableSchema) -> pd.DataFrame:
             found=version,
             do=f"run the {schema.stage} stage again",
         )
-    missing = [c for c in schema.column_names if c not in table.column_names]
+    missing = [c.name for c in schema.columns if not c.nullable and c.name not in table.column_names]
     if missing:
         raise UserError(f"table {name} lacks columns", where=path, found=f"no {', '.join(missing)}")
-    frame: pd.DataFrame = table.select(schema.column_names).to_pandas()
+    # A nullable column that an older minor version didn't have is null throughout.
+    known = [c for c in schema.column_names if c in table.column_names]
+    frame: pd.DataFrame = table.select(known).to_pandas().reindex(columns=schema.column_names)
     return frame
 
 

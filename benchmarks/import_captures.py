@@ -4,9 +4,11 @@ Where it is, it sees what it saw there before; so a few images, linked many time
 right. The formats' writers are those of the tests.
 """
 
+import io
 import json
 import sys
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 
 import av
@@ -20,6 +22,9 @@ STEPS = 24
 _DEPTH_M = 2.5
 _STEP_PX = 40
 _WALL_SEED = 5
+# Video frames until the camera is back where it began, and its step from one to the next.
+_PERIOD = 2 * (STEPS - 1) * 5
+_FRAME_PX = _STEP_PX / 5
 
 
 def write_images(folder: Path, count: int, rate_hz: float = 3.0) -> None:
@@ -47,27 +52,29 @@ def write_images(folder: Path, count: int, rate_hz: float = 3.0) -> None:
 def write_video(folder: Path, count: int, rate_hz: int = 30) -> None:
     """A Stray Scanner recording of `count` frames, HEVC 1920x1440, a key frame a second."""
     folder.mkdir(parents=True)
-    period = 2 * (STEPS - 1) * 5
-    per_frame_px = _STEP_PX / 5
-    wall = _wall()
-    once = folder.parent / "once.mp4"
-    with av.open(once, "w") as container:
-        stream = container.add_stream("libx265", rate=rate_hz)
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-        stream.options = {"preset": "ultrafast", "x265-params": f"log-level=none:keyint={rate_hz}:open-gop=0"}
-        for i in range(period):
-            image = _view(wall, round(_triangle(i, period // 2) * per_frame_px))
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
-        container.mux(stream.encode())
-    _repeat(once, folder / "rgb.mp4", count, rate_hz)
-    once.unlink()
+    _repeat(io.BytesIO(_once(rate_hz)), folder / "rgb.mp4", count, rate_hz)
     rows = ["timestamp, frame, x, y, z, qx, qy, qz, qw, fx, fy, cx, cy"]
     for i in range(count):
-        x = _triangle(i, period // 2) * per_frame_px * _DEPTH_M / FOCAL
+        x = _triangle(i, _PERIOD // 2) * _FRAME_PX * _DEPTH_M / FOCAL
         camera = f"{FOCAL}, {FOCAL}, {WIDTH / 2}, {HEIGHT / 2}"
         # Upright, looking along -z: camera y is down.
         rows.append(f"{1000 + i / rate_hz:.6f}, {i:06d}, {x}, 1.4, 0.0, 1.0, 0.0, 0.0, 0.0, {camera}")
     (folder / "odometry.csv").write_text("\n".join(rows) + "\n")
+
+
+@cache
+def _once(rate_hz: int) -> bytes:
+    """A video of one walk up and down."""
+    wall, file = _wall(), io.BytesIO()
+    with av.open(file, "w", format="mp4") as container:
+        stream = container.add_stream("libx265", rate=rate_hz)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        stream.options = {"preset": "ultrafast", "x265-params": f"log-level=none:keyint={rate_hz}:open-gop=0"}
+        for i in range(_PERIOD):
+            image = _view(wall, round(_triangle(i, _PERIOD // 2) * _FRAME_PX))
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+        container.mux(stream.encode())
+    return file.getvalue()
 
 
 def _wall() -> np.ndarray:
@@ -103,7 +110,7 @@ def _arkit_pose(x_px: float) -> list[float]:
     return [1, 0, 0, x_px * _DEPTH_M / FOCAL, 0, 1, 0, 1.4, 0, 0, 1, 0, 0, 0, 0, 1]
 
 
-def _repeat(once: Path, path: Path, count: int, rate_hz: int) -> None:
+def _repeat(once: io.BytesIO, path: Path, count: int, rate_hz: int) -> None:
     """Store a video's packets again and again until there are `count`."""
     with av.open(once) as source:
         stream = source.streams.video[0]

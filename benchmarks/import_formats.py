@@ -1,50 +1,128 @@
 """What each capture format's reader was held against, with the figures: `python -m benchmarks.import_formats`.
 
-Each format is written from a simulated walk and read back; each is damaged many times; poses and images of formats with
-both are put into every usual wrong convention. `--captures` and `--trajectories` add real recordings.
+Each format is written from a simulated walk and read back; with broken rows, a jump, images in front of textured walls
+whose poses are put into every usual wrong convention, and images that are late; and each is damaged many times.
+`--captures` and `--trajectories` add real recordings.
 """
 
 import shutil
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
+import cv2
 import numpy as np
 import typer
 
-import benchmarks.import_captures  # noqa: F401  (puts the tests' writers on the path)
 from artefacts.cli import new_app
 from artefacts.progress import track
+from benchmarks.import_scene import rendered_walk
 from capture_import.capture import Intrinsics, Limits
-from capture_import.convention import CONVENTIONS, check_convention
+from capture_import.clock import check_clock
+from capture_import.convention import CONVENTIONS, MatchedPair, check_convention, judge, matched_pairs
 from capture_import.discovery import Found, find_recordings
 from capture_import.formats import formats
-from capture_import.intake import Intake, Session, scan_all, take_in
+from capture_import.images import decode_gray, sharpness
+from capture_import.intake import Intake, Session, measures, scan_all, take_in
 from capture_import.settings import ImportSettings
+from capture_import.views import Views
 from geometry.poses import relative, rotation_angle
 
 # isort: split
 from capture_mutations import mutate
-from capture_writers import WRITERS, make_walk
+from capture_writers import WRITERS, Walk, make_walk
 from test_import_mutations import no_longer_than, take_all
 
 POSES = 24
+SEEN = 50
+JUMP_M = 3.0
+LATE_S = 0.1
+# Smears in pixels of a 1920 px image.
+SMEARS_PX = (5, 15, 31)
 app = new_app(__doc__ or "")
 
 
-def read_back(name: str, folder: Path) -> tuple[Intake, float, float]:
-    """Write a walk and read it: what came of it, and the largest errors in metres and radians."""
-    walk = make_walk(POSES)
+def take(name: str, walk: Walk, folder: Path) -> tuple[Intake, Views]:
+    """Write a walk in a format and take it in."""
     WRITERS[name].write(folder / "place" / "walk", walk)
+    return take_written(name, folder)
+
+
+def take_written(name: str, folder: Path) -> tuple[Intake, Views]:
     (found,) = find_recordings(folder / "place", folder / "unpacked", Limits())
     assert found.format.name == name
-    roots = [(folder / "place").resolve(), (folder / "unpacked").resolve()]
-    intake = take_in(found.read(Limits()), ImportSettings(), scan_all(roots, Limits()))
+    views = Views([(folder / "place").resolve(), (folder / "unpacked").resolve()], Limits())
+    return take_in(found.read(Limits()), ImportSettings(), lambda frames: measures(views.scan(frames))), views
+
+
+def read_back(name: str, folder: Path) -> str:
+    """The largest errors of the poses of a walk that is written and read."""
+    walk = make_walk(POSES)
+    intake, _ = take(name, walk, folder)
     (session,) = intake.sessions
+    assert not intake.rejects
     kept = np.arange(POSES) if len(session.frames) == POSES else np.flatnonzero(walk.has_image)
     off = relative(walk.vio_T_cam[kept], session.poses)
-    return intake, float(np.linalg.norm(off[:, :3, 3], axis=1).max()), float(rotation_angle(off[:, :3, :3]).max())
+    metres, radians = np.linalg.norm(off[:, :3, 3], axis=1).max(), rotation_angle(off[:, :3, :3]).max()
+    return f"{metres:.0e} m, {radians:.0e} rad"
+
+
+def broken_rows(name: str, folder: Path) -> str:
+    """How many of the rows that are broken on purpose are told in `rejects`: a pose on the moon, a time that comes
+    twice (where times aren't the files' names), an image that is cut short (where images are files)."""
+    walk = make_walk(POSES)
+    walk.vio_T_cam[6, 0, 3] = 4e8
+    expected = ["farther than 100 km"]
+    if WRITERS[name].clock and name not in ("polycam", "arkit_scenes"):
+        # NeRFCapture logs poses with images alone: every second one.
+        walk.t_ns[10] = walk.t_ns[8 if name == "nerf_capture" else 9]
+        expected.append("time is a duplicate")
+    WRITERS[name].write(folder / "place" / "walk", walk)
+    images = sorted(p for p in (folder / "place").rglob("*") if p.suffix in (".jpg", ".png"))
+    if images:
+        cut = images[len(images) // 2]
+        cut.write_bytes(cut.read_bytes()[:600])
+        expected.append("broken")
+    intake, _ = take_written(name, folder)
+    told = sum(any(reason in reject.reason for reject in intake.rejects) for reason in expected)
+    assert len(intake.rejects) == told, [reject.reason for reject in intake.rejects]
+    return f"{told} of {len(expected)}"
+
+
+def jump(name: str, folder: Path) -> str:
+    """How large a jump is found where the odometry jumps by JUMP_M."""
+    walk = make_walk(2 * POSES, every=1)
+    walk.vio_T_cam[POSES:, 0, 3] += JUMP_M
+    intake, _ = take(name, walk, folder)
+    if intake.sessions[0].recording.poses_are == "reference":
+        return "no VIO"
+    return ", ".join(f"{j.jump_m:.2f} m" for session in intake.sessions for j, _ in session.jumps) or "none found"
+
+
+def convention(name: str, walk: Walk, folder: Path) -> str:
+    """Share of matches that fit as declared and in the next best convention; mistakes found, of how many."""
+    intake, views = take(name, walk, folder)
+    pairs = matched_pairs(intake.sessions[0], views.load)
+    right = judge(pairs)
+    wrong = [judge([_mistaken(pair, change) for pair in pairs]) for _, change in CONVENTIONS[1:]]
+    found = sum(check.contradicted is not None for check in wrong)
+    return f"{right.declared:.0%} | {right.other_share:.0%} | {found} of {len(wrong)}"
+
+
+def _mistaken(pair: MatchedPair, change: object) -> MatchedPair:
+    a, b = pair.cameras
+    return replace(pair, cameras=(change(a), change(b)))  # type: ignore[operator]
+
+
+def clock(name: str, late: Walk, folder: Path) -> str:
+    """The offset that is found where images are LATE_S late."""
+    if not WRITERS[name].clock:
+        return "has no times"
+    intake, views = take(name, late, folder)
+    check = check_clock(intake.sessions[0], views.load)
+    return f"{check.correlation:.2f}: none" if check.offset_s is None else f"{check.offset_s:+.3f} s"
 
 
 def damaged(name: str, count: int, folder: Path) -> tuple[int, int]:
@@ -62,8 +140,9 @@ def damaged(name: str, count: int, folder: Path) -> tuple[int, int]:
 
 
 def mistakes_found(session: Session, roots: list[Path]) -> tuple[float, float, int, int]:
-    """Share of matches that fit as declared and in the next best convention; mistakes found, of how many."""
-    right = check_convention(session, roots, Limits())
+    """As `convention`, for a real session; pairs of images are chosen anew for each mistake."""
+    views = Views(roots, Limits())
+    right = check_convention(session, views.load)
     found = 0
     for _, change in track(CONVENTIONS[1:], "putting in mistakes"):
         images = []
@@ -73,8 +152,17 @@ def mistakes_found(session: Session, roots: list[Path]) -> tuple[float, float, i
             pose, k = change((pose, np.array([camera.fx, camera.fy, camera.cx, camera.cy])))
             frame = replace(image.frame, vio_T_cam=pose, intrinsics=Intrinsics.of(k.tolist()))
             images.append(replace(image, frame=frame))
-        found += check_convention(replace(session, images=images), roots, Limits()).contradicted is not None
+        found += check_convention(replace(session, images=images), views.load).contradicted is not None
     return right.declared, right.other_share, found, len(CONVENTIONS) - 1
+
+
+def smeared(session: Session, length_px: int) -> float:
+    """Median sharpness of some of a session's images, smeared sideways by pixels of a 1920 px image."""
+    found = []
+    for path in [image.frame.image.path for image in session.images[:: max(1, len(session.images) // 12)]]:
+        gray = decode_gray(path.read_bytes(), 1920)
+        found.append(sharpness(cv2.blur(gray, (length_px, 1)) if length_px > 1 else gray))
+    return float(np.median(found))
 
 
 def take_real(found: Found, root: Path) -> Intake:
@@ -86,45 +174,71 @@ def main(
     damage: Annotated[int, typer.Option(help="How often each format's walk is damaged.")] = 100,
     captures: Annotated[Path | None, typer.Option(help="Real captures with images, a folder each.")] = None,
     trajectories: Annotated[Path | None, typer.Option(help="A folder of real poses-only recordings.")] = None,
+    only: Annotated[list[str] | None, typer.Option("--format", help="These formats alone.")] = None,
 ) -> None:
     """Print the tables as Markdown."""
-    print("| format | poses | images | rejects | off by at most | damaged: imported | refused with an error |")
-    print("|---|---|---|---|---|---|---|")
-    for format in formats():
-        with tempfile.TemporaryDirectory() as folder:
-            intake, metres, radians = read_back(format.name, Path(folder) / "back")
-            imported, refused = damaged(format.name, damage, Path(folder) / "damaged")
-        (session,) = intake.sessions
+    _print_formats(only or [format.name for format in formats()], damage)
+    if captures is not None:
+        _print_captures(captures)
+    if trajectories is not None:
+        _print_trajectories(trajectories)
+
+
+def _print_formats(names: Sequence[str], damage: int) -> None:
+    print(
+        f"| format | read back to | broken rows told | {JUMP_M:g} m jump | fits as declared | next best "
+        f"| mistakes found | images {LATE_S:g} s late | damaged: imported | refused with an error |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    walk, late = rendered_walk(SEEN), rendered_walk(SEEN, LATE_S)
+    for name in names:
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary)
+            cells = [
+                read_back(name, folder / "back"),
+                broken_rows(name, folder / "broken"),
+                jump(name, folder / "jump"),
+            ]
+            if WRITERS[name].images:
+                cells += [convention(name, walk, folder / "seen"), clock(name, late, folder / "late")]
+            else:
+                cells += ["no images", "", "", ""]
+            imported, refused = damaged(name, damage, folder / "damaged")
+        print("| " + " | ".join([name, *cells, str(imported), str(refused)]) + " |", flush=True)
+
+
+def _print_captures(captures: Path) -> None:
+    smears = " | ".join(f"smeared by {px} px" for px in SMEARS_PX)
+    print(
+        "\n| real capture | poses | images | rejects | jumps | fits as declared | next best | mistakes found "
+        f"| sharpness | {smears} |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|" + "---|" * len(SMEARS_PX))
+    for found in find_recordings(captures, Path("/nonexistent"), Limits()):
+        intake = take_real(found, captures)
+        session = max(intake.sessions, key=lambda s: len(s.images))
+        declared, other, wrong, of = mistakes_found(session, [captures.resolve()])
+        jumps = sum(len(s.jumps) for s in intake.sessions)
+        blurs = " | ".join(f"{smeared(session, px):.2f}" for px in (1, *SMEARS_PX))
         print(
-            f"| {format.name} | {len(session.frames)} | {len(session.images)} | {len(intake.rejects)} "
-            f"| {metres:.0e} m, {radians:.0e} rad | {imported} | {refused} |",
+            f"| {found.session_id} | {len(session.frames)} | {len(session.images)} | {len(intake.rejects)} "
+            f"| {jumps} | {declared:.0%} | {other:.0%} | {wrong} of {of} | {blurs} |",
             flush=True,
         )
-    if captures is not None:
-        print("\n| real capture | poses | images | rejects | jumps | fits as declared | next best | mistakes found |")
-        print("|---|---|---|---|---|---|---|---|")
-        for found in find_recordings(captures, Path("/nonexistent"), Limits()):
-            intake = take_real(found, captures)
-            session = max(intake.sessions, key=lambda s: len(s.images))
-            declared, other, wrong, of = mistakes_found(session, [captures.resolve()])
-            jumps = sum(len(s.jumps) for s in intake.sessions)
-            print(
-                f"| {found.session_id} | {len(session.frames)} | {len(session.images)} | {len(intake.rejects)} "
-                f"| {jumps} | {declared:.0%} | {other:.0%} | {wrong} of {of} |",
-                flush=True,
-            )
-    if trajectories is not None:
-        print("\n| real recording | format | poses | rate, Hz | path, m | rejects | jumps |")
-        print("|---|---|---|---|---|---|---|")
-        for found in find_recordings(trajectories, Path("/nonexistent"), Limits()):
-            intake = take_real(found, trajectories)
-            t_s = np.concatenate([s.t_ns for s in intake.sessions]) * 1e-9
-            path = sum(float(np.linalg.norm(np.diff(s.poses[:, :3, 3], axis=0), axis=1).sum()) for s in intake.sessions)
-            jumps = ", ".join(f"{j.jump_m:.1f} m" for s in intake.sessions for j, _ in s.jumps) or "none"
-            print(
-                f"| {found.session_id} | {found.format.name} | {len(t_s)} | {(len(t_s) - 1) / np.ptp(t_s):.0f} "
-                f"| {path:.0f} | {len(intake.rejects)} | {jumps} |"
-            )
+
+
+def _print_trajectories(trajectories: Path) -> None:
+    print("\n| real recording | format | poses | rate, Hz | path, m | rejects | jumps |")
+    print("|---|---|---|---|---|---|---|")
+    for found in find_recordings(trajectories, Path("/nonexistent"), Limits()):
+        intake = take_real(found, trajectories)
+        t_s = np.concatenate([s.t_ns for s in intake.sessions]) * 1e-9
+        path = sum(float(np.linalg.norm(np.diff(s.poses[:, :3, 3], axis=0), axis=1).sum()) for s in intake.sessions)
+        jumps = ", ".join(f"{j.jump_m:.1f} m" for s in intake.sessions for j, _ in s.jumps) or "none"
+        print(
+            f"| {found.session_id} | {found.format.name} | {len(t_s)} | {(len(t_s) - 1) / np.ptp(t_s):.0f} "
+            f"| {path:.0f} | {len(intake.rejects)} | {jumps} |"
+        )
 
 
 if __name__ == "__main__":

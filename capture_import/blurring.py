@@ -1,7 +1,7 @@
 """Faces and licence plates: found, and made unrecognisable before an image goes anywhere.
 
 The detectors are the boosted cascades that OpenCV 4 has in its package (P. Viola and M. Jones, "Rapid object detection
-using a boosted cascade of simple features", CVPR 2001). OpenCV 5 left them out. They find frontal and side faces and
+using a boosted cascade of simple features", CVPR 2001); OpenCV 5 left them out. They find frontal and side faces and
 plates of European form; docs/captures.md says how much they miss.
 """
 
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import cv2
+import cv2.data
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,15 +56,15 @@ class CascadeDetector:
     """OpenCV's cascades; each thread has its own, as they can't be shared. UserError where OpenCV comes without."""
 
     def __init__(self) -> None:
-        folder = getattr(getattr(cv2, "data", None), "haarcascades", "")
-        self._paths = [(kind, Path(folder) / name, mirrored) for kind, name, mirrored in _CASCADES]
-        missing = [path.name for _, path, _ in self._paths if not path.is_file()]
-        if missing or not hasattr(cv2, "CascadeClassifier"):
+        folder = Path(cv2.data.haarcascades)
+        self._paths = [(kind, folder / name, mirrored) for kind, name, mirrored in _CASCADES]
+        if not all(path.is_file() for _, path, _ in self._paths):
             raise UserError(
                 "this OpenCV comes without the detectors that blur needs",
                 expected="OpenCV 4, whose package has them",
                 found=f"OpenCV {cv2.__version__}",
-                do="pip install 'opencv-python-headless<5', or set blur = false in [import]",
+                where=folder,
+                do="make install, which has it, or set blur = false in [import]",
             )
         self._own = threading.local()
 
@@ -84,8 +85,7 @@ class CascadeDetector:
 
     def _cascades(self) -> list[tuple[Kind, Any, bool]]:
         if not hasattr(self._own, "cascades"):
-            classifier: Any = getattr(cv2, "CascadeClassifier")  # noqa: B009  (OpenCV 5 has none)
-            self._own.cascades = [(kind, classifier(str(path)), mirrored) for kind, path, mirrored in self._paths]
+            self._own.cascades = [(k, cv2.CascadeClassifier(str(path)), mirrored) for k, path, mirrored in self._paths]
         cascades: list[tuple[Kind, Any, bool]] = self._own.cascades
         return cascades
 

@@ -2,18 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from capture_import.capture import Limits
-from capture_import.intake import Image, Session
-from capture_import.scan import load_gray
+from capture_import.capture import RawFrame
+from capture_import.images import Gray
+from capture_import.intake import Session
+from capture_import.scan import LoadGray
 from geometry.poses import Array, interpolate, relative
 
-_LONG_SIDE = 192
+CLOCK_LONG_SIDE = 192
 _MOST_IMAGES = 240
 _FEWEST_IMAGES = 20
 # Slower images don't show when a turn began.
@@ -35,12 +35,12 @@ class ClockCheck:
     correlation: float
 
 
-def check_clock(session: Session, roots: Sequence[Path], limits: Limits) -> ClockCheck:
+def check_clock(session: Session, load: LoadGray) -> ClockCheck:
     """Find the constant offset at which the rotation of the poses best explains the motion of the images."""
-    images = _dense_stretch(session.images)
-    if len(images) < _FEWEST_IMAGES:
+    views = list(load(dense_stretch([image.frame for image in session.images]), CLOCK_LONG_SIDE))
+    if len(views) < _FEWEST_IMAGES:
         return ClockCheck(None, np.nan)
-    t_ns = np.array([image.frame.t_ns for image in images], dtype=np.int64)
+    t_ns = np.array([frame.t_ns for frame, _ in views], dtype=np.int64)
     times, poses = session.t_ns, session.poses
     # Offsets for which all images lie within the poses.
     reach = np.arange(-_WIDEST_S, _WIDEST_S + _STEP_S / 2, _STEP_S)
@@ -48,47 +48,55 @@ def check_clock(session: Session, roots: Sequence[Path], limits: Limits) -> Cloc
     offsets = reach[inside]
     if len(offsets) < 3:
         return ClockCheck(None, np.nan)
-    seen = _image_motion(images, roots, limits)
-    scores = np.array([_correlation(seen, _turn(times, poses, t_ns + round(s * 1e9))) for s in offsets])
+    width_of = {image.frame.number: image.check.width for image in session.images}
+    seen = _image_motion([(frame, gray, gray.shape[1] / width_of[frame.number]) for frame, gray in views])
+    at_ns = t_ns + np.round(offsets[:, None] * 1e9).astype(np.int64)
+    scores = np.array([_correlation(seen, turn) for turn in _turns(times, poses, at_ns)])
     best = int(np.argmax(scores))
     clear = scores[best] > _CLEAR and 0 < best < len(offsets) - 1
     return ClockCheck(float(offsets[best]) if clear else None, float(scores[best]))
 
 
-def _dense_stretch(images: Sequence[Image]) -> Sequence[Image]:
-    """The middle part of the longest stretch of images without a long interval."""
-    t_s = np.array([image.frame.t_ns for image in images]) * 1e-9
-    breaks = [0, *(np.flatnonzero(np.diff(t_s) > _LONGEST_INTERVAL_S) + 1), len(images)]
+def dense_stretch(frames: Sequence[RawFrame]) -> Sequence[RawFrame]:
+    """Of frames with images, the middle part of the longest stretch without a long interval, so far from the first and
+    the last frame, where there are enough, that it can be shifted; none where it's too short to tell anything."""
+    t_s = np.array([frame.t_ns for frame in frames]) * 1e-9
+    breaks = [0, *(np.flatnonzero(np.diff(t_s) > _LONGEST_INTERVAL_S) + 1), len(frames)]
     longest = int(np.argmax(np.diff(breaks)))
     start, stop = breaks[longest], breaks[longest + 1]
+    if stop - start < _FEWEST_IMAGES:
+        return []
+    inner = np.searchsorted(t_s, [t_s[0] + _WIDEST_S, t_s[-1] - _WIDEST_S]).clip(start, stop)
+    if inner[1] - inner[0] >= _FEWEST_IMAGES:
+        start, stop = int(inner[0]), int(inner[1])
     spare = max(0, stop - start - _MOST_IMAGES) // 2
-    return images[start + spare : stop - spare]
+    return frames[start + spare : stop - spare]
 
 
-def _image_motion(images: Sequence[Image], roots: Sequence[Path], limits: Limits) -> Array:
-    """Motion of the image centre from image to image, in focal lengths (N - 1, 2)."""
+def _image_motion(views: Sequence[tuple[RawFrame, Gray, float]]) -> Array:
+    """Motion of the image centre from image to image, in focal lengths (N - 1, 2); each image with its scale."""
     shifts = []
+    window = None
     last: NDArray[np.float32] | None = None
-    grays = load_gray([image.frame.image for image in images], _LONG_SIDE, roots, limits)
-    for image, gray in zip(images, grays, strict=True):
+    for frame, gray, scale in views:
         current = gray.astype(np.float32)
-        camera = image.frame.intrinsics
+        camera = frame.intrinsics
         assert camera is not None  # intake keeps images with intrinsics
-        scale = gray.shape[1] / image.check.width
         if last is not None and last.shape == current.shape:
-            window = cv2.createHanningWindow((current.shape[1], current.shape[0]), cv2.CV_32F)
+            if window is None or window.shape != current.shape:
+                window = cv2.createHanningWindow((current.shape[1], current.shape[0]), cv2.CV_32F)
             (dx, dy), _ = cv2.phaseCorrelate(last, current, window)
             shifts.append((dx / (camera.fx * scale), dy / (camera.fy * scale)))
         last = current
     return np.array(shifts)
 
 
-def _turn(times: NDArray[np.int64], poses: Array, at_ns: NDArray[np.int64]) -> Array:
-    """Motion of the image centre by rotation alone, in focal lengths (N - 1, 2)."""
-    at = interpolate(times, poses, at_ns)
-    axis = relative(at[1:], at[:-1])[:, :3, 2]
-    centre: Array = axis[:, :2] / axis[:, 2:]
-    return centre
+def _turns(times: NDArray[np.int64], poses: Array, at_ns: NDArray[np.int64]) -> Array:
+    """Motion of the image centre by rotation alone from time to time (K, N), in focal lengths (K, N - 1, 2)."""
+    at = interpolate(times, poses, at_ns.ravel()).reshape(*at_ns.shape, 4, 4)
+    axis = relative(at[:, 1:], at[:, :-1])[..., :3, 2]
+    centres: Array = axis[..., :2] / axis[..., 2:]
+    return centres
 
 
 def _correlation(a: Array, b: Array) -> float:

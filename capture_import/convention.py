@@ -6,16 +6,16 @@ cameras. That is tried with the poses as the format declares them and as they wo
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from itertools import pairwise
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from capture_import.capture import Limits
+from capture_import.capture import RawFrame
 from capture_import.intake import Image, Session
 from capture_import.parallel import in_parallel
-from capture_import.scan import load_gray
+from capture_import.scan import LoadGray
 from geometry.poses import (
     ARKIT_CAM_T_CAM,
     Array,
@@ -27,13 +27,15 @@ from geometry.poses import (
     rotation_angle,
 )
 
-_LONG_SIDE = 640
-_FEATURES = 800
+CONVENTION_LONG_SIDE = 400
+_FEATURES = 500
 _RATIO = 0.8
 # Points this near to their epipolar line, in pixels of the working image, are explained: odometry is off by some tenths
 # of a degree from one image to the next.
-_NEAR_PX = 3.0
+_NEAR_PX = 2.0
 _MOST_PAIRS = 8
+# Pairs are looked for in so many stretches of the session, so that an image that is missing moves one of them at most.
+_STRETCHES = 64
 _FEWEST_MATCHES = 30
 _FEWEST_PAIRS = 4
 _LONGEST_S = 4.0
@@ -49,6 +51,8 @@ SUSPECT = 0.5
 # A camera for the check: its pose (4, 4) and fx, fy, cx, cy of the working image.
 Camera = tuple[Array, Array]
 Change = Callable[[Camera], Camera]
+# SIFT positions (N, 2) with (0, 0) the image's corner, and descriptors (N, 128).
+Features = tuple[Array, NDArray[np.float32]]
 
 
 @dataclass(frozen=True)
@@ -66,59 +70,84 @@ class ConventionCheck:
     contradicted: str | None
 
 
-def check_convention(session: Session, roots: Sequence[Path], limits: Limits) -> ConventionCheck:
+@dataclass(frozen=True)
+class MatchedPair:
+    """Matched points of two images (N, 2) in pixels of the working size, (0, 0) the image's corner, and the cameras."""
+
+    points: tuple[Array, Array]
+    cameras: tuple[Camera, Camera]
+
+
+def check_convention(session: Session, load: LoadGray) -> ConventionCheck:
     """Hold a session's poses against its images."""
-    pairs = _pairs(session.images)
-    features = _features(sorted({i for pair in pairs for i in pair}), session.images, roots, limits)
-    shares = []
+    return judge(matched_pairs(session, load))
+
+
+def matched_pairs(session: Session, load: LoadGray) -> list[MatchedPair]:
+    """A session's pairs of images with parallax and enough matches."""
+    frames = [image.frame for image in session.images]
+    pairs = parallax_pairs(frames)
+    features = _features([frames[i] for i in sorted({i for pair in pairs for i in pair})], load)
+    matched = []
     for a, b in pairs:
-        matches = _match(features[a][1], features[b][1])
+        found_a, found_b = features.get(frames[a].number), features.get(frames[b].number)
+        if found_a is None or found_b is None:
+            continue
+        matches = _match(found_a[1], found_b[1])
         if len(matches) >= _FEWEST_MATCHES:
-            points_a, points_b = features[a][0][matches[:, 0]], features[b][0][matches[:, 1]]
-            cameras = [_camera(session.images[i]) for i in (a, b)]
-            shares.append([_explained(points_a, points_b, *map(change, cameras)) for _, change in CONVENTIONS])
-    if not shares:
+            points = found_a[0][matches[:, 0]], found_b[0][matches[:, 1]]
+            matched.append(MatchedPair(points, (_camera(session.images[a]), _camera(session.images[b]))))
+    return matched
+
+
+def judge(pairs: Sequence[MatchedPair]) -> ConventionCheck:
+    """Which convention the cameras of the pairs fit best in."""
+    if not pairs:
         return ConventionCheck(0, np.nan, "", np.nan, None)
-    table = np.array(shares)
+    table = np.array([[_explained(p.points, *map(change, p.cameras)) for _, change in CONVENTIONS] for p in pairs])
     mean = table.mean(axis=0)
     best = 1 + int(np.argmax(mean[1:]))
     wins = np.mean(table[:, best] > table[:, 0])
-    contradicted = len(shares) >= _FEWEST_PAIRS and mean[best] > max(_MOST, mean[0] + _CLEARLY) and wins > 0.75
+    contradicted = len(pairs) >= _FEWEST_PAIRS and mean[best] > max(_MOST, mean[0] + _CLEARLY) and wins > 0.75
     name = CONVENTIONS[best][0]
-    return ConventionCheck(len(shares), float(mean[0]), name, float(mean[best]), name if contradicted else None)
+    return ConventionCheck(len(pairs), float(mean[0]), name, float(mean[best]), name if contradicted else None)
 
 
-def _pairs(images: Sequence[Image]) -> list[tuple[int, int]]:
-    """Pairs of images near in time whose poses differ by a step and little rotation, spread over the session.
+def parallax_pairs(frames: Sequence[RawFrame]) -> list[tuple[int, int]]:
+    """Pairs of frames near in time whose poses differ by a step and little rotation, spread over the session.
 
     Distances are the same in all conventions but the world-to-camera one, so that a wrong one has pairs too.
     """
-    poses = np.array([image.frame.vio_T_cam for image in images], dtype=float)
-    t_s = np.array([image.frame.t_ns for image in images]) * 1e-9
-    found = []
-    for a in range(len(images)):
-        for b in range(a + 1, len(images)):
-            if t_s[b] - t_s[a] > _LONGEST_S:
-                break
-            step = relative(poses[a], poses[b])
-            if np.degrees(rotation_angle(step[:3, :3])) > _MOST_TURN_DEG:
-                break
-            if np.linalg.norm(step[:3, 3]) > _SHORTEST_M:
-                found.append((a, b))
-                break
+    poses = np.array([frame.vio_T_cam for frame in frames], dtype=float).reshape(-1, 4, 4)
+    t_s = np.array([frame.t_ns for frame in frames]) * 1e-9
+    borders: list[int] = []
+    if len(frames):
+        borders = np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], _STRETCHES + 1)).tolist()
+    partners = ((_with_parallax(poses, t_s, range(a, b))) for a, b in pairwise(borders))
+    found = [pair for pair in partners if pair is not None]
     spread = np.unique(np.linspace(0, len(found) - 1, min(len(found), _MOST_PAIRS)).astype(int))
     return [found[i] for i in spread]
 
 
-def _features(
-    indices: list[int], images: Sequence[Image], roots: Sequence[Path], limits: Limits
-) -> dict[int, tuple[Array, NDArray[np.float32]]]:
-    """SIFT positions (N, 2) with (0, 0) the image's corner, and descriptors, of the images in the working size."""
-    grays = load_gray([images[i].frame.image for i in indices], _LONG_SIDE, roots, limits)
-    return dict(zip(indices, in_parallel(_detect, grays), strict=True))
+def _with_parallax(poses: Array, t_s: Array, firsts: range) -> tuple[int, int] | None:
+    """The first of the frames `firsts` with one behind it that it makes a pair with, and that one."""
+    for a in firsts:
+        behind = slice(a + 1, int(np.searchsorted(t_s, t_s[a] + _LONGEST_S, side="right")))
+        steps = relative(poses[a], poses[behind])
+        turned = np.flatnonzero(np.degrees(rotation_angle(steps[:, :3, :3])) > _MOST_TURN_DEG)
+        moved = np.flatnonzero(np.linalg.norm(steps[: turned[0] if len(turned) else None, :3, 3], axis=1) > _SHORTEST_M)
+        if len(moved):
+            return a, a + 1 + int(moved[0])
+    return None
 
 
-def _detect(gray: NDArray[np.uint8]) -> tuple[Array, NDArray[np.float32]]:
+def _features(frames: Sequence[RawFrame], load: LoadGray) -> dict[int, Features]:
+    """The features of the frames in the working size, by the frames' numbers."""
+    views = load(frames, CONVENTION_LONG_SIDE)
+    return dict(in_parallel(lambda view: (view[0].number, _detect(view[1])), views))
+
+
+def _detect(gray: NDArray[np.uint8]) -> Features:
     points, descriptors = cv2.SIFT.create(nfeatures=_FEATURES).detectAndCompute(gray, None)
     positions = np.array([p.pt for p in points], dtype=float).reshape(-1, 2) + 0.5
     return positions, np.zeros((0, 128), np.float32) if descriptors is None else descriptors.astype(np.float32)
@@ -137,15 +166,15 @@ def _match(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]:
 def _camera(image: Image) -> Camera:
     pose, intrinsics = image.frame.vio_T_cam, image.frame.intrinsics
     assert pose is not None and intrinsics is not None  # intake keeps images with both
-    scale = min(1.0, _LONG_SIDE / max(image.check.width, image.check.height))
+    scale = min(1.0, CONVENTION_LONG_SIDE / max(image.check.width, image.check.height))
     return pose, scale * np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
 
 
-def _explained(points_a: Array, points_b: Array, camera_a: Camera, camera_b: Camera) -> float:
+def _explained(points: tuple[Array, Array], camera_a: Camera, camera_b: Camera) -> float:
     """Share of matches near to their epipolar lines (Sampson's distance) and in front of both cameras."""
     (world_T_a, k_a), (world_T_b, k_b) = camera_a, camera_b
     b_T_a = relative(world_T_b, world_T_a)
-    rays_a, rays_b = _rays(points_a, k_a), _rays(points_b, k_b)
+    rays_a, rays_b = _rays(points[0], k_a), _rays(points[1], k_b)
     rotation, t = b_T_a[:3, :3], b_T_a[:3, 3]
     essential = np.cross(np.eye(3), t) @ rotation
     line_b, line_a = rays_a @ essential.T, rays_b @ essential

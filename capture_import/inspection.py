@@ -2,7 +2,7 @@
 
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +11,10 @@ from artefacts.progress import track
 from capture_import.clock import check_clock
 from capture_import.convention import SUSPECT, ConventionCheck, check_convention
 from capture_import.discovery import Found, find_recordings
-from capture_import.intake import Intake, Scan, path_length, scan_all, take_in
+from capture_import.intake import Intake, measures, path_length, take_in
 from capture_import.settings import ImportSettings
 from capture_import.tables import printable, sampled
+from capture_import.views import Views
 
 
 def inspect_capture(path: Path, format_name: str = "auto") -> Iterator[str]:
@@ -25,28 +26,27 @@ def inspect_capture(path: Path, format_name: str = "auto") -> Iterator[str]:
     root = path.resolve()
     with tempfile.TemporaryDirectory() as unpacked:
         roots = [root if root.is_dir() else root.parent, Path(unpacked).resolve()]
-        scan = scan_all(roots, settings.limits)
         for found in find_recordings(path, Path(unpacked), settings.limits, format_name):
-            yield from _inspect(found, scan, roots, settings)
+            yield from _inspect(found, Views(roots, settings.limits), settings)
 
 
-def _inspect(found: Found, scan: Scan, roots: Sequence[Path], settings: ImportSettings) -> Iterator[str]:
+def _inspect(found: Found, views: Views, settings: ImportSettings) -> Iterator[str]:
     raw = found.read(settings.limits)
     count = sum(f.image is not None for f in raw.frames)
-    intake = take_in(raw, settings, lambda frames: track(scan(frames), "checking images", len(frames)))
+    intake = take_in(raw, settings, lambda f: track(measures(views.scan(f)), "checking images", len(f)))
     yield f"{found.session_id} · {found.format.title} · {raw.device} · clock: {raw.clock}"
     yield f"  log        {len(raw.frames)} rows, {count} with an image"
     yield from _health(intake, settings)
     for note in raw.notes:
         yield f"  note       {note}"
     longest = max(intake.sessions, key=lambda s: len(s.images))
-    check = check_convention(longest, roots, settings.limits)
+    check = check_convention(longest, views.load)
     if check.pairs:
         yield (
             f"  convention {check.declared:.0%} of matched points in {check.pairs} pairs of images fit the poses; "
             f"the next best convention explains {check.other_share:.0%}"
         )
-    clock = check_clock(longest, roots, settings.limits)
+    clock = check_clock(longest, views.load)
     if clock.offset_s is not None:
         yield f"  clock      images fit the poses at {clock.offset_s:+.3f} s (correlation {clock.correlation:.2f})"
     yield f"  verdict    {_verdict(intake, raw.poses_are, check)}"

@@ -11,7 +11,7 @@ import numpy as np
 from capture_import.capture import Limits, RawFrame, RawSession, Reject
 from capture_import.health import Jump, check_session, find_jumps, size_fault
 from capture_import.images import ImageCheck
-from capture_import.scan import scan_images
+from capture_import.scan import Look, scan_images
 from capture_import.settings import ImportSettings
 from geometry.poses import Array
 
@@ -75,7 +75,12 @@ def take_in(raw: RawSession, settings: ImportSettings, scan: Scan) -> Intake:
 
 def scan_all(roots: Sequence[Path], limits: Limits) -> Scan:
     """The scan that looks at every image, with links kept inside `roots`."""
-    return lambda frames: scan_images(frames, roots, limits)
+    return lambda frames: measures(scan_images(frames, roots, limits))
+
+
+def measures(looks: Iterable[Look | str]) -> Iterator[ImageCheck | str]:
+    """What the images measure, without what they show."""
+    return (look.check if isinstance(look, Look) else look for look in looks)
 
 
 def path_length(session: Session) -> float:

@@ -24,11 +24,12 @@ from capture_import.video import decode, rgb_pixels
 
 @dataclass(frozen=True)
 class Placed:
-    """An image's `frames.image` entry, the hash of its file, and what was made unrecognisable in it."""
+    """An image's `frames.image` entry, the hash of its file, and what was made unrecognisable in it; None where nothing
+    was looked for."""
 
     entry: str
     sha256: str
-    blurred: tuple[Kind, ...] = ()
+    blurred: tuple[Kind, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -91,23 +92,24 @@ def _place_video(images: Sequence[Image], folder: Path, where: Placement) -> lis
 def _place_file(image: Image, folder: Path, where: Placement) -> Placed:
     ref = image.frame.image
     assert isinstance(ref, ImageFile)  # place_images has seen to the videos
+    blurred: tuple[Kind, ...] | None = None
     if where.quarters or where.detect is not None:
         rgb, blurred = _rendered(decode_rgb(ref.path.read_bytes(), long_side=2**31), where)
         if where.quarters or blurred:
             return _write(image, encode_jpeg(rgb), folder, where, blurred)
     in_capture = ref.path.is_relative_to(where.root)
     if where.how == "reference" and in_capture:
-        return Placed(ref.path.relative_to(where.root).as_posix(), image.check.sha256)
+        return Placed(ref.path.relative_to(where.root).as_posix(), image.check.sha256, blurred)
     data = ref.path.read_bytes()
     bare = without_metadata(data)
     if where.how == "link" and in_capture and bare == data:
-        return Placed(_linked(ref.path, image, folder, where), image.check.sha256)
-    return _write(image, bare, folder, where, suffix=ref.path.suffix.lower())
+        return Placed(_linked(ref.path, image, folder, where), image.check.sha256, blurred)
+    return _write(image, bare, folder, where, blurred, suffix=ref.path.suffix.lower())
 
 
-def _rendered(rgb: NDArray[np.uint8], where: Placement) -> tuple[NDArray[np.uint8], tuple[Kind, ...]]:
+def _rendered(rgb: NDArray[np.uint8], where: Placement) -> tuple[NDArray[np.uint8], tuple[Kind, ...] | None]:
     """An image as it's written, and what was blurred in it."""
-    blurred: tuple[Kind, ...] = ()
+    blurred: tuple[Kind, ...] | None = None
     if where.detect is not None:
         rgb, regions = blur_people(rgb, where.detect, where.to_upright)
         blurred = tuple(region.kind for region in regions)
@@ -130,7 +132,12 @@ def _linked(source: Path, image: Image, folder: Path, where: Placement) -> str:
 
 
 def _write(
-    image: Image, data: bytes, folder: Path, where: Placement, blurred: tuple[Kind, ...] = (), suffix: str = ".jpg"
+    image: Image,
+    data: bytes,
+    folder: Path,
+    where: Placement,
+    blurred: tuple[Kind, ...] | None = None,
+    suffix: str = ".jpg",
 ) -> Placed:
     target = folder / f"{image.frame.number:06d}{suffix}"
     target.unlink(missing_ok=True)  # a hard link from a killed run must not be written through

@@ -8,24 +8,21 @@ import numpy as np
 import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
-import simplejpeg
 from numpy.typing import NDArray
 
-from artefacts.recording import NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, set_time
-from artefacts.tables import poses_of
+from artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, set_time
 from capture_import.capture import Reject
-from capture_import.images import decode_rgb
+from capture_import.images import image_size
 from capture_import.intake import Session
 from capture_import.parallel import in_parallel
+from capture_import.spool import thumbnail_path
 from capture_import.tables import printable
+from capture_import.thumbnails import MOST, spread, thumbnail_of
 from geometry.poses import Array, transform
 
-_THUMBNAIL = 320
-_THUMBNAIL_QUALITY = 70
 _TRACKING_COLOURS = {"normal": VIO, "unknown": VIO, "limited": REJECTED, "lost": NEUTRAL}
 # Enough to see each place; more would make the recording of a long walk slow to open.
 _MOST_FRUSTA = 150
-_MOST_IMAGES = 300
 _BATCH = 64
 
 
@@ -45,30 +42,38 @@ def log_session(
     frames: pd.DataFrame,
     rejects: Sequence[Reject],
     image_path: Callable[[str], Path],
+    spooled: Path,
 ) -> None:
-    """Log one session; `frames` are its rows of the frames table. Time counts from the session's first pose."""
+    """Log one session; `frames` are its rows of the frames table, `spooled` has the thumbnails of some of them. Time
+    counts from the session's first pose."""
     at = f"/{session.session_id}"
     t_ns, poses = session.t_ns, session.poses
     stream.log(at, UP_AXIS, static=True)
     if not len(poses):
         return
     start = int(t_ns[0])
-    _log_path(stream, f"{at}/vio", session)
-    _log_curves(stream, at, t_ns - start, poses, frames, start)
+    _log_path(stream, f"{at}/{session.recording.poses_are}", session)
+    _log_curves(stream, at, session, frames)
     _log_marks(stream, at, session, rejects, start)
-    cameras = poses_of(frames, "vio_cam")
-    known = np.flatnonzero(np.isfinite(cameras).all(axis=(1, 2)))
+    numbers = [int(frame_id.rpartition("/")[2]) for frame_id in frames["frame_id"]]
+    pose_of = {image.frame.number: image.frame.vio_T_cam for image in session.images}
+    cameras = np.array([pose_of[number] for number in numbers], dtype=float).reshape(-1, 4, 4)
     size = float(np.clip(np.ptp(poses[:, :3, 3], axis=0).max() / 15, 0.05, 1.5))
-    _log_frusta(stream, f"{at}/frames", frames.iloc[_spread(known, _MOST_FRUSTA)], size / 4)
-    shown = _spread(known, _MOST_IMAGES)
+    outlined = _spread(np.arange(len(frames)), _MOST_FRUSTA)
+    _log_frusta(stream, f"{at}/frames", frames.iloc[outlined], cameras[outlined], size / 4)
+    thumbnails = [thumbnail_path(spooled, number) for number in numbers]
+    ready = [i for i, thumbnail in enumerate(thumbnails) if thumbnail.is_file()]
+    shown = np.array(spread(ready if len(ready) >= min(len(frames), MOST) / 2 else range(len(frames))), dtype=int)
     for first in range(0, len(shown), _BATCH):
-        _log_images(stream, f"{at}/camera", frames.iloc[shown[first : first + _BATCH]], image_path, start, size)
+        batch = shown[first : first + _BATCH]
+        jpegs = list(in_parallel(lambda i: _thumbnail(thumbnails[i], image_path(frames["image"].iloc[i])), batch))
+        _log_images(stream, f"{at}/camera", frames.iloc[batch], cameras[batch], jpegs, start, size)
 
 
 def _session_view(session_id: str) -> rrb.Container:
     at = f"/{session_id}"
     return rrb.Horizontal(
-        rrb.Spatial3DView(origin=at, name="VIO path and cameras"),
+        rrb.Spatial3DView(origin=at, name="path and cameras"),
         rrb.Vertical(
             rrb.Spatial2DView(origin=f"{at}/camera/image", name="image"),
             rrb.TimeSeriesView(origin=f"{at}/speed", name="speed, m/s"),
@@ -86,15 +91,15 @@ def _spread(indices: NDArray[np.int64], most: int) -> NDArray[np.int64]:
     return indices[np.linspace(0, len(indices) - 1, min(len(indices), most)).astype(int)]
 
 
-def _log_frusta(stream: rr.RecordingStream, at: str, frames: pd.DataFrame, depth_m: float) -> None:
-    """The frames' cameras as wire frames, each labelled with the frame's number."""
+def _log_frusta(stream: rr.RecordingStream, at: str, frames: pd.DataFrame, cameras: Array, depth_m: float) -> None:
+    """The frames' cameras (N, 4, 4) as wire frames, each labelled with the frame's number."""
     if frames.empty:
         return
     k = frames[["fx", "fy", "cx", "cy"]].to_numpy()[:, None]
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * frames[["width", "height"]].to_numpy()[:, None]
     rays = np.concatenate([(corners - k[..., 2:]) / k[..., :2], np.ones((len(frames), 4, 1))], axis=-1) * depth_m
     with_centre = np.concatenate([rays, np.zeros((len(frames), 1, 3))], axis=1)
-    points = transform(poses_of(frames, "vio_cam")[:, None], with_centre)
+    points = transform(cameras[:, None], with_centre)
     stream.log(
         at,
         rr.LineStrips3D(
@@ -112,20 +117,19 @@ def _log_images(
     stream: rr.RecordingStream,
     at: str,
     frames: pd.DataFrame,
-    image_path: Callable[[str], Path],
+    cameras: Array,
+    jpegs: Sequence[bytes],
     start: int,
     size_m: float,
 ) -> None:
     """The moving camera with its images, small."""
-    paths = [image_path(entry) for entry in frames["image"]]
-    jpegs, sizes = zip(*in_parallel(_thumbnail, paths), strict=True)
-    poses = poses_of(frames, "vio_cam")
+    sizes = [image_size(jpeg) for jpeg in jpegs]
     k = np.tile(np.eye(3), (len(frames), 1, 1))
     k[:, [0, 1, 0, 1], [0, 1, 2, 2]] = frames[["fx", "fy", "cx", "cy"]].to_numpy()
     k[:, :2] *= (np.array(sizes)[:, 0] / frames["width"].to_numpy())[:, None, None]
     t_ns = frames["t_ns"].to_numpy() - start
     times = rr.TimeColumn(TIMELINE, duration=t_ns.astype("timedelta64[ns]"))
-    moving = rr.Transform3D.columns(translation=poses[:, :3, 3], mat3x3=poses[:, :3, :3])
+    moving = rr.Transform3D.columns(translation=cameras[:, :3, 3], mat3x3=cameras[:, :3, :3])
     stream.send_columns(at, indexes=[times], columns=moving)
     camera = rr.Pinhole.columns(
         image_from_camera=k,
@@ -138,34 +142,35 @@ def _log_images(
     stream.send_columns(f"{at}/image", indexes=[times], columns=[*camera, *image])
 
 
-def _thumbnail(path: Path) -> tuple[bytes, tuple[int, int]]:
-    """An image's small JPEG, and its width and height."""
-    image = decode_rgb(path.read_bytes(), _THUMBNAIL)
-    jpeg = simplejpeg.encode_jpeg(image, quality=_THUMBNAIL_QUALITY, colorsubsampling="420")
-    return jpeg, (image.shape[1], image.shape[0])
+def _thumbnail(ready: Path, image: Path) -> bytes:
+    return ready.read_bytes() if ready.is_file() else thumbnail_of(image)
 
 
 def _log_path(stream: rr.RecordingStream, at: str, session: Session) -> None:
-    """The VIO path, in one strip for each stretch of the same tracking state."""
+    """The path, in one strip for each stretch of the same tracking state; a reference in the colour of ground truth."""
     positions = session.poses[:, :3, 3]
     states = np.array([f.tracking for f in session.frames])
     borders = [0, *(np.flatnonzero(states[1:] != states[:-1]) + 1), len(states)]
     # A strip reaches to the first pose of the next one, so that the path has no gaps.
     strips = [positions[a : b + 1] for a, b in pairwise(borders)]
     colours = [_TRACKING_COLOURS[states[a]] for a in borders[:-1]]
+    if session.recording.poses_are == "reference":
+        colours = [_colour(session)] * len(strips)
     stream.log(at, rr.LineStrips3D(strips, colors=colours, radii=rr.Radius.ui_points(1.5)), static=True)
 
 
-def _log_curves(
-    stream: rr.RecordingStream, at: str, since_ns: Array, poses: Array, frames: pd.DataFrame, start: int
-) -> None:
-    if len(poses) > 1:
-        dt = np.diff(since_ns) * 1e-9
-        speed = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / dt
-        _log_curve(stream, f"{at}/speed", since_ns[1:], speed, "speed", VIO)
+def _log_curves(stream: rr.RecordingStream, at: str, session: Session, frames: pd.DataFrame) -> None:
+    t_ns, positions = session.t_ns, session.poses[:, :3, 3]
+    if len(t_ns) > 1:
+        speed = np.linalg.norm(np.diff(positions, axis=0), axis=1) / (np.diff(t_ns) * 1e-9)
+        _log_curve(stream, f"{at}/speed", t_ns[1:] - t_ns[0], speed, "speed", _colour(session))
     if len(frames):
-        t_ns = frames["t_ns"].to_numpy() - start
-        _log_curve(stream, f"{at}/sharpness", t_ns, frames["sharpness"].to_numpy(), "sharpness", NEUTRAL)
+        since_ns = frames["t_ns"].to_numpy() - t_ns[0]
+        _log_curve(stream, f"{at}/sharpness", since_ns, frames["sharpness"].to_numpy(), "sharpness", NEUTRAL)
+
+
+def _colour(session: Session) -> tuple[int, int, int]:
+    return VIO if session.recording.poses_are == "vio" else GROUND_TRUTH
 
 
 def _log_curve(

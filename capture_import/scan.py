@@ -1,37 +1,53 @@
-"""Looking at every image of a recording: sound or not, how large, how sharp."""
+"""Looking at every image of a recording, once: sound or not, how large, how sharp, and what it shows in small."""
 
 import stat
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import av
 import numpy as np
 from numpy.typing import NDArray
 
-from capture_import.capture import ImageFile, ImageRef, Limits, RawFrame, VideoFrame
-from capture_import.images import WORKING_LONG_SIDE, BadImage, ImageCheck, check_image, decode_gray, sharpness
+from capture_import.capture import ImageFile, Limits, RawFrame, VideoFrame
+from capture_import.images import WORKING_LONG_SIDE, BadImage, Gray, ImageCheck, check_image, decode_gray, sharpness
 from capture_import.parallel import in_parallel
 from capture_import.video import decode, gray_pixels
-
-# Called with a video frame's place among the scanned frames, its sharpness, and the frame.
-Keep = Callable[[int, float, av.VideoFrame], None]
 
 # A sound JPEG or PNG has fewer bytes than this a pixel, and a header with metadata.
 _BYTES_A_PIXEL = 4
 _HEADER_BYTES = 1 << 20
 
 
+@dataclass(frozen=True)
+class Look:
+    """What one look at a sound image gives.
+
+    `gray` (H, W) has the working size. `picture` is a video's frame, or the small colour image (H, W, 3) of a file for
+    which one was asked.
+    """
+
+    check: ImageCheck
+    gray: Gray
+    picture: av.VideoFrame | NDArray[np.uint8] | None = None
+
+
+# Frames whose images are sound, in order, with their images (H, W) scaled down to the long side.
+LoadGray = Callable[[Sequence[RawFrame], int], Iterator[tuple[RawFrame, Gray]]]
+
+
 def scan_images(
-    frames: Sequence[RawFrame], roots: Sequence[Path], limits: Limits, keep: Keep | None = None
-) -> Iterator[ImageCheck | str]:
-    """For each frame, in order: what its image measures, or why it can't be used.
+    frames: Sequence[RawFrame], roots: Sequence[Path], limits: Limits, in_colour: Container[int] = ()
+) -> Iterator[Look | str]:
+    """For each frame, in order: a look at its image, or why it can't be used.
 
     Files are decoded on all cores and a video in one go, so that memory holds a few images at once. Files must lie in
-    one of `roots`. `keep` is called with each sound video frame.
+    one of `roots`; those at the places `in_colour` are decoded in colour.
     """
     if any(isinstance(frame.image, VideoFrame) for frame in frames):
-        return _scan_video(frames, limits, keep)
-    return in_parallel(lambda frame: _scan_file(frame, roots, limits), frames)
+        return _scan_video(frames, limits)
+    placed = ((frame, place in in_colour) for place, frame in enumerate(frames))
+    return in_parallel(lambda item: _scan_file(*item, roots, limits), placed)
 
 
 def read_image(path: Path, roots: Sequence[Path], limits: Limits) -> bytes:
@@ -51,40 +67,40 @@ def read_image(path: Path, roots: Sequence[Path], limits: Limits) -> bytes:
 
 
 def load_gray(
-    refs: Sequence[ImageRef | None], long_side: int, roots: Sequence[Path], limits: Limits
-) -> Iterator[NDArray[np.uint8]]:
-    """Images (H, W) that have passed the scan, in order, scaled down to the long side."""
-    video = [ref for ref in refs if isinstance(ref, VideoFrame)]
-    if video:
-        for _, frame in decode(video[0].path, {ref.index for ref in video}, limits):
-            yield gray_pixels(frame, long_side)
+    frames: Sequence[RawFrame], long_side: int, roots: Sequence[Path], limits: Limits
+) -> Iterator[tuple[RawFrame, Gray]]:
+    """Frames that have passed the scan, in order, with their images (H, W) scaled down to the long side. A damaged
+    video may not give a frame again."""
+    of_video = {frame.image.index: frame for frame in frames if isinstance(frame.image, VideoFrame)}
+    if of_video:
+        path = next(frame.image.path for frame in frames if isinstance(frame.image, VideoFrame))
+        for index, decoded in decode(path, set(of_video), limits):
+            yield of_video[index], gray_pixels(decoded, long_side)
         return
-    files = [ref.path for ref in refs if isinstance(ref, ImageFile)]
-    yield from in_parallel(lambda path: decode_gray(read_image(path, roots, limits), long_side), files)
+    files = [(frame, frame.image.path) for frame in frames if isinstance(frame.image, ImageFile)]
+    yield from in_parallel(lambda file: (file[0], decode_gray(read_image(file[1], roots, limits), long_side)), files)
 
 
-def _scan_file(frame: RawFrame, roots: Sequence[Path], limits: Limits) -> ImageCheck | str:
+def _scan_file(frame: RawFrame, in_colour: bool, roots: Sequence[Path], limits: Limits) -> Look | str:
     assert isinstance(frame.image, ImageFile)  # a recording has files or a video, never both
     try:
-        return check_image(read_image(frame.image.path, roots, limits), limits.max_megapixels)
+        return Look(*check_image(read_image(frame.image.path, roots, limits), limits.max_megapixels, in_colour))
     except BadImage as error:
         return str(error)
 
 
-def _scan_video(frames: Sequence[RawFrame], limits: Limits, keep: Keep | None) -> Iterator[ImageCheck | str]:
+def _scan_video(frames: Sequence[RawFrame], limits: Limits) -> Iterator[Look | str]:
     refs = [frame.image for frame in frames if isinstance(frame.image, VideoFrame)]
     assert len(refs) == len(frames) and len({ref.path for ref in refs}) == 1  # one video a recording
     images = decode(refs[0].path, {ref.index for ref in refs}, limits)
-    at, check = -1, None
-    for position, ref in enumerate(refs):
+    at, look = -1, None
+    for ref in refs:
         while at < ref.index and (decoded := next(images, None)) is not None:
             at, image = decoded
+            gray = gray_pixels(image, WORKING_LONG_SIDE)
             # A frame has no file to hash until it's written.
-            measured = sharpness(gray_pixels(image, WORKING_LONG_SIDE))
-            check = ImageCheck(image.width, image.height, measured, sha256="")
-        if check is not None and at == ref.index:
-            if keep is not None:
-                keep(position, check.sharpness, image)
-            yield check
+            look = Look(ImageCheck(image.width, image.height, sharpness(gray), sha256=""), gray, image)
+        if look is not None and at == ref.index:
+            yield look
         else:
             yield "video frame is missing or out of order" if at > ref.index else "video ends before this frame"

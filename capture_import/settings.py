@@ -26,9 +26,7 @@ class ImportSettings(Settings):
     upright: bool = Field(
         False, description="turn images upright by gravity, a quarter turn at a time, with intrinsics and poses"
     )
-    blur: bool = Field(
-        False, description="make faces and licence plates unrecognisable where a detector finds them; needs OpenCV 4"
-    )
+    blur: bool = Field(False, description="make faces and licence plates unrecognisable where a detector finds them")
     max_pose_gap_s: float = Field(0.5, gt=0, description="poses are interpolated over no longer gap")
     blurred_below: float = Field(
         0.5, ge=0, lt=1, description="an image is too blurred below this share of its session's median sharpness"

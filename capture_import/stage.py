@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -10,16 +9,16 @@ import pandas as pd
 
 from artefacts import Stage, StageRun, UserError
 from artefacts.stage import write_json
-from capture_import.blurring import CascadeDetector, Kind
+from capture_import.blurring import CascadeDetector
 from capture_import.capture import RawFrame, Reject
-from capture_import.clock import NOTICEABLE_S, check_clock
-from capture_import.convention import SUSPECT, check_convention
+from capture_import.clock import NOTICEABLE_S, ClockCheck, check_clock
+from capture_import.convention import SUSPECT, ConventionCheck, check_convention
 from capture_import.discovery import Found, find_recordings
 from capture_import.images import ImageCheck
-from capture_import.intake import Image, Intake, Scan, Session, take_in
+from capture_import.intake import Image, Intake, Scan, Session, measures, take_in
 from capture_import.placing import Placement, place_images
 from capture_import.recording import blueprint, log_session
-from capture_import.scan import scan_images
+from capture_import.scan import Look
 from capture_import.settings import ImportSettings
 from capture_import.splits import LEAK_S, Split, split_frames
 from capture_import.spool import Spool
@@ -34,6 +33,7 @@ from capture_import.tables import (
     vio_table,
 )
 from capture_import.upright import quarters_to_upright, turned
+from capture_import.views import Views
 
 
 def run(r: StageRun[ImportSettings]) -> None:
@@ -45,14 +45,20 @@ def run(r: StageRun[ImportSettings]) -> None:
         unpacked.mkdir(exist_ok=True)
         found = find_recordings(root, unpacked, r.settings.limits, r.settings.format)
         roots = [root, unpacked.resolve()]
-        intakes = [_take_in(r, recording, roots) for recording in found]
+    intakes = []
+    fits = []
+    for recording in found:
+        views = Views(roots, r.settings.limits)
+        with r.step("images"):
+            intakes.append(_take_in(r, recording, views))
+        if r.settings.check_convention:
+            with r.step("poses against images"):
+                fits.append(_check_poses(r, intakes[-1], views))
     sessions = [session for intake in intakes for session in intake.sessions]
     rejects = [reject for intake in intakes for reject in intake.rejects]
     _refuse_same_ids(sessions, root)
     _refuse_empty(sessions, rejects, root)
-    if r.settings.check_convention:
-        with r.step("convention check"):
-            _check_conventions(r, intakes, roots)
+    _report_fits(r, fits)
 
     to_upright = {s.session_id: quarters_to_upright(s) for s in sessions}
     quarters = to_upright if r.settings.upright else dict.fromkeys(to_upright, 0)
@@ -60,7 +66,6 @@ def run(r: StageRun[ImportSettings]) -> None:
     with r.step("tables"):
         kept = _sample(r, sessions)
         parts = []
-        blurred: list[tuple[Kind, ...]] = []
         for session in sessions:
             if own := kept[session.session_id]:
                 where = Placement(
@@ -74,7 +79,6 @@ def run(r: StageRun[ImportSettings]) -> None:
                     detect=detect,
                 )
                 places = place_images(own, session.session_id, where)
-                blurred += [place.blurred for place in places]
                 parts.append(frames_table(session, own, places))
         frames = pd.concat(parts, ignore_index=True)
         split = split_frames(frames, r.scene.split, r.settings.split_by == "time")
@@ -91,12 +95,29 @@ def run(r: StageRun[ImportSettings]) -> None:
         r.write("vio", pd.concat([vio_table(s) for s in sessions], ignore_index=True))
     _report(r, sessions, frames, table, rejects, split)
     if detect is not None:
-        _report_blurred(r, blurred)
+        _report_blurred(r, frames)
 
     with r.step("recording"), r.recording(blueprint([s.session_id for s in sessions])) as stream:
         for session in r.track(sessions, "writing the recording"):
-            left_out = [reject for reject in rejects if reject.session_id == session.recording.session_id]
-            log_session(stream, session, by_session[session.session_id], left_out, _image_path(r.work, root))
+            left_out = _rejects_of(session, sessions, rejects)
+            spooled = _spooled(r, session.recording.session_id)
+            log_session(stream, session, by_session[session.session_id], left_out, _image_path(r.work, root), spooled)
+
+
+def _rejects_of(session: Session, sessions: Sequence[Session], rejects: Sequence[Reject]) -> list[Reject]:
+    """What was left out of a session: of its recording, from its first pose to that of the recording's next part."""
+    starts = [s.frames[0].t_ns for s in sessions if s.recording is session.recording and s.frames]
+    if not session.frames:
+        return []
+    start = session.frames[0].t_ns
+    later = [t for t in starts if t > start]
+
+    def is_here(t_ns: int | None) -> bool:
+        if start == starts[0] and (t_ns is None or t_ns < start):
+            return True
+        return t_ns is not None and start <= t_ns and (not later or t_ns < later[0])
+
+    return [r for r in rejects if r.session_id == session.recording.session_id and is_here(r.t_ns)]
 
 
 def _image_path(work: Path, root: Path) -> Callable[[str], Path]:
@@ -104,19 +125,23 @@ def _image_path(work: Path, root: Path) -> Callable[[str], Path]:
     return lambda entry: work / entry.removeprefix("import:") if entry.startswith("import:") else root / entry
 
 
-def _take_in(r: StageRun[ImportSettings], found: Found, roots: Sequence[Path]) -> Intake:
+def _take_in(r: StageRun[ImportSettings], found: Found, views: Views) -> Intake:
     raw = found.read(r.settings.limits)
     for note in raw.notes:
         r.say(f"{raw.session_id}: {note}")
 
     def scan(frames: list[RawFrame]) -> Iterator[ImageCheck | str]:
-        # Frames that are yet to be changed aren't written ahead.
-        spool = (
-            None if r.settings.blur or r.settings.upright else Spool(_spooled(r, raw.session_id), frames, r.settings)
-        )
-        yield from scan_images(frames, roots, r.settings.limits, spool.keep if spool else None)
-        if spool:
-            spool.flush()
+        if r.settings.blur or r.settings.upright:  # images that are yet to be changed aren't written ahead
+            yield from measures(views.scan(frames))
+            return
+        spool = Spool(_spooled(r, raw.session_id), frames, r.settings)
+        for place, look in enumerate(views.scan(frames, spool.in_colour)):
+            if isinstance(look, Look):
+                spool.take(place, look)
+                yield look.check
+            else:
+                yield look
+        spool.flush()
 
     return take_in(raw, r.settings, _remembered(r, found.session_id, scan))
 
@@ -139,41 +164,40 @@ def _remembered(r: StageRun[ImportSettings], session_id: str, scan: Scan) -> Sca
     return remembered
 
 
-def _check_conventions(r: StageRun[ImportSettings], intakes: Sequence[Intake], roots: Sequence[Path]) -> None:
-    """Hold each recording's longest session against its images: poses, intrinsics and clock.
+def _check_poses(r: StageRun[ImportSettings], intake: Intake, views: Views) -> tuple[ConventionCheck, ClockCheck]:
+    """Hold a recording's longest session against its images: poses, intrinsics and clock.
 
     UserError where another convention fits; a clock that is off is told.
     """
-    lowest = None
-    offsets = []
-    for intake in r.track(intakes, "checking poses against images"):
-        session = max(intake.sessions, key=lambda s: len(s.images))
-        check = check_convention(session, roots, r.settings.limits)
-        if check.contradicted:
-            raise UserError(
-                "the poses don't fit the images as their format declares them",
-                where=session.recording.folder,
-                expected=f"matched points that fit (they're {check.declared:.0%} in {check.pairs} pairs of images)",
-                found=f"{check.other_share:.0%} fit where {check.contradicted}",
-                do="look whether another app or version wrote this; check_convention = false in [import] skips this",
-            )
-        if check.pairs and check.declared < SUSPECT:
-            r.say(
-                f"warning: {session.session_id}: only {check.declared:.0%} of matched points fit the poses; no usual "
-                "mistake explains it"
-            )
-        if check.pairs:
-            lowest = check.declared if lowest is None else min(lowest, check.declared)
-        clock = check_clock(session, roots, r.settings.limits)
-        if clock.offset_s is not None:
-            offsets.append(clock.offset_s)
-            if abs(clock.offset_s) > NOTICEABLE_S:
-                r.say(
-                    f"warning: {session.session_id}: images fit the poses {clock.offset_s:+.3f} s from their stated "
-                    f"times (correlation {clock.correlation:.2f})"
-                )
-    r.figure("convention_fit_lowest", lowest)
-    r.figure("clock_offset_s", max(offsets, key=abs) if offsets else None)
+    session = max(intake.sessions, key=lambda s: len(s.images))
+    check = check_convention(session, views.load)
+    if check.contradicted:
+        raise UserError(
+            "the poses don't fit the images as their format declares them",
+            where=session.recording.folder,
+            expected=f"matched points that fit (they're {check.declared:.0%} in {check.pairs} pairs of images)",
+            found=f"{check.other_share:.0%} fit where {check.contradicted}",
+            do="look whether another app or version wrote this; check_convention = false in [import] skips this",
+        )
+    if check.pairs and check.declared < SUSPECT:
+        r.say(
+            f"warning: {session.session_id}: only {check.declared:.0%} of matched points fit the poses; no usual "
+            "mistake explains it"
+        )
+    clock = check_clock(session, views.load)
+    if clock.offset_s is not None and abs(clock.offset_s) > NOTICEABLE_S:
+        r.say(
+            f"warning: {session.session_id}: images fit the poses {clock.offset_s:+.3f} s from their stated "
+            f"times (correlation {clock.correlation:.2f})"
+        )
+    return check, clock
+
+
+def _report_fits(r: StageRun[ImportSettings], fits: Sequence[tuple[ConventionCheck, ClockCheck]]) -> None:
+    declared = [check.declared for check, _ in fits if check.pairs]
+    offsets = [clock.offset_s for _, clock in fits if clock.offset_s is not None]
+    r.figure("convention_fit_lowest", min(declared, default=None))
+    r.figure("clock_offset_s", max(offsets, key=abs, default=None))
 
 
 def _sample(r: StageRun[ImportSettings], sessions: Sequence[Session]) -> dict[str, list[Image]]:
@@ -256,21 +280,21 @@ def _report(
         r.figure(name, value)
 
 
-def _report_blurred(r: StageRun[ImportSettings], blurred: Sequence[tuple[Kind, ...]]) -> None:
-    counts = Counter(kind for kinds in blurred for kind in kinds)
-    images = sum(map(bool, blurred))
+def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
+    faces, plates = int(frames["blurred_faces"].sum()), int(frames["blurred_plates"].sum())
+    images = int((frames["blurred_faces"] + frames["blurred_plates"] > 0).sum())
     r.say(
-        f"blurred {counts['face']} faces and {counts['plate']} plates in {images} of {len(blurred)} images; "
-        "detectors miss some: look before you publish"
+        f"blurred {faces} faces and {plates} plates in {images} of {len(frames)} images; detectors miss some: look "
+        "before you publish"
     )
     r.figure("blurred_images", images)
-    r.figure("blurred_faces", counts["face"])
-    r.figure("blurred_plates", counts["plate"])
+    r.figure("blurred_faces", faces)
+    r.figure("blurred_plates", plates)
 
 
 STAGE = Stage(
     name="import",
-    version=2,
+    version=3,
     settings=ImportSettings,
     needs=(),
     run=run,

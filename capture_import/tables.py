@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from typing import get_args
 
 import numpy as np
 import pandas as pd
 
 from artefacts.tables import pose_frame
+from capture_import.blurring import Kind
 from capture_import.capture import Reject
 from capture_import.health import gravity_of
 from capture_import.intake import Image, Session, path_length
@@ -61,6 +63,10 @@ def frames_table(session: Session, kept: Sequence[Image], places: Sequence[Place
                 "exposure_s": math.nan if exposure is None else exposure,
             }
         )
+    blurred = {
+        f"blurred_{kind}s": [math.nan if p.blurred is None else float(p.blurred.count(kind)) for p in places]
+        for kind in get_args(Kind)
+    }
     poses = _poses(kept)
     gravity = gravity_of(poses) if raw.gravity_aligned else np.full((len(kept), 3), np.nan)
     if raw.poses_are == "reference":
@@ -68,6 +74,7 @@ def frames_table(session: Session, kept: Sequence[Image], places: Sequence[Place
     return pd.concat(
         [
             pd.DataFrame(rows),
+            pd.DataFrame(blurred),
             pose_frame("vio_cam", poses),
             pd.DataFrame(gravity, columns=["gravity_x", "gravity_y", "gravity_z"]),
         ],

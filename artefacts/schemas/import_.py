@@ -32,7 +32,10 @@ TABLES = [
             Column("sharpness", "float64", "1 - blur after Crete et al. 2007, 0 to 1; higher is sharper"),
             Column("exposure_s", "float64", "exposure time", "s", nullable=True),
             Column("split", "string", "train, val (held-out block of the training walks) or test"),
+            Column("blurred_faces", "int64", "regions blurred as faces; null: none were looked for", nullable=True),
+            Column("blurred_plates", "int64", "regions blurred as plates; null: none were looked for", nullable=True),
         ],
+        version="1.1",
     ),
     TableSchema(
         "import",

@@ -1,5 +1,6 @@
 """Tables keep their schema's promises on the way out and in."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,16 @@ def test_table_round_trip(tmp_path: Path) -> None:
     field = pq.read_schema(tmp_path / "t.parquet").field("t_ns")
     assert field.metadata == {b"unit": b"ns", b"meaning": b"time"}
     assert [p.name for p in tmp_path.iterdir()] == ["t.parquet"]
+
+
+def test_a_nullable_column_that_an_older_table_lacks_is_null(tmp_path: Path) -> None:
+    write_table(tmp_path / "t.parquet", example(), SCHEMA)
+    newer = replace(SCHEMA, version="2.2", columns=[*SCHEMA.columns, Column("new", "float64", "new", nullable=True)])
+    back = read_table(tmp_path / "t.parquet", newer)
+    assert list(back.columns) == newer.column_names and back["new"].isna().all()
+    required = replace(newer, columns=[*SCHEMA.columns, Column("new", "float64", "new")])
+    with pytest.raises(UserError, match=r"(?s)lacks columns.*new"):
+        read_table(tmp_path / "t.parquet", required)
 
 
 @pytest.mark.parametrize(

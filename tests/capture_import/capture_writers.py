@@ -23,7 +23,23 @@ class Walk:
     t_ns: np.ndarray
     vio_T_cam: Array
     camera: Array  # (N, 4): fx, fy, cx, cy
-    has_image: np.ndarray
+    has_image: np.ndarray  # (N,)
+    pictures: np.ndarray | None = None  # (N, H, W, 3); made-up textures where there are none
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the images."""
+        return (WIDTH, HEIGHT) if self.pictures is None else (self.pictures.shape[2], self.pictures.shape[1])
+
+    def picture(self, index: int) -> np.ndarray:
+        """What the camera sees at a pose (H, W, 3)."""
+        return image(index) if self.pictures is None else self.pictures[index]
+
+    def jpeg(self, index: int) -> bytes:
+        return cv2.imencode(".jpg", self.picture(index), [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+
+    def png(self, index: int) -> bytes:
+        return cv2.imencode(".png", self.picture(index))[1].tobytes()
 
     def arkit(self) -> Array:
         """The poses as ARKit writes them (N, 4, 4)."""
@@ -66,7 +82,7 @@ def write_scanner_app(folder: Path, walk: Walk, private: bool = False) -> None:
     for i, pose in enumerate(walk.arkit()):
         fx, fy, cx, cy = walk.camera[i]
         projection = np.zeros((4, 4))
-        projection[0, 0], projection[1, 1] = 2 * fx / WIDTH, 2 * fy / HEIGHT
+        projection[0, 0], projection[1, 1] = 2 * fx / walk.size[0], 2 * fy / walk.size[1]
         row = {
             "time": walk.t_ns[i] * 1e-9,
             "frame_index": i,
@@ -79,19 +95,19 @@ def write_scanner_app(folder: Path, walk: Walk, private: bool = False) -> None:
             row |= {"latitude": 48.123456, "longitude": 11.654321}
         (folder / f"frame_{i:05d}.json").write_text(json.dumps(row))
         if walk.has_image[i]:
-            (folder / f"frame_{i:05d}.jpg").write_bytes(jpeg(i))
+            (folder / f"frame_{i:05d}.jpg").write_bytes(walk.jpeg(i))
 
 
-def write_video(path: Path, indices: range, rate_hz: int = 10, start: int = 0, codec: str = "libx264") -> None:
-    """A video of the images with these indices; its first frame's time is `start` frames."""
+def write_video(path: Path, walk: Walk, indices: np.ndarray) -> None:
+    """A video of the walk's images with these indices."""
+    rate_hz = round(1e9 / float(np.median(np.diff(walk.t_ns[indices]))))
     with av.open(path, "w") as container:
-        stream = container.add_stream(codec, rate=rate_hz)
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        stream = container.add_stream("libx264", rate=rate_hz)
+        stream.width, stream.height = walk.size
+        stream.pix_fmt = "yuv420p"
         stream.options = {"crf": "10"}
-        for n, index in enumerate(indices):
-            frame = av.VideoFrame.from_ndarray(image(index), format="bgr24")
-            frame.pts = n + start
-            container.mux(stream.encode(frame))
+        for index in indices:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(walk.picture(index), format="bgr24")))
         container.mux(stream.encode())
 
 
@@ -107,15 +123,15 @@ def write_stray_scanner(folder: Path, walk: Walk, per_frame: bool = True) -> Non
     (folder / "odometry.csv").write_text("\n".join(lines) + "\n")
     fx, fy, cx, cy = walk.camera[-1]
     (folder / "camera_matrix.csv").write_text(f"{fx}, 0.0, {cx}\n0.0, {fy}, {cy}\n0.0, 0.0, 1.0")
-    write_video(folder / "rgb.mp4", range(len(t)))
+    write_video(folder / "rgb.mp4", walk, np.arange(len(t)))
 
 
 def write_record3d(folder: Path, walk: Walk, archive: bool = False) -> None:
     """Record3D: an exported folder, or an .r3d archive beside it."""
     t, q = tq_from_pose(walk.arkit())
     metadata = {
-        "w": WIDTH,
-        "h": HEIGHT,
+        "w": walk.size[0],
+        "h": walk.size[1],
         "fps": 10,
         "K": [80.0, 0, 0, 0, 80.0, 0, 48.5, 35.5, 1],
         "poses": np.hstack([q, t]).tolist(),
@@ -124,7 +140,7 @@ def write_record3d(folder: Path, walk: Walk, archive: bool = False) -> None:
     }
     files = {"metadata" if archive else "metadata.json": json.dumps(metadata).encode()}
     for i in np.flatnonzero(walk.has_image):
-        files[f"{'rgbd' if archive else 'rgb'}/{i}.jpg"] = jpeg(int(i))
+        files[f"{'rgbd' if archive else 'rgb'}/{i}.jpg"] = walk.jpeg(int(i))
     _write(folder.with_suffix(".r3d") if archive else folder, files)
 
 
@@ -134,13 +150,14 @@ def write_polycam(folder: Path, walk: Walk) -> None:
     for i, pose in enumerate(walk.arkit()):
         fx, fy, cx, cy = walk.camera[i].tolist()
         camera = {f"t_{r}{c}": pose[r, c] for r in range(3) for c in range(4)}
-        camera |= {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "width": WIDTH, "height": HEIGHT, "blur_score": 80.0}
+        camera |= {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "blur_score": 80.0}
+        camera |= dict(zip(("width", "height"), walk.size, strict=True))
         name = walk.t_ns[i] // 1000
         files[f"keyframes/cameras/{name}.json"] = json.dumps(camera).encode()
         wrong = camera | {"t_03": 99.0}
         files[f"keyframes/corrected_cameras/{name}.json"] = json.dumps(wrong).encode()
         if walk.has_image[i]:
-            files[f"keyframes/images/{name}.jpg"] = jpeg(i)
+            files[f"keyframes/images/{name}.jpg"] = walk.jpeg(i)
     _write(folder, files)
 
 
@@ -154,11 +171,11 @@ def write_nerf_capture(folder: Path, walk: Walk) -> None:
                 "file_path": f"images/{i}",
                 "transform_matrix": walk.arkit()[i].tolist(),
                 "timestamp": walk.t_ns[i] * 1e-9,
-                **{"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": WIDTH, "h": HEIGHT},
+                **{"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": walk.size[0], "h": walk.size[1]},
             }
         )
-        files[f"images/{i}.png"] = cv2.imencode(".png", image(int(i)))[1].tobytes()
-    files["transforms.json"] = json.dumps({"w": WIDTH, "h": HEIGHT, "frames": rows[::-1]}).encode()
+        files[f"images/{i}.png"] = walk.png(int(i))
+    files["transforms.json"] = json.dumps({"w": walk.size[0], "h": walk.size[1], "frames": rows[::-1]}).encode()
     _write(folder, files)
 
 
@@ -167,23 +184,23 @@ def write_scan_capture(folder: Path, walk: Walk) -> None:
     t, q = tq_from_pose(walk.arkit())
     lines = ["# phone iOS 15", "# timestamp, status, tx, ty, tz, qx, qy, qz, qw, w, h, fx, fy, cx, cy, exposure"]
     for i in range(len(t)):
-        values = [*t[i].tolist(), *q[i].tolist(), WIDTH, HEIGHT, *walk.camera[i].tolist()]
+        values = [*t[i].tolist(), *q[i].tolist(), *walk.size, *walk.camera[i].tolist()]
         lines.append(", ".join([str(walk.t_ns[i] // 1000), "normal", *map(repr, values), "16000"]))
     _write(folder, {"poses.txt": "\n".join(lines).encode()})
-    write_video(folder / "images.mp4", range(0, len(t), 2), rate_hz=5)
+    write_video(folder / "images.mp4", walk, np.flatnonzero(walk.has_image))
 
 
 def write_ios_logger(folder: Path, walk: Walk) -> None:
     """ios_logger: quaternions w first, seconds since 1970."""
     t, q = tq_from_pose(walk.arkit())
     poses = [[walk.t_ns[i] * 1e-9, *t[i].tolist(), q[i, 3], *q[i, :3].tolist()] for i in range(len(t))]
-    frames = [[walk.t_ns[i] * 1e-9, n, *walk.camera[i].tolist()] for n, i in enumerate(range(0, len(t), 2))]
+    frames = [[walk.t_ns[i] * 1e-9, n, *walk.camera[i].tolist()] for n, i in enumerate(np.flatnonzero(walk.has_image))]
     text = {
         name: "\r\n".join(",".join(repr(float(v)) for v in row) for row in rows)
         for name, rows in {"ARposes.txt": poses, "Frames.txt": frames}.items()
     }
     _write(folder, {name: content.encode() for name, content in text.items()})
-    write_video(folder / "Frames.m4v", range(0, len(t), 2), rate_hz=5)
+    write_video(folder / "Frames.m4v", walk, np.flatnonzero(walk.has_image))
 
 
 def write_spectacular_ai(folder: Path, walk: Walk) -> None:
@@ -198,14 +215,20 @@ def write_spectacular_ai(folder: Path, walk: Walk) -> None:
         pose["orientation"] = dict(zip("xyzw", q[i].tolist(), strict=True))
         output.append({"time": time, "status": "TRACKING", **pose})
         data.append({"time": time, "sensor": {"type": "gyroscope", "values": [0, 0, 0]}})
-        if i % 2 == 0:
+        if walk.has_image[i]:
             fx, fy, cx, cy = walk.camera[i].tolist()
             camera = {"focalLengthX": fx, "focalLengthY": fy, "principalPointX": cx, "principalPointY": cy}
-            data.append({"time": time, "number": i // 2, "frames": [{"cameraInd": 0, "cameraParameters": camera}]})
+            data.append(
+                {
+                    "time": time,
+                    "number": int(walk.has_image[:i].sum()),
+                    "frames": [{"cameraInd": 0, "cameraParameters": camera}],
+                }
+            )
     calibration = {"cameras": [{"model": "pinhole", "imuToCamera": inverse(device_T_cam).tolist()}]}
     rows = {"output.jsonl": output, "data.jsonl": data, "calibration.json": [calibration]}
     _write(folder, {name: "\n".join(map(json.dumps, content)).encode() for name, content in rows.items()})
-    write_video(folder / "data.mp4", range(0, len(t), 2), rate_hz=5)
+    write_video(folder / "data.mp4", walk, np.flatnonzero(walk.has_image))
 
 
 def write_frames_jsonl(folder: Path, walk: Walk) -> None:
@@ -217,8 +240,8 @@ def write_frames_jsonl(folder: Path, walk: Walk) -> None:
         if walk.has_image[i]:
             fx, fy, cx, cy = walk.camera[i].tolist()
             row |= {"image": f"images/{i}.jpg", "fx": fx, "fy": fy, "cx": cx, "cy": cy}
-            row |= {"width": WIDTH, "height": HEIGHT}
-            files[f"images/{i}.jpg"] = jpeg(i)
+            row |= dict(zip(("width", "height"), walk.size, strict=True))
+            files[f"images/{i}.jpg"] = walk.jpeg(i)
         rows.append(row)
     files["frames.jsonl"] = "\n".join(map(json.dumps, rows)).encode()
     _write(folder, files)
@@ -255,9 +278,9 @@ def write_arkit_scenes(folder: Path, walk: Walk) -> None:
         time = f"{walk.t_ns[i] * 1e-9:.3f}"
         lines.append(" ".join([time, *map(repr, [*vectors[i].tolist(), *cam_T_world[i, :3, 3].tolist()])]))
         if walk.has_image[i]:
-            files[f"vga_wide/4711_{time}.png"] = cv2.imencode(".png", image(i))[1].tobytes()
+            files[f"vga_wide/4711_{time}.png"] = walk.png(i)
             numbers = " ".join(map(repr, walk.camera[i].tolist()))
-            files[f"vga_wide_intrinsics/4711_{time}.pincam"] = f"{WIDTH} {HEIGHT} {numbers}".encode()
+            files[f"vga_wide_intrinsics/4711_{time}.pincam"] = f"{walk.size[0]} {walk.size[1]} {numbers}".encode()
     files["lowres_wide.traj"] = "\n".join(lines).encode()
     _write(folder, files)
 
@@ -268,7 +291,9 @@ def write_seven_scenes(folder: Path, walk: Walk) -> None:
     for i, pose in enumerate(walk.vio_T_cam):
         files[f"frame-{i:06d}.pose.txt"] = "\n".join("\t".join(map(repr, row)) for row in pose.tolist()).encode()
         if walk.has_image[i]:
-            files[f"frame-{i:06d}.color.png"] = cv2.imencode(".png", image(i, 640, 480))[1].tobytes()
+            files[f"frame-{i:06d}.color.png"] = (
+                cv2.imencode(".png", image(i, 640, 480))[1].tobytes() if walk.pictures is None else walk.png(i)
+            )
     _write(folder, files)
 
 
@@ -281,7 +306,7 @@ def write_cambridge(folder: Path, walk: Walk) -> None:
         xyz = walk.vio_T_cam[i, :3, 3].tolist()
         rows.append(f"{name}.png " + " ".join(map(repr, [*xyz, q[i, 3].item(), *q[i, :3].tolist()])))
         cameras.append(f"{name}.jpg {walk.camera[i, 0].item()!r} 1 0 0 0 0 0 0 0 0")
-        files[f"{name}.png"] = cv2.imencode(".png", image(int(i)))[1].tobytes()
+        files[f"{name}.png"] = walk.png(int(i))
     heads = "Visual Landmark Dataset V1\nImageFile, Camera Position [X Y Z W P Q R]\n\n"
     files["dataset_train.txt"] = (heads + "\n".join(rows)).encode()
     files["reconstruction.nvm"] = f"NVM_V3\n\n{len(cameras)}\n{chr(10).join(cameras)}".encode()

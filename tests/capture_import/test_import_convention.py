@@ -17,6 +17,7 @@ from capture_import.images import check_image
 from capture_import.intake import Image, Session, scan_all, take_in
 from capture_import.settings import ImportSettings
 from capture_import.stage import STAGE
+from capture_import.views import Views
 from geometry.poses import Array, interpolate, make_pose
 
 # What undoes a mistake, where it isn't the mistake itself.
@@ -46,7 +47,7 @@ def room(tmp_path: Path, count: int = 10, step_m: float = 0.12, pace: float = 1.
         cv2.imwrite(str(path), picture)
         camera = Intrinsics(k[0, 0], k[1, 1], k[0, 2], k[1, 2])
         frame = RawFrame(i, path.name, i * 10**8, pose, ImageFile(path), camera)
-        images.append(Image(frame, check_image(path.read_bytes(), 1.0)))
+        images.append(Image(frame, check_image(path.read_bytes(), 1.0)[0]))
     raw = RawSession("room", "test", "phone", "boot", tmp_path, [i.frame for i in images])
     return Session("room", raw, [i.frame for i in images], images, [])
 
@@ -77,7 +78,7 @@ def with_mistake(session: Session, name: str) -> Session:
 
 def test_right_poses_pass_and_mistakes_are_named(tmp_path: Path) -> None:
     session = room(tmp_path)
-    right = check_convention(session, [tmp_path], Limits())
+    right = check_convention(session, Views([tmp_path], Limits()).load)
     assert right.pairs >= 4 and right.declared > 0.9 and right.contradicted is None
     for name in (
         "camera y and z axes have the other sign (ARKit's or OpenGL's for OpenCV's, or back)",
@@ -85,14 +86,14 @@ def test_right_poses_pass_and_mistakes_are_named(tmp_path: Path) -> None:
         "quaternions are w first, read as w last",
         "image is turned by 90 degrees clockwise against the pose",
     ):
-        wrong = check_convention(with_mistake(session, name), [tmp_path], Limits())
+        wrong = check_convention(with_mistake(session, name), Views([tmp_path], Limits()).load)
         assert wrong.contradicted == UNDONE_BY.get(name, name)
 
 
 def test_images_without_parallax_tell_nothing(tmp_path: Path) -> None:
     session = room(tmp_path)
     still = replace(session, images=[session.images[0]] * 5)
-    check = check_convention(still, [tmp_path], Limits())
+    check = check_convention(still, Views([tmp_path], Limits()).load)
     assert check.pairs == 0 and check.contradicted is None
 
 
@@ -110,7 +111,7 @@ def test_a_clock_that_is_off_is_measured(tmp_path: Path, offset_s: float) -> Non
         replace(image, frame=replace(image.frame, t_ns=image.frame.t_ns - round(offset_s * 1e9)))
         for image in session.images[5:-5]
     ]
-    check = check_clock(replace(session, frames=dense, images=stamped), [tmp_path], Limits())
+    check = check_clock(replace(session, frames=dense, images=stamped), Views([tmp_path], Limits()).load)
     assert check.offset_s == pytest.approx(offset_s, abs=0.02)
 
 
@@ -135,11 +136,12 @@ def test_every_mistake_is_found_in_real_captures(shared_captures: Path, tmp_path
     (found,) = find_recordings(root, tmp_path, Limits())
     raw = found.read(Limits())
     (session,) = take_in(raw, ImportSettings(), scan_all([root], Limits())).sessions
-    right = check_convention(session, [root], Limits())
+    load = Views([root], Limits()).load
+    right = check_convention(session, load)
     assert right.declared > 0.85 and right.contradicted is None
     for name, _ in CONVENTIONS[1:]:
-        wrong = check_convention(with_mistake(session, name), [root], Limits())
+        wrong = check_convention(with_mistake(session, name), load)
         assert wrong.contradicted is not None, name
         # The one that was found leads back to the right poses.
-        mended = check_convention(with_mistake(with_mistake(session, name), wrong.contradicted), [root], Limits())
+        mended = check_convention(with_mistake(with_mistake(session, name), wrong.contradicted), load)
         assert mended.declared > 0.85, name

@@ -101,7 +101,7 @@ def test_video_that_starts_elsewhere_is_not_joined_silently(tmp_path: Path) -> N
     folder = tmp_path / "place" / "walk"
     write_stray_scanner(folder, walk)
     # One frame fewer at the end is told; frames missing in the middle are refused.
-    write_video(folder / "rgb.mp4", range(23))
+    write_video(folder / "rgb.mp4", walk, np.arange(23))
     intake = take(tmp_path / "place")
     assert [r.reason for r in intake.rejects] == ["video ends before this frame"]
     header, *rows = (folder / "odometry.csv").read_text().splitlines()

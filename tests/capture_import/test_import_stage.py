@@ -4,10 +4,11 @@ import json
 import os
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from capture_writers import HEIGHT, WIDTH, make_walk, write_scanner_app
+from capture_writers import HEIGHT, WIDTH, make_walk, write_frames_jsonl, write_scanner_app
 
 from artefacts import DataRoot, UserError, execute
 from artefacts.tables import poses_of
@@ -130,6 +131,28 @@ def test_a_broken_row_costs_that_row_and_says_why(tmp_path: Path) -> None:
     for source, reason in expected.items():
         assert found[source].startswith(reason)
     assert len(tables["frames"]) == 40 - 9
+
+
+def test_images_that_cannot_be_trusted_are_rejects(tmp_path: Path) -> None:
+    folder = tmp_path / "captures" / "place" / "walk"
+    write_frames_jsonl(folder, make_walk(40, every=1))
+    header, *lines = (folder / "frames.jsonl").read_text().splitlines()
+    rows = [json.loads(line) for line in lines]
+    rows[4]["tracking"] = "lost"
+    rows[6]["tracking"] = "limited"
+    sharp = cv2.imread(str(folder / "images" / "9.jpg"))
+    cv2.imwrite(str(folder / "images" / "9.jpg"), cv2.blur(sharp, (31, 1)))
+    for i in (15, *range(20, 30)):  # one lacks its pose, then ten in a row do
+        del rows[i]["vio_T_cam"]
+    (folder / "frames.jsonl").write_text("\n".join([header, *map(json.dumps, rows)]))
+    tables = run_import(tmp_path, "place", "max_pose_gap_s=0.5", "sampling='all'")
+    reasons = dict(zip(tables["rejects"]["t_ns"], tables["rejects"]["reason"], strict=True))
+    expected = {4: "not tracking", 9: "too blurred: sharpness"} | dict.fromkeys(range(20, 30), "no pose within 0.5 s")
+    assert reasons.keys() == {rows[i]["t_ns"] for i in expected}
+    for i, reason in expected.items():
+        assert reasons[rows[i]["t_ns"]].startswith(reason)
+    assert len(tables["frames"]) == 40 - len(expected)
+    assert tables["frames"].set_index("t_ns")["tracking"][rows[6]["t_ns"]] == "limited"
 
 
 def test_a_large_jump_splits_the_session_and_a_small_one_is_told(tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ def test_frames_written_ahead_are_the_frames_that_are_kept(tmp_path: Path, monke
     monkeypatch.setattr(Spool, "flush", counted)
     ahead = load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path / "ahead"), settings))
     assert sum(written) == ahead["figures"]["frames"] == 9
-    monkeypatch.setattr(Spool, "keep", lambda *_: None)
+    monkeypatch.setattr(Spool, "take", lambda *_: None)
     again = load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path / "again"), settings))
     assert ahead["outputs"] == again["outputs"] and any(name.endswith(".jpg") for name in ahead["outputs"])
 
