@@ -133,9 +133,13 @@ bench: $(installed) ## Time, memory and bytes of each stage (profile=demo scene=
 bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures to reach (build/fusion)
 	@$(py) -m benchmarks.fusion
 
+bench-groundtruth: $(installed) ## Ground truth: accuracy, honesty, speed beside COLMAP's stock way, growth, real captures; hours
+	@$(py) -m benchmarks.groundtruth
+
 bench-import: $(installed) ## Import: speed, memory, figures of each format, nerfstudio beside (nerfstudio=<its python>)
 	@$(py) -m benchmarks.import_throughput
 	@$(py) -m benchmarks.import_formats $(if $(wildcard ../shared),--captures ../shared/captures --trajectories ../shared/trajectories)
+	@$(py) -m benchmarks.import_blurring $(if $(wildcard ../shared),--captures ../shared/captures)
 	@$(py) -m benchmarks.import_peers $(if $(nerfstudio),--nerfstudio "$(nerfstudio)")
 
 fuzz-import: $(installed) ## Fuzz the capture formats for some seconds (seconds=60); needs the extra `fuzz`
@@ -161,4 +165,4 @@ help: ## This text
 	@echo "your own captures:  make scene=<name> captures=<folder> all"
 	@echo "one stage's help:   .venv/bin/python -m sfm --help   (capture_import, sfm, alignment, training, fusion, reports)"
 
-.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench bench-fusion bench-import fuzz-import docs lock help
+.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench bench-fusion bench-groundtruth bench-import fuzz-import docs lock help

@@ -99,12 +99,13 @@ def second_pairs(t_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(good), later[good]
 
 
-def distance_pairs(xyz: Array, distance_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Index pairs (M,), (M,): each frame and the first one that lies `distance_m` or more further along the path."""
+def distance_pairs(xyz: Array, distance_m: float) -> tuple[np.ndarray, np.ndarray, Array]:
+    """Index pairs (M,), (M,): each frame and the first one that lies `distance_m` or more further along the path, and
+    how far it does, metres (M,)."""
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
     last = np.searchsorted(travelled, travelled + distance_m)
     first = np.flatnonzero(last < len(travelled))
-    return first, last[first]
+    return first, last[first], travelled[last[first]] - travelled[first]
 
 
 def _steps(found: DriftSamples, t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: Array) -> None:
@@ -121,13 +122,14 @@ def _steps(found: DriftSamples, t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: A
 
 
 def _distances(found: DriftSamples, map_T_cam: Array, vio_T_cam: Array) -> None:
-    """KITTI's odometry error (Geiger et al., CVPR 2012): relative motion over fixed travelled distances."""
+    """KITTI's odometry error (Geiger et al., CVPR 2012): relative motion over fixed travelled distances, divided by the
+    distance really travelled, since our frames may be a metre apart."""
     for distance_m in DISTANCES_M:
-        first, last = distance_pairs(map_T_cam[:, :3, 3], distance_m)
+        first, last, really_m = distance_pairs(map_T_cam[:, :3, 3], distance_m)
         step, vio_step = relative(map_T_cam[first], map_T_cam[last]), relative(vio_T_cam[first], vio_T_cam[last])
         left_m, left_deg = _motion(inverse(step) @ vio_step)
-        found.add("distance_position", distance_m, "m", "%", 100 * left_m / distance_m)
-        found.add("distance_rotation", distance_m, "m", "deg/m", left_deg / distance_m)
+        found.add("distance_position", distance_m, "m", "%", 100 * left_m / really_m)
+        found.add("distance_rotation", distance_m, "m", "deg/m", left_deg / really_m)
 
 
 def _motion(a_T_b: Array) -> tuple[Array, Array]:

@@ -7,6 +7,32 @@ import pandas as pd
 
 from alignment.agreement import Window
 from artefacts.schemas import schema
+from geometry import motion_agreement
+from geometry.motion_agreement import MISTAKES
+
+# What a failed check means, in the words of align.gate's column `cause`; the first of those found names the run.
+MIRRORED = MISTAKES[motion_agreement.MIRRORED][0]
+SHUFFLED = MISTAKES[motion_agreement.UNRELATED][0]
+INTRINSICS = "intrinsics wrong"
+LOOK_ALIKE = "look-alike places folded together"
+VIO_SCALE = "VIO scale wrong"
+VIO_VERTICAL = "VIO vertical wrong"
+OTHER_SCENE = "another scene mixed in"
+BROKEN_OFF = "broken off"
+TOO_FEW = "too few frames registered"
+DISAGREES = "SfM and VIO disagree"
+CAUSES = (
+    MIRRORED,
+    SHUFFLED,
+    INTRINSICS,
+    LOOK_ALIKE,
+    VIO_SCALE,
+    VIO_VERTICAL,
+    OTHER_SCENE,
+    BROKEN_OFF,
+    TOO_FEW,
+    DISAGREES,
+)
 
 
 @dataclass
@@ -21,20 +47,23 @@ class Gate:
         value: float | None,
         limit: float,
         unit: str,
+        cause: str,
         reason: str,
         *,
         session_id: str = "",
+        component: int | None = None,
         frames: int,
         at_least: bool = False,
         t_ns: np.ndarray | None = None,
     ) -> bool:
-        """Note a check: `value` must be at most `limit` (or `at_least`); no value fails. `reason` says what it means
-        if it fails; `t_ns` are the times of its frames, for a window."""
+        """Note a check: `value` must be at most `limit` (or `at_least`); no value fails. `cause` and `reason` say what
+        it means if it fails; `t_ns` are the times of its frames, for a window."""
         passed = value is not None and bool(value >= limit if at_least else value <= limit)
         self.rows.append(
             {
                 "check": name,
                 "session_id": session_id,
+                "component": component,
                 "t_start_ns": None if t_ns is None else int(t_ns[0]),
                 "t_end_ns": None if t_ns is None else int(t_ns[-1]),
                 "frames": frames,
@@ -42,6 +71,7 @@ class Gate:
                 "limit": limit,
                 "unit": unit,
                 "passed": passed,
+                "cause": "" if passed else cause,
                 "reason": "" if passed else reason,
             }
         )
@@ -66,8 +96,10 @@ class Gate:
                 value,
                 limit,
                 unit,
+                DISAGREES,
                 reason,
                 session_id=window.segment.session_id,
+                component=window.segment.component,
                 frames=len(times),
                 t_ns=times,
             )
@@ -76,7 +108,16 @@ class Gate:
     def failed(self) -> list[dict[str, object]]:
         return [row for row in self.rows if not row["passed"]]
 
+    @property
+    def main_cause(self) -> dict[str, object] | None:
+        """The failed check that says most about why: the first in the order of CAUSES, of the most frames."""
+
+        def rank(row: dict[str, object]) -> tuple[int, int]:
+            return CAUSES.index(str(row["cause"])), -int(str(row["frames"]))
+
+        return min(self.failed, key=rank, default=None)
+
     def table(self) -> pd.DataFrame:
         """The align.gate table."""
         table = pd.DataFrame(self.rows, columns=schema("align", "gate").column_names)
-        return table.astype({"t_start_ns": "Int64", "t_end_ns": "Int64", "value": float})
+        return table.astype({"t_start_ns": "Int64", "t_end_ns": "Int64", "component": "Int64", "value": float})

@@ -5,18 +5,22 @@ import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 
-from alignment.ground_truth import DISAGREES, Aligned
+from alignment.ground_truth import Aligned
 from alignment.sessions import SessionFit
 from alignment.settings import AlignSettings
 from artefacts import StageRun
 from artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
 from artefacts.tables import poses_of
-from geometry.poses import Array, transform
+from geometry.poses import Array, quaternion_from_matrix, transform
 
 # Shades of one colour: all of these are ground truth. The frames that the gate took out stay where SfM had them.
 _QUALITY_COLOURS = {"A": GROUND_TRUTH, "B": (110, 200, 170), "C": NEUTRAL, "refused": REJECTED}
 # Sessions have clocks of their own; from each one's start their curves lie over each other.
 _TIMELINE = "session_time"
+# Ellipsoids are drawn so many times too large: a centimetre on a walk of 50 m can't be seen.
+_ELLIPSOID_TIMES = 10
+# 95 % of three normal axes lie within so many sigma.
+_BOUND_95 = 2.7955
 # Cameras are drawn this long, as a share of the ground truth's extent, within these metres.
 _CAMERA_SHARE, _CAMERA_RANGE_M = 0.04, (0.03, 0.3)
 
@@ -42,14 +46,20 @@ def write_recording(r: StageRun[AlignSettings], aligned: Aligned, frames: pd.Dat
         rec.log("map", UP_AXIS, static=True)
         _log_points(rec, aligned, points)
         _log_frusta(rec, aligned, frames, camera_m)
+        _log_ellipsoids(rec, aligned.ground_truth)
         for fit in aligned.fits:
-            _log_segment(rec, aligned, fit, frames, camera_m)
+            _log_segment(rec, fit, frames, camera_m)
 
 
 def _log_points(rec: rr.RecordingStream, aligned: Aligned, points: pd.DataFrame) -> None:
-    xyz = aligned.map_S_sfm.points(points[["x", "y", "z"]].to_numpy(float))
-    colours = points[["r", "g", "b"]].to_numpy(np.uint8)
-    rec.log("map/points", rr.Points3D(xyz, colors=colours, radii=rr.Radius.ui_points(1.5)), static=True)
+    for placed in aligned.placed:
+        index = placed.component.index
+        own = points[points["model_id"] == placed.component.model_id] if "model_id" in points else points
+        if "model_id" not in points and index:
+            continue
+        xyz = placed.map_S_sfm.points(own[["x", "y", "z"]].to_numpy(float))
+        shown = rr.Points3D(xyz, colors=own[["r", "g", "b"]].to_numpy(np.uint8), radii=rr.Radius.ui_points(1.5))
+        rec.log(f"map/points/model_{index}", shown, static=True)
 
 
 def _log_frusta(rec: rr.RecordingStream, aligned: Aligned, frames: pd.DataFrame, camera_m: float) -> None:
@@ -57,10 +67,8 @@ def _log_frusta(rec: rr.RecordingStream, aligned: Aligned, frames: pd.DataFrame,
     gt = aligned.ground_truth
     map_T_cam = poses_of(gt, "map_cam")
     shown_as = gt["quality"].to_numpy(str)
-    refused = (gt["reason"] == DISAGREES).to_numpy()
-    for fit in aligned.fits:
-        rows = fit.segment.rows[refused[fit.segment.rows]]
-        map_T_cam[rows] = aligned.map_S_sfm.poses(fit.segment.sfm_T_cam[refused[fit.segment.rows]])
+    refused = (shown_as == "none") & np.isfinite(aligned.map_T_cam[:, 0, 0])
+    map_T_cam[refused] = aligned.map_T_cam[refused]
     shown_as[refused] = "refused"
     for name, colour in _QUALITY_COLOURS.items():
         strips = [
@@ -72,6 +80,27 @@ def _log_frusta(rec: rr.RecordingStream, aligned: Aligned, frames: pd.DataFrame,
         rec.log(f"map/ground_truth/cameras/quality_{name}", lines, static=True)
 
 
+def _log_ellipsoids(rec: rr.RecordingStream, gt: pd.DataFrame) -> None:
+    """Where each position lies with 95 %, enlarged so that it can be seen: the entity's name says how much."""
+    known = gt[gt["covariance"].notna()]
+    if not len(known):
+        return
+    covariance = np.stack(list(known["covariance"])).reshape(-1, 6, 6)[:, 3:, 3:]
+    variance, axes = np.linalg.eigh(covariance)
+    # An ellipsoid's axes may be a mirrored triple; a quaternion needs a turned one.
+    axes[:, :, 0] *= np.linalg.det(axes)[:, None]
+    half_sizes = _ELLIPSOID_TIMES * _BOUND_95 * np.sqrt(np.maximum(variance, 0.0))
+    shown = rr.Ellipsoids3D(
+        centers=known[["map_cam_tx", "map_cam_ty", "map_cam_tz"]].to_numpy(float),
+        half_sizes=half_sizes,
+        quaternions=quaternion_from_matrix(axes),
+        colors=[_QUALITY_COLOURS[name] for name in known["quality"]],
+        fill_mode=rr.components.FillMode.MajorWireframe,
+        line_radii=rr.Radius.ui_points(0.8),
+    )
+    rec.log(f"map/ground_truth/bounds_95_times_{_ELLIPSOID_TIMES}", shown, static=True)
+
+
 def _pyramid(map_T_cam: Array, frame: pd.Series, depth_m: float) -> list[Array]:
     """A camera's view as two line strips: the image's border with two edges, and the other two edges."""
     border = np.array([(0, 0), (frame.width, 0), (frame.width, frame.height), (0, frame.height)], float)
@@ -80,13 +109,13 @@ def _pyramid(map_T_cam: Array, frame: pd.Series, depth_m: float) -> list[Array]:
     return [np.stack([eye, a, b, c, d, a]), np.stack([b, eye, c]), np.stack([d, eye])]
 
 
-def _log_segment(
-    rec: rr.RecordingStream, aligned: Aligned, fit: SessionFit, frames: pd.DataFrame, camera_m: float
-) -> None:
+def _log_segment(rec: rr.RecordingStream, fit: SessionFit, frames: pd.DataFrame, camera_m: float) -> None:
     """A segment's paths, its two cameras moving along them, and how far they are apart."""
     s = fit.segment
     name = f"{s.session_id}-{s.index + 1}" if s.index else s.session_id
-    map_T_cam = aligned.map_S_sfm.poses(s.sfm_T_cam)
+    if s.component:
+        name += f"-model-{s.component}"
+    map_T_cam = fit.map_T_cam.copy()
     map_T_cam[~fit.used] = np.nan
     log_path(rec, f"map/ground_truth/{name}/path", map_T_cam[:, :3, 3], GROUND_TRUTH)
     if not len(fit.compared):

@@ -20,12 +20,13 @@ class Segment:
 
     `rows` (N,) are their positions in the frames table. Poses (N, 4, 4) are NaN where SfM or VIO has none; `up_cam`
     (N, 3) is the unit vector against gravity in camera axes, or NaN. `recording` is the same for all parts of one
-    recording, which share the phone's scale and gravity errors.
+    recording, which share the phone's scale and gravity errors. `component` is the SfM model that the poses are from.
     """
 
     session_id: str
     recording: str
     index: int
+    component: int
     rows: np.ndarray
     t_ns: np.ndarray
     sfm_T_cam: Array
@@ -61,6 +62,7 @@ class Segment:
             self.session_id,
             self.recording,
             self.index,
+            self.component,
             self.rows[wanted],
             self.t_ns[wanted],
             self.sfm_T_cam[wanted],
@@ -69,22 +71,40 @@ class Segment:
         )
 
 
+def frame_components(frames: pd.DataFrame, images: pd.DataFrame) -> tuple[list[str], np.ndarray]:
+    """The models that frames are registered in, largest first, and for each frame (N,) the index of its own.
+
+    `images` are SfM's, in the order of `frames`. A frame that isn't registered counts to the model of the registered
+    frame of its session that is nearest in time, or to the first.
+    """
+    registered = images["registered"].to_numpy(bool)
+    counts = images.loc[registered, "model_id"].value_counts()
+    names = sorted(counts.index, key=lambda name: (-counts[name], name))
+    component = images["model_id"].map({name: i for i, name in enumerate(names)}).fillna(0).to_numpy(int).copy()
+    t_ns, session = frames["t_ns"].to_numpy(np.int64), frames["session_id"].to_numpy(str)
+    for row in np.flatnonzero(~registered):
+        near = np.flatnonzero(registered & (session == session[row]))
+        if len(near):
+            component[row] = component[near[np.argmin(np.abs(t_ns[near] - t_ns[row]))]]
+    return names, component
+
+
 def cut_segments(
     frames: pd.DataFrame,
     images: pd.DataFrame,
     jumps: pd.DataFrame,
     recordings: dict[str, str],
+    component: np.ndarray,
     *,
     jump_m: float,
     jump_deg: float,
 ) -> list[Segment]:
-    """All segments, by session and time; cut at VIO jumps of `jump_m` or `jump_deg` or more.
+    """All segments, by session and time; cut at VIO jumps of `jump_m` or `jump_deg` or more, and each of one model.
 
-    `frames` and `jumps` are import's tables, `images` SfM's with the same frame_ids; `recordings` names each
-    session's recording. A pose that the phone itself calls limited or lost counts as none: it may stand still
-    while the phone moves.
+    `frames` and `jumps` are import's tables, `images` SfM's in the order of `frames`; `recordings` names each session's
+    recording, `component` (N,) is `frame_components`'s. A pose that the phone itself calls limited or lost counts as
+    none: it may stand still while the phone moves.
     """
-    images = images.set_index("frame_id").loc[frames["frame_id"]].reset_index()
     sfm_T_cam = poses_of(images, "sfm_cam")
     sfm_T_cam[~images["registered"].to_numpy(bool)] = np.nan
     vio_T_cam = poses_of(frames, "vio_cam")
@@ -102,12 +122,14 @@ def cut_segments(
         # side="left": the frame at the jump's time is the first one after it.
         borders = np.searchsorted(t_ns[rows], cuts_ns, side="left")
         parts = [part for part in np.split(rows, borders) if len(part)]
-        for index, part in enumerate(parts):
+        of_one_model = [(i, c, p[component[p] == c]) for i, p in enumerate(parts) for c in np.unique(component[p])]
+        for index, own, part in of_one_model:
             segments.append(
                 Segment(
                     session_id,
                     recordings.get(session_id, session_id),
                     index,
+                    int(own),
                     part,
                     t_ns[part],
                     sfm_T_cam[part],

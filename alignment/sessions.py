@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from alignment.agreement import PoseSd, fit_rigid
-from alignment.map_frame import MapScale, Vertical
+from alignment.components import Placed
 from alignment.segments import Segment
 from artefacts.schemas import schema
 from artefacts.tables import pose_frame
@@ -20,10 +20,12 @@ _LEAST_FRAMES = 3
 
 @dataclass(frozen=True)
 class SessionFit:
-    """A segment against the map: map_T_vio (4, 4), rigid and with yaw only, and the residuals of its frames with
-    ground truth, all NaN or empty where there are too few; `compared` (n,) are those frames' indices."""
+    """A segment with its frames' map_T_cam (N, 4, 4) against the map: map_T_vio (4, 4), rigid and with yaw only, and
+    the residuals of its frames with ground truth, all NaN or empty where there are too few; `compared` (n,) are those
+    frames' indices."""
 
     segment: Segment
+    map_T_cam: Array
     used: np.ndarray
     compared: np.ndarray
     map_T_vio: Array
@@ -47,6 +49,7 @@ def fit_session(segment: Segment, map_T_cam: Array, used: np.ndarray, sd: PoseSd
     if len(compared) < _LEAST_FRAMES:
         return SessionFit(
             segment,
+            map_T_cam,
             used,
             compared[:0],
             nowhere,
@@ -63,6 +66,7 @@ def fit_session(segment: Segment, map_T_cam: Array, used: np.ndarray, sd: PoseSd
     map_T_vio_yaw, yaw_metres, yaw_radians = fit_rigid(gt, vio, sd, yaw_only=True)
     return SessionFit(
         segment,
+        map_T_cam,
         used,
         compared,
         map_T_vio,
@@ -87,11 +91,11 @@ def _similarity_residuals(segment: Segment, map_T_cam: Array) -> tuple[Array, Ar
     return metres, np.degrees(radians)
 
 
-def sessions_table(fits: list[SessionFit], scale: MapScale, vertical: Vertical) -> pd.DataFrame:
-    """The align.sessions table."""
+def sessions_table(fits: list[SessionFit], placed: list[Placed]) -> pd.DataFrame:
+    """The align.sessions table; `placed` is the model that each fit's frames are from."""
     rows = []
-    for fit in fits:
-        s = fit.segment
+    for fit, of in zip(fits, placed, strict=True):
+        s, scale, vertical = fit.segment, of.component.scale, of.component.vertical
         own_scale = scale.recordings.get(s.recording)
         own_up = vertical.recordings.get(s.recording)
         ratio = None if own_scale is None else float(np.exp(own_scale.log - scale.log))
@@ -99,6 +103,8 @@ def sessions_table(fits: list[SessionFit], scale: MapScale, vertical: Vertical) 
             {
                 "session_id": s.session_id,
                 "segment": s.index,
+                "component": s.component,
+                "bridge_m": None if of.bridge is None else of.bridge.gap_m,
                 "t_start_ns": int(s.t_ns[0]),
                 "t_end_ns": int(s.t_ns[-1]),
                 "frames": len(s.rows),
@@ -139,6 +145,7 @@ def residuals_table(
                     "frame_id": frame_id[rows],
                     "session_id": s.session_id,
                     "segment": s.index,
+                    "component": s.component,
                     "t_ns": s.t_ns[fit.compared],
                     "travelled_m": s.travelled_m[fit.compared],
                     "position_m": fit.position_m,

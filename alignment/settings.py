@@ -38,8 +38,31 @@ class AlignSettings(Settings):
     drift_deg_per_m: float = Field(0.8, ge=0, description="... and degrees a metre")
     session_scale_limit: float = Field(0.03, gt=0, description="gate: a session's scale may differ by this share")
     session_tilt_limit_deg: float = Field(2.0, gt=0, description="gate: a session's vertical may differ by this")
+    motion_agreeing: float = Field(
+        0.5, ge=0, le=1, description="gate: share of a session's steps that must be alike in SfM and VIO"
+    )
+    turn_gain_limit: float = Field(
+        0.03, gt=0, description="gate: SfM may turn by this share more or less than VIO; a wrong focal length does so"
+    )
+    folded_limit: float = Field(
+        0.03, ge=0, description="gate: share of a session's frames that may lie where far ones do, by VIO"
+    )
+    unsure_step_m: float = Field(
+        5.0,
+        gt=0,
+        description="gate: frames that SfM isn't sure of (below class A) must move as VIO does over this path",
+    )
+    unsure_share: float = Field(0.018, gt=0, description="... and up to three times that, to this share of it")
+    bridge_m: float = Field(10.0, ge=0, description="models that no view ties are joined by VIO over this path at most")
+    bridge_m_per_sqrt_m: float = Field(
+        0.03, gt=0, description="what VIO drifts by there, one sigma: metres over the root of a metre walked"
+    )
+    bridge_deg_per_sqrt_m: float = Field(0.6, gt=0, description="the same in heading, degrees")
     least_registered: float = Field(0.5, ge=0, le=1, description="share of frames that SfM must register")
     least_agreeing: float = Field(0.5, ge=0, le=1, description="share of registered frames that must pass the gate")
+    common_px: float = Field(
+        0.05, ge=0, description="what all keypoints are off by in common, one sigma per image axis; turns all cameras"
+    )
     quality_a: QualitySettings = QualitySettings(
         position_sd_m=0.02, rotation_sd_deg=0.1, observations=100, reprojection_deg=0.15
     )

@@ -3,31 +3,48 @@
 import numpy as np
 import pandas as pd
 
-from alignment.ground_truth import Aligned, align
+from alignment.drift import ALL
+from alignment.examination import examine
+from alignment.ground_truth import Aligned, build, camera_sd, in_order
+from alignment.picture import draw_gate
 from alignment.recording import write_recording
 from alignment.sessions import SessionFit
 from alignment.settings import AlignSettings
-from artefacts import Stage, StageRun
+from artefacts import Stage, StageRun, UserError
 from geometry.poses import Array
+
+PICTURE = "gate.png"
 
 
 def run(r: StageRun[AlignSettings]) -> None:
-    frames, sessions = r.read("import", "frames"), r.read("import", "sessions")
+    frames, sessions = r.read("import", "frames").reset_index(drop=True), r.read("import", "sessions")
+    images, jumps = in_order(r.read("sfm", "images"), frames), r.read("import", "jumps")
     recordings = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
-    with r.step("align"):
-        # SfM adjusts its poses without VIO priors, so none of this ground truth leans on VIO positions.
-        aligned = align(
-            frames, r.read("sfm", "images"), r.read("import", "jumps"), recordings, r.settings, gt_uses_vio=False
+    with r.step("examine"):
+        found = examine(frames, images, jumps, recordings, r.settings)
+    with r.step("picture"):
+        draw_gate(r.work / PICTURE, found, r.scene.name, simulated=r.simulated)
+    if found.refusal:
+        r.write("gate", found.gate.table())
+        told = found.refusal.details
+        raise UserError(
+            found.refusal.what,
+            where=told["where"],
+            expected=told["expected"],
+            found=told["found"],
+            do=f"look at {r.work / PICTURE}; {told['do']}",
         )
+    with r.step("align"):
+        aligned = build(frames, images, found, r.settings)
     for table in ("ground_truth", "sessions", "drift", "gate", "residuals"):
         r.write(table, getattr(aligned, table))
-    _figures(r, aligned)
+    _figures(r, frames, aligned)
     with r.step("recording"):
         write_recording(r, aligned, frames, r.read("sfm", "points"))
 
 
-def _figures(r: StageRun[AlignSettings], aligned: Aligned) -> None:
-    gt, sessions = aligned.ground_truth, aligned.sessions
+def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned) -> None:
+    gt, sessions, main = aligned.ground_truth, aligned.sessions, aligned.main
     known = gt["quality"] != "none"
     registered = int(sessions["registered"].sum())
     counts = {name: int((gt["quality"] == name).sum()) for name in ("A", "B", "C", "none")}
@@ -37,15 +54,20 @@ def _figures(r: StageRun[AlignSettings], aligned: Aligned) -> None:
         "registered": registered,
         "with_ground_truth": int(known.sum()),
         **{f"quality_{name}": count for name, count in counts.items()},
-        "metres_per_sfm_unit": aligned.map_S_sfm.scale,
-        "scale_sd": aligned.scale.sd,
+        "components": len(aligned.placed),
+        "bridged": int(gt["gt_uses_vio"].sum()),
+        "metres_per_sfm_unit": main.map_S_sfm.scale,
+        "scale_sd": main.component.scale.sd,
         "session_scale_spread": float(sessions["scale"].max() - sessions["scale"].min()),
-        "vertical_sd_deg": float(np.degrees(aligned.vertical.sd)),
+        "vertical_sd_deg": float(np.degrees(main.component.vertical.sd)),
+        "camera_sd_deg": float(np.degrees(camera_sd(frames, r.settings))),
         "vertical_correction_deg": _or_none(sessions["up_error_deg"].max()),
         "position_rms_m": _pooled_rms(sessions["position_rms_m"], sessions["used"]),
         "rotation_rms_deg": _pooled_rms(sessions["rotation_rms_deg"], sessions["used"]),
         "sim3_position_rms_m": _pooled_rms(sessions["sim3_position_rms_m"], sessions["registered"]),
         "sim3_rotation_median_deg": _or_none(sessions["sim3_rotation_median_deg"].max()),
+        "vio_5m_median_percent": _over_5m(aligned.drift, "median"),
+        "vio_5m_max_percent": _over_5m(aligned.drift, "max"),
         "checks": len(aligned.gate),
         "checks_failed": failed,
     }
@@ -56,17 +78,27 @@ def _figures(r: StageRun[AlignSettings], aligned: Aligned) -> None:
         f"(A {counts['A']}, B {counts['B']}, C {counts['C']})"
     )
     r.say(
-        f"map: {aligned.map_S_sfm.scale:.6g} m per SfM unit ± {100 * aligned.scale.sd:.2f} %, vertical "
-        f"± {figures['vertical_sd_deg']:.2f}°, from {len(aligned.scale.recordings)} VIO recordings"
+        f"map: {main.map_S_sfm.scale:.6g} m per SfM unit ± {100 * main.component.scale.sd:.2f} %, vertical "
+        f"± {figures['vertical_sd_deg']:.2f}°, from {len(main.component.scale.recordings)} VIO recordings"
     )
+    for placed in aligned.placed[1:]:
+        if placed.bridge is not None:
+            r.say(
+                f"model {placed.component.index}, {placed.component.frames} frames: in the map by VIO alone, over "
+                f"{placed.bridge.gap_m:.1f} m of {placed.bridge.session_id}"
+            )
     for fit in aligned.fits:
         r.say(_describe(fit))
     r.say(f"gate: {failed} of {len(aligned.gate)} checks failed" if failed else "gate: all checks passed")
+    for (cause, session_id), rows in aligned.gate[~aligned.gate["passed"]].groupby(["cause", "session_id"]):
+        r.say(f"  {cause}{f', {session_id}' if session_id else ''}: {rows['reason'].iloc[0]} ({len(rows)} checks)")
 
 
 def _describe(fit: SessionFit) -> str:
     """One line on how a session's VIO compares with the ground truth."""
     name = f"{fit.segment.session_id}, part {fit.segment.index}"
+    if fit.segment.component:
+        name += f" in model {fit.segment.component}"
     if not len(fit.compared):
         return f"{name}: too few frames with ground truth and VIO to align"
     text = (
@@ -93,13 +125,19 @@ def _pooled_rms(rms: pd.Series, counts: pd.Series) -> float | None:
     return float(np.sqrt(np.average(rms[known].astype(float) ** 2, weights=counts[known])))
 
 
+def _over_5m(drift: pd.DataFrame, statistic: str) -> float | None:
+    """How far VIO's relative position is from the ground truth's over 5 m, in percent, over all sessions."""
+    wanted = (drift["session_id"] == ALL) & (drift["definition"] == "distance_position") & (drift["interval"] == 5.0)
+    return float(drift.loc[wanted, statistic].iloc[0]) if wanted.any() else None
+
+
 def _or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
 STAGE = Stage(
     name="align",
-    version=1,
+    version=2,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

@@ -15,10 +15,12 @@ from geometry.poses import Array
 
 @dataclass(frozen=True)
 class SharedSd:
-    """One sigma of what all poses of a map share: relative scale, and tilt of the vertical in radians per axis."""
+    """One sigma of what all poses of a map share: relative scale, tilt of the vertical in radians per axis, and a turn
+    of all cameras about their own x and y axes, radians each."""
 
     scale: float
     tilt: float
+    camera: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -39,19 +41,22 @@ def covariance_in_map(covariance_sfm: Array, map_S_sfm: Sim3) -> Array:
     return jacobian @ covariance_sfm @ jacobian.T
 
 
-def shared_covariance(map_xyz: Array, anchor: Array, sd: SharedSd) -> Array:
-    """Covariances (N, 6, 6) at positions (N, 3) from the map's scale and vertical.
+def shared_covariance(map_T_cam: Array, anchor: Array, sd: SharedSd) -> Array:
+    """Covariances (N, 6, 6) of poses (N, 4, 4) from what all of them share.
 
-    A wrong scale or tilt turns and stretches the map about a place that stays; `anchor` (3,) is that place. Origin and
-    heading of the map are free, so they have no error.
+    A wrong scale or tilt turns and stretches the map about a place that stays; `anchor` (3,) is that place. What all
+    keypoints are off by in common turns each camera about its own axes, all alike. Origin and heading of the map are
+    free, so they have no error.
     """
-    arm = np.asarray(map_xyz, dtype=float) - anchor
-    jacobian = np.zeros((len(arm), 6, 3))
+    map_T_cam = np.asarray(map_T_cam, dtype=float)
+    arm = map_T_cam[:, :3, 3] - anchor
+    jacobian = np.zeros((len(arm), 6, 5))
     jacobian[:, 3:, 0] = arm
     for column, axis in ((1, [1.0, 0.0, 0.0]), (2, [0.0, 0.0, 1.0])):
         jacobian[:, :3, column] = axis
         jacobian[:, 3:, column] = np.cross(axis, arm)
-    variance = np.array([sd.scale, sd.tilt, sd.tilt]) ** 2
+    jacobian[:, :3, 3:] = map_T_cam[:, :3, :2]
+    variance = np.array([sd.scale, sd.tilt, sd.tilt, sd.camera, sd.camera]) ** 2
     return np.einsum("nij,j,nkj->nik", jacobian, variance, jacobian)
 
 

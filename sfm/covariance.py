@@ -24,7 +24,6 @@ def pose_covariance(
     point_M: NDArray[np.int64],
     residual_px_M2: Array,
     loss_px: float,
-    common_px: float,
 ) -> Array | None:
     """Covariance (N, 6, 6) of N adjusted poses, or None where there are too few points to tell.
 
@@ -35,8 +34,7 @@ def pose_covariance(
     Nothing is assumed of the noise but that errors of two points have nothing to do with each other: those of one point
     in the frames that see it hang together, as its features slide with the view. So this is the sandwich of an
     M-estimator, clustered by point (Huber 1967; Liang and Zeger, Biometrika 73, 1986; a point's residuals are scaled up
-    for the three numbers that were fitted to them). What all keypoints have in common, `common_px` in each image
-    axis, no number of points takes away; it turns a camera. The reduced camera system is the Schur complement of
+    for the three numbers that were fitted to them). The reduced camera system is the Schur complement of
     the normal equations (Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6), the inverse is
     brought to the gauge of all positions by an S-transformation (Baarda 1973).
     """
@@ -57,10 +55,7 @@ def pose_covariance(
     fitted_M = np.sqrt(2 * seen_by / (2 * seen_by - 3))[point_M]
     force_M6 = np.einsum("mij,mi->mj", by_pose, (fitted_M * weight_M)[:, None] * residual_px_M2)
     by_track = _block_rows(force_M6[:, :, None], frame_M, point_M, frames, points)
-    blocks = _gauge_free_sandwich(inverse, (by_track @ by_track.T).toarray(), sfm_T_cam[:, :3, 3])
-    across = sfm_T_cam[:, :3, :2] * (common_px / focal_N2[:, None, ::-1])
-    blocks[:, :3, :3] += across @ np.swapaxes(across, 1, 2)
-    return blocks
+    return _gauge_free_sandwich(inverse, (by_track @ by_track.T).toarray(), sfm_T_cam[:, :3, 3])
 
 
 def _jacobians(
@@ -129,6 +124,8 @@ def _inverse(system: Array, gauge_N67: Array) -> Array:
     # The extent makes a turn comparable with a shift.
     held = (np.repeat([extent**2, 1.0], 3)[None, :, None] * gauge_N67).reshape(-1, 7)
     scale = np.trace(system) / np.sum(held**2)
+    if not np.isfinite(system).all():
+        raise LinAlgError("the reduced camera system has no numbers, as where a point lies in a camera's plane")
     triangle = cholesky(system + scale * held @ held.T, lower=True, overwrite_a=True)
     lower, info = lapack.dpotri(triangle, lower=True, overwrite_c=True)
     if info:

@@ -1,59 +1,74 @@
-"""Incremental mapping: from verified pairs to one model over all sessions."""
+"""From verified pairs to the models that are kept: mapping, going on from it, and a robust adjustment of each."""
 
 import json
 import shutil
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
 
 from artefacts.child import Report
-from sfm.model import load_model
-from sfm.settings import SfmSettings
+from sfm.mappers import MAPPERS, MappingInput, continued
+from sfm.mapping_input import write_mapping_input
+from sfm.model import load_models
+from sfm.settings import MapperName
 
-_SMALLEST_MODEL = 3
 _EASIER_MIN_INLIERS = 15
 # Cauchy's loss keeps 95 % of least squares' efficiency on Gaussian noise at 2.385 sigma (Zhang, "Parameter estimation
 # techniques", 1997); 1.4826 makes a median of absolute values a sigma.
 _LOSS_WIDTH = 2.385 * 1.4826
 _NARROWEST_LOSS_PX = 0.05
-_FINAL_STEPS = 25
+_FINAL_STEPS = 15
 _BUILT = "built.json"
-_FINAL = "final"
 
 
 @dataclass(frozen=True)
 class BuiltModel:
-    """A model that mapping built: which attempt made it, its number there, its size, and whether it's the final one,
-    adjusted with a Cauchy loss of width `loss_px`."""
+    """A model that mapping built: by what, its number there, its size, and, where it was kept, the folder that it's in
+    and the width of the Cauchy loss that it was adjusted with."""
 
-    attempt: str
+    mapping: str
     number: int
     images: int
     points: int
     observations: int
     mean_track_length: float
     mean_reprojection_px: float
-    chosen: bool = False
+    folder: str = ""
     loss_px: float = 0.0
 
     @property
     def model_id(self) -> str:
-        return f"{self.attempt}/{self.number}"
+        return f"{self.mapping}/{self.number}"
 
 
-def build_models(report: Report, database: Path, images: Path, output: Path, settings: SfmSettings, seed: int) -> None:
-    """Map the database's verified pairs; `output` then holds what `read_built` and `final_model` read.
+def map_verified(
+    report: Report,
+    verified: tuple[Any, ...],
+    given: MappingInput,
+    mapper: MapperName,
+    component_frames: int,
+    output: Path,
+) -> None:
+    """`write_mapping_input` with the arguments `verified`, then `build_models` from what it wrote."""
+    write_mapping_input(*verified)
+    build_models(report, given, mapper, component_frames, output)
 
-    The largest of the models that come out is the base. Where it lacks images, a second attempt goes on from it with
-    a lower bar for registering one. The larger of the two is adjusted once more as a whole and is the final model.
-    That adjustment is robust: a few per cent of wrong observations would otherwise weigh more than all right ones.
+
+def build_models(report: Report, given: MappingInput, mapper: MapperName, component_frames: int, output: Path) -> None:
+    """Map the database's verified pairs; `output` then holds what `read_built` reads and the folders that it names.
+
+    Where the largest of the models that come out lacks images, a second mapping goes on from it with a lower bar for
+    registering one. The largest of all is kept, and of the others those that have `component_frames` or more frames
+    that no larger one has; a frame stays in the largest that has it. Each is adjusted once more as a whole,
+    robustly: a few per cent of wrong observations would otherwise weigh more than all right ones.
     """
     work = output.with_name(output.name + ".partial")
     shutil.rmtree(work, ignore_errors=True)
-    work.mkdir(parents=True)
-    with pycolmap.Database.open(database) as opened:
+    with pycolmap.Database.open(given.database) as opened:
         wanted = opened.num_images()
     registered = 0
 
@@ -62,63 +77,57 @@ def build_models(report: Report, database: Path, images: Path, output: Path, set
         registered += 1
         report(min(registered, wanted))
 
-    def attempt(name: str, base: Path | None, options: pycolmap.IncrementalPipelineOptions) -> None:
-        folder = work / name
-        folder.mkdir()
-        models = pycolmap.incremental_mapping(
-            database, images, folder, options, input_path=base or "", next_image_callback=count
-        )
-        found = [model for _, model in sorted(models.items()) if model.num_reg_images() >= _SMALLEST_MODEL]
-        built.extend((_described(name, number, model), model) for number, model in enumerate(found))
+    def folder(name: str) -> Path:
+        (work / name).mkdir(parents=True)
+        return work / name
 
-    built: list[tuple[BuiltModel, pycolmap.Reconstruction]] = []
-    options = _pipeline_options(settings, seed)
-    attempt("incremental", None, options)
-    if built and (largest := _largest(built)).num_reg_images() < wanted:
-        base = work / "base"
-        base.mkdir()
-        largest.write_binary(base)
-        options.multiple_models = False
-        options.mapper.abs_pose_min_num_inliers = _EASIER_MIN_INLIERS
-        attempt("continued", base, options)
-    if built:
-        final = _largest(built)
-        (work / _FINAL).mkdir()
-        final.write_binary(work / _FINAL)
-        spread_px = float(np.median(np.abs(load_model(work / _FINAL, wanted).residual_px)))
-        loss_px = max(_LOSS_WIDTH * spread_px, _NARROWEST_LOSS_PX)
-        pycolmap.bundle_adjustment(final, _adjustment_options(settings, loss_px))
-        final.update_point_3d_errors()
-        final.extract_colors_for_all_images(images)
-        final.write_binary(work / _FINAL)
-        built = [
-            (replace(_described(told.attempt, told.number, model), chosen=True, loss_px=loss_px), model)
-            if model is final
-            else (told, model)
-            for told, model in built
-        ]
+    built = list(_described(mapper, MAPPERS[mapper](given, folder(mapper), count)))
+    if built and (largest := max(built, key=_size)[1]).num_reg_images() < wanted:
+        more = continued(given, largest, _EASIER_MIN_INLIERS, folder("continued"), count)
+        built += _described("continued", more)
+
+    taken: set[int] = set()
+    kept = 0
+    for index in sorted(range(len(built)), key=lambda i: _size(built[i]), reverse=True):
+        told, model = built[index]
+        own = set(model.reg_frame_ids()) - taken
+        if len(own) < component_frames and kept:
+            continue
+        kept += 1
+        name = "model" if kept == 1 else f"model_{kept}"
+        for other in set(model.reg_frame_ids()) & taken:
+            model.deregister_frame(other)
+        taken |= own
+        loss_px = _adjust(model, folder(name), given, wanted)
+        model.extract_colors_for_all_images(given.images)
+        model.write_binary(work / name)
+        built[index] = (replace(_describe(told.mapping, told.number, model), folder=name, loss_px=loss_px), model)
     (work / _BUILT).write_text(json.dumps([asdict(told) for told, _ in built]), encoding="utf-8")
     shutil.rmtree(output, ignore_errors=True)
     work.rename(output)
 
 
 def read_built(output: Path) -> list[BuiltModel]:
-    """The models that `build_models` built, in the order in which it tried."""
+    """The models that `build_models` built, in the order in which it did."""
     return [BuiltModel(**entry) for entry in json.loads((output / _BUILT).read_text(encoding="utf-8"))]
 
 
-def final_model(output: Path) -> Path:
-    """The folder of the chosen model; not there where no model was built."""
-    return output / _FINAL
+def kept_models(built: Sequence[BuiltModel]) -> list[BuiltModel]:
+    """Those that were kept, the largest first."""
+    return sorted((told for told in built if told.folder), key=lambda told: (len(told.folder), told.folder))
 
 
-def _largest(built: list[tuple[BuiltModel, pycolmap.Reconstruction]]) -> pycolmap.Reconstruction:
-    return max((model for _, model in built), key=lambda m: (m.num_reg_images(), m.compute_num_observations()))
+def _size(built: tuple[BuiltModel, pycolmap.Reconstruction]) -> tuple[int, int]:
+    return built[0].images, built[0].observations
 
 
-def _described(attempt: str, number: int, model: pycolmap.Reconstruction) -> BuiltModel:
+def _described(mapping: str, models: list[pycolmap.Reconstruction]) -> list[tuple[BuiltModel, pycolmap.Reconstruction]]:
+    return [(_describe(mapping, number, model), model) for number, model in enumerate(models)]
+
+
+def _describe(mapping: str, number: int, model: pycolmap.Reconstruction) -> BuiltModel:
     return BuiltModel(
-        attempt,
+        mapping,
         number,
         model.num_reg_images(),
         model.num_points3D(),
@@ -128,31 +137,13 @@ def _described(attempt: str, number: int, model: pycolmap.Reconstruction) -> Bui
     )
 
 
-def _pipeline_options(settings: SfmSettings, seed: int) -> pycolmap.IncrementalPipelineOptions:
-    options = pycolmap.IncrementalPipelineOptions()
-    # On several threads two runs may differ in the last bits, and then in which points they keep; one thread repeats.
-    options.num_threads = 1
-    options.mapper.num_threads = 1
-    options.random_seed = seed
-    options.mapper.random_seed = seed
-    options.triangulation.random_seed = seed
-    options.min_model_size = _SMALLEST_MODEL
-    options.extract_colors = False
-    # A third of the time of COLMAP's own steps, poses as good (docs/sfm.md); the whole is adjusted to the end afterwards.
-    options.ba_global_frames_ratio = options.ba_global_points_ratio = 2.0
-    options.ba_global_max_num_iterations = 15
-    options.ba_global_max_refinements = 1
-    options.ba_local_max_refinements = 1
-    options.ba_refine_focal_length = settings.refine_intrinsics
-    options.ba_refine_extra_params = False
-    options.mapper.abs_pose_refine_focal_length = settings.refine_intrinsics
-    options.mapper.abs_pose_refine_extra_params = False
-    return options
-
-
-def _adjustment_options(settings: SfmSettings, loss_px: float) -> pycolmap.BundleAdjustmentOptions:
+def _adjust(model: pycolmap.Reconstruction, folder: Path, given: MappingInput, frames: int) -> float:
+    """Adjust the whole model robustly; returns the width of the loss, px."""
+    model.write_binary(folder)
+    spread_px = float(np.median(np.abs(load_models([folder], frames).residual_px)))
+    loss_px = max(_LOSS_WIDTH * spread_px, _NARROWEST_LOSS_PX)
     options = pycolmap.BundleAdjustmentOptions()
-    options.refine_focal_length = settings.refine_intrinsics
+    options.refine_focal_length = given.refine_intrinsics
     options.refine_principal_point = False
     options.refine_extra_params = False
     options.print_summary = False
@@ -161,4 +152,6 @@ def _adjustment_options(settings: SfmSettings, loss_px: float) -> pycolmap.Bundl
     options.ceres.solver_options.max_num_iterations = _FINAL_STEPS
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     options.ceres.loss_function_scale = loss_px
-    return options
+    pycolmap.bundle_adjustment(model, options)
+    model.update_point_3d_errors()
+    return loss_px

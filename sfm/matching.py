@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from artefacts.child import Report
 from sfm.database import have_results
+from sfm.odometry import Comparison
 from sfm.pairs import Pairs
 from sfm.settings import SfmSettings
 
@@ -20,18 +21,31 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1"}
 
 @dataclass(frozen=True)
 class MatchedPairs:
-    """P pairs of frames, each with who proposed it, its matches and its verified inliers; all arrays (P, ...)."""
+    """P pairs of frames, each with who proposed it, its matches and its verified inliers, all arrays (P, ...), and how
+    the poses of those with inliers enough compare with VIO."""
 
     pairs: Pairs
     origin: NDArray[np.str_]
     matches: NDArray[np.int64]
     inliers: NDArray[np.int64]
     min_inliers: int
+    compared: Comparison
+
+    @property
+    def enough(self) -> NDArray[np.bool_]:
+        """(P,) the pair has inliers enough."""
+        return self.inliers >= self.min_inliers
 
     @property
     def verified(self) -> NDArray[np.bool_]:
-        """Whether the pair has inliers enough."""
-        return self.inliers >= self.min_inliers
+        """(P,) the pair has inliers enough, and nothing that VIO knows speaks against it."""
+        return self.enough & self.compared.agrees
+
+    @property
+    def verdict(self) -> NDArray[np.object_]:
+        """(P,) verified, rejected or disagrees."""
+        refused = np.where(self.enough, "disagrees", "rejected")
+        return np.where(self.verified, "verified", refused).astype(object)
 
 
 def match_pairs(

@@ -1,9 +1,11 @@
-"""What a finished model says about itself: poses, observations and reprojection errors as arrays over all frames."""
+"""What finished models say about themselves: poses, observations and reprojection errors as arrays over all frames."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pycolmap
 from numpy.typing import NDArray
 
@@ -15,14 +17,21 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Model:
-    """A model as arrays: N frames (rows of the frames table), P points, M observations of a point in a frame."""
+    """Models as arrays: N frames (rows of the frames table), P points, M observations of a point in a frame.
+
+    A frame is in one model at most; models share no gauge.
+    """
 
     sfm_T_cam: Array
     """(N, 4, 4); NaN where the frame isn't registered."""
+    model: Ints
+    """(N,) which of the models has the frame, -1: none."""
+    point_model: Ints
+    """(P,) which of the models the point is from."""
     point_ids: Ints
-    """(P,) COLMAP's ids."""
+    """(P,) COLMAP's ids, one's own for each model."""
     xyz: Array
-    """(P, 3) in the sfm frame."""
+    """(P, 3) in the sfm frame of the point's model."""
     rgb: NDArray[np.uint8]
     """(P, 3)"""
     frame: Ints
@@ -37,7 +46,24 @@ class Model:
     @property
     def registered(self) -> NDArray[np.bool_]:
         """(N,)"""
-        return np.isfinite(self.sfm_T_cam[:, 0, 0])
+        return self.model >= 0
+
+    def part(self, number: int) -> "Model":
+        """The model of that number alone, over the same frames."""
+        points, seen = self.point_model == number, self.point_model[self.point] == number
+        index = np.cumsum(points) - 1
+        return Model(
+            np.where((self.model == number)[:, None, None], self.sfm_T_cam, np.nan),
+            np.where(self.model == number, number, -1),
+            self.point_model[points],
+            self.point_ids[points],
+            self.xyz[points],
+            self.rgb[points],
+            self.frame[seen],
+            index[self.point[seen]],
+            self.seen_px[seen],
+            self.residual_px[seen],
+        )
 
     def observations(self) -> Ints:
         """How many points each frame sees, (N,)."""
@@ -47,6 +73,17 @@ class Model:
         """Mean length of each frame's residuals, (N,); NaN without observations."""
         return _mean_by(self.frame, np.linalg.norm(self.residual_px, axis=1), len(self.sfm_T_cam))
 
+    def frame_track_length(self) -> Array:
+        """Mean track length of the points that each frame sees, (N,); NaN without observations."""
+        return _mean_by(self.frame, self.track_lengths()[self.point].astype(float), len(self.sfm_T_cam))
+
+    def frame_triangulation(self) -> Array:
+        """Median over the points that each frame sees of their widest angle in radians, (N,)."""
+        median = np.full(len(self.sfm_T_cam), np.nan)
+        by_frame = pd.Series(self.triangulation_angles()[self.point]).groupby(self.frame).median()
+        median[by_frame.index] = by_frame
+        return median
+
     def track_lengths(self) -> Ints:
         """How many frames see each point, (P,)."""
         return np.bincount(self.point, minlength=len(self.xyz))
@@ -55,9 +92,45 @@ class Model:
         """Mean length of each point's residuals, (P,)."""
         return _mean_by(self.point, np.linalg.norm(self.residual_px, axis=1), len(self.xyz))
 
+    def triangulation_angles(self) -> Array:
+        """The widest angle in radians between two rays to each point, (P,)."""
+        rays = self.sfm_T_cam[self.frame, :3, 3] - self.xyz[self.point]
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        order = np.argsort(self.point, kind="stable")
+        lengths = self.track_lengths()
+        start = np.concatenate([[0], np.cumsum(lengths)])
+        angles = np.zeros(len(self.xyz))
+        for length in np.unique(lengths[lengths > 1]):
+            points = np.flatnonzero(lengths == length)
+            of_points = rays[order[start[points, None] + np.arange(length)]]
+            cosine = np.einsum("pix,pjx->pij", of_points, of_points).min(axis=(1, 2))
+            angles[points] = np.arccos(np.clip(cosine, -1.0, 1.0))
+        return angles
 
-def load_model(folder: Path, frames: int) -> Model:
-    """A COLMAP model of a database made by `create_database` for so many frames."""
+
+def load_models(folders: Sequence[Path], frames: int) -> Model:
+    """COLMAP models, of a database made by `create_database` for so many frames, none of which is in two models."""
+    models = [_load(folder, number, frames) for number, folder in enumerate(folders)]
+    sfm_T_cam, model = models[0].sfm_T_cam, models[0].model
+    for other in models[1:]:
+        sfm_T_cam = np.where(other.registered[:, None, None], other.sfm_T_cam, sfm_T_cam)
+        model = np.maximum(model, other.model)
+    offsets = np.cumsum([0, *(len(m.xyz) for m in models)])
+    return Model(
+        sfm_T_cam,
+        model,
+        np.concatenate([m.point_model for m in models]),
+        np.concatenate([m.point_ids for m in models]),
+        np.concatenate([m.xyz for m in models]),
+        np.concatenate([m.rgb for m in models]),
+        np.concatenate([m.frame for m in models]),
+        np.concatenate([m.point + offset for m, offset in zip(models, offsets, strict=False)]),
+        np.concatenate([m.seen_px for m in models]),
+        np.concatenate([m.residual_px for m in models]),
+    )
+
+
+def _load(folder: Path, number: int, frames: int) -> Model:
     reconstruction = pycolmap.Reconstruction(folder)
     points = reconstruction.points3D
     point_ids = np.array(sorted(points), np.int64)
@@ -84,6 +157,8 @@ def load_model(folder: Path, frames: int) -> Model:
         residual.append(projected - seen_px[-1])
     return Model(
         sfm_T_cam,
+        np.where(np.isfinite(sfm_T_cam[:, 0, 0]), number, -1),
+        np.full(len(point_ids), number),
         point_ids,
         xyz,
         rgb,

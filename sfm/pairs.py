@@ -40,18 +40,24 @@ def sequence_pairs(recording_N: ArrayLike, t_ns_N: ArrayLike, overlap: int) -> P
 
 
 def within_vio_limits(
-    pairs: Pairs, session_N: ArrayLike, vio_T_cam: Array, max_distance_m: float, max_angle_deg: float
+    pairs: Pairs,
+    session_N: ArrayLike,
+    vio_T_cam: Array,
+    max_distance_m: ArrayLike,
+    max_angle_deg: ArrayLike,
 ) -> NDArray[np.bool_]:
     """Whether the two frames of each pair can see the same thing as far as VIO knows, (P,).
 
     Frames of one session farther apart than `max_distance_m`, or with viewing directions that differ by more than
-    `max_angle_deg`, can't. VIO knows nothing of frames of two sessions, nor of a frame without a pose (NaN).
+    `max_angle_deg`, can't; both may be one number or one a pair. VIO knows nothing of frames of two sessions, nor of a
+    frame without a pose (NaN).
     """
     session_N = np.asarray(session_N)
     a, b = pairs.T
     distance = np.linalg.norm(vio_T_cam[a, :3, 3] - vio_T_cam[b, :3, 3], axis=1)
     cosine = np.sum(vio_T_cam[a, :3, 2] * vio_T_cam[b, :3, 2], axis=1)
-    apart = (distance > max_distance_m) | (cosine < np.cos(np.radians(max_angle_deg)))
+    widest = np.cos(np.radians(np.minimum(max_angle_deg, 180.0)))
+    apart = (distance > np.asarray(max_distance_m)) | (cosine < widest)
     return (session_N[a] != session_N[b]) | ~apart
 
 

@@ -1,5 +1,7 @@
 """The stage's Rerun recording: points, cameras, the pair graph and each session's path."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pandas as pd
@@ -22,15 +24,13 @@ _ORIGIN_COLOURS = {"sequence": NEUTRAL, "vio": VIO, "retrieval": FUSED, "transit
 
 
 def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, matched: MatchedPairs) -> None:
-    """Write recording.rrd: the model upright, and through it frame by frame what each image sees of it."""
+    """Write recording.rrd: the models upright and side by side, and frame by frame what each image sees of them."""
     registered = np.flatnonzero(model.registered)
+    model = _side_by_side(model, poses_of(frames, "vio_cam"))
     centres = model.sfm_T_cam[:, :3, 3]
-    steps = np.linalg.norm(np.diff(centres[registered], axis=0), axis=1)
-    frustum = 0.5 * float(np.median(steps))
+    frustum = 0.5
     with r.recording(_blueprint()) as stream:
         stream.log("/", UP_AXIS, static=True)
-        upright = _upright(model, poses_of(frames, "vio_cam"))
-        stream.log("sfm", rr.Transform3D(mat3x3=upright), static=True)
         stream.log("sfm/points", rr.Points3D(model.xyz, colors=model.rgb, radii=rr.Radius.ui_points(1.5)), static=True)
         for session, rows in frames.groupby("session_id", sort=True).indices.items():
             log_path(stream, f"sfm/paths/{session}", centres[np.sort(rows)], GROUND_TRUTH)
@@ -61,6 +61,28 @@ def _blueprint() -> rrb.Blueprint:
         rrb.TimePanel(timeline=_TIMELINE, state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
+
+
+def _side_by_side(model: Model, vio_T_cam: Array) -> Model:
+    """The models as they're drawn: upright, one beside the other along x, in units of the median step of each.
+
+    They share no gauge, so neither where nor how large one is against another means anything.
+    """
+    sfm_T_cam, xyz = model.sfm_T_cam.copy(), model.xyz.copy()
+    beside = 0.0
+    for number in range(int(model.model.max()) + 1):
+        own, points = model.model == number, model.point_model == number
+        centres = sfm_T_cam[own, :3, 3]
+        step = float(np.median(np.linalg.norm(np.diff(centres, axis=0), axis=1)))
+        upright = _upright(model.part(number), vio_T_cam)
+        drawn = centres @ upright.T / step
+        width = float(np.ptp(drawn[:, 0]))
+        shift = np.array([beside - drawn[:, 0].min(), 0.0, 0.0])
+        sfm_T_cam[own, :3, :3] = upright @ sfm_T_cam[own, :3, :3]
+        sfm_T_cam[own, :3, 3] = drawn + shift
+        xyz[points] = xyz[points] @ upright.T / step + shift
+        beside += 1.5 * width
+    return replace(model, sfm_T_cam=sfm_T_cam, xyz=xyz)
 
 
 def _upright(model: Model, vio_T_cam: Array) -> Array:

@@ -1,8 +1,12 @@
 """The stage's settings."""
 
+from typing import Literal
+
 from pydantic import Field
 
 from artefacts import Settings
+
+MapperName = Literal["incremental", "global", "hierarchical", "vio"]
 
 
 class SfmSettings(Settings):
@@ -21,17 +25,28 @@ class SfmSettings(Settings):
         8.0, gt=0, description="farther apart in VIO two frames of a session aren't matched"
     )
     vio_max_angle_deg: float = Field(60.0, gt=0, le=180, description="nor if their views turn apart by more than this")
+    vio_drift_m: float = Field(0.1, ge=0, description="VIO may be off by this between two frames, metres, ...")
+    vio_drift_m_per_m: float = Field(0.03, ge=0, description="... and by this share of the path between them")
+    vio_drift_deg: float = Field(3.0, ge=0, description="the same for rotation, degrees, ...")
+    vio_drift_deg_per_root_m: float = Field(2.5, ge=0, description="... and degrees for the root of a metre of path")
+    vio_gravity_deg: float = Field(5.0, gt=0, description="gravity may differ by this in two frames, degrees")
+    vio_direction_deg: float = Field(
+        15.0, gt=0, description="what two images leave open of the direction of motion, degrees"
+    )
     retrieval_pairs: int = Field(10, ge=0, description="frames of other sessions that look most alike")
     retrieval_words: int = Field(64, ge=2, description="visual words, learned from the scene, behind `look alike`")
     transitive_pairs: int = Field(5, ge=0, description="pairs a frame gains where both match a third one; 0: none")
     min_inliers: int = Field(15, ge=8, description="verified matches that a pair needs")
+    mapper: MapperName = Field("incremental", description="incremental, global, hierarchical, or vio: starts from VIO")
+    component_frames: int = Field(
+        10, ge=3, description="frames that a model beside the largest needs so that it's kept as a component"
+    )
+    held_out: float = Field(0.05, ge=0, le=0.5, description="share of tracks that is left out, to check the model with")
+    retries: bool = Field(True, description="try other pairs, features and mappers where too few frames register")
     refine_intrinsics: bool = Field(False, description="let bundle adjustment move the captured focal lengths")
-    min_registered: float = Field(0.5, ge=0, le=1, description="share of frames that the final model must have")
+    min_registered: float = Field(0.5, ge=0, le=1, description="share of frames that the models must have")
     covariance_max_images: int = Field(
         2500, ge=0, description="larger models get no covariances (memory: 36 n² numbers)"
-    )
-    common_px: float = Field(
-        0.05, ge=0, description="what all keypoints are off by in common, for the covariances; per image axis, px"
     )
     threads: int = Field(
         -1, ge=-1, description="threads for features; -1: all cores. Matching and mapping have one, to repeat"

@@ -1,7 +1,7 @@
-"""The sfm stage: import's frames in, one COLMAP model over all sessions out."""
+"""The sfm stage: import's frames in, COLMAP models over all sessions out, one where the images allow it."""
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +11,18 @@ from numpy.typing import NDArray
 from artefacts import Stage, StageRun, UserError
 from artefacts.child import Task, in_child
 from artefacts.tables import poses_of
-from geometry.poses import Array
+from geometry.motion_agreement import compare_motions
+from geometry.poses import Array, relative
 from sfm.covariance import pose_covariance
-from sfm.database import create_database, image_name, keypoint_counts, read_descriptors, read_pair_results
+from sfm.database import create_database, have_results, image_name, keypoint_counts, read_descriptors, read_pair_results
 from sfm.features import extract_features
-from sfm.mapping import BuiltModel, build_models, final_model, read_built
+from sfm.ladder import Attempt, ladder
+from sfm.mappers import MappingInput
+from sfm.mapping import BuiltModel, kept_models, map_verified, read_built
+from sfm.mapping_input import HeldOutCheck, held_out_check, read_matches
 from sfm.matching import ONE_THREAD, MatchedPairs, match_pairs
-from sfm.model import Model, load_model
+from sfm.model import Model, load_models
+from sfm.odometry import DriftLimits, Odometry, drift_between, nothing_compared, odometry
 from sfm.pairs import (
     Pairs,
     first_origins,
@@ -31,9 +36,12 @@ from sfm.pairs import (
 from sfm.recording import write_recording
 from sfm.retrieval import retrieval_pairs, vlad
 from sfm.settings import SfmSettings
-from sfm.tables import images_table, models_table, pairs_table, points_table
+from sfm.tables import attempts_table, images_table, models_table, pairs_table, points_table
+from sfm.two_views import compare_pairs
 
 _FEWEST_FRAMES = 3
+_FEWEST_COMPARED = 8
+_UNTRACKED = ("limited", "lost")
 
 
 # An error on one of COLMAP's threads aborts the process that it runs in, hence child processes.
@@ -42,56 +50,82 @@ _TOO_LITTLE = "too little memory needs a smaller sfm.max_image_size or sfm.max_f
 
 @dataclass(frozen=True)
 class _Scene:
-    """The frames and the files that COLMAP works on."""
+    """The frames, what VIO knows of them, and the files that COLMAP works on."""
 
     frames: pd.DataFrame
     recording_N: NDArray[np.object_]
-    vio_T_cam: Array
+    vio: Odometry
     names: list[str]
     images: Path
-    database: Path
-    mapping: Path
+    scratch: Path
     log: Path
+
+
+@dataclass(frozen=True)
+class _Mapped:
+    """The attempt that was taken: its pairs, its features, and the models in `folder`."""
+
+    settings: SfmSettings
+    matched: MatchedPairs
+    keypoints: NDArray[np.int64]
+    built: list[BuiltModel]
+    folder: Path
+    attempts: list[Attempt]
 
 
 def run(r: StageRun[SfmSettings]) -> None:
     scene = _prepare(r)
-    with r.step("features"):
-        arguments = (scene.database, scene.images, scene.names, r.settings)
-        in_child("extracting features", scene.log, _TOO_LITTLE, Task(extract_features, arguments, len(scene.names)))
-        keypoints = keypoint_counts(scene.database, len(scene.names))
-        _require_features(r, keypoints)
-    with r.step("pairs"):
-        proposals = _propose(r, scene)
-    with r.step("matching"):
-        matched = _match(r, scene, proposals)
-    with r.step("mapping"):
-        built = _map(r, scene, matched)
+    mapped = _climb(r, scene)
+    kept, frame_ids = kept_models(mapped.built), list(scene.frames["frame_id"])
     with r.step("quality"):
-        chosen = next(told for told in built if told.chosen)
-        folder = final_model(scene.mapping)
-        model = load_model(folder, len(scene.names))
-        covariance = _covariance(r, scene.frames, model, chosen.loss_px)
-
-    frame_ids = list(scene.frames["frame_id"])
-    r.write("images", images_table(frame_ids, model, chosen.model_id, keypoints, covariance))
-    r.write("models", models_table(built))
-    r.write("pairs", pairs_table(frame_ids, matched))
-    r.write("points", points_table(model))
-    shutil.copytree(folder, r.work / "model", dirs_exist_ok=True)
+        model = load_models([mapped.folder / told.folder for told in kept], len(scene.names))
+        covariance = _covariance(r, scene.frames, model, kept)
+        matches = read_matches(_mapping_input(mapped.folder))
+        check = held_out_check(matches, scene.frames, model.sfm_T_cam, model.model)
+        uses_vio = mapped.settings.mapper == "vio"
+        images = images_table(frame_ids, model, kept, mapped.keypoints, check, covariance, uses_vio)
+    r.write("images", images)
+    r.write("models", models_table(mapped.built, check))
+    r.write("attempts", attempts_table(mapped.attempts))
+    r.write("pairs", pairs_table(frame_ids, mapped.matched))
+    r.write("points", points_table(model, kept))
+    for told in kept:
+        shutil.copytree(mapped.folder / told.folder, r.work / told.folder, dirs_exist_ok=True)
     with r.step("recording"):
-        write_recording(r, scene.frames, model, matched)
-    r.figure("frames", len(scene.frames))
-    r.figure("registered", chosen.images)
-    r.figure("pairs", len(matched.pairs))
-    r.figure("verified_pairs", int(matched.verified.sum()))
-    r.figure("points", chosen.points)
-    r.figure("mean_track_length", chosen.mean_track_length)
-    r.figure("mean_reprojection_px", chosen.mean_reprojection_px)
+        write_recording(r, scene.frames, model, mapped.matched)
+    _tell(r, mapped, kept, model, check)
+
+
+def _tell(r: StageRun[SfmSettings], mapped: _Mapped, kept: list[BuiltModel], model: Model, check: HeldOutCheck) -> None:
+    registered = int(model.registered.sum())
+    disagree = int((mapped.matched.verdict == "disagrees").sum())
+    track_length = float(model.track_lengths().mean())
+    error_px = float(np.linalg.norm(model.residual_px, axis=1).mean())
+    figures = {
+        "frames": len(model.registered),
+        "registered": registered,
+        "models": len(kept),
+        "largest": kept[0].images,
+        "attempts": len(mapped.attempts),
+        "mapper": mapped.settings.mapper,
+        "pairs": len(mapped.matched.pairs),
+        "verified_pairs": int(mapped.matched.verified.sum()),
+        "pairs_against_vio": disagree,
+        "points": len(model.xyz),
+        "mean_track_length": track_length,
+        "mean_reprojection_px": error_px,
+        "heldout_px": check.median_px(held_out=True),
+        "fitted_px": check.median_px(held_out=False),
+    }
+    for name, value in figures.items():
+        r.figure(name, value)
+    where = "one model" if len(kept) == 1 else f"{len(kept)} models that nothing visual ties together"
     r.say(
-        f"{chosen.images} of {len(scene.frames)} frames in one model, {chosen.points} points, "
-        f"{chosen.mean_reprojection_px:.2f} px mean reprojection error"
+        f"{registered} of {len(model.registered)} frames in {where}, {len(model.xyz)} points, "
+        f"{error_px:.2f} px mean reprojection error"
     )
+    if disagree:
+        r.say(f"{disagree} verified pairs were kept out, as VIO moved otherwise (table pairs)")
 
 
 def _prepare(r: StageRun[SfmSettings]) -> _Scene:
@@ -119,17 +153,82 @@ def _prepare(r: StageRun[SfmSettings]) -> _Scene:
             link.parent.mkdir(parents=True, exist_ok=True)
             link.symlink_to(source.absolute())
         names.append(name)
-    database = r.scratch / "database.db"
-    create_database(database, frames, names)
     return _Scene(
         frames,
         frames["session_id"].map(recordings).to_numpy(),
-        poses_of(frames, "vio_cam"),
+        _odometry(frames, r.read("import", "jumps")),
         names,
         images,
-        database,
-        r.scratch / "mapping",
+        r.scratch,
         r.scratch / "colmap.log",
+    )
+
+
+def _odometry(frames: pd.DataFrame, jumps: pd.DataFrame) -> Odometry:
+    vio_T_cam = poses_of(frames, "vio_cam")
+    # A pose that the phone itself calls limited or lost may stand still while the phone moves.
+    vio_T_cam[frames["tracking"].isin(_UNTRACKED).to_numpy()] = np.nan
+    return odometry(
+        frames["session_id"].to_numpy(object),
+        frames["t_ns"].to_numpy(np.int64),
+        vio_T_cam,
+        frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan),
+        zip(
+            jumps["session_id"].to_numpy(str),
+            jumps["t_ns"].to_numpy(np.int64),
+            jumps["jump_m"].to_numpy(float),
+            np.radians(jumps["jump_deg"].to_numpy(float)),
+            strict=True,
+        ),
+    )
+
+
+def _climb(r: StageRun[SfmSettings], scene: _Scene) -> _Mapped:
+    """The first attempt whose models have frames enough. UserError with all attempts where none has."""
+    wanted = r.settings.min_registered * len(scene.names)
+    attempts: list[Attempt] = []
+    keypoints: dict[Path, NDArray[np.int64]] = {}
+    for number, (name, settings) in enumerate(ladder(r.settings)):
+        if number:
+            r.say(f"{attempts[-1]}; trying again: {name}")
+        database = scene.scratch / f"database{settings.first_octave}_{settings.max_features}.db"
+        create_database(database, scene.frames, scene.names)
+        with r.step("features"):
+            if database not in keypoints:
+                arguments = (database, scene.images, scene.names, settings)
+                task = Task(extract_features, arguments, len(scene.names))
+                in_child("extracting features", scene.log, _TOO_LITTLE, task)
+                keypoints[database] = keypoint_counts(database, len(scene.names))
+                _require_features(r, keypoints[database])
+        with r.step("pairs"):
+            proposals = _propose(r.seed, settings, scene, database)
+        with r.step("matching"):
+            matched = _match(r.seed, settings, scene, database, proposals)
+            matched = _compare(settings, scene, database, matched)
+        folder = scene.scratch / f"mapping_{number}"
+        with r.step("mapping"):
+            built = _map(r, settings, scene, database, matched, folder)
+        kept = kept_models(built)
+        registered = sum(told.images for told in kept)
+        outcome = "taken" if kept and registered >= wanted else "too few frames registered" if kept else "no model"
+        attempts.append(
+            Attempt(
+                name,
+                settings.mapper,
+                len(matched.pairs),
+                int(matched.verified.sum()),
+                [told.images for told in kept],
+                outcome,
+            )
+        )
+        if outcome == "taken":
+            return _Mapped(settings, matched, keypoints[database], built, folder, attempts)
+    raise UserError(
+        "the models hold too few of the frames",
+        expected=f"at least {r.settings.min_registered:.0%} of {len(scene.names)} frames (sfm.min_registered)",
+        found="".join(f"\n{attempt}" for attempt in attempts),
+        do="look at the images: neighbours need to overlap by half and to be sharp; a larger sfm.max_features or "
+        "sfm.max_image_size finds more in hard images",
     )
 
 
@@ -143,15 +242,14 @@ def _require_features(r: StageRun[SfmSettings], keypoints_N: NDArray[np.int64]) 
         )
 
 
-def _propose(r: StageRun[SfmSettings], scene: _Scene) -> list[tuple[str, Pairs]]:
-    s, frames = r.settings, scene.frames
-    session = frames["session_id"].to_numpy()
+def _propose(seed: int, s: SfmSettings, scene: _Scene, database: Path) -> list[tuple[str, Pairs]]:
+    frames, vio = scene.frames, scene.vio
     following = sequence_pairs(scene.recording_N, frames["t_ns"], s.sequence_pairs)
     # The next frame is always tried: that is what ties a recording together where VIO jumped.
     next_one = sequence_pairs(scene.recording_N, frames["t_ns"], 1)
     near = vio_pairs(
-        session,
-        scene.vio_T_cam,
+        vio.session,
+        vio.vio_T_cam,
         frames[["fx", "fy", "cx", "cy"]].to_numpy(float),
         frames[["width", "height"]].to_numpy(float),
         s.vio_max_distance_m,
@@ -159,95 +257,131 @@ def _propose(r: StageRun[SfmSettings], scene: _Scene) -> list[tuple[str, Pairs]]
         s.vio_pairs,
     )
     alike = unique_pairs([])
-    if s.retrieval_pairs and len(set(session)) > 1:
-        descriptors = read_descriptors(scene.database, len(frames))
-        alike = retrieval_pairs(vlad(descriptors, s.retrieval_words, r.seed), session, s.retrieval_pairs)
+    if s.retrieval_pairs and len(set(vio.session)) > 1:
+        descriptors = read_descriptors(database, len(frames))
+        alike = retrieval_pairs(vlad(descriptors, s.retrieval_words, seed), vio.session, s.retrieval_pairs)
     return [
-        ("sequence", unique_pairs(np.concatenate([next_one, following[_limits(r, scene, following)]]))),
+        ("sequence", unique_pairs(np.concatenate([next_one, following[_can_see(s, vio, following)]]))),
         ("vio", near),
         ("retrieval", alike),
     ]
 
 
-def _match(r: StageRun[SfmSettings], scene: _Scene, proposals: list[tuple[str, Pairs]]) -> MatchedPairs:
+def _match(
+    seed: int, s: SfmSettings, scene: _Scene, database: Path, proposals: list[tuple[str, Pairs]]
+) -> MatchedPairs:
     def match(text: str) -> MatchedPairs:
         pairs, origin = first_origins(proposals, len(scene.names))
-        arguments = (scene.database, scene.names, pairs, r.settings, r.seed)
-        in_child(text, scene.log, _TOO_LITTLE, Task(match_pairs, arguments, len(pairs), ONE_THREAD))
-        return MatchedPairs(pairs, origin, *read_pair_results(scene.database, pairs), r.settings.min_inliers)
+        if not have_results(database, pairs).all():
+            arguments = (database, scene.names, pairs, s, seed)
+            in_child(text, scene.log, _TOO_LITTLE, Task(match_pairs, arguments, len(pairs), ONE_THREAD))
+        matches, inliers = read_pair_results(database, pairs)
+        return MatchedPairs(pairs, origin, matches, inliers, s.min_inliers, nothing_compared(len(pairs)))
 
     matched = match("matching pairs")
-    if r.settings.transitive_pairs:
+    if s.transitive_pairs:
         pairs, strength = transitive_pairs(matched.pairs, matched.inliers, len(scene.names))
-        allowed = _limits(r, scene, pairs)
-        more = strongest_pairs(pairs[allowed], strength[allowed], r.settings.transitive_pairs)
+        allowed = _can_see(s, scene.vio, pairs)
+        more = strongest_pairs(pairs[allowed], strength[allowed], s.transitive_pairs)
         proposals = [*proposals, ("transitive", more)]
         matched = match("matching pairs that share a partner")
     return matched
 
 
-def _limits(r: StageRun[SfmSettings], scene: _Scene, pairs: Pairs) -> NDArray[np.bool_]:
-    s = r.settings
-    session = scene.frames["session_id"].to_numpy()
-    return within_vio_limits(pairs, session, scene.vio_T_cam, s.vio_max_distance_m, s.vio_max_angle_deg)
-
-
-def _map(r: StageRun[SfmSettings], scene: _Scene, matched: MatchedPairs) -> list[BuiltModel]:
-    """What was built; the final model is large enough."""
-    frames = len(scene.names)
-    if not scene.mapping.is_dir():
-        arguments = (scene.database, scene.images, scene.mapping, r.settings, r.seed)
-        in_child("mapping", scene.log, _TOO_LITTLE, Task(build_models, arguments, frames))
-    built = read_built(scene.mapping)
-    verified = f"{int(matched.verified.sum())} of {len(matched.pairs)} proposed pairs verified"
-    remedy = (
-        "look at the images: neighbours need to overlap by half and to be sharp; a larger sfm.max_features or "
-        "sfm.max_image_size, or sfm.first_octave=-1, finds more in hard images"
+def _limits(s: SfmSettings) -> DriftLimits:
+    return DriftLimits(
+        s.vio_drift_m,
+        s.vio_drift_m_per_m,
+        float(np.radians(s.vio_drift_deg)),
+        float(np.radians(s.vio_drift_deg_per_root_m)),
+        float(np.radians(s.vio_gravity_deg)),
+        float(np.radians(s.vio_direction_deg)),
     )
-    if not built:
-        raise UserError("no model came out of mapping", expected="one over all frames", found=verified, do=remedy)
-    chosen = next(told for told in built if told.chosen)
-    if chosen.images < r.settings.min_registered * frames:
-        sizes = ", ".join(f"{told.images} ({told.model_id})" for told in built)
-        raise UserError(
-            "the model holds too few of the frames",
-            expected=f"at least {r.settings.min_registered:.0%} of {frames} frames (sfm.min_registered)",
-            found=f"models of {sizes} frames; {verified}",
-            do=remedy,
+
+
+def _can_see(s: SfmSettings, vio: Odometry, pairs: Pairs) -> NDArray[np.bool_]:
+    """Whether the frames of each pair are near enough by VIO to see the same thing, its drift allowed for, (P,)."""
+    drift_m, drift_rad = drift_between(vio, pairs, _limits(s))
+    reach_m, reach_deg = s.vio_max_distance_m + drift_m, s.vio_max_angle_deg + np.degrees(drift_rad)
+    return within_vio_limits(pairs, vio.session, vio.vio_T_cam, reach_m, reach_deg)
+
+
+def _compare(s: SfmSettings, scene: _Scene, database: Path, matched: MatchedPairs) -> MatchedPairs:
+    """The pairs with inliers enough held against VIO. UserError where most of a session's disagree: then it isn't the
+    pairs that are wrong."""
+    rows = np.flatnonzero(matched.enough)
+    pairs = matched.pairs[rows]
+    a_T_b, compared = compare_pairs(database, pairs, scene.vio, _limits(s))
+    session, vio_T_cam = scene.vio.session, scene.vio.vio_T_cam
+    for name in np.unique(session):
+        own = (session[pairs] == name).all(axis=1) & np.isfinite(compared.rotation)
+        wrong = int(np.count_nonzero(~compared.agrees[own]))
+        if own.sum() >= _FEWEST_COMPARED and wrong > own.sum() / 2:
+            a, b = pairs[own].T
+            motions = compare_motions(a_T_b[own], relative(vio_T_cam[a], vio_T_cam[b]), common_scale=False)
+            raise UserError(
+                f"the images of session {name} move otherwise than its VIO",
+                expected="relative motions that agree, drift allowed for, in all but a few pairs of frames",
+                found=f"{wrong} of {own.sum()} verified pairs disagree"
+                + (f"; the images are {motions.mistake} to the poses" if motions.mistake else ""),
+                do="look at how this session was exported: mirrored or turned images, images in another order than "
+                "their poses, or wrong intrinsics; or leave the session out",
+            )
+    return replace(matched, compared=compared.selected(rows, len(matched.pairs)))
+
+
+def _mapping_input(mapping: Path) -> Path:
+    """The database of what goes into the mapping of that folder."""
+    return mapping.with_suffix(".db")
+
+
+def _map(
+    r: StageRun[SfmSettings], s: SfmSettings, scene: _Scene, database: Path, matched: MatchedPairs, folder: Path
+) -> list[BuiltModel]:
+    if not matched.verified.any():
+        return []
+    if not folder.is_dir():
+        target, vio = _mapping_input(folder), scene.vio
+        verified = (database, target, scene.frames, matched.pairs[matched.verified], s.held_out, r.seed)
+        given = MappingInput(target, scene.images, vio.vio_T_cam, vio.session, s.refine_intrinsics, r.seed)
+        arguments = (verified, given, s.mapper, s.component_frames, folder)
+        task = Task(map_verified, arguments, len(scene.names))
+        in_child("mapping", scene.log, _TOO_LITTLE, task)
+    return read_built(folder)
+
+
+def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, kept: list[BuiltModel]) -> Array:
+    """(N, 6, 6), NaN for frames without one."""
+    covariance = np.full((len(frames), 6, 6), np.nan)
+    for number, told in enumerate(kept):
+        if told.images > r.settings.covariance_max_images:
+            r.say(f"no covariances: more than {r.settings.covariance_max_images} frames (sfm.covariance_max_images)")
+            continue
+        part = model.part(number)
+        known = part.registered
+        row = np.cumsum(known) - 1
+        blocks = pose_covariance(
+            part.sfm_T_cam[known],
+            frames[["fx", "fy"]].to_numpy(float)[known],
+            part.xyz,
+            row[part.frame],
+            part.point,
+            part.residual_px,
+            told.loss_px,
         )
-    return built
-
-
-def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, loss_px: float) -> Array | None:
-    """(N, 6, 6), NaN for frames that aren't registered; None where it can't be had."""
-    known = model.registered
-    if known.sum() > r.settings.covariance_max_images:
-        r.say(f"no covariances: more than {r.settings.covariance_max_images} frames (sfm.covariance_max_images)")
-        return None
-    row = np.cumsum(known) - 1
-    blocks = pose_covariance(
-        model.sfm_T_cam[known],
-        frames[["fx", "fy"]].to_numpy(float)[known],
-        model.xyz,
-        row[model.frame],
-        model.point,
-        model.residual_px,
-        loss_px,
-        r.settings.common_px,
-    )
-    if blocks is None:
-        r.say("no covariances: the model has too few points to tell")
-        return None
-    covariance = np.full((len(known), 6, 6), np.nan)
-    covariance[known] = blocks
+        if blocks is None:
+            r.say(f"no covariances: model {told.model_id} has too few points to tell")
+        else:
+            covariance[known] = blocks
     return covariance
 
 
 STAGE = Stage(
     name="sfm",
-    version=2,
+    version=3,
     settings=SfmSettings,
     needs=("import",),
     run=run,
-    help="Structure from motion: features, pairs from time, VIO and looks, one model over all sessions, its quality.",
+    help="Structure from motion: features, pairs from time, VIO and looks, checked against VIO; models over all "
+    "sessions, one where the images allow it, and their quality.",
 )

@@ -8,45 +8,79 @@ from numpy.typing import NDArray
 
 from artefacts.tables import pose_frame
 from geometry.poses import Array
-from sfm.mapping import BuiltModel
+from sfm.ladder import Attempt
+from sfm.mapping import BuiltModel, kept_models
+from sfm.mapping_input import HeldOutCheck
 from sfm.matching import MatchedPairs
 from sfm.model import Model
 
 
 def images_table(
-    frame_ids: Sequence[str], model: Model, model_id: str, keypoints_N: NDArray[np.int64], covariance_N66: Array | None
+    frame_ids: Sequence[str],
+    model: Model,
+    kept: Sequence[BuiltModel],
+    keypoints_N: NDArray[np.int64],
+    check: HeldOutCheck,
+    covariance_N66: Array,
+    uses_vio: bool,
 ) -> pd.DataFrame:
-    """One row a frame; `covariance_N66` NaN for frames that aren't registered."""
-    registered = model.registered
-    table = pd.DataFrame({"frame_id": frame_ids, "registered": registered})
-    table["model_id"] = [model_id if known else None for known in registered]
+    """One row a frame; `kept` are the models that `model` counts, `covariance_N66` is NaN where there is none."""
+    table = pd.DataFrame({"frame_id": frame_ids, "registered": model.registered})
+    table["model_id"] = _model_ids(kept)[model.model]
     table = pd.concat([table, pose_frame("sfm_cam", model.sfm_T_cam)], axis=1)
+    table["uses_vio"] = uses_vio & model.registered
     table["keypoints"] = keypoints_N
     table["observations"] = model.observations()
+    table["track_length"] = model.frame_track_length()
+    table["triangulation_deg"] = np.degrees(model.frame_triangulation())
     table["reprojection_px"] = model.frame_error_px()
-    rows = [None] * len(table) if covariance_N66 is None else covariance_N66.reshape(-1, 36)
+    table["heldout_matches"], table["heldout_px"] = check.by_frame(len(table), held_out=True)
+    table["fitted_px"] = check.by_frame(len(table), held_out=False)[1]
     table["covariance"] = pd.Series(
-        [list(row) if known and row is not None else None for row, known in zip(rows, registered, strict=True)],
-        dtype=object,
+        [list(row) if np.isfinite(row).all() else None for row in covariance_N66.reshape(-1, 36)], dtype=object
     )
     return table
 
 
-def models_table(built: Sequence[BuiltModel]) -> pd.DataFrame:
+def models_table(built: Sequence[BuiltModel], check: HeldOutCheck) -> pd.DataFrame:
     """One row a model."""
+    number = {told.model_id: index for index, told in enumerate(kept_models(built))}
     return pd.DataFrame(
         [
             {
                 "model_id": told.model_id,
-                "attempt": told.attempt,
-                "chosen": told.chosen,
+                "mapping": told.mapping,
+                "chosen": bool(told.folder),
+                "folder": told.folder or None,
                 "images": told.images,
                 "points": told.points,
                 "observations": told.observations,
                 "mean_track_length": told.mean_track_length,
                 "mean_reprojection_px": told.mean_reprojection_px,
+                "heldout_matches": check.count(held_out=True, model=number.get(told.model_id, -2)),
+                "heldout_px": check.median_px(held_out=True, model=number.get(told.model_id, -2)),
+                "fitted_px": check.median_px(held_out=False, model=number.get(told.model_id, -2)),
             }
             for told in built
+        ]
+    )
+
+
+def attempts_table(attempts: Sequence[Attempt]) -> pd.DataFrame:
+    """One row an attempt."""
+    return pd.DataFrame(
+        [
+            {
+                "attempt": tried.name,
+                "mapper": tried.mapper,
+                "pairs": tried.pairs,
+                "verified": tried.verified,
+                "models": len(tried.kept),
+                "largest": max(tried.kept, default=0),
+                "registered": sum(tried.kept),
+                "outcome": tried.outcome,
+            }
+            for tried in attempts
         ]
     )
 
@@ -54,6 +88,7 @@ def models_table(built: Sequence[BuiltModel]) -> pd.DataFrame:
 def pairs_table(frame_ids: Sequence[str], matched: MatchedPairs) -> pd.DataFrame:
     """One row a pair."""
     names = np.asarray(frame_ids, dtype=object)
+    compared = matched.compared
     return pd.DataFrame(
         {
             "frame_id_a": names[matched.pairs[:, 0]],
@@ -61,16 +96,27 @@ def pairs_table(frame_ids: Sequence[str], matched: MatchedPairs) -> pd.DataFrame
             "origin": matched.origin.astype(object),
             "matches": matched.matches,
             "inliers": matched.inliers,
-            "verdict": np.where(matched.verified, "verified", "rejected").astype(object),
+            "verdict": matched.verdict,
+            "reason": compared.reason,
+            "rotation_deg": np.degrees(compared.rotation),
+            "rotation_limit_deg": np.degrees(compared.rotation_limit),
+            "direction_deg": np.degrees(compared.direction),
+            "direction_limit_deg": np.degrees(compared.direction_limit),
+            "gravity_deg": np.degrees(compared.gravity),
         }
     )
 
 
-def points_table(model: Model) -> pd.DataFrame:
+def points_table(model: Model, kept: Sequence[BuiltModel]) -> pd.DataFrame:
     """One row a point."""
-    table = pd.DataFrame({"point_id": model.point_ids})
+    table = pd.DataFrame({"model_id": _model_ids(kept)[model.point_model], "point_id": model.point_ids})
     table[["x", "y", "z"]] = model.xyz
     table[["r", "g", "b"]] = model.rgb.astype(np.int64)
     table["track_length"] = model.track_lengths()
     table["reprojection_px"] = model.point_error_px()
     return table
+
+
+def _model_ids(kept: Sequence[BuiltModel]) -> NDArray[np.object_]:
+    """The id of each kept model by its number, and None for -1."""
+    return np.array([*(told.model_id for told in kept), None], dtype=object)

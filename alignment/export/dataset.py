@@ -20,17 +20,24 @@ Images = Literal["link", "copy", "none"]
 
 
 @dataclass(frozen=True)
+class SfmModel:
+    """One of SfM's models: its folder, the frames with ground truth that are in it, and map_S_sfm."""
+
+    folder: Path
+    frame_ids: list[str]
+    map_S_sfm: Sim3
+
+
+@dataclass(frozen=True)
 class Dataset:
-    """`frames` (N rows) have ground truth, `left_out` have none; both are import.frames with align's quality and
-    reason. `images` are the N image files, `map_T_cam` (N, 4, 4) their poses, `map_S_sfm` takes `model`, the folder of
-    SfM's model, into the map."""
+    """`frames` (N rows) have ground truth, `left_out` have none; both are import.frames with align's quality, reason
+    and component. `images` are the N image files, `map_T_cam` (N, 4, 4) their poses, `models` SfM's, largest first."""
 
     frames: pd.DataFrame
     left_out: pd.DataFrame
     map_T_cam: Array
     images: list[Path]
-    model: Path
-    map_S_sfm: Sim3
+    models: list[SfmModel]
     simulated: bool
 
     @property
@@ -75,20 +82,29 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
     ground_truth = read_table(folders["align"] / "ground_truth.parquet", schema("align", "ground_truth"))
     images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
     frames = read_table(folders["import"] / "frames.parquet", schema("import", "frames")).merge(
-        ground_truth[["frame_id", "quality", "reason"]], on="frame_id", validate="one_to_one"
+        ground_truth[["frame_id", "quality", "reason", "component"]], on="frame_id", validate="one_to_one"
     )
     known = (frames["quality"] != "none").to_numpy()
     if not known.any():
         raise UserError("there is nothing to export: no frame has ground truth", where=folders["align"])
     map_T_cam = poses_of(ground_truth.set_index("frame_id").loc[frames["frame_id"]], "map_cam")[known]
     sfm_T_cam = poses_of(images.set_index("frame_id").loc[frames["frame_id"]], "sfm_cam")[known]
+    component = frames.loc[known, "component"].to_numpy(int)
+    ids = frames.loc[known, "frame_id"].to_numpy(str)
     return Dataset(
         frames[known].reset_index(drop=True),
         frames[~known].reset_index(drop=True),
         map_T_cam,
         [_image_file(root, profile, scene, image) for image in frames.loc[known, "image"]],
-        folders["sfm"] / "model",
-        _similarity(map_T_cam, sfm_T_cam, float(manifest["figures"]["metres_per_sfm_unit"])),
+        [
+            SfmModel(
+                # The largest model is in model/, the others in model_2/, ... (docs/sfm.md).
+                folders["sfm"] / ("model" if index == 0 else f"model_{index + 1}"),
+                ids[component == index].tolist(),
+                _similarity(map_T_cam[component == index], sfm_T_cam[component == index]),
+            )
+            for index in np.unique(component).tolist()
+        ],
         bool(manifest["simulated"]),
     )
 
@@ -116,8 +132,11 @@ def number(value: float) -> str:
     return repr(float(value))
 
 
-def _similarity(map_T_cam: Array, sfm_T_cam: Array, scale: float) -> Sim3:
-    """The map_S_sfm that align applied: any frame tells it once the scale is known."""
+def _similarity(map_T_cam: Array, sfm_T_cam: Array) -> Sim3:
+    """The map_S_sfm that align applied to these frames: exact, so that two frames far apart tell it."""
+    apart = np.linalg.norm(sfm_T_cam[:, :3, 3] - sfm_T_cam[0, :3, 3], axis=1)
+    far = int(np.argmax(apart))
+    scale = float(np.linalg.norm(map_T_cam[far, :3, 3] - map_T_cam[0, :3, 3]) / apart[far]) if apart[far] > 0 else 1.0
     rotation = map_T_cam[0, :3, :3] @ sfm_T_cam[0, :3, :3].T
     return Sim3(scale, rotation, map_T_cam[0, :3, 3] - scale * rotation @ sfm_T_cam[0, :3, 3])
 

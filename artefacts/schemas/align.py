@@ -4,6 +4,7 @@ from artefacts.schemas import Column, TableSchema, pose_columns
 
 _SESSION = Column("session_id", "string", "capture session")
 _SEGMENT = Column("segment", "int64", "part of the session between two VIO jumps, from 0")
+_COMPONENT = Column("component", "int64", "SfM model that the poses are from, largest first, from 0", nullable=True)
 
 TABLES = [
     TableSchema(
@@ -18,29 +19,48 @@ TABLES = [
             Column("t_ns", "int64", "capture time on the session's clock", "ns"),
             *pose_columns("map_cam", "ground truth map_T_cam", nullable=True),
             Column(
+                "component",
+                "int64",
+                "SfM model that the pose is from; all but 0 lie in the map by VIO; null without ground truth",
+                nullable=True,
+            ),
+            Column(
                 "covariance",
                 "list<float64>",
                 "6x6, row-major, of (rotation, position) with true rotation = exp(rotation) @ map_R_cam and true "
-                "position = map_t_cam + position: SfM's part and the map's scale and vertical; null where SfM has none",
+                "position = map_t_cam + position: SfM's part, the map's scale and vertical, and VIO's where it ties "
+                "models; null where SfM has none",
                 "rad, m",
                 "map",
                 True,
             ),
-            Column("position_sd_m", "float64", "SfM's part alone, largest axis, one sigma", "m", "map", True),
-            Column("rotation_sd_deg", "float64", "SfM's part alone, largest axis, one sigma", "deg", "map", True),
+            Column("position_sd_m", "float64", "without scale and vertical, largest axis, one sigma", "m", "map", True),
+            Column(
+                "rotation_sd_deg", "float64", "without scale and vertical, largest axis, one sigma", "deg", "map", True
+            ),
             Column("quality", "string", "A, B, C (see docs/ground-truth.md) or none"),
             Column("reason", "string", "why quality is none; empty otherwise"),
-            Column("gt_uses_vio", "bool", "VIO positions took part in the bundle adjustment"),
+            Column("gt_uses_vio", "bool", "VIO positions took part: in the bundle adjustment, or in placing its model"),
         ],
+        version="1.1",
     ),
     TableSchema(
         "align",
         "sessions",
-        "One row a session, or a part of one between VIO jumps: where its VIO frame lies in the map, and how well it "
-        "fits. Null where the part has too few frames.",
+        "One row a session, or a part of one between VIO jumps or in another SfM model: where its VIO frame lies in "
+        "the map, and how well it fits. Null where the part has too few frames.",
         [
             _SESSION,
             _SEGMENT,
+            _COMPONENT,
+            Column(
+                "bridge_m",
+                "float64",
+                "VIO path without a frame of either over which this model is tied to the map; null for the first",
+                "m",
+                "vio",
+                True,
+            ),
             Column("t_start_ns", "int64", "first frame", "ns"),
             Column("t_end_ns", "int64", "last frame", "ns"),
             Column("frames", "int64", "frames of this part"),
@@ -65,6 +85,7 @@ TABLES = [
             Column("sim3_position_rms_m", "float64", "residual with a scale of its own, all frames", "m", "map", True),
             Column("sim3_rotation_median_deg", "float64", "residual with a scale of its own", "deg", "map", True),
         ],
+        version="1.1",
     ),
     TableSchema(
         "align",
@@ -92,6 +113,7 @@ TABLES = [
         [
             Column("check", "string", "name of the check"),
             Column("session_id", "string", "capture session; empty for the scene"),
+            Column("component", "int64", "SfM model, as in ground_truth; null for the scene", nullable=True),
             Column("t_start_ns", "int64", "first frame of the window", "ns", "", True),
             Column("t_end_ns", "int64", "last frame of the window", "ns", "", True),
             Column("frames", "int64", "frames under this check"),
@@ -99,8 +121,10 @@ TABLES = [
             Column("limit", "float64", "what is allowed"),
             Column("unit", "string", "unit of value and limit"),
             Column("passed", "bool", "value within limit"),
+            Column("cause", "string", "what a failure means, by name (docs/ground-truth.md)", nullable=True),
             Column("reason", "string", "in words, where it failed"),
         ],
+        version="1.1",
     ),
     TableSchema(
         "align",
@@ -110,6 +134,7 @@ TABLES = [
             Column("frame_id", "string", "<session>/<six digits>"),
             _SESSION,
             _SEGMENT,
+            _COMPONENT,
             Column("t_ns", "int64", "capture time on the session's clock", "ns"),
             Column("travelled_m", "float64", "VIO path length since the segment's first frame", "m"),
             Column("position_m", "float64", "after the segment's rigid fit", "m", "map", True),
@@ -117,5 +142,6 @@ TABLES = [
             Column("window_position_m", "float64", "after a rigid fit of the window around", "m", "map", True),
             Column("window_rotation_deg", "float64", "after a rigid fit of the window around", "deg", "map", True),
         ],
+        version="1.1",
     ),
 ]

@@ -140,6 +140,8 @@ def _make(w: Walks) -> Scene:
         {
             "frame_id": table["frame_id"],
             "registered": True,
+            "model_id": "incremental/0",
+            "uses_vio": False,
             "observations": 500,
             "reprojection_px": 0.8,
             "covariance": [np.diag(sigma**2).ravel().tolist()] * len(table),
@@ -192,7 +194,10 @@ def make_place(walks: Walks, root: DataRoot) -> None:
     write_artefact(
         root,
         "sfm",
-        {"images": filled(scene.images, "sfm", "images"), "points": filled(points, "sfm", "points", r=200)},
+        {
+            "images": filled(scene.images, "sfm", "images"),
+            "points": filled(points, "sfm", "points", r=200, model_id="incremental/0"),
+        },
     )
     truth = pd.concat([scene.frames[["session_id", "t_ns"]], pose_frame("map_cam", scene.true_T_cam)], axis=1)
     root.captures("Place").mkdir(parents=True)

@@ -1,8 +1,10 @@
 """The stage from import's and SfM's artefacts to its own, and the check against true poses."""
 
 import json
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -11,7 +13,7 @@ from alignment.__main__ import app
 from alignment.check_truth import compare_with_bounds, compare_with_truth
 from alignment.stage import STAGE
 from alignment.uncertainty import SharedSd, shared_covariance
-from artefacts import DataRoot, execute
+from artefacts import DataRoot, UserError, execute
 from artefacts.schemas import schema, stage_tables
 from artefacts.stage import load_manifest
 from artefacts.tables import read_table, write_table
@@ -24,12 +26,33 @@ def test_the_stage_writes_what_its_schemas_say(data: DataRoot) -> None:
     assert len(tables["ground_truth"]) == 40 and len(tables["residuals"]) == 40
     assert set(tables["drift"]["session_id"]) == {"walk0", "walk1", "all"}
     assert (folder / "recording.rrd").stat().st_size > 10_000
+    assert (folder / "gate.png").read_bytes().startswith(b"\x89PNG")
     figures = load_manifest(folder)["figures"]
     assert figures["registered"] == 40 and figures["checks_failed"] == 0
     before = (folder / "ground_truth.parquet").read_bytes()
     execute(STAGE, "Place", "tiny", data, force=True)
     assert (folder / "ground_truth.parquet").read_bytes() == before
     json.dumps(figures, allow_nan=False)
+
+
+def test_a_refused_run_says_where_its_picture_is(data: DataRoot) -> None:
+    path = data.run("tiny", "Place", "sfm") / "images.parquet"
+    images = read_table(path, schema("sfm", "images"))
+    poses = pose_columns_of(images, "sfm_cam")
+    # All steps in another order than VIO's.
+    images[poses] = images[poses].to_numpy()[np.random.default_rng(1).permutation(len(images))]
+    write_table(path, images, schema("sfm", "images"))
+    with pytest.raises(UserError, match="times shuffled") as error:
+        execute(STAGE, "Place", "tiny", data)
+    picture = Path(str(error.value.details["do"]).removeprefix("look at ").split(";")[0])
+    assert picture.name == "gate.png" and picture.read_bytes().startswith(b"\x89PNG")
+    gate = read_table(picture.with_name("gate.parquet"), schema("align", "gate"))
+    assert "times shuffled" in set(gate["cause"])
+    assert not (data.run("tiny", "Place", "align") / "manifest.json").exists()
+
+
+def pose_columns_of(table: pd.DataFrame, prefix: str) -> list[str]:
+    return [name for name in table.columns if name.startswith(f"{prefix}_")]
 
 
 def test_check_truth_prints_its_targets_and_says_what_is_missed(data: DataRoot) -> None:
@@ -72,11 +95,13 @@ def test_bounds_hold_where_the_covariance_is_honest_and_only_there() -> None:
     true = make_pose(Rotation.random(2000, rng=rng).as_matrix(), rng.normal(0, 10, (2000, 3)))
     mix = rng.normal(size=(2000, 6, 6)) * np.repeat([1e-3, 1e-2], 3)[:, None]
     own = mix @ np.swapaxes(mix, 1, 2)
-    shared = SharedSd(0.002, 0.001)
-    covariance = own + shared_covariance(true[:, :3, 3], true[:, :3, 3].mean(axis=0), shared)
+    shared = SharedSd(0.002, 0.001, 0.003)
+    covariance = own + shared_covariance(true, true[:, :3, 3].mean(axis=0), shared)
     for times, low, high in ((1.0, 93.5, 96.5), (2.0, 40.0, 65.0)):
         error = times * np.einsum("nij,nj->ni", mix, rng.normal(size=(2000, 6)))
         rotation = Rotation.from_rotvec(error[:, :3]).as_matrix() @ true[:, :3, :3]
+        # What all cameras share is no error of any one of them.
+        rotation = rotation @ Rotation.from_rotvec([0.004, -0.003, 0.0]).as_matrix()
         estimated = make_pose(rotation, true[:, :3, 3] + error[:, 3:])
         # Origin and heading are free, and turn the axes that the covariance is given in.
         turn = yaw_rotation(1.0)

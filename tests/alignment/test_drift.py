@@ -66,8 +66,7 @@ def test_known_drifts_have_their_size() -> None:
     found = measure_drift((seconds * 1e9).astype(np.int64), gt, longer)
     for (name, _, interval_unit, unit), samples in found.samples.items():
         if name == "distance_position" and unit == "%":
-            # The first frame beyond the distance lies up to a step further.
-            np.testing.assert_allclose(samples, 2, rtol=0.25)
+            np.testing.assert_allclose(samples, 2, rtol=0.01)
         if name == "paper_rpe" and interval_unit == "s":
             np.testing.assert_allclose(samples, 0.02, rtol=0.05)
     assert values(found, "ate_sim3", "m").max() < 1e-9
@@ -82,7 +81,8 @@ def test_known_drifts_have_their_size() -> None:
 def test_pairs_by_time_and_distance() -> None:
     first, last = second_pairs(np.array([0, 400, 900, 1300, 1900, 5000, 6600]) * 10**6)
     assert list(zip(first.tolist(), last.tolist(), strict=True)) == [(0, 2), (1, 3), (2, 4), (3, 4)]
-    first, last = distance_pairs(np.array([[0.0, 0, 0], [3, 0, 0], [3, 3, 0], [0, 3, 0]]), 5.0)
+    first, last, metres = distance_pairs(np.array([[0.0, 0, 0], [3, 0, 0], [3, 3, 0], [0, 3, 0]]), 5.0)
+    assert metres.tolist() == [6, 6]
     assert list(zip(first.tolist(), last.tolist(), strict=True)) == [(0, 2), (1, 3)]
 
 

@@ -27,9 +27,7 @@ PHONES = {
 
 
 def run(scene, **settings) -> Aligned:
-    return align(
-        scene.frames, scene.images, scene.jumps, scene.recordings, AlignSettings(**settings), gt_uses_vio=False
-    )
+    return align(scene.frames, scene.images, scene.jumps, scene.recordings, AlignSettings(**settings))
 
 
 def ground_truth(aligned: Aligned) -> np.ndarray:
@@ -90,7 +88,7 @@ def test_scale_and_vertical_come_from_all_sessions_together(walks) -> None:
         assert np.degrees(np.arccos(true_S_map.rotation[1, 1])) < 0.2
         assert np.median(metres) < 0.02 and np.median(degrees) < 0.1
         assert aligned.gate["passed"].all()
-        own = aligned.sessions["scale"] * aligned.map_S_sfm.scale * walks.gauge.scale
+        own = aligned.sessions["scale"] * aligned.main.map_S_sfm.scale * walks.gauge.scale
         np.testing.assert_allclose(own, scene.phone_scales, atol=0.005)
 
 
@@ -106,7 +104,7 @@ def test_a_tenth_of_wrong_frames_is_found_and_moves_nothing(walks) -> None:
     refused = aligned.ground_truth["quality"].to_numpy() == "none"
     assert refused[wrong].all()
     assert refused.sum() <= 1.1 * len(wrong)
-    assert aligned.map_S_sfm.scale == pytest.approx(clean.map_S_sfm.scale, rel=0.002)
+    assert aligned.main.map_S_sfm.scale == pytest.approx(clean.main.map_S_sfm.scale, rel=0.002)
     kept = ~refused
     assert position_error(ground_truth(aligned)[kept], ground_truth(clean)[kept]).max() < 0.15
 

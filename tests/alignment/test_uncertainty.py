@@ -31,7 +31,7 @@ def test_covariance_of_a_map_pose_is_that_of_samples() -> None:
     map_S_sfm = Sim3(3.1, Rotation.random(rng=rng).as_matrix(), rng.normal(0, 5, 3))
     map_T_cam = map_S_sfm.poses(sfm_T_cam)
     anchor = rng.normal(0, 5, 3)
-    shared = SharedSd(scale=0.004, tilt=0.003)
+    shared = SharedSd(scale=0.004, tilt=0.003, camera=0.002)
 
     n = 40_000
     sample = rng.multivariate_normal(np.zeros(6), covariance_sfm, n)
@@ -40,11 +40,12 @@ def test_covariance_of_a_map_pose_is_that_of_samples() -> None:
     scale = np.exp(shared.scale * rng.normal(size=n))
     tilt = Rotation.from_rotvec(shared.tilt * rng.normal(size=(n, 3)) * [1, 0, 1]).as_matrix()
     arm = (samples[:, :3, 3] - anchor) * scale[:, None]
-    samples = make_pose(tilt @ samples[:, :3, :3], anchor + np.einsum("nij,nj->ni", tilt, arm))
+    camera = Rotation.from_rotvec(shared.camera * rng.normal(size=(n, 3)) * [1, 1, 0]).as_matrix()
+    samples = make_pose(tilt @ samples[:, :3, :3] @ camera, anchor + np.einsum("nij,nj->ni", tilt, arm))
     found = np.cov(errors(samples, map_T_cam).T)
 
     own = covariance_in_map(covariance_sfm[None], map_S_sfm)
-    expected = (own + shared_covariance(map_T_cam[None, :3, 3], anchor, shared))[0]
+    expected = (own + shared_covariance(map_T_cam[None], anchor, shared))[0]
     sds = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(found / np.outer(sds, sds), expected / np.outer(sds, sds), atol=0.03)
 

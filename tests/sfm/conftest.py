@@ -39,13 +39,15 @@ def room(tmp_path: Path) -> Room:
     return make_room(tmp_path)
 
 
-def make_room(folder: Path, per_walk: int = 7) -> Room:
+def make_room(folder: Path, per_walk: int = 7, same_place: bool = True) -> Room:
+    """Both walks in one room, or the second one in a room of the same shape with other walls."""
     data = DataRoot(folder / "data")
     walks = {"one": _walk(per_walk, 1.5, 2.6), "two": _walk(per_walk, 1.2, 2.2)}
     intrinsics = np.array([FOCAL_PX, FOCAL_PX, SIZE_PX[0] / 2, SIZE_PX[1] / 2])
-    textures = [_texture(np.linalg.norm(u), np.linalg.norm(v), seed) for seed, (_, u, v) in enumerate(_WALLS)]
     tables = []
-    for session, poses in walks.items():
+    for number, (session, poses) in enumerate(walks.items()):
+        seed = 0 if same_place else 10 * number
+        textures = [_texture(np.linalg.norm(u), np.linalg.norm(v), seed + i) for i, (_, u, v) in enumerate(_WALLS)]
         images = [f"{session}/{row}.jpg" for row in range(per_walk)]
         for image, pose in zip(images, poses, strict=True):
             path = data.captures("room") / image
@@ -54,6 +56,7 @@ def make_room(folder: Path, per_walk: int = 7) -> Room:
         # Odometry of a frame of its own, metric and upright.
         vio_T_room = make_pose(np.diag([-1.0, 1.0, -1.0]), [5.0, 0.0, 1.0])
         table = pose_frame("vio_cam", vio_T_room @ poses)
+        table[["gravity_x", "gravity_y", "gravity_z"]] = -poses[:, 1, :3]
         table["frame_id"] = [f"{session}/{row:06d}" for row in range(per_walk)]
         table["session_id"] = session
         table["image"] = images
@@ -111,6 +114,7 @@ def _write_import(data: DataRoot, frames: pd.DataFrame, sessions: list[str]) -> 
     folder.mkdir(parents=True)
     _write(folder, "frames", frames)
     _write(folder, "sessions", pd.DataFrame({"session_id": sessions, "recording": sessions}))
+    _write(folder, "jumps", pd.DataFrame({"session_id": [], "t_ns": []}).astype({"session_id": str, "t_ns": "int64"}))
     manifest = {"key": "test", "simulated": False, "outputs": {"frames.parquet": "made by a test"}}
     (folder / "manifest.json").write_text(json.dumps(manifest))
 

@@ -48,7 +48,7 @@ def test_normalised_errors_have_the_size_that_the_covariance_says(
         adjusted, adjusted_xyz = _bundle_adjusted(truth, xyz, seen_px.reshape(_FRAMES, _POINTS, 2))
         residual_px = _project(adjusted, adjusted_xyz, frame, point) - seen_px
         focal = np.full((_FRAMES, 2), _FOCAL_PX)
-        covariance = pose_covariance(adjusted, focal, adjusted_xyz, frame, point, residual_px, _LOSS_PX, 0.0)
+        covariance = pose_covariance(adjusted, focal, adjusted_xyz, frame, point, residual_px, _LOSS_PX)
         assert covariance is not None
         error = _error_without_gauge(truth, adjusted)
         squared.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error))
@@ -69,29 +69,11 @@ def test_covariance_follows_the_gauge() -> None:
     focal = np.full((_FRAMES, 2), _FOCAL_PX)
     turn, shift, scale = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix(), np.array([5.0, -3.0, 2.0]), 3.0
     moved = make_pose(turn @ truth[:, :3, :3], scale * truth[:, :3, 3] @ turn.T + shift)
-    here = pose_covariance(truth, focal, xyz, frame, point, residual_px, _LOSS_PX, 0.3)
-    there = pose_covariance(moved, focal, scale * xyz @ turn.T + shift, frame, point, residual_px, _LOSS_PX, 0.3)
+    here = pose_covariance(truth, focal, xyz, frame, point, residual_px, _LOSS_PX)
+    there = pose_covariance(moved, focal, scale * xyz @ turn.T + shift, frame, point, residual_px, _LOSS_PX)
     assert here is not None and there is not None
     jacobian = np.kron(np.diag([1.0, scale]), turn)
     assert np.allclose(there, jacobian @ here @ jacobian.T, rtol=1e-5, atol=1e-12)
-
-
-def test_what_keypoints_have_in_common_turns_each_camera_about_its_own_axes() -> None:
-    truth, common_px = _ring_of_cameras(), 0.4
-    rng = np.random.default_rng(5)
-    xyz = rng.uniform(-1, 1, (_POINTS, 3))
-    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
-    residual_px = rng.normal(0, _NOISE_PX, (len(frame), 2))
-    focal = np.tile([400.0, 800.0], (_FRAMES, 1))
-    without, with_it = (
-        pose_covariance(truth, focal, xyz, frame, point, residual_px, _LOSS_PX, px) for px in (0.0, common_px)
-    )
-    assert without is not None and with_it is not None
-    in_camera = np.swapaxes(truth[:, :3, :3], 1, 2) @ (with_it - without)[:, :3, :3] @ truth[:, :3, :3]
-    # An error along x turns about y, and there the pixels are coarser.
-    expected = np.diag([common_px / 800, common_px / 400, 0]) ** 2
-    assert np.allclose(in_camera, expected, atol=1e-12)
-    assert np.allclose(with_it[:, 3:, 3:], without[:, 3:, 3:])
 
 
 def test_no_covariance_where_the_observations_do_not_determine_the_poses() -> None:
@@ -104,7 +86,6 @@ def test_no_covariance_where_the_observations_do_not_determine_the_poses() -> No
         point,
         np.ones((len(frame), 2)),
         _LOSS_PX,
-        0.0,
     )
     assert covariance is None
 

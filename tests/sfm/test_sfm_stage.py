@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
-from conftest import Room
+from conftest import Room, make_room
 
 from artefacts import UserError, execute
 from artefacts.tables import poses_of
@@ -21,7 +21,7 @@ from geometry.poses import rotation_angle
 from sfm.stage import STAGE
 
 _SETTINGS = ["sequence_pairs=3", "vio_pairs=2", "retrieval_pairs=3", "retrieval_words=16"]
-_TABLES = ["images", "models", "pairs", "points"]
+_TABLES = ["images", "models", "attempts", "pairs", "points"]
 
 
 def _run(room: Room, *settings: str) -> Path:
@@ -47,6 +47,20 @@ def test_a_room_of_two_walks_becomes_one_right_model(room: Room) -> None:
     assert (pairs.loc[across, "verdict"] == "verified").any()
     assert not pairs.duplicated(["frame_id_a", "frame_id_b"]).any()
 
+    assert (pairs["verdict"] == "disagrees").mean() < 0.03
+    assert pairs.loc[~across & (pairs["verdict"] == "verified"), "rotation_deg"].median() < 1
+
+    # Matches that took no part fit the poses about as well as those that did.
+    models = pd.read_parquet(folder / "models.parquet")
+    chosen = models[models["chosen"]].iloc[0]
+    assert chosen["heldout_matches"] > 20
+    assert chosen["heldout_px"] == pytest.approx(chosen["fitted_px"], rel=0.5)
+    assert images["heldout_matches"].sum() == 2 * chosen["heldout_matches"]
+    assert not images["uses_vio"].any()
+    assert images["triangulation_deg"].between(1, 90).all()
+    attempts = pd.read_parquet(folder / "attempts.parquet")
+    assert attempts["outcome"].tolist() == ["taken"]
+
     # The model beside the tables is COLMAP's own, with the captured intrinsics as they were.
     model = pycolmap.Reconstruction(folder / "model")
     points = pd.read_parquet(folder / "points.parquet")
@@ -58,6 +72,49 @@ def test_a_room_of_two_walks_becomes_one_right_model(room: Room) -> None:
     assert not (folder / "scratch").exists()
 
 
+def test_walks_that_nothing_visual_ties_together_become_components(tmp_path: Path) -> None:
+    room = make_room(tmp_path, same_place=False)
+    folder = _run(room, "component_frames=5", "transitive_pairs=0")
+    images = pd.read_parquet(folder / "images.parquet")
+    assert images["registered"].all()
+    walk = images["frame_id"].str.split("/").str[0]
+    assert images.groupby(walk)["model_id"].nunique().tolist() == [1, 1]
+    assert images["model_id"].nunique() == 2
+    models = pd.read_parquet(folder / "models.parquet").set_index("model_id")
+    kept = models[models["chosen"]]
+    assert set(kept["folder"]) == {"model", "model_2"}
+    points = pd.read_parquet(folder / "points.parquet")
+    for model_id, model in kept.iterrows():
+        own = (images["model_id"] == model_id).to_numpy()
+        sfm_T_cam = poses_of(images[own], "sfm_cam")
+        placed = fit_sim3(room.true_T_cam[own, :3, 3], sfm_T_cam[:, :3, 3]).points(sfm_T_cam[:, :3, 3])
+        assert np.linalg.norm(placed - room.true_T_cam[own, :3, 3], axis=1).max() < 0.02
+        written = pycolmap.Reconstruction(folder / model["folder"])
+        assert written.num_reg_images() == own.sum() == model["images"]
+        assert written.num_points3D() == (points["model_id"] == model_id).sum() == model["points"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mapper", ["global", "hierarchical", "vio"])
+def test_every_mapper_places_the_room_right(room: Room, mapper: str) -> None:
+    images = pd.read_parquet(_run(room, f"mapper={mapper}", "retries=false") / "images.parquet")
+    assert images["registered"].all()
+    assert images["uses_vio"].all() == (mapper == "vio")
+    sfm_T_cam = poses_of(images, "sfm_cam")
+    fit = fit_sim3(room.true_T_cam[:, :3, 3], sfm_T_cam[:, :3, 3])
+    assert np.linalg.norm(fit.points(sfm_T_cam[:, :3, 3]) - room.true_T_cam[:, :3, 3], axis=1).max() < 0.02
+
+
+def test_mirrored_images_are_named(room: Room) -> None:
+    for image in room.frames.loc[room.frames["session_id"] == "two", "image"]:
+        path = room.data.captures("room") / image
+        cv2.imwrite(str(path), cv2.imread(str(path))[:, ::-1])
+    with pytest.raises(UserError) as caught:
+        _run(room, "retrieval_pairs=0", "sequence_pairs=6", "transitive_pairs=0")
+    assert "session two" in str(caught.value)
+    assert "mirrored" in str(caught.value)
+
+
 @pytest.mark.slow
 def test_a_stage_killed_anywhere_ends_in_the_same_tables(room: Room, tmp_path: Path) -> None:
     scratch = room.data.run("tiny", "room", ".sfm.partial") / "scratch"
@@ -67,7 +124,7 @@ def test_a_stage_killed_anywhere_ends_in_the_same_tables(room: Room, tmp_path: P
         f"if __name__ == '__main__':\n"
         f"    execute(STAGE, 'room', 'tiny', DataRoot(Path({str(room.data.root)!r})), {_SETTINGS})\n"
     )
-    for reached in (scratch / "database.db", scratch / "pairs.txt", scratch / "mapping"):
+    for reached in (scratch / "database-1_1024.db", scratch / "pairs.txt", scratch / "mapping_0"):
         process = subprocess.Popen([sys.executable, program], start_new_session=True)
         while not reached.exists() and process.poll() is None:
             time.sleep(0.005)
@@ -89,18 +146,45 @@ def test_images_without_texture_end_in_a_clear_error(room: Room) -> None:
 
 
 def test_a_model_of_too_few_frames_is_refused_with_figures(room: Room) -> None:
-    for image in room.frames["image"][3:]:
-        (room.data.captures("room") / image).write_bytes(_grey_jpeg())
+    _blank(room, 3)
+    with pytest.raises(UserError) as caught:
+        _run(room, "min_registered=0.9", "retries=false", "transitive_pairs=0")
+    assert "14 frames" in str(caught.value)
+    assert "as set (incremental)" in str(caught.value)
+    assert "more pairs" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_the_ladder_is_climbed_to_its_end_before_the_stage_gives_up(room: Room) -> None:
+    _blank(room, 3)
     with pytest.raises(UserError) as caught:
         _run(room, "min_registered=0.9")
-    assert "14 frames" in str(caught.value)
-    assert "verified" in str(caught.value)
+    for attempt in ("as set", "more pairs", "more features", "other mapper (global)", "from VIO (vio)"):
+        assert f"\n{attempt}" in str(caught.value)
+
+
+@pytest.mark.slow
+def test_a_later_attempt_can_be_the_one_that_is_taken(room: Room) -> None:
+    # Nothing proposes a pair across the walks at first, and half of the frames are too few.
+    few = ["sequence_pairs=3", "vio_pairs=0", "retrieval_pairs=0", "transitive_pairs=0"]
+    folder = _run(room, *few, "min_registered=0.9")
+    attempts = pd.read_parquet(folder / "attempts.parquet")
+    assert attempts["outcome"].tolist() == ["too few frames registered", "taken"]
+    assert attempts["attempt"].tolist() == ["as set", "more pairs"]
+    images = pd.read_parquet(folder / "images.parquet")
+    assert images["registered"].sum() == attempts["registered"].iloc[-1] >= 0.9 * len(images)
 
 
 def test_a_frame_without_its_image_is_named(room: Room) -> None:
     (room.data.captures("room") / room.frames["image"][4]).unlink()
     with pytest.raises(UserError, match="one/000004"):
         _run(room)
+
+
+def _blank(room: Room, first: int) -> None:
+    """Make all images from that one on grey."""
+    for image in room.frames["image"][first:]:
+        (room.data.captures("room") / image).write_bytes(_grey_jpeg())
 
 
 def _grey_jpeg() -> bytes:

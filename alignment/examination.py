@@ -1,0 +1,389 @@
+"""Is the model right? Scale and vertical of each of its parts, and every check before ground truth is given out."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from alignment.agreement import Allowance, PoseSd, Window, compare, worst_by_frame
+from alignment.components import BridgeSd, Component, Placed, place_components
+from alignment.diagnosis import Diagnosis, diagnose
+from alignment.gate import (
+    BROKEN_OFF,
+    DISAGREES,
+    INTRINSICS,
+    LOOK_ALIKE,
+    MIRRORED,
+    OTHER_SCENE,
+    TOO_FEW,
+    VIO_SCALE,
+    VIO_VERTICAL,
+    Gate,
+)
+from alignment.map_frame import common_scale, common_vertical
+from alignment.quality import contradicted, judge, sfm_covariances
+from alignment.segments import Segment, cut_segments, frame_components
+from alignment.settings import AlignSettings
+from alignment.uncertainty import covariance_in_map
+from artefacts import UserError
+from geometry.fits import direction_angles
+from geometry.motion_agreement import MISTAKES
+from geometry.poses import Array
+
+NOT_REGISTERED = "SfM didn't register it"
+
+# Faults that leave no part of a model right: which of two places is it, and how far does one focal length bend all?
+_OF_THE_WHOLE = {
+    "session_folded": "look-alike places are folded together in its model",
+    "session_turns": "its model is bent by a session whose intrinsics are wrong",
+}
+_OTHERWISE = (DISAGREES, "SfM moves otherwise than VIO in most steps")
+
+
+@dataclass
+class Examination:
+    """What was found. Arrays are over the rows of the frames table: `registered`, `reason` (why a frame gets no ground
+    truth, empty where it does), and the largest residuals of its windows in metres and radians, NaN in none.
+    `refusal` is why there is no ground truth at all."""
+
+    components: list[Component]
+    placed: list[Placed]
+    windows: list[Window]
+    gate: Gate
+    registered: np.ndarray
+    reason: np.ndarray
+    worst_m: Array
+    worst_rad: Array
+    refusal: UserError | None = None
+    diagnoses: dict[tuple[int, str], Diagnosis] = field(default_factory=dict)
+
+    @property
+    def used(self) -> np.ndarray:
+        """(N,) frames with ground truth."""
+        return self.registered & (self.reason == "")
+
+
+def examine(
+    frames: pd.DataFrame, images: pd.DataFrame, jumps: pd.DataFrame, recordings: dict[str, str], settings: AlignSettings
+) -> Examination:
+    """Check SfM's models against VIO and put those that pass into one map.
+
+    `frames` and `jumps` are import's tables, `images` SfM's in the order of `frames`. Raises UserError where there is
+    nothing to compare; a model that is wrong is told in `refusal`.
+    """
+    if not images["registered"].any():
+        raise UserError(
+            "there is nothing to align: SfM registered no frame",
+            where="sfm.images",
+            found=f"0 of {len(images)} frames registered",
+            do="look at the sfm recording and its pairs table",
+        )
+    names, component_of = frame_components(frames, images)
+    gate, count = Gate(), len(frames)
+    found = Examination(
+        [],
+        [],
+        [],
+        gate,
+        images["registered"].to_numpy(bool),
+        np.where(images["registered"], "", NOT_REGISTERED).astype(object),
+        np.full(count, np.nan),
+        np.full(count, np.nan),
+    )
+    _check_registered(found, frames, settings)
+    allowance = _allowance(settings)
+    sd = PoseSd(settings.position_sd_m, float(np.radians(settings.rotation_sd_deg)))
+    # Scale and agreement are compared between all jumps, also those that an alignment lives with.
+    segments = cut_segments(
+        frames,
+        images,
+        jumps,
+        recordings,
+        component_of,
+        jump_m=settings.segment_jump_m,
+        jump_deg=settings.segment_jump_deg,
+    )
+    pieces = cut_segments(frames, images, jumps, recordings, component_of, jump_m=0.0, jump_deg=0.0)
+    for index, name in enumerate(names):
+        own = [s for s in segments if s.component == index]
+        component = _component(found, index, name, own, [p for p in pieces if p.component == index], settings)
+        if component is None:
+            continue
+        found.components.append(component)
+        _check_sessions(found, component, allowance, settings)
+        for piece in component.pieces:
+            windows = compare(piece, component.metric_S_sfm, settings.window_m, allowance, sd)
+            metres, radians, wrong = worst_by_frame(piece, windows)
+            found.worst_m[piece.rows], found.worst_rad[piece.rows] = metres, radians
+            _refuse(found, piece.rows[wrong], "SfM and VIO disagree here")
+            found.windows += windows
+    for window in found.windows:
+        gate.check_window(window)
+    _check_unsure(found, frames, images, settings)
+    _place(found, settings, allowance, sd)
+    found.refusal = _refusal(found, frames, settings)
+    return found
+
+
+def _allowance(settings: AlignSettings) -> Allowance:
+    return Allowance(
+        settings.drift_m,
+        settings.drift_m_per_m,
+        float(np.radians(settings.drift_deg)),
+        float(np.radians(settings.drift_deg_per_m)),
+    )
+
+
+def _refuse(found: Examination, rows: np.ndarray, reason: str) -> None:
+    """Give no ground truth to these rows; the first reason stays."""
+    rows = rows[found.reason[rows] == ""]
+    found.reason[rows] = reason
+
+
+def _check_registered(found: Examination, frames: pd.DataFrame, settings: AlignSettings) -> None:
+    known, count = int(found.registered.sum()), len(frames)
+    found.gate.check(
+        "registered",
+        known / count,
+        settings.least_registered,
+        "share",
+        TOO_FEW,
+        f"SfM registered {known} of {count} frames",
+        frames=count,
+        at_least=True,
+    )
+    session = frames["session_id"].to_numpy(str)
+    for session_id in sorted(set(session)):
+        own = session == session_id
+        known, count = int((own & found.registered).sum()), int(own.sum())
+        found.gate.check(
+            "session_registered",
+            known / count,
+            settings.least_registered,
+            "share",
+            # Hardly a frame of a whole session finds its place in the scene.
+            OTHER_SCENE if known < 0.1 * count and found.registered.any() else TOO_FEW,
+            f"SfM registered {known} of the session's {count} frames",
+            session_id=session_id,
+            frames=count,
+            at_least=True,
+        )
+
+
+def _component(
+    found: Examination, index: int, name: str, segments: list[Segment], pieces: list[Segment], settings: AlignSettings
+) -> Component | None:
+    """A model's scale and vertical; None, and noted, where they can't be had. The first model's must."""
+    try:
+        scale = common_scale(
+            pieces,
+            window_m=settings.window_m,
+            least_extent_m=settings.least_extent_m,
+            window_sd=settings.window_scale_sd,
+            phone_sd=settings.phone_scale_sd,
+        )
+        vertical = common_vertical(segments, phone_sd=float(np.radians(settings.phone_tilt_sd_deg)))
+    except UserError as error:
+        if index == 0:
+            raise
+        rows = np.concatenate([s.rows[s.registered] for s in segments])
+        reason = f"its part of the model has no scale or vertical: {error.what}"
+        found.gate.check(
+            "component_metric", None, 0.0, "m", BROKEN_OFF, reason, component=index, frames=len(rows), at_least=True
+        )
+        _refuse(found, rows, reason)
+        return None
+    return Component(index, name, segments, pieces, scale, vertical)
+
+
+def _check_sessions(found: Examination, component: Component, allowance: Allowance, settings: AlignSettings) -> None:
+    """Each session's motion, turns, scale and vertical in one model; a session that fails gets no ground truth."""
+    for session_id in dict.fromkeys(s.session_id for s in component.segments):
+        own = [s for s in component.segments if s.session_id == session_id]
+        rows = np.concatenate([s.rows[s.registered] for s in own])
+        if not len(rows):
+            continue
+        about: dict[str, Any] = {"session_id": session_id, "component": component.index, "frames": len(rows)}
+        diagnosis = diagnose([p for p in component.pieces if p.session_id == session_id], allowance)
+        found.diagnoses[component.index, session_id] = diagnosis
+        reasons = _motion_faults(found.gate, diagnosis, settings, about)
+        if not reasons:
+            # A scale or vertical by poses that are wrong themselves would tell nothing.
+            reasons = _shared_faults(found.gate, component, own[0].recording, settings, about)
+        if reasons:
+            _refuse(found, rows, reasons[0])
+
+
+def _motion_faults(gate: Gate, diagnosis: Diagnosis, settings: AlignSettings, about: dict[str, Any]) -> list[str]:
+    """Reasons of the failed checks of a session's motion."""
+    reasons: list[str] = []
+
+    def check(name: str, value: float, limit: float, cause: str, reason: str, *, at_least: bool = False) -> None:
+        if not gate.check(name, value, limit, "share", cause, reason, at_least=at_least, **about):
+            reasons.append(reason)
+
+    motions = diagnosis.motions
+    if motions.pairs:
+        cause, reason = MISTAKES.get(motions.mistake or "", _OTHERWISE)
+        # A mirror image that explains clearly more is a fault, however much a walk straight on agrees all the same.
+        mirrored = cause == MIRRORED
+        limit = max(motions.mirrors.values()) if mirrored else settings.motion_agreeing
+        check("session_motion", motions.explained, limit, cause, reason, at_least=True)
+    if reasons:
+        # Turns and places say nothing where motions don't agree at all.
+        return reasons
+    if np.isfinite(motions.turn_gain):
+        word = "less" if motions.turn_gain < 1 else "more"
+        check(
+            "session_turns",
+            abs(motions.turn_gain - 1),
+            settings.turn_gain_limit + 2 * motions.turn_gain_sd,
+            INTRINSICS,
+            f"SfM turns {abs(motions.turn_gain - 1):.1%} {word} than VIO: the focal length isn't the captured one",
+        )
+    check(
+        "session_folded",
+        diagnosis.folded,
+        settings.folded_limit,
+        LOOK_ALIKE,
+        f"SfM puts places together that VIO has up to {diagnosis.folded_m:.1f} m apart",
+    )
+    return reasons
+
+
+def _shared_faults(
+    gate: Gate, component: Component, recording: str, settings: AlignSettings, about: dict[str, Any]
+) -> list[str]:
+    """Reasons of the failed checks of a session's scale and vertical against the others'."""
+    reasons: list[str] = []
+    scale, vertical = component.scale, component.vertical
+    # One recording has no other to differ from.
+    if recording in scale.recordings and len(scale.recordings) > 1:
+        off = float(np.expm1(scale.recordings[recording].log - scale.log))
+        reason = f"this session's VIO measures {abs(off):.1%} {'more' if off > 0 else 'less'} than the others'"
+        # What the session's own windows can't tell apart isn't held against it.
+        limit = settings.session_scale_limit + 2 * scale.recordings[recording].sd
+        if not gate.check("session_scale", abs(off), limit, "share", VIO_SCALE, reason, **about):
+            reasons.append(reason)
+    if recording in vertical.recordings and len(vertical.recordings) > 1:
+        tilt_deg = float(np.degrees(direction_angles(vertical.recordings[recording][None], vertical.up_sfm)[0]))
+        reason = f"this session's gravity points {tilt_deg:.1f} degrees away from the others'"
+        limit = settings.session_tilt_limit_deg
+        if not gate.check("session_vertical", tilt_deg, limit, "deg", VIO_VERTICAL, reason, **about):
+            reasons.append(reason)
+    return reasons
+
+
+def _check_unsure(found: Examination, frames: pd.DataFrame, images: pd.DataFrame, settings: AlignSettings) -> None:
+    """A frame of class A stands on its own. One that SfM isn't sure of needs VIO's word: it must move as VIO does, more
+    closely than drift is allowed for elsewhere; where most of a session's don't, none of them is believed."""
+    covariance = sfm_covariances(images["covariance"])
+    checked = np.isfinite(found.worst_m)
+    for component in found.components:
+        own = covariance_in_map(covariance, component.metric_S_sfm)
+        sure = judge(frames, images, own, checked, settings) == "A"
+        for session_id in dict.fromkeys(s.session_id for s in component.segments):
+            unsure, wrong = [], []
+            for segment in (s for s in component.segments if s.session_id == session_id):
+                part = segment.where(segment.both & found.used[segment.rows])
+                if len(part.rows) < 2:
+                    continue
+                out = contradicted(
+                    part, component.metric_S_sfm, sure[part.rows], settings.unsure_step_m, settings.unsure_share
+                )
+                wrong.extend(part.rows[out])
+                unsure.extend(part.rows[~sure[part.rows]])
+            if not unsure:
+                continue
+            reason = f"SfM isn't sure here, and VIO moves otherwise by more than {settings.unsure_share:.0%}"
+            passed = found.gate.check(
+                "session_unsure",
+                len(wrong) / len(unsure),
+                0.5,
+                "share",
+                DISAGREES,
+                f"of {len(unsure)} frames that SfM isn't sure of {len(wrong)} move otherwise than VIO",
+                session_id=session_id,
+                component=component.index,
+                frames=len(unsure),
+            )
+            _refuse(found, np.array(wrong if passed else unsure, dtype=int), reason)
+
+
+def _place(found: Examination, settings: AlignSettings, allowance: Allowance, sd: PoseSd) -> None:
+    """One map of all models that VIO ties to the first; the others' frames get no ground truth."""
+    for component in found.components:
+        failed = {str(row["check"]) for row in found.gate.failed if row["component"] == component.index}
+        for name in sorted(failed & _OF_THE_WHOLE.keys()):
+            for segment in component.segments:
+                _refuse(found, segment.rows[segment.registered], _OF_THE_WHOLE[name])
+    if not found.used.any():
+        return
+    drift = BridgeSd(settings.bridge_m_per_sqrt_m, float(np.radians(settings.bridge_deg_per_sqrt_m)))
+    found.placed, untied = place_components(
+        found.components,
+        found.used,
+        window_m=settings.window_m / 2,
+        longest_m=settings.bridge_m,
+        allowance=allowance,
+        sd=sd,
+        drift=drift,
+    )
+    for placed in found.placed[1:]:
+        if placed.bridge is not None:
+            found.gate.check(
+                "component_tied",
+                placed.bridge.gap_m,
+                settings.bridge_m,
+                "m",
+                BROKEN_OFF,
+                "",
+                session_id=placed.bridge.session_id,
+                component=placed.component.index,
+                frames=placed.component.frames,
+            )
+    for lost in untied:
+        found.gate.check(
+            "component_tied",
+            None,
+            settings.bridge_m,
+            "m",
+            OTHER_SCENE if lost.gap_m is None else BROKEN_OFF,
+            lost.reason,
+            component=lost.component.index,
+            frames=lost.component.frames,
+        )
+        for segment in lost.component.segments:
+            _refuse(found, segment.rows[segment.registered], lost.reason)
+
+
+def _refusal(found: Examination, frames: pd.DataFrame, settings: AlignSettings) -> UserError | None:
+    registered, used = found.registered, found.used
+    share = registered.mean()
+    if share < settings.least_registered:
+        return UserError(
+            "SfM registered too few frames for ground truth",
+            where="sfm.images",
+            expected=f"at least {settings.least_registered:.0%} of them",
+            found=f"{registered.sum()} of {len(registered)} ({share:.0%})",
+            do="look at the sfm recording; more overlap between frames or sessions may be needed",
+        )
+    good = used.sum() / registered.sum()
+    main = found.gate.main_cause
+    if good >= settings.least_agreeing or main is None:
+        return None
+    where = f"session {main['session_id']}" if main["session_id"] else f"model {main['component']}"
+    if main["t_start_ns"] is not None:
+        largest = max(found.windows, key=lambda w: float(w.position_m.max() / w.limit_m))
+        ids = frames["frame_id"].to_numpy(str)[largest.segment.rows[largest.inside]]
+        where = f"worst from {ids[0]} to {ids[-1]}"
+    failed = len(found.gate.failed)
+    return UserError(
+        f"the SfM model is wrong: {main['cause']}",
+        where=where,
+        expected=f"at least {settings.least_agreeing:.0%} of the frames within what VIO can drift",
+        found=f"{used.sum()} of {registered.sum()} ({good:.0%}); {failed} of {len(found.gate.rows)} checks failed; "
+        f"{main['reason']}",
+        do="look at the sfm recording and at the capture",
+    )

@@ -1,0 +1,263 @@
+"""Does the gate catch what is broken, and name it? `python -m benchmarks.gates --out build/gates`
+
+Thirty broken inputs, five of each kind, and thirty clean ones, all small simulated captures, go through import, sfm and
+align as a user would run them. Caught is what any of the three refuses or what align's gate tells; the name must be
+right. A clean one must come out without a failed check of the scene or a session. `wrong` counts frames that were given
+a ground truth more than 25 cm or 2 degrees from the truth after one similarity fit: catching a fault is worth little if
+wrong labels go out beside it.
+
+Each case is written down when it's done; the same command goes on with the rest. `--seconds` ends a slice.
+"""
+
+import json
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import typer
+
+from alignment.gate import CAUSES, INTRINSICS, LOOK_ALIKE, MIRRORED, OTHER_SCENE, SHUFFLED, VIO_SCALE
+from alignment.stage import STAGE as ALIGN
+from artefacts import DataRoot, UserError, execute
+from artefacts.cli import new_app
+from artefacts.schemas import schema
+from artefacts.tables import poses_of, read_table
+from benchmarks.gates_breaking import (
+    Break,
+    copy_capture,
+    focal_scaled,
+    mirrored,
+    pictures_shuffled,
+    times_shuffled,
+    untouched,
+    vio_scaled,
+    with_walk_of,
+)
+from benchmarks.gates_captures import CORRIDOR, Capture, write_capture
+from capture_import.stage import STAGE as IMPORT
+from geometry import GeometryError
+from geometry.fits import fit_robust, fit_sim3
+from geometry.metrics import position_error, rotation_error_deg
+from sfm.stage import STAGE as SFM
+
+PROFILE = "tiny"
+CLEAN = "clean"
+NOTHING = "nothing"
+_SFM = ["max_features=800", "sequence_pairs=3", "vio_pairs=4", "retrieval_pairs=4", "transitive_pairs=2"]
+# What keeps a corridor's look-alike stretches apart, switched off: every pair of frames is tried.
+_ALL_PAIRS = ["sequence_pairs=40", "vio_max_distance_m=1000", "vio_max_angle_deg=180", "vio_pairs=0"]
+_WALKS = ["walk-1", "walk-2", "walk-3"]
+_PLACES = ("Office", "Stairs", "Square", "Bar", "Atrium", "Church")
+_BACKWARD = "time goes backward"
+_WRONG_M, _WRONG_DEG = 0.25, 2.0
+
+app = new_app(__doc__ or "")
+
+
+@dataclass(frozen=True)
+class Case:
+    """An input: its name, the fault that is to be found, the capture, how it is broken, and sfm's settings."""
+
+    name: str
+    expected: str
+    capture: Capture
+    breaking: Break = untouched
+    other: Capture | None = None
+    sfm: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a case: the fault that was found and where, its words, frames with a wrong ground truth."""
+
+    case: str
+    expected: str
+    found: str
+    stage: str
+    told: str
+    with_ground_truth: int
+    wrong: int
+    worst_m: float | None
+    seconds: float
+
+    @property
+    def right(self) -> bool:
+        return self.found == self.expected or (self.expected == CLEAN and self.found == NOTHING)
+
+
+def cases() -> Iterator[Case]:
+    """All sixty; the first of each kind first, so that a slice sees every kind."""
+    for k in range(5):
+        place, next_place = _PLACES[k], _PLACES[(k + 1) % 5]
+        base = Capture(place, 1)
+        one = _WALKS[k % 3]
+        yield Case(f"another scene {k + 1}", OTHER_SCENE, base, other=Capture(next_place, 1))
+        flips = [(_WALKS, 1), ([one], 1), (_WALKS, 0), (_WALKS, 1), ([one], 0)][k]
+        yield Case(f"mirrored {k + 1}", MIRRORED, base, mirrored(*flips))
+        focal = [(_WALKS, 1.1), (_WALKS, 0.9), ([one], 1.1), (_WALKS, 1.1), (_WALKS, 0.9)][k]
+        yield Case(f"intrinsics {k + 1}", INTRINSICS, base, focal_scaled(*focal))
+        yield Case(f"VIO scale {k + 1}", VIO_SCALE, base, vio_scaled(one, (1.1, 0.9)[k % 2]))
+        yield Case(f"look-alike {k + 1}", LOOK_ALIKE, Capture(CORRIDOR, k + 1, 1), sfm=_ALL_PAIRS)
+        shuffle = pictures_shuffled if k % 2 == 0 else times_shuffled
+        walks = [_WALKS, _WALKS, [one], [one], _WALKS][k]
+        yield Case(f"shuffled {k + 1}", SHUFFLED, base, shuffle(walks, k))
+        for clean in _PLACES:
+            yield Case(f"clean {clean} {k + 1}", CLEAN, Capture(clean, k + 1))
+
+
+def run_case(case: Case, captures: Path) -> Outcome:
+    """Take a case through the stages in a data folder of its own."""
+    start = time.monotonic()
+    with tempfile.TemporaryDirectory() as temporary:
+        data = DataRoot(Path(temporary))
+        scene = "Case"
+        data.captures(scene).parent.mkdir(parents=True)
+        copy_capture(_rendered(captures, case.capture), data.captures(scene))
+        breaking = case.breaking
+        if case.other is not None:
+            breaking = with_walk_of(_rendered(captures, case.other), _WALKS[-1])
+        breaking(data.captures(scene))
+        found, stage, told = _found(data, scene, case)
+        given, wrong, worst_m = _wrong_frames(data, scene)
+    return Outcome(case.name, case.expected, found, stage, told, given, wrong, worst_m, time.monotonic() - start)
+
+
+def _rendered(captures: Path, capture: Capture) -> Path:
+    folder = captures / f"{capture.place}-{capture.seed}-{capture.walks}"
+    if not folder.is_dir():
+        write_capture(folder, capture)
+    return folder
+
+
+def _found(data: DataRoot, scene: str, case: Case) -> tuple[str, str, str]:
+    """The fault that the pipeline tells first, the stage that does, and in which words."""
+    for stage, settings in ((IMPORT, []), (SFM, [*_SFM, *case.sfm]), (ALIGN, [])):
+        try:
+            execute(stage, scene, PROFILE, data, settings)
+        except UserError as error:
+            text = " ".join(str(error).split())
+            return _named(text), stage.name, text
+        if stage is IMPORT:
+            rejects = read_table(data.run(PROFILE, scene, "import") / "rejects.parquet", schema("import", "rejects"))
+            backward = int(rejects["reason"].str.contains(_BACKWARD).sum())
+            if backward:
+                return SHUFFLED, stage.name, f"{backward} rows: {_BACKWARD}"
+    gate = read_table(data.run(PROFILE, scene, "align") / "gate.parquet", schema("align", "gate"))
+    failed = gate[~gate["passed"]]
+    # A window that fails costs its frames; a fault is what a scene or a session is told for.
+    failed = failed[~failed["check"].str.startswith("window_")]
+    if not len(failed):
+        return NOTHING, "", ""
+    row = failed.iloc[int(failed["cause"].map(CAUSES.index).to_numpy().argmin())]
+    return str(row["cause"]), "align", f"{row['session_id'] or 'scene'}: {row['reason']}"
+
+
+def _named(text: str) -> str:
+    """The fault that an error names."""
+    if "the images are mirrored" in text or "the images are upside down" in text:
+        return MIRRORED
+    if "the images are unrelated" in text:
+        return SHUFFLED
+    return next((cause for cause in CAUSES if cause in text), "refused without a name")
+
+
+def _wrong_frames(data: DataRoot, scene: str) -> tuple[int, int, float | None]:
+    """Frames with ground truth, those of them that are wrong, and the largest error in metres.
+
+    The largest model is fitted to the truth, robustly, so that a few wrong frames stand out.
+    """
+    path = data.run(PROFILE, scene, "align") / "ground_truth.parquet"
+    if not path.is_file():
+        return 0, 0, None
+    gt = read_table(path, schema("align", "ground_truth"))
+    truth = read_table(data.captures(scene) / "true_poses.parquet", schema("simulate", "true_poses"))
+    sessions = read_table(data.run(PROFILE, scene, "import") / "sessions.parquet", schema("import", "sessions"))
+    known = gt[gt["quality"] != "none"]
+    recording = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
+    keys = pd.DataFrame({"session_id": known["session_id"].map(recording), "t_ns": known["t_ns"]})
+    true_T_cam = poses_of(keys.merge(truth, on=["session_id", "t_ns"], how="left"), "map_cam")
+    map_T_cam = poses_of(known, "map_cam")
+    true, xyz = true_T_cam[:, :3, 3], map_T_cam[:, :3, 3]
+    try:
+        true_S_map, _ = fit_robust(
+            lambda w: fit_sim3(true, xyz, w),
+            lambda s: np.linalg.norm(true - s.points(xyz), axis=1),
+            len(xyz),
+            floor=0.02,
+        )
+    except GeometryError:
+        return len(known), len(known), None
+    placed = true_S_map.poses(map_T_cam)
+    metres, degrees = position_error(placed, true_T_cam), rotation_error_deg(placed, true_T_cam)
+    wrong = (metres > _WRONG_M) | (degrees > _WRONG_DEG)
+    return len(known), int(wrong.sum()), float(metres.max())
+
+
+@app.command()
+def main(
+    out: Annotated[Path, typer.Option(help="Where the table goes, and what is kept between slices.")] = Path(
+        "build/gates"
+    ),
+    only: Annotated[str, typer.Option(help="Only cases whose name begins so.")] = "",
+    seconds: Annotated[float, typer.Option(help="Start no further case after this long; 0: no end.")] = 0.0,
+    again: Annotated[bool, typer.Option("--again", help="Forget what was found before.")] = False,
+) -> None:
+    """Run the cases that are left; prints the table; exits with 1 where a case isn't right."""
+    start = time.monotonic()
+    done = out / "cases"
+    if again:
+        shutil.rmtree(done, ignore_errors=True)
+    done.mkdir(parents=True, exist_ok=True)
+    for case in cases():
+        path = done / f"{case.name.replace(' ', '-')}.json"
+        if not case.name.startswith(only) or path.is_file():
+            continue
+        if seconds and time.monotonic() - start > seconds:
+            break
+        outcome = run_case(case, out / "captures")
+        path.write_text(json.dumps(asdict(outcome), indent=2) + "\n", encoding="utf-8")
+        print(
+            f"{outcome.case}: expected {outcome.expected}, found {outcome.found} ({outcome.seconds:.0f} s)", flush=True
+        )
+    names = [case.name for case in cases()]
+    outcomes = [Outcome(**json.loads(path.read_text(encoding="utf-8"))) for path in done.glob("*.json")]
+    outcomes.sort(key=lambda outcome: names.index(outcome.case))
+    table = _table(outcomes, len(names))
+    (out / "gates.md").write_text(table, encoding="utf-8")
+    print(table)
+    if not all(outcome.right for outcome in outcomes):
+        raise typer.Exit(1)
+
+
+def _table(outcomes: list[Outcome], wanted: int) -> str:
+    lines = [
+        "Simulated captures.",
+        "",
+        "| case | expected | found | by | right | frames with ground truth | wrong | worst, m |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for o in outcomes:
+        worst = "" if o.worst_m is None else f"{o.worst_m:.3f}"
+        cells = [o.case, o.expected, o.found, o.stage, "yes" if o.right else "**no**", o.with_ground_truth, o.wrong]
+        lines.append(f"| {' | '.join(map(str, cells))} | {worst} |")
+    broken = [o for o in outcomes if o.expected != CLEAN]
+    clean = [o for o in outcomes if o.expected == CLEAN]
+    caught = sum(o.found != NOTHING for o in broken)
+    lines += [
+        "",
+        f"{len(outcomes)} of {wanted} cases run. Broken: {caught} of {len(broken)} caught, "
+        f"{sum(o.right for o in broken)} named rightly. Clean: {sum(not o.right for o in clean)} of {len(clean)} "
+        f"refused. Wrong ground truth given out: {sum(o.wrong for o in outcomes)} frames.",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    app()

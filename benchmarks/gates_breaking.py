@@ -1,0 +1,127 @@
+"""Ways to break a capture for `benchmarks.gates`: each takes a folder that is its own copy and changes it in place."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from simulation.simulate import TRUE_POSES
+
+Break = Callable[[Path], None]
+_INTRINSICS = (0, 4)  # fx and fy in the row-major matrix
+_POSITION = (3, 7, 11)
+
+
+def copy_capture(source: Path, target: Path) -> None:
+    """A copy whose pictures are hard links where the file system has them."""
+    shutil.copytree(source, target, copy_function=_link)
+    for path in target.rglob("*.json"):
+        # Only these are changed in place.
+        content = path.read_bytes()
+        path.unlink()
+        path.write_bytes(content)
+
+
+def mirrored(walks: list[str], axis: int = 1) -> Break:
+    """Pictures mirrored left to right (1) or upside down (0)."""
+
+    def apply(folder: Path) -> None:
+        for walk in walks:
+            for path in sorted((folder / walk).glob("*.jpg")):
+                flipped = cv2.flip(cv2.imread(str(path)), axis)
+                path.unlink()
+                cv2.imwrite(str(path), flipped, [cv2.IMWRITE_JPEG_QUALITY, 95])
+
+    return apply
+
+
+def focal_scaled(walks: list[str], factor: float) -> Break:
+    """Captured focal lengths off by a factor."""
+
+    def change(frame: dict[str, Any]) -> None:
+        for k in _INTRINSICS:
+            frame["intrinsics"][k] *= factor
+        for k in (0, 5):
+            frame["projectionMatrix"][k] *= factor
+
+    return _in_frames(walks, change)
+
+
+def vio_scaled(walk: str, factor: float) -> Break:
+    """One walk's VIO longer or shorter."""
+
+    def change(frame: dict[str, Any]) -> None:
+        for k in _POSITION:
+            frame["cameraPoseARFrame"][k] *= factor
+
+    return _in_frames([walk], change)
+
+
+def pictures_shuffled(walks: list[str], seed: int) -> Break:
+    """Pictures dealt out anew among the poses and times of their walk."""
+
+    def apply(folder: Path) -> None:
+        rng = np.random.default_rng(seed)
+        for walk in walks:
+            paths = sorted((folder / walk).glob("*.jpg"))
+            order = rng.permutation(len(paths))
+            for k, path in enumerate(paths):
+                path.rename(path.with_name(f"dealt.{k}"))
+            for k, path in enumerate(paths):
+                path.with_name(f"dealt.{order[k]}").rename(path)
+
+    return apply
+
+
+def times_shuffled(walks: list[str], seed: int) -> Break:
+    """Times dealt out anew among the frames of their walk, picture and pose together."""
+
+    def apply(folder: Path) -> None:
+        rng = np.random.default_rng(seed)
+        for walk in walks:
+            paths = sorted((folder / walk).glob("frame_*.json"))
+            frames = [json.loads(path.read_text()) for path in paths]
+            times = [frames[k]["time"] for k in rng.permutation(len(frames))]
+            for path, frame, time in zip(paths, frames, times, strict=True):
+                path.write_text(json.dumps(frame | {"time": time}))
+
+    return apply
+
+
+def with_walk_of(other: Path, walk: str) -> Break:
+    """A walk through another place put in the place of one of this one."""
+
+    def apply(folder: Path) -> None:
+        shutil.rmtree(folder / walk)
+        shutil.copytree(other / walk, folder / walk)
+
+    return apply
+
+
+def untouched(folder: Path) -> None:
+    """As it was captured."""
+
+
+def _in_frames(walks: list[str], change: Callable[[dict[str, Any]], None]) -> Break:
+    def apply(folder: Path) -> None:
+        for walk in walks:
+            for path in sorted((folder / walk).glob("frame_*.json")):
+                frame = json.loads(path.read_text())
+                change(frame)
+                path.write_text(json.dumps(frame))
+
+    return apply
+
+
+def _link(source: str, target: str) -> None:
+    if Path(source).name == TRUE_POSES:
+        shutil.copyfile(source, target)
+        return
+    try:
+        Path(target).hardlink_to(source)
+    except OSError:
+        shutil.copyfile(source, target)

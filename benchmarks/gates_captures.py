@@ -1,0 +1,136 @@
+"""Small simulated captures for `benchmarks.gates`: three walks over the same stretch of a place, and a corridor whose
+stretches look alike."""
+
+import zlib
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from artefacts.schemas import schema
+from artefacts.stage import SIMULATED_MARKER, write_json
+from artefacts.tables import pose_frame, write_table
+from simulation import details, materials
+from simulation.canvas import Canvas
+from simulation.capture import write_frames
+from simulation.mesh import TexturedMesh, build_mesh
+from simulation.place import Builder, Light
+from simulation.render import Renderer
+from simulation.scenes import SceneryPlan, scenery
+from simulation.session import SessionOutline, plan_session, take
+from simulation.settings import SimulateSettings
+from simulation.simulate import TRUE_POSES
+from simulation.walks import Route
+
+CORRIDOR = "Corridor"
+_LENGTH_M, _WIDTH_M, _HEIGHT_M = 44.0, 2.4, 2.6
+_SETTINGS = SimulateSettings(width=320, height=240, texel_m=0.03, supersampling=1)
+# Seconds of a walk, with one picture a second.
+_WALK_S = {"Stairs": 24, "Office": 24, CORRIDOR: 34}
+_OTHER_WALK_S = 20
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Which capture: a place, a seed, and how many walks."""
+
+    place: str
+    seed: int
+    walks: int = 3
+
+
+def write_capture(folder: Path, capture: Capture) -> None:
+    """Render a capture into `folder`, which must not be there, with its true poses beside it."""
+    plan = _corridor(capture.seed) if capture.place == CORRIDOR else scenery(capture.place, capture.seed)
+    work = folder.with_name(f".{folder.name}.partial")
+    work.mkdir(parents=True, exist_ok=True)
+    settings = _SETTINGS
+    build_mesh(plan.place, settings.texel_m, capture.seed, lambda items, _: items).save(work / ".mesh")
+    renderer = Renderer(TexturedMesh.load(work / ".mesh"))
+    truth = []
+    for outline in _outlines(capture):
+        target = work / outline.name
+        target.mkdir(exist_ok=True)
+        indoor = capture.place in (CORRIDOR, "Stairs", "Office", "Atrium")
+        session = plan_session(outline, plan, settings, indoor, renderer, target, capture.seed)
+        for shot in session.shots:
+            take(shot, renderer, settings)
+        write_frames(target, session.frames)
+        table = pose_frame("map_cam", session.world_T_cam)
+        table.insert(0, "session_id", session.frames.name)
+        table.insert(1, "t_ns", session.t_ns)
+        truth.append(table)
+    write_table(work / TRUE_POSES, pd.concat(truth, ignore_index=True), schema("simulate", "true_poses"))
+    write_json(work / SIMULATED_MARKER, {"what": "Simulated capture for benchmarks.gates", **vars(capture)})
+    for path in (work / ".mesh").iterdir():
+        path.unlink()
+    (work / ".mesh").rmdir()
+    work.rename(folder)
+
+
+def _outlines(capture: Capture) -> list[SessionOutline]:
+    """Walks over the same stretch, side by side, begun a step apart, hours after each other."""
+    rng = np.random.default_rng([capture.seed, zlib.crc32(capture.place.encode())])
+    start = 0.0 if capture.place == CORRIDOR else float(rng.uniform())
+    seconds = _WALK_S.get(capture.place, _OTHER_WALK_S)
+    sides = np.linspace(-0.7, 0.7, capture.walks) if capture.walks > 1 else [0.0]
+    boots = 20_000 + np.cumsum(rng.uniform(5_000, 20_000, capture.walks))
+    return [
+        SessionOutline(f"walk-{k + 1}", seconds, float(side), start + 0.01 * k, float(boot))
+        for k, (side, boot) in enumerate(zip(sides, boots, strict=True))
+    ]
+
+
+def _corridor(seed: int) -> SceneryPlan:
+    """A straight corridor of equal stretches: the same doors, the same pictures, the same floor, again and again; one
+    notice in each is its own."""
+    rng = np.random.default_rng([seed, 7])
+    period = float(rng.uniform(4.0, 6.0))
+
+    b = Builder(CORRIDOR, (_WIDTH_M, _LENGTH_M), _HEIGHT_M, Light(0.9), seed, 0.6)
+    x, end = _WIDTH_M / 2, _LENGTH_M / 2
+    edges = np.append(np.arange(-end, end - 0.5, period), end)
+    for k, (low, high) in enumerate(pairwise(edges)):
+        b.wall(f"west{k}", (-x, high), (-x, low), 0, _HEIGHT_M, _repeated(seed, period, k, 0))
+        b.wall(f"east{k}", (x, low), (x, high), 0, _HEIGHT_M, _repeated(seed + 1, period, k, 1))
+        b.floor(f"floor{k}", (-x, low), (x, high), 0, _same(seed + 2, materials.tiles(0.5, _STONE, (70, 74, 78))))
+        b.ceiling(f"ceiling{k}", (-x, low), (x, high), _HEIGHT_M, _same(seed + 3, materials.panels((200, 204, 206))))
+    for name, left, right in (("north", (-x, -end), (x, -end)), ("south", (x, end), (-x, end))):
+        b.wall(name, left, right, 0, _HEIGHT_M, materials.plaster((170, 190, 200), 0.6))
+    far = end - 1.2
+    route = Route([(0.25, far, 0), (0.25, 0.0, 0), (0.25, -far, 0), (-0.25, -far, 0), (-0.25, 0.0, 0), (-0.25, far, 0)])
+    return SceneryPlan(b.place, replace(route, spread_m=0.2, speed_mps=1.1, look_deg=10, far_glances=0.0))
+
+
+_STONE = [(150, 162, 170), (120, 132, 142), (96, 110, 126)]
+
+
+def _same(seed: int, paint: materials.Material) -> materials.Material:
+    """The material painted from a seed of its own, so that it comes out the same wherever it is."""
+
+    def painted(c: Canvas) -> None:
+        own, c.rng = c.rng, np.random.default_rng(seed)
+        paint(c)
+        c.rng = own
+
+    return painted
+
+
+def _repeated(seed: int, period_m: float, number: int, side: int) -> materials.Material:
+    def furnish(c: Canvas) -> None:
+        materials.plaster((186, 200, 206), 0.5)(c)
+        details.door(c, 0.4, 0.95, 2.1, details.bright(c.rng))
+        details.poster(c, 1.7, 0.9, 0.8, 1.2)
+        details.picture(c, 2.8, 1.2, 0.8, 0.6)
+        for k in range(3):
+            details.notice(c, 1.5 + 0.4 * k, 2.2, 0.25, 0.3)
+        c.add(c.noise((0.04, 0.15, 0.6)), (7, 7, 7))
+
+    def paint(c: Canvas) -> None:
+        _same(seed, furnish)(c)
+        details.notice(c, min(3.65, c.width_m - 0.4), 1.3, 0.25, 0.35)
+        c.text(0.5, 2.3, 0.12, f"{10 * side + number}", (40, 40, 60), 0.6)
+
+    return paint

@@ -1,0 +1,145 @@
+"""Inputs of the ground-truth benchmark: simulated scenes, parts of one capture, and COLMAP's stock way as a process."""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pycolmap
+
+from artefacts import DataRoot, UserError
+from artefacts.schemas import schema
+from artefacts.stage import MANIFEST, hash_files
+from artefacts.tables import poses_of, read_table, write_table
+from benchmarks.stages import Cost, measure
+from geometry import GeometryError
+from geometry.fits import fit_sim3, pose_residuals
+from geometry.poses import Array
+from sfm.database import create_database, image_name
+from sfm.features import extract_features
+from sfm.model import load_models
+from sfm.settings import SfmSettings
+
+PROFILE = "demo"
+
+
+def run_stage(module: str, scene: str, root: DataRoot, *settings: str) -> Cost:
+    """Run a stage of a scene as a process of its own, and what that cost."""
+    sets = [word for setting in settings for word in ("--set", setting)]
+    arguments = ["--scene", scene, "--profile", PROFILE, "--data", str(root.root), *sets]
+    return measure([sys.executable, "-m", module, *arguments], root.run(PROFILE, scene, module))
+
+
+def simulated(scene: str, root: DataRoot, *settings: str) -> None:
+    """A simulated scene up to import."""
+    run_stage("simulation", scene, root, *settings)
+    run_stage("capture_import", scene, root)
+
+
+def real(scene: str, folder: Path, root: DataRoot) -> None:
+    """A real capture up to import; its folder is linked, not copied."""
+    captures = root.captures(scene)
+    captures.parent.mkdir(parents=True, exist_ok=True)
+    if not captures.is_symlink():
+        captures.symlink_to(folder.resolve(), target_is_directory=True)
+    run_stage("capture_import", scene, root)
+
+
+def part_of(scene: str, whole: DataRoot, part: DataRoot, frames: int) -> None:
+    """Another data folder with the first `frames` frames of an imported scene, session by session."""
+    source, target = whole.run(PROFILE, scene, "import"), part.run(PROFILE, scene, "import")
+    if (target / MANIFEST).is_file():
+        return
+    table = read_table(source / "frames.parquet", schema("import", "frames"))
+    table = table.sort_values(["session_id", "t_ns"], kind="stable").reset_index(drop=True)
+    if len(table) < frames:
+        raise UserError("the capture is too small for this part", where=source, expected=frames, found=len(table))
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(source, target, ignore=shutil.ignore_patterns(MANIFEST, "*.rrd"))
+    write_table(target / "frames.parquet", table.iloc[:frames], schema("import", "frames"))
+    captures = part.captures(scene)
+    captures.parent.mkdir(parents=True, exist_ok=True)
+    captures.symlink_to(whole.captures(scene).resolve(), target_is_directory=True)
+    manifest = json.loads((source / MANIFEST).read_text(encoding="utf-8"))
+    manifest["outputs"] = hash_files(target, target.glob("*.parquet"))
+    (target / MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
+
+
+def true_poses(scene: str, root: DataRoot) -> Array:
+    """The true map_T_cam (N, 4, 4) of the frames of an imported simulated scene."""
+    folder = root.run(PROFILE, scene, "import")
+    frames = read_table(folder / "frames.parquet", schema("import", "frames"))
+    sessions = read_table(folder / "sessions.parquet", schema("import", "sessions")).set_index("session_id")
+    truth = read_table(root.captures(scene) / "true_poses.parquet", schema("simulate", "true_poses"))
+    keys = pd.DataFrame({"session_id": frames["session_id"].map(sessions["recording"]), "t_ns": frames["t_ns"]})
+    return poses_of(keys.merge(truth, on=["session_id", "t_ns"], how="left", validate="many_to_one"), "map_cam")
+
+
+def errors_after_sim3(sfm_T_cam: Array, model_N: np.ndarray, true_T_cam: Array) -> tuple[Array, Array]:
+    """Errors in metres and degrees of registered frames, each model (`model_N`, -1 for none) fitted to the truth alone.
+
+    Models of fewer than three frames, or of frames on a line, can't be fitted and don't count.
+    """
+    metres, degrees = [np.empty(0)], [np.empty(0)]
+    for number in range(int(model_N.max(initial=-1)) + 1):
+        own = model_N == number
+        try:
+            fit = fit_sim3(true_T_cam[own, :3, 3], sfm_T_cam[own, :3, 3])
+        except GeometryError:
+            continue
+        error_m, error_rad = pose_residuals(true_T_cam[own], fit.poses(sfm_T_cam[own]), np.eye(4))
+        metres.append(error_m)
+        degrees.append(np.degrees(error_rad))
+    return np.concatenate(metres), np.concatenate(degrees)
+
+
+def sfm_poses(scene: str, root: DataRoot) -> tuple[Array, np.ndarray]:
+    """sfm_T_cam (N, 4, 4) of a finished sfm stage and the number of each frame's model, -1 for none."""
+    images = read_table(root.run(PROFILE, scene, "sfm") / "images.parquet", schema("sfm", "images"))
+    # pandas counts a missing id as -1.
+    return poses_of(images, "sfm_cam"), pd.factorize(images["model_id"])[0]
+
+
+def stock_poses(folder: Path, frames: int) -> tuple[Array, np.ndarray]:
+    """The same of the largest model that `stock` built."""
+    sizes = {path: pycolmap.Reconstruction(path).num_reg_images() for path in folder.glob("[0-9]*")}
+    if not sizes:
+        return np.full((frames, 4, 4), np.nan), np.full(frames, -1)
+    model = load_models([max(sizes, key=lambda path: sizes[path])], frames)
+    return model.sfm_T_cam, model.model
+
+
+def stock(scene: str, root: DataRoot, folder: Path, settings: SfmSettings) -> None:
+    """COLMAP's stock way: our features, every pair matched, incremental mapping, its own options throughout.
+
+    The captured intrinsics are held fixed, as ours are; left free, one image's focal length is a guess.
+    """
+    frames = read_table(root.run(PROFILE, scene, "import") / "frames.parquet", schema("import", "frames"))
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    names = [image_name(i, image) for i, image in zip(frames["frame_id"], frames["image"], strict=True)]
+    for name, image in zip(names, frames["image"], strict=True):
+        link = folder / "images" / name
+        link.parent.mkdir(parents=True, exist_ok=True)
+        link.symlink_to((root.captures(scene) / image).resolve())
+    database = folder / "database.db"
+    create_database(database, frames, names)
+
+    def report(done: int, note: str = "") -> None:
+        print(f"features of {done} of {len(names)} images", file=sys.stderr)
+
+    extract_features(report, database, folder / "images", names, settings)
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.use_gpu = False
+    pycolmap.match_exhaustive(database, matching, device=pycolmap.Device.cpu)
+    options = pycolmap.IncrementalPipelineOptions()
+    options.ba_refine_focal_length = options.ba_refine_extra_params = False
+    options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
+    pycolmap.incremental_mapping(database, folder / "images", folder, options)
+
+
+if __name__ == "__main__":
+    _scene, _root, _folder, _settings = sys.argv[1:]
+    stock(_scene, DataRoot(Path(_root)), Path(_folder), SfmSettings.model_validate_json(_settings))

@@ -1,0 +1,55 @@
+"""The held-out check: matches that took no part in mapping, and how well the finished poses explain them.
+
+What is left out are whole tracks, all matches of a feature wherever it was seen: a match whose feature still ties other
+frames together would be no independent witness. The error is Sampson's, which needs no point fitted to the match, and
+is taken of the matches that took part, too: where the poses follow their noise, theirs is the smaller one.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from geometry.poses import Array
+from sfm.pairs import Pairs
+
+Ints = NDArray[np.int64]
+
+
+def choose_held_out(
+    pair_M: Ints, match_M2: Ints, pairs: Pairs, keypoints_N: Ints, share: float, seed: int
+) -> NDArray[np.bool_]:
+    """Which of M matches are left out, (M,): those of a `share` of the tracks.
+
+    Match m ties the features `match_M2[m]` of the frames `pairs[pair_M[m]]`. A track that holds two features of one
+    frame is wrong somewhere and never left out.
+    """
+    start = np.concatenate([[0], np.cumsum(keypoints_N)])
+    a, b = (start[pairs[pair_M, side]] + match_M2[:, side] for side in (0, 1))
+    graph = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(start[-1], start[-1]))
+    count, track = connected_components(graph, directed=False)
+    frame = np.repeat(np.arange(len(keypoints_N)), keypoints_N)
+    places, seen = np.unique(track * np.int64(len(keypoints_N)) + frame, return_counts=True)
+    consistent = np.ones(count, bool)
+    consistent[places[seen > 1] // len(keypoints_N)] = False
+    chosen = np.random.default_rng(seed).random(count) < share
+    return np.asarray((chosen & consistent)[track[a]], bool)
+
+
+def sampson_px(a_T_b: Array, ray_a: Array, ray_b: Array, focal_a: Array, focal_b: Array) -> Array:
+    """Sampson's distance of matches in pixels, (M,).
+
+    `a_T_b` (M, 4, 4) relative poses of any scale, rays (M, 3) with z = 1 in each camera, focal lengths (M,) in pixels.
+    First-order distance of a match from the epipolar constraint (Hartley and Zisserman, "Multiple View Geometry", 2nd
+    ed., eq. 11.9), in the pixels of both images.
+    """
+    x, y, z = a_T_b[:, :3, 3].T
+    zero = np.zeros_like(x)
+    cross = np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
+    essential = cross @ a_T_b[:, :3, :3]
+    line_a = np.einsum("mij,mj->mi", essential, ray_b)
+    line_b = np.einsum("mji,mj->mi", essential, ray_a)
+    gradient = np.sum((line_a[:, :2] / focal_a[:, None]) ** 2, axis=1)
+    gradient += np.sum((line_b[:, :2] / focal_b[:, None]) ** 2, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.abs(np.sum(ray_a * line_a, axis=1)) / np.sqrt(gradient)

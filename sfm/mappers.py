@@ -1,0 +1,134 @@
+"""Mappers behind one interface: from a database of verified pairs to models, each in a gauge of its own."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from geometry.poses import Array
+from sfm.from_vio import map_from_vio
+from sfm.settings import MapperName
+
+SMALLEST_MODEL = 3
+_LEAF_IMAGES = 200
+
+
+@dataclass(frozen=True)
+class MappingInput:
+    """What a mapper starts from: the database, its images, VIO of its N frames (N, 4, 4) and their sessions (N,)."""
+
+    database: Path
+    images: Path
+    vio_T_cam: Array
+    session: NDArray[np.object_]
+    refine_intrinsics: bool
+    seed: int
+
+
+class Mapper(Protocol):
+    """`folder` is the mapper's to write in; `registered` is called once an image, where the mapper tells."""
+
+    def __call__(
+        self, given: MappingInput, folder: Path, registered: Callable[[], None]
+    ) -> list[pycolmap.Reconstruction]: ...
+
+
+def incremental(given: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
+    """COLMAP's incremental mapping (Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016)."""
+    options = pipeline_options(given)
+    return _listed(
+        pycolmap.incremental_mapping(given.database, given.images, folder, options, next_image_callback=registered)
+    )
+
+
+def continued(
+    given: MappingInput,
+    base: pycolmap.Reconstruction,
+    least_inliers: int,
+    folder: Path,
+    registered: Callable[[], None],
+) -> list[pycolmap.Reconstruction]:
+    """Incremental mapping that goes on from a model, registering images with at least so many inliers."""
+    start = folder / "base"
+    start.mkdir()
+    base.write_binary(start)
+    options = pipeline_options(given)
+    options.multiple_models = False
+    options.mapper.abs_pose_min_num_inliers = least_inliers
+    return _listed(
+        pycolmap.incremental_mapping(
+            given.database, given.images, folder, options, input_path=start, next_image_callback=registered
+        )
+    )
+
+
+def global_(given: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
+    """COLMAP's global mapping (Pan et al., "Global structure-from-motion revisited", GLOMAP, ECCV 2024)."""
+    options = pycolmap.GlobalPipelineOptions()
+    options.num_threads = options.mapper.num_threads = 1
+    options.random_seed = options.mapper.random_seed = given.seed
+    options.mapper.rotation_averaging.random_seed = given.seed
+    options.mapper.global_positioning.random_seed = given.seed
+    options.mapper.retriangulation.random_seed = given.seed
+    options.mapper.global_positioning.use_gpu = False
+    adjustment = options.mapper.bundle_adjustment
+    adjustment.ceres.use_gpu = False
+    adjustment.ceres.solver_options.num_threads = 1
+    adjustment.refine_focal_length = given.refine_intrinsics
+    adjustment.refine_extra_params = False
+    options.min_model_size = SMALLEST_MODEL
+    return _listed(pycolmap.global_mapping(given.database, given.images, folder, options))
+
+
+def hierarchical(given: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
+    """COLMAP's hierarchical mapping: clusters of images mapped incrementally, then merged."""
+    options = pycolmap.HierarchicalPipelineOptions()
+    options.num_threads = options.num_workers = 1
+    options.incremental_options = pipeline_options(given)
+    options.clustering_options.leaf_max_num_images = _LEAF_IMAGES
+    return _listed(pycolmap.hierarchical_mapping(given.database, given.images, folder, options))
+
+
+def from_vio(given: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
+    """Points triangulated from VIO's poses, sessions joined by their points, then everything adjusted freely."""
+    return map_from_vio(
+        given.database, given.images, folder, given.vio_T_cam, given.session, pipeline_options(given), given.seed
+    )
+
+
+MAPPERS: dict[MapperName, Mapper] = {
+    "incremental": incremental,
+    "global": global_,
+    "hierarchical": hierarchical,
+    "vio": from_vio,
+}
+
+
+def pipeline_options(given: MappingInput) -> pycolmap.IncrementalPipelineOptions:
+    options = pycolmap.IncrementalPipelineOptions()
+    # On several threads two runs may differ in the last bits, and then in which points they keep; one thread repeats.
+    options.num_threads = 1
+    options.mapper.num_threads = 1
+    options.random_seed = given.seed
+    options.mapper.random_seed = given.seed
+    options.triangulation.random_seed = given.seed
+    options.min_model_size = SMALLEST_MODEL
+    options.extract_colors = False
+    # A fraction of the time of COLMAP's own steps, poses as good (docs/sfm.md); the whole is adjusted at the end.
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = 2.0
+    options.ba_global_max_refinements = 1
+    options.ba_global_max_num_iterations = 15
+    options.ba_local_max_refinements = 1
+    options.ba_refine_focal_length = given.refine_intrinsics
+    options.ba_refine_extra_params = False
+    options.mapper.abs_pose_refine_focal_length = given.refine_intrinsics
+    options.mapper.abs_pose_refine_extra_params = False
+    return options
+
+
+def _listed(models: dict[int, pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:
+    return [model for _, model in sorted(models.items()) if model.num_reg_images() >= SMALLEST_MODEL]

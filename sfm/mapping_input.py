@@ -1,0 +1,129 @@
+"""What goes into mapping, and what is held out to check it with."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pycolmap
+from numpy.typing import NDArray
+
+from geometry.poses import Array, relative
+from sfm.database import Ints, camera_of, create_database, image_id, image_name
+from sfm.held_out import choose_held_out, sampson_px
+from sfm.pairs import Pairs
+
+
+@dataclass(frozen=True)
+class Matches:
+    """M verified matches of the pairs that go into mapping: rows of two frames (M, 2), keypoints in pixels (M, 2) each,
+    and whether it was left out."""
+
+    frames: Ints
+    xy_a: Array
+    xy_b: Array
+    held_out: NDArray[np.bool_]
+
+
+def write_mapping_input(
+    source: Path,
+    target: Path,
+    frames: pd.DataFrame,
+    pairs: Pairs,
+    held_out: float,
+    seed: int,
+) -> None:
+    """Write the database `target` of the verified matches of `pairs` without a `held_out` share of the tracks.
+
+    Beside it lies what `read_matches` reads.
+    """
+    names = [image_name(i, image) for i, image in zip(frames["frame_id"], frames["image"], strict=True)]
+    target.unlink(missing_ok=True)
+    with pycolmap.Database.open(source) as opened:
+        keypoints = [opened.read_keypoints(image_id(row)) for row in range(len(frames))]
+        geometries = [opened.read_two_view_geometry(image_id(a), image_id(b)) for a, b in pairs.tolist()]
+    counts = np.array([len(k) for k in keypoints])
+    each = [np.asarray(g.inlier_matches, np.int64).reshape(-1, 2) for g in geometries]
+    pair_M = np.repeat(np.arange(len(pairs)), np.array([len(m) for m in each], np.int64))
+    match_M2 = np.concatenate([np.empty((0, 2), np.int64), *each])
+    out_M = choose_held_out(pair_M, match_M2, pairs, counts, held_out, seed)
+
+    partial = target.with_name(target.name + ".partial")
+    partial.unlink(missing_ok=True)
+    create_database(partial, frames, names)
+    bounds = np.concatenate([[0], np.cumsum([len(m) for m in each])])
+    with pycolmap.Database.open(partial) as database, pycolmap.DatabaseTransaction(database):
+        for row, found in enumerate(keypoints):
+            database.write_keypoints(image_id(row), found)
+        for index, (a, b) in enumerate(pairs.tolist()):
+            geometry, kept = geometries[index], ~out_M[bounds[index] : bounds[index + 1]]
+            geometry.inlier_matches = each[index][kept].astype(np.uint32)
+            database.write_two_view_geometry(image_id(a), image_id(b), geometry)
+    start = np.concatenate([[0], np.cumsum(counts)])
+    every = np.concatenate([np.empty((0, 2)), *(k[:, :2] for k in keypoints)]).astype(float)
+    ends = pairs[pair_M]
+    xy_a, xy_b = (every[start[ends[:, side]] + match_M2[:, side]] for side in (0, 1))
+    np.savez(target.with_suffix(".npz"), frames=ends, xy_a=xy_a, xy_b=xy_b, held_out=out_M)
+    # Last, so that the database is there only when all is.
+    partial.replace(target)
+
+
+def read_matches(target: Path) -> Matches:
+    """The matches behind the database that `write_mapping_input` wrote."""
+    with np.load(target.with_suffix(".npz")) as file:
+        return Matches(**file)
+
+
+@dataclass(frozen=True)
+class HeldOutCheck:
+    """Sampson's distance (M,) of each match from the finished poses, px, NaN where its frames aren't in one model; the
+    frames of each match (M, 2), the model that has them (M,), -1 where none has, and whether it was left out (M,)."""
+
+    error_px: Array
+    frames: Ints
+    model: Ints
+    held_out: NDArray[np.bool_]
+
+    def count(self, *, held_out: bool, model: int | None = None) -> int:
+        return int(self._chosen(held_out, model).sum())
+
+    def median_px(self, *, held_out: bool, model: int | None = None) -> float | None:
+        """None where there is none."""
+        errors = self.error_px[self._chosen(held_out, model)]
+        return float(np.median(errors)) if len(errors) else None
+
+    def by_frame(self, frames: int, *, held_out: bool) -> tuple[Ints, Array]:
+        """How many such matches each frame has, (N,), and their median error, (N,), NaN for none."""
+        chosen = self._chosen(held_out, None)
+        errors = pd.Series(np.repeat(self.error_px[chosen], 2)).groupby(self.frames[chosen].ravel())
+        count, median = np.zeros(frames, np.int64), np.full(frames, np.nan)
+        count[errors.count().index], median[errors.median().index] = errors.count(), errors.median()
+        return count, median
+
+    def _chosen(self, held_out: bool, model: int | None) -> NDArray[np.bool_]:
+        return (self.held_out == held_out) & (self.model >= 0 if model is None else self.model == model)
+
+
+def held_out_check(matches: Matches, frames: pd.DataFrame, sfm_T_cam: Array, model_N: Ints) -> HeldOutCheck:
+    """Hold all matches against finished poses (N, 4, 4); `model_N` says which model has each frame, -1 for none."""
+    a, b = matches.frames.T
+    model = np.where(model_N[a] == model_N[b], model_N[a], -1)
+    known = model >= 0
+    ray_a, ray_b = (_rays(frames, side[known], xy[known]) for side, xy in ((a, matches.xy_a), (b, matches.xy_b)))
+    focal = frames[["fx", "fy"]].to_numpy(float).mean(axis=1)
+    a_T_b = relative(sfm_T_cam[a[known]], sfm_T_cam[b[known]])
+    errors = np.full(len(a), np.nan)
+    errors[known] = sampson_px(a_T_b, ray_a, ray_b, focal[a[known]], focal[b[known]])
+    return HeldOutCheck(errors, matches.frames, model, matches.held_out)
+
+
+def _rays(frames: pd.DataFrame, frame_M: Ints, xy_M2: Array) -> Array:
+    """Rays (M, 3) with z = 1 through pixels (M, 2) of the frames' cameras."""
+    rays = np.ones((len(frame_M), 3))
+    order = np.argsort(frame_M, kind="stable")
+    bounds = np.searchsorted(frame_M[order], np.arange(len(frames) + 1))
+    for row, frame in enumerate(frames.itertuples(index=False)):
+        mine = order[bounds[row] : bounds[row + 1]]
+        if len(mine):
+            rays[mine, :2] = camera_of(frame, image_id(row)).cam_from_img(xy_M2[mine])
+    return rays

@@ -1,0 +1,160 @@
+"""What the phones' odometry knows of pairs of frames, and how far to believe it. Pure functions on arrays.
+
+Within a session VIO knows the motion between two frames up to its drift, which grows with the path between them. Across
+sessions it knows gravity alone: where each session began and where it looked is unknown until the model is aligned.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.poses import Array, rotation_angle
+from sfm.pairs import Pairs
+
+# Below this median angle between the rays of a pair's points the images hardly tell the direction of motion.
+_LEAST_TRIANGULATION = np.radians(3.0)
+# A direction that may be this far off is no check of one.
+_WIDEST_DIRECTION = np.radians(60.0)
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """VIO of N frames. Poses vio_T_cam (N, 4, 4) and gravity (N, 3, unit, camera axes) are NaN where it has none;
+    `travelled_m`, `jumped_m` and `jumped_rad` (N,) add up path and jumps from the session's first frame on."""
+
+    session: NDArray[np.object_]
+    vio_T_cam: Array
+    gravity_cam: Array
+    travelled_m: Array
+    jumped_m: Array
+    jumped_rad: Array
+
+
+@dataclass(frozen=True)
+class DriftLimits:
+    """What VIO can be off by between two frames with a path of s metres between them, jumps added.
+
+    Position `m` + `m_per_m` s: scale and heading are off. Rotation `rad` + `rad_per_root_m` sqrt(s): a random walk,
+    with what two images leave open in the constant. Gravity doesn't drift: `gravity_rad`.
+    """
+
+    m: float
+    m_per_m: float
+    rad: float
+    rad_per_root_m: float
+    gravity_rad: float
+    direction_rad: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """P pairs' two-view poses against VIO, angles in radians (P,), NaN where there is nothing to compare."""
+
+    rotation: Array
+    rotation_limit: Array
+    direction: Array
+    direction_limit: Array
+    gravity: Array
+    reason: NDArray[np.object_]
+
+    @property
+    def agrees(self) -> NDArray[np.bool_]:
+        """(P,) nothing speaks against the pair."""
+        return np.asarray(self.reason == "", bool)
+
+    def replace(self, index: int, other: "Comparison") -> None:
+        """Put the one pair of another comparison in the place of pair `index`."""
+        for mine in fields(self):
+            getattr(self, mine.name)[index] = getattr(other, mine.name)[0]
+
+    def selected(self, pairs: NDArray[np.int64], count: int) -> "Comparison":
+        """This comparison of `pairs` (P,) as one of `count` pairs, of which nothing else is known."""
+        whole = nothing_compared(count)
+        for mine in fields(self):
+            getattr(whole, mine.name)[pairs] = getattr(self, mine.name)
+        return whole
+
+
+def nothing_compared(pairs: int) -> Comparison:
+    """So many pairs that nothing is known to speak against."""
+    a, b, c, d, e = (np.full(pairs, np.nan) for _ in range(5))
+    return Comparison(a, b, c, d, e, np.full(pairs, "", object))
+
+
+def odometry(
+    session_N: NDArray[np.object_],
+    t_ns_N: NDArray[np.int64],
+    vio_T_cam: Array,
+    gravity_cam: Array,
+    jumps: Iterable[tuple[str, int, float, float]],
+) -> Odometry:
+    """`jumps` are (session, time of the first pose after it in ns, metres, radians)."""
+    travelled, jumped_m, jumped_rad = (np.zeros(len(session_N)) for _ in range(3))
+    for session in np.unique(session_N):
+        rows = np.flatnonzero(session_N == session)
+        rows = rows[np.argsort(t_ns_N[rows], kind="stable")]
+        known = rows[np.isfinite(vio_T_cam[rows, 0, 0])]
+        if len(known):
+            steps = np.linalg.norm(np.diff(vio_T_cam[known, :3, 3], axis=0), axis=1)
+            travelled[rows] = np.interp(t_ns_N[rows], t_ns_N[known], np.concatenate([[0.0], np.cumsum(steps)]))
+    for session, t_ns, metres, radians in jumps:
+        after = (session_N == session) & (t_ns_N >= t_ns)
+        jumped_m[after] += metres
+        jumped_rad[after] += radians
+    return Odometry(session_N, vio_T_cam, gravity_cam, travelled, jumped_m, jumped_rad)
+
+
+def drift_between(vio: Odometry, pairs: Pairs, limits: DriftLimits) -> tuple[Array, Array]:
+    """What VIO can be off by between the two frames of each pair: metres (P,) and radians (P,)."""
+    a, b = pairs.T
+    path_m = np.abs(vio.travelled_m[a] - vio.travelled_m[b])
+    metres = limits.m + limits.m_per_m * path_m + np.abs(vio.jumped_m[a] - vio.jumped_m[b])
+    radians = limits.rad + limits.rad_per_root_m * np.sqrt(path_m) + np.abs(vio.jumped_rad[a] - vio.jumped_rad[b])
+    return metres, radians
+
+
+def compare_with_vio(
+    pairs: Pairs, a_T_b: Array, triangulation_P: Array, vio: Odometry, limits: DriftLimits
+) -> Comparison:
+    """Two-view poses a_T_b (P, 4, 4; any length of translation, NaN for none) against VIO.
+
+    Within a session the rotation and, where both tell it, the direction of motion are compared; gravity also across
+    sessions. `triangulation_P` is the median angle (rad) between the rays of the pair's points.
+    """
+    a, b = pairs.T
+    drift_m, drift_rad = drift_between(vio, pairs, limits)
+    drift_rad = np.minimum(drift_rad, np.pi)
+    same = (vio.session[a] == vio.session[b]) & np.isfinite(a_T_b[:, 0, 0])
+    same &= np.isfinite(vio.vio_T_cam[a, 0, 0]) & np.isfinite(vio.vio_T_cam[b, 0, 0])
+    rotation, rotation_limit, direction, direction_limit, gravity = (np.full(len(pairs), np.nan) for _ in range(5))
+    cam_R_vio = np.swapaxes(vio.vio_T_cam[:, :3, :3], 1, 2)
+    if same.any():
+        by_vio = cam_R_vio[a[same]] @ vio.vio_T_cam[b[same], :3, :3]
+        rotation[same] = rotation_angle(np.swapaxes(a_T_b[same, :3, :3], 1, 2) @ by_vio)
+        rotation_limit[same] = drift_rad[same]
+
+    moved = vio.vio_T_cam[b, :3, 3] - vio.vio_T_cam[a, :3, 3]
+    distance_m = np.linalg.norm(moved, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        limit = limits.direction_rad + drift_rad + np.arcsin(np.minimum(drift_m / distance_m, 1.0))
+    told = same & (triangulation_P > _LEAST_TRIANGULATION) & (limit < _WIDEST_DIRECTION)
+    if told.any():
+        by_vio = np.einsum("pij,pj->pi", cam_R_vio[a[told]], moved[told])
+        direction[told] = angles_between(a_T_b[told, :3, 3], by_vio)
+        direction_limit[told] = limit[told]
+
+    gravity_b_in_a = np.einsum("pij,pj->pi", a_T_b[:, :3, :3], vio.gravity_cam[b])
+    upright = np.isfinite(gravity_b_in_a).all(axis=1) & np.isfinite(vio.gravity_cam[a]).all(axis=1)
+    gravity[upright] = angles_between(gravity_b_in_a[upright], vio.gravity_cam[a[upright]])
+
+    # Comparisons with NaN are false: what wasn't compared doesn't speak against a pair.
+    reasons = [rotation > rotation_limit, gravity > limits.gravity_rad, direction > direction_limit]
+    reason = np.select(reasons, ["rotation", "gravity", "direction of motion"], "").astype(object)
+    return Comparison(rotation, rotation_limit, direction, direction_limit, gravity, reason)
+
+
+def angles_between(u: Array, v: Array) -> Array:
+    """Angles in radians (P,) between vectors (P, 3); exact for small and large ones."""
+    return np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.sum(u * v, axis=1))

@@ -1,0 +1,97 @@
+"""The relative poses of verified pairs by their images alone."""
+
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from geometry.poses import Array, inverse, make_pose, relative
+from sfm.database import image_id
+from sfm.held_out import sampson_px
+from sfm.odometry import Comparison, DriftLimits, Odometry, compare_with_vio
+from sfm.pairs import Pairs
+
+# COLMAP's own bound for a match that fits, px, and the share of a pair's matches that a pose explains as well.
+_ERROR_PX = 4.0
+_AS_WELL = 0.8
+_LOSS_PX = 1.0
+_MOST_EVALUATIONS = 30
+_LEAST_STEP_M = 1e-3
+
+
+def compare_pairs(database: Path, pairs: Pairs, vio: Odometry, limits: DriftLimits) -> tuple[Array, Comparison]:
+    """Relative poses a_T_b (P, 4, 4) of verified pairs, translations of length 1 or 0, held against VIO.
+
+    A pair that VIO disagrees with has a second hearing: points on a plane, or few of them, may be explained as well by
+    a pose that VIO allows, and then nothing speaks against their pair.
+    """
+    a_T_b, angle = np.full((len(pairs), 4, 4), np.nan), np.full(len(pairs), np.nan)
+    with pycolmap.Database.open(database) as opened:
+        cameras = {camera.camera_id: camera for camera in opened.read_all_cameras()}
+        keypoints: dict[int, Array] = {}
+        for index, (a, b) in enumerate(pairs.tolist()):
+            for row in (a, b):
+                if row not in keypoints:
+                    keypoints[row] = opened.read_keypoints(image_id(row))[:, :2].astype(float)
+            geometry = opened.read_two_view_geometry(image_id(a), image_id(b))
+            ends = (cameras[image_id(a)], keypoints[a], cameras[image_id(b)], keypoints[b])
+            if pycolmap.estimate_two_view_geometry_pose(*ends, geometry):
+                assert geometry.cam2_from_cam1 is not None
+                b_T_a = geometry.cam2_from_cam1.matrix()
+                a_T_b[index] = inverse(make_pose(b_T_a[:, :3], b_T_a[:, 3]))
+                angle[index] = geometry.tri_angle
+        compared = compare_with_vio(pairs, a_T_b, angle, vio, limits)
+        for index in np.flatnonzero(~compared.agrees).tolist():
+            a, b = pairs[index].tolist()
+            matches = opened.read_two_view_geometry(image_id(a), image_id(b)).inlier_matches
+            camera_a, camera_b = cameras[image_id(a)], cameras[image_id(b)]
+            ray_a = np.asarray(camera_a.cam_from_img(keypoints[a][matches[:, 0]]))
+            ray_b = np.asarray(camera_b.cam_from_img(keypoints[b][matches[:, 1]]))
+            start = _as_vio_has_it(a_T_b[index], vio, a, b)
+            other = pose_near(start, ray_a, ray_b, camera_a.mean_focal_length(), camera_b.mean_focal_length())
+            if other is not None:
+                one = slice(index, index + 1)
+                again = compare_with_vio(pairs[one], other[None], angle[one], vio, limits)
+                if again.agrees[0]:
+                    a_T_b[index] = other
+                    compared.replace(index, again)
+    return a_T_b, compared
+
+
+def pose_near(start: Array, ray_a: Array, ray_b: Array, focal_a: float, focal_b: float) -> Array | None:
+    """The pose a_T_b (4, 4) next to `start` that explains matches best, or None where it explains too few of them.
+
+    Rays (M, 2; z = 1) and focal lengths in pixels; Sampson's distance in Cauchy's loss, minimised from `start` on.
+    """
+    rays = [np.concatenate([ray, np.ones((len(ray), 1))], axis=1) for ray in (ray_a, ray_b)]
+    focal = [np.full(len(ray_a), focal_a), np.full(len(ray_a), focal_b)]
+
+    def pose(change: Array) -> Array:
+        shift = start[:3, 3] + change[3:]
+        turned = start[:3, :3] @ Rotation.from_rotvec(change[:3]).as_matrix()
+        return make_pose(turned, shift / max(float(np.linalg.norm(shift)), 1e-12))
+
+    def errors_px(change: Array) -> Array:
+        return np.nan_to_num(sampson_px(np.broadcast_to(pose(change), (len(ray_a), 4, 4)), *rays, *focal))
+
+    fit = least_squares(errors_px, np.zeros(6), loss="cauchy", f_scale=_LOSS_PX, max_nfev=_MOST_EVALUATIONS)
+    return pose(fit.x) if np.mean(errors_px(fit.x) < _ERROR_PX) >= _AS_WELL else None
+
+
+def _as_vio_has_it(a_T_b: Array, vio: Odometry, a: int, b: int) -> Array:
+    """A pair's pose as far as VIO knows it: the whole of it within a session, across sessions its tilt alone."""
+    start = a_T_b.copy()
+    by_vio = relative(vio.vio_T_cam[a], vio.vio_T_cam[b])
+    if vio.session[a] == vio.session[b] and np.isfinite(by_vio).all():
+        step_m = float(np.linalg.norm(by_vio[:3, 3]))
+        start[:3, :3] = by_vio[:3, :3]
+        if step_m > _LEAST_STEP_M:
+            start[:3, 3] = by_vio[:3, 3] / step_m
+        return start
+    down_a, down_b = vio.gravity_cam[a], a_T_b[:3, :3] @ vio.gravity_cam[b]
+    upright, _ = Rotation.align_vectors(down_a[None], down_b[None])
+    start[:3, :3] = upright.as_matrix() @ a_T_b[:3, :3]
+    start[:3, 3] = upright.as_matrix() @ a_T_b[:3, 3]
+    return start

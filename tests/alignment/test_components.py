@@ -1,0 +1,123 @@
+"""Models that nothing visual ties together: each aligned to VIO, joined by VIO within its drift, or left out."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from alignment import gate
+from alignment.components import Bridge, bridge_covariance
+from alignment.ground_truth import align
+from alignment.settings import AlignSettings
+from artefacts import UserError
+from artefacts.tables import poses_of
+from geometry.fits import Sim3, fit_sim3
+from geometry.metrics import position_error
+from geometry.poses import make_pose, yaw_rotation
+
+NOISE = {"sfm_m": 0.005, "sfm_deg": 0.03, "drift_m": 0.01, "drift_yaw_deg": 0.1}
+OTHER_GAUGE = Sim3(2.1, Rotation.from_euler("xyz", [1.0, 0.2, -0.7]).as_matrix(), np.array([-4.0, 9.0, 2.0]))
+
+
+def split(scene, rows: np.ndarray) -> None:
+    """These rows as a second model in a gauge of its own."""
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[rows] = OTHER_GAUGE.poses(sfm[rows])
+    scene.set_sfm(sfm)
+    scene.images.loc[rows, "model_id"] = "incremental/1"
+
+
+def drop(scene, rows: np.ndarray) -> None:
+    scene.images.loc[rows, "registered"] = False
+    scene.images.loc[rows, "model_id"] = None
+
+
+def run(scene, **settings):
+    return align(scene.frames, scene.images, scene.jumps, scene.recordings, AlignSettings(**settings))
+
+
+def errors(aligned, scene) -> np.ndarray:
+    """Position errors (N,) after a similarity fit of the first model, NaN without ground truth."""
+    gt = poses_of(aligned.ground_truth, "map_cam")
+    first = (aligned.ground_truth["component"] == 0).to_numpy(bool, na_value=False)
+    true_S_map = fit_sim3(scene.true_T_cam[first, :3, 3], gt[first, :3, 3])
+    return position_error(true_S_map.poses(gt), scene.true_T_cam)
+
+
+def test_without_drift_two_models_of_one_walk_come_out_as_one(walks) -> None:
+    scene = walks.make(sessions=1)
+    split(scene, np.arange(35, 60))
+    aligned = run(scene)
+    gt = aligned.ground_truth
+    assert gt["component"].tolist() == [0] * 35 + [1] * 25
+    assert gt["gt_uses_vio"].tolist() == [False] * 35 + [True] * 25
+    assert errors(aligned, scene).max() < 1e-8
+    assert aligned.sessions[["segment", "component", "frames"]].to_numpy().tolist() == [[0, 0, 35], [0, 1, 25]]
+    assert aligned.sessions["bridge_m"].isna().tolist() == [True, False]
+    assert aligned.gate["passed"].all()
+
+
+def test_a_bridge_is_as_good_as_its_covariance_says(walks) -> None:
+    far, stated = [], []
+    for seed in range(5):
+        scene = walks.make(**NOISE | {"seed": seed, "sessions": 1, "drift_m": 0.028, "drift_yaw_deg": 0.5})
+        split(scene, np.arange(35, 60))
+        drop(scene, np.arange(35, 38))
+        aligned = run(scene)
+        gt = aligned.ground_truth
+        assert aligned.sessions["bridge_m"].iloc[1] == pytest.approx(4.8, rel=0.2)
+        end = int(np.flatnonzero((gt["component"] == 1).to_numpy(bool, na_value=False))[-1])
+        assert gt["position_sd_m"].iloc[end] > 0.1 > gt["position_sd_m"].iloc[10]
+        assert gt["quality"].iloc[end] == "C" and gt["quality"].iloc[10] == "A"
+        far.append(errors(aligned, scene)[end])
+        stated.append(gt["position_sd_m"].iloc[end])
+    ratio = np.sqrt(np.mean(np.square(far))) / np.sqrt(np.mean(np.square(stated)))
+    assert 0.3 < ratio < 1.6
+
+
+def test_bridge_covariance_is_that_of_samples() -> None:
+    rng = np.random.default_rng(1)
+    bridge = Bridge("walk", 1.0, 2.0, np.array([1.0, 2, 3]), 0.05, 0.02)
+    pose = make_pose(Rotation.random(rng=rng).as_matrix(), [4.0, 2.5, -6])
+    turn = 0.02 * rng.normal(size=40_000)
+    moved = np.einsum("nij,j->ni", yaw_rotation(turn), pose[:3, 3] - bridge.anchor) + bridge.anchor
+    moved += 0.05 * rng.normal(size=moved.shape)
+    samples = np.hstack([np.stack([0 * turn, turn, 0 * turn], axis=1), moved - pose[:3, 3]])
+    expected = bridge_covariance(pose[None, :3, 3], bridge)[0]
+    np.testing.assert_allclose(np.cov(samples.T), expected, atol=0.02 * expected.max())
+
+
+def test_a_longer_way_than_vio_may_be_trusted_for_is_no_bridge(walks) -> None:
+    scene = walks.make(**NOISE | {"sessions": 1})
+    split(scene, np.arange(45, 60))
+    drop(scene, np.arange(30, 45))
+    aligned = run(scene)
+    gt = aligned.ground_truth
+    assert (gt["quality"].iloc[45:] == "none").all() and (gt["component"].iloc[:30] == 0).all()
+    assert "VIO alone for" in gt["reason"].iloc[50]
+    (row,) = aligned.gate[~aligned.gate["passed"]].to_dict("records")
+    assert (row["cause"], row["component"]) == (gate.BROKEN_OFF, 1)
+
+
+def test_sessions_that_place_a_model_differently_are_believed_neither(walks) -> None:
+    scene = walks.make(**NOISE | {"sessions": 2})
+    split(scene, np.r_[40:60, 100:120])
+    assert (run(scene).ground_truth["quality"] != "none").all()
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[100:120, :3, 3] += OTHER_GAUGE.scale * walks.gauge.scale * np.array([4.0, 0, 3])
+    scene.set_sfm(sfm)
+    gt = run(scene).ground_truth
+    assert (gt["quality"].iloc[40:60] == "none").all() and (gt["quality"].iloc[:40] != "none").all()
+    assert "apart" in gt["reason"].iloc[50]
+
+
+def test_a_model_without_motion_is_left_out_and_the_first_must_have_some(walks) -> None:
+    scene = walks.make(sessions=1)
+    vio = poses_of(scene.frames, "vio_cam")
+    vio[50:, :3, 3] = vio[50, :3, 3]
+    scene.set_vio(vio)
+    split(scene, np.arange(50, 60))
+    gt = run(scene).ground_truth
+    assert (gt["quality"].iloc[50:] == "none").all() and "no scale" in gt["reason"].iloc[55]
+    still = walks.make(speed_m=0.0, jitter_m=0.002)
+    with pytest.raises(UserError, match="metric scale"):
+        run(still)

@@ -1,0 +1,186 @@
+"""What the gate catches, by which name, and what it leaves alone: synthetic walks, broken one way at a time."""
+
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from alignment import gate
+from alignment.examination import Examination, examine
+from alignment.picture import draw_gate
+from alignment.settings import AlignSettings
+from artefacts.schemas import schema
+from artefacts.tables import poses_of
+from geometry.poses import make_pose
+
+FRAMES = 30
+NOISE = {"frames": FRAMES, "sfm_m": 0.01, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1, "phone_scale": 0.002}
+
+
+def run(scene) -> Examination:
+    return examine(scene.frames, scene.images, scene.jumps, scene.recordings, AlignSettings())
+
+
+def of_walk(scene, number: int) -> np.ndarray:
+    """Rows of one walk."""
+    return np.flatnonzero(scene.frames["session_id"] == f"walk{number}")
+
+
+def faults(found: Examination) -> set[tuple[str, str]]:
+    """Causes and sessions of all failed checks but those of windows."""
+    return {(r["cause"], r["session_id"]) for r in found.gate.failed if not str(r["check"]).startswith("window")}
+
+
+def refused(found: Examination) -> set[int]:
+    """Numbers of the walks that get no ground truth at all."""
+    return {walk for walk, used in enumerate(found.used.reshape(-1, FRAMES)) if not used.any()}
+
+
+def test_clean_walks_pass_every_check(walks) -> None:
+    for seed in range(2):
+        found = run(walks.make(**NOISE | {"seed": seed}))
+        assert not found.gate.failed and found.refusal is None and found.used.all()
+
+
+def mirror(scene, rows: np.ndarray, axis: int) -> None:
+    """SfM poses as mirrored images give them: the mirror image of the motion, in a gauge of its own."""
+    flip = np.ones(4)
+    flip[axis] = -1
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[rows] = np.diag(flip) @ sfm[rows] @ np.diag(flip)
+    scene.set_sfm(sfm)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_mirrored_images_are_named(walks, axis: int) -> None:
+    scene = walks.make(**NOISE)
+    mirror(scene, of_walk(scene, 1), axis)
+    found = run(scene)
+    assert (gate.MIRRORED, "walk1") in faults(found) and refused(found) == {1}
+    mirror(scene, np.concatenate([of_walk(scene, 0), of_walk(scene, 2)]), axis)
+    found = run(scene)
+    assert found.refusal is not None and gate.MIRRORED in found.refusal.what and not found.used.any()
+
+
+def test_shuffled_images_are_named(walks) -> None:
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 2)
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[rows] = sfm[np.random.default_rng(0).permutation(rows)]
+    scene.set_sfm(sfm)
+    found = run(scene)
+    assert faults(found) == {(gate.SHUFFLED, "walk2")} and refused(found) == {2}
+    assert "no relation" in found.reason[rows[0]]
+
+
+@pytest.mark.parametrize("gain", [0.91, 1.11])
+def test_wrong_intrinsics_are_named(walks, gain: float) -> None:
+    """SfM that turns about a tenth too little or too much, its steps right: what a wrong focal length does."""
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 0)
+    sfm = poses_of(scene.images, "sfm_cam")
+    turned = [sfm[rows[0]]]
+    for a, b in pairwise(rows):
+        motion = np.linalg.inv(sfm[a]) @ sfm[b]
+        vector = Rotation.from_matrix(motion[:3, :3]).as_rotvec() * gain
+        turned.append(turned[-1] @ make_pose(Rotation.from_rotvec(vector).as_matrix(), motion[:3, 3]))
+    sfm[rows] = turned
+    scene.set_sfm(sfm)
+    found = run(scene)
+    assert (gate.INTRINSICS, "walk0") in faults(found) and not found.used.any()
+    assert found.refusal is not None and gate.INTRINSICS in found.refusal.what
+
+
+def test_a_wrong_vio_scale_costs_that_session_its_ground_truth(walks) -> None:
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 1)
+    vio = poses_of(scene.frames, "vio_cam")
+    vio[rows, :3, 3] *= 0.9
+    scene.set_vio(vio)
+    found = run(scene)
+    assert faults(found) == {(gate.VIO_SCALE, "walk1")} and refused(found) == {1}
+    assert "less than the others" in found.reason[rows[0]]
+
+
+def test_folded_places_cost_the_whole_model(walks) -> None:
+    """The second half of a walk laid on its first half, as look-alike places do."""
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 0)
+    sfm = poses_of(scene.images, "sfm_cam")
+    half = FRAMES // 2
+    sfm[rows[half:]] = sfm[rows[:half]]
+    vio = poses_of(scene.frames, "vio_cam")
+    step = make_pose(np.eye(3), vio[rows[half], :3, 3] - vio[rows[0], :3, 3])
+    vio[rows[half:]] = step @ vio[rows[:half]]
+    scene.set_vio(vio)
+    scene.set_sfm(sfm)
+    found = run(scene)
+    assert (gate.LOOK_ALIKE, "walk0") in faults(found) and not found.used.any()
+    assert found.refusal is not None and gate.LOOK_ALIKE in found.refusal.what
+
+
+def test_a_single_wrong_frame_is_no_fold(walks) -> None:
+    scene = walks.make(**NOISE)
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[25] = sfm[5]
+    scene.set_sfm(sfm)
+    found = run(scene)
+    assert not faults(found) and not found.used[25] and found.used.sum() == len(sfm) - 1
+
+
+def test_a_session_of_another_scene_is_named(walks) -> None:
+    """It comes as a model of its own that no session shares, or not at all."""
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 2)
+    scene.images.loc[rows, "model_id"] = "incremental/1"
+    found = run(scene)
+    assert faults(found) == {(gate.OTHER_SCENE, "")} and refused(found) == {2}
+    assert "walk2" in found.gate.main_cause["reason"]
+
+    scene.images.loc[rows, "registered"] = False
+    scene.images.loc[rows, "model_id"] = None
+    found = run(scene)
+    assert faults(found) == {(gate.OTHER_SCENE, "walk2")} and refused(found) == {2}
+
+
+def test_the_picture_is_drawn_for_a_refused_run_too(walks, tmp_path) -> None:
+    scene = walks.make(**NOISE)
+    mirror(scene, np.arange(3 * FRAMES), 0)
+    found = run(scene)
+    draw_gate(tmp_path / "gate.png", found, "Place", simulated=True)
+    assert (tmp_path / "gate.png").read_bytes().startswith(b"\x89PNG")
+    table = found.gate.table()
+    assert list(table.columns) == schema("align", "gate").column_names
+    assert isinstance(table["component"].dtype, pd.Int64Dtype)
+    assert set(table.loc[~table["passed"], "cause"]) <= set(gate.CAUSES)
+
+
+def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks) -> None:
+    """A stretch whose scale is off by 3 %: within what VIO may drift by, so that only its own uncertainty tells."""
+    scene = walks.make(frames=60, sfm_m=0.003, sfm_deg=0.02)
+    rows = of_walk(scene, 0)
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[rows, :3, 3] = sfm[rows[0], :3, 3] + 1.03 * (sfm[rows, :3, 3] - sfm[rows[0], :3, 3])
+    scene.set_sfm(sfm)
+    assert run(scene).used.all()
+
+    unsure = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
+    scene.images.loc[rows, "covariance"] = pd.Series(unsure, dtype=object).iloc[rows]
+    found = run(scene)
+    assert found.used[60:].all() and not found.used[rows].any()
+    assert "isn't sure" in found.reason[rows[0]]
+    (row,) = [r for r in found.gate.failed if r["check"] == "session_unsure"]
+    assert row["session_id"] == "walk0" and row["cause"] == gate.DISAGREES
+
+
+def test_one_unsure_frame_that_is_off_goes_alone(walks) -> None:
+    scene = walks.make(frames=30, sfm_m=0.002, sfm_deg=0.02)
+    scene.images["covariance"] = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
+    assert run(scene).used.all()
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[14, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])
+    scene.set_sfm(sfm)
+    found = run(scene)
+    assert np.flatnonzero(~found.used).tolist() == [14]
