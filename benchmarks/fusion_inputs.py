@@ -15,13 +15,18 @@ from scipy.spatial.transform import Rotation
 
 from artefacts import DataRoot
 from artefacts.schemas import schema
+from artefacts.settings import SplitRules
 from artefacts.tables import read_table
 from capture_import.capture import Limits
 from capture_import.formats import formats
 from capture_import.health import find_jumps, gravity_of
+from capture_import.splits import split_frames
+from fusion.error_map import ErrorMap
+from fusion.evaluate import FuseSettings, Inputs, learnt
 from fusion.walks import Walk, evaluated, known
-from geometry.poses import Array, interpolate, inverse, make_pose, relative
-from simulation.apr_errors import AprModel, apr_seeds, read_apr_models, simulate_apr
+from geometry.metrics import step_lengths
+from geometry.poses import Array, interpolate, inverse, make_pose, relative, yaw_rotation
+from simulation.apr_errors import apr_seeds, read_apr_models, simulate_apr
 from simulation.pose_walks import pose_walks
 from simulation.vio import FITTED, VioModel, simulate_vio
 
@@ -36,12 +41,23 @@ _AWAY_S = 60
 
 @dataclass(frozen=True)
 class Case:
-    """Walks of one kind in one scene, with one regressor's predictions."""
+    """Walks of one kind in one scene, with one regressor's predictions, and what held-out frames of training walks tell
+    of its errors, walk by walk (each draw of a simulated regressor is another one)."""
 
     kind: str
     scene: str
     model: str
     walks: tuple[Walk, ...]
+    error_maps: tuple[ErrorMap | None, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A training walk: true poses map_T_cam (N, 4, 4), and the rows that were held out of training."""
+
+    name: str
+    map_T_cam: Array
+    rows: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,14 +172,50 @@ _KINDS: dict[str, Callable[[str, int], list[Track]]] = {
 
 def simulated_case(kind: str, scene: str, model: str, seeds: Sequence[int]) -> Case:
     """Simulated walks of a kind, with predictions of the error model; each seed is another regressor and phone."""
-    errors = read_apr_models()[scene, model]
     amplitude = 0.1 if kind == BETTER_APR else 1.0
-    walks = [
-        _predicted(track, scene, model, errors, seed, amplitude)
-        for seed in seeds
-        for track in _KINDS[kind](scene, seed)
-    ]
-    return Case(kind, scene, model, tuple(walks))
+    walks, maps = [], []
+    for seed in seeds:
+        regressor = Regressor(scene, model, seed, amplitude)
+        tracks = _KINDS[kind](scene, seed)
+        walks += [_predicted(track, regressor) for track in tracks]
+        maps += [_learnt(regressor, _held_out(scene))] * len(tracks)
+    return Case(kind, scene, model, tuple(walks), tuple(maps))
+
+
+@dataclass(frozen=True)
+class Regressor:
+    """A simulated regressor: as wrong as the published one was in the scene; each seed is wrong in another way."""
+
+    scene: str
+    model: str
+    seed: int
+    amplitude: float = 1.0
+
+    def predict(self, walk: str, map_T_cam: Array) -> Array:
+        """Predictions (N, 4, 4) for true poses of a walk; noise differs from walk to walk, the bias at a place not."""
+        errors = read_apr_models()[self.scene, self.model]
+        return simulate_apr(map_T_cam, errors, *apr_seeds(self.scene, self.model, self.seed, walk), self.amplitude)
+
+
+@cache
+def _learnt(regressor: Regressor, walks: tuple[Held, ...]) -> ErrorMap | None:
+    """What the regressor's errors on held-out frames tell."""
+    poses = [(regressor.predict(w.name, w.map_T_cam)[w.rows], w.map_T_cam[w.rows]) for w in walks]
+    apr, true = (np.concatenate(part) for part in zip(*poses, strict=True))
+    return ErrorMap.learnt(apr, true)
+
+
+@cache
+def _held_out(scene: str) -> tuple[Held, ...]:
+    """The scene's training walks, with the frames that import holds out for validation."""
+    walks = pose_walks(scene, "train")
+    frames = pd.concat(
+        pd.DataFrame({"session_id": w.name, "recording": w.name, "said": None, "t_ns": w.t_ns})
+        for w in (*walks, *pose_walks(scene, "test"))
+    )
+    split = pd.Series(split_frames(frames.reset_index(drop=True), SplitRules(), by_time=False).of_frame)
+    names = frames["session_id"].to_numpy()
+    return tuple(Held(w.name, w.map_T_cam, np.flatnonzero(split[names == w.name] == "val")) for w in walks)
 
 
 # ---------------------------------------------------------------- recorded odometry
@@ -195,9 +247,43 @@ def measured_tracks(folder: Path) -> list[Track]:
 
 
 def recorded_case(kind: str, tracks: list[Track], scene: str, model: str, seed: int = 0) -> Case:
-    """Recorded walks with predictions as wrong as the regressor was in the scene."""
-    errors = read_apr_models()[scene, model]
-    return Case(kind, scene, model, tuple(_predicted(track, scene, model, errors, seed) for track in tracks))
+    """Recorded walks with predictions as wrong as the regressor was in the scene. Each recording is a place of its own,
+    in which five training walks are made up beside it, with a tenth of each held out as import does."""
+    walks, maps = [], []
+    for track in tracks:
+        regressor = Regressor(scene, model, seed)
+        walks.append(_predicted(track, regressor))
+        maps.append(_learnt(regressor, _walked_beside(track)))
+    return Case(kind, scene, model, tuple(walks), tuple(maps))
+
+
+_BESIDE = 5  # training walks
+_BESIDE_M, _BESIDE_DEG = 0.7, 10.0  # how far to the side of the path, and from its viewing direction
+
+
+@cache
+def _walked_beside(track: Track) -> tuple[Held, ...]:
+    """The same way walked again, somewhat to the side and looking somewhat elsewhere; the held-out tenth is at another
+    place in each, as import chooses it."""
+    walks = []
+    count = len(track.t_ns)
+    along = np.concatenate([[0.0], np.cumsum(step_lengths(track.map_T_cam)[0])])
+    for k in range(_BESIDE):
+        rng = np.random.default_rng([_seed("beside", track.name), k])
+        side, ahead, yaw = _smooth(rng, along)
+        turn = yaw_rotation(np.radians(_BESIDE_DEG) * yaw)
+        shift = _BESIDE_M * np.stack([side, np.zeros(count), ahead], axis=1)
+        poses = make_pose(turn @ track.map_T_cam[:, :3, :3], track.map_T_cam[:, :3, 3] + shift)
+        size = round(count * SplitRules().val_fraction)
+        first = int(np.clip(round((k + 0.5) / _BESIDE * count - size / 2), 0, count - size))
+        walks.append(Held(f"{track.name}/{k}", poses, np.arange(first, first + size)))
+    return tuple(walks)
+
+
+def _smooth(rng: np.random.Generator, along_m: Array) -> Array:
+    """Three functions (3, N) of the way walked, of unit variance, that change over some ten metres."""
+    frequency, phase = rng.normal(0, 0.1, (3, 32)), rng.uniform(0, 2 * np.pi, (3, 32))
+    return np.asarray(np.cos(frequency[..., None] * along_m + phase[..., None]).sum(axis=1) / 4)
 
 
 @cache
@@ -286,25 +372,27 @@ def trained_cases(data: DataRoot) -> list[Case]:
         truth = read_table(folder / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
         predictions = read_table(folder / "train" / "predictions.parquet", schema("train", "predictions"))
         for model, rows in predictions.groupby("model", sort=False):
-            joined = evaluated(folder.name, frames, truth, pd.DataFrame(rows), ["test"])
+            rows = pd.DataFrame(rows)
+            walks = tuple(evaluated(folder.name, frames, truth, rows, ["test"]).walks)
+            error_map = learnt(Inputs(folder.name, frames, truth, rows), str(model), FuseSettings())
             scene = f"{folder.name} ({folder.parent.name})"
-            cases.append(Case(TRAINED, scene, str(model), tuple(joined.walks)))
+            cases.append(Case(TRAINED, scene, str(model), walks, (error_map,) * len(walks)))
     return cases
 
 
 # ---------------------------------------------------------------- shared
 
 
-def _predicted(track: Track, scene: str, model: str, errors: AprModel, seed: int, amplitude: float = 1.0) -> Walk:
-    """A walk with simulated predictions. The regressor is the same on all walks of a scene and seed."""
+def _predicted(track: Track, regressor: Regressor) -> Walk:
+    """A walk with simulated predictions."""
     count = len(track.t_ns)
-    name = f"{track.name}~{seed}"
-    apr = simulate_apr(track.map_T_cam, errors, *apr_seeds(scene, model, seed, track.name), amplitude)
+    name = f"{track.name}~{regressor.seed}"
+    apr = regressor.predict(track.name, track.map_T_cam)
     gravity = np.full((count, 3), np.nan)
     there = known(track.vio_T_cam)
     gravity[there] = gravity_of(track.vio_T_cam[there])
     frame_id = np.array([f"{name}/{i:06d}" for i in range(count)], dtype=object)
-    return Walk(scene, name, "test", frame_id, track.t_ns, gravity, track.vio_T_cam, apr, track.map_T_cam)
+    return Walk(regressor.scene, name, "test", frame_id, track.t_ns, gravity, track.vio_T_cam, apr, track.map_T_cam)
 
 
 def _seed(*parts: object) -> int:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.localiser import Status, is_rigid
 from fusion.mobilearloc import MobileARLocOptions, Rule, Verdict, averages_aligned, has_closed_form, reference, scores
 from fusion.odometry import have_jumped
-from fusion.pair_check import are_consecutive, are_consistent, pair_errors
+from fusion.pair_check import are_consecutive, are_consistent, length_errors, pair_errors
 from fusion.walks import Walk, known
 from geometry import GeometryError
 from geometry.poses import Array, tq_from_pose
@@ -91,7 +91,11 @@ class RuleWalk:
         if len(used):
             reading = (options.pair_check, options.rotation_step)
             if reading not in self._errors:
-                self._errors[reading] = pair_errors(self._apr, self._vio, options)
+                self._errors[reading] = (
+                    length_errors(*self._tq, options)
+                    if options.pair_check == "lengths"
+                    else pair_errors(self._apr, self._vio, options)
+                )
             same = piece[used[1:]] == piece[used[:-1]]
             near = are_consecutive(self._seconds, options)
             consistent[1:] = same & near & are_consistent(*self._errors[reading], options)
@@ -139,7 +143,7 @@ class RuleWalk:
         scores: list[float] = []
 
         def has_drifted() -> bool:
-            if k - lock - 1 >= len(scores):
+            while k - lock - 1 >= len(scores):
                 self._score(lock, scores, alignments.map_T_vio[lock], options)
             return scores[k - lock - 1] <= gate
 

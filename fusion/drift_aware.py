@@ -5,19 +5,21 @@ camera's map position and the yaw between the frames, and beside them the regres
 fades as the camera moves on: neighbouring predictions share their error, and counting them as independent would
 make the filter far too sure.
 
-How wrong predictions are is learnt as the walk goes on, for the walk as a whole and for the place: a prediction is a
-bad one whose gravity disagrees with odometry's, whose height disagrees with the one that is well known by then, or
-whose error changes fast. That shows within one frame and needs no threshold in metres. What still doesn't fit has the
-tails of Student's t. Several filters that believe odometry less and less run side by side and share their states by how
-well they predict (interacting multiple models, Blom and Bar-Shalom 1988), so that bad odometry is answered by following
-the regressor.
+How wrong predictions are is known beforehand where frames were held out of the regressor's training (`ErrorMap`), and
+learnt as the walk goes on, for the walk as a whole and for the place: a prediction is a bad one whose gravity disagrees
+with odometry's, whose height disagrees with the one that is well known by then, or whose error changes fast. That shows
+within one frame and needs no threshold in metres. What still doesn't fit has the tails of Student's t. Several filters
+that believe odometry less and less, the last of them not at all, run side by side and share their states by how well
+they predict (interacting multiple models, Blom and Bar-Shalom 1988), so that bad odometry is answered by following the
+regressor, and a jump by aligning anew.
 """
 
-from math import acos, atan2, cos, exp, pi, radians, sin, sqrt
+from math import acos, atan2, cos, exp, lgamma, log, pi, radians, sin, sqrt
 
 import numpy as np
 from pydantic import Field
 
+from fusion.error_map import ErrorMap, Expected
 from fusion.localiser import Estimate, Localiser, State, Status, plain
 from fusion.odometry import OdometryOptions
 from geometry.poses import Array
@@ -26,21 +28,28 @@ from geometry.poses import Array
 # in units of its local standard deviation.
 _ALIGNMENT, _BIAS = slice(0, 4), slice(4, 8)
 _I4, _I8 = np.arange(4), np.arange(8)
-# Learnt variances.
+# Learnt factors of variances, by kind of error.
 _HORIZONTAL, _VERTICAL, _YAW, _TILT = range(4)
 # Tilt and height are known to be errors of the prediction, whatever the alignment is: they count double.
 _SURE = 2.0
-_LEAST = [1e-3, 1e-4, 1e-6, radians(0.3) ** 2]
+_LEAST = 1e-3
+# Filters of a level of distrust go on at it; one whose odometry has lost its frame mostly finds it again at once.
+_STAY_LOST = 0.2
+_LOST_M, _LOST_HEIGHT_M, _LOST_DEG = 10.0, 3.0, 60.0
+_PLACE_M = 40.0
 
 
 class DriftAwareOptions(OdometryOptions):
     """What the filter assumes of odometry and of the regressor before it has seen them."""
 
-    position_sd_m: float = Field(1.5, gt=0, description="a prediction's first assumed error a horizontal axis")
+    position_sd_m: float = Field(
+        1.5, gt=0, description="a prediction's first assumed error a horizontal axis, where no frames were held out"
+    )
     yaw_sd_deg: float = Field(5.0, gt=0, description="a prediction's first assumed yaw error, and tilt error an axis")
     first_factor: float = Field(10.0, ge=1, description="how much larger the variance of the very first is assumed")
     memory_frames: float = Field(80.0, gt=1, description="predictions over which the scales of errors are learnt")
     prior_frames: float = Field(4.0, gt=0, description="predictions that the first assumptions count as")
+    error_map: bool = Field(True, description="use what held-out frames tell of the regressor's errors")
     bias: bool = Field(True, description="model the error that neighbouring predictions share")
     bias_length_m: float = Field(4.0, gt=0, description="motion over which the shared error fades to 1/e")
     turn_length_m: float = Field(2.0, ge=0, description="motion that a turn by one radian counts as")
@@ -56,39 +65,67 @@ class DriftAwareOptions(OdometryOptions):
     drift_deg_m: float = Field(0.5, gt=0, description="odometry's yaw drift over one metre, one sigma")
     drift_deg_s: float = Field(0.05, gt=0, description="odometry's yaw drift over one second, one sigma")
     distrust: list[float] = Field([1.0, 10.0, 100.0, 1000.0], min_length=1, description="drift variances tried")
+    lost: bool = Field(True, description="also try that odometry has lost its frame, so that it tells nothing")
+    evidence: float = Field(0.5, gt=0, le=1, description="how much a prediction counts in judging odometry's quality")
+    outliers: float = Field(0.1, gt=0, lt=1, description="share of predictions that may be anywhere on the map")
     switch: float = Field(0.001, gt=0, lt=0.5, description="probability a frame that odometry's quality changes")
-    evidence: float = Field(0.2, gt=0, le=1, description="how much a prediction counts in judging odometry's quality")
     tilt_sd_deg: float = Field(0.3, gt=0, description="odometry's gravity error an axis")
-    covariance_factor: float = Field(2.0, gt=0, description="what the filter's covariance is multiplied with")
+    covariance_factor: float = Field(
+        2.0, gt=0, description="what the filter's covariance of position is multiplied with"
+    )
+    yaw_covariance_factor: float = Field(1.2, gt=0, description="the same, of yaw")
 
 
 class DriftAware(Localiser):
     """The filter. Every frame from the first prediction on gets a pose and a covariance."""
 
-    def __init__(self, options: DriftAwareOptions | None = None) -> None:
+    def __init__(self, options: DriftAwareOptions | None = None, error_map: ErrorMap | None = None) -> None:
         super().__init__()
         self.options = o = options or DriftAwareOptions()
-        levels = len(o.distrust)
-        self._distrust = np.array(o.distrust)
+        self._error_map = error_map if o.error_map else None
+        sds = np.array([radians(o.yaw_sd_deg), o.position_sd_m, o.position_sd_m / 2, o.position_sd_m])
+        share = o.noise_share if o.bias else 1.0
+        self._usual = Expected(np.zeros(4), (1 - share) * sds**2, share * sds**2, radians(o.yaw_sd_deg) ** 2)
+        levels = len(o.distrust) + o.lost
+        self._distrust = np.array([*o.distrust, *[10 * o.distrust[-1]] * o.lost])
         self._log_distrust = np.log10(self._distrust)
-        # Odometry's quality changes to a neighbouring level.
-        stay = np.eye(levels)
-        near = (np.abs(np.subtract.outer(np.arange(levels), np.arange(levels))) == 1) if levels > 1 else stay
-        self._switching = (1 - o.switch) * stay + o.switch * near / near.sum(1, keepdims=True)
+        # Where odometry is as good as usual, what doesn't fit is the predictions' fault, whose scale is learnt from it;
+        # where it's worse, they are no worse than was known beforehand. Else each could be blamed for the other.
+        self._blames = (np.arange(levels) == 0)[:, None]
+        # Odometry's quality may change from one frame to the next, to any other.
+        self._switching = np.full((levels, levels), o.switch / max(levels - 1, 1))
+        np.fill_diagonal(self._switching, 1 - o.switch)
+        if o.lost:
+            self._switching[-1] = (1 - _STAY_LOST) / (levels - 1)
+            self._switching[-1, -1] = _STAY_LOST
+        # After a jump, or where odometry was gone for a while, it's as likely to have a new frame as the old one.
+        self._switching_watched = self._switching.copy()
+        if o.lost:
+            self._switching_watched /= 2
+            self._switching_watched[:, -1] += 0.5
         # What a metre and a second add to the variances of yaw and position, at each level (L, 4).
         yaw_m, yaw_s = radians(o.drift_deg_m) ** 2, radians(o.drift_deg_s) ** 2
         position, height = o.drift_m**2, o.drift_height_m**2
         self._a_metre = self._distrust[:, None] * np.array([yaw_m, position, height, position])
         # Standing still drifts a little too.
         self._a_second = self._distrust[:, None] * np.array([yaw_s, 0.05 * position, 0.05 * height, 0.05 * position])
+        # What is thought of the alignment where odometry may have lost its frame, whenever a prediction can tell.
+        self._anywhere = np.zeros((levels, 4))
+        if o.lost:
+            self._anywhere[-1] = np.square([radians(_LOST_DEG), _LOST_M, _LOST_HEIGHT_M, _LOST_M])
+        # Normalisation of Student's t in four dimensions, and the density of predictions that are anywhere.
+        nu = o.degrees_of_freedom
+        self._log_t = lgamma((nu + 4) / 2) - lgamma(nu / 2) - 2 * log(nu * pi)
+        self._log_anywhere = log(o.outliers) - log(2 * pi * _PLACE_M**2 * _LOST_HEIGHT_M)
+        widened = np.sqrt([o.yaw_covariance_factor, *[o.covariance_factor] * 3])
+        self._widened = np.outer(widened, widened)
         self._forget()
 
     def _forget(self) -> None:
         o = self.options
-        position, angle = o.position_sd_m**2, radians(o.yaw_sd_deg) ** 2
-        # Learnt variances of predictions, typical over the walk; of their change from one to the next.
-        self._scale = [position, position / 4, angle, angle]
-        self._change = [position, angle]
+        # Learnt factors of predictions' variances over the walk, and of their change from one to the next.
+        self._scale = [1.0, 1.0, 1.0, 1.0]
+        self._change = [1.0, 1.0]
         self._seen = o.prior_frames
         self._evidence = [0.0, 0.0, 0.0, 0.0]  # at this place: tilt, position change, yaw change, height
         self._evidence_frames = 0.0
@@ -98,6 +135,7 @@ class DriftAware(Localiser):
         self._weight = np.zeros(0)
         self._vio: tuple[int, Array] | None = None
         self._lost = False
+        self._afresh()
 
     def _advance(
         self, t_ns: int, vio_T_cam: Array | None, map_T_cam_apr: Array | None, gravity: Array | None
@@ -106,12 +144,10 @@ class DriftAware(Localiser):
             self._lost = self._vio is not None
             if map_T_cam_apr is None:
                 return Estimate(None, Status.NONE, reasons=("no_odometry", "no_prediction"))
-            return Estimate(map_T_cam_apr, Status.PREDICTED, self._raw_covariance(), reasons=("no_odometry",))
+            return self._raw(map_T_cam_apr)
         reasons: tuple[str, ...] = ()
-        moved = 0.0
-        if self._x is not None:
-            moved, jumped = self._predict(t_ns, vio_T_cam)
-            reasons = ("odometry_jump",) if jumped else ()
+        if self._x is not None and self._predict(t_ns, vio_T_cam):
+            reasons = ("odometry_jump",)
         self._vio, self._lost = (t_ns, vio_T_cam), False
         if map_T_cam_apr is None:
             if self._x is None:
@@ -119,48 +155,64 @@ class DriftAware(Localiser):
             return self._estimate(vio_T_cam, *self._mean(), (*reasons, "no_prediction"), {})
         offset = map_T_cam_apr[:3, :3] @ vio_T_cam[:3, :3].T
         yaw = atan2(offset[0, 2] - offset[2, 0], offset[0, 0] + offset[2, 2])
-        measured = np.array([yaw, *map_T_cam_apr[:3, 3]])
+        expected = self._expected(map_T_cam_apr)
+        measured = np.array([yaw, *map_T_cam_apr[:3, 3]]) - expected.error
         down = -vio_T_cam[1, :3] if gravity is None else gravity
         tilt = acos(min(1.0, max(-1.0, float(-map_T_cam_apr[1, :3] @ down))))
         if self._x is None:
-            self._begin(measured, tilt)
+            self._begin(measured, tilt, expected)
             return self._estimate(vio_T_cam, *self._mean(), ("first_prediction",), {"tilt_deg": tilt * 180 / pi})
         signals = {"tilt_deg": tilt * 180 / pi}
-        local = self._correct(measured, tilt, moved, signals)
+        local = self._correct(measured, tilt, signals, expected)
         x, P = self._mean()
-        self._learn(measured, x, P, local)
+        self._learn(measured, x, P, local, expected)
+        self._afresh()
         return self._estimate(vio_T_cam, x, P, reasons, signals)
 
-    def _begin(self, measured: Array, tilt: float) -> None:
+    def _afresh(self) -> None:
+        """A prediction has been taken in: what is counted since the last one begins anew."""
+        self._moved = 0.0  # metres, turns counted in
+        self._drift = np.zeros(4)  # variance that odometry is thought to have added
+        self._mixed = False  # odometry's quality may change once between two predictions
+
+    def _expected(self, map_T_cam_apr: Array) -> Expected:
+        """What is known of a prediction's error before the walk."""
+        if self._error_map is None:
+            return self._usual
+        expected = self._error_map.expected(map_T_cam_apr[:3, 3], map_T_cam_apr[:3, 2])
+        return (
+            expected
+            if self.options.bias
+            else expected._replace(shared=np.zeros(4), noise=expected.shared + expected.noise)
+        )
+
+    def _begin(self, measured: Array, tilt: float, expected: Expected) -> None:
         """The first prediction is all there is: the state is what it says, as uncertain as it is."""
         o, levels = self.options, len(self._distrust)
         self._error = [0.0] * 4
-        tilts = tilt * tilt / self._scale[_TILT] if o.tilt else 2.0
+        tilts = tilt * tilt / (expected.tilt * self._scale[_TILT]) if o.tilt else 2.0
         self._evidence, self._evidence_frames = [tilts, 2.0, 1.0, 1.0], 1.0
         position = (1 + o.cross * tilts) / (1 + 2 * o.cross) if o.local_scale else 1.0
         angle = (1 + tilts) / 3 if o.local_scale else 1.0
-        variance = o.first_factor * self._variances(position, angle)
+        factor = o.first_factor * self._factors(position, angle)
         P = np.zeros((8, 8))
-        P[_I4, _I4] = variance
+        P[_I4, _I4] = factor * (expected.shared + expected.noise)
         P[_I4 + 4, _I4 + 4] = 1.0
-        if o.bias:
-            P[_I4, _I4 + 4] = P[_I4 + 4, _I4] = -np.sqrt((1 - o.noise_share) * variance)
+        P[_I4, _I4 + 4] = P[_I4 + 4, _I4] = -np.sqrt(factor * expected.shared)
         self._x = np.tile(np.concatenate([measured, np.zeros(4)]), (levels, 1))
         self._P = np.tile(P, (levels, 1, 1))
         weight: Array = np.power(0.1, np.arange(levels))
         self._weight = weight / weight.sum()
 
-    def _variances(self, position: float, angle: float) -> Array:
-        """The variances (4,) of a prediction's yaw and position, from how much larger than usual they are here."""
+    def _factors(self, position: float, angle: float) -> Array:
+        """How much larger than expected the variances (4,) of yaw and position are, here and in this walk."""
         horizontal, vertical, yaw, _ = self._scale
         return np.array([yaw * angle, horizontal * position, vertical * position, horizontal * position])
 
-    def _predict(self, t_ns: int, vio_T_cam: Array) -> tuple[float, bool]:
-        """Carry the state along odometry; returns the motion in metres (turns counted in) and whether it jumped."""
+    def _predict(self, t_ns: int, vio_T_cam: Array) -> bool:
+        """Carry the state along odometry; returns whether it jumped."""
         assert self._vio is not None and self._x is not None
         o = self.options
-        self._mix()
-        x, P = self._x, self._P  # both are changed in place
         seconds = (t_ns - self._vio[0]) * 1e-9
         dx, dy, dz = (vio_T_cam[:3, 3] - self._vio[1][:3, 3]).tolist()
         length = sqrt(dx * dx + dy * dy + dz * dz)
@@ -168,6 +220,11 @@ class DriftAware(Localiser):
         moved = length + o.turn_length_m * acos(min(1.0, max(-1.0, cosine)))
         jumped = length > o.vio_speed_m_s * seconds + o.vio_jump_m
 
+        watched, believed = jumped or self._lost, self._weight
+        if watched or not self._mixed:
+            self._mix(self._switching_watched if watched else self._switching)
+            self._mixed = True
+        x, P = self._x, self._P  # both are changed in place
         c, s = np.cos(x[:, 0]), np.sin(x[:, 0])
         east, north = c * dx + s * dz, c * dz - s * dx
         x[:, 1] += east
@@ -183,22 +240,22 @@ class DriftAware(Localiser):
         P[:, _BIAS] *= kept
         P[:, :, _BIAS] *= kept
         drift = length * self._a_metre + seconds * self._a_second
-        if jumped or self._lost:
-            # Where odometry went unwatched, it may have lost the fastest walk, and its heading.
-            far = length**2 + (o.vio_speed_m_s * seconds) ** 2
-            drift = drift + np.array([radians(20.0) ** 2, far, far, far])
-        diagonal = np.einsum("lii->li", P)
+        if watched:
+            drift = drift + self._anywhere
+        self._drift += believed @ drift
+        self._moved += moved
+        diagonal = P.reshape(-1, 64)[:, ::9]  # a view
         diagonal[:, _ALIGNMENT] += drift
         diagonal[:, _BIAS] += 1 - kept**2
-        return moved, jumped
+        return jumped
 
-    def _mix(self) -> None:
+    def _mix(self, switching: Array) -> None:
         """Share the levels' states by how probably odometry has changed from one to the other."""
         assert self._x is not None
         levels = len(self._weight)
         if levels == 1:
             return
-        joint = self._switching * self._weight[:, None]
+        joint = switching * self._weight[:, None]
         weight = joint.sum(axis=0)
         share = (joint / weight).T  # (to, from)
         x = share @ self._x
@@ -207,45 +264,50 @@ class DriftAware(Localiser):
         self._P = (share @ self._P.reshape(levels, 64)).reshape(levels, 8, 8) + spread
         self._x, self._weight = x, weight
 
-    def _correct(self, measured: Array, tilt: float, moved: float, signals: dict[str, float]) -> tuple[float, float]:
-        """Take in a prediction; returns how much larger than usual variances of position and angle are here."""
+    def _correct(
+        self, measured: Array, tilt: float, signals: dict[str, float], expected: Expected
+    ) -> tuple[float, float]:
+        """Take in a prediction; returns how much larger than expected variances of position and angle are here."""
         assert self._x is not None
         o, x, P = self.options, self._x, self._P
+        P.reshape(-1, 64)[:, :32:9] += self._anywhere
         error = measured - x[:, _ALIGNMENT]  # (L, 4)
         error[:, 0] = (error[:, 0] + pi) % (2 * pi) - pi
-        local = self._local_scale((self._weight @ error).tolist(), tilt, moved)
-        variance = self._variances(*local)
-        share = o.noise_share if o.bias else 1.0
-
-        def innovation(variance: Array) -> tuple[Array, Array, Array]:
-            h = np.sqrt((1 - share) * variance)
-            HP = P[:, _ALIGNMENT] + h[:, None] * P[:, _BIAS]
-            S = HP[:, :, _ALIGNMENT] + HP[:, :, _BIAS] * h
-            np.einsum("lii->li", S)[:] += share * variance
-            inverse = np.asarray(np.linalg.inv(S), dtype=float)
-            return error - h * x[:, _BIAS], HP, inverse
-
-        r, HP, inverse = innovation(variance)
+        local = self._local_scale((self._weight @ error).tolist(), tilt, expected)
+        position, angle = local
+        blamed, known = self._factors(position, angle), np.array([angle, position, position, position])
+        factors = np.where(self._blames, blamed, np.minimum(blamed, known))  # (L, 4)
+        h = np.sqrt(factors * expected.shared)
+        noise = factors * expected.noise
+        HP = P[:, _ALIGNMENT] + h[:, :, None] * P[:, _BIAS]
+        S = np.ascontiguousarray(HP[:, :, _ALIGNMENT] + HP[:, :, _BIAS] * h[:, None])
+        diagonal = S.reshape(-1, 16)[:, ::5]  # a view
+        diagonal += noise
+        r = error - h * x[:, _BIAS]
+        inverse = np.asarray(np.linalg.inv(S), dtype=float)
         d2 = ((r[:, None] @ inverse)[:, 0] * r).sum(axis=1)
         nu = o.degrees_of_freedom
-        log_likelihood = -(nu + 4) / 2 * np.log1p(d2 / nu) + np.log(np.linalg.det(inverse)) / 2
+        log_likelihood = -(nu + 4) / 2 * np.log1p(d2 / nu) + np.log(np.linalg.det(inverse)) / 2 + self._log_t
+        # A prediction that may be anywhere says nothing of odometry: a few of them are no reason to distrust it.
+        log_likelihood = np.logaddexp(log_likelihood, self._log_anywhere)
         # Errors that the model takes for independent aren't quite, so a frame counts as less evidence than it looks.
         posterior = self._weight * np.exp(o.evidence * (log_likelihood - log_likelihood.max()))
         weight = np.maximum(posterior / posterior.sum(), 1e-6)
         self._weight = weight / weight.sum()
         surprise = float(self._weight @ d2)
         trust = min(1.0, (nu + 4) / (nu + surprise))
-        if trust < 1:
-            r, HP, inverse = innovation(variance / trust)
+        if trust < 1:  # the tails: what doesn't fit is this prediction's own noise
+            diagonal += (1 / trust - 1) * (noise + h * h)
+            inverse = np.asarray(np.linalg.inv(S), dtype=float)
         K = HP.transpose(0, 2, 1) @ inverse
         x += (K @ r[:, :, None])[:, :, 0]
         x[:, 0] = x[0, 0] + (x[:, 0] - x[0, 0] + pi) % (2 * pi) - pi
         P = P - K @ HP
-        self._P = (P + P.transpose(0, 2, 1)) / 2
-        signals |= {"surprise": surprise, "local_scale": sqrt(local[0]), "trust": trust}
+        self._P = np.ascontiguousarray((P + P.transpose(0, 2, 1)) / 2)
+        signals |= {"surprise": surprise, "local_scale": sqrt(position), "trust": trust}
         return local
 
-    def _local_scale(self, error: list[float], tilt: float, moved: float) -> tuple[float, float]:
+    def _local_scale(self, error: list[float], tilt: float, expected: Expected) -> tuple[float, float]:
         """How much larger than usual the variances of position and angle are at this place.
 
         Evidence: the tilt (two axes), the height, and how much the error changed since the last prediction: all known
@@ -253,14 +315,21 @@ class DriftAware(Localiser):
         """
         o = self.options
         assert self._error is not None
+        usual = expected.shared + expected.noise
         yaw, x, y, z = error
         turned = _wrapped(yaw - self._error[0])
         changed = ((x - self._error[1]) ** 2 + (z - self._error[3]) ** 2) / 2
-        fresh = (tilt**2 / 2 if o.tilt else self._scale[_TILT], changed, turned**2)
+        fresh = (
+            tilt**2 / 2 / expected.tilt if o.tilt else self._scale[_TILT],
+            changed / float(usual[1]),
+            turned**2 / float(usual[0]),
+        )
         typical = (self._scale[_TILT], *self._change)
-        relative = [f / t for f, t in zip(fresh, typical, strict=True)]
-        height = y**2 / (self._scale[_VERTICAL] + float(self._weight @ self._P[:, 2, 2]))
-        kept = o.place_decay**moved
+        # What odometry has strayed meanwhile is no error of the prediction.
+        strayed = (0.0, float(self._drift[1] / usual[1]), float(self._drift[0] / usual[0]))
+        relative = [f / (t + s) for f, t, s in zip(fresh, typical, strayed, strict=True)]
+        height = y**2 / (self._scale[_VERTICAL] * float(usual[2]) + float(self._weight @ self._P[:, 2, 2]))
+        kept = o.place_decay**self._moved
         counts = (2 * relative[0], 2 * relative[1], relative[2], height)
         self._evidence = [kept * before + now for before, now in zip(self._evidence, counts, strict=True)]
         self._evidence_frames = kept * self._evidence_frames + 1
@@ -268,8 +337,8 @@ class DriftAware(Localiser):
         rate = 1 / (self._seen + 1)
         nu = o.degrees_of_freedom
         tilt_variance, *self._change = (
-            max((1 - rate) * t + rate * f * (nu + 2) / (nu + 2 * q), least)
-            for t, f, q, least in zip(typical, fresh, relative, (_LEAST[_TILT], 1e-4, 1e-6), strict=True)
+            max(t + rate * t * (q * (nu + 2) / (nu + 2 * q) - 1), _LEAST)
+            for t, q in zip(typical, relative, strict=True)
         )
         self._scale[_TILT] = tilt_variance
         if not o.local_scale:
@@ -283,22 +352,23 @@ class DriftAware(Localiser):
         )
         return position, angle
 
-    def _learn(self, measured: Array, x: Array, P: Array, local: tuple[float, float]) -> None:
+    def _learn(self, measured: Array, x: Array, P: Array, local: tuple[float, float], expected: Expected) -> None:
         """Update the predictions' typical variances from what the corrected alignment leaves over."""
         error = (measured - x[_ALIGNMENT]).tolist()
         error[0] = _wrapped(error[0])
         self._error = error
         yaw, east, up, north = (e * e + p for e, p in zip(error, P.diagonal()[:4].tolist(), strict=True))
+        usual = expected.shared + expected.noise
         position, angle = local
-        rate, nu = 1 / (self._seen + 1), self.options.degrees_of_freedom
+        rate, nu = float(self._weight[0]) / (self._seen + 1), self.options.degrees_of_freedom
         for which, left, place in (
-            (_HORIZONTAL, (east + north) / 2, position),
-            (_VERTICAL, up, position),
-            (_YAW, yaw, angle),
+            (_HORIZONTAL, (east + north) / 2 / float(usual[1]), position),
+            (_VERTICAL, up / float(usual[2]), position),
+            (_YAW, yaw / float(usual[0]), angle),
         ):
             here = left / place
             weight = (nu + 1) / (nu + here / self._scale[which])
-            self._scale[which] = max((1 - rate) * self._scale[which] + rate * here * weight, _LEAST[which])
+            self._scale[which] = max((1 - rate) * self._scale[which] + rate * here * weight, _LEAST)
         self._seen = min(self._seen + 1, self.options.memory_frames)
 
     def _mean(self) -> tuple[Array, Array]:
@@ -319,7 +389,7 @@ class DriftAware(Localiser):
         map_T_cam[:3, 3] = x[1:4]
         covariance = np.zeros((6, 6))
         covariance[0, 0] = covariance[2, 2] = radians(self.options.tilt_sd_deg) ** 2
-        block = self.options.covariance_factor * P[_ALIGNMENT, _ALIGNMENT]
+        block = self._widened * P[_ALIGNMENT, _ALIGNMENT]
         covariance[1, 1] = block[0, 0]
         covariance[1, 3:] = covariance[3:, 1] = block[0, 1:]
         covariance[3:, 3:] = block[1:, 1:]
@@ -327,10 +397,18 @@ class DriftAware(Localiser):
         signals["distrust"] = float(self._weight @ self._log_distrust)
         return Estimate(map_T_cam, Status.FUSED, covariance, map_T_vio, (), reasons, signals)
 
-    def _raw_covariance(self) -> Array:
-        """Of a prediction by itself, from the learnt scales."""
+    def _raw(self, map_T_cam_apr: Array) -> Estimate:
+        """A prediction by itself."""
+        expected = self._expected(map_T_cam_apr)
         horizontal, vertical, yaw, tilt = self._scale
-        return np.diag([tilt, yaw, tilt, horizontal, vertical, horizontal])
+        a, x, y, z = (expected.shared + expected.noise).tolist()
+        t = expected.tilt * tilt
+        covariance = np.diag([t, a * yaw, t, x * horizontal, y * vertical, z * horizontal])
+        c, s = cos(expected.error[0]), sin(expected.error[0])
+        pose = map_T_cam_apr.copy()
+        pose[:3, :3] = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]) @ pose[:3, :3]
+        pose[:3, 3] -= expected.error[1:]
+        return Estimate(pose, Status.PREDICTED, covariance, reasons=("no_odometry",))
 
     def _state(self) -> State:
         return {
@@ -345,6 +423,9 @@ class DriftAware(Localiser):
             "weight": plain(self._weight),
             "vio": None if self._vio is None else [self._vio[0], plain(self._vio[1])],
             "lost": self._lost,
+            "moved": self._moved,
+            "drift": plain(self._drift),
+            "mixed": self._mixed,
         }
 
     def _set_state(self, state: State) -> None:
@@ -353,7 +434,8 @@ class DriftAware(Localiser):
         self._seen, self._evidence_frames = state["seen"], state["evidence_frames"]
         self._evidence, self._error = list(state["evidence"]), state["error"]
         self._vio = None if state["vio"] is None else (state["vio"][0], np.array(state["vio"][1]))
-        self._lost = state["lost"]
+        self._lost, self._moved, self._mixed = state["lost"], state["moved"], state["mixed"]
+        self._drift = np.array(state["drift"])
         if state["x"] is not None:
             self._x, self._P = np.array(state["x"]), np.array(state["P"])
             self._weight = np.array(state["weight"])

@@ -11,13 +11,14 @@ from pydantic import Field
 
 from artefacts import Settings, UserError
 from fusion.bootstrap import intervals
+from fusion.error_map import ErrorMap
 from fusion.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_rows, signal_rows
 from fusion.localiser import MethodOptions
 from fusion.methods import METHODS, method, resolve_options
 from fusion.mobilearloc import MobileARLocOptions
 from fusion.summary import session_figures, summarise
 from fusion.sweep import around, sweep
-from fusion.walks import Evaluated, Walk, check_frames, check_predictions, evaluated
+from fusion.walks import Evaluated, Walk, check_frames, check_predictions, evaluated, poses_for
 
 
 class FuseSettings(Settings):
@@ -26,6 +27,9 @@ class FuseSettings(Settings):
         {}, description="a method's options that differ from its defaults: options.mobilearloc.n=3 (docs/fusion.md)"
     )
     splits: list[str] = Field(["test"], min_length=1, description="frames to evaluate: test, val, train")
+    learn_from: str = Field(
+        "val", description="frames held out of training, that methods learn the regressor's errors from; none if empty"
+    )
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,7 @@ class Results:
     tables: dict[str, pd.DataFrame]
     counts: Counter[str]
     gates: dict[str, dict[str, float]]
+    error_maps: dict[tuple[str, str], ErrorMap]  # by scene and model
 
 
 def resolved(settings: FuseSettings) -> dict[str, MethodOptions]:
@@ -61,15 +66,19 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
     fused: list[Fused] = []
     counts: Counter[str] = Counter()
     walks: dict[tuple[str, str], list[Walk]] = {}
+    error_maps: dict[tuple[str, str], ErrorMap] = {}
     for scene in inputs:
         for number, (model, joined) in enumerate(joined_walks(scene, settings.splits)):
             walks[scene.scene, model] = joined.walks
             counts.update(joined.prediction_counts)
             if number == 0:
                 counts.update(joined.frame_counts)
+            error_map = learnt(scene, model, settings)
+            if error_map is not None:
+                error_maps[scene.scene, model] = error_map
             for name, chosen in options.items():
                 run = Run(name, options_json(chosen.model_dump(mode="json")), model)
-                fused += fuse_all(run, joined.walks, partial(method(name).make, chosen))
+                fused += fuse_all(run, joined.walks, partial(method(name).localiser, chosen, error_map))
     if not fused:
         raise UserError("there are no predictions to fuse", do="run the train stage, or give a table of predictions")
     errors = stacked(error_rows(f) for f in fused)
@@ -84,7 +93,21 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
     rule = options.get("mobilearloc")
     if isinstance(rule, MobileARLocOptions):
         tables["sweep"] = sweep(walks, around(rule))
-    return Results(fused, tables, counts, {name: chosen.gates for name, chosen in options.items()})
+    if error_maps:
+        tables["error_maps"] = stacked(m.table().assign(scene=s, model=r) for (s, r), m in error_maps.items())
+    return Results(fused, tables, counts, {name: chosen.gates for name, chosen in options.items()}, error_maps)
+
+
+def learnt(inputs: Inputs, model: str, settings: FuseSettings) -> ErrorMap | None:
+    """What held-out frames say of a model's errors in a scene; None where there are too few. Predictions say in their
+    column `split` what was held out, or else frames do; a frame that is evaluated is never learnt from."""
+    rows = inputs.predictions[inputs.predictions["model"] == model]
+    of_frame = rows["frame_id"].map(inputs.frames.set_index("frame_id")["split"])
+    held_out = (rows["split"] if "split" in rows.columns else of_frame) == settings.learn_from
+    rows = rows[held_out & ~of_frame.isin(settings.splits)].sort_values("frame_id")
+    if rows.empty:
+        return None
+    return ErrorMap.learnt(poses_for(rows, rows, "map_cam"), poses_for(rows, inputs.truth, "map_cam"))
 
 
 def joined_walks(inputs: Inputs, splits: list[str]) -> Iterator[tuple[str, Evaluated]]:

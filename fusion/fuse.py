@@ -1,7 +1,7 @@
 """Running localisers over walks, frame by frame as a device would, and measuring what they said."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +55,7 @@ def fuse(run: Run, walk: Walk, localiser: Localiser | Offline) -> Fused:
     return Fused(run, walk, estimates, status, poses, live_status, live)
 
 
-def fuse_all(run: Run, walks: list[Walk], make: Callable[[], Localiser | Offline]) -> list[Fused]:
+def fuse_all(run: Run, walks: Iterable[Walk], make: Callable[[], Localiser | Offline]) -> list[Fused]:
     """Each walk with a localiser of its own: nothing is carried across a session's border."""
     return [fuse(run, walk, make()) for walk in walks]
 

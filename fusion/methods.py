@@ -8,6 +8,7 @@ from artefacts import UserError
 from artefacts.settings import validated
 from fusion.apr import Apr, AprOptions
 from fusion.drift_aware import DriftAware, DriftAwareOptions
+from fusion.error_map import ErrorMap
 from fusion.error_state import ErrorState, ErrorStateOptions
 from fusion.last_good import LastGood, LastGoodOptions
 from fusion.localiser import Localiser, MethodOptions
@@ -21,17 +22,23 @@ from fusion.window import Window, WindowOptions
 
 @dataclass(frozen=True)
 class Method:
-    """How to make a method: `make(options)`; `options` is the settings model, whose values every result records.
+    """How to make a method: `localiser(options)`; `options` is the settings model, whose values every result records.
 
+    learns: it takes an `ErrorMap` of the regressor in the scene, where there is one.
     causal: it answers a frame from that frame and the ones before it, as an app must. One that isn't makes an
     `Offline`, which sees whole walks; tables say so and never rank it with the causal ones.
     """
 
     id: str
-    make: Callable[[Any], Localiser | Offline]
+    make: Callable[..., Localiser | Offline]
     options: type[MethodOptions]
     meaning: str
+    learns: bool = False
     causal: bool = True
+
+    def localiser(self, options: MethodOptions, error_map: ErrorMap | None = None) -> Localiser | Offline:
+        """A fresh one. `error_map` is what held-out frames say of the regressor; most methods have no use for it."""
+        return self.make(options, error_map) if self.learns else self.make(options)
 
 
 METHODS = {
@@ -43,8 +50,8 @@ METHODS = {
         Method("window30", Window, WindowOptions, "robust rigid alignment of the last 30 predictions"),
         Method("pose_graph", PoseGraph, PoseGraphOptions, "sliding window of poses: predictions and odometry's steps"),
         Method("error_state", ErrorState, ErrorStateOptions, "error-state Kalman filter with a gate"),
-        Method("drift_aware", DriftAware, DriftAwareOptions, "slowly drifting alignment, from all the history"),
-        Method("smoother", Smoother, SmootherOptions, "drift_aware from the whole walk: for labelling", causal=False),
+        Method("drift_aware", DriftAware, DriftAwareOptions, "slowly drifting alignment, from all the history", True),
+        Method("smoother", Smoother, SmootherOptions, "drift_aware from the whole walk: for labelling", True, False),
         Method("vio_oracle", VioOracle, VioOracleOptions, "odometry laid on the ground truth: a bound", causal=False),
     )
 }

@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from fusion.odometry import OdometryOptions
-from geometry.metrics import relative_error, rpe_roe
-from geometry.poses import Array
+from geometry.metrics import relative_error
+from geometry.poses import Array, quaternion_angle, tq_from_pose
 
 
 class PairOptions(OdometryOptions):
@@ -47,5 +47,13 @@ def pair_errors(map_T_cam: Array, vio_T_cam: Array, options: PairOptions) -> tup
     """
     if options.pair_check == "se3":
         return relative_error(map_T_cam, vio_T_cam)
-    rpe_m, roe_deg = rpe_roe(map_T_cam, vio_T_cam)
-    return rpe_m, np.zeros_like(roe_deg) if options.rotation_step == "norm" else roe_deg
+    return length_errors(tq_from_pose(map_T_cam), tq_from_pose(vio_T_cam), options)
+
+
+def length_errors(apr: tuple[Array, Array], vio: tuple[Array, Array], options: PairOptions) -> tuple[Array, Array]:
+    """The paper's RPE and ROE from positions (N, 3) and quaternions (N, 4): `geometry.metrics.rpe_roe`, for a caller
+    that has use for the quaternions elsewhere."""
+    apr_m, vio_m = (np.linalg.norm(np.diff(xyz, axis=0), axis=1) for xyz, _ in (apr, vio))
+    apr_rad, vio_rad = (quaternion_angle(q[1:], q[:-1]) for _, q in (apr, vio))
+    roe_deg = np.degrees(np.abs(apr_rad - vio_rad))
+    return np.abs(apr_m - vio_m), np.zeros_like(roe_deg) if options.rotation_step == "norm" else roe_deg

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.drift_aware import DriftAware, DriftAwareOptions
+from fusion.error_map import ErrorMap, Expected
 from fusion.localiser import Estimate, Status
 from fusion.offline import Offline, stepped
 from fusion.walks import Walk
@@ -39,8 +40,8 @@ class _Known(NamedTuple):
 class _Pass(DriftAware):
     """The filter, which notes what it knew of each frame."""
 
-    def __init__(self, options: SmootherOptions, learnt: DriftAware | None = None) -> None:
-        super().__init__(options)
+    def __init__(self, options: SmootherOptions, error_map: ErrorMap | None, learnt: DriftAware | None = None) -> None:
+        super().__init__(options, error_map)
         self.known: list[_Known] = []
         self._before: _Gaussian | None = None
         if learnt is not None:
@@ -56,9 +57,11 @@ class _Pass(DriftAware):
         self.known.append(_Known(after if uncorrected else self._before, after))
         return estimate
 
-    def _correct(self, measured: Array, tilt: float, moved: float, signals: dict[str, float]) -> tuple[float, float]:
+    def _correct(
+        self, measured: Array, tilt: float, signals: dict[str, float], expected: Expected
+    ) -> tuple[float, float]:
         self._before = _Gaussian(*self._mean())
-        return super()._correct(measured, tilt, moved, signals)
+        return super()._correct(measured, tilt, signals, expected)
 
     def posed(self, vio_T_cam: Array, gaussian: _Gaussian, reasons: tuple[str, ...]) -> Estimate:
         """The estimate that a state gives."""
@@ -68,13 +71,14 @@ class _Pass(DriftAware):
 class Smoother(Offline):
     """Both passes and their product. Frames without odometry are answered with their raw prediction."""
 
-    def __init__(self, options: SmootherOptions | None = None) -> None:
+    def __init__(self, options: SmootherOptions | None = None, error_map: ErrorMap | None = None) -> None:
         self.options = options or SmootherOptions()
+        self._error_map = error_map
 
     def estimates(self, walk: Walk) -> list[Estimate]:
-        first = _Pass(self.options)
+        first = _Pass(self.options, self._error_map)
         stepped(first, walk)
-        forward, backward = _Pass(self.options, first), _Pass(self.options, first)
+        forward, backward = (_Pass(self.options, self._error_map, first) for _ in range(2))
         answers = stepped(forward, walk)
         stepped(backward, _reversed(walk))
         smoothed = []

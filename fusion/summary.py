@@ -6,11 +6,13 @@ import numpy as np
 import pandas as pd
 
 from fusion.fuse import Fused
+from fusion.methods import METHODS
 from fusion.walks import Flags, known
 from geometry.metrics import accuracy_shares, relative_error
 from geometry.poses import Array
 
 RUN = ["method", "options", "model", "scene"]
+_OFFLINE = [name for name, method in METHODS.items() if not method.causal]
 SUBSETS = {"rp": ["reliable"], "opt": ["optimised"], "rp+opt": ["reliable", "optimised"]}
 
 
@@ -39,7 +41,8 @@ def subsets(group: pd.DataFrame, same_model: pd.DataFrame) -> Iterator[tuple[str
         for name, statuses in SUBSETS.items():
             yield name, group[group["status"].isin(statuses)], ""
     yield "all", group, "live_"
-    missed = same_model.loc[same_model["live_position_m"].isna(), "frame_id"]
+    causal = ~same_model["method"].isin(_OFFLINE)
+    missed = same_model.loc[causal & same_model["live_position_m"].isna(), "frame_id"]
     yield "common", group[~group["frame_id"].isin(missed)], "live_"
 
 

@@ -94,9 +94,9 @@ def evaluated(
         found = ", ".join(sorted(frames["split"].unique()))
         raise UserError(f"scene {scene} has no frames to evaluate", expected=f"split {', '.join(splits)}", found=found)
     ordered = chosen.sort_values(["session_id", "t_ns"], kind="stable")
-    apr_T = _aligned(ordered, predictions)
+    apr_T = poses_for(ordered, predictions, "map_cam")
     walks = []
-    vio_T, true_T = _poses(ordered, "vio_cam"), _aligned(ordered, truth)
+    vio_T, true_T = _poses(ordered, "vio_cam"), poses_for(ordered, truth, "map_cam")
     gravity = _gravity(ordered)
     # A new piece begins where the session or the split changes in time.
     key = ordered["session_id"].astype(str) + "/" + ordered["split"]
@@ -140,9 +140,9 @@ def evaluated(
     return Evaluated(walks, frame_counts, prediction_counts)
 
 
-def _aligned(frames: pd.DataFrame, table: pd.DataFrame) -> Array:
-    """map_T_cam (N, 4, 4) of `table` for each row of `frames`, NaN where it has none."""
-    return _poses(table.set_index("frame_id").reindex(frames["frame_id"]), "map_cam")
+def poses_for(frames: pd.DataFrame, table: pd.DataFrame, prefix: str) -> Array:
+    """A pose group (N, 4, 4) of `table` for each row of `frames`, NaN where it has none."""
+    return _poses(table.set_index("frame_id").reindex(frames["frame_id"]), prefix)
 
 
 def _poses(table: pd.DataFrame, prefix: str) -> Array:

@@ -1,7 +1,7 @@
 """The report's figures, each from tables alone: the paper's two, and what a reader needs to trust them."""
 
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, cycle, product
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,11 @@ def scene_figures(scene: SceneInputs) -> dict[str, list[NamedFigure]]:
             "summary": [*(trajectories(scene, model) for model in scene.models), error_distributions(scene)],
             "ground_truth": [sfm_overview(scene), drift(scene)],
             "training": [learning_curves(scene)],
-            "fusion": [timeline(scene, model) for model in scene.models],
+            "fusion": [
+                *(timeline(scene, model) for model in scene.models),
+                sensitivity(scene),
+                confidence(scene),
+            ],
         }
         for figure in chain.from_iterable(figures.values()):
             # A picture is passed on without its caption.
@@ -208,6 +212,59 @@ def timeline(scene: SceneInputs, model: str) -> NamedFigure:
     band.legend(loc="lower left", bbox_to_anchor=(0, 0.75), ncols=5, fontsize=7.5, handlelength=0.6)
     caption = f"{scene.name}, test session {session}: {model} and {model}+VIO in time, and what stood behind each pose."
     return NamedFigure(f"timeline-{_file(model)}", caption, figure)
+
+
+_THRESHOLDS = {"n": "N", "d_th_m": "$d_{th}$ (m)", "o_th_deg": "$o_{th}$ (°)", "gamma": "$\\gamma$"}
+
+
+def sensitivity(scene: SceneInputs) -> NamedFigure:
+    """How errors and coverage of the paper's rule move with each of its thresholds, a line style a model."""
+    quantities = (
+        ("position_mean_m", "position (m)"),
+        ("rotation_mean_deg", "rotation (°)"),
+        ("answered_pct", "answered (%)"),
+    )
+    sweep = scene.sweep[(scene.sweep["subset"] == "all") & (scene.sweep["varied"] != "")]
+    sweep = sweep.assign(answered_pct=sweep["share_pct"] * sweep["coverage_pct"] / 100)
+    figure, axes = style.new_figure(len(quantities), len(_THRESHOLDS), 4.2, sharex="col", sharey="row")
+    for ax, ((quantity, label), threshold) in zip(axes, product(quantities, _THRESHOLDS), strict=True):
+        for model, dashes in zip(scene.models, cycle(("-", "--", ":", "-."))):
+            rows = sweep[(sweep["varied"] == threshold) & (sweep["model"] == model)].sort_values(threshold)
+            ax.plot(rows[threshold], rows[quantity], color=style.FUSED, ls=dashes, marker="o", ms=2.5, label=model)
+        ax.set_ylim(bottom=0)
+        if threshold == next(iter(_THRESHOLDS)):
+            ax.set_ylabel(label)
+        if quantity == quantities[-1][0]:
+            ax.set_xlabel(_THRESHOLDS[threshold])
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7.5)
+    caption = (
+        f"{scene.name}: the paper's rule with one threshold changed at a time: mean errors and share of test frames."
+    )
+    return NamedFigure("sensitivity", caption, figure)
+
+
+def confidence(scene: SceneInputs) -> NamedFigure:
+    """Mean errors of every method over all test frames in time, with their 95 % intervals over sessions."""
+    rows = scene.intervals[scene.intervals["subset"] == "all"]
+    names = list(dict.fromkeys(zip(rows["model"], rows["method"], strict=True)))
+    figure, axes = style.new_figure(1, 2, 0.17 * len(names) + 0.7, sharey=True)
+    for ax, (quantity, label) in zip(axes, (("position_mean_m", "m"), ("rotation_mean_deg", "°")), strict=True):
+        of_quantity = rows[rows["figure"] == quantity].set_index(["model", "method"])
+        for y, name in enumerate(names):
+            found: Any = of_quantity.loc[name]
+            colour = style.APR if name[1] == "apr" else style.FUSED
+            ax.plot([found["low"], found["high"]], [y, y], color=colour, lw=1.2)
+            ax.plot(found["value"], y, "o", color=colour, ms=4)
+        ax.set(title=f"Mean {quantity.split('_')[0]} error ({label})", xlim=(0, None))
+        ax.grid(axis="y", visible=False)
+    axes[0].set(yticks=range(len(names)), yticklabels=[f"{model} {method}" for model, method in names])
+    axes[0].invert_yaxis()
+    sessions, draws = (int(rows[column].max()) for column in ("sessions", "draws"))
+    caption = (
+        f"{scene.name}: every method over all test frames, and 95 % intervals by drawing the {sessions} test sessions "
+        f"again, which can be done in {draws} ways: with few sessions an interval says little."
+    )
+    return NamedFigure("intervals", caption, figure)
 
 
 # --- ground truth -----------------------------------------------------------------------------------------------

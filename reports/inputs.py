@@ -41,6 +41,8 @@ class SceneInputs:
     cards: pd.DataFrame
     poses: pd.DataFrame
     errors: pd.DataFrame
+    sweep: pd.DataFrame
+    intervals: pd.DataFrame
     manifests: dict[str, dict[str, Any]]
 
     @property
@@ -145,6 +147,8 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         cards=trained("models"),
         poses=fused("poses"),
         errors=fused("errors"),
+        sweep=fused("sweep"),
+        intervals=fused("intervals"),
         manifests=manifests,
     )
 

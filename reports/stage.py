@@ -109,7 +109,7 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
 
 STAGE = Stage(
     name="report",
-    version=1,
+    version=2,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import", "sfm", "align", "train", "fuse"),

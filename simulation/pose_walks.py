@@ -2,6 +2,7 @@
 
 import zlib
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,11 @@ def pose_walks(scene: str, kind: str = "test", seed: int = 0) -> list[PoseWalk]:
 
     The map is that of the ground truth: its origin is where the first session began. UserError for an unknown scene.
     """
+    return [w for w in _all_walks(scene, seed) if w.name.startswith(f"{kind}-")]
+
+
+@cache
+def _all_walks(scene: str, seed: int) -> list[PoseWalk]:
     settings = resolve_settings(SimulateSettings, "simulate", DataRoot(SHIPPED_DATA), "paper", scene, [])
     plan = scenery(scene, seed)
     walks = []
@@ -40,4 +46,4 @@ def pose_walks(scene: str, kind: str = "test", seed: int = 0) -> list[PoseWalk]:
         t_ns = np.round((session.boot_s + seconds) * 1e9).astype(np.int64)
         walks.append(PoseWalk(session.name, t_ns, walk.world_T_cam(seconds)))
     map_T_world = inverse(start_frame(min(walks, key=lambda w: w.name).map_T_cam[0]))
-    return [PoseWalk(w.name, w.t_ns, map_T_world @ w.map_T_cam) for w in walks if w.name.startswith(f"{kind}-")]
+    return [PoseWalk(w.name, w.t_ns, map_T_world @ w.map_T_cam) for w in walks]

@@ -105,7 +105,7 @@ TABLES = [
                 "subset",
                 "string",
                 "rp, opt, rp+opt (by `status`, the paper's); all (poses in time, no pose is a failure); common (frames "
-                "that every method answered in time with this model)",
+                "that every causal method answered in time with this model)",
             ),
             Column("scored", "string", "whose poses: method, or apr for the predictions of the same frames"),
             *_SUMMARY_FIGURES,
@@ -127,6 +127,26 @@ TABLES = [
             Column("high", "float64", "97.5 % bound; null as low", "", "", True),
             Column("sessions", "int64", "sessions that were drawn from"),
             Column("draws", "int64", "different draws that there are: 3 for two sessions, which says little"),
+        ],
+    ),
+    TableSchema(
+        "fuse",
+        "error_maps",
+        "What was learnt of each regressor's errors from held-out frames of training walks: a row a frame, and the "
+        "fitted numbers in each row. `fusion.error_map.ErrorMap.from_table` reads it, for an app to ship.",
+        [
+            _SCENE,
+            _MODEL,
+            *(Column(f"apr_{a}_m", "float64", f"predicted position, {a}", "m", "map") for a in "xyz"),
+            *(Column(f"look_{a}", "float64", f"predicted viewing direction, {a}", "", "map") for a in "xyz"),
+            Column("yaw_error_rad", "float64", "the prediction's yaw less the true one", "rad"),
+            *(Column(f"{a}_error_m", "float64", f"predicted less true position, {a}", "m", "map") for a in "xyz"),
+            Column("tilt_error_rad", "float64", "angle between the predicted and the true vertical", "rad"),
+            Column("length_m", "float64", "motion over which errors change", "m"),
+            Column("length_look", "float64", "change of the viewing direction over which errors change"),
+            Column("size_variance", "float64", "variance over the map of the logarithm of an error's variance"),
+            Column("position_noise", "float64", "share of a position error's variance that is new in each frame"),
+            Column("yaw_noise", "float64", "share of a yaw error's variance that is new in each frame"),
         ],
     ),
     TableSchema(

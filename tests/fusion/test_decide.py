@@ -44,6 +44,14 @@ def test_a_sweep_over_one_walk_says_what_single_runs_say():
         assert_same(prepared.decide(options), fuse(RUN, walk, MobileARLoc(options)))
 
 
+def test_many_unreliable_frames_between_reliable_ones_change_nothing(monkeypatch):
+    """Similarities are worked out some frames ahead; the next reliable frame may be further away."""
+    monkeypatch.setattr("fusion.decide._AHEAD", 1)
+    for seed in range(30):
+        walk, options = given(seed), random_options(seed)
+        assert_same(RuleWalk(walk).decide(options), fuse(RUN, walk, MobileARLoc(options)))
+
+
 def test_walks_with_nothing_to_judge():
     walk = random_walk(1)
     nothing = as_walk(walk.t_ns, walk.map_T_cam, walk.vio, [None] * 40)

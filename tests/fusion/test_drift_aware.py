@@ -10,9 +10,10 @@ from scipy.stats import chi2
 from upright_walks import upright_walk
 
 from fusion.drift_aware import DriftAware, DriftAwareOptions
+from fusion.error_map import ErrorMap
 from fusion.mobilearloc import MobileARLoc
 from geometry.metrics import position_error, rotation_error_deg
-from geometry.poses import make_pose, yaw_rotation
+from geometry.poses import interpolate, make_pose, yaw_rotation
 
 
 def answers(localiser, t_ns, vio, apr):
@@ -60,6 +61,24 @@ def test_going_on_from_a_saved_state_changes_nothing():
         localiser.restore(json.loads(text))
         assert np.array_equal(localiser.step(int(t_ns[i]), vio[i], apr[i]).map_T_cam, whole[i].map_T_cam)
     assert max(sizes[30:]) <= 1.05 * max(sizes[2:30])
+
+
+def test_odometry_between_predictions_changes_little():
+    """Ten odometry poses a second and one prediction: as good and as sure as at one pose a second."""
+    found = {1: [], 10: []}
+    for seed in range(4):
+        t_ns, truth, vio, apr = upright_walk(seed, 100)
+        for rate in found:
+            fine_ns = np.arange(t_ns[0], t_ns[-1] + 1, 10**9 // rate)
+            odometry = interpolate(t_ns, vio, fine_ns)
+            given = [apr[i // rate] if i % rate == 0 else None for i in range(len(fine_ns))]
+            estimates = answers(DriftAware(), fine_ns, odometry, given)
+            assert all(e.map_T_cam is not None for e in estimates)
+            error = position_error(poses(estimates[::rate]), truth).mean()
+            # The last before a prediction has the largest covariance.
+            found[rate].append((error, np.mean([e.signals["position_sd_m"] for e in estimates[rate - 1 :: rate]])))
+    (error, sd), (fine_error, fine_sd) = (np.mean(found[rate], axis=0) for rate in (1, 10))
+    assert fine_error < 1.1 * error and sd < 1.3 * fine_sd and fine_sd < 1.3 * sd
 
 
 def test_frames_of_reference_do_not_matter():
@@ -111,8 +130,69 @@ def test_a_bad_prediction_is_noticed_by_its_gravity():
     assert np.mean(scale[True]) > 1.5 * np.mean(scale[False])
 
 
+def test_a_jump_too_short_to_see_is_answered_by_following_the_predictions():
+    """2 m within a second could be a walk; the predictions say that it wasn't one."""
+    after = {"tried": [], "believed": []}
+    for seed in range(4):
+        t_ns, truth, vio, apr = upright_walk(seed, noise_m=0.15, outliers=0.05)
+        vio = vio.copy()
+        vio[100:, :3, 3] += [1.5, 0.0, -1.3]
+        for name, options in (
+            ("tried", DriftAwareOptions()),
+            ("believed", DriftAwareOptions(distrust=[1.0], lost=False)),
+        ):
+            estimates = answers(DriftAware(options), t_ns, vio, apr)
+            assert not any("odometry_jump" in e.reasons for e in estimates)
+            after[name].append(position_error(poses(estimates), truth)[110:130].mean())
+    assert np.mean(after["tried"]) < 0.9 * np.mean(after["believed"])
+
+
+def test_odometry_that_starts_anew_elsewhere_is_aligned_anew_and_one_that_comes_back_is_believed():
+    again, back = [], []
+    for seed in range(6):
+        t_ns, truth, vio, apr = upright_walk(seed)
+        other = vio.copy()
+        other[105:] = make_pose(yaw_rotation(2.0), [3.0, 0.5, -9.0]) @ other[105:]
+        gone = [[None if 100 <= i < 105 else v for i, v in enumerate(poses)] for poses in (other, vio)]
+        anew, same = (poses(answers(DriftAware(), t_ns, odometry, apr)) for odometry in gone)
+        again.append(rotation_error_deg(anew, truth)[108:].mean())
+        back.append(rotation_error_deg(same, truth)[105:115].mean() / rotation_error_deg(apr, truth)[105:115].mean())
+    assert np.mean(again) < 5 and np.mean(back) < 0.6
+
+
+def test_what_was_learnt_beforehand_is_used_and_can_be_switched_off():
+    """A regressor with the same bias along the same way, which held-out frames of another walk have shown."""
+    ratio = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        t_ns, truth, vio, _ = upright_walk(seed)
+        lean = np.sin(truth[:, :3, 3] @ rng.normal(0, 0.2, (3, 3)) + rng.uniform(0, 6, 3))
+        bias = 1.5 * lean * [1.0, 0.2, 1.0]
+
+        def predicted(rng=rng, truth=truth, bias=bias):
+            shift = bias + rng.normal(0, 0.1, (200, 3))
+            turn = Rotation.from_rotvec(np.radians(1) * rng.normal(size=(200, 3))).as_matrix()
+            return make_pose(turn @ truth[:, :3, :3], truth[:, :3, 3] + shift)
+
+        error_map = ErrorMap.learnt(predicted(), truth)
+        apr = predicted()
+        with_map, switched_off, without = (
+            position_error(poses(answers(localiser, t_ns, vio, apr)), truth).mean()
+            for localiser in (
+                DriftAware(None, error_map),
+                DriftAware(DriftAwareOptions(error_map=False), error_map),
+                DriftAware(),
+            )
+        )
+        assert switched_off == without
+        ratio.append(with_map / without)
+    assert np.mean(ratio) < 0.5
+
+
 def test_hopeless_walks_and_switched_off_ingredients_run():
-    switched_off = DriftAwareOptions(bias=False, local_scale=False, tilt=False, height=False, distrust=[1.0])
+    switched_off = DriftAwareOptions(
+        bias=False, local_scale=False, tilt=False, height=False, distrust=[1.0], lost=False
+    )
     for seed in range(6):
         walk = random_walk(seed)
         for options in (DriftAwareOptions(), switched_off):

@@ -47,6 +47,43 @@ def test_summary_counts_what_is_there():
     assert (common["answered"] == common["frames"]).all() and len(set(common["frames"])) == 1
 
 
+def held_out_tables():
+    """Four sessions, of which two were held out of training."""
+    parts = [t.copy() for t in tables([1, 2, 3, 4])]
+    for table in parts:
+        table.loc[table["session_id"].isin(["s1", "s2"]), "split"] = "val"
+    return parts
+
+
+def test_methods_learn_from_held_out_frames_and_never_from_those_that_are_judged():
+    frames, truth, predictions = held_out_tables()
+    learnt, not_learnt = run(frames, truth, predictions), run(frames, truth, predictions, learn_from="")
+    assert set(learnt.tables["errors"]["session_id"]) == {"s3", "s4"}
+    table = learnt.tables["error_maps"]
+    assert list(table.drop_duplicates(["scene", "model"])["model"]) == ["PN"] and 60 <= len(table) <= 80
+    assert "error_maps" not in not_learnt.tables
+    assert "error_maps" not in run(frames, truth, predictions, splits=["test", "val"]).tables
+    ours, without = (
+        r.tables["errors"].set_index(["method", "frame_id"])["live_position_m"] for r in (learnt, not_learnt)
+    )
+    changed = (ours - without).abs().groupby("method").max() > 1e-9
+    assert set(changed.index[changed]) == {"drift_aware", "smoother"}
+    # Predictions say themselves what was held out, where frames don't.
+    relabelled = frames.assign(split=frames["split"].replace("val", "train"))
+    pd.testing.assert_frame_equal(run(relabelled, truth, predictions).tables["error_maps"], table)
+
+
+def test_offline_methods_do_not_shrink_what_causal_ones_are_compared_on():
+    frames, truth, predictions = tables(SEEDS)
+    causal = ["apr", "drift_aware"]
+    # Where odometry is lost these two answer with the prediction, the bound with nothing.
+    both = run(frames, truth, predictions, methods=[*causal, "vio_oracle"]).tables["summary"].set_index("method")
+    alone = run(frames, truth, predictions, methods=causal).tables["summary"].set_index("method")
+    own = both[(both["subset"] == "all") & (both["scored"] == "method")]["answered"]
+    assert own["vio_oracle"] < min(own["apr"], own["drift_aware"])
+    pd.testing.assert_frame_equal(both.loc[causal], alone)
+
+
 def test_poses_confirmed_later_are_not_live():
     poses = run(*tables(SEEDS)).tables["poses"]
     ours = poses[poses["method"] == "mobilearloc"]

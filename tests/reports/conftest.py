@@ -56,10 +56,17 @@ class MadeUpScene:
         imported = pd.concat([frames, pose_frame("vio_cam", self.map_T_cam)], axis=1).assign(
             clock="boot", image=frames["frame_id"] + ".jpg", image_sha256="", width=64, height=48, fx=50.0, fy=50.0,
             cx=32.0, cy=24.0, distortion=[[] for _ in range(len(frames))], gravity_x=1.0, gravity_y=0.0, gravity_z=0.0,
-            tracking="normal", sharpness=0.5, exposure_s=0.01,
+            tracking="normal", sharpness=0.5, exposure_s=0.01, blurred_faces=None,
+            blurred_plates=None,
         )  # fmt: skip
         truth = pd.concat([frames, pose_frame("map_cam", self.map_T_cam)], axis=1).assign(
-            covariance=None, position_sd_m=0.005, rotation_sd_deg=0.02, quality="A", reason="", gt_uses_vio=False
+            covariance=None,
+            position_sd_m=0.005,
+            rotation_sd_deg=0.02,
+            quality="A",
+            reason="",
+            gt_uses_vio=False,
+            component=0,
         )
         # One test frame without ground truth: it can't be scored, and must be counted as such.
         lost = truth.index[truth["split"] == "test"][3]
@@ -82,8 +89,39 @@ class MadeUpScene:
             "sfm": {"images": self._images(lost)},
             "align": {"ground_truth": truth, "sessions": self._aligned(), "drift": self._drift(), "gate": self._gate()},
             "train": {"predictions": pd.concat(predictions), "history": self._history(), "models": self._cards()},
-            "fuse": {"poses": pd.concat(poses), "errors": pd.concat(errors)},
+            "fuse": {
+                "poses": pd.concat(poses),
+                "errors": pd.concat(errors),
+                "sweep": self._sweep(),
+                "intervals": self._intervals(),
+            },
         }
+
+    def _sweep(self) -> pd.DataFrame:
+        """The larger a threshold, the larger errors and coverage."""
+        values = {"n": (1, 2, 3), "d_th_m": (0.2, 0.4, 0.8), "o_th_deg": (2.0, 4.0, 8.0), "gamma": (0.95, 0.99, 0.999)}
+        usual = {"n": 2, "d_th_m": 0.4, "o_th_deg": 4.0, "gamma": 0.99}
+        figures = {c.name: 10.0 for c in schema("fuse", "sweep").columns if c.dtype == "float64"}
+        counts = {"frames": 40, "answered": 30, "total": 40}
+        rows = [
+            figures | counts | usual | {"scene": self.name, "model": model, "varied": varied, varied: value}
+            | {"subset": subset, "position_mean_m": 1.0 + i, "rotation_mean_deg": 3.0 + i, "coverage_pct": 60.0 + i}
+            for model in MODELS
+            for varied, tried in values.items()
+            for i, value in enumerate(tried)
+            for subset in ("rp+opt", "all")
+        ]  # fmt: skip
+        return pd.DataFrame(rows)
+
+    def _intervals(self) -> pd.DataFrame:
+        rows = []
+        for model in MODELS:
+            for method, value in (("apr", 2.0), ("mobilearloc", 1.5)):
+                key = {"method": method, "options": "{}", "model": model, "scene": self.name, "subset": "all"}
+                key |= {"value": value, "low": 0.8 * value, "high": None if method == "apr" else 1.3 * value}
+                figures = ("position_mean_m", "rotation_mean_deg")
+                rows += [key | {"figure": figure, "sessions": 2, "draws": 3} for figure in figures]
+        return pd.DataFrame(rows)
 
     def _fused(self, model: str, method: str, options: str, raw: Array) -> tuple[pd.DataFrame, pd.DataFrame]:
         count = len(self.frames)
@@ -139,7 +177,10 @@ class MadeUpScene:
         return pd.concat([self.frames[["frame_id"]], pose_frame("sfm_cam", poses)], axis=1).assign(
             registered=registered, model_id="incremental/0", keypoints=900, covariance=None,
             observations=self.rng.integers(150, 700, count) * registered,
-            reprojection_px=np.where(registered, self.rng.gamma(20, 0.04, count), np.nan),
+            reprojection_px=np.where(registered, self.rng.gamma(20, 0.04, count), np.nan), uses_vio=False,
+            track_length=np.where(registered, 6.5, np.nan), triangulation_deg=np.where(registered, 12.0, np.nan),
+            heldout_matches=40, heldout_px=np.where(registered, 0.5, np.nan),
+            fitted_px=np.where(registered, 0.4, np.nan),
         )  # fmt: skip
 
     def _aligned(self) -> pd.DataFrame:
@@ -168,7 +209,7 @@ class MadeUpScene:
 
     def _gate(self) -> pd.DataFrame:
         row = {"check": "window_motion", "session_id": "walk_1", "t_start_ns": 0, "t_end_ns": SECOND, "frames": 10}
-        row |= {"value": 0.01, "limit": 0.1, "unit": "m", "passed": True, "reason": ""}
+        row |= {"value": 0.01, "limit": 0.1, "unit": "m", "passed": True, "reason": "", "component": 0, "cause": ""}
         failed = row | {"session_id": "walk_2", "value": 0.3, "passed": False, "reason": "VIO and the model disagree"}
         return pd.DataFrame([row, failed])
 
@@ -247,7 +288,8 @@ def write_group(data: DataRoot, name: str, members: list[str]) -> None:
     columns = [c for c in errors if c.endswith(("position_m", "rotation_deg"))]
     errors.loc[errors["model"] == "MS-T", columns] *= 0.5
     write_stage(data, name, "train", train, True)
-    write_stage(data, name, "fuse", {"poses": joined("fuse", "poses"), "errors": errors}, True)
+    fused = {table: joined("fuse", table) for table in ("poses", "sweep", "intervals")}
+    write_stage(data, name, "fuse", fused | {"errors": errors}, True)
 
 
 def write_stage(data: DataRoot, scene: str, stage: str, tables: dict[str, pd.DataFrame], simulated: bool) -> None:

@@ -1,0 +1,203 @@
+"""What a regressor gets wrong, by place: learnt from frames that were held out of its training.
+
+A regressor is wrong in a systematic way. Seen again from the same place in the same direction, a scene gives nearly the
+same error, and some places are far harder than others. Both change smoothly as the camera moves and turns, so frames of
+training walks that the regressor never learnt from tell what to expect of it on another walk: which error, and how
+uncertain that is.
+
+The error is a Gaussian process (Rasmussen and Williams, 2006, chapters 2 and 5) over the *predicted* position and
+viewing direction, which is what a phone has. Its size is another one, on the logarithm. How far both reach and how much
+of the error is noise is what makes the held-out errors most likely. Nothing of a test walk goes in.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
+from scipy.special import polygamma, psi
+
+from geometry.poses import Array
+
+LEAST_FRAMES = 60
+"""With fewer held-out frames there is no map: a few walks' worst views would stand for the whole place."""
+_MOST_FRAMES = 200  # kept, evenly: a step looks at each of them
+_FITTED_FRAMES = 120  # looked at to fit the five numbers
+
+_POSITION, _ANGLE = 0, 1
+_GROUP = np.array([_ANGLE, _POSITION, _POSITION, _POSITION])  # of yaw, x, y, z
+# A logarithm of a mean of three squared Gaussian errors: how far below the variance's it lies, and how it spreads.
+_LOG_MEAN, _LOG_VARIANCE = float(psi(1.5) - np.log(1.5)), float(polygamma(1, 1.5))
+
+
+class Expected(NamedTuple):
+    """What to expect of a prediction; arrays (4,) are yaw (rad), x, y, z (m) in map axes.
+
+    error: the mean error. shared: the variance of what is left, as far as neighbouring predictions share it. noise: the
+    variance of what each has by itself. tilt: the variance of pitch and of roll (rad^2).
+    """
+
+    error: Array
+    shared: Array
+    noise: Array
+    tilt: float
+
+
+@dataclass(frozen=True)
+class Reach:
+    """The fitted numbers: how far errors reach, how much their size varies over the map, and the share of noise."""
+
+    length_m: float  # motion over which errors change
+    length_look: float  # change of the viewing direction (a unit vector) over which they change
+    size_variance: float  # over the map, of the logarithm of an error's variance
+    position_noise: float  # share of a position error's variance that is new in each frame
+    yaw_noise: float
+
+
+class ErrorMap:
+    """Held-out errors, ready to be asked about other predictions of the same regressor in the same scene."""
+
+    def __init__(self, where: Array, error: Array, tilt: Array, reach: Reach | None = None) -> None:
+        """where (N, 6): predicted position (m) and viewing direction; error (N, 4) and tilt (N,) as `errors_of` gives
+        them. Without `reach` it is fitted."""
+        self.where, self.error, self.tilt = where, error, tilt
+        yaw, x, y, z = error.T
+        horizontal, vertical, angle, lean = (_variance(e) for e in (np.concatenate([x, z]), y, yaw, tilt / np.sqrt(2)))
+        self._lean = lean
+        self._units = np.sqrt([angle, horizontal, vertical, horizontal])
+        sizes = ((x**2 + z**2) / horizontal + y**2 / vertical) / 3, (yaw**2 / angle + tilt**2 / lean) / 3
+        self._logs = np.log(np.maximum(np.column_stack(sizes), 1e-6)) - _LOG_MEAN
+        self._usual = self._logs.mean(axis=0)
+        self.reach = reach or _fitted(where, error / self._units, self._logs - self._usual)
+        self._prepare()
+
+    @classmethod
+    def learnt(cls, map_T_cam_apr: ArrayLike, map_T_cam: ArrayLike) -> Self | None:
+        """From predicted and true poses (N, 4, 4) of held-out frames, NaN where missing; None for too few."""
+        apr, true = np.asarray(map_T_cam_apr, dtype=float), np.asarray(map_T_cam, dtype=float)
+        there = np.flatnonzero(np.isfinite(apr).all(axis=(1, 2)) & np.isfinite(true).all(axis=(1, 2)))
+        if len(there) < LEAST_FRAMES:
+            return None
+        kept = _evenly(there, _MOST_FRAMES)
+        return cls(np.hstack([apr[kept, :3, 3], apr[kept, :3, 2]]), *errors_of(apr[kept], true[kept]))
+
+    def _prepare(self) -> None:
+        r = self.reach
+        K = _kernel(self.where, r)
+        size_weights, logs = _leave_one_out(K, self._logs - self._usual, r.size_variance)
+        shares = np.array([r.position_noise, r.yaw_noise])
+        inverses = [np.linalg.inv(_noisy(K, share)) for share in shares]
+        scaled = self.error / self._units / np.exp(logs[:, _GROUP] / 2)
+        weights = [(1 - shares[g]) * inverses[g] @ scaled[:, c] for c, g in enumerate(_GROUP)]
+        self._weights = np.column_stack([*weights, r.size_variance * size_weights])
+        self._inverses = np.hstack([(1 - share) * A for share, A in zip(shares, inverses, strict=True)])
+        self._shares = shares[_GROUP]
+        self._per_length = np.repeat([1 / r.length_m, 1 / r.length_look], 3)
+        self._features = self.where * self._per_length
+
+    def expected(self, position: Array, look: Array) -> Expected:
+        """Of a prediction at `position` (3,) in metres that looks along `look` (3,)."""
+        apart = self._features - np.concatenate([position, look]) * self._per_length
+        k = np.exp(np.einsum("ni,ni->n", apart, apart) / -2)
+        found = k @ self._weights
+        variance = np.exp(found[4:] + self._usual)
+        size = np.sqrt(variance)[_GROUP] * self._units
+        known = (k @ self._inverses).reshape(2, -1) @ k
+        square = size * size
+        unknown = np.maximum(1 - known, 0.0)[_GROUP]
+        return Expected(
+            found[:4] * size,
+            (1 - self._shares) * unknown * square,
+            self._shares * square,
+            self._lean * float(variance[_ANGLE]),
+        )
+
+    def table(self) -> pd.DataFrame:
+        """What `from_table` makes the same map from: a row a held-out frame."""
+        names = [*(f"apr_{a}_m" for a in "xyz"), *(f"look_{a}" for a in "xyz")]
+        names += ["yaw_error_rad", *(f"{a}_error_m" for a in "xyz"), "tilt_error_rad"]
+        rows = pd.DataFrame(np.column_stack([self.where, self.error, self.tilt]), columns=names)
+        return rows.assign(**asdict(self.reach))
+
+    @classmethod
+    def from_table(cls, table: pd.DataFrame) -> Self:
+        """The map of one scene and model from the rows that `table` gave."""
+        numbers = table.drop(columns=list(Reach.__dataclass_fields__)).select_dtypes("number").to_numpy(float)
+        reach = Reach(**{name: float(table[name].iloc[0]) for name in Reach.__dataclass_fields__})
+        return cls(numbers[:, :6], numbers[:, 6:10], numbers[:, 10], reach)
+
+
+def errors_of(map_T_cam_apr: Array, map_T_cam: Array) -> tuple[Array, Array]:
+    """Errors (N, 4) of predictions as yaw (rad), x, y, z (m) in map axes, and their tilt (N,), the angle in radians
+    between the predicted and the true vertical. Poses (N, 4, 4)."""
+    turn = map_T_cam_apr[:, :3, :3] @ map_T_cam[:, :3, :3].transpose(0, 2, 1)
+    yaw = np.arctan2(turn[:, 0, 2] - turn[:, 2, 0], turn[:, 0, 0] + turn[:, 2, 2])
+    upright = np.einsum("ni,ni->n", map_T_cam_apr[:, 1, :3], map_T_cam[:, 1, :3])
+    return np.column_stack([yaw, map_T_cam_apr[:, :3, 3] - map_T_cam[:, :3, 3]]), np.arccos(np.clip(upright, -1, 1))
+
+
+def _variance(errors: Array) -> float:
+    """Of the usual ones: a few huge errors hardly move it."""
+    return float(np.median(np.abs(errors)) / 0.6745) ** 2 + 1e-12
+
+
+def _evenly(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    return rows if len(rows) <= most else rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
+
+
+def _kernel(where: Array, reach: Reach) -> Array:
+    scaled = where / np.repeat([reach.length_m, reach.length_look], 3)
+    square = (scaled**2).sum(axis=1)
+    return np.asarray(np.exp(np.minimum(scaled @ scaled.T - (square[:, None] + square) / 2, 0.0)))
+
+
+def _noisy(K: Array, share: float) -> Array:
+    A = (1 - share) * K
+    A[np.diag_indices_from(A)] += share
+    return A
+
+
+def _leave_one_out(K: Array, logs: Array, variance: float) -> tuple[Array, Array]:
+    """Of the process on the sizes' logarithms (N, 2): its weights, and what it says of each frame without that frame
+    (Rasmussen and Williams, equation 5.12)."""
+    A = variance * K
+    A[np.diag_indices_from(A)] += _LOG_VARIANCE
+    inverse = np.linalg.inv(A)
+    weights = inverse @ logs
+    return weights, logs - weights / inverse.diagonal()[:, None]
+
+
+def _fitted(where: Array, error: Array, logs: Array) -> Reach:
+    """The numbers of greatest posterior probability for errors (N, 4) in units of their usual size."""
+    rows = _evenly(np.arange(len(where)), _FITTED_FRAMES)
+    where, error, logs = where[rows], error[rows], logs[rows]
+    extent = float(np.linalg.norm(np.ptp(where[:, :3], axis=0)))
+    start = np.array([np.log(0.1 * extent + 0.1), 0.0, np.log(2.0), -2.0, -2.0])
+
+    def cost(free: Array) -> float:
+        reach = _reach(free)
+        K = _kernel(where, reach)
+        _, sizes = _leave_one_out(K, logs, reach.size_variance)
+        total = float((((free - start) / _PRIOR_SD) ** 2).sum()) / 2
+        for group, share in ((_POSITION, reach.position_noise), (_ANGLE, reach.yaw_noise)):
+            columns = np.flatnonzero(group == _GROUP)
+            factor = np.linalg.cholesky(_noisy(K, share))
+            white = np.linalg.solve(factor, error[:, columns] / np.exp(sizes[:, group, None] / 2))
+            determinant = 2 * np.log(factor.diagonal()).sum() + sizes[:, group].sum()
+            total += float((white**2).sum() + len(columns) * determinant) / 2
+        return total
+
+    bounds = list(zip(start - 4 * _PRIOR_SD, start + 4 * _PRIOR_SD, strict=True))
+    found = minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20, "eps": 1e-4})
+    return _reach(found.x)
+
+
+_PRIOR_SD = np.array([1.0, 0.5, 0.4, 1.0, 1.0])
+
+
+def _reach(free: Array) -> Reach:
+    length_m, length_look, size_variance = np.exp(free[:3]).tolist()
+    position_noise, yaw_noise = (1 / (1 + np.exp(-free[3:]))).tolist()
+    return Reach(length_m, length_look, size_variance, position_noise, yaw_noise)

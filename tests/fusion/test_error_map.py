@@ -1,0 +1,99 @@
+"""What held-out frames tell of a regressor: against errors that are made by a known rule."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from fusion.error_map import LEAST_FRAMES, ErrorMap, errors_of
+from geometry.poses import make_pose, yaw_rotation
+
+
+def walk(seed, frames=150, noise=0.1):
+    """True poses on a course of 30 m, and predictions: wrong by a smooth function of the place, five times as much in
+    the half with x > 0, and by noise."""
+    rng = np.random.default_rng(seed)
+    along = np.linspace(0, 2 * np.pi, frames, endpoint=False) + rng.uniform(0, 1)
+    xyz = np.stack([8 * np.cos(along), rng.normal(1.5, 0.02, frames), 6 * np.sin(along)], axis=1)
+    xyz += rng.normal(0, 0.2, (frames, 3)) * [1, 0, 1]
+    true = make_pose(yaw_rotation(-along + rng.normal(0, 0.1, frames)), xyz)
+    phase = along[:, None] * 3 + np.arange(4)
+    size = np.where(np.cos(along) > 0, 1.0, 0.2)[:, None]
+    error = size * (np.sin(phase) + noise * rng.normal(size=(frames, 4)))
+    wrong = yaw_rotation(np.radians(5) * error[:, 0])
+    lean = Rotation.from_rotvec(np.radians(2) * size * rng.normal(size=(frames, 3)) * [1, 0, 1]).as_matrix()
+    return true, make_pose(wrong @ lean @ true[:, :3, :3], xyz + error[:, 1:] * [1, 0.3, 1])
+
+
+def asked(error_map, apr):
+    return [error_map.expected(p[:3, 3], p[:3, 2]) for p in apr]
+
+
+@pytest.fixture(scope="module")
+def learnt():
+    true, apr = walk(0)
+    return ErrorMap.learnt(apr, true)
+
+
+def test_errors_come_apart_into_yaw_position_and_tilt():
+    true = make_pose(Rotation.random(20, rng=0).as_matrix(), np.random.default_rng(0).normal(size=(20, 3)))
+    yaw, shift = np.linspace(-2, 2, 20), np.array([1.0, -2.0, 3.0])
+    error, tilt = errors_of(make_pose(yaw_rotation(yaw) @ true[:, :3, :3], true[:, :3, 3] + shift), true)
+    assert error[:, 0] == pytest.approx(yaw) and error[:, 1:] == pytest.approx(np.tile(shift, (20, 1)))
+    assert tilt == pytest.approx(0, abs=1e-6)
+    lean = Rotation.from_rotvec([0.1, 0, 0]).as_matrix()
+    assert errors_of(make_pose(lean @ true[:, :3, :3], true[:, :3, 3]), true)[1] == pytest.approx(0.1)
+
+
+def test_another_walks_errors_are_expected_and_so_is_what_is_left(learnt):
+    true, apr = walk(1)
+    error, tilt = errors_of(apr, true)
+    expected = asked(learnt, apr)
+    left = error - [e.error for e in expected]
+    assert (np.abs(left).mean(axis=0) < 0.5 * np.abs(error).mean(axis=0)).all()
+    square = left**2 / [e.shared + e.noise for e in expected]
+    assert 0.85 < (square < chi2.ppf(0.95, 1)).mean() < 0.995
+    hard = true[:, 0, 3] > 2
+    easy = true[:, 0, 3] < -2
+    sizes = np.array([e.shared + e.noise for e in expected])
+    assert (np.median(sizes[hard], axis=0) > 4 * np.median(sizes[easy], axis=0)).all()
+    leans = np.array([e.tilt for e in expected])
+    assert np.median(leans[hard]) > 4 * np.median(leans[easy]) and 0.3 < np.mean(tilt**2 / 2 / leans) < 3
+
+
+def test_where_nothing_was_held_out_nothing_is_known(learnt):
+    far = learnt.expected(np.array([500.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    assert far.error == pytest.approx(0) and (far.shared > 0).all()
+    _, apr = walk(1)
+    near = np.median([e.shared for e in asked(learnt, apr)], axis=0)
+    assert (far.shared > near).all()
+
+
+def test_moving_the_map_moves_nothing():
+    (true, apr), shift = walk(0), make_pose(np.eye(3), [40.0, -3.0, 90.0])
+    here, there = ErrorMap.learnt(apr, true), ErrorMap.learnt(shift @ apr, shift @ true)
+    _, queries = walk(1)
+    for a, b in zip(asked(here, queries[::20]), asked(there, shift @ queries[::20]), strict=True):
+        assert a.error == pytest.approx(b.error, abs=1e-3) and a.shared == pytest.approx(b.shared, rel=1e-2)
+
+
+def test_a_table_gives_the_same_map(learnt, tmp_path):
+    learnt.table().assign(scene="Place", model="PN").to_parquet(tmp_path / "map.parquet")
+    again = ErrorMap.from_table(pd.read_parquet(tmp_path / "map.parquet"))
+    _, apr = walk(2)
+    for a, b in zip(asked(learnt, apr), asked(again, apr), strict=True):
+        assert all(np.allclose(x, y, rtol=1e-9) for x, y in zip(a, b, strict=True))
+
+
+def test_too_few_frames_make_no_map_and_missing_ones_do_not_count():
+    true, apr = walk(0)
+    apr[LEAST_FRAMES - 1 :] = np.nan
+    assert ErrorMap.learnt(apr, true) is None
+    true, apr = walk(0)
+    apr[::7], true[3] = np.nan, np.nan
+    there = np.isfinite(apr).all(axis=(1, 2)) & np.isfinite(true).all(axis=(1, 2))
+    with_holes, without = ErrorMap.learnt(apr, true), ErrorMap.learnt(apr[there], true[there])
+    _, queries = walk(1, 20)
+    for a, b in zip(asked(with_holes, queries), asked(without, queries), strict=True):
+        assert np.array_equal(a.error, b.error)

@@ -1,0 +1,44 @@
+"""The figures of fusion's own tables show what the tables say."""
+
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+from conftest import MODELS, MadeUpScene
+
+from reports.figures import confidence, sensitivity
+
+
+@pytest.fixture(scope="module")
+def scene() -> SimpleNamespace:
+    tables = MadeUpScene("Church", 0, train=60).tables()["fuse"]
+    return SimpleNamespace(
+        name="Church", models=list(MODELS), sweep=tables["sweep"], intervals=tables["intervals"].astype({"high": float})
+    )
+
+
+def test_sensitivity_has_a_line_a_model_in_each_panel(scene: SimpleNamespace) -> None:
+    axes = sensitivity(scene).figure.axes
+    assert len(axes) == 12 and all([line.get_label() for line in ax.lines] == scene.models for ax in axes)
+    rows = scene.sweep[(scene.sweep["subset"] == "all") & (scene.sweep["model"] == MODELS[1])]
+    thresholds = ("n", "d_th_m", "o_th_deg", "gamma")
+    for column, threshold in enumerate(thresholds):
+        varied = rows[rows["varied"] == threshold]
+        for row, values in enumerate(
+            (varied["position_mean_m"], varied["rotation_mean_deg"], varied["coverage_pct"] / 10)
+        ):
+            line = axes[4 * row + column].lines[1]
+            assert list(line.get_xdata()) == list(varied[threshold]) and list(line.get_ydata()) == pytest.approx(values)
+
+
+def test_intervals_stand_about_each_methods_mean(scene: SimpleNamespace) -> None:
+    named = confidence(scene)
+    positions = named.figure.axes[0]
+    assert [t.get_text() for t in positions.get_yticklabels()] == [
+        f"{m} {f}" for m in MODELS for f in ("apr", "mobilearloc")
+    ]
+    span, middle = positions.lines[2:4]
+    assert list(span.get_xdata()) == pytest.approx([1.2, 1.95]) and list(middle.get_xdata()) == [1.5]
+    assert "2 test sessions" in named.caption and "3 ways" in named.caption
+    # A bound that is infinite has no end to draw to, but its mean is there.
+    assert pd.isna(positions.lines[0].get_xdata()[1]) and list(positions.lines[1].get_xdata()) == [2.0]
