@@ -21,6 +21,7 @@ from training.models.regressor import PoseRegressor
 from training.settings import RegressorSettings
 
 CHECKPOINT = "checkpoint.pt"
+_SCORED_EPOCHS = 5
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ def train(
 ) -> None:
     """Train `model` until the checkpoint in `run.folder` holds all its epochs; `take_best` reads it.
 
-    The best epoch has the smallest product of median position and rotation error over the held-out frames.
+    The best epoch has the smallest `held_out_score`.
 
     Everything random in an epoch comes from (seed, epoch), so a run that goes on from a checkpoint in `run.folder`
     ends, on a CPU, in the same weights to the bit as one that was never stopped.
@@ -101,7 +102,7 @@ def train(
             "seconds": time.monotonic() - started,
         }
         history.append(row)
-        score = row["val_position_m"] * row["val_rotation_deg"]
+        score = held_out_score(history)
         if score < best["score"]:
             weights = {name: tensor.clone() for name, tensor in model.state_dict().items()}
             best = {"score": score, "epoch": epoch + 1, "weights": weights}
@@ -110,6 +111,16 @@ def train(
             save(run.folder / CHECKPOINT, {**state, "history": history, "best": best})
             saved_at = time.monotonic()
         report(epoch + 1, f"{run.title} {row['val_position_m']:.2f} m, {row['val_rotation_deg']:.1f} deg")
+
+
+def held_out_score(history: list[dict[str, Any]]) -> float:
+    """How good the last epoch of a learning curve is, small is good: the product of the median position and rotation
+    error over the held-out frames, as a geometric mean of the last few epochs.
+
+    Held-out frames are few, and the smallest of many noisy products is one of luck.
+    """
+    recent = history[-_SCORED_EPOCHS:]
+    return math.prod(row["val_position_m"] * row["val_rotation_deg"] for row in recent) ** (1 / len(recent))
 
 
 def take_best(model: PoseRegressor, folder: Path) -> list[dict[str, Any]]:

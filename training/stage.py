@@ -208,7 +208,7 @@ def describe(run: Run) -> str:
 
 STAGE = Stage(
     name="train",
-    version=2,
+    version=3,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,

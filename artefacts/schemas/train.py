@@ -47,7 +47,7 @@ TABLES = [
             Column("sx", "float64", "learned log-variance of the position loss"),
             Column("sq", "float64", "learned log-variance of the rotation loss"),
             Column("seconds", "float64", "wall time of the epoch", "s"),
-            Column("kept", "bool", "the epoch whose weights were kept: least product of the two held-out medians"),
+            Column("kept", "bool", "the epoch whose weights were kept: least held-out score (docs/training.md)"),
         ],
     ),
     TableSchema(

@@ -9,7 +9,7 @@ from artefacts import UserError
 from training import loop
 from training.data import Frames, ImageCache
 from training.evaluation import mean_pose_errors, pose_errors
-from training.loop import Run, epoch_batches, learning_rate, take_best, train
+from training.loop import Run, epoch_batches, held_out_score, learning_rate, take_best, train
 from training.models.posenet import PoseNet
 from training.models.regressor import PoseBatch, PoseRegressor
 from training.rotations import exp_quaternion
@@ -105,6 +105,15 @@ def test_a_resumed_run_ends_in_the_same_weights(tmp_path: Path, monkeypatch: pyt
     assert resumed_history == whole_history
     for name, tensor in whole.state_dict().items():
         assert torch.equal(tensor, resumed.state_dict()[name]), name
+
+
+def test_one_lucky_epoch_is_not_the_best() -> None:
+    errors = [(8.0, 40.0), (2.0, 10.0), (1.0, 4.0), (2.0, 10.0), (2.0, 9.0), (1.5, 8.0), (1.5, 8.0), (1.5, 8.0)]
+    history = [{"val_position_m": metres, "val_rotation_deg": degrees} for metres, degrees in errors]
+    scores = [held_out_score(history[: n + 1]) for n in range(len(history))]
+    assert scores[0] == pytest.approx(8 * 40)
+    assert np.argmin(scores) == 6  # the lucky third epoch is still among the last five there
+    assert scores[2] > scores[6]
 
 
 def test_a_diverging_run_says_so(tmp_path: Path) -> None:
