@@ -14,8 +14,7 @@ from scipy.stats import chi2
 
 from fusion.localiser import Estimate, State, Status, array, plain
 from fusion.odometry import OdometryLocaliser, OdometryOptions, raw
-from geometry.pose_graph import skew
-from geometry.poses import Array, inverse, relative
+from geometry.poses import Array, inverse, relative, skew
 
 
 class ErrorStateOptions(OdometryOptions):

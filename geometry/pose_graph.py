@@ -4,18 +4,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from geometry.poses import Array, inverse, relative
+from geometry.poses import Array, inverse, relative, skew
 
 _MAX_ITERATIONS = 20
 _TOLERANCE = 1e-7
-
-
-def skew(v: ArrayLike) -> Array:
-    """Matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
-    v = np.asarray(v, dtype=float)
-    x, y, z, zero = v[..., 0], v[..., 1], v[..., 2], np.zeros(v.shape[:-1])
-    rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def inverse_right_jacobian(rotation_vector: ArrayLike) -> Array:

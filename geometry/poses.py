@@ -153,3 +153,11 @@ def heading(rotation: ArrayLike) -> Array:
     """The yaw in radians, about +y, that is nearest to rotations (..., 3, 3)."""
     rotation = np.asarray(rotation, dtype=float)
     return np.arctan2(rotation[..., 0, 2] - rotation[..., 2, 0], rotation[..., 0, 0] + rotation[..., 2, 2])
+
+
+def skew(v: ArrayLike) -> Array:
+    """Matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
+    v = np.asarray(v, dtype=float)
+    x, y, z, zero = v[..., 0], v[..., 1], v[..., 2], np.zeros(v.shape[:-1])
+    rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cholesky, lapack
 from scipy.sparse import bsr_array, csr_array
 
-from geometry.poses import Array
+from geometry.poses import Array, skew
 
 # The scatter of points tells that of the poses where there are some more of them than unknowns.
 _POINTS_PER_UNKNOWN = 2
@@ -71,7 +71,7 @@ def _jacobians(
         [np.stack([fx / z, zero, -fx * x / z**2], -1), np.stack([zero, fy / z, -fy * y / z**2], -1)], 1
     )
     by_point = pixel_by_xyz @ cam_R_sfm
-    return np.concatenate([by_point @ _cross(offset), -by_point], axis=2), by_point
+    return np.concatenate([by_point @ skew(offset), -by_point], axis=2), by_point
 
 
 def _reduced_camera_system(
@@ -112,7 +112,7 @@ def _gauge(position_N3: Array) -> Array:
     centred = position_N3 - position_N3.mean(axis=0)
     gauge = np.zeros((len(position_N3), 6, 7))
     gauge[:, :3, :3] = np.eye(3)
-    gauge[:, 3:, :3] = -_cross(centred)
+    gauge[:, 3:, :3] = -skew(centred)
     gauge[:, 3:, 3:6] = np.eye(3)
     gauge[:, 3:, 6] = centred
     return gauge
@@ -150,10 +150,3 @@ def _gauge_free_sandwich(inverse: Array, middle: Array, position_N3: Array) -> A
     gauge_T = np.swapaxes(gauge_N67, 1, 2)
     cross = of_h.reshape(frames, 6, 7) @ gauge_T
     return blocks - cross - np.swapaxes(cross, 1, 2) + gauge_N67 @ (h @ of_h) @ gauge_T
-
-
-def _cross(v: Array) -> Array:
-    """[v]x (..., 3, 3) with [v]x w = v x w."""
-    x, y, z = np.moveaxis(v, -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from geometry.poses import Array
+from geometry.poses import Array, skew
 from sfm.pairs import Pairs
 
 Ints = NDArray[np.int64]
@@ -43,10 +43,7 @@ def sampson_px(a_T_b: Array, ray_a: Array, ray_b: Array, focal_a: Array, focal_b
     First-order distance of a match from the epipolar constraint (Hartley and Zisserman, "Multiple View Geometry", 2nd
     ed., eq. 11.9), in the pixels of both images.
     """
-    x, y, z = a_T_b[:, :3, 3].T
-    zero = np.zeros_like(x)
-    cross = np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
-    essential = cross @ a_T_b[:, :3, :3]
+    essential = skew(a_T_b[:, :3, 3]) @ a_T_b[:, :3, :3]
     line_a = np.einsum("mij,mj->mi", essential, ray_b)
     line_b = np.einsum("mji,mj->mi", essential, ray_a)
     gradient = np.sum((line_a[:, :2] / focal_a[:, None]) ** 2, axis=1)
