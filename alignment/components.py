@@ -4,12 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alignment.agreement import Allowance, PoseSd, fit_rigid
 from alignment.map_frame import MapScale, Vertical
 from alignment.segments import Segment
 from artefacts import UserError
 from geometry.fits import Sim3, rotation_to_up
 from geometry.poses import Array, heading, inverse, transform
+from geometry.vio_agreement import PoseSd, fit_rigid
+from geometry.vio_drift import VioDrift
 
 _LEAST_FRAMES = 3
 
@@ -80,9 +81,9 @@ def place_components(
     *,
     window_m: float,
     longest_m: float,
-    allowance: Allowance,
+    drift: VioDrift,
     sd: PoseSd,
-    drift: BridgeSd,
+    bridge_sd: BridgeSd,
 ) -> tuple[list[Placed], list[Untied]]:
     """Put components (largest first) into one map. `used` (N,) are the frames of the frames table to go by.
 
@@ -97,12 +98,13 @@ def place_components(
     while waiting:
         ways = {
             c.index: sorted(
-                (way for p in placed for way in _ways(p, c, used, window_m, sd, drift)), key=lambda way: way[0].gap_m
+                (way for p in placed for way in _ways(p, c, used, window_m, sd, bridge_sd)),
+                key=lambda way: way[0].gap_m,
             )
             for c in waiting
         }
         near = [c for c in waiting if ways[c.index] and ways[c.index][0][0].gap_m <= longest_m]
-        near = [c for c in near if not _contradiction(ways[c.index], longest_m, allowance)]
+        near = [c for c in near if not _contradiction(ways[c.index], longest_m, drift)]
         if not near:
             break
         best = min(near, key=lambda c: ways[c.index][0][0].gap_m)
@@ -116,7 +118,7 @@ def place_components(
             untied.append(Untied(c, None, f"no view and no walk ties it to the map: {own}"))
             continue
         gap_m = ways[c.index][0][0].gap_m
-        contradiction = _contradiction(ways[c.index], longest_m, allowance)
+        contradiction = _contradiction(ways[c.index], longest_m, drift)
         found = contradiction if gap_m <= longest_m and contradiction else f"VIO alone for {gap_m:.1f} m"
         untied.append(Untied(c, gap_m, f"no view ties it to the map: {found}"))
     return placed, untied
@@ -171,14 +173,14 @@ def _ways(
     return found
 
 
-def _contradiction(ways: list[tuple[Bridge, Sim3]], longest_m: float, allowance: Allowance) -> str | None:
+def _contradiction(ways: list[tuple[Bridge, Sim3]], longest_m: float, drift: VioDrift) -> str | None:
     """How another way than the first, not longer than `longest_m`, disagrees with it, if one does."""
     bridge, map_S_metric = ways[0]
     anchor = map_S_metric.inverse().points(bridge.anchor)
     for other, other_S_metric in ways[1:]:
         if other.gap_m > longest_m:
             continue
-        limit_m, limit_rad = allowance.limits(bridge.path_m + other.path_m)
+        limit_m, limit_rad = (float(law(bridge.path_m + other.path_m)) for law in (drift.metres, drift.radians))
         turned = abs(float(heading(other_S_metric.rotation @ map_S_metric.rotation.T)))
         shifted = float(np.linalg.norm(other_S_metric.points(anchor) - bridge.anchor))
         arm = float(np.linalg.norm(bridge.anchor - other.anchor))

@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from alignment.agreement import Allowance, PoseSd, Window, compare, worst_by_frame
+from alignment.agreement import Window, compare, worst_by_frame
 from alignment.components import BridgeSd, Component, Placed, place_components
-from alignment.diagnosis import Diagnosis, diagnose
 from alignment.gate import (
     BROKEN_OFF,
     DISAGREES,
@@ -27,9 +26,12 @@ from alignment.segments import Segment, cut_segments, frame_components
 from alignment.settings import AlignSettings
 from alignment.uncertainty import covariance_in_map
 from artefacts import UserError
+from geometry.diagnosis import Diagnosis, diagnose
 from geometry.fits import direction_angles
 from geometry.motion_agreement import MISTAKES
 from geometry.poses import Array
+from geometry.vio_agreement import PoseSd
+from geometry.vio_drift import VioDrift
 
 NOT_REGISTERED = "SfM didn't register it"
 
@@ -92,7 +94,7 @@ def examine(
         np.full(count, np.nan),
     )
     _check_registered(found, frames, settings)
-    allowance = _allowance(settings)
+    drift = _drift(settings)
     sd = PoseSd(settings.position_sd_m, float(np.radians(settings.rotation_sd_deg)))
     # Scale and agreement are compared between all jumps, also those that an alignment lives with.
     segments = cut_segments(
@@ -111,9 +113,9 @@ def examine(
         if component is None:
             continue
         found.components.append(component)
-        _check_sessions(found, component, allowance, settings)
+        _check_sessions(found, component, drift, settings)
         for piece in component.pieces:
-            windows = compare(piece, component.metric_S_sfm, settings.window_m, allowance, sd)
+            windows = compare(piece, component.metric_S_sfm, settings.window_m, drift, sd)
             metres, radians, wrong = worst_by_frame(piece, windows)
             found.worst_m[piece.rows], found.worst_rad[piece.rows] = metres, radians
             _refuse(found, piece.rows[wrong], "SfM and VIO disagree here")
@@ -121,17 +123,17 @@ def examine(
     for window in found.windows:
         gate.check_window(window)
     _check_unsure(found, frames, images, settings)
-    _place(found, settings, allowance, sd)
+    _place(found, settings, drift, sd)
     found.refusal = _refusal(found, frames, settings)
     return found
 
 
-def _allowance(settings: AlignSettings) -> Allowance:
-    return Allowance(
-        settings.drift_m,
-        settings.drift_m_per_m,
-        float(np.radians(settings.drift_deg)),
-        float(np.radians(settings.drift_deg_per_m)),
+def _drift(settings: AlignSettings) -> VioDrift:
+    return VioDrift.in_degrees(
+        settings.vio_drift_m,
+        settings.vio_drift_m_per_m,
+        settings.vio_drift_deg,
+        settings.vio_drift_deg_per_root_m,
     )
 
 
@@ -197,7 +199,7 @@ def _component(
     return Component(index, name, segments, pieces, scale, vertical)
 
 
-def _check_sessions(found: Examination, component: Component, allowance: Allowance, settings: AlignSettings) -> None:
+def _check_sessions(found: Examination, component: Component, drift: VioDrift, settings: AlignSettings) -> None:
     """Each session's motion, turns, scale and vertical in one model; a session that fails gets no ground truth."""
     for session_id in dict.fromkeys(s.session_id for s in component.segments):
         own = [s for s in component.segments if s.session_id == session_id]
@@ -205,7 +207,7 @@ def _check_sessions(found: Examination, component: Component, allowance: Allowan
         if not len(rows):
             continue
         about: dict[str, Any] = {"session_id": session_id, "component": component.index, "frames": len(rows)}
-        diagnosis = diagnose([p for p in component.pieces if p.session_id == session_id], allowance)
+        diagnosis = diagnose([p.stretch for p in component.pieces if p.session_id == session_id], drift)
         found.diagnoses[component.index, session_id] = diagnosis
         reasons = _motion_faults(found.gate, diagnosis, settings, about)
         if not reasons:
@@ -311,7 +313,7 @@ def _check_unsure(found: Examination, frames: pd.DataFrame, images: pd.DataFrame
             _refuse(found, np.array(wrong if passed else unsure, dtype=int), reason)
 
 
-def _place(found: Examination, settings: AlignSettings, allowance: Allowance, sd: PoseSd) -> None:
+def _place(found: Examination, settings: AlignSettings, drift: VioDrift, sd: PoseSd) -> None:
     """One map of all models that VIO ties to the first; the others' frames get no ground truth."""
     for component in found.components:
         failed = {str(row["check"]) for row in found.gate.failed if row["component"] == component.index}
@@ -320,15 +322,15 @@ def _place(found: Examination, settings: AlignSettings, allowance: Allowance, sd
                 _refuse(found, segment.rows[segment.registered], _OF_THE_WHOLE[name])
     if not found.used.any():
         return
-    drift = BridgeSd(settings.bridge_m_per_sqrt_m, float(np.radians(settings.bridge_deg_per_sqrt_m)))
+    bridge_sd = BridgeSd(settings.bridge_m_per_sqrt_m, float(np.radians(settings.bridge_deg_per_sqrt_m)))
     found.placed, untied = place_components(
         found.components,
         found.used,
         window_m=settings.window_m / 2,
         longest_m=settings.bridge_m,
-        allowance=allowance,
-        sd=sd,
         drift=drift,
+        sd=sd,
+        bridge_sd=bridge_sd,
     )
     for placed in found.placed[1:]:
         if placed.bridge is not None:

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from alignment.agreement import PoseSd
 from alignment.components import Placed, bridge_covariance
 from alignment.drift import DriftSamples, drift_table, measure_drift
 from alignment.examination import Examination, examine
@@ -15,6 +14,7 @@ from alignment.settings import AlignSettings
 from alignment.uncertainty import SharedSd, covariance_in_map, largest_sd, shared_covariance
 from artefacts.tables import pose_frame, poses_of
 from geometry.poses import Array
+from geometry.vio_agreement import PoseSd
 
 
 @dataclass(frozen=True)

@@ -9,26 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alignment.segments import Segment, windows
+from alignment.segments import Segment
 from artefacts import UserError
 from geometry import GeometryError
-from geometry.fits import Sim3, direction_angles, fit_robust, fit_sim3, mean_direction
+from geometry.fits import direction_angles, fit_robust, mean_direction
 from geometry.poses import Array
+from geometry.vio_agreement import Scale, extent, recording_scale, robust_mean
 
 # Residuals that nobody minds, where a robust fit stops telling items apart.
-_WINDOW_FLOOR = 2e-3  # of the window's extent: 2 mm a metre
-_SCALE_FLOOR = 1e-3  # of a window's scale against its session's
 _UP_FLOOR = np.radians(0.2)  # of a frame's vertical against its recording's
 _RECORDING_FLOOR = 4.0  # sigmas, of a recording against the others
-
-
-@dataclass(frozen=True)
-class Scale:
-    """VIO metres per SfM unit of one recording: natural logarithm, its sigma, and the windows behind it."""
-
-    log: float
-    sd: float
-    windows: int
 
 
 @dataclass(frozen=True)
@@ -66,17 +56,17 @@ def common_scale(
         if scale is not None:
             found[recording] = scale
     if not found:
-        extent = max((_extent(s.vio_T_cam[s.both, :3, 3]) for s in segments if s.both.sum() >= 2), default=0.0)
+        spread = max((extent(s.vio_T_cam[s.both, :3, 3]) for s in segments if s.both.sum() >= 2), default=0.0)
         raise UserError(
             "the map's metric scale can't be had: no session moves enough",
             where="frames that have both an SfM and a VIO pose",
             expected=f"3 or more such frames in a row, spread over {least_extent_m:g} m or more (root mean square)",
-            found=f"{sum(int(s.both.sum()) for s in segments)} such frames, spread over {extent:.3g} m at most",
+            found=f"{sum(int(s.both.sum()) for s in segments)} such frames, spread over {spread:.3g} m at most",
             do="capture with more walking, or lower align.least_extent_m",
         )
     logs = np.array([s.log for s in found.values()])
     sds = np.array([np.hypot(s.sd, phone_sd) for s in found.values()])
-    mean, robust = _robust_mean(logs, sds**-2, sds)
+    mean, robust = robust_mean(logs, sds**-2, sds, _RECORDING_FLOOR)
     weight = robust * sds**-2
     # Scatter beyond what each sigma says is the phones' doing.
     excess = max(1.0, float(np.sum(weight * ((logs - mean) / sds) ** 2) / np.sum(weight)))
@@ -111,64 +101,15 @@ def common_vertical(segments: list[Segment], *, phone_sd: float) -> Vertical:
 
 
 def _recording_scale(segments: list[Segment], window_m: float, least_extent_m: float, window_sd: float) -> Scale | None:
-    logs, spreads = [], []
-    for segment in segments:
-        known = segment.where(segment.both)
-        if len(known.rows) < 3:
-            continue
-        for inside in windows(known, window_m):
-            sfm, vio = known.sfm_T_cam[inside, :3, 3], known.vio_T_cam[inside, :3, 3]
-            if len(inside) < 3 or _extent(vio) < least_extent_m:
-                continue
-            scale, weights = _window_scale(sfm, vio)
-            logs.append(-np.log(scale))
-            spreads.append(_extent(vio, weights) ** 2)
-    if not logs:
-        return None
-    log, spread = np.array(logs), np.array(spreads)
-    mean, robust = _robust_mean(log, spread, np.ones(len(log)), floor=_SCALE_FLOOR)
-    weight = robust * spread
-    # Each window shares half its path with the next one: together they count for half as many.
-    effective = max(1.0, float(weight.sum() ** 2 / np.sum(weight**2)) / (2 if len(log) > 1 else 1))
-    scatter = float(np.sum(weight * (log - mean) ** 2) / weight.sum())
-    variance = (effective * scatter + window_sd**2) / effective
-    return Scale(mean, float(np.sqrt(variance / effective)), len(log))
-
-
-def _window_scale(sfm: Array, vio: Array) -> tuple[float, Array]:
-    """SfM units per VIO metre of one window, and the frames' weights: wrong SfM poses have none.
-
-    SfM is fitted to, as its wrong poses are gross; as the side that is fitted from they'd be leverage points. A turn
-    about a straight path isn't determined and doesn't matter here.
-    """
-    size = _extent(vio)
-
-    def residuals(sfm_S_vio: Sim3) -> Array:
-        return np.linalg.norm(sfm - sfm_S_vio.points(vio), axis=1) / (sfm_S_vio.scale * size)
-
+    stretches = [segment.stretch for segment in segments]
     try:
-        sfm_S_vio, weights = fit_robust(
-            lambda w: fit_sim3(sfm, vio, w, line_ok=True), residuals, len(sfm), floor=_WINDOW_FLOOR
-        )
+        return recording_scale(stretches, window_m=window_m, least_extent_m=least_extent_m, window_sd=window_sd)
     except GeometryError as error:
         raise UserError(
             "SfM puts frames in one place that VIO says are apart",
             found=str(error),
             do="look at the sfm recording; its model is collapsed there",
         ) from error
-    return sfm_S_vio.scale, weights
-
-
-def _robust_mean(values: Array, weights: Array, sds: Array, floor: float = _RECORDING_FLOOR) -> tuple[float, Array]:
-    """Robust weighted mean of numbers, residuals counted in their `sds`."""
-    mean, robust = fit_robust(
-        lambda w: float(np.average(values, weights=w)),
-        lambda mean: np.abs(values - mean) / sds,
-        len(values),
-        floor=floor,
-        weights=weights,
-    )
-    return mean, robust
 
 
 def _robust_direction(directions: Array, floor: float) -> tuple[Array, Array]:
@@ -183,9 +124,3 @@ def _robust_direction(directions: Array, floor: float) -> tuple[Array, Array]:
 def _ups(segment: Segment) -> Array:
     known = segment.registered & np.isfinite(segment.up_cam).all(axis=1)
     return np.einsum("nij,nj->ni", segment.sfm_T_cam[known, :3, :3], segment.up_cam[known])
-
-
-def _extent(xyz: Array, weights: Array | None = None) -> float:
-    """Root mean square distance of points (N, 3) from their mean."""
-    mean = np.average(xyz, axis=0, weights=weights)
-    return float(np.sqrt(np.average(np.sum((xyz - mean) ** 2, axis=1), weights=weights)))

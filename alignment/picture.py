@@ -6,12 +6,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from alignment.agreement import PoseSd, fit_rigid
 from alignment.components import Component
 from alignment.examination import Examination
 from alignment.segments import Segment
 from artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
 from geometry.poses import transform
+from geometry.vio_agreement import PoseSd, fit_rigid
 
 _MOST_SESSIONS = 8
 _INCHES = 3.2

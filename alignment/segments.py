@@ -7,11 +7,9 @@ import pandas as pd
 
 from artefacts.tables import poses_of
 from geometry.poses import Array
+from geometry.vio_agreement import Stretch
 
 UNTRACKED = ("limited", "lost")
-
-# Frames that a window needs so that a robust fit of 7 unknowns sees which of them is wrong.
-LEAST_WINDOW = 6
 
 
 @dataclass(frozen=True)
@@ -55,6 +53,11 @@ class Segment:
         if np.isnan(xyz).any():
             return np.zeros(len(xyz))
         return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
+
+    @property
+    def stretch(self) -> Stretch:
+        """The poses of the frames that both know."""
+        return Stretch(self.sfm_T_cam[self.both], self.vio_T_cam[self.both])
 
     def where(self, wanted: np.ndarray) -> "Segment":
         """The segment's frames for which `wanted` (N,) holds."""
@@ -138,22 +141,3 @@ def cut_segments(
                 )
             )
     return segments
-
-
-def windows(segment: Segment, length_m: float, least_frames: int = LEAST_WINDOW) -> list[np.ndarray]:
-    """Indices (n,) of the segment's frames in windows of `length_m` of VIO path, each half over the next.
-
-    The windows are spread so that the last one ends with the path; a shorter path is one window. Where frames are far
-    apart a window is longer, so that it has `least_frames`; a segment of fewer is one window.
-    """
-    travelled, count = segment.travelled_m, len(segment.rows)
-    path_m = float(travelled[-1])
-    steps = 0 if path_m <= length_m else int(np.ceil((path_m - length_m) / (length_m / 2)))
-    starts = np.linspace(0.0, max(path_m - length_m, 0.0), steps + 1)
-    # Rounding must not cost a window its last frame.
-    slack = 1e-9 * (1 + path_m)
-    first = np.searchsorted(travelled, starts - slack)
-    last = np.searchsorted(travelled, starts + length_m + slack, side="right")
-    last = np.minimum(np.maximum(last, first + least_frames), count)
-    first = np.maximum(np.minimum(first, last - least_frames), 0)
-    return [np.arange(a, b) for a, b in dict.fromkeys(zip(first.tolist(), last.tolist(), strict=True))]

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from alignment.agreement import PoseSd, fit_rigid
 from alignment.components import Placed
 from alignment.segments import Segment
 from artefacts.schemas import schema
@@ -13,6 +12,7 @@ from artefacts.tables import pose_frame
 from geometry import GeometryError
 from geometry.fits import direction_angles, fit_sim3, pose_residuals
 from geometry.poses import Array
+from geometry.vio_agreement import PoseSd, fit_rigid
 
 # A rigid fit of fewer poses has nothing left to show a residual with.
 _LEAST_FRAMES = 3

@@ -4,6 +4,8 @@ from pydantic import Field
 
 from alignment.uncertainty import QualityLimits
 from artefacts import Settings
+from geometry.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT
+from geometry.vio_agreement import LEAST_EXTENT_M, POSE_SD, WINDOW_M, WINDOW_SCALE_SD
 
 
 class QualitySettings(Settings):
@@ -21,31 +23,37 @@ class QualitySettings(Settings):
 class AlignSettings(Settings):
     """How ground truth is made; docs/ground-truth.md says why these defaults."""
 
-    window_m: float = Field(10.0, gt=0, description="VIO path over which SfM and VIO are compared, metres")
+    window_m: float = Field(WINDOW_M, gt=0, description="VIO path over which SfM and VIO are compared, metres")
     least_extent_m: float = Field(
-        0.15, gt=0, description="windows whose VIO positions spread less (root mean square) tell no scale, metres"
+        LEAST_EXTENT_M,
+        gt=0,
+        description="windows whose VIO positions spread less (root mean square) tell no scale, metres",
     )
-    window_scale_sd: float = Field(0.01, gt=0, description="expected scale error of one window, share")
+    window_scale_sd: float = Field(WINDOW_SCALE_SD, gt=0, description="expected scale error of one window, share")
     phone_scale_sd: float = Field(0.003, gt=0, description="expected scale error of one recording's VIO, share")
     phone_tilt_sd_deg: float = Field(0.3, gt=0, description="expected gravity error of one recording, degrees an axis")
-    position_sd_m: float = Field(0.01, gt=0, description="position's weight in fits of VIO to the map, metres")
+    position_sd_m: float = Field(
+        POSE_SD.position_m, gt=0, description="position's weight in fits of VIO to the map, metres"
+    )
     rotation_sd_deg: float = Field(1.0, gt=0, description="rotation's weight in the same fits, degrees")
     segment_jump_m: float = Field(0.5, gt=0, description="a session is aligned apart before and after such a VIO jump")
     segment_jump_deg: float = Field(5.0, gt=0, description="the same for a jump in rotation, degrees")
-    drift_m: float = Field(0.1, ge=0, description="gate: VIO and SfM may differ by this within a window, metres, ...")
-    drift_m_per_m: float = Field(0.03, ge=0, description="... and by this share of the distance travelled in it")
-    drift_deg: float = Field(2.0, ge=0, description="gate: the same for rotation, degrees, ...")
-    drift_deg_per_m: float = Field(0.8, ge=0, description="... and degrees a metre")
+    vio_drift_m: float = Field(0.1, ge=0, description="gate: VIO and SfM may differ by this in a window, metres, ...")
+    vio_drift_m_per_m: float = Field(0.03, ge=0, description="... and by this share of the distance travelled in it")
+    vio_drift_deg: float = Field(3.0, ge=0, description="gate: the same for rotation, degrees, ...")
+    vio_drift_deg_per_root_m: float = Field(2.5, ge=0, description="... and degrees for the root of a metre of path")
     session_scale_limit: float = Field(0.03, gt=0, description="gate: a session's scale may differ by this share")
     session_tilt_limit_deg: float = Field(2.0, gt=0, description="gate: a session's vertical may differ by this")
     motion_agreeing: float = Field(
         0.5, ge=0, le=1, description="gate: share of a session's steps that must be alike in SfM and VIO"
     )
     turn_gain_limit: float = Field(
-        0.03, gt=0, description="gate: SfM may turn by this share more or less than VIO; a wrong focal length does so"
+        TURN_GAIN_LIMIT,
+        gt=0,
+        description="gate: SfM may turn by this share more or less than VIO; a wrong focal length does so",
     )
     folded_limit: float = Field(
-        0.03, ge=0, description="gate: share of a session's frames that may lie where far ones do, by VIO"
+        FOLDED_LIMIT, ge=0, description="gate: share of a session's frames that may lie where far ones do, by VIO"
     )
     unsure_step_m: float = Field(
         5.0,

@@ -137,7 +137,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=2,
+    version=3,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

@@ -11,13 +11,15 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from alignment.agreement import Allowance, PoseSd, compare
+from alignment.agreement import compare
 from alignment.map_frame import common_scale, common_vertical
 from alignment.segments import Segment
 from alignment.settings import AlignSettings
 from artefacts.cli import new_app
 from geometry.fits import Sim3, direction_angles
 from geometry.poses import Array, make_pose
+from geometry.vio_agreement import PoseSd
+from geometry.vio_drift import VioDrift
 from simulation.pose_walks import PoseWalk, pose_walks
 from simulation.vio import FITTED, simulate_vio
 
@@ -78,14 +80,19 @@ def _segments(walks: list[PoseWalk], seed: int) -> list[Segment]:
 
 
 def _print_residuals(scenes: list[list[Segment]], settings: AlignSettings) -> None:
-    none = Allowance(0.0, 0.0, 0.0, 0.0)
+    none = VioDrift(0.0, 0.0, 0.0, 0.0)
     sd = PoseSd(settings.position_sd_m, float(np.radians(settings.rotation_sd_deg)))
     as_it_is = Sim3(1.0, np.eye(3), np.zeros(3))
     windows = [w for segments in scenes for s in segments for w in compare(s, as_it_is, settings.window_m, none, sd)]
     metres = np.array([w.position_m.max() for w in windows])
     degrees = np.degrees([w.rotation.max() for w in windows])
-    limit = Allowance(settings.drift_m, settings.drift_m_per_m, settings.drift_deg, settings.drift_deg_per_m)
-    limit_m, limit_deg = limit.limits(settings.window_m)
+    limit = VioDrift.in_degrees(
+        settings.vio_drift_m,
+        settings.vio_drift_m_per_m,
+        settings.vio_drift_deg,
+        settings.vio_drift_deg_per_root_m,
+    )
+    limit_m, limit_deg = float(limit.metres(settings.window_m)), float(np.degrees(limit.radians(settings.window_m)))
     print(f"\n{len(windows)} windows of {settings.window_m:g} m: largest residual")
     print("| | median | 99th percentile | largest | limit |")
     print("|---|---|---|---|---|")

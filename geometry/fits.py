@@ -16,7 +16,8 @@ from geometry.poses import Array, make_pose, rotation_angle, yaw_rotation
 # Below this share of the largest singular value a direction counts as having no extent at all: it's rounding.
 _RANK_TOLERANCE = 1e-10
 _IRLS_ITERATIONS = 50
-_IRLS_TOLERANCE = 1e-9
+ROBUST_TOLERANCE = 1e-9
+"""`fit_robust` goes on until no weight changes by more."""
 
 Model = TypeVar("Model")
 
@@ -133,7 +134,7 @@ def fit_robust(
     *,
     floor: float,
     weights: ArrayLike | None = None,
-    tolerance: float = _IRLS_TOLERANCE,
+    tolerance: float = ROBUST_TOLERANCE,
 ) -> tuple[Model, Array]:
     """A fit of `count` items that outliers hardly move: the model and its final weights (count,), 0 to 1.
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.poses import Array, rotation_angle
+from geometry.vio_drift import VioDrift
 from sfm.pairs import Pairs
 
 # Below this median angle between the rays of a pair's points the images hardly tell the direction of motion.
@@ -33,17 +34,11 @@ class Odometry:
 
 
 @dataclass(frozen=True)
-class DriftLimits:
-    """What VIO can be off by between two frames with a path of s metres between them, jumps added.
+class PairLimits:
+    """What a pair of frames may differ by from VIO: what that can have drifted by on the path between them, jumps
+    added; `gravity_rad`, as gravity doesn't drift; and what two images leave open of the direction of motion."""
 
-    Position `m` + `m_per_m` s: scale and heading are off. Rotation `rad` + `rad_per_root_m` sqrt(s): a random walk,
-    with what two images leave open in the constant. Gravity doesn't drift: `gravity_rad`.
-    """
-
-    m: float
-    m_per_m: float
-    rad: float
-    rad_per_root_m: float
+    drift: VioDrift
     gravity_rad: float
     direction_rad: float
 
@@ -106,17 +101,17 @@ def odometry(
     return Odometry(session_N, vio_T_cam, gravity_cam, travelled, jumped_m, jumped_rad)
 
 
-def drift_between(vio: Odometry, pairs: Pairs, limits: DriftLimits) -> tuple[Array, Array]:
+def drift_between(vio: Odometry, pairs: Pairs, drift: VioDrift) -> tuple[Array, Array]:
     """What VIO can be off by between the two frames of each pair: metres (P,) and radians (P,)."""
     a, b = pairs.T
     path_m = np.abs(vio.travelled_m[a] - vio.travelled_m[b])
-    metres = limits.m + limits.m_per_m * path_m + np.abs(vio.jumped_m[a] - vio.jumped_m[b])
-    radians = limits.rad + limits.rad_per_root_m * np.sqrt(path_m) + np.abs(vio.jumped_rad[a] - vio.jumped_rad[b])
+    metres = drift.metres(path_m) + np.abs(vio.jumped_m[a] - vio.jumped_m[b])
+    radians = drift.radians(path_m) + np.abs(vio.jumped_rad[a] - vio.jumped_rad[b])
     return metres, radians
 
 
 def compare_with_vio(
-    pairs: Pairs, a_T_b: Array, triangulation_P: Array, vio: Odometry, limits: DriftLimits
+    pairs: Pairs, a_T_b: Array, triangulation_P: Array, vio: Odometry, limits: PairLimits
 ) -> Comparison:
     """Two-view poses a_T_b (P, 4, 4; any length of translation, NaN for none) against VIO.
 
@@ -124,7 +119,7 @@ def compare_with_vio(
     sessions. `triangulation_P` is the median angle (rad) between the rays of the pair's points.
     """
     a, b = pairs.T
-    drift_m, drift_rad = drift_between(vio, pairs, limits)
+    drift_m, drift_rad = drift_between(vio, pairs, limits.drift)
     drift_rad = np.minimum(drift_rad, np.pi)
     same = (vio.session[a] == vio.session[b]) & np.isfinite(a_T_b[:, 0, 0])
     same &= np.isfinite(vio.vio_T_cam[a, 0, 0]) & np.isfinite(vio.vio_T_cam[b, 0, 0])

@@ -13,6 +13,7 @@ from artefacts.child import Task, in_child
 from artefacts.tables import poses_of
 from geometry.motion_agreement import compare_motions
 from geometry.poses import Array, relative
+from geometry.vio_drift import VioDrift
 from sfm.covariance import pose_covariance
 from sfm.database import create_database, have_results, image_name, keypoint_counts, read_descriptors, read_pair_results
 from sfm.features import extract_features
@@ -22,7 +23,7 @@ from sfm.mapping import BuiltModel, kept_models, map_verified, read_built
 from sfm.mapping_input import HeldOutCheck, held_out_check, read_matches
 from sfm.matching import ONE_THREAD, MatchedPairs, match_pairs
 from sfm.model import Model, load_models
-from sfm.odometry import DriftLimits, Odometry, drift_between, nothing_compared, odometry
+from sfm.odometry import Odometry, PairLimits, drift_between, nothing_compared, odometry
 from sfm.pairs import (
     Pairs,
     first_origins,
@@ -288,20 +289,17 @@ def _match(
     return matched
 
 
-def _limits(s: SfmSettings) -> DriftLimits:
-    return DriftLimits(
-        s.vio_drift_m,
-        s.vio_drift_m_per_m,
-        float(np.radians(s.vio_drift_deg)),
-        float(np.radians(s.vio_drift_deg_per_root_m)),
-        float(np.radians(s.vio_gravity_deg)),
-        float(np.radians(s.vio_direction_deg)),
-    )
+def _drift(s: SfmSettings) -> VioDrift:
+    return VioDrift.in_degrees(s.vio_drift_m, s.vio_drift_m_per_m, s.vio_drift_deg, s.vio_drift_deg_per_root_m)
+
+
+def _limits(s: SfmSettings) -> PairLimits:
+    return PairLimits(_drift(s), float(np.radians(s.vio_gravity_deg)), float(np.radians(s.vio_direction_deg)))
 
 
 def _can_see(s: SfmSettings, vio: Odometry, pairs: Pairs) -> NDArray[np.bool_]:
     """Whether the frames of each pair are near enough by VIO to see the same thing, its drift allowed for, (P,)."""
-    drift_m, drift_rad = drift_between(vio, pairs, _limits(s))
+    drift_m, drift_rad = drift_between(vio, pairs, _drift(s))
     reach_m, reach_deg = s.vio_max_distance_m + drift_m, s.vio_max_angle_deg + np.degrees(drift_rad)
     return within_vio_limits(pairs, vio.session, vio.vio_T_cam, reach_m, reach_deg)
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from geometry.poses import Array, inverse, make_pose, relative
 from sfm.database import image_id
 from sfm.held_out import sampson_px
-from sfm.odometry import Comparison, DriftLimits, Odometry, compare_with_vio
+from sfm.odometry import Comparison, Odometry, PairLimits, compare_with_vio
 from sfm.pairs import Pairs
 
 # COLMAP's own bound for a match that fits, px, and the share of a pair's matches that a pose explains as well.
@@ -21,7 +21,7 @@ _MOST_EVALUATIONS = 30
 _LEAST_STEP_M = 1e-3
 
 
-def compare_pairs(database: Path, pairs: Pairs, vio: Odometry, limits: DriftLimits) -> tuple[Array, Comparison]:
+def compare_pairs(database: Path, pairs: Pairs, vio: Odometry, limits: PairLimits) -> tuple[Array, Comparison]:
     """Relative poses a_T_b (P, 4, 4) of verified pairs, translations of length 1 or 0, held against VIO.
 
     A pair that VIO disagrees with has a second hearing: points on a plane, or few of them, may be explained as well by

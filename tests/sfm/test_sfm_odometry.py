@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from geometry.poses import Array, make_pose, relative, yaw_rotation
-from sfm.odometry import DriftLimits, Odometry, compare_with_vio, drift_between, odometry
+from geometry.vio_drift import VioDrift
+from sfm.odometry import Odometry, PairLimits, compare_with_vio, drift_between, odometry
 
-_LIMITS = DriftLimits(
-    0.1, 0.03, *np.radians([3.0, 2.5]), gravity_rad=float(np.radians(5.0)), direction_rad=float(np.radians(15.0))
+_LIMITS = PairLimits(
+    VioDrift.in_degrees(0.1, 0.03, 3.0, 2.5), gravity_rad=float(np.radians(5.0)), direction_rad=float(np.radians(15.0))
 )
 _WIDE = np.radians(10.0)
 
@@ -79,8 +80,8 @@ def test_across_sessions_a_pair_that_tilts_gravity_is_named_and_a_turn_is_not() 
 def test_drift_grows_with_the_path_and_a_jump_adds_to_it() -> None:
     poses, session, t_ns = _walk(10, 3)
     pairs = np.array([[0, 1], [0, 4], [4, 6]])
-    calm = drift_between(_odometry(poses, session, t_ns), pairs, _LIMITS)
-    jumped = drift_between(_odometry(poses, session, t_ns, (("0", int(t_ns[5]), 4.6, 0.2),)), pairs, _LIMITS)
+    calm = drift_between(_odometry(poses, session, t_ns), pairs, _LIMITS.drift)
+    jumped = drift_between(_odometry(poses, session, t_ns, (("0", int(t_ns[5]), 4.6, 0.2),)), pairs, _LIMITS.drift)
     assert calm[0] == pytest.approx([0.13, 0.22, 0.16])
     assert calm[1] == pytest.approx(np.radians(3 + 2.5 * np.sqrt([1, 4, 2])))
     assert jumped[0] - calm[0] == pytest.approx([0, 0, 4.6])

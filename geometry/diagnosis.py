@@ -1,13 +1,19 @@
 """What a session's motion says about its inputs: images and poses that belong together, focal length, folded places."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from alignment.agreement import Allowance
-from alignment.segments import Segment
 from geometry.motion_agreement import MotionAgreement, compare_motions
 from geometry.poses import Array, relative
+from geometry.vio_agreement import Stretch, path_m
+from geometry.vio_drift import VioDrift
+
+TURN_GAIN_LIMIT = 0.03
+"""A model may turn by this share more or less than VIO; a wrong focal length makes it do so."""
+FOLDED_LIMIT = 0.03
+"""Share of a session's frames that may lie where others do that VIO has far away."""
 
 # Motions are compared between each frame and so many next ones.
 _NEXT = 2
@@ -27,26 +33,25 @@ class Diagnosis:
     folded_m: float
 
 
-def diagnose(pieces: list[Segment], allowance: Allowance) -> Diagnosis:
-    """Diagnose one session's frames in one model; `pieces` are its parts between all VIO jumps."""
-    known = [piece.where(piece.both) for piece in pieces]
-    pairs = [_near_pairs(len(piece.rows)) for piece in known]
+def diagnose(stretches: Sequence[Stretch], drift: VioDrift) -> Diagnosis:
+    """Diagnose one session's frames in one model; `stretches` are its parts between all VIO jumps."""
+    pairs = [_near_pairs(len(stretch.vio_T_cam)) for stretch in stretches]
     sfm, vio = (
-        np.concatenate([relative(poses(piece)[a], poses(piece)[b]) for piece, (a, b) in zip(known, pairs, strict=True)])
-        for poses in (lambda piece: piece.sfm_T_cam, lambda piece: piece.vio_T_cam)
+        np.concatenate([relative(poses[a], poses[b]) for poses, (a, b) in zip(side, pairs, strict=True)])
+        for side in ([s.sfm_T_cam for s in stretches], [s.vio_T_cam for s in stretches])
     )
     motions = compare_motions(sfm, vio, common_scale=True)
     scale = _step_scale(sfm, vio)
-    frames = sum(len(piece.rows) for piece in known)
+    frames = sum(len(stretch.vio_T_cam) for stretch in stretches)
     folded, farthest, start = 0, 0.0, 0
-    for piece, (a, b) in zip(known, pairs, strict=True):
+    for stretch, (a, b) in zip(stretches, pairs, strict=True):
         agree = motions.agree[start : start + len(a)]
         start += len(a)
         # A frame that is wrong alone agrees with none of its neighbours.
-        right = np.zeros(len(piece.rows), dtype=bool)
+        right = np.zeros(len(stretch.vio_T_cam), dtype=bool)
         right[a[agree]] = right[b[agree]] = True
         if np.isfinite(scale) and right.any():
-            count, metres = _folded(piece.where(right), scale, allowance)
+            count, metres = _folded(Stretch(stretch.sfm_T_cam[right], stretch.vio_T_cam[right]), scale, drift)
             folded, farthest = folded + count, max(farthest, metres)
     return Diagnosis(frames, motions, folded / max(frames, 1), farthest)
 
@@ -64,17 +69,16 @@ def _step_scale(sfm: Array, vio: Array) -> float:
     return float(np.median(metres[moved] / units[moved])) if moved.any() else float("nan")
 
 
-def _folded(piece: Segment, scale: float, allowance: Allowance) -> tuple[int, float]:
+def _folded(stretch: Stretch, scale: float, drift: VioDrift) -> tuple[int, float]:
     """How many frames lie where others do that VIO has far away, beyond all drift; and how far."""
-    sfm, vio, travelled = scale * piece.sfm_T_cam[:, :3, 3], piece.vio_T_cam[:, :3, 3], piece.travelled_m
+    sfm, vio, travelled = scale * stretch.sfm_T_cam[:, :3, 3], stretch.vio_T_cam[:, :3, 3], path_m(stretch.vio_T_cam)
     folded, farthest = np.zeros(len(vio), dtype=bool), 0.0
     for start in range(0, len(vio), _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)
         apart = np.linalg.norm(vio[rows, None] - vio[None], axis=2)
         found = np.linalg.norm(sfm[rows, None] - sfm[None], axis=2)
-        path = np.abs(travelled[rows, None] - travelled[None])
-        allowed = allowance.position_m + allowance.position_per_m * path
-        bad = (found < _FOLDED_SHARE * apart) & (apart - found > 2 * allowed)
+        between = np.abs(travelled[rows, None] - travelled[None])
+        bad = (found < _FOLDED_SHARE * apart) & (apart - found > 2 * drift.metres(between))
         folded[rows] = bad.any(axis=1)
         farthest = max(farthest, float(apart[bad].max(initial=0.0)))
     return int(folded.sum()), farthest

@@ -1,0 +1,35 @@
+"""How far VIO may drift: the one law that pairs, models and ground truth are held against."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geometry.poses import Array
+
+
+@dataclass(frozen=True)
+class VioDrift:
+    """What VIO may be off by over a path of s metres.
+
+    Position `m` + `m_per_m` s, metres: its scale and heading are off. Rotation `rad` + `rad_per_root_m` sqrt(s),
+    radians: a random walk, with what two images leave open in the constant.
+    """
+
+    m: float
+    m_per_m: float
+    rad: float
+    rad_per_root_m: float
+
+    @classmethod
+    def in_degrees(cls, m: float, m_per_m: float, deg: float, deg_per_root_m: float) -> "VioDrift":
+        """The same with rotations in degrees, as settings have them."""
+        return cls(m, m_per_m, float(np.radians(deg)), float(np.radians(deg_per_root_m)))
+
+    def metres(self, path_m: ArrayLike) -> Array:
+        """Metres allowed over paths (...) in metres."""
+        return np.asarray(self.m + self.m_per_m * np.asarray(path_m, dtype=float))
+
+    def radians(self, path_m: ArrayLike) -> Array:
+        """Radians allowed over paths (...) in metres."""
+        return np.asarray(self.rad + self.rad_per_root_m * np.sqrt(np.asarray(path_m, dtype=float)))
