@@ -1,47 +1,115 @@
-"""What is tried, one step after the other, where too few frames register."""
+"""What is tried, one step after the other, where too few frames register or the models move otherwise than VIO."""
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 from sfm.settings import SfmSettings
+
+TAKEN = "taken"
+TOO_FEW = "too few frames registered"
+NO_MODEL = "no model"
+OTHERWISE = "moves otherwise than VIO"
+
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """One step of the ladder and what came of it; `kept` are the frames of each kept model, the largest first."""
+    """One step of the ladder and what came of it; `kept` are the frames of each kept model, the largest first, and
+    `agreeing` how many of them move as VIO does. `no_help` says why no other attempt would do better, if that's so."""
 
     name: str
     mapper: str
     pairs: int
     verified: int
     kept: list[int]
+    agreeing: int
     outcome: str
+    no_help: str = ""
 
     def __str__(self) -> str:
         sizes = " + ".join(map(str, self.kept)) or "no"
-        return f"{self.name} ({self.mapper}): {self.verified} of {self.pairs} pairs verified, models of {sizes} frames"
+        moving = f", {self.agreeing / sum(self.kept):.0%} of which move as VIO does" if self.kept else ""
+        return (
+            f"{self.name} ({self.mapper}): {self.verified} of {self.pairs} pairs verified, "
+            f"models of {sizes} frames{moving}"
+        )
 
 
-def ladder(settings: SfmSettings) -> Iterator[tuple[str, SfmSettings]]:
-    """Attempts with their settings: each keeps what the one before it gained. VIO as a start comes last."""
-    yield "as set", settings
+@dataclass(frozen=True)
+class Step:
+    """A step of the ladder: what it changes, and the outcomes of the attempt before that it may help with."""
+
+    name: str
+    changes: dict[str, Any]
+    helps: tuple[str, ...] = (TOO_FEW, NO_MODEL, OTHERWISE)
+
+
+def outcome_of(kept: list[int], agreeing: int, frames: int, settings: SfmSettings) -> str:
+    """What came of an attempt whose kept models have so many of the `frames`, of which `agreeing` move as VIO does."""
+    registered = sum(kept)
+    if not kept:
+        return NO_MODEL
+    if registered < settings.min_registered * frames:
+        return TOO_FEW
+    return TAKEN if agreeing >= settings.min_agreeing * registered else OTHERWISE
+
+
+def ladder(settings: SfmSettings) -> list[Step]:
+    """All steps in order; VIO as a start comes last."""
+    steps = [Step("as set", {})]
     if not settings.retries:
-        return
-    tried = settings.model_copy(
-        update={
-            "sequence_pairs": 2 * settings.sequence_pairs,
-            "vio_pairs": 2 * settings.vio_pairs + 5,
-            "retrieval_pairs": 2 * settings.retrieval_pairs + 5,
-            "transitive_pairs": 2 * settings.transitive_pairs + 5,
-        }
-    )
-    yield "more pairs", tried
+        return steps
+    more = {
+        "sequence_pairs": 2 * settings.sequence_pairs,
+        "vio_pairs": 2 * settings.vio_pairs + 5,
+        "retrieval_pairs": 2 * settings.retrieval_pairs + 5,
+        "transitive_pairs": 2 * settings.transitive_pairs + 5,
+    }
+    steps.append(Step("more pairs", more, (TOO_FEW, NO_MODEL)))
+    # Pairs are what bends a model or folds it: those of far frames, and those that few matches speak for.
+    surer = {
+        "vio_max_distance_m": settings.vio_max_distance_m / 2,
+        "vio_max_angle_deg": 0.75 * settings.vio_max_angle_deg,
+        "min_inliers": 2 * settings.min_inliers,
+    }
+    steps.append(Step("surer pairs", surer, (OTHERWISE,)))
     # A feature needs more pixels around it than there are in a small image: doubling it finds more.
-    tried = tried.model_copy(update={"max_features": 2 * settings.max_features, "first_octave": -1})
-    yield "more features", tried
-    if settings.mapper != "global":
-        yield "other mapper", tried.model_copy(update={"mapper": "global"})
-    if settings.mapper != "incremental":
-        yield "other mapper", tried.model_copy(update={"mapper": "incremental"})
+    steps.append(Step("more features", {"max_features": 2 * settings.max_features, "first_octave": -1}))
+    steps += [Step("other mapper", {"mapper": m}) for m in ("global", "incremental") if m != settings.mapper]
     if settings.mapper != "vio":
-        yield "from VIO", tried.model_copy(update={"mapper": "vio"})
+        steps.append(Step("from VIO", {"mapper": "vio"}))
+    return steps
+
+
+def climb(
+    settings: SfmSettings,
+    attempt: Callable[[int, str, SfmSettings], tuple[Attempt, Found]],
+    say: Callable[[str], None],
+) -> tuple[list[Attempt], int | None, Found | None]:
+    """The attempts that were made, and the index and find of the one to take: the first that passes, or else, of those
+    with frames enough, the first of those of whose frames most move as VIO does. None where none has enough.
+
+    `attempt` gets the number, the name and the settings of each. A step keeps what the ones before it changed, but not
+    where that cost it the frames that it had.
+    """
+    attempts: list[Attempt] = []
+    index: int | None = None
+    best: Found | None = None
+    for step in ladder(settings):
+        if attempts:
+            if attempts[-1].outcome not in step.helps:
+                continue
+            say(f"{attempts[-1]}; trying again: {step.name}")
+        tried = settings.model_copy(update=step.changes)
+        told, found = attempt(len(attempts), step.name, tried)
+        lost = bool(attempts) and attempts[-1].outcome == OTHERWISE and told.outcome in (TOO_FEW, NO_MODEL)
+        attempts.append(told)
+        if told.outcome in (TAKEN, OTHERWISE) and (index is None or told.agreeing > attempts[index].agreeing):
+            index, best = len(attempts) - 1, found
+        if told.outcome == TAKEN or told.no_help:
+            break
+        if not lost:
+            settings = tried
+    return attempts, index, best

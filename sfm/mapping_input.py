@@ -76,8 +76,9 @@ def read_matches(target: Path) -> Matches:
 
 @dataclass(frozen=True)
 class HeldOutCheck:
-    """Sampson's distance (M,) of each match from the finished poses, px, NaN where its frames aren't in one model; the
-    frames of each match (M, 2), the model that has them (M,), -1 where none has, and whether it was left out (M,)."""
+    """Sampson's distance (M,) of each match from the finished poses, px, NaN where its frames aren't in one model or
+    are in one place there; the frames of each match (M, 2), the model that has them (M,), -1 where none has, and
+    whether it was left out (M,)."""
 
     error_px: Array
     frames: Ints
@@ -101,7 +102,9 @@ class HeldOutCheck:
         return count, median
 
     def _chosen(self, held_out: bool, model: int | None) -> NDArray[np.bool_]:
-        return (self.held_out == held_out) & (self.model >= 0 if model is None else self.model == model)
+        # Frames in one place put no constraint on a match: it has no error.
+        known = (self.held_out == held_out) & np.isfinite(self.error_px)
+        return known & (self.model >= 0 if model is None else self.model == model)
 
 
 def held_out_check(matches: Matches, frames: pd.DataFrame, sfm_T_cam: Array, model_N: Ints) -> HeldOutCheck:

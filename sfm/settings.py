@@ -42,9 +42,10 @@ class SfmSettings(Settings):
         10, ge=3, description="frames that a model beside the largest needs so that it's kept as a component"
     )
     held_out: float = Field(0.05, ge=0, le=0.5, description="share of tracks that is left out, to check the model with")
-    retries: bool = Field(True, description="try other pairs, features and mappers where too few frames register")
+    retries: bool = Field(True, description="try other pairs, features and mappers where frames are missing or wrong")
     refine_intrinsics: bool = Field(False, description="let bundle adjustment move the captured focal lengths")
     min_registered: float = Field(0.5, ge=0, le=1, description="share of frames that the models must have")
+    min_agreeing: float = Field(0.5, ge=0, le=1, description="share of these that must move as VIO does")
     covariance_max_images: int = Field(
         2500, ge=0, description="larger models get no covariances (memory: 36 n² numbers)"
     )

@@ -17,12 +17,13 @@ from geometry.vio_drift import VioDrift
 from sfm.covariance import pose_covariance
 from sfm.database import create_database, have_results, image_name, keypoint_counts, read_descriptors, read_pair_results
 from sfm.features import extract_features
-from sfm.ladder import Attempt, ladder
+from sfm.ladder import TAKEN, Attempt, climb, outcome_of
 from sfm.mappers import MappingInput
 from sfm.mapping import BuiltModel, kept_models, map_verified, read_built
 from sfm.mapping_input import HeldOutCheck, held_out_check, read_matches
 from sfm.matching import ONE_THREAD, MatchedPairs, match_pairs
 from sfm.model import Model, load_models
+from sfm.model_check import check_models
 from sfm.odometry import Odometry, PairLimits, drift_between, nothing_compared, odometry
 from sfm.pairs import (
     Pairs,
@@ -64,22 +65,23 @@ class _Scene:
 
 @dataclass(frozen=True)
 class _Mapped:
-    """The attempt that was taken: its pairs, its features, and the models in `folder`."""
+    """An attempt: its settings, its pairs, its features, and the models in `folder`; no `model` where it has none."""
 
     settings: SfmSettings
     matched: MatchedPairs
     keypoints: NDArray[np.int64]
     built: list[BuiltModel]
     folder: Path
-    attempts: list[Attempt]
+    model: Model | None
 
 
 def run(r: StageRun[SfmSettings]) -> None:
     scene = _prepare(r)
-    mapped = _climb(r, scene)
+    attempts, taken, mapped = _climb(r, scene)
+    model = mapped.model
+    assert model is not None  # what is taken has one
     kept, frame_ids = kept_models(mapped.built), list(scene.frames["frame_id"])
     with r.step("quality"):
-        model = load_models([mapped.folder / told.folder for told in kept], len(scene.names))
         covariance = _covariance(r, scene.frames, model, kept)
         matches = read_matches(_mapping_input(mapped.folder))
         check = held_out_check(matches, scene.frames, model.sfm_T_cam, model.model)
@@ -87,17 +89,25 @@ def run(r: StageRun[SfmSettings]) -> None:
         images = images_table(frame_ids, model, kept, mapped.keypoints, check, covariance, uses_vio)
     r.write("images", images)
     r.write("models", models_table(mapped.built, check))
-    r.write("attempts", attempts_table(mapped.attempts))
+    r.write("attempts", attempts_table(attempts, taken))
     r.write("pairs", pairs_table(frame_ids, mapped.matched))
     r.write("points", points_table(model, kept))
     for told in kept:
         shutil.copytree(mapped.folder / told.folder, r.work / told.folder, dirs_exist_ok=True)
     with r.step("recording"):
         write_recording(r, scene.frames, model, mapped.matched)
-    _tell(r, mapped, kept, model, check)
+    _tell(r, mapped, kept, model, check, attempts[taken], len(attempts))
 
 
-def _tell(r: StageRun[SfmSettings], mapped: _Mapped, kept: list[BuiltModel], model: Model, check: HeldOutCheck) -> None:
+def _tell(
+    r: StageRun[SfmSettings],
+    mapped: _Mapped,
+    kept: list[BuiltModel],
+    model: Model,
+    check: HeldOutCheck,
+    taken: Attempt,
+    attempts: int,
+) -> None:
     registered = int(model.registered.sum())
     disagree = int((mapped.matched.verdict == "disagrees").sum())
     track_length = float(model.track_lengths().mean())
@@ -107,7 +117,8 @@ def _tell(r: StageRun[SfmSettings], mapped: _Mapped, kept: list[BuiltModel], mod
         "registered": registered,
         "models": len(kept),
         "largest": kept[0].images,
-        "attempts": len(mapped.attempts),
+        "attempts": attempts,
+        "moving_as_vio": taken.agreeing / registered,
         "mapper": mapped.settings.mapper,
         "pairs": len(mapped.matched.pairs),
         "verified_pairs": int(mapped.matched.verified.sum()),
@@ -184,53 +195,76 @@ def _odometry(frames: pd.DataFrame, jumps: pd.DataFrame) -> Odometry:
     )
 
 
-def _climb(r: StageRun[SfmSettings], scene: _Scene) -> _Mapped:
-    """The first attempt whose models have frames enough. UserError with all attempts where none has."""
-    wanted = r.settings.min_registered * len(scene.names)
-    attempts: list[Attempt] = []
+def _climb(r: StageRun[SfmSettings], scene: _Scene) -> tuple[list[Attempt], int, _Mapped]:
+    """All attempts, the index of the one that is taken, and what it made. UserError with all of them where none has
+    frames enough."""
     keypoints: dict[Path, NDArray[np.int64]] = {}
-    for number, (name, settings) in enumerate(ladder(r.settings)):
-        if number:
-            r.say(f"{attempts[-1]}; trying again: {name}")
-        database = scene.scratch / f"database{settings.first_octave}_{settings.max_features}.db"
-        create_database(database, scene.frames, scene.names)
-        with r.step("features"):
-            if database not in keypoints:
-                arguments = (database, scene.images, scene.names, settings)
-                task = Task(extract_features, arguments, len(scene.names))
-                in_child("extracting features", scene.log, _TOO_LITTLE, task)
-                keypoints[database] = keypoint_counts(database, len(scene.names))
-                _require_features(r, keypoints[database])
-        with r.step("pairs"):
-            proposals = _propose(r.seed, settings, scene, database)
-        with r.step("matching"):
-            matched = _match(r.seed, settings, scene, database, proposals)
-            matched = _compare(settings, scene, database, matched)
-        folder = scene.scratch / f"mapping_{number}"
-        with r.step("mapping"):
-            built = _map(r, settings, scene, database, matched, folder)
-        kept = kept_models(built)
-        registered = sum(told.images for told in kept)
-        outcome = "taken" if kept and registered >= wanted else "too few frames registered" if kept else "no model"
-        attempts.append(
-            Attempt(
-                name,
-                settings.mapper,
-                len(matched.pairs),
-                int(matched.verified.sum()),
-                [told.images for told in kept],
-                outcome,
-            )
+
+    def attempt(number: int, name: str, settings: SfmSettings) -> tuple[Attempt, _Mapped]:
+        return _attempt(r, scene, number, name, settings, keypoints)
+
+    attempts, taken, mapped = climb(r.settings, attempt, r.say)
+    if taken is None or mapped is None:
+        raise UserError(
+            "the models hold too few of the frames",
+            expected=f"at least {r.settings.min_registered:.0%} of {len(scene.names)} frames (sfm.min_registered)",
+            found="".join(f"\n{attempt}" for attempt in attempts),
+            do="look at the images: neighbours need to overlap by half and to be sharp; a larger sfm.max_features or "
+            "sfm.max_image_size finds more in hard images",
         )
-        if outcome == "taken":
-            return _Mapped(settings, matched, keypoints[database], built, folder, attempts)
-    raise UserError(
-        "the models hold too few of the frames",
-        expected=f"at least {r.settings.min_registered:.0%} of {len(scene.names)} frames (sfm.min_registered)",
-        found="".join(f"\n{attempt}" for attempt in attempts),
-        do="look at the images: neighbours need to overlap by half and to be sharp; a larger sfm.max_features or "
-        "sfm.max_image_size finds more in hard images",
+    if attempts[taken].outcome != TAKEN:
+        why = attempts[taken].no_help
+        r.say(
+            f"fewer than {r.settings.min_agreeing:.0%} of the frames move as VIO does (sfm.min_agreeing); "
+            f"{f'no other attempt would help: {why}' if why else 'the best attempt is taken'}: {attempts[taken]}"
+        )
+    return attempts, taken, mapped
+
+
+def _attempt(
+    r: StageRun[SfmSettings],
+    scene: _Scene,
+    number: int,
+    name: str,
+    settings: SfmSettings,
+    keypoints: dict[Path, NDArray[np.int64]],
+) -> tuple[Attempt, _Mapped]:
+    """Features, pairs and models by these settings, held against VIO. `keypoints` are those counted before."""
+    database = scene.scratch / f"database{settings.first_octave}_{settings.max_features}.db"
+    create_database(database, scene.frames, scene.names)
+    with r.step("features"):
+        if database not in keypoints:
+            arguments = (database, scene.images, scene.names, settings)
+            task = Task(extract_features, arguments, len(scene.names))
+            in_child("extracting features", scene.log, _TOO_LITTLE, task)
+            keypoints[database] = keypoint_counts(database, len(scene.names))
+            _require_features(r, keypoints[database])
+    with r.step("pairs"):
+        proposals = _propose(r.seed, settings, scene, database)
+    with r.step("matching"):
+        matched = _match(r.seed, settings, scene, database, proposals)
+        matched = _compare(settings, scene, database, matched)
+    folder = scene.scratch / f"mapping_{number}"
+    with r.step("mapping"):
+        built = _map(r, settings, scene, database, matched, folder)
+    kept = kept_models(built)
+    model, agreeing, no_help = None, 0, ""
+    with r.step("check"):
+        if kept:
+            model = load_models([folder / told.folder for told in kept], len(scene.names))
+            t_ns = scene.frames["t_ns"].to_numpy(np.int64)
+            check = check_models(model.sfm_T_cam, model.model, scene.vio, scene.recording_N, t_ns, _drift(settings))
+            agreeing = int(check.agrees.sum())
+            no_help = ", ".join(
+                f"the images of session {session} turn {gain:.2f} times as far as its VIO, so its focal length is wrong"
+                for session, gain in check.turned.items()
+            )
+    sizes = [told.images for told in kept]
+    outcome = outcome_of(sizes, agreeing, len(scene.names), settings)
+    told = Attempt(
+        name, settings.mapper, len(matched.pairs), int(matched.verified.sum()), sizes, agreeing, outcome, no_help
     )
+    return told, _Mapped(settings, matched, keypoints[database], built, folder, model)
 
 
 def _require_features(r: StageRun[SfmSettings], keypoints_N: NDArray[np.int64]) -> None:
@@ -376,7 +410,7 @@ def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, ke
 
 STAGE = Stage(
     name="sfm",
-    version=3,
+    version=4,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -66,8 +66,8 @@ def models_table(built: Sequence[BuiltModel], check: HeldOutCheck) -> pd.DataFra
     )
 
 
-def attempts_table(attempts: Sequence[Attempt]) -> pd.DataFrame:
-    """One row an attempt."""
+def attempts_table(attempts: Sequence[Attempt], taken: int) -> pd.DataFrame:
+    """One row an attempt; `taken` is the index of the one that was."""
     return pd.DataFrame(
         [
             {
@@ -78,9 +78,11 @@ def attempts_table(attempts: Sequence[Attempt]) -> pd.DataFrame:
                 "models": len(tried.kept),
                 "largest": max(tried.kept, default=0),
                 "registered": sum(tried.kept),
+                "moving_as_vio": tried.agreeing / sum(tried.kept) if tried.kept else None,
                 "outcome": tried.outcome,
+                "taken": index == taken,
             }
-            for tried in attempts
+            for index, tried in enumerate(attempts)
         ]
     )
 

@@ -61,17 +61,24 @@ TABLES = [
     TableSchema(
         "sfm",
         "attempts",
-        "The ladder: each attempt at models of enough frames, in order; the last one was taken.",
+        "The ladder: each attempt at models of enough frames that move as VIO does, in order.",
         [
-            Column("attempt", "string", "as set, more pairs, more features, other mapper or from VIO"),
+            Column("attempt", "string", "as set, more pairs, surer pairs, more features, other mapper or from VIO"),
             Column("mapper", "string", "incremental, global, hierarchical or vio"),
             Column("pairs", "int64", "pairs that were matched"),
             Column("verified", "int64", "of these, with inliers enough and in agreement with VIO"),
             Column("models", "int64", "models that were kept"),
             Column("largest", "int64", "frames of the largest"),
             Column("registered", "int64", "frames in any of them"),
-            Column("outcome", "string", "taken, or why not"),
+            Column("moving_as_vio", "float64", "share of these that move as VIO does, within its drift", "", "", True),
+            Column(
+                "outcome",
+                "string",
+                "taken, or what is wrong: no model, too few frames registered, or moves otherwise than VIO",
+            ),
+            Column("taken", "bool", "its models are the stage's; where none is good, the one with most such frames"),
         ],
+        version="1.1",
     ),
     TableSchema(
         "sfm",

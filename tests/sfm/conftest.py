@@ -43,32 +43,53 @@ def make_room(folder: Path, per_walk: int = 7, same_place: bool = True) -> Room:
     """Both walks in one room, or the second one in a room of the same shape with other walls."""
     data = DataRoot(folder / "data")
     walks = {"one": _walk(per_walk, 1.5, 2.6), "two": _walk(per_walk, 1.2, 2.2)}
-    intrinsics = np.array([FOCAL_PX, FOCAL_PX, SIZE_PX[0] / 2, SIZE_PX[1] / 2])
     tables = []
     for number, (session, poses) in enumerate(walks.items()):
         seed = 0 if same_place else 10 * number
         textures = [_texture(np.linalg.norm(u), np.linalg.norm(v), seed + i) for i, (_, u, v) in enumerate(_WALLS)]
-        images = [f"{session}/{row}.jpg" for row in range(per_walk)]
-        for image, pose in zip(images, poses, strict=True):
-            path = data.captures("room") / image
-            path.parent.mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(path), _photograph(textures, pose))
-        # Odometry of a frame of its own, metric and upright.
-        vio_T_room = make_pose(np.diag([-1.0, 1.0, -1.0]), [5.0, 0.0, 1.0])
-        table = pose_frame("vio_cam", vio_T_room @ poses)
-        table[["gravity_x", "gravity_y", "gravity_z"]] = -poses[:, 1, :3]
-        table["frame_id"] = [f"{session}/{row:06d}" for row in range(per_walk)]
-        table["session_id"] = session
-        table["image"] = images
-        table["t_ns"] = np.arange(per_walk) * 1_000_000_000
-        table[["fx", "fy", "cx", "cy"]] = intrinsics
-        table["split"] = "train"
-        tables.append(table)
+        tables.append(_frames(data, session, poses, [_photograph(textures, pose) for pose in poses]))
     frames = pd.concat(tables, ignore_index=True)
-    frames["width"], frames["height"] = SIZE_PX
-    frames["distortion"] = [[]] * len(frames)
     _write_import(data, frames, list(walks))
     return Room(data, frames, np.concatenate(list(walks.values())))
+
+
+def make_look_alike_rooms(folder: Path, apart_m: float = 20.0, per_room: int = 7) -> Room:
+    """One walk through two rooms that look the same; nothing is to be seen on the way from one to the other."""
+    data, session, dark = DataRoot(folder / "data"), "one", 3
+    textures = [_texture(np.linalg.norm(u), np.linalg.norm(v), i) for i, (_, u, v) in enumerate(_WALLS)]
+    inside = _walk(per_room, 1.5, 2.6)
+    between = np.repeat(inside[-1:], dark, axis=0)
+    between[:, 0, 3] += apart_m * np.linspace(0, 1, dark + 2)[1:-1]
+    there = inside.copy()
+    there[:, 0, 3] += apart_m
+    poses = np.concatenate([inside, between, there])
+    views = [_photograph(textures, pose) for pose in inside]
+    views = [*views, *[np.full_like(views[0], 128)] * dark, *views]
+    frames = _frames(data, session, poses, views)
+    _write_import(data, frames, [session])
+    return Room(data, frames, poses)
+
+
+def _frames(data: DataRoot, session: str, room_T_cam: Array, views: list[np.ndarray]) -> pd.DataFrame:
+    """The frames table of a walk, a second apart, its pictures written."""
+    images = [f"{session}/{row}.jpg" for row in range(len(views))]
+    for image, view in zip(images, views, strict=True):
+        path = data.captures("room") / image
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(path), view)
+    # Odometry of a frame of its own, metric and upright.
+    vio_T_room = make_pose(np.diag([-1.0, 1.0, -1.0]), [5.0, 0.0, 1.0])
+    table = pose_frame("vio_cam", vio_T_room @ room_T_cam)
+    table[["gravity_x", "gravity_y", "gravity_z"]] = -room_T_cam[:, 1, :3]
+    table["frame_id"] = [f"{session}/{row:06d}" for row in range(len(views))]
+    table["session_id"] = session
+    table["image"] = images
+    table["t_ns"] = np.arange(len(views)) * 1_000_000_000
+    table[["fx", "fy", "cx", "cy"]] = np.array([FOCAL_PX, FOCAL_PX, SIZE_PX[0] / 2, SIZE_PX[1] / 2])
+    table["split"] = "train"
+    table["width"], table["height"] = SIZE_PX
+    table["distortion"] = [[]] * len(table)
+    return table
 
 
 def _walk(count: int, height_m: float, distance_m: float) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
-from conftest import Room, make_room
+from conftest import Room, make_look_alike_rooms, make_room
 
 from artefacts import UserError, execute
 from artefacts.tables import poses_of
@@ -60,6 +60,7 @@ def test_a_room_of_two_walks_becomes_one_right_model(room: Room) -> None:
     assert images["triangulation_deg"].between(1, 90).all()
     attempts = pd.read_parquet(folder / "attempts.parquet")
     assert attempts["outcome"].tolist() == ["taken"]
+    assert attempts[["moving_as_vio", "taken"]].to_numpy().tolist() == [[1.0, True]]
 
     # The model beside the tables is COLMAP's own, with the captured intrinsics as they were.
     model = pycolmap.Reconstruction(folder / "model")
@@ -173,6 +174,37 @@ def test_a_later_attempt_can_be_the_one_that_is_taken(room: Room) -> None:
     assert attempts["attempt"].tolist() == ["as set", "more pairs"]
     images = pd.read_parquet(folder / "images.parquet")
     assert images["registered"].sum() == attempts["registered"].iloc[-1] >= 0.9 * len(images)
+
+
+# Pairs are proposed as far as the other room, and what speaks against them in VIO is switched off.
+_FAR_PAIRS = ["sequence_pairs=16", "vio_pairs=0", "vio_max_distance_m=24", "vio_direction_deg=180"]
+_FAR_PAIRS += ["component_frames=5"]
+
+
+def test_a_model_of_folded_places_is_tried_again_with_surer_pairs(tmp_path: Path) -> None:
+    room = make_look_alike_rooms(tmp_path)
+    folder = _run(room, *_FAR_PAIRS)
+    attempts = pd.read_parquet(folder / "attempts.parquet")
+    assert attempts["attempt"].tolist() == ["as set", "surer pairs"]
+    assert attempts["outcome"].tolist() == ["moves otherwise than VIO", "taken"]
+    assert attempts["moving_as_vio"].tolist() == [0.0, 1.0]
+    assert attempts["taken"].tolist() == [False, True]
+    images = pd.read_parquet(folder / "images.parquet")
+    here, there = images["model_id"].iloc[:7], images["model_id"].iloc[-7:]
+    assert here.nunique() == there.nunique() == 1 and here.iloc[0] != there.iloc[0]
+    for own in (slice(0, 7), slice(10, 17)):
+        xyz = poses_of(images[own], "sfm_cam")[:, :3, 3]
+        true = room.true_T_cam[own, :3, 3]
+        assert np.linalg.norm(fit_sim3(true, xyz).points(xyz) - true, axis=1).max() < 0.02
+
+
+def test_where_no_attempt_moves_as_vio_does_the_best_is_taken_and_told(tmp_path: Path) -> None:
+    folder = _run(make_look_alike_rooms(tmp_path), *_FAR_PAIRS, "retries=false")
+    attempts = pd.read_parquet(folder / "attempts.parquet")
+    assert attempts["outcome"].tolist() == ["moves otherwise than VIO"]
+    assert attempts[["moving_as_vio", "taken"]].to_numpy().tolist() == [[0.0, True]]
+    images = pd.read_parquet(folder / "images.parquet")
+    assert images["registered"].sum() == attempts["registered"].iloc[0] == 14
 
 
 def test_a_frame_without_its_image_is_named(room: Room) -> None:

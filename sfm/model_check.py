@@ -1,0 +1,111 @@
+"""Do the frames of a built model move as the phones' VIO does? A low reprojection error doesn't say so.
+
+The same comparison that align gives out ground truth by: windows of VIO path, VIO fitted to the model in each, within
+what it may drift by there. Each recording has a scale of its own in each model here: a phone whose scale is off against
+the others' is no fault of the model. Nor does anything that images and VIO have wrong together speak against it; what
+pairs show of that ends the stage before anything is mapped.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry import GeometryError
+from geometry.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT, diagnose
+from geometry.fits import Sim3
+from geometry.poses import Array
+from geometry.vio_agreement import (
+    LEAST_EXTENT_M,
+    POSE_SD,
+    WINDOW_M,
+    WINDOW_SCALE_SD,
+    Stretch,
+    compare_windows,
+    recording_scale,
+)
+from geometry.vio_drift import VioDrift
+from sfm.odometry import Odometry
+
+# Millimetres are nothing against the limits, which are a decimetre and more: a few rounds of each fit will do.
+_TOLERANCE = 0.05
+
+
+@dataclass(frozen=True)
+class ModelCheck:
+    """Which frames (N,) are in a model that moves as VIO does there, and the sessions in which a model turns by another
+    angle than VIO throughout, with the share, 1.1 for a tenth more."""
+
+    agrees: NDArray[np.bool_]
+    turned: dict[str, float]
+
+
+def check_models(
+    sfm_T_cam: Array,
+    model_N: NDArray[np.int64],
+    vio: Odometry,
+    recording_N: NDArray[np.object_],
+    t_ns_N: NDArray[np.int64],
+    drift: VioDrift,
+) -> ModelCheck:
+    """Hold models against VIO: poses (N, 4, 4), each in the gauge of its model, and its number, -1 for none.
+
+    A frame disagrees where it is beyond VIO's drift in any window, and all frames of a model do where places that VIO
+    has far apart are folded together in it. Where VIO has nothing to say, nothing speaks against a frame.
+    """
+    agrees = model_N >= 0
+    turned: dict[str, float] = {}
+    for number in range(int(model_N.max(initial=-1)) + 1):
+        own = model_N == number
+        for recording in np.unique(recording_N[own]):
+            parts = _stretches(own & (recording_N == recording), vio, t_ns_N)
+            agrees[own] &= ~_moving_otherwise(parts, sfm_T_cam, vio, drift, len(agrees))[own]
+        for session in np.unique(vio.session[own]):
+            parts = _stretches(own & (vio.session == session), vio, t_ns_N)
+            if not parts:
+                continue
+            found = diagnose([Stretch(sfm_T_cam[rows], vio.vio_T_cam[rows]) for rows in parts], drift)
+            if found.folded > FOLDED_LIMIT:
+                agrees[own] = False
+            if abs(found.motions.turn_gain - 1) > TURN_GAIN_LIMIT + 2 * found.motions.turn_gain_sd:
+                turned[str(session)] = found.motions.turn_gain
+    return ModelCheck(agrees, turned)
+
+
+def _stretches(chosen: NDArray[np.bool_], vio: Odometry, t_ns_N: NDArray[np.int64]) -> list[NDArray[np.intp]]:
+    """The rows of the chosen frames with VIO between its jumps, session by session, in order of time."""
+    parts = []
+    for session in np.unique(vio.session[chosen]):
+        rows = np.flatnonzero(chosen & (vio.session == session) & np.isfinite(vio.vio_T_cam[:, 0, 0]))
+        rows = rows[np.argsort(t_ns_N[rows], kind="stable")]
+        jumps = (np.diff(vio.jumped_m[rows]) > 0) | (np.diff(vio.jumped_rad[rows]) > 0)
+        parts += [part for part in np.split(rows, np.flatnonzero(jumps) + 1) if len(part)]
+    return parts
+
+
+def _moving_otherwise(
+    parts: list[NDArray[np.intp]], sfm_T_cam: Array, vio: Odometry, drift: VioDrift, frames: int
+) -> NDArray[np.bool_]:
+    """(N,) frames of a recording's stretches in one model that are beyond a limit in some window."""
+    wrong = np.zeros(frames, bool)
+    try:
+        scale = recording_scale(
+            [Stretch(sfm_T_cam[rows], vio.vio_T_cam[rows]) for rows in parts],
+            window_m=WINDOW_M,
+            least_extent_m=LEAST_EXTENT_M,
+            window_sd=WINDOW_SCALE_SD,
+            tolerance=_TOLERANCE,
+        )
+    except GeometryError:
+        # The model has in one place what VIO has apart.
+        for rows in parts:
+            wrong[rows] = True
+        return wrong
+    if scale is None:
+        return wrong
+    metric_S_sfm = Sim3(float(np.exp(scale.log)), np.eye(3), np.zeros(3))
+    for rows in parts:
+        metric_T_cam = metric_S_sfm.poses(sfm_T_cam[rows])
+        for window in compare_windows(metric_T_cam, vio.vio_T_cam[rows], WINDOW_M, drift, POSE_SD, _TOLERANCE):
+            wrong[rows[window.inside[window.wrong]]] = True
+    return wrong
