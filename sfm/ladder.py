@@ -17,7 +17,8 @@ Found = TypeVar("Found")
 @dataclass(frozen=True)
 class Attempt:
     """One step of the ladder and what came of it; `kept` are the frames of each kept model, the largest first, and
-    `agreeing` how many of them move as VIO does. `no_help` says why no other attempt would do better, if that's so."""
+    `agreeing` how many of them move as VIO does. `no_help` says what makes the others move otherwise
+    where neither pairs nor mapper do."""
 
     name: str
     mapper: str
@@ -108,7 +109,7 @@ def climb(
         attempts.append(told)
         if told.outcome in (TAKEN, OTHERWISE) and (index is None or told.agreeing > attempts[index].agreeing):
             index, best = len(attempts) - 1, found
-        if told.outcome == TAKEN or told.no_help:
+        if told.outcome == TAKEN or (told.outcome == OTHERWISE and told.no_help):
             break
         if not lost:
             settings = tried

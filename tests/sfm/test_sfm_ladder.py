@@ -88,6 +88,9 @@ def test_where_none_passes_the_one_of_which_most_frames_move_as_vio_does_is_take
 def test_no_further_attempt_is_made_where_none_would_help() -> None:
     attempts, index, _, said = _climbed([(90, 20)], no_help="its focal length is wrong")
     assert (_names(attempts), index, said) == (["as set"], 0, [])
+    # More pairs may still register more frames.
+    attempts, index, _, _ = _climbed([(40, 20), (90, 20)], no_help="its focal length is wrong")
+    assert (_names(attempts), index) == (["as set", "more pairs"], 1)
 
 
 def test_no_attempt_comes_twice() -> None:
