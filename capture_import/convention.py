@@ -16,6 +16,7 @@ from capture_import.capture import RawFrame
 from capture_import.intake import Image, Session
 from capture_import.parallel import in_parallel
 from capture_import.scan import LoadGray
+from geometry.epipolar import sampson_px
 from geometry.poses import (
     ARKIT_CAM_T_CAM,
     Array,
@@ -176,13 +177,7 @@ def _explained(points: tuple[Array, Array], camera_a: Camera, camera_b: Camera) 
     b_T_a = relative(world_T_b, world_T_a)
     rays_a, rays_b = _rays(points[0], k_a), _rays(points[1], k_b)
     rotation, t = b_T_a[:3, :3], b_T_a[:3, 3]
-    essential = np.cross(np.eye(3), t) @ rotation
-    line_b, line_a = rays_a @ essential.T, rays_b @ essential
-    residual = np.sum(rays_b * line_b, axis=1)
-    # Distances in pixels: lines in normalised coordinates, divided by the focal lengths.
-    gradient = (line_b[:, :2] / k_b[:2]) ** 2
-    gradient_sum = gradient.sum(axis=1) + ((line_a[:, :2] / k_a[:2]) ** 2).sum(axis=1)
-    near = np.abs(residual) < _NEAR_PX * np.sqrt(gradient_sum)
+    near = sampson_px(np.tile(b_T_a, (len(rays_a), 1, 1)), rays_b, rays_a, k_b[:2], k_a[:2]) < _NEAR_PX
     # Depths along both rays where they come nearest: depth_b * ray_b = depth_a * R ray_a + t.
     turned = rays_a @ rotation.T
     aa, bb, ab = (np.sum(x * y, axis=1) for x, y in ((turned, turned), (rays_b, rays_b), (turned, rays_b)))

@@ -8,9 +8,10 @@ import pandas as pd
 import pycolmap
 from numpy.typing import NDArray
 
+from geometry.epipolar import sampson_px
 from geometry.poses import Array, relative
 from sfm.database import Ints, camera_of, create_database, image_id, image_name
-from sfm.held_out import choose_held_out, sampson_px
+from sfm.held_out import choose_held_out
 from sfm.pairs import Pairs
 
 
@@ -113,7 +114,7 @@ def held_out_check(matches: Matches, frames: pd.DataFrame, sfm_T_cam: Array, mod
     model = np.where(model_N[a] == model_N[b], model_N[a], -1)
     known = model >= 0
     ray_a, ray_b = (_rays(frames, side[known], xy[known]) for side, xy in ((a, matches.xy_a), (b, matches.xy_b)))
-    focal = frames[["fx", "fy"]].to_numpy(float).mean(axis=1)
+    focal = np.repeat(frames[["fx", "fy"]].to_numpy(float).mean(axis=1, keepdims=True), 2, axis=1)
     a_T_b = relative(sfm_T_cam[a[known]], sfm_T_cam[b[known]])
     errors = np.full(len(a), np.nan)
     errors[known] = sampson_px(a_T_b, ray_a, ray_b, focal[a[known]], focal[b[known]])

@@ -7,9 +7,9 @@ import pycolmap
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from geometry.epipolar import sampson_px
 from geometry.poses import Array, inverse, make_pose, relative
 from sfm.database import image_id
-from sfm.held_out import sampson_px
 from sfm.odometry import Comparison, Odometry, PairLimits, compare_with_vio
 from sfm.pairs import Pairs
 
@@ -66,7 +66,7 @@ def pose_near(start: Array, ray_a: Array, ray_b: Array, focal_a: float, focal_b:
     Rays (M, 2; z = 1) and focal lengths in pixels; Sampson's distance in Cauchy's loss, minimised from `start` on.
     """
     rays = [np.concatenate([ray, np.ones((len(ray), 1))], axis=1) for ray in (ray_a, ray_b)]
-    focal = [np.full(len(ray_a), focal_a), np.full(len(ray_a), focal_b)]
+    focal = [np.full((len(ray_a), 2), focal_a), np.full((len(ray_a), 2), focal_b)]
 
     def pose(change: Array) -> Array:
         shift = start[:3, 3] + change[3:]
