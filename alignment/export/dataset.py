@@ -91,6 +91,9 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
     sfm_T_cam = poses_of(images.set_index("frame_id").loc[frames["frame_id"]], "sfm_cam")[known]
     component = frames.loc[known, "component"].to_numpy(int)
     ids = frames.loc[known, "frame_id"].to_numpy(str)
+    # Components are numbered by their frames, COLMAP's folders by the size of what was mapped: the same in most runs.
+    models = read_table(folders["sfm"] / "models.parquet", schema("sfm", "models")).set_index("model_id")["folder"]
+    folder_of = images.set_index("frame_id").loc[ids, "model_id"].map(models).to_numpy()
     return Dataset(
         frames[known].reset_index(drop=True),
         frames[~known].reset_index(drop=True),
@@ -98,8 +101,7 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
         [_image_file(root, profile, scene, image) for image in frames.loc[known, "image"]],
         [
             SfmModel(
-                # The largest model is in model/, the others in model_2/, ... (docs/sfm.md).
-                folders["sfm"] / ("model" if index == 0 else f"model_{index + 1}"),
+                folders["sfm"] / folder_of[component == index][0],
                 ids[component == index].tolist(),
                 _similarity(map_T_cam[component == index], sfm_T_cam[component == index]),
             )

@@ -18,9 +18,10 @@ from alignment.export.command import WRITERS, FormatOption
 from alignment.stage import STAGE
 from artefacts import DataRoot, UserError, execute
 from artefacts.schemas import schema
-from artefacts.tables import poses_of, read_table, write_table
+from artefacts.tables import pose_frame, poses_of, read_table, write_table
 from capture_import.capture import Limits, RawSession
 from capture_import.discovery import find_recordings
+from geometry.fits import Sim3
 from geometry.poses import Array, inverse, make_pose
 
 UNREGISTERED, VALIDATION, TESTED = "walk0/000003", range(5, 8), range(15, 20)
@@ -52,14 +53,34 @@ def aligned(data_of_module: DataRoot) -> DataRoot:
     images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
     images.loc[images["frame_id"] == UNREGISTERED, "registered"] = False
     write_table(folders["sfm"] / "images.parquet", images, schema("sfm", "images"))
-    (folders["sfm"] / "model").mkdir()
-    _model(frames, poses_of(images, "sfm_cam")).write_binary(folders["sfm"] / "model")
+    _write_models(data, {"model": "incremental/0"})
     execute(STAGE, "Place", "tiny", data)
     return data
 
 
+def _write_models(data: DataRoot, model_ids: dict[str, str]) -> None:
+    """SfM's models of the frames that have their ids, each in its folder, and the table that says so."""
+    frames, images, folder = _frames(data), _images(data), data.run("tiny", "Place", "sfm")
+    for name, model_id in model_ids.items():
+        (folder / name).mkdir(exist_ok=True)
+        rows = np.flatnonzero(images["model_id"] == model_id)
+        _model(frames.iloc[rows], poses_of(images, "sfm_cam")[rows]).write_binary(folder / name)
+    models = pd.DataFrame({"model_id": list(model_ids.values()), "folder": list(model_ids)})
+    models = models.assign(mapping="incremental", chosen=True, images=20, points=19, observations=38, heldout_matches=0)
+    models[["mean_track_length", "mean_reprojection_px", "heldout_px", "fitted_px"]] = 0.5
+    write_table(folder / "models.parquet", models, schema("sfm", "models"))
+
+
+def _frames(data: DataRoot) -> pd.DataFrame:
+    return read_table(data.run("tiny", "Place", "import") / "frames.parquet", schema("import", "frames"))
+
+
+def _images(data: DataRoot) -> pd.DataFrame:
+    return read_table(data.run("tiny", "Place", "sfm") / "images.parquet", schema("sfm", "images"))
+
+
 def _model(frames: pd.DataFrame, sfm_T_cam: Array) -> pycolmap.Reconstruction:
-    """A model of all frames and a point a metre or so ahead of each, seen by it and the next one."""
+    """A model of these frames and a point a metre or so ahead of each, seen by it and the next one."""
     model = pycolmap.Reconstruction()
     for row, frame in enumerate(frames.itertuples(index=False), start=1):
         params = [frame.fx, frame.fy, frame.cx, frame.cy]
@@ -86,8 +107,7 @@ def _export(scene: DataRoot, name: str, *options: str) -> Path:
 def _truth(scene: DataRoot) -> pd.DataFrame:
     """Ground truth by frame_id, with intrinsics."""
     gt = read_table(scene.run("tiny", "Place", "align") / "ground_truth.parquet", schema("align", "ground_truth"))
-    frames = read_table(scene.run("tiny", "Place", "import") / "frames.parquet", schema("import", "frames"))
-    known = gt.merge(frames[["frame_id", "fx", "fy", "cx", "cy"]], on="frame_id")
+    known = gt.merge(_frames(scene)[["frame_id", "fx", "fy", "cx", "cy"]], on="frame_id")
     return known[known["quality"] != "none"].set_index("frame_id")
 
 
@@ -109,14 +129,10 @@ def test_colmap_reads_its_model_in_the_map(scene: DataRoot, name: str) -> None:
     out = _export(scene, name)
     model = pycolmap.Reconstruction(out / "sparse" / "0")
     frame_of, truth = _frame_of(out), _truth(scene)
-    found = {}
+    found = _poses(model, frame_of)
     for image in model.images.values():
-        frame_id = frame_of[f"images/{image.name}"]
-        found[frame_id] = inverse(
-            make_pose(image.cam_from_world().rotation.matrix(), image.cam_from_world().translation)
-        )
         assert (out / "images" / image.name).is_file()
-        expected = truth.loc[frame_id, ["fx", "fy", "cx", "cy"]].to_numpy(float)
+        expected = truth.loc[frame_of[f"images/{image.name}"], ["fx", "fy", "cx", "cy"]].to_numpy(float)
         np.testing.assert_allclose(model.camera(image.camera_id).params, expected, atol=1e-6)
     _assert_same(scene, found)
     # The points came along: each lies ahead of its first camera, 0.4 SfM units in metres.
@@ -130,6 +146,40 @@ def test_colmap_reads_its_model_in_the_map(scene: DataRoot, name: str) -> None:
     lists = {split: (out / f"{split}.txt").read_text().split() for split in ("train", "val", "test")}
     assert lists["val"] == [f"walk0/{i:06d}.jpg" for i in VALIDATION]
     assert len(lists["test"]) == 25 and sum(map(len, lists.values())) == FRAMES
+
+
+@pytest.mark.parametrize("name", ["colmap", "colmap-text"])
+def test_colmap_reads_two_models_in_one_map(scene: DataRoot, name: str) -> None:
+    """Two of equal size, each with half of both walks: SfM's order and align's need not be the same."""
+    images = _images(scene)
+    late = (np.arange(len(images)) % 20 >= 10) & images["registered"].to_numpy(bool)
+    images.loc[late, "model_id"] = "incremental/1"
+    sfm_T_cam = poses_of(images, "sfm_cam")
+    other = Sim3(2.1, make_pose(np.eye(3)[[1, 2, 0]], np.zeros(3))[:3, :3], np.array([-4.0, 9.0, 2.0]))
+    sfm_T_cam[late] = other.poses(sfm_T_cam[late])
+    images[pose_frame("sfm_cam", sfm_T_cam).columns] = pose_frame("sfm_cam", sfm_T_cam)
+    write_table(scene.run("tiny", "Place", "sfm") / "images.parquet", images, schema("sfm", "images"))
+    _write_models(scene, {"model": "incremental/0", "model_2": "incremental/1"})
+    execute(STAGE, "Place", "tiny", scene, force=True)
+    out = _export(scene, name)
+    assert sorted(path.name for path in (out / "sparse").iterdir()) == ["0", "1"]
+    truth, found = _truth(scene), {}
+    for number in (0, 1):
+        model = pycolmap.Reconstruction(out / "sparse" / str(number))
+        own = _poses(model, _frame_of(out))
+        assert set(own) == set(truth.index[truth["component"] == number])
+        assert model.num_points3D() > 10
+        found |= own
+    assert truth["component"].value_counts().to_dict() == {0: 20, 1: 19}
+    _assert_same(scene, found)
+
+
+def _poses(model: pycolmap.Reconstruction, frame_of: dict[str, str]) -> dict[str, Array]:
+    """map_T_cam by frame_id."""
+    return {
+        frame_of[f"images/{image.name}"]: inverse(np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]]))
+        for image in model.images.values()
+    }
 
 
 def test_evo_reads_tum(scene: DataRoot) -> None:
