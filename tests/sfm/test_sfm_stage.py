@@ -138,6 +138,16 @@ def test_a_stage_killed_anywhere_ends_in_the_same_tables(room: Room, tmp_path: P
         assert (at_once / f"{table}.parquet").read_bytes() == resumed[table], table
 
 
+@pytest.mark.slow
+def test_the_tables_are_the_same_bytes_each_time_and_on_any_number_of_threads(room: Room) -> None:
+    runs = []
+    for threads in (1, 1, 3):
+        folder = execute(STAGE, "room", "tiny", room.data, [*_SETTINGS, f"threads={threads}"], force=True)
+        runs.append({table: (folder / f"{table}.parquet").read_bytes() for table in _TABLES})
+    assert runs[1] == runs[0], "the same run came out different"
+    assert runs[2] == runs[0], "three threads came out different from one"
+
+
 def test_images_without_texture_end_in_a_clear_error(room: Room) -> None:
     for image in room.frames["image"]:
         path = room.data.captures("room") / image
