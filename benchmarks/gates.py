@@ -2,9 +2,11 @@
 
 Thirty broken inputs, five of each kind, and thirty clean ones, all small simulated captures, go through import, sfm and
 align as a user would run them. Caught is what any of the three refuses or what align's gate tells; the name must be
-right. A clean one must come out without a failed check of the scene or a session. `wrong` counts frames that were given
-a ground truth more than 25 cm or 2 degrees from the truth after one similarity fit: catching a fault is worth little if
-wrong labels go out beside it.
+right. A clean one must come out without a failed check of the scene or a session. Wrong is a pose more than 25 cm or 2
+degrees from the truth after a fit of origin and heading, which are free; scale and vertical are the map's own. `given`
+are the frames with ground truth, `wrong` those of them that are so, the same of class A and B alone: catching a fault
+is worth little if wrong labels go out beside it. `lost` are registered frames without ground truth, `lost, right` those
+of them that SfM had placed rightly within their model.
 
 Each case is written down when it's done; the same command goes on with the rest. `--seconds` ends a slice.
 """
@@ -13,7 +15,7 @@ import json
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -42,8 +44,9 @@ from benchmarks.gates_breaking import (
 from benchmarks.gates_captures import CORRIDOR, Capture, write_capture
 from capture_import.stage import STAGE as IMPORT
 from geometry import GeometryError
-from geometry.fits import fit_robust, fit_sim3
+from geometry.fits import Sim3, fit_robust, fit_sim3, fit_yaw
 from geometry.metrics import position_error, rotation_error_deg
+from geometry.poses import Array
 from sfm.stage import STAGE as SFM
 
 PROFILE = "tiny"
@@ -74,17 +77,31 @@ class Case:
 
 
 @dataclass(frozen=True)
+class Labels:
+    """Frames of a case: all, registered ones, those with ground truth and the wrong ones among them, the same of class
+    A and B, those without although registered and the right ones among them; the largest error given out, metres."""
+
+    frames: int = 0
+    registered: int = 0
+    given: int = 0
+    wrong: int = 0
+    given_ab: int = 0
+    wrong_ab: int = 0
+    lost: int = 0
+    lost_right: int = 0
+    worst_m: float | None = None
+
+
+@dataclass(frozen=True)
 class Outcome:
-    """What became of a case: the fault that was found and where, its words, frames with a wrong ground truth."""
+    """What became of a case: the fault that was found and where, its words, and its frames."""
 
     case: str
     expected: str
     found: str
     stage: str
     told: str
-    with_ground_truth: int
-    wrong: int
-    worst_m: float | None
+    labels: Labels
     seconds: float
 
     @property
@@ -125,8 +142,8 @@ def run_case(case: Case, captures: Path) -> Outcome:
             breaking = with_walk_of(_rendered(captures, case.other), _WALKS[-1])
         breaking(data.captures(scene))
         found, stage, told = _found(data, scene, case)
-        given, wrong, worst_m = _wrong_frames(data, scene)
-    return Outcome(case.name, case.expected, found, stage, told, given, wrong, worst_m, time.monotonic() - start)
+        labels = _labels(data, scene)
+    return Outcome(case.name, case.expected, found, stage, told, labels, time.monotonic() - start)
 
 
 def _rendered(captures: Path, capture: Capture) -> Path:
@@ -168,36 +185,64 @@ def _named(text: str) -> str:
     return next((cause for cause in CAUSES if cause in text), "refused without a name")
 
 
-def _wrong_frames(data: DataRoot, scene: str) -> tuple[int, int, float | None]:
-    """Frames with ground truth, those of them that are wrong, and the largest error in metres.
-
-    The largest model is fitted to the truth, robustly, so that a few wrong frames stand out.
-    """
+def _labels(data: DataRoot, scene: str) -> Labels:
+    """What the frames of a case were given, and how right it is."""
     path = data.run(PROFILE, scene, "align") / "ground_truth.parquet"
     if not path.is_file():
-        return 0, 0, None
+        return Labels()
     gt = read_table(path, schema("align", "ground_truth"))
     truth = read_table(data.captures(scene) / "true_poses.parquet", schema("simulate", "true_poses"))
     sessions = read_table(data.run(PROFILE, scene, "import") / "sessions.parquet", schema("import", "sessions"))
-    known = gt[gt["quality"] != "none"]
+    images = read_table(data.run(PROFILE, scene, "sfm") / "images.parquet", schema("sfm", "images"))
+    images = gt[["frame_id"]].merge(images, on="frame_id", how="left")
     recording = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
-    keys = pd.DataFrame({"session_id": known["session_id"].map(recording), "t_ns": known["t_ns"]})
+    keys = pd.DataFrame({"session_id": gt["session_id"].map(recording), "t_ns": gt["t_ns"]})
     true_T_cam = poses_of(keys.merge(truth, on=["session_id", "t_ns"], how="left"), "map_cam")
-    map_T_cam = poses_of(known, "map_cam")
-    true, xyz = true_T_cam[:, :3, 3], map_T_cam[:, :3, 3]
+    given, registered = (gt["quality"] != "none").to_numpy(), images["registered"].to_numpy(bool)
+    sure = gt["quality"].isin(["A", "B"]).to_numpy()
+    metres, wrong = np.full(len(gt), np.inf), np.ones(len(gt), dtype=bool)
+    metres[given], wrong[given] = _errors(true_T_cam[given], poses_of(gt, "map_cam")[given], _fit_yaw)
+    # A lost frame has no pose in the map: its place among the others of its model is what can be right.
+    in_model = np.ones(len(gt), dtype=bool)
+    for model in images.loc[registered, "model_id"].unique():
+        own = registered & (images["model_id"] == model).to_numpy()
+        _, in_model[own] = _errors(true_T_cam[own], poses_of(images, "sfm_cam")[own], fit_sim3)
+    lost = registered & ~given
+    return Labels(
+        frames=len(gt),
+        registered=int(registered.sum()),
+        given=int(given.sum()),
+        wrong=int((given & wrong).sum()),
+        given_ab=int(sure.sum()),
+        wrong_ab=int((sure & wrong).sum()),
+        lost=int(lost.sum()),
+        lost_right=int((lost & ~in_model).sum()),
+        worst_m=float(metres[given].max()) if given.any() and np.isfinite(metres[given]).all() else None,
+    )
+
+
+def _fit_yaw(true: Array, xyz: Array, weights: Array) -> Sim3:
+    true_T_map = fit_yaw(true, xyz, weights)
+    return Sim3(1.0, true_T_map[:3, :3], true_T_map[:3, 3])
+
+
+def _errors(true_T_cam: Array, b_T_cam: Array, fit: Callable[[Array, Array, Array], Sim3]) -> tuple[Array, np.ndarray]:
+    """Metres (N,) of poses (N, 4, 4) from the truth after a robust fit, so that a few wrong ones stand out, and which
+    are wrong (N,); all are where there are too few for a fit."""
+    metres, wrong = np.full(len(b_T_cam), np.inf), np.ones(len(b_T_cam), dtype=bool)
+    # A frame from another scene has no true pose in this one.
+    known = np.isfinite(true_T_cam[:, 0, 0])
+    true, xyz = true_T_cam[known, :3, 3], b_T_cam[known, :3, 3]
     try:
-        true_S_map, _ = fit_robust(
-            lambda w: fit_sim3(true, xyz, w),
-            lambda s: np.linalg.norm(true - s.points(xyz), axis=1),
-            len(xyz),
-            floor=0.02,
+        true_S_b, _ = fit_robust(
+            lambda w: fit(true, xyz, w), lambda s: np.linalg.norm(true - s.points(xyz), axis=1), len(xyz), floor=0.02
         )
     except GeometryError:
-        return len(known), len(known), None
-    placed = true_S_map.poses(map_T_cam)
-    metres, degrees = position_error(placed, true_T_cam), rotation_error_deg(placed, true_T_cam)
-    wrong = (metres > _WRONG_M) | (degrees > _WRONG_DEG)
-    return len(known), int(wrong.sum()), float(metres.max())
+        return metres, wrong
+    placed = true_S_b.poses(b_T_cam[known])
+    metres[known] = position_error(placed, true_T_cam[known])
+    wrong[known] = (metres[known] > _WRONG_M) | (rotation_error_deg(placed, true_T_cam[known]) > _WRONG_DEG)
+    return metres, wrong
 
 
 @app.command()
@@ -227,7 +272,7 @@ def main(
             f"{outcome.case}: expected {outcome.expected}, found {outcome.found} ({outcome.seconds:.0f} s)", flush=True
         )
     names = [case.name for case in cases()]
-    outcomes = [Outcome(**json.loads(path.read_text(encoding="utf-8"))) for path in done.glob("*.json")]
+    outcomes = [_outcome(path) for path in done.glob("*.json")]
     outcomes.sort(key=lambda outcome: names.index(outcome.case))
     table = _table(outcomes, len(names))
     (out / "gates.md").write_text(table, encoding="utf-8")
@@ -236,28 +281,46 @@ def main(
         raise typer.Exit(1)
 
 
+def _outcome(path: Path) -> Outcome:
+    content = json.loads(path.read_text(encoding="utf-8"))
+    return Outcome(**content | {"labels": Labels(**content["labels"])})
+
+
 def _table(outcomes: list[Outcome], wanted: int) -> str:
+    columns = ["given", "wrong", "given A, B", "wrong A, B", "lost", "lost, right", "worst, m"]
     lines = [
         "Simulated captures.",
         "",
-        "| case | expected | found | by | right | frames with ground truth | wrong | worst, m |",
-        "|---|---|---|---|---|---|---|---|",
+        f"| case | expected | found | by | right | frames | {' | '.join(columns)} |",
+        "|---" * (6 + len(columns)) + "|",
     ]
     for o in outcomes:
-        worst = "" if o.worst_m is None else f"{o.worst_m:.3f}"
-        cells = [o.case, o.expected, o.found, o.stage, "yes" if o.right else "**no**", o.with_ground_truth, o.wrong]
-        lines.append(f"| {' | '.join(map(str, cells))} | {worst} |")
+        n = o.labels
+        worst = "" if n.worst_m is None else f"{n.worst_m:.3f}"
+        counts = [n.frames, n.given, n.wrong, n.given_ab, n.wrong_ab, n.lost, n.lost_right]
+        cells = [o.case, o.expected, o.found, o.stage, "yes" if o.right else "**no**", *counts, worst]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
     broken = [o for o in outcomes if o.expected != CLEAN]
     clean = [o for o in outcomes if o.expected == CLEAN]
     caught = sum(o.found != NOTHING for o in broken)
+    lost, registered = (sum(getattr(o.labels, name) for o in clean) for name in ("lost", "registered"))
     lines += [
         "",
         f"{len(outcomes)} of {wanted} cases run. Broken: {caught} of {len(broken)} caught, "
-        f"{sum(o.right for o in broken)} named rightly. Clean: {sum(not o.right for o in clean)} of {len(clean)} "
-        f"refused. Wrong ground truth given out: {sum(o.wrong for o in outcomes)} frames.",
+        f"{sum(o.right for o in broken)} named rightly; {_given_out(broken)}. Clean: "
+        f"{sum(not o.right for o in clean)} of {len(clean)} refused; {_given_out(clean)}; "
+        f"{lost} of {registered} registered frames have none, "
+        f"{sum(o.labels.lost_right for o in clean)} of them placed rightly by SfM.",
         "",
     ]
     return "\n".join(lines)
+
+
+def _given_out(outcomes: list[Outcome]) -> str:
+    wrong_ab, given_ab, wrong, given = (
+        sum(getattr(o.labels, name) for o in outcomes) for name in ("wrong_ab", "given_ab", "wrong", "given")
+    )
+    return f"{wrong} of {given} frames with ground truth are wrong, {wrong_ab} of the {given_ab} of class A and B"
 
 
 if __name__ == "__main__":
