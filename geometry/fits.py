@@ -18,6 +18,8 @@ _RANK_TOLERANCE = 1e-10
 _IRLS_ITERATIONS = 50
 ROBUST_TOLERANCE = 1e-9
 """`fit_robust` goes on until no weight changes by more."""
+# The first weights are but a start for the second.
+_IRLS_START_TOLERANCE = 1e-3
 
 Model = TypeVar("Model")
 
@@ -143,7 +145,7 @@ def fit_robust(
     (Zhang, "Parameter estimation techniques", Image and Vision Computing 15, 1997). The kernel's width is twice the
     median residual, about three sigma for residuals of three axes, and at least `floor`, the size of residuals that
     nobody minds, in their unit. `weights` are the items' own, multiplied in. It ends when no weight changes by more
-    than `tolerance`.
+    than `tolerance`; the start need not be that good.
 
     `fit` takes weights (count,), `residuals` gives (count,) lengths for a model.
     """
@@ -152,6 +154,7 @@ def fit_robust(
     own = np.ones(count) if weights is None else np.asarray(weights, dtype=float)
     model, robust = fit(own), np.ones(count)
     for absolute in (True, False):
+        enough = max(tolerance, _IRLS_START_TOLERANCE) if absolute else tolerance
         for _ in range(_IRLS_ITERATIONS):
             r = np.asarray(residuals(model), dtype=float)
             if absolute:
@@ -162,7 +165,7 @@ def fit_robust(
             change = float(np.abs(update - robust).max())
             robust = update
             model = fit(own * robust)
-            if change < tolerance:
+            if change < enough:
                 break
     return model, robust
 
