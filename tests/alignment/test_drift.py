@@ -49,6 +49,22 @@ def test_measures_agree_with_evo(paths) -> None:
         np.testing.assert_allclose(values(found, name, "m"), expected, atol=1e-9)
 
 
+def test_errors_by_distance_agree_with_evo(paths) -> None:
+    """Steps of a metre, so that a pair five metres apart is the same pair in both definitions."""
+    t_ns, gt, vio = paths
+    rng = np.random.default_rng(4)
+    gt[:, :3, 3] = np.cumsum(np.eye(3)[rng.integers(3, size=len(gt))] * rng.choice([-1, 1], (len(gt), 1)), axis=0)
+    found = measure_drift(t_ns, gt, vio)
+    part, rotation = evo_metrics.PoseRelation.translation_part, evo_metrics.PoseRelation.rotation_angle_deg
+    for relation, name, share in ((part, "distance_position", 100), (rotation, "distance_rotation", 1)):
+        for metres in (5.0, 20.0):
+            metric = evo_metrics.RPE(
+                relation, metres, evo_metrics.Unit.meters, 0.01, all_pairs=True, pairs_from_reference=True
+            )
+            (key,) = [k for k in found.samples if k[:2] == (name, metres)]
+            np.testing.assert_allclose(found.samples[key], share * evo_errors(metric, gt, vio) / metres, atol=1e-9)
+
+
 def test_paper_measures_are_the_papers(paths) -> None:
     t_ns, gt, vio = paths
     found = measure_drift(t_ns, gt, vio)

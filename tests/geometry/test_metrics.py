@@ -49,7 +49,7 @@ def test_relative_errors_agree_with_evo(seed: int) -> None:
     evo_metres = evo_error(evo_metrics.RPE(relation.translation_part, 1, unit, all_pairs=True), true, estimated)
     evo_degrees = evo_error(evo_metrics.RPE(relation.rotation_angle_deg, 1, unit, all_pairs=True), true, estimated)
     assert np.allclose(metres, evo_metres, atol=1e-9)
-    assert np.allclose(degrees, evo_degrees, atol=1e-7)
+    assert np.allclose(degrees, evo_degrees, atol=1e-9)
 
 
 @given(seeds)
