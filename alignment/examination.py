@@ -298,7 +298,7 @@ def _check_unsure(found: Examination, frames: pd.DataFrame, images: pd.DataFrame
                 unsure.extend(part.rows[~sure[part.rows]])
             if not unsure:
                 continue
-            reason = f"SfM isn't sure here, and VIO moves otherwise by more than {settings.unsure_share:.0%}"
+            reason = f"SfM isn't sure here, and VIO moves otherwise by more than {settings.unsure_share:.1%}"
             passed = found.gate.check(
                 "session_unsure",
                 len(wrong) / len(unsure),

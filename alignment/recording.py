@@ -10,11 +10,11 @@ from alignment.sessions import SessionFit
 from alignment.settings import AlignSettings
 from artefacts import StageRun
 from artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
-from artefacts.tables import poses_of
 from geometry.poses import Array, quaternion_from_matrix, transform
 
-# Shades of one colour: all of these are ground truth. The frames that the gate took out stay where SfM had them.
-_QUALITY_COLOURS = {"A": GROUND_TRUTH, "B": (110, 200, 170), "C": NEUTRAL, "refused": REJECTED}
+_QUALITY_COLOURS = {"A": GROUND_TRUTH, "B": (110, 200, 170), "C": NEUTRAL}
+# Sessions in the residuals' two plots; grey, green and orange are taken.
+_SESSION_COLOURS = [(0, 114, 178), (204, 121, 167), (86, 180, 233), (240, 228, 66), (170, 110, 40), (150, 110, 220)]
 # Sessions have clocks of their own; from each one's start their curves lie over each other.
 _TIMELINE = "session_time"
 # Ellipsoids are drawn so many times too large: a centimetre on a walk of 50 m can't be seen.
@@ -47,8 +47,10 @@ def write_recording(r: StageRun[AlignSettings], aligned: Aligned, frames: pd.Dat
         _log_points(rec, aligned, points)
         _log_frusta(rec, aligned, frames, camera_m)
         _log_ellipsoids(rec, aligned.ground_truth)
+        sessions = sorted({fit.segment.session_id for fit in aligned.fits})
         for fit in aligned.fits:
-            _log_segment(rec, fit, frames, camera_m)
+            colour = _SESSION_COLOURS[sessions.index(fit.segment.session_id) % len(_SESSION_COLOURS)]
+            _log_segment(rec, fit, frames, camera_m, colour)
 
 
 def _log_points(rec: rr.RecordingStream, aligned: Aligned, points: pd.DataFrame) -> None:
@@ -63,21 +65,20 @@ def _log_points(rec: rr.RecordingStream, aligned: Aligned, points: pd.DataFrame)
 
 
 def _log_frusta(rec: rr.RecordingStream, aligned: Aligned, frames: pd.DataFrame, camera_m: float) -> None:
-    """All cameras as wire pyramids, one entity a quality, so that each can be switched off."""
-    gt = aligned.ground_truth
-    map_T_cam = poses_of(gt, "map_cam")
-    shown_as = gt["quality"].to_numpy(str)
-    refused = (shown_as == "none") & np.isfinite(aligned.map_T_cam[:, 0, 0])
-    map_T_cam[refused] = aligned.map_T_cam[refused]
-    shown_as[refused] = "refused"
-    for name, colour in _QUALITY_COLOURS.items():
+    """All cameras as wire pyramids, one entity a quality, so that each can be switched off.
+
+    The frames that the gate took out are shown where SfM had them, apart from the ground truth.
+    """
+    quality = aligned.ground_truth["quality"].to_numpy(str)
+    refused = (quality == "none") & np.isfinite(aligned.map_T_cam[:, 0, 0])
+    shown = {f"ground_truth/cameras/quality_{name}": (quality == name, c) for name, c in _QUALITY_COLOURS.items()}
+    for path, (wanted, colour) in (shown | {"refused/cameras": (refused, REJECTED)}).items():
         strips = [
             strip
-            for row in np.flatnonzero(shown_as == name)
-            for strip in _pyramid(map_T_cam[row], frames.iloc[row], camera_m)
+            for row in np.flatnonzero(wanted)
+            for strip in _pyramid(aligned.map_T_cam[row], frames.iloc[row], camera_m)
         ]
-        lines = rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(0.8))
-        rec.log(f"map/ground_truth/cameras/quality_{name}", lines, static=True)
+        rec.log(f"map/{path}", rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(0.8)), static=True)
 
 
 def _log_ellipsoids(rec: rr.RecordingStream, gt: pd.DataFrame) -> None:
@@ -109,8 +110,10 @@ def _pyramid(map_T_cam: Array, frame: pd.Series, depth_m: float) -> list[Array]:
     return [np.stack([eye, a, b, c, d, a]), np.stack([b, eye, c]), np.stack([d, eye])]
 
 
-def _log_segment(rec: rr.RecordingStream, fit: SessionFit, frames: pd.DataFrame, camera_m: float) -> None:
-    """A segment's paths, its two cameras moving along them, and how far they are apart."""
+def _log_segment(
+    rec: rr.RecordingStream, fit: SessionFit, frames: pd.DataFrame, camera_m: float, colour: tuple[int, int, int]
+) -> None:
+    """A segment's paths, its two cameras moving along them, and how far they are apart, drawn in `colour`."""
     s = fit.segment
     name = f"{s.session_id}-{s.index + 1}" if s.index else s.session_id
     if s.component:
@@ -122,6 +125,8 @@ def _log_segment(rec: rr.RecordingStream, fit: SessionFit, frames: pd.DataFrame,
         return
     vio_in_map = fit.map_T_vio @ s.vio_T_cam
     log_path(rec, f"map/vio/{name}/path", vio_in_map[:, :3, 3], VIO)
+    for of in ("position_m", "rotation_deg"):
+        rec.log(f"residuals/{of}/{name}", rr.SeriesLines(colors=colour, names=name), static=True)
     start_ns = frames.loc[frames["session_id"] == s.session_id, "t_ns"].min()
     for number, index in enumerate(fit.compared):
         rec.set_time(_TIMELINE, duration=np.timedelta64(int(s.t_ns[index] - start_ns), "ns"))

@@ -1,12 +1,16 @@
 """The stage from import's and SfM's artefacts to its own, and the check against true poses."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from pyarrow import RecordBatch
+from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 from typer.testing import CliRunner
 
 from alignment.__main__ import app
@@ -14,25 +18,72 @@ from alignment.check_truth import compare_with_bounds, compare_with_truth
 from alignment.stage import STAGE
 from alignment.uncertainty import SharedSd, shared_covariance
 from artefacts import DataRoot, UserError, execute
+from artefacts.recording import GROUND_TRUTH, VIO
 from artefacts.schemas import schema, stage_tables
 from artefacts.stage import load_manifest
 from artefacts.tables import read_table, write_table
 from geometry.poses import make_pose, yaw_rotation
 
 
-def test_the_stage_writes_what_its_schemas_say(data: DataRoot) -> None:
-    folder = execute(STAGE, "Place", "tiny", data)
+@pytest.fixture(scope="module")
+def aligned(data_of_module: DataRoot) -> DataRoot:
+    """The scene Place with import, sfm and align done, for tests that leave it as it is."""
+    execute(STAGE, "Place", "tiny", data_of_module)
+    return data_of_module
+
+
+def test_the_stage_writes_what_its_schemas_say(aligned: DataRoot) -> None:
+    folder = aligned.run("tiny", "Place", "align")
     tables = {t.name: read_table(folder / f"{t.name}.parquet", t) for t in stage_tables("align")}
     assert len(tables["ground_truth"]) == 40 and len(tables["residuals"]) == 40
     assert set(tables["drift"]["session_id"]) == {"walk0", "walk1", "all"}
-    assert (folder / "recording.rrd").stat().st_size > 10_000
+    _check_recording(folder / "recording.rrd", tables["ground_truth"])
     assert (folder / "gate.png").read_bytes().startswith(b"\x89PNG")
     figures = load_manifest(folder)["figures"]
     assert figures["registered"] == 40 and figures["checks_failed"] == 0
     before = (folder / "ground_truth.parquet").read_bytes()
-    execute(STAGE, "Place", "tiny", data, force=True)
+    execute(STAGE, "Place", "tiny", aligned, force=True)
     assert (folder / "ground_truth.parquet").read_bytes() == before
     json.dumps(figures, allow_nan=False)
+
+
+def _check_recording(path: Path, gt: pd.DataFrame) -> None:
+    """What is where in the recording, in which colour."""
+    logged = {}
+    for chunk in RrdReader(path).stream():
+        logged.setdefault(str(chunk.entity_path), chunk.to_record_batch())
+    paths = {name for name in logged if not name.startswith("/__")}
+    assert {name.rsplit("/", 1)[0] for name in paths if "camera" not in name} == {
+        *("", "/map/points", "/map/ground_truth", "/residuals/position_m", "/residuals/rotation_deg"),
+        *(f"/map/{of}/{walk}" for of in ("ground_truth", "vio") for walk in ("walk0", "walk1")),
+    }
+    assert {name for name in paths if "/cameras" in name} == {
+        *(f"/map/ground_truth/cameras/quality_{name}" for name in "ABC"),
+        "/map/refused/cameras",
+    }
+
+    def value(path: str, column: str) -> list:
+        (found,) = [c.to_pylist()[0] for c, n in zip(*_columns(logged[path]), strict=True) if n.endswith(column)]
+        return found
+
+    for walk, of_walk in gt.groupby("session_id"):
+        (strip,) = value(f"/map/ground_truth/{walk}/path", ":strips")
+        np.testing.assert_allclose(strip, of_walk[["map_cam_tx", "map_cam_ty", "map_cam_tz"]], atol=1e-5)
+        for of, colour in (("ground_truth", GROUND_TRUTH), ("vio", VIO)):
+            (rgba,) = value(f"/map/{of}/{walk}/path", ":colors")
+            assert tuple(rgba.to_bytes(4, "big"))[:3] == colour
+        # One colour a session, in both plots.
+        colours = [value(f"/residuals/{of}/{walk}", "SeriesLines:colors") for of in ("position_m", "rotation_deg")]
+        assert colours[0] == colours[1]
+    position = np.stack(gt["covariance"]).reshape(-1, 6, 6)[:, 3:, 3:]
+    half_sizes = np.sort(value("/map/ground_truth/bounds_95_times_10", ":half_sizes"), axis=1)
+    np.testing.assert_allclose(
+        half_sizes, 10 * np.sqrt(chi2.ppf(0.95, 3) * np.linalg.eigvalsh(position)), rtol=1e-3, atol=1e-6
+    )
+
+
+def _columns(batch: RecordBatch) -> tuple[list, list[str]]:
+    return batch.columns, batch.schema.names
 
 
 def test_a_refused_run_says_where_its_picture_is(data: DataRoot) -> None:
@@ -55,8 +106,9 @@ def pose_columns_of(table: pd.DataFrame, prefix: str) -> list[str]:
     return [name for name in table.columns if name.startswith(f"{prefix}_")]
 
 
-def test_check_truth_prints_its_targets_and_says_what_is_missed(data: DataRoot) -> None:
-    execute(STAGE, "Place", "tiny", data)
+def test_check_truth_prints_its_targets_and_says_what_is_missed(aligned: DataRoot, tmp_path: Path) -> None:
+    shutil.copytree(aligned.root, tmp_path / "data")
+    data = DataRoot(tmp_path / "data")
     arguments = ["check-truth", "--scene", "Place", "--profile", "tiny", "--data", str(data.root)]
     good = CliRunner().invoke(app, arguments)
     assert good.exit_code == 0, good.output
