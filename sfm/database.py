@@ -84,8 +84,8 @@ def keypoint_counts(path: Path, count: int) -> Ints:
 def have_results(path: Path, pairs: Ints) -> NDArray[np.bool_]:
     """Which pairs of rows (P, 2) have been matched and verified, (P,)."""
     with pycolmap.Database.open(path) as database:
-        done, _ = database.read_two_view_geometry_num_inliers()
-    return np.isin(_pair_ids(pairs), done)
+        found = [database.exists_two_view_geometry(image_id(a), image_id(b)) for a, b in pairs.tolist()]
+    return np.array(found, bool)
 
 
 def read_pair_results(path: Path, pairs: Ints) -> tuple[Ints, Ints]:
