@@ -180,9 +180,9 @@ def _component(
     try:
         scale = common_scale(
             pieces,
-            window_m=settings.window_m,
-            least_extent_m=settings.least_extent_m,
-            window_sd=settings.window_scale_sd,
+            step_m=settings.step_m,
+            least_step_m=settings.least_step_m,
+            step_sd=settings.step_scale_sd,
             phone_sd=settings.phone_scale_sd,
         )
         vertical = common_vertical(segments, phone_sd=float(np.radians(settings.phone_tilt_sd_deg)))

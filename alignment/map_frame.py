@@ -1,6 +1,6 @@
 """The map frame: metric and +y up from all VIO sessions together, without leaning on VIO positions over distance.
 
-Scale compares SfM and VIO over windows of a few metres, so that VIO's drift over a whole walk can't bend it. The
+Scale compares SfM and VIO step by step, so that VIO's drift over a whole walk can't bend it. The
 vertical is the mean of each recording's own. Both count a recording once: its errors are the phone's, and more
 frames of it don't make them smaller.
 """
@@ -14,7 +14,7 @@ from artefacts import UserError
 from geometry import GeometryError
 from geometry.fits import direction_angles, fit_robust, mean_direction
 from geometry.poses import Array
-from geometry.vio_agreement import Scale, extent, recording_scale, robust_mean
+from geometry.vio_agreement import Scale, path_m, recording_scale, robust_mean
 
 # Residuals that nobody minds, where a robust fit stops telling items apart.
 _UP_FLOOR = np.radians(0.2)  # of a frame's vertical against its recording's
@@ -41,28 +41,28 @@ class Vertical:
 
 
 def common_scale(
-    segments: list[Segment], *, window_m: float, least_extent_m: float, window_sd: float, phone_sd: float
+    segments: list[Segment], *, step_m: float, least_step_m: float, step_sd: float, phone_sd: float
 ) -> MapScale:
     """Metres per SfM unit, one robust estimate over all recordings.
 
-    `least_extent_m`: windows whose VIO positions spread less (root mean square) say nothing about scale.
-    `window_sd` and `phone_sd`: what a window's and a phone's scale are expected to be off by, as shares; the scatter
-    that is found adds to them. Raises UserError where no session moves enough.
+    `step_m`: VIO path over which steps are compared. `least_step_m`: steps that VIO moved less say nothing about scale.
+    `step_sd` and `phone_sd`: what the scale of a step of a metre and of a phone are expected to be off by, as shares;
+    the scatter that is found adds to them. Raises UserError where no session moves enough.
     """
     found = {}
     for recording in sorted({s.recording for s in segments}):
         own = [s for s in segments if s.recording == recording]
-        scale = _recording_scale(own, window_m, least_extent_m, window_sd)
+        scale = _recording_scale(own, step_m, least_step_m, step_sd)
         if scale is not None:
             found[recording] = scale
     if not found:
-        spread = max((extent(s.vio_T_cam[s.both, :3, 3]) for s in segments if s.both.sum() >= 2), default=0.0)
+        walked = max((float(path_m(s.vio_T_cam[s.both])[-1]) for s in segments if s.both.any()), default=0.0)
         raise UserError(
             "the map's metric scale can't be had: no session moves enough",
             where="frames that have both an SfM and a VIO pose",
-            expected=f"3 or more such frames in a row, spread over {least_extent_m:g} m or more (root mean square)",
-            found=f"{sum(int(s.both.sum()) for s in segments)} such frames, spread over {spread:.3g} m at most",
-            do="capture with more walking, or lower align.least_extent_m",
+            expected=f"3 or more such frames in a row, {least_step_m:g} m or more from first to last",
+            found=f"{sum(int(s.both.sum()) for s in segments)} such frames, {walked:.3g} m walked at most",
+            do="capture with more walking, or lower align.least_step_m",
         )
     logs = np.array([s.log for s in found.values()])
     sds = np.array([np.hypot(s.sd, phone_sd) for s in found.values()])
@@ -100,10 +100,10 @@ def common_vertical(segments: list[Segment], *, phone_sd: float) -> Vertical:
     return Vertical(up, float(np.sqrt(variance / robust.sum())), own)
 
 
-def _recording_scale(segments: list[Segment], window_m: float, least_extent_m: float, window_sd: float) -> Scale | None:
+def _recording_scale(segments: list[Segment], step_m: float, least_step_m: float, step_sd: float) -> Scale | None:
     stretches = [segment.stretch for segment in segments]
     try:
-        return recording_scale(stretches, window_m=window_m, least_extent_m=least_extent_m, window_sd=window_sd)
+        return recording_scale(stretches, step_m=step_m, least_step_m=least_step_m, step_sd=step_sd)
     except GeometryError as error:
         raise UserError(
             "SfM puts frames in one place that VIO says are apart",

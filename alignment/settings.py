@@ -5,7 +5,7 @@ from pydantic import Field
 from alignment.uncertainty import QualityLimits
 from artefacts import Settings
 from geometry.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT
-from geometry.vio_agreement import LEAST_EXTENT_M, POSE_SD, WINDOW_M, WINDOW_SCALE_SD
+from geometry.vio_agreement import LEAST_STEP_M, POSE_SD, STEP_M, STEP_SCALE_SD, WINDOW_M
 
 
 class QualitySettings(Settings):
@@ -24,12 +24,9 @@ class AlignSettings(Settings):
     """How ground truth is made; docs/ground-truth.md says why these defaults."""
 
     window_m: float = Field(WINDOW_M, gt=0, description="VIO path over which SfM and VIO are compared, metres")
-    least_extent_m: float = Field(
-        LEAST_EXTENT_M,
-        gt=0,
-        description="windows whose VIO positions spread less (root mean square) tell no scale, metres",
-    )
-    window_scale_sd: float = Field(WINDOW_SCALE_SD, gt=0, description="expected scale error of one window, share")
+    step_m: float = Field(STEP_M, gt=0, description="VIO path of the steps that give the scale, metres")
+    least_step_m: float = Field(LEAST_STEP_M, gt=0, description="steps that VIO moved less tell no scale, metres")
+    step_scale_sd: float = Field(STEP_SCALE_SD, gt=0, description="expected scale error of a step of a metre, share")
     phone_scale_sd: float = Field(0.003, gt=0, description="expected scale error of one recording's VIO, share")
     phone_tilt_sd_deg: float = Field(0.3, gt=0, description="expected gravity error of one recording, degrees an axis")
     position_sd_m: float = Field(

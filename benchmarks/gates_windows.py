@@ -1,4 +1,4 @@
-"""What VIO's drift does to windows of different lengths: `python -m benchmarks.gates_windows`
+"""What VIO's drift does to steps and windows of different lengths: `python -m benchmarks.gates_windows`
 
 Simulated walks without pictures: true poses with a few millimetres of noise stand for SfM, VIO drifts as fitted to real
 recordings (docs/vio-drift.md). Prints how far the map's scale and vertical are off, and how far VIO parts from SfM
@@ -43,21 +43,21 @@ def main(
     scenes = [_segments(walks, seed) for seed in range(draws)]
     paths = [s.travelled_m[-1] for s in scenes[0]]
     print(f"Simulated: {len(walks)} walks through {scene} of {min(paths):.0f} to {max(paths):.0f} m, {draws} draws\n")
-    print("| window, m | scale off, RMS | largest | RMS of error / stated sigma |")
+    print("| step, m | scale off, RMS | largest | RMS of error / stated sigma |")
     print("|---|---|---|---|")
-    for window_m in (5.0, 10.0, 20.0):
+    for step_m in (0.5, 1.0, 2.0, 5.0, 10.0):
         found = [
             common_scale(
                 segments,
-                window_m=window_m,
-                least_extent_m=settings.least_extent_m,
-                window_sd=settings.window_scale_sd,
+                step_m=step_m,
+                least_step_m=settings.least_step_m,
+                step_sd=settings.step_scale_sd,
                 phone_sd=settings.phone_scale_sd,
             )
             for segments in scenes
         ]
         off, sd = np.array([f.log for f in found]), np.array([f.sd for f in found])
-        print(f"| {window_m:g} | {_rms(off):.2%} | {np.abs(off).max():.2%} | {_rms(off / sd):.2f} |")
+        print(f"| {step_m:g} | {_rms(off):.2%} | {np.abs(off).max():.2%} | {_rms(off / sd):.2f} |")
     phone = float(np.radians(settings.phone_tilt_sd_deg))
     ups = np.stack([common_vertical(segments, phone_sd=phone).up_sfm for segments in scenes])
     tilt = np.degrees(direction_angles(ups, _UP))

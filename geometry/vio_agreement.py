@@ -1,4 +1,6 @@
-"""Does a model move as VIO does? Scale and rigid fits over windows of VIO path, which drift over a walk can't bend.
+"""Does a model move as VIO does? Scale from steps of VIO path, and rigid fits over windows of it.
+
+Over a whole walk VIO's drift would bend the path. Errors of one step have nothing to do with those of the next.
 
 A stretch is what a session walked between two VIO jumps, as the poses of the n frames that both know, in order of time:
 `sfm_T_cam` (n, 4, 4) in a model's arbitrary scale and `vio_T_cam` (n, 4, 4) in metres.
@@ -11,23 +13,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.fits import ROBUST_TOLERANCE, Sim3, fit_poses, fit_robust, fit_sim3, pose_residuals
-from geometry.poses import Array
+from geometry import GeometryError
+from geometry.fits import ROBUST_TOLERANCE, fit_poses, fit_robust, pose_residuals
+from geometry.poses import Array, relative
 from geometry.vio_drift import VioDrift
 
 WINDOW_M = 10.0
 """Short windows suffer from noise of single positions, long ones from bending by VIO's drift."""
-LEAST_EXTENT_M = 0.15
-"""Windows whose VIO positions spread less (root mean square) say nothing about scale."""
-WINDOW_SCALE_SD = 0.01
-"""Expected scale error of one window, as a share."""
+STEP_M = 1.0
+LEAST_STEP_M = 0.3
+"""Steps that VIO moved less say nothing about scale."""
+STEP_SCALE_SD = 0.03
+"""Expected scale error of a step of a metre, as a share."""
 
 # Frames that a window needs so that a robust fit of 7 unknowns sees which of them is wrong.
 LEAST_WINDOW = 6
 _FEWEST_FRAMES = 3
 # Residuals that nobody minds, where a robust fit stops telling items apart.
-_WINDOW_FLOOR = 2e-3  # of the window's extent: 2 mm a metre
-_SCALE_FLOOR = 1e-3  # of a window's scale against its recording's
+_STEP_FLOOR = 1e-2  # of the scale of a step of a metre against its recording's
 
 
 class Stretch(NamedTuple):
@@ -67,11 +70,11 @@ class WindowResiduals:
 
 @dataclass(frozen=True)
 class Scale:
-    """VIO metres per SfM unit of one recording: natural logarithm, its sigma, and the windows behind it."""
+    """VIO metres per SfM unit of one recording: natural logarithm, its sigma, and the steps behind it."""
 
     log: float
     sd: float
-    windows: int
+    steps: int
 
 
 def path_m(vio_T_cam: Array) -> Array:
@@ -152,42 +155,61 @@ def compare_windows(
 def recording_scale(
     stretches: Sequence[Stretch],
     *,
-    window_m: float,
-    least_extent_m: float,
-    window_sd: float,
+    step_m: float,
+    least_step_m: float,
+    step_sd: float,
     tolerance: float = ROBUST_TOLERANCE,
 ) -> Scale | None:
-    """The scale of a recording's stretches in one model: the robust mean of its windows' own, weighted by the mean
-    square extent of their paths; None where none of them moves enough.
+    """The scale of a recording's stretches in one model: the robust mean over steps of `step_m` of VIO path, one after
+    the other, weighted by their lengths, as a random walk's error grows with the root of its length; None where
+    nothing moves enough.
 
-    `least_extent_m`: windows whose VIO positions spread less (root mean square) say nothing about scale. `window_sd`:
-    what a window's scale is expected to be off by, as a share; the scatter that is found adds to it. Raises
-    GeometryError where SfM puts frames in one place that VIO says are apart.
+    `least_step_m`: steps that VIO moved less say nothing about scale. `step_sd`: what the scale of a step of a metre is
+    expected to be off by, as a share; the scatter that is found adds to it. Raises GeometryError where SfM puts frames
+    in one place that VIO says are apart.
     """
-    logs, spreads = [], []
+    ratios, lengths = [np.empty(0)], [np.empty(0)]
     for stretch in stretches:
         if len(stretch.vio_T_cam) < _FEWEST_FRAMES:
             continue
-        for inside in path_windows(path_m(stretch.vio_T_cam), window_m):
-            sfm, vio = stretch.sfm_T_cam[inside, :3, 3], stretch.vio_T_cam[inside, :3, 3]
-            if extent(vio) < least_extent_m:
-                continue
-            scale, weights = _window_scale(sfm, vio, tolerance)
-            logs.append(-np.log(scale))
-            spreads.append(extent(vio, weights) ** 2)
-    if not logs:
+        a, b = path_steps(path_m(stretch.vio_T_cam), step_m)
+        sfm, vio = (relative(T[a], T[b])[:, :3, 3] for T in stretch)
+        length = np.linalg.norm(vio, axis=1)
+        told = length >= least_step_m
+        squared = np.sum(sfm * sfm, axis=1)[told]
+        if not squared.all():
+            raise GeometryError(f"{np.count_nonzero(squared == 0)} of {len(squared)} steps have no length in SfM")
+        # SfM's step is the surer one: VIO's is laid along it, so that VIO's sideways errors don't lengthen it.
+        ratios.append(np.sum(sfm * vio, axis=1)[told] / squared)
+        lengths.append(length[told])
+    ratio, length = np.concatenate(ratios), np.concatenate(lengths)
+    if not len(ratio) or np.median(ratio) <= 0:
         return None
-    log, spread = np.array(logs), np.array(spreads)
-    mean, robust = robust_mean(log, spread, np.ones(len(log)), _SCALE_FLOOR)
-    weight = robust * spread
-    # Each window shares half its path with the next one: together they count for half as many.
-    effective = max(1.0, float(weight.sum() ** 2 / np.sum(weight**2)) / (2 if len(log) > 1 else 1))
-    scatter = float(np.sum(weight * (log - mean) ** 2) / weight.sum())
-    variance = (effective * scatter + window_sd**2) / effective
-    return Scale(mean, float(np.sqrt(variance / effective)), len(log))
+    usual = float(np.median(ratio))
+    share, length_sd = ratio / usual, 1 / np.sqrt(length)
+    mean, robust = robust_mean(share, length, length_sd, _STEP_FLOOR, tolerance)
+    weight = robust * length
+    effective = max(1.0, float(weight.sum() ** 2 / np.sum(weight**2)))
+    # One more step, as wrong as a step is expected to be, keeps few steps from looking certain.
+    scatter = float(np.sum(weight * (share - mean) ** 2) / weight.sum())
+    expected = float(np.sum(weight * (step_sd * length_sd) ** 2) / weight.sum())
+    variance = (effective * scatter + expected) / effective
+    return Scale(float(np.log(mean * usual)), float(np.sqrt(variance / effective)) / mean, len(ratio))
 
 
-def robust_mean(values: Array, weights: Array, sds: Array, floor: float) -> tuple[float, Array]:
+def path_steps(travelled_m: Array, step_m: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First and last frames of steps of `step_m` of a path, or a little more, one after the other; the last one may be
+    shorter. `travelled_m` (n,) is how far along it each frame lies."""
+    ends = [0]
+    while ends[-1] + 1 < len(travelled_m):
+        following = int(np.searchsorted(travelled_m, travelled_m[ends[-1]] + step_m))
+        ends.append(min(max(following, ends[-1] + 1), len(travelled_m) - 1))
+    return np.array(ends[:-1], np.intp), np.array(ends[1:], np.intp)
+
+
+def robust_mean(
+    values: Array, weights: Array, sds: Array, floor: float, tolerance: float = ROBUST_TOLERANCE
+) -> tuple[float, Array]:
     """Robust weighted mean of numbers (N,) and their final weights, residuals counted in their `sds`."""
     return fit_robust(
         lambda w: float(np.average(values, weights=w)),
@@ -195,31 +217,5 @@ def robust_mean(values: Array, weights: Array, sds: Array, floor: float) -> tupl
         len(values),
         floor=floor,
         weights=weights,
-    )
-
-
-def extent(xyz: Array, weights: Array | None = None) -> float:
-    """Root mean square distance of points (N, 3) from their mean."""
-    mean = np.average(xyz, axis=0, weights=weights)
-    return float(np.sqrt(np.average(np.sum((xyz - mean) ** 2, axis=1), weights=weights)))
-
-
-def _window_scale(sfm: Array, vio: Array, tolerance: float) -> tuple[float, Array]:
-    """SfM units per VIO metre of one window, and the frames' weights: wrong SfM poses have none.
-
-    SfM is fitted to, as its wrong poses are gross; as the side that is fitted from they'd be leverage points. A turn
-    about a straight path isn't determined and doesn't matter here.
-    """
-    size = extent(vio)
-
-    def residuals(sfm_S_vio: Sim3) -> Array:
-        return np.linalg.norm(sfm - sfm_S_vio.points(vio), axis=1) / (sfm_S_vio.scale * size)
-
-    sfm_S_vio, weights = fit_robust(
-        lambda w: fit_sim3(sfm, vio, w, line_ok=True),
-        residuals,
-        len(sfm),
-        floor=_WINDOW_FLOOR,
         tolerance=tolerance,
     )
-    return sfm_S_vio.scale, weights

@@ -16,10 +16,11 @@ from geometry.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT, diagnose
 from geometry.fits import Sim3
 from geometry.poses import Array
 from geometry.vio_agreement import (
-    LEAST_EXTENT_M,
+    LEAST_STEP_M,
     POSE_SD,
+    STEP_M,
+    STEP_SCALE_SD,
     WINDOW_M,
-    WINDOW_SCALE_SD,
     Stretch,
     compare_windows,
     recording_scale,
@@ -91,9 +92,9 @@ def _moving_otherwise(
     try:
         scale = recording_scale(
             [Stretch(sfm_T_cam[rows], vio.vio_T_cam[rows]) for rows in parts],
-            window_m=WINDOW_M,
-            least_extent_m=LEAST_EXTENT_M,
-            window_sd=WINDOW_SCALE_SD,
+            step_m=STEP_M,
+            least_step_m=LEAST_STEP_M,
+            step_sd=STEP_SCALE_SD,
             tolerance=_TOLERANCE,
         )
     except GeometryError:
