@@ -55,7 +55,7 @@ class AlignSettings(Settings):
     unsure_step_m: float = Field(
         5.0,
         gt=0,
-        description="gate: frames that SfM isn't sure of (below class A) must move as VIO does over this path",
+        description="gate: frames that SfM isn't sure of (class C) must move as VIO does over this path",
     )
     unsure_share: float = Field(0.018, gt=0, description="... and up to three times that, to this share of it")
     bridge_m: float = Field(10.0, ge=0, description="models that no view ties are joined by VIO over this path at most")

@@ -168,7 +168,7 @@ def recording_scale(
     expected to be off by, as a share; the scatter that is found adds to it. Raises GeometryError where SfM puts frames
     in one place that VIO says are apart.
     """
-    ratios, lengths = [np.empty(0)], [np.empty(0)]
+    ratios, by_length, lengths = [np.empty(0)], [np.empty(0)], [np.empty(0)]
     for stretch in stretches:
         if len(stretch.vio_T_cam) < _FEWEST_FRAMES:
             continue
@@ -182,10 +182,14 @@ def recording_scale(
         # SfM's step is the surer one: VIO's is laid along it, so that VIO's sideways errors don't lengthen it.
         ratios.append(np.sum(sfm * vio, axis=1)[told] / squared)
         lengths.append(length[told])
+        by_length.append(length[told] / np.sqrt(squared))
     ratio, length = np.concatenate(ratios), np.concatenate(lengths)
-    if not len(ratio) or np.median(ratio) <= 0:
+    if not len(ratio):
         return None
-    usual = float(np.median(ratio))
+    usual = float(np.median(np.concatenate(by_length)))
+    if np.median(ratio) < usual / 2:
+        # Most steps go another way, as where times are shuffled. Their lengths give a scale to show that with.
+        ratio = np.concatenate(by_length)
     share, length_sd = ratio / usual, 1 / np.sqrt(length)
     mean, robust = robust_mean(share, length, length_sd, _STEP_FLOOR, tolerance)
     weight = robust * length

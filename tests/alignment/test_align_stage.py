@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from pyarrow import RecordBatch
 from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -49,9 +48,12 @@ def test_the_stage_writes_what_its_schemas_say(aligned: DataRoot) -> None:
 
 def _check_recording(path: Path, gt: pd.DataFrame) -> None:
     """What is where in the recording, in which colour."""
-    logged = {}
+    logged: dict[str, list[tuple[str, list]]] = {}
     for chunk in RrdReader(path).stream():
-        logged.setdefault(str(chunk.entity_path), chunk.to_record_batch())
+        batch = chunk.to_record_batch()
+        columns = zip(batch.schema.names, (column.to_pylist() for column in batch.columns), strict=True)
+        # A path's columns may come in one chunk or in several.
+        logged.setdefault(str(chunk.entity_path), []).extend(columns)
     paths = {name for name in logged if not name.startswith("/__")}
     assert {name.rsplit("/", 1)[0] for name in paths if "camera" not in name} == {
         *("", "/map/points", "/map/ground_truth", "/residuals/position_m", "/residuals/rotation_deg"),
@@ -63,8 +65,7 @@ def _check_recording(path: Path, gt: pd.DataFrame) -> None:
     }
 
     def value(path: str, column: str) -> list:
-        (found,) = [c.to_pylist()[0] for c, n in zip(*_columns(logged[path]), strict=True) if n.endswith(column)]
-        return found
+        return next(values[0] for name, values in logged[path] if name.endswith(column))
 
     for walk, of_walk in gt.groupby("session_id"):
         (strip,) = value(f"/map/ground_truth/{walk}/path", ":strips")
@@ -80,10 +81,6 @@ def _check_recording(path: Path, gt: pd.DataFrame) -> None:
     np.testing.assert_allclose(
         half_sizes, 10 * np.sqrt(chi2.ppf(0.95, 3) * np.linalg.eigvalsh(position)), rtol=1e-3, atol=1e-6
     )
-
-
-def _columns(batch: RecordBatch) -> tuple[list, list[str]]:
-    return batch.columns, batch.schema.names
 
 
 def test_a_refused_run_says_where_its_picture_is(data: DataRoot) -> None:
