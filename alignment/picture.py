@@ -1,5 +1,7 @@
 """gate.png: SfM's path against VIO's after alignment, the frames without ground truth marked, and how they part."""
 
+import textwrap
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from geometry.vio_agreement import PoseSd, fit_rigid
 
 _MOST_SESSIONS = 8
 _INCHES = 3.2
+_REASON_WIDTH = 75
 
 
 def draw_gate(path: Path, found: Examination, title: str, *, simulated: bool) -> None:
@@ -31,7 +34,10 @@ def draw_gate(path: Path, found: Examination, title: str, *, simulated: bool) ->
         _draw_plan(plan, found, component, segment)
         _draw_curves(metres, degrees, found, segment)
     main = found.gate.main_cause
-    verdict = "all checks passed" if main is None else f"{main['cause']}: {main['reason']}"
+    verdict = "all checks passed"
+    if main is not None:
+        session = f", {main['session_id']}" if main["session_id"] else ""
+        verdict = f"{main['cause']}{session}: {main['reason']}"
     kind = " (simulated)" if simulated else ""
     left_out = f"; {len(parts) - len(shown)} more not shown" if len(parts) > len(shown) else ""
     figure.suptitle(f"{title}{kind}: {verdict}{left_out}", fontsize=10, wrap=True)
@@ -52,7 +58,9 @@ def _draw_plan(plan: Axes, found: Examination, component: Component, segment: Se
     plan.set_aspect("equal", adjustable="datalim")
     plan.invert_yaxis()
     name = segment.session_id + (f", part {segment.index}" if segment.index else "")
-    plan.set_title(f"{name}, model {segment.component}: plan, m", fontsize=8)
+    reasons = Counter(found.reason[known.rows[refused]]).most_common(1)
+    told = [textwrap.fill(reason, _REASON_WIDTH) for reason, _ in reasons]
+    plan.set_title("\n".join([f"{name}, model {segment.component}: plan, m", *told]), fontsize=8)
     plan.legend(fontsize=7)
     plan.tick_params(labelsize=7)
 
