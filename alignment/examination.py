@@ -93,7 +93,7 @@ def examine(
         np.full(count, np.nan),
         np.full(count, np.nan),
     )
-    _check_registered(found, frames, settings)
+    _check_registered(found, frames, recordings, settings)
     drift = _drift(settings)
     sd = PoseSd(settings.position_sd_m, float(np.radians(settings.rotation_sd_deg)))
     # Scale and agreement are compared between all jumps, also those that an alignment lives with.
@@ -143,7 +143,10 @@ def _refuse(found: Examination, rows: np.ndarray, reason: str) -> None:
     found.reason[rows] = reason
 
 
-def _check_registered(found: Examination, frames: pd.DataFrame, settings: AlignSettings) -> None:
+def _check_registered(
+    found: Examination, frames: pd.DataFrame, recordings: dict[str, str], settings: AlignSettings
+) -> None:
+    """Enough frames of all, and of each recording: a few that a VIO jump cut off tell nothing by themselves."""
     known, count = int(found.registered.sum()), len(frames)
     found.gate.check(
         "registered",
@@ -155,19 +158,19 @@ def _check_registered(found: Examination, frames: pd.DataFrame, settings: AlignS
         frames=count,
         at_least=True,
     )
-    session = frames["session_id"].to_numpy(str)
-    for session_id in sorted(set(session)):
-        own = session == session_id
-        known, count = int((own & found.registered).sum()), int(own.sum())
+    recording = frames["session_id"].map(lambda session_id: recordings.get(session_id, session_id))
+    for _, rows in frames.groupby(recording, sort=True).indices.items():
+        known, count = int(found.registered[rows].sum()), len(rows)
+        sessions = sorted(set(frames["session_id"].iloc[rows]))
         found.gate.check(
             "session_registered",
             known / count,
             settings.least_registered,
             "share",
-            # Hardly a frame of a whole session finds its place in the scene.
+            # Hardly a frame of a whole recording finds its place in the scene.
             OTHER_SCENE if known < 0.1 * count and found.registered.any() else TOO_FEW,
-            f"SfM registered {known} of the session's {count} frames",
-            session_id=session_id,
+            f"SfM registered {known} of the {count} frames of {', '.join(sessions)}",
+            session_id=sessions[0],
             frames=count,
             at_least=True,
         )
@@ -280,7 +283,8 @@ def _shared_faults(
 def _check_unsure(found: Examination, frames: pd.DataFrame, images: pd.DataFrame, settings: AlignSettings) -> None:
     """A frame of class A or B stands on its own: 95 % bounds of 0.3 degrees are 7 cm at the end of 5 m, and VIO strays as
     far. One of class C needs VIO's word: it must move as VIO does, more closely than drift is allowed for elsewhere;
-    where most of a session's don't, none of them is believed."""
+    where most of a session's don't, none of them is believed. That they have no ground truth is a fault of the session
+    where it costs it too many frames."""
     covariance = sfm_covariances(images["covariance"])
     checked = np.isfinite(found.worst_m)
     for component in found.components:
@@ -299,19 +303,21 @@ def _check_unsure(found: Examination, frames: pd.DataFrame, images: pd.DataFrame
                 unsure.extend(part.rows[~sure[part.rows]])
             if not unsure:
                 continue
-            reason = f"SfM isn't sure here, and VIO moves otherwise by more than {settings.unsure_share:.1%}"
-            passed = found.gate.check(
+            lost = wrong if len(wrong) <= len(unsure) / 2 else unsure
+            registered = sum(int(s.registered.sum()) for s in component.segments if s.session_id == session_id)
+            found.gate.check(
                 "session_unsure",
-                len(wrong) / len(unsure),
-                0.5,
+                len(lost) / registered,
+                1 - settings.least_agreeing,
                 "share",
                 DISAGREES,
                 f"of {len(unsure)} frames that SfM isn't sure of {len(wrong)} move otherwise than VIO",
                 session_id=session_id,
                 component=component.index,
-                frames=len(unsure),
+                frames=registered,
             )
-            _refuse(found, np.array(wrong if passed else unsure, dtype=int), reason)
+            reason = f"SfM isn't sure here, and VIO moves otherwise by more than {settings.unsure_share:.1%}"
+            _refuse(found, np.array(lost, dtype=int), reason)
 
 
 def _place(found: Examination, settings: AlignSettings, drift: VioDrift, sd: PoseSd) -> None:
@@ -346,13 +352,16 @@ def _place(found: Examination, settings: AlignSettings, drift: VioDrift, sd: Pos
                 component=placed.component.index,
                 frames=placed.component.frames,
             )
+    mapped = {s.recording for p in found.placed for s in p.component.segments if s.registered.any()}
     for lost in untied:
+        # A VIO jump parts a recording too: what is left of it is no other scene.
+        elsewhere = lost.gap_m is None and mapped.isdisjoint(s.recording for s in lost.component.segments)
         found.gate.check(
             "component_tied",
             None,
             settings.bridge_m,
             "m",
-            OTHER_SCENE if lost.gap_m is None else BROKEN_OFF,
+            OTHER_SCENE if elsewhere else BROKEN_OFF,
             lost.reason,
             component=lost.component.index,
             frames=lost.component.frames,

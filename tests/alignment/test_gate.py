@@ -145,6 +145,39 @@ def test_a_session_of_another_scene_is_named(walks) -> None:
     assert faults(found) == {(gate.OTHER_SCENE, "walk2")} and refused(found) == {2}
 
 
+def cut_off(scene, rows: np.ndarray) -> dict[str, str]:
+    """These rows as a session of their own, as import cuts them off at a VIO jump; the recording of each session."""
+    recordings = scene.recordings
+    session = scene.frames["session_id"].iloc[rows[0]]
+    scene.frames.loc[rows, "session_id"] = f"{session}.part2"
+    return recordings | {f"{session}.part2": session}
+
+
+@pytest.mark.parametrize("registered", [False, True])
+def test_what_a_vio_jump_cut_off_is_no_other_scene(walks, registered: bool) -> None:
+    """A few frames that nothing ties to the map, by view or by VIO: not in the model, or in one of their own."""
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 2)[-8:]
+    recordings = cut_off(scene, rows)
+    scene.images.loc[rows, "model_id"] = "incremental/1" if registered else None
+    scene.images.loc[rows, "registered"] = registered
+    found = examine(scene.frames, scene.images, scene.jumps, recordings, AlignSettings())
+    assert {cause for cause, _ in faults(found)} == ({gate.BROKEN_OFF} if registered else set())
+    assert found.used.sum() == 3 * FRAMES - 8
+
+
+def test_a_few_unsure_frames_are_no_fault_of_their_session(walks) -> None:
+    scene = walks.make(frames=FRAMES, sfm_m=0.002, sfm_deg=0.02)
+    unsure = [12, 14]
+    covariance = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
+    scene.images.loc[unsure, "covariance"] = pd.Series(covariance, dtype=object).iloc[unsure]
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[unsure, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])
+    scene.set_sfm(sfm)
+    found = run(scene)
+    assert np.flatnonzero(~found.used).tolist() == unsure and not faults(found)
+
+
 def test_the_picture_is_drawn_for_a_refused_run_too(walks, tmp_path) -> None:
     scene = walks.make(**NOISE)
     mirror(scene, np.arange(3 * FRAMES), 0)
