@@ -11,6 +11,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 Ints = NDArray[np.int64]
+Descriptors = NDArray[np.uint8] | NDArray[np.float32]
 
 
 def image_name(frame_id: str, image: str) -> str:
@@ -69,10 +70,17 @@ def create_database(path: Path, frames: pd.DataFrame, names: Sequence[str]) -> N
     partial.replace(path)
 
 
-def read_descriptors(path: Path, count: int) -> list[NDArray[np.uint8]]:
-    """The SIFT descriptors (M, 128) of each of the `count` frames."""
+def read_descriptors(path: Path, count: int) -> list[Descriptors]:
+    """The descriptors (M, D) of each of the `count` frames: SIFT's bytes, or a network's floats."""
+
+    def numbers(found: pycolmap.FeatureDescriptors) -> Descriptors:
+        # COLMAP keeps the bytes of a network's floats.
+        floats = found.type not in (pycolmap.FeatureExtractorType.SIFT, pycolmap.FeatureExtractorType.UNDEFINED)
+        data: Descriptors = found.to_float().data if floats else found.data
+        return data
+
     with pycolmap.Database.open(path) as database:
-        return [np.asarray(database.read_descriptors(image_id(row)).data) for row in range(count)]
+        return [numbers(database.read_descriptors(image_id(row))) for row in range(count)]
 
 
 def keypoint_counts(path: Path, count: int) -> Ints:

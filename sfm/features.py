@@ -1,4 +1,4 @@
-"""SIFT features of all frames."""
+"""Features of all frames: SIFT, or ALIKED (Zhao et al., IEEE TIM 2023) where its network can be run."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,22 +6,42 @@ from pathlib import Path
 import pycolmap
 
 from artefacts.child import Report
+from sfm.networks import options_of_network
 from sfm.settings import SfmSettings
 
 _CHUNK = 8
 
 
-def extract_features(report: Report, database: Path, images: Path, names: Sequence[str], settings: SfmSettings) -> None:
-    """Extract SIFT features of the named images into the database; images that have theirs are skipped.
+def features_name(settings: SfmSettings) -> str:
+    """Settings with the same name have the same features."""
+    if settings.features == "aliked":
+        return f"_aliked_{settings.max_features}"
+    return f"{settings.first_octave}_{settings.max_features}"
 
-    Images larger than the settings' cap are shrunk first; keypoints are in pixels of the full image.
-    """
+
+def extraction_options(settings: SfmSettings) -> pycolmap.FeatureExtractionOptions:
+    """COLMAP's options; UserError where they ask for a network that this COLMAP has been built without."""
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False
     options.num_threads = settings.threads
     options.max_image_size = settings.max_image_size
-    options.sift.max_num_features = settings.max_features
-    options.sift.first_octave = settings.first_octave
+    if settings.features == "aliked":
+        options.type = pycolmap.FeatureExtractorType.ALIKED_N16ROT
+        aliked = options_of_network(options, "aliked")
+        aliked.max_num_features = settings.max_features
+        aliked.n16rot_model_path = settings.aliked_model
+    else:
+        options.sift.max_num_features = settings.max_features
+        options.sift.first_octave = settings.first_octave
+    return options
+
+
+def extract_features(report: Report, database: Path, images: Path, names: Sequence[str], settings: SfmSettings) -> None:
+    """Extract features of the named images into the database; images that have theirs are skipped.
+
+    Images larger than the settings' cap are shrunk first; keypoints are in pixels of the full image.
+    """
+    options = extraction_options(settings)
     # Extraction has no progress of its own, so it gets a few images at a time.
     for start in range(0, len(names), _CHUNK):
         chunk = names[start : start + _CHUNK]

@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 from artefacts.child import Report
 from sfm.database import have_results, image_id
+from sfm.features import extraction_options
+from sfm.networks import cannot_run, options_of_network
 from sfm.odometry import Comparison
 from sfm.pairs import Pairs
 from sfm.settings import SfmSettings
 
 _CHUNK = 128
+_TRIED_PX = 64
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 """Environment of the process that matches: on products as small as a pair's, more threads cost more than they gain."""
 _LENGTH = 512.0
@@ -53,6 +56,38 @@ class MatchedPairs:
         return np.where(self.verified, "verified", refused).astype(object)
 
 
+def matching_options(settings: SfmSettings) -> pycolmap.FeatureMatchingOptions:
+    """COLMAP's options; UserError where they ask for a network that this COLMAP has been built without.
+
+    ALIKED's features are always matched by LightGlue (Lindenberger et al., ICCV 2023), SIFT's where the settings ask.
+    """
+    options = pycolmap.FeatureMatchingOptions()
+    options.use_gpu = False
+    if settings.features == "aliked":
+        options.type = pycolmap.FeatureMatcherType.ALIKED_LIGHTGLUE
+        options_of_network(options, "aliked").lightglue.model_path = settings.aliked_lightglue_model
+    elif settings.sift_matcher == "lightglue":
+        options.type = pycolmap.FeatureMatcherType.SIFT_LIGHTGLUE
+        options_of_network(options.sift, "lightglue").model_path = settings.sift_lightglue_model
+    return options
+
+
+def try_networks(report: Report, settings: SfmSettings) -> None:
+    """Load the networks that the settings ask for, and run ALIKED on a tiny image; UserError where that fails.
+
+    Whether COLMAP can run them shows in the attempt alone: its options pass their own check without ONNX, too.
+    """
+    try:
+        if settings.features == "aliked":
+            extractor = pycolmap.FeatureExtractor.create(extraction_options(settings), pycolmap.Device.cpu)
+            extractor.extract_from_uint8_array(
+                np.random.default_rng(0).integers(0, 256, (_TRIED_PX, _TRIED_PX, 3), np.uint8)
+            )
+        pycolmap.FeatureMatcher.create(matching_options(settings), pycolmap.Device.cpu)
+    except (RuntimeError, ValueError) as error:
+        raise cannot_run(settings, error) from None
+
+
 def match_pairs(
     report: Report, database: Path, names: Sequence[str], pairs: Pairs, settings: SfmSettings, seed: int
 ) -> None:
@@ -65,14 +100,19 @@ def match_pairs(
     verification.ransac.random_seed = seed
     verification.ransac.min_num_trials = _FEWEST_TRIALS
     pair_list = database.with_name("pairs.txt")
+    by_network = settings.features != "sift" or settings.sift_matcher == "lightglue"
+    pairing = pycolmap.ImportedPairingOptions(match_list_path=pair_list, block_size=_CHUNK)
     # Verification has no progress of its own, so it gets some pairs at a time.
     done = have_results(database, pairs)
     todo = pairs[~done]
     for start in range(0, len(todo), _CHUNK):
         chunk = todo[start : start + _CHUNK]
-        _write_matches(database, chunk)
         pair_list.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in chunk), encoding="utf-8")
-        pycolmap.verify_matches(database, pair_list, verification)
+        if by_network:
+            pycolmap.match_image_pairs(database, matching_options(settings), pairing, verification, pycolmap.Device.cpu)
+        else:
+            _write_matches(database, chunk)
+            pycolmap.verify_matches(database, pair_list, verification)
         report(int(done.sum()) + start + len(chunk))
 
 

@@ -1,30 +1,60 @@
-"""Which frames look alike: a descriptor of each image from the scene's own SIFT features, nothing to download.
+"""Which frames look alike: a descriptor of each image from the scene's own features, nothing to download.
 
 VLAD (Jégou et al., "Aggregating local descriptors into a compact image representation", CVPR 2010) with the
 normalisation of each word (Arandjelović and Zisserman, "All about VLAD", CVPR 2013) over words learned from the scene.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sfm.database import Descriptors
 from sfm.pairs import Pairs, unique_pairs
+from sfm.settings import RetrievalName
 
 Floats = NDArray[np.float32]
 
 _SAMPLES_PER_WORD = 400
 _ITERATIONS = 15
 _ROWS_AT_ONCE = 512
+_COMPONENTS = 64
 
 
-def vlad(descriptors: Sequence[NDArray[np.uint8]], words: int, seed: int) -> Floats:
-    """Unit image descriptors (N, words * 128) of N images, each with SIFT descriptors (M, 128); zero where M is 0."""
+def vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Floats:
+    """Unit image descriptors (N, words * D) of N images, each with local descriptors (M, D); zero where M is 0.
+
+    One image at least has local descriptors.
+    """
     rng = np.random.default_rng(seed)
-    everything = np.concatenate(descriptors) if descriptors else np.empty((0, 128), np.uint8)
+    everything = np.concatenate([d for d in descriptors if len(d)])
     chosen = rng.permutation(len(everything))[: words * _SAMPLES_PER_WORD]
     centres = k_means(_unit(everything[np.sort(chosen)]), words, rng)
-    return np.stack([_aggregate(_unit(d), centres) for d in descriptors])
+    return np.stack([_aggregate(_unit(d), centres) if len(d) else _nothing(centres) for d in descriptors])
+
+
+def pca_vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Floats:
+    """As `vlad`, of local descriptors in the scene's 64 first principal components, (N, words * 64).
+
+    What few of a scene's features differ in is noise to most of them (Jégou and Chum, "Negative evidences and
+    co-occurences in image retrieval", ECCV 2012, section 3). Half the numbers, half the time.
+    """
+    rng = np.random.default_rng(seed)
+    everything = np.concatenate([d for d in descriptors if len(d)])
+    chosen = np.sort(rng.permutation(len(everything))[: words * _SAMPLES_PER_WORD])
+    sample = _unit(everything[chosen])
+    mean = sample.mean(axis=0)
+    components = np.linalg.eigh(np.cov((sample - mean).T))[1][:, : -_COMPONENTS - 1 : -1].astype(np.float32)
+    centres = k_means((sample - mean) @ components, words, rng)
+    return np.stack(
+        [_aggregate((_unit(d) - mean) @ components, centres) if len(d) else _nothing(centres) for d in descriptors]
+    )
+
+
+RETRIEVALS: dict[RetrievalName, Callable[[Sequence[Descriptors], int, int], Floats]] = {
+    "vlad": vlad,
+    "pca-vlad": pca_vlad,
+}
 
 
 def k_means(points: Floats, clusters: int, rng: np.random.Generator) -> Floats:
@@ -54,9 +84,13 @@ def retrieval_pairs(image_ND: Floats, session_N: ArrayLike, per_frame: int) -> P
     return unique_pairs(np.concatenate(found))
 
 
-def _unit(descriptors: NDArray[np.uint8]) -> Floats:
+def _unit(descriptors: Descriptors) -> Floats:
     floats = descriptors.astype(np.float32)
     return floats / np.maximum(np.linalg.norm(floats, axis=1, keepdims=True), 1e-12)
+
+
+def _nothing(centres: Floats) -> Floats:
+    return np.zeros(centres.size, np.float32)
 
 
 def _nearest(points: Floats, centres: Floats) -> NDArray[np.int64]:

@@ -7,15 +7,27 @@ from pydantic import Field
 from artefacts import Settings
 
 MapperName = Literal["incremental", "global", "hierarchical", "vio"]
+FeatureName = Literal["sift", "aliked"]
+RetrievalName = Literal["vlad", "pca-vlad"]
+SiftMatcherName = Literal["nearest", "lightglue"]
 
 
 class SfmSettings(Settings):
     """[sfm]"""
 
     max_image_size: int = Field(1600, ge=64, description="images are shrunk to this longest side for features, px")
-    max_features: int = Field(2048, gt=0, description="SIFT features kept per image")
+    max_features: int = Field(2048, gt=0, description="features kept per image")
     first_octave: int = Field(
-        0, ge=-1, le=2, description="-1 doubles the image first: more features, 2 to 4 times slower"
+        0, ge=-1, le=2, description="SIFT: -1 doubles the image first: more features, 2 to 4 times slower"
+    )
+    features: FeatureName = Field("sift", description="sift, or aliked: a network's, matched by LightGlue")
+    sift_matcher: SiftMatcherName = Field("nearest", description="SIFT: nearest descriptors, or lightglue: a network")
+    aliked_model: str = Field("data/weights/aliked-n16rot.onnx", description="COLMAP's ONNX file of ALIKED")
+    aliked_lightglue_model: str = Field(
+        "data/weights/aliked-lightglue.onnx", description="COLMAP's ONNX file of LightGlue for ALIKED"
+    )
+    sift_lightglue_model: str = Field(
+        "data/weights/sift-lightglue.onnx", description="COLMAP's ONNX file of LightGlue for SIFT"
     )
     sequence_pairs: int = Field(
         5, ge=1, description="following frames of the same recording that a frame is matched to"
@@ -34,6 +46,7 @@ class SfmSettings(Settings):
         15.0, gt=0, description="what two images leave open of the direction of motion, degrees"
     )
     retrieval_pairs: int = Field(10, ge=0, description="frames of other sessions that look most alike")
+    retrieval: RetrievalName = Field("vlad", description="what `look alike` means: vlad or pca-vlad (docs/sfm.md)")
     retrieval_words: int = Field(64, ge=2, description="visual words, learned from the scene, behind `look alike`")
     transitive_pairs: int = Field(5, ge=0, description="pairs a frame gains where both match a third one; 0: none")
     min_inliers: int = Field(15, ge=8, description="verified matches that a pair needs")

@@ -16,14 +16,15 @@ from geometry.poses import Array, relative
 from geometry.vio_drift import VioDrift
 from sfm.covariance import pose_covariance
 from sfm.database import create_database, have_results, image_name, keypoint_counts, read_descriptors, read_pair_results
-from sfm.features import extract_features
+from sfm.features import extract_features, features_name
 from sfm.ladder import TAKEN, Attempt, climb, outcome_of
 from sfm.mappers import MappingInput
 from sfm.mapping import BuiltModel, kept_models, map_verified, read_built
 from sfm.mapping_input import HeldOutCheck, held_out_check, read_matches
-from sfm.matching import ONE_THREAD, MatchedPairs, match_pairs
+from sfm.matching import ONE_THREAD, MatchedPairs, match_pairs, try_networks
 from sfm.model import Model, load_models
 from sfm.model_check import check_models
+from sfm.networks import model_files, require_model_files
 from sfm.odometry import Odometry, PairLimits, drift_between, nothing_compared, odometry
 from sfm.pairs import (
     Pairs,
@@ -36,7 +37,7 @@ from sfm.pairs import (
     within_vio_limits,
 )
 from sfm.recording import write_recording
-from sfm.retrieval import retrieval_pairs, vlad
+from sfm.retrieval import RETRIEVALS, retrieval_pairs
 from sfm.settings import SfmSettings
 from sfm.tables import attempts_table, images_table, models_table, pairs_table, points_table
 from sfm.two_views import compare_pairs
@@ -150,6 +151,10 @@ def _prepare(r: StageRun[SfmSettings]) -> _Scene:
             found=len(frames),
             do="capture more, or let import keep more (its table rejects says what was left out and why)",
         )
+    log = r.scratch / "colmap.log"
+    if model_files(r.settings):
+        require_model_files(r.settings)
+        in_child("trying the networks", log, _TOO_LITTLE, Task(try_networks, (r.settings,)))
     recordings = r.read("import", "sessions").set_index("session_id")["recording"]
     images = r.scratch / "images"
     names = []
@@ -172,7 +177,7 @@ def _prepare(r: StageRun[SfmSettings]) -> _Scene:
         names,
         images,
         r.scratch,
-        r.scratch / "colmap.log",
+        log,
     )
 
 
@@ -230,7 +235,7 @@ def _attempt(
     keypoints: dict[Path, NDArray[np.int64]],
 ) -> tuple[Attempt, _Mapped]:
     """Features, pairs and models by these settings, held against VIO. `keypoints` are those counted before."""
-    database = scene.scratch / f"database{settings.first_octave}_{settings.max_features}.db"
+    database = scene.scratch / f"database{features_name(settings)}.db"
     create_database(database, scene.frames, scene.names)
     with r.step("features"):
         if database not in keypoints:
@@ -294,7 +299,8 @@ def _propose(seed: int, s: SfmSettings, scene: _Scene, database: Path) -> list[t
     alike = unique_pairs([])
     if s.retrieval_pairs and len(set(vio.session)) > 1:
         descriptors = read_descriptors(database, len(frames))
-        alike = retrieval_pairs(vlad(descriptors, s.retrieval_words, seed), vio.session, s.retrieval_pairs)
+        described = RETRIEVALS[s.retrieval](descriptors, s.retrieval_words, seed)
+        alike = retrieval_pairs(described, vio.session, s.retrieval_pairs)
     return [
         ("sequence", unique_pairs(np.concatenate([next_one, following[_can_see(s, vio, following)]]))),
         ("vio", near),

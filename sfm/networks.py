@@ -1,0 +1,63 @@
+"""What ALIKED and LightGlue need: their model files, and a COLMAP that was built to run networks."""
+
+from pathlib import Path
+from typing import Any
+
+import pycolmap
+
+from artefacts import UserError
+from sfm.settings import SfmSettings
+
+_DO = "install a pycolmap that was built with ONNX (COLMAP's ONNX_ENABLED), or set {setting}"
+
+
+def model_files(settings: SfmSettings) -> dict[str, str]:
+    """The settings that name the model files which these settings need, and the files."""
+    if settings.features == "aliked":
+        wanted: tuple[str, ...] = ("aliked_model", "aliked_lightglue_model")
+    elif settings.sift_matcher == "lightglue":
+        wanted = ("sift_lightglue_model",)
+    else:
+        wanted = ()
+    return {name: getattr(settings, name) for name in wanted}
+
+
+def require_model_files(settings: SfmSettings) -> None:
+    """UserError where a model file that the settings need isn't there. COLMAP would download it; nothing here does."""
+    for name, file in model_files(settings).items():
+        if not Path(file).is_file():
+            raise UserError(
+                f"the model file of sfm.{name} is missing",
+                where=Path(file).absolute(),
+                expected="the ONNX file that COLMAP publishes with its releases",
+                found="no such file",
+                do=f"put it there, name it in sfm.{name}, or set {_without(settings)}",
+            )
+
+
+def options_of_network(options: Any, name: str) -> Any:
+    """A network's options among COLMAP's; UserError where COLMAP has none, as it was built without ONNX."""
+    if not hasattr(options, name):
+        raise UserError(
+            "this pycolmap can't run networks",
+            where=pycolmap.__file__,
+            expected="COLMAP built with ONNX",
+            found=f"its {type(options).__name__} has no {name}",
+            do=_DO.format(setting="sfm.features=sift and sfm.sift_matcher=nearest"),
+        )
+    return getattr(options, name)
+
+
+def cannot_run(settings: SfmSettings, error: Exception) -> UserError:
+    """What to tell the user where COLMAP raised `error` as the networks were tried."""
+    return UserError(
+        "this pycolmap can't run the networks that the settings ask for",
+        where=", ".join(model_files(settings).values()),
+        expected="COLMAP built with ONNX, and the model files that COLMAP publishes with its releases",
+        found=error,
+        do=_DO.format(setting=_without(settings)),
+    )
+
+
+def _without(settings: SfmSettings) -> str:
+    return "sfm.features=sift" if settings.features == "aliked" else "sfm.sift_matcher=nearest"
