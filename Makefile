@@ -135,6 +135,7 @@ bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures
 
 bench-groundtruth: $(installed) ## Ground truth: accuracy, honesty, speed beside COLMAP's stock way, growth, real captures; hours
 	@$(py) -m benchmarks.groundtruth
+	@$(py) -m benchmarks.groundtruth_settings --data build/groundtruth/church
 	@$(py) -m benchmarks.gates
 
 bench-import: $(installed) ## Import: speed, memory, figures of each format, nerfstudio beside (nerfstudio=<its python>)

@@ -19,6 +19,8 @@ PICTURE = "gate.png"
 def run(r: StageRun[AlignSettings]) -> None:
     frames, sessions = r.read("import", "frames").reset_index(drop=True), r.read("import", "sessions")
     images, jumps = in_order(r.read("sfm", "images"), frames), r.read("import", "jumps")
+    # SfM's poses go with these focal lengths; they're import's where SfM didn't refine them.
+    frames[["fx", "fy"]] = frames[["fx", "fy"]].mul(images["focal_scale"].fillna(1.0), axis=0)
     recordings = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
     with r.step("examine"):
         found = examine(frames, images, jumps, recordings, r.settings)

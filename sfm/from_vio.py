@@ -65,7 +65,7 @@ def map_from_vio(
         chosen = np.sort(np.concatenate([rows[session] for session in group]))
         for error_px in _ROUNDS_PX:
             model = triangulated(world_T_cam, chosen, error_px)
-            pycolmap.bundle_adjustment(model, _adjustment(options))
+            pycolmap.bundle_adjustment(model, _adjustment())
             for row in chosen:
                 cam_T_world = model.image(image_id(int(row))).cam_from_world().matrix()
                 world_T_cam[row] = inverse(np.vstack([cam_T_world, [0.0, 0.0, 0.0, 1.0]]))
@@ -165,10 +165,9 @@ def _note_points(model: pycolmap.Reconstruction, rows: Ints, start: Ints, xyz_K3
                 xyz_K3[start[row] + index] = model.point3D(seen.point3D_id).xyz
 
 
-def _adjustment(options: pycolmap.IncrementalPipelineOptions) -> pycolmap.BundleAdjustmentOptions:
+def _adjustment() -> pycolmap.BundleAdjustmentOptions:
     adjustment = pycolmap.BundleAdjustmentOptions()
-    adjustment.refine_focal_length = options.ba_refine_focal_length
-    adjustment.refine_principal_point = adjustment.refine_extra_params = False
+    adjustment.refine_focal_length = adjustment.refine_principal_point = adjustment.refine_extra_params = False
     adjustment.print_summary = False
     adjustment.ceres.solver_options.num_threads = 1
     adjustment.ceres.solver_options.max_num_iterations = _ROUND_STEPS

@@ -19,13 +19,15 @@ _LEAF_IMAGES = 200
 
 @dataclass(frozen=True)
 class MappingInput:
-    """What a mapper starts from: the database, its images, VIO of its N frames (N, 4, 4) and their sessions (N,)."""
+    """What a mapper starts from: the database, its images, VIO of its N frames (N, 4, 4) and their sessions (N,).
+
+    Every mapper holds the database's intrinsics fixed.
+    """
 
     database: Path
     images: Path
     vio_T_cam: Array
     session: NDArray[np.object_]
-    refine_intrinsics: bool
     seed: int
 
 
@@ -78,8 +80,7 @@ def global_(given: MappingInput, folder: Path, registered: Callable[[], None]) -
     adjustment = options.mapper.bundle_adjustment
     adjustment.ceres.use_gpu = False
     adjustment.ceres.solver_options.num_threads = 1
-    adjustment.refine_focal_length = given.refine_intrinsics
-    adjustment.refine_extra_params = False
+    adjustment.refine_focal_length = adjustment.refine_extra_params = False
     options.min_model_size = SMALLEST_MODEL
     return _listed(pycolmap.global_mapping(given.database, given.images, folder, options))
 
@@ -123,10 +124,8 @@ def pipeline_options(given: MappingInput) -> pycolmap.IncrementalPipelineOptions
     options.ba_global_max_refinements = 1
     options.ba_global_max_num_iterations = 5
     options.ba_local_max_refinements = 1
-    options.ba_refine_focal_length = given.refine_intrinsics
-    options.ba_refine_extra_params = False
-    options.mapper.abs_pose_refine_focal_length = given.refine_intrinsics
-    options.mapper.abs_pose_refine_extra_params = False
+    options.ba_refine_focal_length = options.ba_refine_extra_params = False
+    options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
     return options
 
 

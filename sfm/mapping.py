@@ -98,7 +98,7 @@ def build_models(report: Report, given: MappingInput, mapper: MapperName, compon
         for other in set(model.reg_frame_ids()) & taken:
             model.deregister_frame(other)
         taken |= own
-        loss_px = _adjust(model, folder(name), given, wanted)
+        loss_px = adjust_robustly(model, folder(name), wanted)
         model.extract_colors_for_all_images(given.images)
         model.write_binary(work / name)
         built[index] = (replace(_describe(told.mapping, told.number, model), folder=name, loss_px=loss_px), model)
@@ -137,14 +137,16 @@ def _describe(mapping: str, number: int, model: pycolmap.Reconstruction) -> Buil
     )
 
 
-def _adjust(model: pycolmap.Reconstruction, folder: Path, given: MappingInput, frames: int) -> float:
-    """Adjust the whole model robustly; returns the width of the loss, px."""
+def adjust_robustly(model: pycolmap.Reconstruction, folder: Path, frames: int) -> float:
+    """Adjust poses and points of the whole model robustly, its intrinsics fixed; returns the width of the loss, px.
+
+    `folder` gets the model as it was before; `frames` are those of the database that it is from.
+    """
     model.write_binary(folder)
     spread_px = float(np.median(np.abs(load_models([folder], frames).residual_px)))
     loss_px = max(_LOSS_WIDTH * spread_px, _NARROWEST_LOSS_PX)
     options = pycolmap.BundleAdjustmentOptions()
-    options.refine_focal_length = given.refine_intrinsics
-    options.refine_principal_point = False
+    options.refine_focal_length = options.refine_principal_point = False
     options.refine_extra_params = False
     options.print_summary = False
     options.ceres.solver_options.num_threads = 1

@@ -8,6 +8,7 @@ from artefacts import Settings
 
 MapperName = Literal["incremental", "global", "hierarchical", "vio"]
 FeatureName = Literal["sift", "aliked"]
+RefineIntrinsics = Literal["never", "where it helps"]
 RetrievalName = Literal["vlad", "pca-vlad"]
 SiftMatcherName = Literal["nearest", "lightglue"]
 
@@ -56,7 +57,13 @@ class SfmSettings(Settings):
     )
     held_out: float = Field(0.05, ge=0, le=0.5, description="share of tracks that is left out, to check the model with")
     retries: bool = Field(True, description="try other pairs, features and mappers where frames are missing or wrong")
-    refine_intrinsics: bool = Field(False, description="let bundle adjustment move the captured focal lengths")
+    refine_intrinsics: RefineIntrinsics = Field(
+        "where it helps", description="one factor for the focal lengths of a session: never, or where it helps"
+    )
+    focal_limit: float = Field(0.03, gt=0, lt=0.5, description="a factor this far from 1 is never applied, but told")
+    focal_gain: float = Field(
+        0.02, ge=0, lt=1, description="share by which the error of matches held out must shrink for a factor to help"
+    )
     min_registered: float = Field(0.5, ge=0, le=1, description="share of frames that the models must have")
     min_agreeing: float = Field(0.5, ge=0, le=1, description="share of these that must move as VIO does")
     covariance_max_images: int = Field(

@@ -17,6 +17,15 @@ from geometry.vio_drift import VioDrift
 from sfm.covariance import pose_covariance
 from sfm.database import create_database, have_results, image_name, keypoint_counts, read_descriptors, read_pair_results
 from sfm.features import extract_features, features_name
+from sfm.intrinsics import (
+    BEYOND,
+    REFINED,
+    FocalScale,
+    first_estimates,
+    read_refined,
+    refine_models,
+    with_focal_scales,
+)
 from sfm.ladder import TAKEN, Attempt, climb, outcome_of
 from sfm.mappers import MappingInput
 from sfm.mapping import BuiltModel, kept_models, map_verified, read_built
@@ -39,7 +48,7 @@ from sfm.pairs import (
 from sfm.recording import write_recording
 from sfm.retrieval import RETRIEVALS, retrieval_pairs
 from sfm.settings import SfmSettings
-from sfm.tables import attempts_table, images_table, models_table, pairs_table, points_table
+from sfm.tables import attempts_table, images_table, intrinsics_table, models_table, pairs_table, points_table
 from sfm.two_views import compare_pairs
 
 _FEWEST_FRAMES = 3
@@ -76,39 +85,50 @@ class _Mapped:
     model: Model | None
 
 
+@dataclass(frozen=True)
+class _Kept:
+    """The models that were kept, in `folder`, as arrays, with the frames as they go with them, what their focal lengths
+    were multiplied by, (N,), and what was tried of that."""
+
+    models: list[BuiltModel]
+    folder: Path
+    model: Model
+    frames: pd.DataFrame
+    focal_scale: Array
+    tried: list[FocalScale]
+
+
 def run(r: StageRun[SfmSettings]) -> None:
     scene = _prepare(r)
     attempts, taken, mapped = _climb(r, scene)
-    model = mapped.model
-    assert model is not None  # what is taken has one
-    kept, frame_ids = kept_models(mapped.built), list(scene.frames["frame_id"])
+    frame_ids = list(scene.frames["frame_id"])
+    with r.step("intrinsics"):
+        final = _refine(r, scene, mapped)
+    kept, model = final.models, final.model
+    built = [next((told for told in kept if told.model_id == one.model_id), one) for one in mapped.built]
     with r.step("quality"):
-        covariance = _covariance(r, scene.frames, model, kept)
+        covariance = _covariance(r, final.frames, model, kept)
         matches = read_matches(_mapping_input(mapped.folder))
-        check = held_out_check(matches, scene.frames, model.sfm_T_cam, model.model)
+        check = held_out_check(matches, final.frames, model.sfm_T_cam, model.model)
         uses_vio = mapped.settings.mapper == "vio"
-        images = images_table(frame_ids, model, kept, mapped.keypoints, check, covariance, uses_vio)
+        images = images_table(frame_ids, model, kept, mapped.keypoints, check, final.focal_scale, covariance, uses_vio)
     r.write("images", images)
-    r.write("models", models_table(mapped.built, check))
+    r.write("models", models_table(built, check))
+    r.write("intrinsics", intrinsics_table(final.tried))
     r.write("attempts", attempts_table(attempts, taken))
     r.write("pairs", pairs_table(frame_ids, mapped.matched))
     r.write("points", points_table(model, kept))
     for told in kept:
-        shutil.copytree(mapped.folder / told.folder, r.work / told.folder, dirs_exist_ok=True)
+        shutil.copytree(final.folder / told.folder, r.work / told.folder, dirs_exist_ok=True)
     with r.step("recording"):
-        write_recording(r, scene.frames, model, mapped.matched)
-    _tell(r, mapped, kept, model, check, attempts[taken], len(attempts))
+        write_recording(r, final.frames, model, mapped.matched)
+    _tell(r, mapped, final, check, attempts[taken], len(attempts))
 
 
 def _tell(
-    r: StageRun[SfmSettings],
-    mapped: _Mapped,
-    kept: list[BuiltModel],
-    model: Model,
-    check: HeldOutCheck,
-    taken: Attempt,
-    attempts: int,
+    r: StageRun[SfmSettings], mapped: _Mapped, final: _Kept, check: HeldOutCheck, taken: Attempt, attempts: int
 ) -> None:
+    kept, model = final.models, final.model
     registered = int(model.registered.sum())
     disagree = int((mapped.matched.verdict == "disagrees").sum())
     track_length = float(model.track_lengths().mean())
@@ -129,6 +149,7 @@ def _tell(
         "mean_reprojection_px": error_px,
         "heldout_px": check.median_px(held_out=True),
         "fitted_px": check.median_px(held_out=False),
+        "refined_sessions": sum(scale.decision == REFINED for scale in final.tried),
     }
     for name, value in figures.items():
         r.figure(name, value)
@@ -139,6 +160,15 @@ def _tell(
     )
     if disagree:
         r.say(f"{disagree} verified pairs were kept out, as VIO moved otherwise (table pairs)")
+    for scale in final.tried:
+        if scale.decision in (REFINED, BEYOND) and scale.factor and scale.sd is not None:
+            more = f"{100 * (scale.factor - 1):+.2f} % ± {100 * scale.sd:.2f} %"
+            r.say(
+                f"session {scale.session_id}: focal lengths refined, {more} (table intrinsics)"
+                if scale.decision == REFINED
+                else f"session {scale.session_id}: ITS FOCAL LENGTHS ARE LIKELY WRONG, the images say {more}; kept as "
+                f"captured, since that is beyond {100 * r.settings.focal_limit:g} % (sfm.focal_limit)"
+            )
 
 
 def _prepare(r: StageRun[SfmSettings]) -> _Scene:
@@ -381,11 +411,37 @@ def _map(
     if not folder.is_dir():
         target, vio = _mapping_input(folder), scene.vio
         verified = (database, target, scene.frames, matched.pairs[matched.verified], s.held_out, r.seed)
-        given = MappingInput(target, scene.images, vio.vio_T_cam, vio.session, s.refine_intrinsics, r.seed)
+        given = MappingInput(target, scene.images, vio.vio_T_cam, vio.session, r.seed)
         arguments = (verified, given, s.mapper, s.component_frames, folder)
         task = Task(map_verified, arguments, len(scene.names))
         in_child("mapping", scene.log, _TOO_LITTLE, task)
     return read_built(folder)
+
+
+def _refine(r: StageRun[SfmSettings], scene: _Scene, mapped: _Mapped) -> _Kept:
+    """The models that were kept, with focal lengths refined where the settings ask for it and it helps."""
+    kept, frames, model = kept_models(mapped.built), scene.frames, mapped.model
+    assert model is not None  # what is taken has one
+    as_captured = _Kept(kept, mapped.folder, model, frames, np.ones(len(frames)), [])
+    if r.settings.refine_intrinsics == "never":
+        return as_captured
+    first = first_estimates(model, kept, frames, r.settings.focal_limit)
+    if all(scale.decision for own in first for scale in own):
+        return replace(as_captured, tried=[scale for own in first for scale in own])
+    folder = mapped.folder.with_name(mapped.folder.name + "_refined")
+    if not folder.is_dir():
+        matches = read_matches(_mapping_input(mapped.folder))
+        arguments = (mapped.folder, kept, first, frames, matches, r.settings, folder)
+        in_child("refining focal lengths", scene.log, _TOO_LITTLE, Task(refine_models, arguments, len(kept)))
+    refined, scales_of = read_refined(folder)
+    tried = [scale for own in scales_of for scale in own]
+    if not any(scale.decision == REFINED for scale in tried):
+        return replace(as_captured, tried=tried)
+    applied = {(number, scale.session_id): scale.applied for number, own in enumerate(scales_of) for scale in own}
+    of_frame = zip(model.model.tolist(), frames["session_id"], strict=True)
+    focal_scale = np.array([applied.get(key, 1.0) for key in of_frame])
+    model = load_models([folder / told.folder for told in refined], len(frames))
+    return _Kept(refined, folder, model, with_focal_scales(frames, focal_scale), focal_scale, tried)
 
 
 def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, kept: list[BuiltModel]) -> Array:

@@ -6,8 +6,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from artefacts.schemas import schema
 from artefacts.tables import pose_frame
 from geometry.poses import Array
+from sfm.intrinsics import FocalScale
 from sfm.ladder import Attempt
 from sfm.mapping import BuiltModel, kept_models
 from sfm.mapping_input import HeldOutCheck
@@ -21,6 +23,7 @@ def images_table(
     kept: Sequence[BuiltModel],
     keypoints_N: NDArray[np.int64],
     check: HeldOutCheck,
+    focal_scale_N: Array,
     covariance_N66: Array,
     uses_vio: bool,
 ) -> pd.DataFrame:
@@ -28,6 +31,7 @@ def images_table(
     table = pd.DataFrame({"frame_id": frame_ids, "registered": model.registered})
     table["model_id"] = _model_ids(kept)[model.model]
     table = pd.concat([table, pose_frame("sfm_cam", model.sfm_T_cam)], axis=1)
+    table["focal_scale"] = focal_scale_N
     table["uses_vio"] = uses_vio & model.registered
     table["keypoints"] = keypoints_N
     table["observations"] = model.observations()
@@ -64,6 +68,24 @@ def models_table(built: Sequence[BuiltModel], check: HeldOutCheck) -> pd.DataFra
             for told in built
         ]
     )
+
+
+def intrinsics_table(tried: Sequence[FocalScale]) -> pd.DataFrame:
+    """One row a session of a model."""
+    rows = [
+        {
+            "model_id": scale.model_id,
+            "session_id": scale.session_id,
+            "frames": scale.frames,
+            "focal_scale": scale.factor,
+            "focal_scale_sd": scale.sd,
+            "heldout_px": scale.heldout_px,
+            "heldout_refined_px": scale.heldout_refined_px,
+            "decision": scale.decision,
+        }
+        for scale in tried
+    ]
+    return pd.DataFrame(rows, columns=schema("sfm", "intrinsics").column_names)
 
 
 def attempts_table(attempts: Sequence[Attempt], taken: int) -> pd.DataFrame:

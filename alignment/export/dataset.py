@@ -31,7 +31,8 @@ class SfmModel:
 @dataclass(frozen=True)
 class Dataset:
     """`frames` (N rows) have ground truth, `left_out` have none; both are import.frames with align's quality, reason
-    and component. `images` are the N image files, `map_T_cam` (N, 4, 4) their poses, `models` SfM's, largest first."""
+    and component, and the focal lengths that SfM's poses go with. `images` are the N image files, `map_T_cam`
+    (N, 4, 4) their poses, `models` SfM's, largest first."""
 
     frames: pd.DataFrame
     left_out: pd.DataFrame
@@ -84,6 +85,8 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
     frames = read_table(folders["import"] / "frames.parquet", schema("import", "frames")).merge(
         ground_truth[["frame_id", "quality", "reason", "component"]], on="frame_id", validate="one_to_one"
     )
+    focal_scale = images.set_index("frame_id").loc[frames["frame_id"], "focal_scale"].fillna(1.0).to_numpy(float)
+    frames[["fx", "fy"]] = frames[["fx", "fy"]].mul(focal_scale, axis=0)
     known = (frames["quality"] != "none").to_numpy()
     if not known.any():
         raise UserError("there is nothing to export: no frame has ground truth", where=folders["align"])

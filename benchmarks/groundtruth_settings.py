@@ -1,0 +1,292 @@
+"""What sfm's settings are worth on a small simulated capture: `python -m benchmarks.groundtruth_settings --data data`.
+
+Reads a finished import of a simulated scene, works in `--out` and holds everything against the true poses. Parts:
+`features` (SIFT's settings), `retrieval` (which frames of other sessions are proposed) and `intrinsics` (focal lengths
+that are off, captured or refined). Seconds are processor seconds of one thread; with OMP_NUM_THREADS=1 the matches
+repeat.
+"""
+
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import pycolmap
+import typer
+
+from artefacts import DataRoot, UserError
+from artefacts.cli import ProfileOption, SceneOption, new_app
+from artefacts.schemas import schema
+from artefacts.settings import resolve_settings
+from artefacts.tables import poses_of, read_table
+from benchmarks.groundtruth_inputs import errors_after_sim3, true_poses
+from geometry.poses import Array
+from sfm.database import camera_of, create_database, image_id, image_name, read_descriptors
+from sfm.features import extract_features
+from sfm.intrinsics import REFINED, FocalScale, first_estimates, read_refined, refine_models, with_focal_scales
+from sfm.mappers import MappingInput
+from sfm.mapping import build_models, kept_models, read_built
+from sfm.mapping_input import read_matches, write_mapping_input
+from sfm.matching import match_pairs
+from sfm.model import load_models
+from sfm.pairs import Pairs, sequence_pairs, unique_pairs, view_overlap
+from sfm.retrieval import RETRIEVALS, retrieval_pairs
+from sfm.settings import SfmSettings
+
+_REACH_M = 12.0
+_OVERLAP = 0.5
+_OFF = ("none", "all +1 %", "all -2 %", "one +1 %", "one +2 %")
+
+app = new_app(__doc__ or "")
+
+
+def quiet(done: int, note: str = "") -> None:
+    """Report to nobody."""
+
+
+class Part:
+    """Some frames of an imported simulated scene, their true map_T_cam (N, 4, 4), and a folder for COLMAP's files."""
+
+    def __init__(self, scene: str, data: DataRoot, profile: str, rows: np.ndarray, folder: Path) -> None:
+        whole = read_table(data.run(profile, scene, "import") / "frames.parquet", schema("import", "frames"))
+        self.frames = whole.iloc[rows].reset_index(drop=True)
+        self.truth = true_poses(scene, data)[rows]
+        self.session = self.frames["session_id"].to_numpy(str)
+        self.folder, self.images = folder, folder / "images"
+        self.names = [image_name(i, p) for i, p in zip(self.frames["frame_id"], self.frames["image"], strict=True)]
+        for name, image in zip(self.names, self.frames["image"], strict=True):
+            link = self.images / name
+            link.parent.mkdir(parents=True, exist_ok=True)
+            if not link.is_symlink():
+                link.symlink_to((data.captures(scene) / image).resolve())
+
+    def features(self, settings: SfmSettings, name: str = "features") -> tuple[Path, float]:
+        """The database with the features of all frames, and the seconds that they took; made anew."""
+        path = self.folder / f"{name}.db"
+        path.unlink(missing_ok=True)
+        create_database(path, self.frames, self.names)
+        start = time.process_time()
+        extract_features(quiet, path, self.images, self.names, settings)
+        return path, time.process_time() - start
+
+    def true_overlap(self, pairs: Pairs) -> Array:
+        """The share of their views that two frames have in common up to some metres, walls between them aside, (P,)."""
+        return overlap_of(self.frames, self.truth, pairs)
+
+
+def overlap_of(frames: pd.DataFrame, world_T_cam: Array, pairs: Pairs) -> Array:
+    intrinsics, size = frames[["fx", "fy", "cx", "cy"]].to_numpy(float), frames[["width", "height"]].to_numpy(float)
+    return view_overlap(pairs, world_T_cam, intrinsics, size, _REACH_M)
+
+
+def across_sessions(session_N: np.ndarray) -> Pairs:
+    """All pairs of frames of two sessions."""
+    a, b = np.triu_indices(len(session_N), 1)
+    return np.stack([a, b], axis=1)[session_N[a] != session_N[b]]
+
+
+def overlapping_rows(scene: str, data: DataRoot, profile: str, frames: int) -> np.ndarray:
+    """Rows of the same number of consecutive frames of every session, where they see most of what the first one sees
+    as it begins."""
+    table = read_table(data.run(profile, scene, "import") / "frames.parquet", schema("import", "frames"))
+    truth = true_poses(scene, data)
+    sessions = [np.flatnonzero(table["session_id"] == s) for s in table["session_id"].unique()]
+    each = frames // len(sessions)
+    if min(map(len, sessions)) < each:
+        raise UserError("the sessions are too short", expected=f"{each} frames", found=min(map(len, sessions)))
+    seed = sessions[0][:each]
+    chosen = [seed]
+    for rows in sessions[1:]:
+        pairs = np.stack(np.meshgrid(seed, rows, indexing="ij"), axis=-1).reshape(-1, 2)
+        seen = overlap_of(table, truth, pairs).reshape(each, -1).max(axis=0)
+        first = int(np.argmax(np.convolve(seen, np.ones(each), "valid")))
+        chosen.append(rows[first : first + each])
+    return np.concatenate(chosen)
+
+
+def pairs_to_match(part: Part, settings: SfmSettings, database: Path) -> Pairs:
+    """What the stage proposes first, without VIO."""
+    image = RETRIEVALS[settings.retrieval](read_descriptors(database, len(part.names)), settings.retrieval_words, 0)
+    alike = retrieval_pairs(image, part.session, settings.retrieval_pairs)
+    following = sequence_pairs(part.session, part.frames["t_ns"], settings.sequence_pairs + settings.vio_pairs)
+    return unique_pairs(np.concatenate([following, alike]))
+
+
+def mapped(part: Part, database: Path, frames: pd.DataFrame, settings: SfmSettings, folder: Path) -> None:
+    """Map the verified pairs of the database with the intrinsics of `frames` into `folder`."""
+    with pycolmap.Database.open(database) as opened:
+        ids, inliers = opened.read_two_view_geometry_num_inliers()
+    enough = [pycolmap.pair_id_to_image_pair(i) for i, n in zip(ids, inliers, strict=True) if n >= settings.min_inliers]
+    target = folder.with_suffix(".db")
+    write_mapping_input(database, target, frames, unique_pairs(np.array(enough) - 1), settings.held_out, 0)
+    vio_T_cam = poses_of(frames, "vio_cam")
+    given = MappingInput(target, part.images, vio_T_cam, part.session.astype(object), 0)
+    build_models(quiet, given, settings.mapper, settings.component_frames, folder)
+
+
+def features(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object]]:
+    """SIFT's settings: more features, doubled images."""
+    for max_features in (settings.max_features // 2, settings.max_features, 2 * settings.max_features):
+        for first_octave in (0, -1):
+            changed = settings.model_copy(update={"max_features": max_features, "first_octave": first_octave})
+            database, extracting = part.features(changed)
+            pairs = pairs_to_match(part, changed, database)
+            start = time.process_time()
+            match_pairs(quiet, database, part.names, pairs, changed, 0)
+            matching = time.process_time() - start
+            mapped(part, database, part.frames, changed, part.folder / "mapping")
+            model = load_models(
+                [part.folder / "mapping" / m.folder for m in kept_models(read_built(part.folder / "mapping"))],
+                len(part.frames),
+            )
+            row = {"max_features": max_features, "first_octave": first_octave, "features s": extracting}
+            yield row | {"matching s": matching, **errors(model.sfm_T_cam, model.model, part.truth)}
+
+
+def retrieval(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object]]:
+    """Each descriptor's share of the pairs across sessions that truly overlap, at the same number of pairs."""
+    database, _ = part.features(settings)
+    descriptors = read_descriptors(database, len(part.names))
+    every = across_sessions(part.session)
+    true = part.true_overlap(every) >= _OVERLAP
+    key = every[:, 0] * len(part.names) + every[:, 1]
+    for name, describe in RETRIEVALS.items():
+        start = time.process_time()
+        image = describe(descriptors, settings.retrieval_words, 0)
+        seconds = time.process_time() - start
+        for per_frame in (2, 4, 10):
+            pairs = retrieval_pairs(image, part.session, per_frame)
+            found = true[np.searchsorted(key, pairs[:, 0] * len(part.names) + pairs[:, 1])]
+            with_one = np.unique(pairs[found])
+            could = np.unique(every[true])
+            yield {
+                "retrieval": name,
+                "pairs a frame": per_frame,
+                "pairs": len(pairs),
+                "of them overlapping %": 100 * found.mean(),
+                "overlapping pairs found %": 100 * found.sum() / true.sum(),
+                "frames with one %": 100 * len(with_one) / len(could),
+                "s": seconds,
+            }
+
+
+def intrinsics(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object]]:
+    """Focal lengths that are off in all sessions or in one: poses with them as captured, and refined where it helps."""
+    matched, _ = part.features(settings, "matched")
+    match_pairs(quiet, matched, part.names, pairs_to_match(part, settings, matched), settings, 0)
+    one = part.session == np.unique(part.session)[-1]
+    for off in _OFF:
+        size = float(off.split()[1]) / 100 if " " in off else 0.0
+        scale = 1 + size * (one if off.startswith("one") else np.ones(len(one)))
+        frames = with_focal_scales(part.frames, scale)
+        database = part.folder / "variant.db"
+        verified_anew(matched, database, frames, settings, part.names)
+        folder = part.folder / "mapping"
+        mapped(part, database, frames, settings, folder)
+        kept = kept_models(read_built(folder))
+        model = load_models([folder / told.folder for told in kept], len(frames))
+        start = time.process_time()
+        tried = first_estimates(model, kept, frames, settings.focal_limit)
+        after = model
+        if any(not t.decision for own in tried for t in own):
+            output = part.folder / "refined"
+            matches = read_matches(folder.with_suffix(".db"))
+            refine_models(quiet, folder, kept, tried, frames, matches, settings, output)
+            kept, tried = read_refined(output)
+            after = load_models([output / told.folder for told in kept], len(frames))
+        seconds = time.process_time() - start
+        before = errors(model.sfm_T_cam, model.model, part.truth)
+        refined = errors(after.sfm_T_cam, after.model, part.truth)
+        yield {
+            "off": off,
+            **{f"captured: {name}": value for name, value in before.items()},
+            **{f"refined: {name}": value for name, value in refined.items() if name != "registered %"},
+            **_told([t for own in tried for t in own]),
+            "s": seconds,
+        }
+
+
+def verified_anew(source: Path, target: Path, frames: pd.DataFrame, settings: SfmSettings, names: list[str]) -> None:
+    """A copy of a matched database with other intrinsics, its matches verified with them."""
+    shutil.copyfile(source, target)
+    with pycolmap.Database.open(target) as database:
+        database.clear_two_view_geometries()
+        for row, frame in enumerate(frames.itertuples(index=False)):
+            database.update_camera(camera_of(frame, image_id(row)))
+        ids, _ = database.read_num_matches()
+    pairs = [pycolmap.pair_id_to_image_pair(i) for i in ids]
+    listed = target.with_name("pairs.txt")
+    listed.write_text("".join(f"{names[a - 1]} {names[b - 1]}\n" for a, b in pairs), encoding="utf-8")
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.min_num_inliers = settings.min_inliers
+    verification.ransac.random_seed = 0
+    pycolmap.verify_matches(target, listed, verification)
+
+
+def errors(sfm_T_cam: Array, model_N: np.ndarray, truth: Array) -> dict[str, float]:
+    """Registered frames, and medians of the errors after a similarity fit of each model."""
+    metres, degrees = errors_after_sim3(sfm_T_cam, model_N, truth)
+    return {
+        "registered %": 100 * float(np.mean(model_N >= 0)),
+        "mm": 1000 * float(np.median(metres)) if len(metres) else float("nan"),
+        "deg": float(np.median(degrees)) if len(degrees) else float("nan"),
+    }
+
+
+def _told(tried: list[FocalScale]) -> dict[str, object]:
+    factors = [100 * (t.factor - 1) for t in tried if t.factor]
+    ones = {t.heldout_px: t.heldout_refined_px for t in tried if t.heldout_px is not None}
+    return {
+        "factors %": " ".join(f"{f:+.2f}" for f in factors),
+        "± %": max((100 * t.sd for t in tried if t.sd is not None), default=float("nan")),
+        "held out px": ", ".join(f"{a:.4f} to {b:.4f}" for a, b in ones.items() if a and b),
+        "refined": sum(t.decision == REFINED for t in tried),
+        "decision": "; ".join(sorted({t.decision for t in tried})),
+    }
+
+
+PARTS: dict[str, Callable[[Part, SfmSettings], Iterator[Mapping[str, object]]]] = {
+    "features": features,
+    "retrieval": retrieval,
+    "intrinsics": intrinsics,
+}
+
+
+@app.command()
+def main(
+    scene: SceneOption = "Church",
+    profile: ProfileOption = "demo",
+    data: Annotated[Path, typer.Option(help="Data folder with the scene's finished import.")] = Path("data"),
+    only: Annotated[list[str] | None, typer.Option(help=f"Only these parts: {', '.join(PARTS)}.")] = None,
+    out: Annotated[Path, typer.Option(help="Work here.")] = Path("build/groundtruth_settings"),
+    frames: Annotated[int, typer.Option(help="Frames of features and intrinsics, where the sessions meet.")] = 60,
+    spread: Annotated[int, typer.Option(help="Frames of retrieval, spread over the whole scene.")] = 120,
+) -> None:
+    """Run the parts and print a Markdown table of each."""
+    unknown = sorted(set(only or []) - set(PARTS))
+    if unknown:
+        raise UserError("there is no such part", found=", ".join(unknown), expected=f"some of {', '.join(PARTS)}")
+    root = DataRoot(data)
+    settings = resolve_settings(SfmSettings, "sfm", root, profile, scene, ["threads=1"])
+    count = len(read_table(root.run(profile, scene, "import") / "frames.parquet", schema("import", "frames")))
+    for part in only or PARTS:
+        if part == "retrieval":
+            rows = np.unique(np.linspace(0, count - 1, min(spread, count)).astype(int))
+        else:
+            rows = overlapping_rows(scene, root, profile, frames)
+        print(f"\n{scene}, {part}, {len(rows)} frames: {(PARTS[part].__doc__ or '').splitlines()[0]}\n")
+        for number, row in enumerate(
+            PARTS[part](Part(scene, root, profile, rows, out.resolve() / scene / part), settings)
+        ):
+            if not number:
+                print("|" + "|".join(f" {name} " for name in row) + "|")
+                print("|" + "---|" * len(row))
+            values = (f" {value:.4g} " if isinstance(value, float) else f" {value} " for value in row.values())
+            print("|" + "|".join(values) + "|", flush=True)
+
+
+if __name__ == "__main__":
+    app()
