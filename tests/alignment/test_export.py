@@ -52,6 +52,8 @@ def aligned(data_of_module: DataRoot) -> DataRoot:
         cv2.imwrite(str(path), np.full((12, 16, 3), 4 * row, np.uint8))
     images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
     images.loc[images["frame_id"] == UNREGISTERED, "registered"] = False
+    # SfM refined the focal lengths of one walk.
+    images["focal_scale"] = np.where(images["frame_id"].str.startswith("walk1/"), 1.01, np.nan)
     write_table(folders["sfm"] / "images.parquet", images, schema("sfm", "images"))
     _write_models(data, {"model": "incremental/0"})
     execute(STAGE, "Place", "tiny", data)
@@ -60,7 +62,8 @@ def aligned(data_of_module: DataRoot) -> DataRoot:
 
 def _write_models(data: DataRoot, model_ids: dict[str, str]) -> None:
     """SfM's models of the frames that have their ids, each in its folder, and the table that says so."""
-    frames, images, folder = _frames(data), _images(data), data.run("tiny", "Place", "sfm")
+    images, folder = _images(data), data.run("tiny", "Place", "sfm")
+    frames = _refined(_frames(data), images)
     for name, model_id in model_ids.items():
         (folder / name).mkdir(exist_ok=True)
         rows = np.flatnonzero(images["model_id"] == model_id)
@@ -77,6 +80,12 @@ def _frames(data: DataRoot) -> pd.DataFrame:
 
 def _images(data: DataRoot) -> pd.DataFrame:
     return read_table(data.run("tiny", "Place", "sfm") / "images.parquet", schema("sfm", "images"))
+
+
+def _refined(frames: pd.DataFrame, images: pd.DataFrame) -> pd.DataFrame:
+    """Import's frames with the focal lengths that SfM's poses go with."""
+    scale = images.set_index("frame_id")["focal_scale"].fillna(1.0).loc[frames["frame_id"]].to_numpy(float)
+    return frames.assign(fx=frames["fx"] * scale, fy=frames["fy"] * scale)
 
 
 def _model(frames: pd.DataFrame, sfm_T_cam: Array) -> pycolmap.Reconstruction:
@@ -105,9 +114,10 @@ def _export(scene: DataRoot, name: str, *options: str) -> Path:
 
 
 def _truth(scene: DataRoot) -> pd.DataFrame:
-    """Ground truth by frame_id, with intrinsics."""
+    """Ground truth by frame_id, with the intrinsics that its poses go with."""
     gt = read_table(scene.run("tiny", "Place", "align") / "ground_truth.parquet", schema("align", "ground_truth"))
-    known = gt.merge(_frames(scene)[["frame_id", "fx", "fy", "cx", "cy"]], on="frame_id")
+    frames = _refined(_frames(scene), _images(scene))
+    known = gt.merge(frames[["frame_id", "fx", "fy", "cx", "cy"]], on="frame_id")
     return known[known["quality"] != "none"].set_index("frame_id")
 
 
