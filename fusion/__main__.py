@@ -15,6 +15,7 @@ TableOption = Annotated[Path, typer.Option(help="Parquet; docs/fusion.md has the
 
 OutOption = Annotated[Path, typer.Option(help="Folder for what is written.")]
 NameOption = Annotated[str, typer.Option(help="The scene's name in the tables.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace earlier results in that folder.")]
 
 
 @app.command()
@@ -25,9 +26,10 @@ def evaluate(
     out: OutOption,
     scene: NameOption = "scene",
     set_: SetOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Fuse and measure predictions of any regressor: three Parquet tables in, the fuse stage's tables out."""
-    evaluate_files(Files(frames, ground_truth, predictions), out, scene, set_ or [])
+    evaluate_files(Files(frames, ground_truth, predictions), out, scene, set_ or [], force)
 
 
 @app.command()
@@ -40,9 +42,10 @@ def sweep(
     every: Annotated[bool, typer.Option("--every", help="All combinations too, not only one at a time.")] = False,
     processes: Annotated[int, typer.Option(min=1, help="Worker processes, at most one a model.")] = 1,
     set_: SetOption = None,
+    force: ForceOption = False,
 ) -> None:
     """The paper's rule with other thresholds: how errors and coverage move with N, d_th, o_th and gamma."""
-    sweep_files(Files(frames, ground_truth, predictions), out, scene, set_ or [], every, processes)
+    sweep_files(Files(frames, ground_truth, predictions), out, scene, set_ or [], every, processes, force)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from fusion.summary import RUN, score_columns, subsets
+from fusion.walks import Flags
 from geometry.metrics import ACCURACY_LEVELS
 from geometry.poses import Array
 
@@ -49,8 +50,9 @@ def _draws(sessions: int, seed: int) -> Array:
     )
 
 
-def _figures(position_m: Array, rotation_deg: Array, weights: Array) -> Iterator[tuple[str, Array]]:
-    """Name and values (1 + DRAWS,) of each figure, for errors (N,) of frames with weights (1 + DRAWS, N)."""
+def _figures(position_m: Array, rotation_deg: Array, sure: Flags, weights: Array) -> Iterator[tuple[str, Array]]:
+    """Name and values (1 + DRAWS,) of each figure, for errors (N,) of frames with weights (1 + DRAWS, N); levels are
+    over the frames whose ground truth is `sure` (N,) enough."""
     total = weights.sum(axis=1)
     answered = np.isfinite(position_m)
     yield "coverage_pct", 100 * weights @ answered / total
@@ -59,7 +61,8 @@ def _figures(position_m: Array, rotation_deg: Array, weights: Array) -> Iterator
         yield f"{name}_mean_{unit}", _share(weights @ np.where(answered, errors, 0.0), weights @ answered)
         yield f"{name}_median_{unit}", _medians(np.where(answered, errors, np.inf), weights)
     for level, (metres, degrees) in ACCURACY_LEVELS.items():
-        yield f"{level}_pct", 100 * weights @ ((position_m <= metres) & (rotation_deg <= degrees)) / total
+        within = sure & (position_m <= metres) & (rotation_deg <= degrees)
+        yield f"{level}_pct", 100 * _share(weights @ within, weights @ sure)
 
 
 def _share(part: Array, whole: Array) -> Array:

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 from pydantic import Field
 
-from artefacts import Settings, UserError
+from artefacts import Settings
 from fusion.bootstrap import intervals
 from fusion.error_map import ErrorMap
 from fusion.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_rows, signal_rows
@@ -79,8 +79,6 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
             for name, chosen in options.items():
                 run = Run(name, options_json(chosen.model_dump(mode="json")), model)
                 fused += fuse_all(run, joined.walks, partial(method(name).localiser, chosen, error_map))
-    if not fused:
-        raise UserError("there are no predictions to fuse", do="run the train stage, or give a table of predictions")
     errors = stacked(error_rows(f) for f in fused)
     tables = {
         "poses": stacked(pose_rows(f) for f in fused),
@@ -89,6 +87,7 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
         "summary": summarise(errors),
         "intervals": intervals(errors),
         "sessions": pd.DataFrame([session_figures(f) for f in fused]),
+        "methods": _method_rows(options),
     }
     rule = options.get("mobilearloc")
     if isinstance(rule, MobileARLocOptions):
@@ -96,6 +95,19 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
     if error_maps:
         tables["error_maps"] = stacked(m.table().assign(scene=s, model=r) for (s, r), m in error_maps.items())
     return Results(fused, tables, counts, {name: chosen.gates for name, chosen in options.items()}, error_maps)
+
+
+def _method_rows(options: dict[str, MethodOptions]) -> pd.DataFrame:
+    """Table fuse.methods."""
+    return pd.DataFrame(
+        {
+            "method": name,
+            "options": options_json(chosen.model_dump(mode="json")),
+            "causal": METHODS[name].causal,
+            "meaning": METHODS[name].meaning,
+        }
+        for name, chosen in options.items()
+    )
 
 
 def learnt(inputs: Inputs, model: str, settings: FuseSettings) -> ErrorMap | None:
@@ -125,6 +137,12 @@ def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
     return pd.concat([p for p in kept if len(p)] or kept[:1], ignore_index=True)
 
 
+_MEANINGS = {
+    "frames_too_uncertain_for_levels": "ground truth of class C, in means and medians alone",
+    "frames_of_unstated_quality": "the accuracy levels leave none of them out",
+}
+
+
 def report_lines(results: Results) -> list[str]:
     """The means over all frames, and the input rows that weren't as they should be, a line each."""
     summary = results.tables["summary"]
@@ -133,5 +151,11 @@ def report_lines(results: Results) -> list[str]:
         error = f"{row['position_mean_m']:.2f} m, {row['rotation_mean_deg']:.2f} deg" if row["answered"] else "no pose"
         coverage = f"{row['coverage_pct']:.0f} % of {row['total']} frames"
         lines.append(f"{row['scene']} · {row['model']} · {row['method']}: mean error {error} over {coverage}")
-    lines += [f"{name.replace('_', ' ')}: {n}" for name, n in results.counts.items() if n and name != "frames"]
+    all_frames = summary[summary["subset"] == "all"]
+    for scene in all_frames.loc[all_frames["too_uncertain"] == all_frames["frames"], "scene"].unique():
+        lines.append(f"{scene}: no accuracy level can be scored, as no frame's ground truth is sure enough (class C)")
+    for name, n in results.counts.items():
+        if n and name != "frames":
+            meaning = f" ({_MEANINGS[name]})" if name in _MEANINGS else ""
+            lines.append(f"{name.replace('_', ' ')}: {n}{meaning}")
     return lines

@@ -90,6 +90,7 @@ def error_rows(fused: Fused) -> pd.DataFrame:
     live_position_m, live_rotation_deg = pose_errors(fused.live_map_T_cam, walk.map_T_cam)
     apr_position_m, apr_rotation_deg = pose_errors(walk.map_T_cam_apr, walk.map_T_cam)
     rows = _keys(fused).assign(
+        quality=walk.quality,
         status=fused.status,
         position_m=position_m,
         rotation_deg=rotation_deg,

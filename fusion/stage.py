@@ -41,7 +41,7 @@ def _predictions(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:
 
 STAGE = Stage(
     name="fuse",
-    version=3,
+    version=4,
     settings=FuseSettings,
     needs=("import", "align", "train"),
     run=run,

@@ -5,14 +5,16 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from fusion.fuse import Fused
+from fusion.fuse import Fused, pose_errors
 from fusion.methods import METHODS
 from fusion.walks import Flags, known
-from geometry.metrics import accuracy_shares, relative_error
+from geometry.metrics import accuracy_shares, relative_error, sure_enough
 from geometry.poses import Array
 
 RUN = ["method", "options", "model", "scene"]
 _OFFLINE = [name for name, method in METHODS.items() if not method.causal]
+_AWAY_S = 10.0  # without a frame for as long, a phone may have been carried off
+_SETTLED_FRAMES = 10
 SUBSETS = {"rp": ["reliable"], "opt": ["optimised"], "rp+opt": ["reliable", "optimised"]}
 
 
@@ -20,7 +22,8 @@ def summarise(errors: pd.DataFrame) -> pd.DataFrame:
     """Table fuse.summary from fuse.errors.
 
     The paper's subsets take the frames by `status`; `all` and `common` take the poses in time. Each row of a method
-    has a twin that scores the raw predictions of the same frames.
+    has a twin that scores the raw predictions of the same frames. Levels leave out frames whose ground truth is too
+    uncertain for them.
     """
     rows = []
     for run, group in errors.groupby(RUN, sort=False):
@@ -46,26 +49,30 @@ def subsets(group: pd.DataFrame, same_model: pd.DataFrame) -> Iterator[tuple[str
     yield "common", group[~group["frame_id"].isin(missed)], "live_"
 
 
-def score_columns(frames: pd.DataFrame, prefix: str) -> tuple[Array, Array]:
-    """Position errors in metres and rotation errors in degrees (N,) of rows of fuse.errors."""
-    return frames[f"{prefix}position_m"].to_numpy(float), frames[f"{prefix}rotation_deg"].to_numpy(float)
+def score_columns(frames: pd.DataFrame, prefix: str) -> tuple[Array, Array, Flags]:
+    """Position errors in metres, rotation errors in degrees, and whether the ground truth is sure enough for the
+    accuracy levels, each (N,), of rows of fuse.errors."""
+    position, rotation = (frames[f"{prefix}{name}"].to_numpy(float) for name in ("position_m", "rotation_deg"))
+    return position, rotation, sure_enough(frames["quality"])
 
 
-def figures(position: Array, rotation: Array, total: int) -> dict[str, float | int | None]:
-    """The figures of a row of fuse.summary for errors (N,) in metres and degrees, NaN where there is no pose."""
+def figures(position: Array, rotation: Array, sure: Flags, total: int) -> dict[str, float | int | None]:
+    """The figures of a row of fuse.summary for errors (N,) in metres and degrees, NaN where there is no pose; levels
+    are shares of the `sure` (N,) frames."""
     frames, answered = len(position), int(np.isfinite(position).sum())
-    shares = accuracy_shares(position, rotation)
+    shares = accuracy_shares(position[sure], rotation[sure])
     return {
         "frames": frames,
         "answered": answered,
         "total": total,
         "share_pct": 100 * frames / total,
         "coverage_pct": 100 * answered / frames if frames else None,
+        "too_uncertain": frames - int(sure.sum()),
         "position_mean_m": _mean(position),
         "position_median_m": _median(position),
         "rotation_mean_deg": _mean(rotation),
         "rotation_median_deg": _median(rotation),
-        **{f"{level}_pct": 100 * share if frames else None for level, share in shares.items()},
+        **{f"{level}_pct": 100 * share if sure.any() else None for level, share in shares.items()},
     }
 
 
@@ -101,6 +108,7 @@ def session_figures(fused: Fused) -> dict[str, object]:
         "longest_outage_s": _longest_outage(seconds, there),
         "jitter_m": jitter_m,
         "jitter_deg": jitter_deg,
+        "recovery_s": _recovery_s(fused, seconds),
     }
 
 
@@ -111,6 +119,26 @@ def _longest_outage(seconds: Array, there: Flags) -> float | None:
     marks = np.append(np.flatnonzero(there), len(there) - 1)
     outage = (np.diff(marks) > 1) | ~there[marks[1:]]
     return float((np.diff(seconds[marks]) * outage).max())
+
+
+def _recovery_s(fused: Fused, seconds: Array) -> float | None:
+    """Seconds from the end of the walk's longest time without a frame until ten answers in a row are on average no
+    worse than the raw regressor's over the walk: infinite where that never comes, None where there was no such time or
+    too few frames with ground truth follow."""
+    walk = fused.walk
+    true = known(walk.map_T_cam)
+    raw_m = pose_errors(walk.map_T_cam_apr, walk.map_T_cam)[0]
+    away = np.diff(seconds)
+    if not len(away) or away.max() < _AWAY_S or np.isnan(raw_m).all():
+        return None
+    back = int(np.argmax(away)) + 1
+    after = back + np.flatnonzero(true[back:])
+    if len(after) < _SETTLED_FRAMES:
+        return None
+    errors = pose_errors(fused.live_map_T_cam, walk.map_T_cam)[0][after]
+    errors[np.isnan(errors)] = np.inf
+    settled = np.convolve(errors, np.full(_SETTLED_FRAMES, 1 / _SETTLED_FRAMES), "valid") <= np.nanmean(raw_m)
+    return float(seconds[after[np.argmax(settled)]] - seconds[back]) if settled.any() else np.inf
 
 
 def _jitter(map_T_cam: Array, vio_T_cam: Array) -> tuple[float | None, float | None]:

@@ -76,8 +76,8 @@ def _rows(key: tuple[str, str], walks: Sequence[Walk], settings: Sequence[Settin
         found = [(p, p.rule.decide(setting.options)) for p in prepared]
         name = dict(zip(("scene", "model"), key, strict=True)) | {"varied": setting.varied}
         name |= {threshold: getattr(setting.options, threshold) for threshold in VALUES}
-        for subset, position_m, rotation_deg in _subsets(found):
-            rows.append(name | {"subset": subset} | figures(position_m, rotation_deg, total))
+        for subset, position_m, rotation_deg, sure in _subsets(found):
+            rows.append(name | {"subset": subset} | figures(position_m, rotation_deg, sure, total))
     return rows
 
 
@@ -88,6 +88,7 @@ class _Prepared:
         self.walk = walk
         self.rule = RuleWalk(walk)
         self.scored = known(walk.map_T_cam)
+        self.sure = walk.sure
         self.apr_position_m, self.apr_rotation_deg = pose_errors(walk.map_T_cam_apr, walk.map_T_cam)
 
     def errors(self, poses: Array, passed: Flags) -> tuple[Array, Array]:
@@ -98,9 +99,10 @@ class _Prepared:
         return position_m, rotation_deg
 
 
-def _subsets(found: Iterable[tuple[_Prepared, Decisions]]) -> Iterator[tuple[str, Array, Array]]:
-    """Subset, errors in metres and in degrees: the paper's rp+opt, and all frames in time."""
-    parts: dict[str, list[tuple[Array, Array]]] = {"rp+opt": [], "all": []}
+def _subsets(found: Iterable[tuple[_Prepared, Decisions]]) -> Iterator[tuple[str, Array, Array, Flags]]:
+    """Subset, errors in metres and in degrees, and whether the ground truth is sure enough for the accuracy levels:
+    the paper's rp+opt, and all frames in time."""
+    parts: dict[str, list[tuple[Array, Array, Flags]]] = {"rp+opt": [], "all": []}
     for prepared, decided in found:
         for subset, status, poses in (
             ("rp+opt", decided.status, decided.map_T_cam),
@@ -111,7 +113,7 @@ def _subsets(found: Iterable[tuple[_Prepared, Decisions]]) -> Iterator[tuple[str
             if subset == "rp+opt":
                 taken &= reliable | (status == str(Status.OPTIMISED))
             position_m, rotation_deg = prepared.errors(poses, reliable | (status == str(Status.PREDICTED)))
-            parts[subset].append((position_m[taken], rotation_deg[taken]))
+            parts[subset].append((position_m[taken], rotation_deg[taken], prepared.sure[taken]))
     for subset, errors in parts.items():
-        position_m, rotation_deg = (np.concatenate(e) for e in zip(*errors, strict=True))
-        yield subset, position_m, rotation_deg
+        position_m, rotation_deg, sure = (np.concatenate(e) for e in zip(*errors, strict=True))
+        yield subset, position_m, rotation_deg, sure

@@ -1,22 +1,30 @@
 """`python -m fusion evaluate` and `sweep`: on three Parquet tables from anywhere."""
 
-from dataclasses import dataclass
+import contextlib
+import hashlib
+import shutil
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import pandas as pd
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from artefacts import DataRoot, UserError
 from artefacts.progress import console
 from artefacts.recording import RECORDING, open_recording
 from artefacts.schemas import schema
 from artefacts.settings import SHIPPED_DATA, resolve_settings
+from artefacts.stage import swap_in, write_json
 from artefacts.tables import write_table
 from fusion.evaluate import FuseSettings, Inputs, evaluate, joined_walks, report_lines, resolved
 from fusion.mobilearloc import MobileARLocOptions
 from fusion.record import blueprint, record
 from fusion.sweep import around, grid, sweep
 from fusion.sweep_figure import write_sweep_figure
+
+_NOTE = "evaluation.json"
 
 
 @dataclass(frozen=True)
@@ -35,52 +43,104 @@ class Files:
         return Inputs(scene, frames, _read(self.ground_truth), _read(self.predictions))
 
 
-def evaluate_files(files: Files, out: Path, scene: str, overrides: list[str]) -> None:
-    """Evaluate the three tables and write the fuse stage's tables and recording to `out`.
+def evaluate_files(files: Files, out: Path, scene: str, overrides: list[str], force: bool = False) -> None:
+    """Evaluate the three tables and write the fuse stage's tables and recording to the folder `out`, which appears when
+    it is whole.
 
-    Frames without a column `split` are all evaluated. UserError for whatever the tables have that can't be evaluated.
+    Frames without a column `split` are all evaluated. UserError for whatever the tables have that can't be evaluated,
+    and where `out` is there; with `force` earlier results in it are replaced, nothing else ever is.
     """
     settings = _settings(scene, overrides)
-    results = evaluate([files.read(scene)], settings)
-    _make(out)
-    for name, table in results.tables.items():
-        write_table(out / f"{name}.parquet", table, schema("fuse", name))
-    with open_recording(out / RECORDING, "fuse", scene, blueprint(results.fused)) as stream:
-        record(stream, results.fused, results.gates)
+    with _written(out, force) as folder:
+        results = evaluate([files.read(scene)], settings)
+        for name, table in results.tables.items():
+            write_table(folder / f"{name}.parquet", table, schema("fuse", name))
+        with open_recording(folder / RECORDING, "fuse", scene, blueprint(results.fused)) as stream:
+            record(stream, results.fused, results.gates)
+        _write_note(folder, files, scene, settings, dict(results.counts))
     for line in report_lines(results):
         console.print(line, markup=False)
 
 
-def sweep_files(files: Files, out: Path, scene: str, overrides: list[str], every: bool, processes: int) -> None:
+def sweep_files(
+    files: Files, out: Path, scene: str, overrides: list[str], every: bool, processes: int, force: bool = False
+) -> None:
     """Run the paper's rule over the three tables with other thresholds, one at a time or (`every`) in all combinations
-    too; write sweep.parquet and sweep.svg to `out`."""
+    too; write sweep.parquet and sweep.svg to the folder `out`, as `evaluate_files` does."""
     settings = _settings(scene, overrides)
     options = resolved(settings.model_copy(update={"methods": ["mobilearloc"]}))["mobilearloc"]
     assert isinstance(options, MobileARLocOptions)
-    walks = {(scene, model): joined.walks for model, joined in joined_walks(files.read(scene), settings.splits)}
     chosen = around(options) + (grid(options) if every else [])
-    table = sweep(walks, chosen, min(processes, len(walks)))
-    _make(out)
-    write_table(out / "sweep.parquet", table, schema("fuse", "sweep"))
-    write_sweep_figure(table, options.model_dump(), out / "sweep.svg")
+    with _written(out, force) as folder:
+        walks = {(scene, model): joined.walks for model, joined in joined_walks(files.read(scene), settings.splits)}
+        table = sweep(walks, chosen, min(processes, len(walks)))
+        write_table(folder / "sweep.parquet", table, schema("fuse", "sweep"))
+        write_sweep_figure(table, options.model_dump(), folder / "sweep.svg")
+        _write_note(folder, files, scene, settings, {})
     console.print(f"{len(chosen)} settings: {out / 'sweep.parquet'}, {out / 'sweep.svg'}", markup=False)
+
+
+@contextlib.contextmanager
+def _written(out: Path, force: bool) -> Iterator[Path]:
+    """A folder beside `out` to write into; it becomes `out` when the block ends well, and is dropped otherwise."""
+    out = out.absolute()
+    try:
+        _refuse_to_overwrite(out, force)
+        partial = out.with_name(f".{out.name}.partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+    except OSError as error:
+        raise UserError("the output folder can't be made", where=out, found=error.strerror) from None
+    try:
+        yield partial
+        swap_in(partial, out)
+    except OSError as error:
+        raise UserError("the results can't be written", where=error.filename or out, found=error.strerror) from None
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _refuse_to_overwrite(out: Path, force: bool) -> None:
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return
+    if not (out / _NOTE).is_file():
+        raise UserError(
+            "the output folder holds something else than results",
+            where=out,
+            expected=f"a new or empty folder, or earlier results with their {_NOTE}",
+            do="name another folder with --out",
+        )
+    if not force:
+        raise UserError("there are results already", where=out, do="name another folder, or replace them with --force")
+
+
+def _write_note(folder: Path, files: Files, scene: str, settings: FuseSettings, counts: dict[str, int]) -> None:
+    """What the results were made of."""
+    inputs = {
+        name: {"file": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        for name, path in asdict(files).items()
+    }
+    note = {"scene": scene, "inputs": inputs, "settings": settings.model_dump(mode="json"), "counts": counts}
+    write_json(folder / _NOTE, note)
 
 
 def _settings(scene: str, overrides: list[str]) -> FuseSettings:
     return resolve_settings(FuseSettings, "fuse", DataRoot(SHIPPED_DATA), "demo", scene, overrides)
 
 
-def _make(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError("the output folder can't be made", where=out, found=error) from None
-
-
 def _read(path: Path) -> pd.DataFrame:
+    """A Parquet table; UserError where there is none."""
     if not path.is_file():
-        raise UserError("there is no such table", where=path, expected="a Parquet file")
+        found = "a folder" if path.is_dir() else None
+        raise UserError("there is no such table", where=path, expected="a Parquet file", found=found)
     try:
-        return pd.read_parquet(path)
-    except (pa.ArrowInvalid, OSError) as error:
+        table = pq.read_table(path)
+        # A table whose frames are pandas' index has them as columns again.
+        frame: pd.DataFrame = table.to_pandas(ignore_metadata=True)
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise UserError("a table can't be read", where=path, found=error, expected="a Parquet file") from None
+    twice = frame.columns[frame.columns.duplicated()]
+    if len(twice):
+        raise UserError("a table has a column twice", where=path, found=twice[0])
+    # Dictionaries of texts are texts.
+    return frame.astype({name: object for name in frame.select_dtypes("category").columns})

@@ -2,20 +2,26 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from pandas.api.types import is_numeric_dtype
+from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 
 from artefacts import UserError
 from artefacts.tables import poses_of
+from geometry.metrics import sure_enough
 from geometry.poses import Array
 
 Flags = NDArray[np.bool_]
 
 MIN_OVERLAP = 0.5
 _MIN_QUATERNION = 1e-6
+_UNIT_QUATERNION = 1e-3
+_ON_EARTH_M = 1e8  # farther from the origin there is no place for a camera
+_QUALITIES = ("A", "B", "C", "none")
+_NO_TRUTH = "none"
 
 FRAME_COLUMNS = ["frame_id", "session_id", "t_ns", "split"]
 TRUTH_COLUMNS = ["frame_id"]
@@ -27,6 +33,7 @@ class Walk:
     """One session's evaluated frames in order of time. A pose that is missing is all NaN.
 
     frame_id (N,) str, t_ns (N,) int64, gravity (N, 3) unit vectors in camera axes, and the poses (N, 4, 4).
+    quality (N,) str: class of the ground truth, None where no class is stated; None instead of the array for all so.
     """
 
     scene: str
@@ -38,9 +45,15 @@ class Walk:
     vio_T_cam: Array
     map_T_cam_apr: Array
     map_T_cam: Array  # ground truth
+    quality: NDArray[np.object_] | None = None
 
     def __len__(self) -> int:
         return len(self.t_ns)
+
+    @property
+    def sure(self) -> Flags:
+        """Which frames' ground truth can tell whether a pose is within an accuracy level, (N,)."""
+        return np.ones(len(self), dtype=bool) if self.quality is None else sure_enough(self.quality)
 
 
 def known(poses: Array) -> Flags:
@@ -60,11 +73,13 @@ class Evaluated:
 def check_frames(frames: pd.DataFrame, truth: pd.DataFrame, where: str = "") -> None:
     """Refuse frames and ground truth that can't be evaluated.
 
-    Raises UserError for a missing column, a frame listed twice, two frames of a session at one time, ground truth of
-    other frames or another session or time, and for frames without any ground truth.
+    Raises UserError for a column that is missing or of another type, a frame listed twice, two frames of a session at
+    one time, ground truth of other frames, another session or time or an unknown quality class, and for frames without
+    any ground truth.
     """
     _need(frames, FRAME_COLUMNS, "vio_cam", f"frames {where}")
     _need(truth, TRUTH_COLUMNS, "map_cam", f"ground truth {where}")
+    _refuse_unknown_quality(truth, f"ground truth {where}")
     _refuse_duplicates(frames, ["frame_id"], f"frames {where}")
     _refuse_duplicates(frames, ["session_id", "t_ns"], f"frames {where}")
     _refuse_duplicates(truth, ["frame_id"], f"ground truth {where}")
@@ -86,8 +101,10 @@ def evaluated(
     """The walks of one scene and one model's `predictions`, over frames of the named splits.
 
     A walk ends where the session or the split changes. Frames are taken in order of time. Counted, not refused: rows
-    out of that order, frames without odometry, without a prediction or without ground truth, predictions that aren't
-    finite and predictions for unknown frames. Raises UserError where fewer than half of the frames have a prediction.
+    out of that order, frames without odometry, without a prediction or without ground truth, ground truth too
+    uncertain for the accuracy levels or of no stated quality, predictions that aren't finite and predictions for
+    unknown frames, quaternions that aren't of unit length. Raises UserError where no evaluated frame has ground truth,
+    or fewer than half have a prediction.
     """
     chosen = frames[frames["split"].isin(list(splits))]
     if chosen.empty:
@@ -97,6 +114,15 @@ def evaluated(
     apr_T = poses_for(ordered, predictions, "map_cam")
     walks = []
     vio_T, true_T = _poses(ordered, "vio_cam"), poses_for(ordered, truth, "map_cam")
+    quality = _qualities(ordered, truth)
+    true_T[quality == _NO_TRUTH] = np.nan
+    true = known(true_T)
+    if not true.any():
+        raise UserError(
+            f"scene {scene}: no evaluated frame has ground truth",
+            found=f"{len(ordered)} frames of split {', '.join(splits)}",
+            do="look at the align stage's gate table, or give ground truth of the evaluated frames",
+        )
     gravity = _gravity(ordered)
     # A new piece begins where the session or the split changes in time.
     key = ordered["session_id"].astype(str) + "/" + ordered["split"]
@@ -115,6 +141,7 @@ def evaluated(
                 vio_T[rows],
                 apr_T[rows],
                 true_T[rows],
+                quality[rows],
             )
         )
     listed = ordered["frame_id"].isin(predictions["frame_id"]).to_numpy()
@@ -123,9 +150,15 @@ def evaluated(
         "frames": len(ordered),
         "frames_out_of_order": int((chosen.groupby("session_id")["t_ns"].diff() < 0).sum()),
         "frames_without_odometry": int((~known(vio_T)).sum()),
-        "frames_without_ground_truth": int((~known(true_T)).sum()),
+        "frames_without_ground_truth": int((~true).sum()),
+        "frames_too_uncertain_for_levels": int((true & ~sure_enough(quality)).sum()),
+        "frames_of_unstated_quality": int((true & pd.isna(quality)).sum()),
+        "odometry_quaternions_not_of_unit_length": _not_unit(ordered, "vio_cam"),
+        "ground_truth_quaternions_not_of_unit_length": _not_unit(truth[truth["frame_id"].isin(ordered["frame_id"])]),
     }
+    evaluated_predictions = predictions[predictions["frame_id"].isin(ordered["frame_id"])]
     prediction_counts = {
+        "prediction_quaternions_not_of_unit_length": _not_unit(evaluated_predictions),
         "frames_without_prediction": int((~listed).sum()),
         "predictions_not_finite": int((listed & ~known(apr_T)).sum()),
         "predictions_of_unknown_frames": unknown,
@@ -146,11 +179,36 @@ def poses_for(frames: pd.DataFrame, table: pd.DataFrame, prefix: str) -> Array:
 
 
 def _poses(table: pd.DataFrame, prefix: str) -> Array:
-    """A pose group as (N, 4, 4); NaN where a value isn't finite or the quaternion has no length."""
+    """A pose group as (N, 4, 4); NaN where a value isn't finite, the place isn't on Earth or the quaternion has no
+    length."""
     columns = _pose_columns(prefix)
     values = table[columns].astype(float)
-    sound = np.isfinite(values).all(axis=1) & (np.linalg.norm(values[columns[3:]], axis=1) > _MIN_QUATERNION)
-    return poses_of(values.where(sound), prefix)
+    numbers = values.to_numpy()
+    sound = np.isfinite(numbers).all(axis=1) & (np.abs(numbers[:, :3]) < _ON_EARTH_M).all(axis=1)
+    sound &= _lengths(values, prefix) > _MIN_QUATERNION
+    values[~sound] = np.nan
+    return poses_of(values, prefix)
+
+
+def _lengths(table: pd.DataFrame, prefix: str) -> Array:
+    """Lengths of a pose group's quaternions, (N,)."""
+    return np.linalg.norm(table[_pose_columns(prefix)[3:]].to_numpy(float, na_value=np.nan), axis=1)
+
+
+def _not_unit(table: pd.DataFrame, prefix: str = "map_cam") -> int:
+    """How many quaternions of a pose group are used that aren't of unit length; they are taken for their direction."""
+    lengths = _lengths(table, prefix)
+    used = np.isfinite(lengths) & (lengths > _MIN_QUATERNION)
+    return int((used & (np.abs(lengths - 1) > _UNIT_QUATERNION)).sum())
+
+
+def _qualities(frames: pd.DataFrame, truth: pd.DataFrame) -> NDArray[np.object_]:
+    """The class of each frame's ground truth, (N,); None where none is stated."""
+    if "quality" not in truth.columns:
+        return np.full(len(frames), None, dtype=object)
+    quality = truth.set_index("frame_id")["quality"].reindex(frames["frame_id"]).to_numpy(object)
+    quality[pd.isna(quality)] = None
+    return np.asarray(quality)
 
 
 def _pose_columns(prefix: str) -> list[str]:
@@ -158,23 +216,61 @@ def _pose_columns(prefix: str) -> list[str]:
 
 
 def _gravity(frames: pd.DataFrame) -> Array:
-    columns = [f"gravity_{a}" for a in "xyz"]
-    if not set(columns) <= set(frames.columns):
+    """Down in camera axes as unit vectors (N, 3); NaN where it isn't given, isn't finite or has no length."""
+    if not set(_GRAVITY) <= set(frames.columns):
         return np.full((len(frames), 3), np.nan)
-    return frames[columns].to_numpy(float, na_value=np.nan)
+    down = frames[_GRAVITY].to_numpy(float, na_value=np.nan)
+    length = np.linalg.norm(down, axis=1, keepdims=True)
+    sound = np.isfinite(length) & (length > 0)
+    return np.where(sound, down / np.where(sound, length, 1.0), np.nan)
+
+
+_GRAVITY = [f"gravity_{a}" for a in "xyz"]
+_TEXT = ["frame_id", "session_id", "split", "model", "quality"]
 
 
 def _need(table: pd.DataFrame, columns: list[str], prefix: str, what: str) -> None:
+    what = what.strip()
     wanted = [*columns, *_pose_columns(prefix)]
     missing = [c for c in wanted if c not in table.columns]
     if missing:
-        raise UserError(f"{what.strip()} lack columns", expected=", ".join(wanted), found=f"no {', '.join(missing)}")
-    text = [c for c in wanted if c.endswith("_ns") or c.startswith(prefix) if not is_numeric_dtype(table[c])]
-    if text:
-        raise UserError(f"{what.strip()} have text for numbers", where=f"column {text[0]}", found=table[text[0]].dtype)
+        raise UserError(f"{what} lack columns", expected=", ".join(wanted), found=f"no {', '.join(missing)}")
+    if table.empty:
+        raise UserError(f"{what} have no rows", expected="a row for each frame")
     unset = [c for c in columns if table[c].isna().any()]
     if unset:
-        raise UserError(f"{what.strip()} have empty values", where=f"column {unset[0]}", expected="a value in each row")
+        raise UserError(f"{what} have empty values", where=f"column {unset[0]}", expected="a value in each row")
+    for column in table.columns.intersection([*wanted, *_GRAVITY, *_TEXT, "t_ns"]):
+        _refuse_other_type(table[column], what)
+
+
+def _refuse_other_type(column: "pd.Series[Any]", what: str) -> None:
+    """A column that isn't what its name says: text, whole nanoseconds, or numbers. An empty one has no type."""
+    name = str(column.name)
+    if column.isna().all():
+        return
+    if name in _TEXT:
+        sound, expected = is_string_dtype(column.dropna()), "text"
+    elif name == "t_ns":
+        sound, expected = is_integer_dtype(column), "whole numbers of nanoseconds (int64)"
+    else:
+        sound, expected = is_float_dtype(column) or is_integer_dtype(column), "numbers"
+    if not sound:
+        raise UserError(
+            f"{what}: a column has another type", where=f"column {name}", expected=expected, found=column.dtype
+        )
+
+
+def _refuse_unknown_quality(truth: pd.DataFrame, what: str) -> None:
+    stated = truth["quality"].dropna() if "quality" in truth.columns else pd.Series(dtype=object)
+    unknown = stated[~stated.isin(_QUALITIES)]
+    if len(unknown):
+        raise UserError(
+            f"{what.strip()}: an unknown quality class",
+            where="column quality",
+            expected=f"{', '.join(_QUALITIES)} (docs/ground-truth.md), or no such column",
+            found=unknown.iloc[0],
+        )
 
 
 def _refuse_duplicates(table: pd.DataFrame, columns: list[str], what: str) -> None:

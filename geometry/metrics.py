@@ -5,12 +5,15 @@
 """
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from geometry.poses import Array, inverse, quaternion_angle, relative, rotation_angle, tq_from_pose
 
 # (metres, degrees): high, medium and low accuracy.
 ACCURACY_LEVELS = {"high": (0.25, 2.0), "medium": (0.5, 5.0), "low": (5.0, 10.0)}
+# Quality classes of ground truth that lies within every accuracy level's bounds with 95 % (2.8 sigma, three axes):
+# A within 0.06 m and 0.3 degrees, B within 0.14 m and 0.9 degrees. C has no limits, so it promises nothing.
+SURE_CLASSES = ("A", "B")
 
 
 def step_lengths(poses: ArrayLike) -> tuple[Array, Array]:
@@ -48,6 +51,15 @@ def rotation_error_deg(estimated: ArrayLike, true: ArrayLike) -> Array:
     The paper's 2 acos|<q, q'>|, computed so that small angles keep their digits.
     """
     return np.degrees(rotation_angle(relative(estimated, true)[..., :3, :3]))
+
+
+def sure_enough(quality: ArrayLike) -> NDArray[np.bool_]:
+    """Whether ground truth of quality classes (N,) can tell if a pose is within the accuracy levels, (N,).
+
+    A class that isn't stated (None or NaN) is taken as sure: nobody said otherwise.
+    """
+    stated = np.asarray(quality, dtype=object)
+    return np.array([c is None or c != c or c in SURE_CLASSES for c in stated], dtype=bool)
 
 
 def accuracy_shares(position_m: ArrayLike, rotation_deg: ArrayLike, frames: int | None = None) -> dict[str, float]:

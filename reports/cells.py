@@ -89,7 +89,7 @@ def _dataset(scene: SceneInputs) -> Iterator[dict[str, object]]:
 
 
 def _scores(scene: SceneInputs) -> Iterator[dict[str, object]]:
-    for _, s in scene_scores(scene.errors, scene.name).iterrows():
+    for _, s in scene_scores(scene.errors, scene.name, scene.offline).iterrows():
         paper = s["subset"] in SUBSETS
         numbers = [
             (statistic, q, s[f"{statistic}_{u}"], u, 2) for statistic in ("mean", "median") for q, u in ERRORS.items()
@@ -102,7 +102,7 @@ def _scores(scene: SceneInputs) -> Iterator[dict[str, object]]:
             table = TABLE_IV if not paper else TABLE_II if statistic in ("mean", "median") else TABLE_III
             column = column_name(s["model"], s["method"], s["over"], statistic, quantity)
             more = keys | {"statistic": statistic, "quantity": quantity}
-            source = (int(s["frames"]), "fuse.errors")
+            source = (int(s["sure" if statistic == "level" else "frames"]), "fuse.errors")
             yield _cell(table, scene, s["subset"], column, float(value), digits, unit, source, **more)
 
 
@@ -185,6 +185,8 @@ def printed_tables(cells: pd.DataFrame) -> PrintedTables:
     )
     # The cross product of `dropna=False` has rows that were never there.
     levels = levels.reset_index().dropna(subset=["high", "frames"], how="all")
+    of_high = ours[(ours["table"] == TABLE_III) & (ours["quantity"] == "high")].set_index(keys)["source_rows"]
+    levels = levels.join(of_high.rename("level_frames"), on=keys)
     return PrintedTables(
         OURS,
         dataset,

@@ -172,7 +172,7 @@ class _SceneModel:
 
     def _levels(self) -> Iterator[Finding]:
         for _, row in self.levels.iterrows():
-            count = self.frames if row["over"] == "all" else self.counts.get(row["subset"], 0)
+            count = self._level_frames(row)
             values = row[_LEVELS].astype(float)
             if not count or values.isna().any():
                 continue
@@ -193,16 +193,25 @@ class _SceneModel:
                 )
         yield from self._pooled_levels()
 
+    def _level_frames(self, row: pd.Series) -> int:
+        """How many frames a row's levels are shares of."""
+        if "level_frames" in row.index:
+            return int(row["level_frames"])
+        return self.frames if row["over"] == "all" else self.counts.get(row["subset"], 0)
+
     def _pooled_levels(self) -> Iterator[Finding]:
         rows = {subset: self._fused(subset) for subset in SUBSETS}
         both = rows["rp+opt"]
         if both is None or not self.counts.get("rp+opt"):
             return
-        parts = self._parts(rows)
-        for level in _LEVELS:
+        parts = [(self._level_frames(row), row) for _, row in self._parts(rows)]
+        parts = [(count, row) for count, row in parts if count]
+        for level in _LEVELS if parts else ():
             ok = meets(_pooled_interval(parts, level, percent), percent(both[level]))
             expected, found = f"{_pooled(parts, level):.1f} %", f"{both[level]:g} %"
-            because = f"{self._pool()} pooled"
+            because = (
+                f"{self._pool()} pooled" if "level_frames" not in both.index else "its parts pooled by their frames"
+            )
             yield self._finding("pooled_level", "III", "rp+opt", f"fused {level}", ok, expected, found, because)
 
     def _pool(self) -> str:

@@ -4,9 +4,11 @@ import json
 import math
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from artefacts.progress import format_seconds
+from geometry.metrics import SURE_CLASSES
 from reports.cells import number
 from reports.checks import AGREES
 from reports.grids import EMPTY, OURS, Block, Grid, Row
@@ -90,6 +92,55 @@ def alignment(scene: SceneInputs) -> Grid:
         rows.append([s.session_id, s.segment, f"{s.used} of {s.frames}", *fit, number(s.rotation_rms_deg, 2)])
     caption = "Each session's VIO fitted rigidly to the map: metres of VIO per metre of the map, and what is left."
     return _grid(f"alignment-{scene.name}", "VIO against the map", caption, columns, rows, 2)
+
+
+def quality(scene: SceneInputs) -> Grid:
+    """How sure the ground truth is by itself, a line a quality class."""
+    columns = ["class", "frames", "test frames", "position (m)", "rotation (°)", "accuracy levels"]
+    rows = []
+    for name, of_class in scene.ground_truth.groupby("quality"):
+        sigmas = [of_class[c].median() for c in ("position_sd_m", "rotation_sd_deg")]
+        counted = "counted" if name in SURE_CLASSES else "left out" if name != "none" else "not scored"
+        tested = int((of_class["split"] == "test").sum())
+        rows.append([name, len(of_class), tested, number(sigmas[0], 4), number(sigmas[1], 3), counted])
+    figures = scene.manifests["align"]["figures"]
+    shared = [
+        f"{what} {figures[name] * factor:.2g} {unit}"
+        for what, name, factor, unit in (("scale", "scale_sd", 100, "%"), ("vertical", "vertical_sd_deg", 1, "°"))
+        if figures.get(name) is not None
+    ]
+    caption = (
+        "Frames by quality class (docs/ground-truth.md), and one sigma of each frame's own pose along its least "
+        "certain axis, the median of the class. Errors smaller than that aren't told apart."
+    )
+    if shared:
+        caption += f" What all frames share comes on top: {', '.join(shared)} (one sigma)."
+    return _grid(f"quality-{scene.name}", "How sure the ground truth is", caption, columns, rows)
+
+
+def users(scene: SceneInputs) -> Grid:
+    """What a user of each method sees on the test walks."""
+    columns = ["model", "method", "first pose (s)", "longest outage (s)", "jitter (m)", "jitter (°)", "recovery (s)"]
+    test = scene.fused_sessions[scene.fused_sessions["split"] == "test"]
+    rows = []
+    for offline in (False, True):
+        part = test[test["method"].isin(scene.offline) == offline]
+        for key, of_method in part.groupby(["model", "method"], sort=False):
+            jitter = [number(float(of_method[c].mean()), 3) for c in ("jitter_m", "jitter_deg")]
+            first, outage = (
+                "never" if of_method["answered"].eq(0).any() else f"{of_method[c].max():.1f}"
+                for c in ("first_fix_s", "longest_outage_s")
+            )
+            recovery = of_method["recovery_s"].dropna()
+            back = EMPTY if recovery.empty else "never" if np.isinf(recovery.max()) else f"{recovery.max():.1f}"
+            rows.append([key[0], f"{key[1]} (offline)" if offline else key[1], first, outage, *jitter, back])
+    caption = (
+        f"In time, over {test['session_id'].nunique()} test sessions: the longest time to the first pose and the "
+        "longest outage after it; jitter, the motion between consecutive answers that odometry didn't see, a frame, "
+        "mean over sessions; and the longest time until answers are as good as usual again after 10 s or more without "
+        f"a frame ({EMPTY}: there was no such time)."
+    )
+    return _grid(f"users-{scene.name}", "What a user sees", caption, columns, rows, 2)
 
 
 def drift(scene: SceneInputs) -> Grid:

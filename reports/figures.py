@@ -246,18 +246,20 @@ def sensitivity(scene: SceneInputs) -> NamedFigure:
 def confidence(scene: SceneInputs) -> NamedFigure:
     """Mean errors of every method over all test frames in time, with their 95 % intervals over sessions."""
     rows = scene.intervals[scene.intervals["subset"] == "all"]
+    rows = rows.assign(offline=rows["method"].isin(scene.offline)).sort_values("offline", kind="stable")
     names = list(dict.fromkeys(zip(rows["model"], rows["method"], strict=True)))
     figure, axes = style.new_figure(1, 2, 0.17 * len(names) + 0.7, sharey=True)
     for ax, (quantity, label) in zip(axes, (("position_mean_m", "m"), ("rotation_mean_deg", "°")), strict=True):
         of_quantity = rows[rows["figure"] == quantity].set_index(["model", "method"])
         for y, name in enumerate(names):
             found: Any = of_quantity.loc[name]
-            colour = style.APR if name[1] == "apr" else style.FUSED
+            colour = style.APR if name[1] == "apr" else style.NEUTRAL if name[1] in scene.offline else style.FUSED
             ax.plot([found["low"], found["high"]], [y, y], color=colour, lw=1.2)
             ax.plot(found["value"], y, "o", color=colour, ms=4)
         ax.set(title=f"Mean {quantity.split('_')[0]} error ({label})", xlim=(0, None))
         ax.grid(axis="y", visible=False)
-    axes[0].set(yticks=range(len(names)), yticklabels=[f"{model} {method}" for model, method in names])
+    labels = [f"{model} {method}{' (offline)' if method in scene.offline else ''}" for model, method in names]
+    axes[0].set(yticks=range(len(names)), yticklabels=labels)
     axes[0].invert_yaxis()
     sessions, draws = (int(rows[column].max()) for column in ("sessions", "draws"))
     caption = (

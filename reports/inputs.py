@@ -9,6 +9,7 @@ import pandas as pd
 
 from artefacts import StageRun
 from artefacts.tables import poses_of
+from geometry.metrics import sure_enough
 
 # Fewer training frames than this, and a regressor's accuracy says nothing about regressors.
 ENOUGH_TRAINING_FRAMES = 100
@@ -43,6 +44,8 @@ class SceneInputs:
     errors: pd.DataFrame
     sweep: pd.DataFrame
     intervals: pd.DataFrame
+    fused_sessions: pd.DataFrame
+    methods: pd.DataFrame
     manifests: dict[str, dict[str, Any]]
 
     @property
@@ -62,6 +65,17 @@ class SceneInputs:
     def scored_frames(self) -> int:
         """Test frames with ground truth: what every share and level is a share of."""
         return int(self.errors.loc[self.errors["split"] == "test", "frame_id"].nunique())
+
+    @property
+    def uncertain_frames(self) -> int:
+        """Scored frames whose ground truth can't tell whether a pose is within an accuracy level."""
+        scored = self.errors[self.errors["split"] == "test"].drop_duplicates("frame_id")
+        return int((~sure_enough(scored["quality"])).sum())
+
+    @property
+    def offline(self) -> set[str]:
+        """The fusion methods that see whole walks before they answer."""
+        return set(self.methods.loc[~self.methods["causal"], "method"])
 
     def marker(self) -> str:
         """What must stand by every number of this scene."""
@@ -149,6 +163,8 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         errors=fused("errors"),
         sweep=fused("sweep"),
         intervals=fused("intervals"),
+        fused_sessions=fused("sessions"),
+        methods=r.read("fuse", "methods", scene=fused_by),
         manifests=manifests,
     )
 

@@ -24,7 +24,8 @@ class PrintedTables:
 
     dataset: environment, scene, train_images, test_images, extent_m, {hloc,pn,mst}_storage_mb, ..._runtime_ms.
     errors: environment, scene (or "average"), subset, model, method, over, statistic, translation_m, rotation_deg.
-    levels: environment, scene, subset, model, method, over, high, medium, low, share.
+    levels: environment, scene, subset, model, method, over, high, medium, low, share; ours also level_frames, of how
+    many frames the levels are shares (the paper's are of all).
 
     `method` is "apr" (the raw regressor) or "mobilearloc" (fused). `over` says which frames a row is over: "subset"
     (the frames of its subset) or "all" (all test frames: the paper's raw columns, but for its "only optimised" block).

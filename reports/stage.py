@@ -80,10 +80,12 @@ def _section(r: StageRun[ReportSettings], scene: SceneInputs, all_cells: pd.Data
     grids = {
         "sessions": details.sessions(scene),
         "rejects": details.rejects(scene),
+        "quality": details.quality(scene),
         "alignment": details.alignment(scene),
         "drift": details.drift(scene),
         "gate": details.gate(scene),
         "models": details.models(scene),
+        "users": details.users(scene),
     }
     return page.SceneSection(
         scene=scene,
@@ -109,7 +111,7 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
 
 STAGE = Stage(
     name="report",
-    version=2,
+    version=3,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import", "sfm", "align", "train", "fuse"),

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from artefacts import UserError
-from geometry.metrics import accuracy_shares
+from geometry.metrics import accuracy_shares, sure_enough
 from reports.published import SUBSETS
 
 PAPER_METHOD = "mobilearloc"
@@ -22,12 +22,14 @@ _STATUSES = {"rp": ["reliable"], "opt": ["optimised"], "rp+opt": ["reliable", "o
 class Score:
     """How well a set of frames is answered; errors in metres and degrees, levels in percent of the set.
 
-    Means are over the answered frames. Medians and levels are over all frames of the set: a missing pose is an infinite
-    error, and a median of infinity is NaN.
+    Means are over the answered frames. Medians are over all frames of the set, levels over the `sure` ones, whose
+    ground truth can tell (NaN where there are none): a missing pose is an infinite error, and a median of infinity is
+    NaN.
     """
 
     frames: int
     answered: int
+    sure: int
     mean_m: float
     median_m: float
     mean_deg: float
@@ -37,14 +39,17 @@ class Score:
     low: float
 
 
-def score(position_m: ArrayLike, rotation_deg: ArrayLike) -> Score:
-    """The score of frames with errors (N,) in metres and degrees; NaN is a frame without a pose."""
+def score(position_m: ArrayLike, rotation_deg: ArrayLike, quality: ArrayLike | None = None) -> Score:
+    """The score of frames with errors (N,) in metres and degrees; NaN is a frame without a pose. `quality` (N,): class
+    of each frame's ground truth."""
     metres, degrees = np.asarray(position_m, dtype=float), np.asarray(rotation_deg, dtype=float)
     known = np.isfinite(metres) & np.isfinite(degrees)
-    levels = accuracy_shares(np.where(known, metres, np.nan), degrees)
+    sure = np.ones(len(metres), dtype=bool) if quality is None else sure_enough(quality)
+    levels = accuracy_shares(np.where(known, metres, np.nan)[sure], degrees[sure])
     return Score(
         frames=len(metres),
         answered=int(known.sum()),
+        sure=int(sure.sum()),
         mean_m=_mean(metres[known]),
         median_m=_median(np.where(known, metres, np.inf)),
         mean_deg=_mean(degrees[known]),
@@ -62,13 +67,14 @@ def _median(values: np.ndarray) -> float:
     return median if np.isfinite(median) else float("nan")
 
 
-def scene_scores(errors: pd.DataFrame, scene: str) -> pd.DataFrame:
+def scene_scores(errors: pd.DataFrame, scene: str, offline: set[str]) -> pd.DataFrame:
     """All scores of one scene from fuse.errors (test frames only are used), one row a model, method, subset and set.
 
     Columns: model, method, options, subset, over, total (test frames with ground truth), share and coverage (percent),
     and Score's. `subset` is rp, opt or rp+opt (the paper's rule and, beside it, the raw regressor: over the same
     frames, `over` = "subset", and over all test frames, "all"); "all" (every method, poses in time, a missing pose
-    fails); "common" (every method, on the frames that every method of this model answers in time).
+    fails); "common" (every method, on the frames that every causal method of this model answers in time: all but the
+    `offline` ones).
 
     UserError where there is no test frame with ground truth, or the paper's rule wasn't run.
     """
@@ -79,13 +85,14 @@ def scene_scores(errors: pd.DataFrame, scene: str) -> pd.DataFrame:
             expected="errors of test frames in fuse.errors",
             do="look at the align stage's gate table, and at the split in the scene's config",
         )
-    rows = [row for model, of_model in test.groupby("model", sort=False) for row in _model_rows(str(model), of_model)]
+    models = test.groupby("model", sort=False)
+    rows = [row for model, of_model in models for row in _model_rows(str(model), of_model, offline)]
     frame = pd.DataFrame(rows)
     frame.insert(0, "scene", scene)
     return frame
 
 
-def _model_rows(model: str, errors: pd.DataFrame) -> list[dict[str, object]]:
+def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dict[str, object]]:
     total = errors["frame_id"].nunique()
     rows: list[dict[str, object]] = []
 
@@ -96,24 +103,25 @@ def _model_rows(model: str, errors: pd.DataFrame) -> list[dict[str, object]]:
         rows.append(keys | {"total": total, "share": share, "coverage": coverage} | asdict(result))
 
     paper = paper_errors(errors, model)
-    raw_all = score(paper["apr_position_m"], paper["apr_rotation_deg"])
+    raw_all = _scored(paper, "apr_")
     for subset in SUBSETS:
         part = paper[paper["status"].isin(_STATUSES[subset])]
-        raw = score(part["apr_position_m"], part["apr_rotation_deg"])
         add("apr", "", subset, "all", raw_all)
-        add("apr", "", subset, "subset", raw)
-        options = str(paper["options"].iloc[0])
-        add(PAPER_METHOD, options, subset, "subset", score(part["position_m"], part["rotation_deg"]))
+        add("apr", "", subset, "subset", _scored(part, "apr_"))
+        add(PAPER_METHOD, str(paper["options"].iloc[0]), subset, "subset", _scored(part, ""))
 
-    answered = errors.dropna(subset=["live_position_m", "live_rotation_deg"]).groupby("frame_id").size()
-    methods = errors.groupby(["method", "options"], sort=False)
-    common = set(answered.index[answered == methods.ngroups])
-    for key, part in methods:
+    unanswered = errors["live_position_m"].isna() | errors["live_rotation_deg"].isna()
+    missed = set(errors.loc[unanswered & ~errors["method"].isin(offline), "frame_id"])
+    for key, part in errors.groupby(["method", "options"], sort=False):
         method, options = map(str, key)
-        add(method, options, "all", "all", score(part["live_position_m"], part["live_rotation_deg"]))
-        shared = part[part["frame_id"].isin(common)]
-        add(method, options, "common", "subset", score(shared["live_position_m"], shared["live_rotation_deg"]))
+        add(method, options, "all", "all", _scored(part, "live_"))
+        add(method, options, "common", "subset", _scored(part[~part["frame_id"].isin(missed)], "live_"))
     return rows
+
+
+def _scored(errors: pd.DataFrame, prefix: str) -> Score:
+    """The score of rows of fuse.errors, whose poses `prefix` says."""
+    return score(errors[f"{prefix}position_m"], errors[f"{prefix}rotation_deg"], errors["quality"])
 
 
 def paper_errors(errors: pd.DataFrame, model: str) -> pd.DataFrame:

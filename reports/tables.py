@@ -96,32 +96,65 @@ class Tables:
         return self._grid("table3", "Table III", caption, columns, blocks, self._coverage_notes())
 
     def methods(self) -> Grid:
-        """Table IV: every method over all test frames, and over the frames that all of them answer."""
+        """Table IV: every method over all test frames, and over the frames that all causal ones answer; those that see
+        the whole walk before they answer stand apart."""
         missing_fails = "all test frames, a missing pose is a failure"
         heads = ("coverage (%)", "median (m/°)", "high/medium/low (%)")
         columns = [("", "scene"), ("", "method"), *((missing_fails, head) for head in heads)]
         columns += [("answered frames", "mean (m/°)")]
-        columns += [("frames that all answer", head) for head in ("share (%)", "mean (m/°)", "median (m/°)")]
+        common = "frames that all causal ones answer"
+        columns += [(common, head) for head in ("share (%)", "mean (m/°)", "median (m/°)")]
         blocks = []
         for scene in self.scenes.values():
             of_scene = self.methods_cells[self.methods_cells["scene"] == scene.name]
             for model, cells in of_scene.groupby("model", sort=False):
-                ways = cells.groupby(["method", "options"], sort=False)
-                rows = []
-                for key, way in ways:
+                causal: list[Row] = []
+                offline: list[Row] = []
+                for key, way in cells.groupby(["method", "options"], sort=False):
                     method, options = map(str, key)
                     label = column_name(str(model), method, "all")
                     if len(cells.loc[cells["method"] == method, "options"].unique()) > 1:
                         label += f" {shown_options(options)}"
+                    rows = offline if method in scene.offline else causal
                     rows.append(Row((scene.name, label, *self._method_numbers(way)), OURS))
-                blocks.append(Block(f"{scene.name}, {model}", tuple(rows)))
+                blocks.append(Block(f"{scene.name}, {model}", tuple(causal)))
+                if offline:
+                    title = f"{scene.name}, {model}, offline: sees the whole walk, not to be ranked with the others"
+                    blocks.append(Block(title, tuple(offline)))
         notes = [
             "Poses in time: what an app would have had when the frame came, without confirmation by later ones. A "
             f"frame without a pose is infinitely wrong in a median ({EMPTY}: the median itself is infinite) and a "
             "failure in the levels; a mean can only be taken over answered frames: read it beside the coverage.",
+            *self._meanings(),
+            *self._uncertain_notes(),
         ]
         title = "All methods over all test frames (the paper has no such table)"
         return self._grid("table4", "Table IV", title, columns, blocks, notes)
+
+    def _meanings(self) -> list[str]:
+        """What each method is."""
+        methods = pd.concat([scene.methods for scene in self.scenes.values()]).drop_duplicates("method")
+        notes = []
+        for what, rows in (("Methods", methods[methods["causal"]]), ("Offline", methods[~methods["causal"]])):
+            if len(rows):
+                meanings = zip(rows["method"], rows["meaning"], strict=True)
+                notes.append(f"{what}: " + "; ".join(f"{name}: {meaning}" for name, meaning in meanings) + ".")
+        return notes
+
+    def _uncertain_notes(self) -> list[str]:
+        """How many frames the levels leave out, of the scenes that have such frames."""
+        notes = []
+        for scene in self.scenes.values():
+            if scene.uncertain_frames:
+                note = f"{scene.name}: {scene.uncertain_frames} of the {scene.scored_frames} test frames with ground "
+                note += (
+                    "truth are of quality class C, too uncertain for the accuracy levels, which leave them out; means "
+                )
+                note += "and medians count them."
+                if scene.uncertain_frames == scene.scored_frames:
+                    note += " So no level can be scored."
+                notes.append(note)
+        return notes
 
     def _method_numbers(self, way: pd.DataFrame) -> list[str]:
         text = {
@@ -133,10 +166,11 @@ class Tables:
             errors = [text[row, statistic, quantity] for quantity in ("translation", "rotation")]
             return EMPTY if EMPTY in errors else "/".join(errors)
 
+        levels = [text["all", "level", level] for level in LEVELS]
         return [
             text["all", "coverage", "frames"],
             pair("all", "median"),
-            "/".join(text["all", "level", level] for level in LEVELS),
+            EMPTY if EMPTY in levels else "/".join(levels),
             pair("all", "mean"),
             text["common", "share", "frames"],
             pair("common", "mean"),
@@ -201,7 +235,7 @@ class Tables:
             if scene.ground_truth["gt_uses_vio"].any():
                 note += " VIO positions took part in this ground truth, which flatters methods that use VIO."
             notes.append(note)
-        return notes
+        return [*notes, *self._uncertain_notes()]
 
     def _card_notes(self) -> list[str]:
         cards: dict[str, list[str]] = {}

@@ -16,14 +16,14 @@ from training.settings import TrainSettings
 
 
 def read_frames(r: StageRun[TrainSettings]) -> pd.DataFrame:
-    """Every frame of the run's scenes: import.frames with the ground truth of align (null where there is none), the
-    scene's name and its index. Held-out frames are marked `val` in every scene."""
+    """Every frame of the run's scenes: import.frames with the ground truth of align and its quality class (null where
+    there is none), the scene's name and its index. Held-out frames are marked `val` in every scene."""
     tables = []
     for index, scene in enumerate(r.leaves):
         frames = r.read("import", "frames", scene=scene)
         truth = r.read("align", "ground_truth", scene=scene)
         pose_columns = [c for c in truth.columns if c.startswith("map_cam_")]
-        frames = frames.merge(truth[["frame_id", *pose_columns]], on="frame_id", how="left", validate="1:1")
+        frames = frames.merge(truth[["frame_id", "quality", *pose_columns]], on="frame_id", how="left", validate="1:1")
         frames.insert(0, "scene", scene)
         frames.insert(1, "scene_index", index)
         frames["split"] = hold_out(frames, r.settings.val_fraction)

@@ -11,6 +11,7 @@ import torch
 
 from artefacts import Stage, StageRun, UserError
 from artefacts.child import Report, Task, in_children
+from geometry.metrics import sure_enough
 from training.build import Trained, build, save_trained, settings_of
 from training.data import Frames, ImageCache
 from training.evaluation import errors, mean_pose_errors
@@ -170,6 +171,9 @@ def report_accuracy(
         rows = np.intersect1d(rows_with_truth(frames, "test"), np.flatnonzero(frames["scene"] == scene))
         if len(rows):
             keep_figures(r, f"{name} {scene}", *errors(position[rows], quaternion[rows], data.select(rows)))
+            unsure = int((~sure_enough(frames["quality"].iloc[rows])).sum())
+            if unsure:
+                r.say(f"{scene}: the ground truth of {unsure} of these {len(rows)} test frames is of class C")
 
 
 def keep_figures(r: StageRun[TrainSettings], title: str, position_m: np.ndarray, rotation_deg: np.ndarray) -> None:

@@ -20,12 +20,18 @@ _KEYS = [
     Column("t_ns", "int64", "capture time on the session's clock", "ns"),
 ]
 
+_UNCERTAIN = (
+    "frames of the subset whose ground truth can't tell whether a pose is within a level (class C): counted in means "
+    "and medians, left out of the levels"
+)
+
 _SUMMARY_FIGURES = [
     Column("frames", "int64", "frames of the subset"),
     Column("answered", "int64", "frames of the subset with a pose"),
     Column("total", "int64", "all evaluated frames with ground truth"),
     Column("share_pct", "float64", "frames / total", "%"),
     Column("coverage_pct", "float64", "answered / frames; null for an empty subset", "%", "", True),
+    Column("too_uncertain", "int64", _UNCERTAIN),
     Column("position_mean_m", "float64", "mean APE over the answered frames", "m", "", True),
     Column(
         "position_median_m",
@@ -37,9 +43,11 @@ _SUMMARY_FIGURES = [
     ),
     Column("rotation_mean_deg", "float64", "mean AOE over the answered frames", "deg", "", True),
     Column("rotation_median_deg", "float64", "median AOE over the subset, as position_median_m", "deg", "", True),
-    Column("high_pct", "float64", "frames of the subset within 0.25 m and 2 deg", "%", "", True),
-    Column("medium_pct", "float64", "frames of the subset within 0.5 m and 5 deg", "%", "", True),
-    Column("low_pct", "float64", "frames of the subset within 5 m and 10 deg", "%", "", True),
+    Column(
+        "high_pct", "float64", "frames of the subset within 0.25 m and 2 deg, of those not too uncertain", "%", "", True
+    ),
+    Column("medium_pct", "float64", "the same within 0.5 m and 5 deg", "%", "", True),
+    Column("low_pct", "float64", "the same within 5 m and 10 deg", "%", "", True),
 ]
 
 TABLES = [
@@ -72,6 +80,12 @@ TABLES = [
         "One row a frame with ground truth, method and model: how wrong the pose was. Null where there was none.",
         [
             *_KEYS,
+            Column(
+                "quality",
+                "string",
+                "class of the frame's ground truth, A, B or C (docs/ground-truth.md); null where it states none",
+                nullable=True,
+            ),
             Column("status", "string", _STATUS),
             Column("position_m", "float64", "APE of map_cam", "m", "map", True),
             Column("rotation_deg", "float64", "AOE of map_cam", "deg", "", True),
@@ -81,6 +95,7 @@ TABLES = [
             Column("apr_position_m", "float64", "APE of the frame's prediction", "m", "map", True),
             Column("apr_rotation_deg", "float64", "AOE of the frame's prediction", "deg", "", True),
         ],
+        version="1.1",
     ),
     TableSchema(
         "fuse",
@@ -110,6 +125,7 @@ TABLES = [
             Column("scored", "string", "whose poses: method, or apr for the predictions of the same frames"),
             *_SUMMARY_FIGURES,
         ],
+        version="1.1",
     ),
     TableSchema(
         "fuse",
@@ -164,6 +180,7 @@ TABLES = [
             Column("subset", "string", "rp+opt (the paper's) or all (in time), as in fuse.summary"),
             *_SUMMARY_FIGURES,
         ],
+        version="1.1",
     ),
     TableSchema(
         "fuse",
@@ -182,6 +199,27 @@ TABLES = [
             Column("longest_outage_s", "float64", "longest time without a pose after the first", "s", "", True),
             Column("jitter_m", "float64", "mean motion a frame beyond VIO's own", "m", "", True),
             Column("jitter_deg", "float64", "mean rotation a frame beyond VIO's own", "deg", "", True),
+            Column(
+                "recovery_s",
+                "float64",
+                "after the longest time without a frame, of 10 s or more: until ten answers in a row are on average no "
+                "worse than the raw regressor's over the walk; infinite where never, null without such a time",
+                "s",
+                "",
+                True,
+            ),
+        ],
+        version="1.1",
+    ),
+    TableSchema(
+        "fuse",
+        "methods",
+        "What was run: one row a method.",
+        [
+            _METHOD,
+            _OPTIONS,
+            Column("causal", "bool", "answers each frame from it and earlier ones; false: offline, sees whole walks"),
+            Column("meaning", "string", "the method in a few words"),
         ],
     ),
 ]

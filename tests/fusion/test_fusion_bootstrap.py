@@ -19,7 +19,7 @@ def errors_of(sessions: list[np.ndarray]) -> pd.DataFrame:
         part["apr_position_m"], part["apr_rotation_deg"] = part["live_position_m"], part["live_rotation_deg"]
         part["frame_id"] = [f"s{number}/{i:06d}" for i in range(len(part))]
         rows.append(part.assign(session_id=f"s{number}", method="apr", options="{}", model="PN", scene="Place"))
-    return pd.concat(rows, ignore_index=True).assign(status="predicted")
+    return pd.concat(rows, ignore_index=True).assign(status="predicted", quality=None)
 
 
 def test_values_are_those_of_the_summary():
@@ -45,6 +45,16 @@ def test_two_sessions_give_the_two_sessions():
 def test_one_session_has_no_interval():
     found = intervals(errors_of([np.linspace(0, 1, 9)]))
     assert found["low"].isna().all() and found["high"].isna().all() and found["value"].notna().all()
+
+
+def test_levels_leave_out_uncertain_ground_truth():
+    errors = errors_of([np.array([0.1, 0.1, 9.0]), np.array([0.1, 9.0, 9.0])])
+    errors["quality"] = ["A", "C", "B", "A", "A", "C"]
+    high = intervals(errors).set_index(["subset", "figure"]).loc[("all", "high_pct")]
+    assert (high["value"], high["low"], high["high"]) == (50, 50, 50)
+    nothing = intervals(errors.assign(quality="C")).set_index(["subset", "figure"]).loc["all"]
+    assert nothing.loc["high_pct", ["value", "low", "high"]].isna().all()
+    assert nothing.loc["position_mean_m", "value"] == pytest.approx(np.mean([0.1, 0.1, 9.0, 0.1, 9.0, 9.0]))
 
 
 def test_interval_covers_the_true_mean_about_as_often_as_it_says():

@@ -1,5 +1,8 @@
 """Evaluation of tables: figures against a direct count, bad input, and the command line."""
 
+import hashlib
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,7 +13,8 @@ from artefacts import UserError
 from artefacts.schemas import schema
 from artefacts.tables import poses_of, read_table
 from fusion.__main__ import app
-from fusion.evaluate import FuseSettings, Inputs, evaluate
+from fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines
+from fusion.tables import Files, evaluate_files
 
 SEEDS = [1, 2, 3]
 
@@ -125,6 +129,59 @@ def test_frames_that_cannot_be_scored_are_counted():
     assert counts["frames_without_ground_truth"] == 1
 
 
+def test_levels_leave_out_ground_truth_of_class_c_and_count_it():
+    frames, truth, predictions = tables([1, 2])
+    quality = np.array(["A", "B", "C", "A"])[np.arange(len(truth)) % 4]
+    methods = ["apr", "mobilearloc"]
+    plain = run(frames, truth, predictions, methods=methods)
+    results = run(frames, truth.assign(quality=quality), predictions, methods=methods)
+    assert plain.counts["frames_of_unstated_quality"] == 80 and plain.counts["frames_too_uncertain_for_levels"] == 0
+    assert results.counts["frames_too_uncertain_for_levels"] == 20
+    assert results.counts["frames_of_unstated_quality"] == 0
+    assert (plain.tables["summary"]["too_uncertain"] == 0).all()
+    errors = results.tables["errors"]
+    assert list(errors.loc[errors["method"] == "apr", "quality"]) == list(quality)
+    keys = ["method", "subset", "scored"]
+    found, before = (r.tables["summary"].set_index(keys) for r in (results, plain))
+    rule = errors[errors["method"] == "mobilearloc"]
+    for subset, part, prefix in (
+        ("all", rule, "live_"),
+        ("rp", rule[rule["status"] == "reliable"], ""),
+    ):
+        sure = part[part["quality"] != "C"]
+        row = found.loc[("mobilearloc", subset, "method")]
+        high = (sure[f"{prefix}position_m"] <= 0.25) & (sure[f"{prefix}rotation_deg"] <= 2)
+        assert row["high_pct"] == pytest.approx(100 * high.mean()) and row["too_uncertain"] == len(part) - len(sure) > 0
+    counted = ["frames", "answered", "share_pct", "position_mean_m", "rotation_median_deg"]
+    pd.testing.assert_frame_equal(found[counted], before[counted])
+    swept = results.tables["sweep"]
+    usual = swept[(swept["varied"] == "n") & (swept["n"] == 2) & (swept["subset"] == "all")].iloc[0]
+    assert usual["medium_pct"] == found.loc[("mobilearloc", "all", "method"), "medium_pct"]
+    assert usual["too_uncertain"] == 20
+
+
+def test_without_sure_ground_truth_levels_are_empty_and_that_is_said():
+    frames, truth, predictions = tables([1])
+    results = run(frames, truth.assign(quality="C"), predictions, methods=["apr", "mobilearloc"])
+    summary = results.tables["summary"]
+    assert summary[["high_pct", "medium_pct", "low_pct"]].isna().all(axis=None)
+    assert (summary["too_uncertain"] == summary["frames"]).all()
+    assert summary.loc[summary["subset"] == "all", "position_mean_m"].notna().any()
+    assert any("no accuracy level can be scored" in line for line in report_lines(results))
+
+
+def test_quaternions_of_other_lengths_are_counted_and_taken_for_their_direction():
+    frames, truth, predictions = tables([1])
+    plain = run(frames, truth, predictions, methods=["apr", "mobilearloc"])
+    longer = predictions.copy()
+    longer[[f"map_cam_q{a}" for a in "xyzw"]] *= 3.0
+    results = run(frames, truth, longer, methods=["apr", "mobilearloc"])
+    predicted = int(predictions["map_cam_tx"].notna().sum())
+    assert results.counts["prediction_quaternions_not_of_unit_length"] == predicted
+    assert plain.counts["prediction_quaternions_not_of_unit_length"] == 0
+    pd.testing.assert_frame_equal(results.tables["summary"], plain.tables["summary"])
+
+
 def test_frames_without_odometry_are_counted():
     frames, truth, predictions = tables([1])
     plain = run(frames, truth, predictions).counts["frames_without_odometry"]
@@ -188,6 +245,34 @@ def no_predictions(frames, truth, predictions):
     return frames, truth, predictions.iloc[:0]
 
 
+def no_frames(frames, truth, predictions):
+    return frames.iloc[:0], truth, predictions
+
+
+def numbers_for_ids(frames, truth, predictions):
+    return frames, truth, predictions.assign(frame_id=range(len(predictions)))
+
+
+def seconds_for_nanoseconds(frames, truth, predictions):
+    return frames.assign(t_ns=frames["t_ns"] * 1e-9), truth, predictions
+
+
+def text_for_gravity(frames, truth, predictions):
+    return frames.assign(gravity_x=0.0, gravity_y="down", gravity_z=0.0), truth, predictions
+
+
+def unknown_quality(frames, truth, predictions):
+    return frames, truth.assign(quality="good"), predictions
+
+
+def truth_without_poses(frames, truth, predictions):
+    return frames, truth.assign(map_cam_tx=np.nan), predictions
+
+
+def truth_refused(frames, truth, predictions):
+    return frames, truth.assign(quality="none"), predictions
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -198,11 +283,18 @@ def no_predictions(frames, truth, predictions):
         (mixed_sessions, "another session_id"),
         (little_overlap, "hardly overlap"),
         (other_times, "another t_ns"),
-        (text_for_numbers, "text for numbers"),
+        (text_for_numbers, "another type"),
+        (numbers_for_ids, "another type"),
+        (seconds_for_nanoseconds, "another type"),
+        (text_for_gravity, "another type"),
+        (unknown_quality, "unknown quality"),
         (empty_session, "empty values"),
         (empty_id, "empty values"),
         (no_truth, "no frame has ground truth"),
-        (no_predictions, "no predictions"),
+        (truth_without_poses, "no evaluated frame has ground truth"),
+        (truth_refused, "no evaluated frame has ground truth"),
+        (no_predictions, "no rows"),
+        (no_frames, "no rows"),
     ],
 )
 def test_input_that_cannot_be_evaluated_is_refused(spoil, message):
@@ -219,6 +311,95 @@ def test_options_are_recorded_and_checked():
         run(*tables([1]), methods=["magic"])
 
 
+def test_what_was_run_is_listed_and_offline_methods_say_so():
+    methods = run(*tables([1]), methods=["mobilearloc", "vio_oracle"]).tables["methods"].set_index("method")
+    assert list(methods.index) == ["mobilearloc", "vio_oracle"] and list(methods["causal"]) == [True, False]
+    assert '"n": 2' in methods.loc["mobilearloc", "options"] and "bound" in methods.loc["vio_oracle", "meaning"]
+
+
+def parquet_files(folder, *made):
+    """The three tables as files."""
+    files = Files(*(folder / f"{name}.parquet" for name in ("frames", "truth", "predictions")))
+    for table, path in zip(made, (files.frames, files.ground_truth, files.predictions), strict=True):
+        table.to_parquet(path)
+    return files
+
+
+def write(files, out, force=False):
+    evaluate_files(files, out, "Place", ['methods=["apr"]'], force)
+
+
+def spoil_truncated(path):
+    path.write_bytes(path.read_bytes()[:2000])
+
+
+def spoil_text(path):
+    path.write_text("frame_id,session_id\n")
+
+
+def spoil_folder(path):
+    path.unlink()
+    path.mkdir()
+
+
+def spoil_gone(path):
+    path.unlink()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (spoil_truncated, "can't be read"),
+        (spoil_text, "can't be read"),
+        (spoil_folder, "a folder"),
+        (spoil_gone, "no such table"),
+    ],
+)
+def test_files_that_are_no_tables_are_refused_and_nothing_is_left(tmp_path, spoil, message):
+    files = parquet_files(tmp_path, *tables([1]))
+    spoil(files.predictions)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(UserError, match=message):
+        write(files, tmp_path / "out")
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_results_appear_whole_and_replace_nothing_but_results(tmp_path, monkeypatch):
+    files = parquet_files(tmp_path, *tables([1]))
+    out = tmp_path / "out"
+    for folder, message in (
+        (tmp_path, "something else"),
+        (files.frames, "something else"),
+        (files.frames / "out", "can't be made"),
+    ):
+        with pytest.raises(UserError, match=message):
+            write(files, folder)
+    write(files, out)
+    note = json.loads((out / "evaluation.json").read_text())
+    assert note["counts"]["frames"] == 40 and note["settings"]["methods"] == ["apr"]
+    assert note["inputs"]["frames"]["sha256"] == hashlib.sha256(files.frames.read_bytes()).hexdigest()
+    with pytest.raises(UserError, match="results already"):
+        write(files, out)
+    (out / "stale.parquet").touch()
+
+    def fail(*args):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("fusion.tables.record", fail)
+        with pytest.raises(UserError, match="can't be written"):
+            write(files, out, force=True)
+    assert (out / "stale.parquet").exists() and len(list(tmp_path.iterdir())) == 4
+    write(files, out, force=True)
+    assert not (out / "stale.parquet").exists()
+
+
+def test_texts_may_be_dictionaries_and_ids_an_index(tmp_path):
+    made = [t.astype({"frame_id": "category", "session_id": "category"}).set_index("frame_id") for t in tables([1])]
+    write(parquet_files(tmp_path, *made), tmp_path / "out")
+    assert len(read_table(tmp_path / "out" / "errors.parquet", schema("fuse", "errors"))) == 40
+
+
 def test_command_line(tmp_path):
     paths = [tmp_path / f"{name}.parquet" for name in ("frames", "truth", "predictions")]
     for table, path in zip(tables([1, 2]), paths, strict=True):
@@ -227,6 +408,6 @@ def test_command_line(tmp_path):
     arguments = [x for pair in zip(names, map(str, paths), strict=True) for x in pair]
     done = CliRunner().invoke(app, ["evaluate", *arguments, "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
-    for name in ("poses", "errors", "signals", "summary", "intervals", "sweep", "sessions"):
+    for name in ("poses", "errors", "signals", "summary", "intervals", "sweep", "sessions", "methods"):
         assert len(read_table(tmp_path / "out" / f"{name}.parquet", schema("fuse", name)))
     assert (tmp_path / "out" / "recording.rrd").stat().st_size > 10_000

@@ -50,7 +50,7 @@ def group(tmp_path):
 def test_a_scene_gets_all_tables_and_a_recording(tmp_path):
     r = stage_run(tmp_path, "A", scene_inputs("A", [1, 2], ("PN",)))
     STAGE.run(r)
-    for table in ("poses", "errors", "signals", "summary", "intervals", "sweep", "sessions"):
+    for table in ("poses", "errors", "signals", "summary", "intervals", "sweep", "sessions", "methods"):
         assert len(read_table(r.work / f"{table}.parquet", schema("fuse", table)))
     assert (r.work / "recording.rrd").is_file()
     assert json.loads(json.dumps(r.figures))["frames"] == 80

@@ -7,8 +7,18 @@ from evo.core.trajectory import PosePath3D
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
-from geometry.metrics import accuracy_shares, position_error, relative_error, rotation_error_deg, rpe_roe
+from alignment.settings import AlignSettings
+from geometry.metrics import (
+    ACCURACY_LEVELS,
+    accuracy_shares,
+    position_error,
+    relative_error,
+    rotation_error_deg,
+    rpe_roe,
+    sure_enough,
+)
 from geometry.poses import make_pose
 
 seeds = st.integers(0, 2**32 - 1)
@@ -73,3 +83,13 @@ def test_missing_frames_count_as_failed() -> None:
     assert accuracy_shares(position, rotation) == {"high": 0.25, "medium": 0.5, "low": 0.5}
     assert accuracy_shares(position, rotation, frames=8)["low"] == 0.25
     assert np.isnan(accuracy_shares([], [])["low"])
+
+
+def test_classes_that_levels_count_promise_every_level_with_95_percent():
+    """By the limits of align's classes: 2.8 sigma of A and B lie within the strictest level; C has no limits."""
+    settings = AlignSettings()
+    bound = np.sqrt(chi2.ppf(0.95, 3))
+    strictest = np.min(list(ACCURACY_LEVELS.values()), axis=0)
+    for limits in (settings.quality_a, settings.quality_b):
+        assert bound * limits.position_sd_m <= strictest[0] and bound * limits.rotation_sd_deg <= strictest[1]
+    assert list(sure_enough(["A", "B", "C", "none", None, np.nan])) == [True, True, False, False, True, True]

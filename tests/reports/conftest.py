@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from itertools import product
 
 import cv2
 import numpy as np
@@ -18,12 +19,19 @@ from geometry.poses import Array, make_pose, yaw_rotation
 
 SECOND = 1_000_000_000
 MODELS = ("PN", "MS-T")
+METHODS = (
+    ("apr", "{}", True, "the raw regressor"),
+    ("mobilearloc", '{"gamma": 0.99}', True, "the paper's rule"),
+    ("smoother", "{}", False, "from the whole walk"),
+)
 
 
 class MadeUpScene:
     """One scene's tables: walks around a 40 x 30 m place, a heavy-tailed regressor, a fused method."""
 
-    def __init__(self, name: str, seed: int, train: int = 60, test: int = 30, mixed: bool = False) -> None:
+    def __init__(
+        self, name: str, seed: int, train: int = 60, test: int = 30, mixed: bool = False, uncertain: float = 0.0
+    ) -> None:
         self.name = name
         self.rng = np.random.default_rng(seed)
         splits = {"walk_1": "train", "walk_2": "train", "walk_3": "test", "walk_4": "test"}
@@ -43,6 +51,9 @@ class MadeUpScene:
                 )
         self.map_T_cam = np.concatenate(poses)
         self.frames = pd.DataFrame(rows)
+        # A share of all frames, spread evenly, has ground truth of class C.
+        every = np.arange(len(self.frames)) * uncertain
+        self.quality = np.where(np.floor(every + uncertain) > np.floor(every), "C", "A")
 
     def disturbed(self, metres: float, degrees: float) -> Array:
         """The true poses with heavy-tailed errors."""
@@ -63,7 +74,7 @@ class MadeUpScene:
             covariance=None,
             position_sd_m=0.005,
             rotation_sd_deg=0.02,
-            quality="A",
+            quality=self.quality,
             reason="",
             gt_uses_vio=False,
             component=0,
@@ -80,7 +91,7 @@ class MadeUpScene:
                     model=model, scene=self.name, covariance=None, picked_scene=self.name, inference_ms=12.0
                 )
             )
-            for method, options in (("apr", "{}"), ("mobilearloc", '{"gamma": 0.99}')):
+            for method, options, *_ in METHODS:
                 fused, errs = self._fused(model, method, options, raw)
                 poses.append(fused)
                 errors.append(errs.drop(index=lost))
@@ -94,15 +105,33 @@ class MadeUpScene:
                 "errors": pd.concat(errors),
                 "sweep": self._sweep(),
                 "intervals": self._intervals(),
+                "sessions": self._fused_sessions(),
+                "methods": pd.DataFrame(METHODS, columns=["method", "options", "causal", "meaning"]),
             },
         }
+
+    def _fused_sessions(self) -> pd.DataFrame:
+        """As good as odometry can be, but that `apr` never answers in walk_4."""
+        rows = []
+        for model, (method, options, *_), session in product(MODELS, METHODS, ("walk_3", "walk_4")):
+            never = method == "apr" and session == "walk_4"
+            row = {"method": method, "options": options, "model": model, "scene": self.name, "session_id": session}
+            row |= {
+                "split": "test",
+                "frames": 30,
+                "answered": 0 if never else 27,
+                "first_fix_s": None if never else 3.0,
+            }
+            row |= {"longest_outage_s": None if never else 4.25, "jitter_m": 0.125, "jitter_deg": 0.75}
+            rows.append(row | {"recovery_s": np.inf if method == "mobilearloc" else None})
+        return pd.DataFrame(rows)
 
     def _sweep(self) -> pd.DataFrame:
         """The larger a threshold, the larger errors and coverage."""
         values = {"n": (1, 2, 3), "d_th_m": (0.2, 0.4, 0.8), "o_th_deg": (2.0, 4.0, 8.0), "gamma": (0.95, 0.99, 0.999)}
         usual = {"n": 2, "d_th_m": 0.4, "o_th_deg": 4.0, "gamma": 0.99}
         figures = {c.name: 10.0 for c in schema("fuse", "sweep").columns if c.dtype == "float64"}
-        counts = {"frames": 40, "answered": 30, "total": 40}
+        counts = {"frames": 40, "answered": 30, "total": 40, "too_uncertain": 0}
         rows = [
             figures | counts | usual | {"scene": self.name, "model": model, "varied": varied, varied: value}
             | {"subset": subset, "position_mean_m": 1.0 + i, "rotation_mean_deg": 3.0 + i, "coverage_pct": 60.0 + i}
@@ -116,7 +145,7 @@ class MadeUpScene:
     def _intervals(self) -> pd.DataFrame:
         rows = []
         for model in MODELS:
-            for method, value in (("apr", 2.0), ("mobilearloc", 1.5)):
+            for method, value in (("apr", 2.0), ("mobilearloc", 1.5), ("smoother", 1.0)):
                 key = {"method": method, "options": "{}", "model": model, "scene": self.name, "subset": "all"}
                 key |= {"value": value, "low": 0.8 * value, "high": None if method == "apr" else 1.3 * value}
                 figures = ("position_mean_m", "rotation_mean_deg")
@@ -129,6 +158,11 @@ class MadeUpScene:
         if method == "apr":
             status = live = np.full(count, "predicted", object)
             fused = live_poses = raw
+        elif method == "smoother":
+            status = live = np.full(count, "fused", object)
+            # It misses a frame that the causal ones answer.
+            missed = (self.frames["t_ns"] == 9 * SECOND).to_numpy()
+            fused = live_poses = np.where(missed[:, None, None], np.nan, self.disturbed(0.1, 0.3))
         else:
             first = (self.frames["t_ns"] < 4 * SECOND).to_numpy()
             status = self.rng.choice(["reliable", "optimised", "aligning"], count, p=[0.5, 0.4, 0.1]).astype(object)
@@ -139,7 +173,7 @@ class MadeUpScene:
         poses = pd.concat([keys, pose_frame("map_cam", fused), pose_frame("live_map_cam", live_poses)], axis=1)
         poses = pd.concat([poses, pose_frame("map_vio", np.full((count, 4, 4), np.nan))], axis=1)
         poses = poses.assign(status=status, live_status=live, covariance=None, reasons="")
-        errors = keys.assign(status=status, live_status=live)
+        errors = keys.assign(status=status, live_status=live, quality=self.quality)
         for prefix, estimate in (("", fused), ("live_", live_poses), ("apr_", raw)):
             known = np.isfinite(estimate).all(axis=(1, 2))
             for name, error in (("position_m", position_error), ("rotation_deg", rotation_error_deg)):
@@ -288,7 +322,8 @@ def write_group(data: DataRoot, name: str, members: list[str]) -> None:
     columns = [c for c in errors if c.endswith(("position_m", "rotation_deg"))]
     errors.loc[errors["model"] == "MS-T", columns] *= 0.5
     write_stage(data, name, "train", train, True)
-    fused = {table: joined("fuse", table) for table in ("poses", "sweep", "intervals")}
+    fused = {table: joined("fuse", table) for table in ("poses", "sweep", "intervals", "sessions")}
+    fused["methods"] = joined("fuse", "methods").drop_duplicates()
     write_stage(data, name, "fuse", fused | {"errors": errors}, True)
 
 

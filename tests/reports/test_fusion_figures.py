@@ -13,7 +13,11 @@ from reports.figures import confidence, sensitivity
 def scene() -> SimpleNamespace:
     tables = MadeUpScene("Church", 0, train=60).tables()["fuse"]
     return SimpleNamespace(
-        name="Church", models=list(MODELS), sweep=tables["sweep"], intervals=tables["intervals"].astype({"high": float})
+        name="Church",
+        models=list(MODELS),
+        sweep=tables["sweep"],
+        intervals=tables["intervals"].astype({"high": float}),
+        offline={"smoother"},
     )
 
 
@@ -35,7 +39,8 @@ def test_intervals_stand_about_each_methods_mean(scene: SimpleNamespace) -> None
     named = confidence(scene)
     positions = named.figure.axes[0]
     assert [t.get_text() for t in positions.get_yticklabels()] == [
-        f"{m} {f}" for m in MODELS for f in ("apr", "mobilearloc")
+        *(f"{m} {f}" for m in MODELS for f in ("apr", "mobilearloc")),
+        *(f"{m} smoother (offline)" for m in MODELS),
     ]
     span, middle = positions.lines[2:4]
     assert list(span.get_xdata()) == pytest.approx([1.2, 1.95]) and list(middle.get_xdata()) == [1.5]

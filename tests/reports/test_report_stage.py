@@ -31,14 +31,14 @@ def church(make_run: MakeRun) -> tuple[DataRoot, Path]:
 
 @pytest.fixture(scope="module")
 def pair(make_run: MakeRun) -> tuple[DataRoot, Path]:
-    data = make_run(group="both", Square={"train": 30, "test": 20}, Hall={"train": 30, "test": 20})
+    data = make_run(group="both", Square={"train": 30, "test": 20, "uncertain": 0.3}, Hall={"train": 30, "test": 20})
     (data.root / "scenes" / "Hall.toml").write_text('environment = "outdoor"\n')
     return data, execute(STAGE, "both", "tiny", data)
 
 
 @pytest.fixture(scope="module")
 def chair(make_run: MakeRun) -> tuple[DataRoot, Path]:
-    data = make_run(simulated=False, chair={"train": 9, "test": 3, "mixed": True})
+    data = make_run(simulated=False, chair={"train": 9, "test": 3, "mixed": True, "uncertain": 1.0})
     return data, execute(STAGE, "chair", "tiny", data)
 
 
@@ -81,6 +81,69 @@ def test_a_missing_pose_is_a_failure(church: tuple[DataRoot, Path]) -> None:
     assert ours["PN+VIO median translation"] == pytest.approx(np.median(live.fillna(np.inf)))
     low = (live <= 5) & (errors["live_rotation_deg"] <= 10)
     assert ours["PN+VIO level low"] == pytest.approx(100 * low.sum() / len(live))
+
+
+def test_offline_methods_stand_apart_and_do_not_shrink_the_common_frames(church: tuple[DataRoot, Path]) -> None:
+    _, folder = church
+    table = (folder / "tables" / "table4.md").read_text()
+    blocks = re.split(r"\*\*(Church, .*?)\*\*", table)
+    lines = dict(zip(blocks[1::2], blocks[2::2], strict=True))
+    for model in ("PN", "MS-T"):
+        assert "smoother" not in lines[f"Church, {model}"]
+        offline = next(text for title, text in lines.items() if title.startswith(f"Church, {model}, offline: sees the"))
+        assert f"{model}+smoother" in offline and "+VIO" not in offline
+    assert "Offline: smoother: from the whole walk." in table
+    ours = cells_of(folder, source="ours", table="IV", model="PN", row="common").set_index("method")
+    covered = ours[ours["quantity"] == "frames"].groupby("method")["value"].apply(list)
+    assert covered["mobilearloc"][1] == covered["apr"][1] == 100 > covered["smoother"][1]
+
+
+def test_frames_of_uncertain_ground_truth_are_left_out_of_levels_and_counted(
+    pair: tuple[DataRoot, Path],
+) -> None:
+    data, folder = pair
+    errors = table_of(data, "Square", "fuse", "errors")
+    errors = errors[(errors["split"] == "test") & (errors["method"] == "mobilearloc") & (errors["model"] == "PN")]
+    part = errors[errors["status"].isin(["reliable", "optimised"])]
+    sure = part[part["quality"] == "A"]
+    assert 0 < len(sure) < len(part)
+    ours = cells_of(folder, source="ours", table="III", scene="Square", row="rp+opt", model="PN", method="mobilearloc")
+    medium = ours[ours["quantity"] == "medium"].iloc[0]
+    within = (sure["position_m"] <= 0.5) & (sure["rotation_deg"] <= 5)
+    assert medium["value"] == pytest.approx(100 * within.mean()) and medium["source_rows"] == len(sure)
+    mean = cells_of(folder, table="II", scene="Square", row="rp+opt", column="PN+VIO mean translation", source="ours")
+    mean = mean.iloc[0]
+    assert mean["value"] == pytest.approx(part["position_m"].mean()) and mean["source_rows"] == len(part)
+    left_out = int((errors["quality"] == "C").sum())
+    for number in (2, 3, 4):
+        note = f"Square: {left_out} of the {len(errors)} test frames with ground truth are of quality class C"
+        text = (folder / "tables" / f"table{number}.md").read_text()
+        assert note in text and "Hall: " not in text.split(note)[1].split("\n")[0] and "So no level" not in text
+
+
+def test_without_sure_ground_truth_no_level_is_scored(chair: tuple[DataRoot, Path]) -> None:
+    _, folder = chair
+    levels = cells_of(folder, source="ours", statistic="level")
+    assert levels["value"].isna().all() and (levels["source_rows"] == 0).all()
+    assert cells_of(folder, source="ours", statistic="mean", row="all")["value"].notna().all()
+    for number in (3, 4):
+        assert "So no level can be scored." in (folder / "tables" / f"table{number}.md").read_text()
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    table = page[page.index('id="quality-chair"') :]
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", r) for r in re.findall(r"<tr.*?</tr>", table[: table.index("</table>")])]
+    assert [rows[1][i] for i in (0, 3, 4, 5)] == ["C", "0.0050", "0.020", "left out"]
+    assert rows[2][0] == "none" and rows[2][5] == "not scored"
+    assert int(rows[1][1]) + int(rows[2][1]) == 24 and "no level can be scored" in page
+
+
+def test_the_page_shows_what_a_user_sees(church: tuple[DataRoot, Path]) -> None:
+    _, folder = church
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    table = page[page.index('id="users-Church"') :]
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", r) for r in re.findall(r"<tr.*?</tr>", table[: table.index("</table>")])]
+    assert ["PN", "apr", "never", "never", "0.125", "0.750", "–"] in rows
+    assert ["PN", "mobilearloc", "3.0", "4.2", "0.125", "0.750", "never"] in rows
+    assert rows[-1] == ["MS-T", "smoother (offline)", "3.0", "4.2", "0.125", "0.750", "–"]
 
 
 def test_scores_fail_gracefully_where_most_is_missing() -> None:
