@@ -143,4 +143,4 @@ def _read(path: Path) -> pd.DataFrame:
     if len(twice):
         raise UserError("a table has a column twice", where=path, found=twice[0])
     # Dictionaries of texts are texts.
-    return frame.astype({name: object for name in frame.select_dtypes("category").columns})
+    return frame.astype(dict.fromkeys(frame.select_dtypes("category").columns, object))
