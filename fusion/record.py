@@ -37,38 +37,87 @@ _FUSED_COLOURS = (
     (231, 41, 138),
 )
 _MARKER_PX = 6.0
+# What is seen at first, where it was run; the other methods are switched on in the viewer's list of entities.
+_SHOWN = ("apr", "mobilearloc", "drift_aware")
+_SPARSE = 0.5  # share of frames with a value, below which a plot has points instead of a line
+_TAIL_FRAMES = 10  # a marker's last places stay in view
+_GATE_RANGE = 5.0  # how far a plot of a gated signal reaches, in gates
 _WITHIN_95 = 7.815  # squared standard deviations that hold 95 % of a Gaussian with three axes
 
 
-def blueprint(fused: list[Fused]) -> rrb.Blueprint:
-    """A tab a scene and model: the paths on the left; errors, status and decisions over time on the right."""
+def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> rrb.Blueprint:
+    """A tab a scene and model: the paths on the left; errors, status and decisions over time on the right. `gates` has
+    the thresholds of each method's signals."""
+    methods = list(dict.fromkeys(f.run.method for f in fused))
+    hidden = [method for method in methods if method not in _SHOWN] if len(set(methods) & set(_SHOWN)) > 1 else []
     tabs = []
     for scene, model in dict.fromkeys((f.walk.scene, f.run.model) for f in fused):
-        at = f"/{scene}/{model}"
+        at = _path(scene, model)
         decisions = [
             rrb.Vertical(
                 rrb.StateTimelineView(origin=f"{at}/status/{method}", name="status"),
-                *(rrb.TimeSeriesView(origin=f"{at}/signals/{method}/{signal}", name=signal) for signal in signals),
+                *(_signal_view(at, method, signal, gates[method].get(signal)) for signal in signals),
                 name=method,
             )
             for method, signals in _signals(fused).items()
         ]
         plots = rrb.Vertical(
-            rrb.TimeSeriesView(origin=f"{at}/position_error_m", name="position error, m"),
-            rrb.TimeSeriesView(origin=f"{at}/rotation_error_deg", name="rotation error, degrees"),
+            *(
+                rrb.TimeSeriesView(
+                    origin=f"{at}/{quantity}", name=name, overrides=_invisible(f"{at}/{quantity}", hidden)
+                )
+                for quantity, name in _ERRORS.items()
+            ),
             rrb.Tabs(*decisions) if decisions else rrb.TextDocumentView(name="no decisions"),
             row_shares=[1, 1, 3],
         )
         paths = rrb.Spatial3DView(
-            origin=f"/{scene}",
-            contents=[f"/{scene}/ground_truth/**", f"{at}/**"],
+            origin=_path(scene),
+            contents=[f"{_path(scene)}/ground_truth/**", f"{at}/**"],
             name="ground truth green, regressor blue, aligned odometry orange, fused as on the right",
+            overrides={
+                path: behaviour
+                for kind in ("fused", "vio_aligned", "residual", "covariance")
+                for path, behaviour in _invisible(f"{at}/{kind}", hidden).items()
+            }
+            | {
+                f"{path}/now": rrb.VisibleTimeRanges(
+                    timeline=FRAME_TIMELINE,
+                    start=rrb.TimeRangeBoundary.cursor_relative(seq=-_TAIL_FRAMES),
+                    end=rrb.TimeRangeBoundary.cursor_relative(),
+                )
+                for path in (f"{_path(scene)}/ground_truth", f"{at}/apr", *(f"{at}/fused/{m}" for m in methods))
+            },
         )
         name = f"{scene} · {model}"
         tabs.append(rrb.Horizontal(paths, plots, column_shares=[3, 2], name=name))
     return rrb.Blueprint(
         rrb.Tabs(*tabs), rrb.TimePanel(timeline=FRAME_TIMELINE, state="collapsed"), collapse_panels=True
     )
+
+
+_ERRORS = {"position_error_m": "position error, m", "rotation_error_deg": "rotation error, degrees"}
+
+
+def _path(*parts: str) -> str:
+    """An entity path; names may hold anything."""
+    return "".join(f"/{rr.escape_entity_path_part(part)}" for part in parts)
+
+
+def _invisible(at: str, methods: list[str]) -> dict[str, rrb.EntityBehavior]:
+    return {f"{at}/{method}": rrb.EntityBehavior(visible=False) for method in methods}
+
+
+def _signal_view(at: str, method: str, signal: str, gate: float | None) -> rrb.TimeSeriesView:
+    """A signal over time. Outliers would squeeze its gate into the axis, so the plot reaches some gates far."""
+    reach = None
+    if signal == "similarity" and gate is not None:
+        # Its gate is a lower bound, and 1 its best value.
+        reach = (1 - _GATE_RANGE * max(1 - gate, 0.001), 1.0)
+    elif gate is not None:
+        reach = (0.0, _GATE_RANGE * gate)
+    axis = None if reach is None else rrb.ScalarAxis(range=reach)
+    return rrb.TimeSeriesView(origin=f"{at}/signals/{method}/{signal}", name=signal, axis_y=axis)
 
 
 def record(stream: rr.RecordingStream, fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> None:
@@ -86,8 +135,8 @@ def record(stream: rr.RecordingStream, fused: list[Fused], gates: Mapping[str, M
             rr.TimeColumn(FRAME_TIMELINE, sequence=starts[key] + np.arange(len(walk))),
             rr.TimeColumn(TIMELINE, duration=walk.t_ns.astype("timedelta64[ns]")),
         ]
-        name = f"{walk.session_id}/{walk.split}"
-        scene, at = f"/{walk.scene}", f"/{walk.scene}/{f.run.model}"
+        name = _path(walk.session_id, walk.split)
+        scene, at = _path(walk.scene), _path(walk.scene, f.run.model)
         if first:
             stream.log(scene, UP_AXIS, static=True)
             _log_walk(stream, f"{scene}/ground_truth", name, times, walk.map_T_cam, colours.GROUND_TRUTH)
@@ -138,7 +187,7 @@ def _log_walk(
 ) -> None:
     """The whole path as a line, and a marker where the walk is now."""
     xyz = map_T_cam[:, :3, 3]
-    log_path(stream, f"{path}/path/{name}", xyz, colour, width_px)
+    log_path(stream, f"{path}/path{name}", xyz, colour, width_px)
     stream.log(
         f"{path}/now", rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(_MARKER_PX)), static=True
     )
@@ -209,5 +258,9 @@ def _log_series(
     colour: tuple[int, int, int],
     name: str,
 ) -> None:
-    stream.log(path, rr.SeriesLines(colors=colour, names=name), static=True)
+    # A line doesn't show values that stand alone.
+    if np.isfinite(values).mean() < _SPARSE:
+        stream.log(path, rr.SeriesPoints(colors=colour, names=name, marker_sizes=2.0), static=True)
+    else:
+        stream.log(path, rr.SeriesLines(colors=colour, names=name), static=True)
     stream.send_columns(path, indexes=times, columns=rr.Scalars.columns(scalars=values))

@@ -23,7 +23,7 @@ def run(r: StageRun[FuseSettings]) -> None:
         r.write(name, table)
     for name, count in results.counts.items():
         r.figure(name, count)
-    with r.step("recording"), r.recording(blueprint(results.fused)) as stream:
+    with r.step("recording"), r.recording(blueprint(results.fused, results.gates)) as stream:
         record(stream, results.fused, results.gates)
     for line in report_lines(results):
         r.say(line)

@@ -1,0 +1,45 @@
+"""The recording: each source at its own path, frame by frame, whatever the names."""
+
+from pathlib import Path
+
+from rerun.chunk import RrdReader
+from tables import tables
+
+from artefacts.recording import open_recording
+from fusion.evaluate import FuseSettings, Inputs, evaluate
+from fusion.record import blueprint, record
+
+
+def rows_of(path: Path) -> dict[str, int]:
+    """Timed rows by entity path."""
+    rows: dict[str, int] = {}
+    for chunk in RrdReader(path).stream():
+        counted = 0 if chunk.is_static else chunk.to_record_batch().num_rows
+        rows[str(chunk.entity_path)] = rows.get(str(chunk.entity_path), 0) + counted
+    return rows
+
+
+def test_every_source_has_its_own_path_and_moves_with_the_walk(tmp_path: Path) -> None:
+    frames, truth, predictions = tables([1, 2])
+    for table in (frames, truth, predictions):
+        table["session_id"] = table["session_id"].map({"s1": "first walk/a", "s2": "s2"})
+    methods = ["apr", "mobilearloc", "drift_aware", "vio_oracle"]
+    inputs = Inputs("Place", frames, truth, predictions.assign(model="PN: ü 2/3"))
+    results = evaluate([inputs], FuseSettings(methods=methods))
+    with open_recording(tmp_path / "r.rrd", "fuse", "Place", blueprint(results.fused, results.gates)) as stream:
+        record(stream, results.fused, results.gates)
+    rows, at = rows_of(tmp_path / "r.rrd"), "/Place/PN\\:\\ ü\\ 2\\/3"
+    fused = [m for m in methods if m != "apr"]
+    moving = [
+        "/Place/ground_truth/now",
+        f"{at}/apr/now",
+        *(f"{at}/{k}/{m}/now" for k in ("fused", "vio_aligned") for m in fused),
+    ]
+    series = [f"{at}/{q}/{m}" for q in ("position_error_m", "rotation_error_deg") for m in methods]
+    decisions = [*(f"{at}/{k}/{m}" for k in ("status", "residual") for m in fused), f"{at}/covariance/drift_aware"]
+    gated = [f"{at}/signals/mobilearloc/{s}/{k}" for s in ("similarity", "rpe_m", "roe_deg") for k in ("value", "gate")]
+    for path in (*moving, *series, *decisions, *gated):
+        assert rows[path] == 80, path
+    for kind in ("ground_truth", "PN\\:\\ ü\\ 2\\/3/apr", "PN\\:\\ ü\\ 2\\/3/fused/drift_aware"):
+        for session in ("first\\ walk\\/a", "s2"):
+            assert f"/Place/{kind}/path/{session}/test" in rows
