@@ -16,6 +16,7 @@ from fusion.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_row
 from fusion.localiser import MethodOptions
 from fusion.methods import METHODS, method, resolve_options
 from fusion.mobilearloc import MobileARLocOptions
+from fusion.quaternion_order import refuse_scalar_first
 from fusion.summary import session_figures, summarise
 from fusion.sweep import around, sweep
 from fusion.walks import Evaluated, Walk, check_frames, check_predictions, evaluated, poses_for
@@ -127,7 +128,9 @@ def joined_walks(inputs: Inputs, splits: list[str]) -> Iterator[tuple[str, Evalu
     check_frames(inputs.frames, inputs.truth, f"of {inputs.scene}")
     check_predictions(inputs.frames, inputs.predictions, f"of {inputs.scene}")
     for model, predictions in inputs.predictions.groupby("model", sort=False):
-        yield str(model), evaluated(inputs.scene, inputs.frames, inputs.truth, predictions, splits)
+        found = evaluated(inputs.scene, inputs.frames, inputs.truth, predictions, splits)
+        refuse_scalar_first(found.walks, f"of {inputs.scene}")
+        yield str(model), found
 
 
 def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:

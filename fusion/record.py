@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -40,7 +41,6 @@ _MARKER_PX = 6.0
 # What is seen at first, where it was run; the other methods are switched on in the viewer's list of entities.
 _SHOWN = ("apr", "mobilearloc", "drift_aware")
 _SPARSE = 0.5  # share of frames with a value, below which a plot has points instead of a line
-_TAIL_FRAMES = 10  # a marker's last places stay in view
 _GATE_RANGE = 5.0  # how far a plot of a gated signal reaches, in gates
 _WITHIN_95 = 7.815  # squared standard deviations that hold 95 % of a Gaussian with three axes
 
@@ -71,22 +71,14 @@ def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> r
             rrb.Tabs(*decisions) if decisions else rrb.TextDocumentView(name="no decisions"),
             row_shares=[1, 1, 3],
         )
+        walkers = (f"{_path(scene)}/ground_truth", f"{at}/apr", *(f"{at}/fused/{method}" for method in methods))
         paths = rrb.Spatial3DView(
             origin=_path(scene),
             contents=[f"{_path(scene)}/ground_truth/**", f"{at}/**"],
             name="ground truth green, regressor blue, aligned odometry orange, fused as on the right",
             overrides={
-                path: behaviour
-                for kind in ("fused", "vio_aligned", "residual", "covariance")
-                for path, behaviour in _invisible(f"{at}/{kind}", hidden).items()
-            }
-            | {
-                f"{path}/now": rrb.VisibleTimeRanges(
-                    timeline=FRAME_TIMELINE,
-                    start=rrb.TimeRangeBoundary.cursor_relative(seq=-_TAIL_FRAMES),
-                    end=rrb.TimeRangeBoundary.cursor_relative(),
-                )
-                for path in (f"{_path(scene)}/ground_truth", f"{at}/apr", *(f"{at}/fused/{m}" for m in methods))
+                **{path: seen for kind in _OF_METHOD for path, seen in _invisible(f"{at}/{kind}", hidden).items()},
+                **{f"{path}/now": _TAIL for path in walkers},
             },
         )
         name = f"{scene} · {model}"
@@ -96,6 +88,13 @@ def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> r
     )
 
 
+_OF_METHOD = ("fused", "vio_aligned", "residual", "covariance")
+# A marker's last ten places stay in view.
+_TAIL = rrb.VisibleTimeRanges(
+    timeline=FRAME_TIMELINE,
+    start=rrb.TimeRangeBoundary.cursor_relative(seq=-10),
+    end=rrb.TimeRangeBoundary.cursor_relative(),
+)
 _ERRORS = {"position_error_m": "position error, m", "rotation_error_deg": "rotation error, degrees"}
 
 
@@ -104,7 +103,8 @@ def _path(*parts: str) -> str:
     return "".join(f"/{rr.escape_entity_path_part(part)}" for part in parts)
 
 
-def _invisible(at: str, methods: list[str]) -> dict[str, rrb.EntityBehavior]:
+def _invisible(at: str, methods: list[str]) -> dict[Any, Any]:
+    """The blueprint's overrides that hide some methods' entities under `at`."""
     return {f"{at}/{method}": rrb.EntityBehavior(visible=False) for method in methods}
 
 

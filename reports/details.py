@@ -47,7 +47,8 @@ def headline(scene: SceneInputs, cells: pd.DataFrame) -> list[tuple[str, str, st
         pair = {}
         for method, over in (("apr", "subset"), (PAPER_METHOD, "subset")):
             rows = of_model[(of_model["method"] == method) & (of_model["over"] == over)].set_index("quantity")["text"]
-            pair[method] = f"{rows['translation']} m, {rows['rotation']}°"
+            there = EMPTY not in (rows["translation"], rows["rotation"])
+            pair[method] = f"{rows['translation']} m, {rows['rotation']}°" if there else "no pose"
         facts.append((pair[PAPER_METHOD], f"{model}+VIO, median", f"{model} alone on the same frames: {pair['apr']}"))
     return facts
 
@@ -127,15 +128,15 @@ def users(scene: SceneInputs) -> Grid:
         part = test[test["method"].isin(scene.offline) == offline]
         for key, of_method in part.groupby(["model", "method"], sort=False):
             jitter = [number(float(of_method[c].mean()), 3) for c in ("jitter_m", "jitter_deg")]
-            first, outage = (
-                "never" if of_method["answered"].eq(0).any() else f"{of_method[c].max():.1f}"
-                for c in ("first_fix_s", "longest_outage_s")
-            )
+            silent = of_method["answered"].eq(0).any()
+            first, outage = (f"{of_method[c].max():.1f}" for c in ("first_fix_s", "longest_outage_s"))
+            first, outage = ("never", "a whole walk") if silent else (first, outage)
             recovery = of_method["recovery_s"].dropna()
             back = EMPTY if recovery.empty else "never" if np.isinf(recovery.max()) else f"{recovery.max():.1f}"
             rows.append([key[0], f"{key[1]} (offline)" if offline else key[1], first, outage, *jitter, back])
+    walks = test["session_id"].nunique()
     caption = (
-        f"In time, over {test['session_id'].nunique()} test sessions: the longest time to the first pose and the "
+        f"In time, over {walks} test session{'s' if walks > 1 else ''}: the longest time to the first pose and the "
         "longest outage after it; jitter, the motion between consecutive answers that odometry didn't see, a frame, "
         "mean over sessions; and the longest time until answers are as good as usual again after 10 s or more without "
         f"a frame ({EMPTY}: there was no such time)."

@@ -348,6 +348,7 @@ def learning_curves(scene: SceneInputs) -> NamedFigure:
             ax.plot(kept["epoch"], kept[column], "o", color=style.APR, ms=5, zorder=3)
     for ax, (_, title, unit) in zip(axes, panels, strict=True):
         ax.set(title=title, xlabel="epoch", ylabel=unit)
+        ax.set_xlim(left=0)
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     for ax in axes[1:]:
         ax.set_ylim(bottom=0)

@@ -249,6 +249,19 @@ def no_frames(frames, truth, predictions):
     return frames.iloc[:0], truth, predictions
 
 
+def w_first(*which):
+    """Spoils tables by writing the scalar part of quaternions first."""
+
+    def spoil(*made):
+        for number in which:
+            prefix = "vio_cam" if number == 0 else "map_cam"
+            q = [f"{prefix}_q{a}" for a in "xyzw"]
+            made[number][q] = made[number][[q[3], *q[:3]]].to_numpy()
+        return made
+
+    return spoil
+
+
 def numbers_for_ids(frames, truth, predictions):
     return frames, truth, predictions.assign(frame_id=range(len(predictions)))
 
@@ -285,6 +298,10 @@ def truth_refused(frames, truth, predictions):
         (other_times, "another t_ns"),
         (text_for_numbers, "another type"),
         (numbers_for_ids, "another type"),
+        (w_first(0), "frames of Place: quaternions look like w"),
+        (w_first(1), "ground truth of Place: quaternions look like w"),
+        (w_first(2), "predictions of Place: quaternions look like w"),
+        (w_first(0, 1, 2), "frames and ground truth of Place: quaternions look like w"),
         (seconds_for_nanoseconds, "another type"),
         (text_for_gravity, "another type"),
         (unknown_quality, "unknown quality"),
@@ -299,7 +316,7 @@ def truth_refused(frames, truth, predictions):
 )
 def test_input_that_cannot_be_evaluated_is_refused(spoil, message):
     with pytest.raises(UserError, match=message):
-        run(*spoil(*tables([1])))
+        run(*spoil(*tables([2])))
 
 
 def test_options_are_recorded_and_checked():

@@ -141,7 +141,7 @@ def test_the_page_shows_what_a_user_sees(church: tuple[DataRoot, Path]) -> None:
     page = (folder / "page.html").read_text(encoding="utf-8")
     table = page[page.index('id="users-Church"') :]
     rows = [re.findall(r"<td[^>]*>(.*?)</td>", r) for r in re.findall(r"<tr.*?</tr>", table[: table.index("</table>")])]
-    assert ["PN", "apr", "never", "never", "0.125", "0.750", "–"] in rows
+    assert ["PN", "apr", "never", "a whole walk", "0.125", "0.750", "–"] in rows
     assert ["PN", "mobilearloc", "3.0", "4.2", "0.125", "0.750", "never"] in rows
     assert rows[-1] == ["MS-T", "smoother (offline)", "3.0", "4.2", "0.125", "0.750", "–"]
 
