@@ -472,7 +472,7 @@ def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, ke
 
 STAGE = Stage(
     name="sfm",
-    version=4,
+    version=5,
     settings=SfmSettings,
     needs=("import",),
     run=run,
