@@ -89,9 +89,6 @@ class DriftAware(Localiser):
         levels = len(o.distrust) + o.lost
         self._distrust = np.array([*o.distrust, *[10 * o.distrust[-1]] * o.lost])
         self._log_distrust = np.log10(self._distrust)
-        # Where odometry is as good as usual, what doesn't fit is the predictions' fault, whose scale is learnt from it;
-        # where it's worse, they are no worse than was known beforehand. Else each could be blamed for the other.
-        self._blames = (np.arange(levels) == 0)[:, None]
         # Odometry's quality may change from one frame to the next, to any other.
         self._switching = np.full((levels, levels), o.switch / max(levels - 1, 1))
         np.fill_diagonal(self._switching, 1 - o.switch)
@@ -103,22 +100,32 @@ class DriftAware(Localiser):
         if o.lost:
             self._switching_watched /= 2
             self._switching_watched[:, -1] += 0.5
-        # What a metre and a second add to the variances of yaw and position, at each level (L, 4).
+        # What a metre, a second and the fading of the bias add to the variances of the state, at each level (3, L * 8).
         yaw_m, yaw_s = radians(o.drift_deg_m) ** 2, radians(o.drift_deg_s) ** 2
         position, height = o.drift_m**2, o.drift_height_m**2
-        self._a_metre = self._distrust[:, None] * np.array([yaw_m, position, height, position])
+        a_metre = [yaw_m, position, height, position]
         # Standing still drifts a little too.
-        self._a_second = self._distrust[:, None] * np.array([yaw_s, 0.05 * position, 0.05 * height, 0.05 * position])
+        a_second = [yaw_s, 0.05 * position, 0.05 * height, 0.05 * position]
+        added = np.zeros((3, levels, 8))
+        added[0, :, _ALIGNMENT] = self._distrust[:, None] * a_metre
+        added[1, :, _ALIGNMENT] = self._distrust[:, None] * a_second
+        added[2, :, _BIAS] = 1.0
+        self._added = added.reshape(3, -1)
+        self._usual_drift = [(yaw_m, yaw_s), (position, 0.05 * position)]
+        # Odometry's step and the measurement as matrices, of which a step changes some numbers.
+        self._factor_rows = np.ones((levels, 4))
+        self._F, self._H = np.tile(np.eye(8), (levels, 1, 1)), np.tile(np.eye(4, 8), (levels, 1, 1))
         # What is thought of the alignment where odometry may have lost its frame, whenever a prediction can tell.
         self._anywhere = np.zeros((levels, 4))
         if o.lost:
             self._anywhere[-1] = np.square([radians(_LOST_DEG), _LOST_M, _LOST_HEIGHT_M, _LOST_M])
         # Normalisation of Student's t in four dimensions, and the density of predictions that are anywhere.
         nu = o.degrees_of_freedom
-        self._log_t = lgamma((nu + 4) / 2) - lgamma(nu / 2) - 2 * log(nu * pi)
-        self._log_anywhere = log(o.outliers) - log(2 * pi * _PLACE_M**2 * _LOST_HEIGHT_M)
+        self._t_density = exp(lgamma((nu + 4) / 2) - lgamma(nu / 2) - 2 * log(nu * pi))
+        self._anywhere_density = o.outliers / (2 * pi * _PLACE_M**2 * _LOST_HEIGHT_M)
         widened = np.sqrt([o.yaw_covariance_factor, *[o.covariance_factor] * 3])
         self._widened = np.outer(widened, widened)
+        self._tilt_variance = radians(o.tilt_sd_deg) ** 2
         self._forget()
 
     def _forget(self) -> None:
@@ -153,12 +160,12 @@ class DriftAware(Localiser):
             if self._x is None:
                 return Estimate(None, Status.NONE, reasons=("no_prediction",))
             return self._estimate(vio_T_cam, *self._mean(), (*reasons, "no_prediction"), {})
-        offset = map_T_cam_apr[:3, :3] @ vio_T_cam[:3, :3].T
-        yaw = atan2(offset[0, 2] - offset[2, 0], offset[0, 0] + offset[2, 2])
+        apr, vio = map_T_cam_apr.tolist(), vio_T_cam.tolist()
+        yaw = atan2(_dot(apr[0], vio[2]) - _dot(apr[2], vio[0]), _dot(apr[0], vio[0]) + _dot(apr[2], vio[2]))
         expected = self._expected(map_T_cam_apr)
-        measured = np.array([yaw, *map_T_cam_apr[:3, 3]]) - expected.error
-        down = -vio_T_cam[1, :3] if gravity is None else gravity
-        tilt = acos(min(1.0, max(-1.0, float(-map_T_cam_apr[1, :3] @ down))))
+        measured = np.array([yaw, apr[0][3], apr[1][3], apr[2][3]]) - expected.error
+        upright = _dot(apr[1], vio[1]) if gravity is None else -_dot(apr[1], gravity.tolist())
+        tilt = acos(min(1.0, max(-1.0, upright)))
         if self._x is None:
             self._begin(measured, tilt, expected)
             return self._estimate(vio_T_cam, *self._mean(), ("first_prediction",), {"tilt_deg": tilt * 180 / pi})
@@ -172,7 +179,7 @@ class DriftAware(Localiser):
     def _afresh(self) -> None:
         """A prediction has been taken in: what is counted since the last one begins anew."""
         self._moved = 0.0  # metres, turns counted in
-        self._drift = np.zeros(4)  # variance that odometry is thought to have added
+        self._strayed = [0.0, 0.0]  # variance that odometry is thought to have added to yaw and to position
         self._mixed = False  # odometry's quality may change once between two predictions
 
     def _expected(self, map_T_cam_apr: Array) -> Expected:
@@ -194,7 +201,7 @@ class DriftAware(Localiser):
         self._evidence, self._evidence_frames = [tilts, 2.0, 1.0, 1.0], 1.0
         position = (1 + o.cross * tilts) / (1 + 2 * o.cross) if o.local_scale else 1.0
         angle = (1 + tilts) / 3 if o.local_scale else 1.0
-        factor = o.first_factor * self._factors(position, angle)
+        factor = o.first_factor * np.array(self._factors(position, angle))
         P = np.zeros((8, 8))
         P[_I4, _I4] = factor * (expected.shared + expected.noise)
         P[_I4 + 4, _I4 + 4] = 1.0
@@ -204,19 +211,20 @@ class DriftAware(Localiser):
         weight: Array = np.power(0.1, np.arange(levels))
         self._weight = weight / weight.sum()
 
-    def _factors(self, position: float, angle: float) -> Array:
-        """How much larger than expected the variances (4,) of yaw and position are, here and in this walk."""
+    def _factors(self, position: float, angle: float) -> list[float]:
+        """How much larger than expected the variances of yaw and position are, here and in this walk."""
         horizontal, vertical, yaw, _ = self._scale
-        return np.array([yaw * angle, horizontal * position, vertical * position, horizontal * position])
+        return [yaw * angle, horizontal * position, vertical * position, horizontal * position]
 
     def _predict(self, t_ns: int, vio_T_cam: Array) -> bool:
         """Carry the state along odometry; returns whether it jumped."""
         assert self._vio is not None and self._x is not None
         o = self.options
         seconds = (t_ns - self._vio[0]) * 1e-9
-        dx, dy, dz = (vio_T_cam[:3, 3] - self._vio[1][:3, 3]).tolist()
+        now, last = vio_T_cam.tolist(), self._vio[1].tolist()
+        dx, dy, dz = (now[i][3] - last[i][3] for i in range(3))
         length = sqrt(dx * dx + dy * dy + dz * dz)
-        cosine = (float(np.vdot(vio_T_cam[:3, :3], self._vio[1][:3, :3])) - 1) / 2
+        cosine = (_dot(now[0], last[0]) + _dot(now[1], last[1]) + _dot(now[2], last[2]) - 1) / 2
         moved = length + o.turn_length_m * acos(min(1.0, max(-1.0, cosine)))
         jumped = length > o.vio_speed_m_s * seconds + o.vio_jump_m
 
@@ -224,29 +232,27 @@ class DriftAware(Localiser):
         if watched or not self._mixed:
             self._mix(self._switching_watched if watched else self._switching)
             self._mixed = True
-        x, P = self._x, self._P  # both are changed in place
-        c, s = np.cos(x[:, 0]), np.sin(x[:, 0])
-        east, north = c * dx + s * dz, c * dz - s * dx
+        x, F = self._x, self._F
+        # The horizontal step, turned by each level's yaw.
+        turned = np.exp(-1j * x[:, 0]) * complex(dx, dz)
+        east, north = turned.real, turned.imag
+        kept = exp(-moved / o.bias_length_m)
         x[:, 1] += east
         x[:, 2] += dy
         x[:, 3] += north
-        kept = exp(-moved / o.bias_length_m)
         x[:, _BIAS] *= kept
-        # F P F^T by rows and columns: yaw turns the step, the bias fades.
-        P[:, 1] += north[:, None] * P[:, 0]
-        P[:, 3] -= east[:, None] * P[:, 0]
-        P[:, :, 1] += north[:, None] * P[:, :, 0]
-        P[:, :, 3] -= east[:, None] * P[:, :, 0]
-        P[:, _BIAS] *= kept
-        P[:, :, _BIAS] *= kept
-        drift = length * self._a_metre + seconds * self._a_second
-        if watched:
-            drift = drift + self._anywhere
-        self._drift += believed @ drift
-        self._moved += moved
+        F[:, 1, 0], F[:, 3, 0] = north, -east
+        F.reshape(-1, 64)[:, 36::9] = kept
+        self._P = P = F @ self._P @ F.transpose(0, 2, 1)
         diagonal = P.reshape(-1, 64)[:, ::9]  # a view
-        diagonal[:, _ALIGNMENT] += drift
-        diagonal[:, _BIAS] += 1 - kept**2
+        diagonal += (np.array([length, seconds, 1 - kept * kept]) @ self._added).reshape(-1, 8)
+        distrust = float(believed @ self._distrust)
+        added = [distrust * (length * a_metre + seconds * a_second) for a_metre, a_second in self._usual_drift]
+        if watched:
+            diagonal[:, _ALIGNMENT] += self._anywhere
+            added = [a + b for a, b in zip(added, (believed @ self._anywhere)[:2].tolist(), strict=True)]
+        self._strayed = [a + b for a, b in zip(self._strayed, added, strict=True)]
+        self._moved += moved
         return jumped
 
     def _mix(self, switching: Array) -> None:
@@ -255,59 +261,72 @@ class DriftAware(Localiser):
         levels = len(self._weight)
         if levels == 1:
             return
-        joint = switching * self._weight[:, None]
-        weight = joint.sum(axis=0)
-        share = (joint / weight).T  # (to, from)
+        weight = self._weight @ switching
+        share = (switching * self._weight[:, None] / weight).T  # (to, from)
         x = share @ self._x
-        apart = self._x[None] - x[:, None]
+        apart = self._x - x[:, None]
         spread = (share[:, :, None] * apart).transpose(0, 2, 1) @ apart
-        self._P = (share @ self._P.reshape(levels, 64)).reshape(levels, 8, 8) + spread
-        self._x, self._weight = x, weight
+        spread += (share @ self._P.reshape(levels, 64)).reshape(levels, 8, 8)
+        self._x, self._P, self._weight = x, spread, weight
 
     def _correct(
         self, measured: Array, tilt: float, signals: dict[str, float], expected: Expected
     ) -> tuple[float, float]:
         """Take in a prediction; returns how much larger than expected variances of position and angle are here."""
         assert self._x is not None
-        o, x, P = self.options, self._x, self._P
+        o, x, P, H = self.options, self._x, self._P, self._H
         P.reshape(-1, 64)[:, :32:9] += self._anywhere
-        error = measured - x[:, _ALIGNMENT]  # (L, 4)
-        error[:, 0] = (error[:, 0] + pi) % (2 * pi) - pi
-        local = self._local_scale((self._weight @ error).tolist(), tilt, expected)
+        error = (measured - self._weight @ x[:, _ALIGNMENT]).tolist()
+        error[0] = _wrapped(error[0])
+        usual = (expected.shared + expected.noise).tolist()
+        local = self._local_scale(error, tilt, usual, expected.tilt)
         position, angle = local
-        blamed, known = self._factors(position, angle), np.array([angle, position, position, position])
-        factors = np.where(self._blames, blamed, np.minimum(blamed, known))  # (L, 4)
-        h = np.sqrt(factors * expected.shared)
-        noise = factors * expected.noise
-        HP = P[:, _ALIGNMENT] + h[:, :, None] * P[:, _BIAS]
-        S = np.ascontiguousarray(HP[:, :, _ALIGNMENT] + HP[:, :, _BIAS] * h[:, None])
+        # Where odometry is as good as usual, what doesn't fit is the predictions' fault, whose scale is learnt from it;
+        # where it's worse, they are no worse than was known beforehand. Else each could be blamed for the other.
+        y, horizontal, vertical, _ = blamed = self._factors(position, angle)
+        known = min(y, angle), min(horizontal, position), min(vertical, position), min(horizontal, position)
+        factors = self._factor_rows
+        factors[0], factors[1:] = blamed, known
+        shared, noise = factors * expected.shared, factors * expected.noise
+        H.reshape(-1, 32)[:, 4::9] = np.sqrt(shared)
+        HP = H @ P
+        S = HP @ H.transpose(0, 2, 1)
         diagonal = S.reshape(-1, 16)[:, ::5]  # a view
         diagonal += noise
-        r = error - h * x[:, _BIAS]
+        r = measured - (H @ x[:, :, None])[:, :, 0]
+        _wrap_about(0.0, r[:, 0])
         inverse = np.asarray(np.linalg.inv(S), dtype=float)
-        d2 = ((r[:, None] @ inverse)[:, 0] * r).sum(axis=1)
+        weighted = inverse @ r[:, :, None]
+        squares = (r[:, None] @ weighted).ravel().tolist()
         nu = o.degrees_of_freedom
-        log_likelihood = -(nu + 4) / 2 * np.log1p(d2 / nu) + np.log(np.linalg.det(inverse)) / 2 + self._log_t
-        # A prediction that may be anywhere says nothing of odometry: a few of them are no reason to distrust it.
-        log_likelihood = np.logaddexp(log_likelihood, self._log_anywhere)
-        # Errors that the model takes for independent aren't quite, so a frame counts as less evidence than it looks.
-        posterior = self._weight * np.exp(o.evidence * (log_likelihood - log_likelihood.max()))
-        weight = np.maximum(posterior / posterior.sum(), 1e-6)
-        self._weight = weight / weight.sum()
-        surprise = float(self._weight @ d2)
+        # Errors that the model takes for independent aren't quite, so a frame counts as less evidence than it looks. A
+        # prediction that may be anywhere says nothing of odometry: a few of them are no reason to distrust it.
+        posterior = [
+            w * (self._t_density * sqrt(det) * (1 + d2 / nu) ** (-(nu + 4) / 2) + self._anywhere_density) ** o.evidence
+            for w, det, d2 in zip(self._weight.tolist(), np.linalg.det(inverse).tolist(), squares, strict=True)
+        ]
+        total = sum(posterior)
+        weights = [max(p / total, 1e-6) for p in posterior]
+        self._weight = np.array(weights)
+        self._weight /= sum(weights)
+        surprise = float(self._weight @ squares)
         trust = min(1.0, (nu + 4) / (nu + surprise))
         if trust < 1:  # the tails: what doesn't fit is this prediction's own noise
-            diagonal += (1 / trust - 1) * (noise + h * h)
+            diagonal += (1 / trust - 1) * (noise + shared)
             inverse = np.asarray(np.linalg.inv(S), dtype=float)
-        K = HP.transpose(0, 2, 1) @ inverse
-        x += (K @ r[:, :, None])[:, :, 0]
-        x[:, 0] = x[0, 0] + (x[:, 0] - x[0, 0] + pi) % (2 * pi) - pi
-        P = P - K @ HP
-        self._P = np.ascontiguousarray((P + P.transpose(0, 2, 1)) / 2)
+            weighted = inverse @ r[:, :, None]
+        PH = HP.transpose(0, 2, 1)
+        x += (PH @ weighted)[:, :, 0]
+        _wrap_about(float(x[0, 0]), x[:, 0])
+        P = P - PH @ inverse @ HP
+        self._P = np.add(P, P.transpose(0, 2, 1), out=np.empty_like(P))
+        self._P *= 0.5
         signals |= {"surprise": surprise, "local_scale": sqrt(position), "trust": trust}
         return local
 
-    def _local_scale(self, error: list[float], tilt: float, expected: Expected) -> tuple[float, float]:
+    def _local_scale(
+        self, error: list[float], tilt: float, usual: list[float], usual_tilt: float
+    ) -> tuple[float, float]:
         """How much larger than usual the variances of position and angle are at this place.
 
         Evidence: the tilt (two axes), the height, and how much the error changed since the last prediction: all known
@@ -315,32 +334,25 @@ class DriftAware(Localiser):
         """
         o = self.options
         assert self._error is not None
-        usual = expected.shared + expected.noise
         yaw, x, y, z = error
         turned = _wrapped(yaw - self._error[0])
         changed = ((x - self._error[1]) ** 2 + (z - self._error[3]) ** 2) / 2
-        fresh = (
-            tilt**2 / 2 / expected.tilt if o.tilt else self._scale[_TILT],
-            changed / float(usual[1]),
-            turned**2 / float(usual[0]),
-        )
-        typical = (self._scale[_TILT], *self._change)
+        typical_tilt, (typical_change, typical_turn) = self._scale[_TILT], self._change
         # What odometry has strayed meanwhile is no error of the prediction.
-        strayed = (0.0, float(self._drift[1] / usual[1]), float(self._drift[0] / usual[0]))
-        relative = [f / (t + s) for f, t, s in zip(fresh, typical, strayed, strict=True)]
-        height = y**2 / (self._scale[_VERTICAL] * float(usual[2]) + float(self._weight @ self._P[:, 2, 2]))
+        tilts = tilt * tilt / 2 / usual_tilt / typical_tilt if o.tilt else 1.0
+        changes = changed / usual[1] / (typical_change + self._strayed[1] / usual[1])
+        turns = turned * turned / usual[0] / (typical_turn + self._strayed[0] / usual[0])
+        height = y * y / (self._scale[_VERTICAL] * usual[2] + float(self._weight @ self._P[:, 2, 2]))
         kept = o.place_decay**self._moved
-        counts = (2 * relative[0], 2 * relative[1], relative[2], height)
+        counts = (2 * tilts, 2 * changes, turns, height)
         self._evidence = [kept * before + now for before, now in zip(self._evidence, counts, strict=True)]
         self._evidence_frames = kept * self._evidence_frames + 1
         # What is typical is learnt as a t distribution's scale, which bad predictions hardly move.
-        rate = 1 / (self._seen + 1)
-        nu = o.degrees_of_freedom
-        tilt_variance, *self._change = (
+        rate, nu = 1 / (self._seen + 1), o.degrees_of_freedom
+        self._scale[_TILT], *self._change = (
             max(t + rate * t * (q * (nu + 2) / (nu + 2 * q) - 1), _LEAST)
-            for t, q in zip(typical, relative, strict=True)
+            for t, q in ((typical_tilt, tilts), (typical_change, changes), (typical_turn, turns))
         )
-        self._scale[_TILT] = tilt_variance
         if not o.local_scale:
             return 1.0, 1.0
         tilts, positions, yaws, heights = self._evidence
@@ -382,13 +394,21 @@ class DriftAware(Localiser):
     def _estimate(
         self, vio_T_cam: Array, x: Array, P: Array, reasons: tuple[str, ...], signals: dict[str, float]
     ) -> Estimate:
-        c, s = cos(x[0]), sin(x[0])
-        map_T_vio = np.array([[c, 0.0, s, 0.0], [0.0, 1.0, 0.0, 0.0], [-s, 0.0, c, 0.0], [0.0, 0.0, 0.0, 1.0]])
-        map_T_cam = map_T_vio @ vio_T_cam
-        map_T_vio[:3, 3] = x[1:4] - map_T_cam[:3, 3]
-        map_T_cam[:3, 3] = x[1:4]
+        yaw, x0, x1, x2, *_ = x.tolist()
+        c, s = cos(yaw), sin(yaw)
+        (a, b, d, v0), up, (e, f, g, v2), last = vio_T_cam.tolist()
+        map_T_cam = np.array(
+            [
+                [c * a + s * e, c * b + s * f, c * d + s * g, x0],
+                [up[0], up[1], up[2], x1],
+                [c * e - s * a, c * f - s * b, c * g - s * d, x2],
+                last,
+            ]
+        )
+        shift = x0 - c * v0 - s * v2, x1 - up[3], x2 + s * v0 - c * v2
+        map_T_vio = np.array([[c, 0, s, shift[0]], [0, 1, 0, shift[1]], [-s, 0, c, shift[2]], last])
         covariance = np.zeros((6, 6))
-        covariance[0, 0] = covariance[2, 2] = radians(self.options.tilt_sd_deg) ** 2
+        covariance[0, 0] = covariance[2, 2] = self._tilt_variance
         block = self._widened * P[_ALIGNMENT, _ALIGNMENT]
         covariance[1, 1] = block[0, 0]
         covariance[1, 3:] = covariance[3:, 1] = block[0, 1:]
@@ -424,7 +444,7 @@ class DriftAware(Localiser):
             "vio": None if self._vio is None else [self._vio[0], plain(self._vio[1])],
             "lost": self._lost,
             "moved": self._moved,
-            "drift": plain(self._drift),
+            "strayed": list(self._strayed),
             "mixed": self._mixed,
         }
 
@@ -435,10 +455,22 @@ class DriftAware(Localiser):
         self._evidence, self._error = list(state["evidence"]), state["error"]
         self._vio = None if state["vio"] is None else (state["vio"][0], np.array(state["vio"][1]))
         self._lost, self._moved, self._mixed = state["lost"], state["moved"], state["mixed"]
-        self._drift = np.array(state["drift"])
+        self._strayed = list(state["strayed"])
         if state["x"] is not None:
             self._x, self._P = np.array(state["x"]), np.array(state["P"])
             self._weight = np.array(state["weight"])
+
+
+def _dot(a: list[float], b: list[float]) -> float:
+    """Of the first three numbers."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _wrap_about(middle: float, angles: Array) -> None:
+    """Bring angles in radians (N,) to within pi of `middle`, in place."""
+    values = angles.tolist()
+    if max(values) > middle + pi or min(values) < middle - pi:
+        angles[:] = [middle + _wrapped(a - middle) for a in values]
 
 
 def _wrapped(angle: float) -> float:

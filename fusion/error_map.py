@@ -11,6 +11,7 @@ of the error is noise is what makes the held-out errors most likely. Nothing of 
 """
 
 from dataclasses import asdict, dataclass
+from math import exp, sqrt
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -87,31 +88,40 @@ class ErrorMap:
         r = self.reach
         K = _kernel(self.where, r)
         size_weights, logs = _leave_one_out(K, self._logs - self._usual, r.size_variance)
-        shares = np.array([r.position_noise, r.yaw_noise])
-        inverses = [np.linalg.inv(_noisy(K, share)) for share in shares]
-        scaled = self.error / self._units / np.exp(logs[:, _GROUP] / 2)
-        weights = [(1 - shares[g]) * inverses[g] @ scaled[:, c] for c, g in enumerate(_GROUP)]
-        self._weights = np.column_stack([*weights, r.size_variance * size_weights])
-        self._inverses = np.hstack([(1 - share) * A for share, A in zip(shares, inverses, strict=True)])
-        self._shares = shares[_GROUP]
+        self._shares = r.position_noise, r.yaw_noise
+        # Position and yaw have the same kernel and other noise: along its eigenvectors both are diagonal.
+        values, vectors = np.linalg.eigh(K)
+        self._vectors = np.ascontiguousarray(vectors.T)
+        precisions = [(1 - share) / ((1 - share) * np.maximum(values, 0.0) + share) for share in self._shares]
+        scaled = self._vectors @ (self.error / self._units / np.exp(logs[:, _GROUP] / 2))
+        weights = [precisions[g] * scaled[:, c] for c, g in enumerate(_GROUP)]
+        self._weights = np.column_stack([*weights, self._vectors @ (r.size_variance * size_weights)])
+        self._precisions = np.column_stack(precisions)
         self._per_length = np.repeat([1 / r.length_m, 1 / r.length_look], 3)
-        self._features = self.where * self._per_length
+        self._middle = self.where.mean(axis=0)
+        self._features = (self.where - self._middle) * self._per_length
+        self._half_squares = (self._features**2).sum(axis=1) / 2
 
     def expected(self, position: Array, look: Array) -> Expected:
         """Of a prediction at `position` (3,) in metres that looks along `look` (3,)."""
-        apart = self._features - np.concatenate([position, look]) * self._per_length
-        k = np.exp(np.einsum("ni,ni->n", apart, apart) / -2)
-        found = k @ self._weights
-        variance = np.exp(found[4:] + self._usual)
-        size = np.sqrt(variance)[_GROUP] * self._units
-        known = (k @ self._inverses).reshape(2, -1) @ k
-        square = size * size
-        unknown = np.maximum(1 - known, 0.0)[_GROUP]
+        at = (np.concatenate([position, look]) - self._middle) * self._per_length
+        # -|at - there|^2 / 2
+        k = self._vectors @ np.exp(self._features @ at - (self._half_squares + float(at @ at) / 2))
+        *errors, log_position, log_angle = (k @ self._weights).tolist()
+        known_position, known_angle = ((k * k) @ self._precisions).tolist()
+        # In plain numbers: numpy takes longer for four of them.
+        variance, angle_variance = exp(log_position + self._usual[_POSITION]), exp(log_angle + self._usual[_ANGLE])
+        share, angle_share = self._shares
+        left, angle_left = (1 - share) * max(1 - known_position, 0.0), (1 - angle_share) * max(1 - known_angle, 0.0)
+        size, angle_size = sqrt(variance), sqrt(angle_variance)
+        square = self._units * np.array([angle_size, size, size, size])
+        error = square * errors
+        square *= square
         return Expected(
-            found[:4] * size,
-            (1 - self._shares) * unknown * square,
-            self._shares * square,
-            self._lean * float(variance[_ANGLE]),
+            error,
+            square * np.array([angle_left, left, left, left]),
+            square * np.array([angle_share, share, share, share]),
+            self._lean * angle_variance,
         )
 
     def table(self) -> pd.DataFrame:

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -54,7 +55,7 @@ class MobileARLocOptions(PairOptions):
         "last_reference", description="output while aligning again"
     )
 
-    @property
+    @cached_property
     def run_frames(self) -> int:
         return self.n + (1 if self.alignment_frames == "n+1" else 2)
 
