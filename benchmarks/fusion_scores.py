@@ -202,7 +202,11 @@ def beside_published(summary: pd.DataFrame) -> pd.DataFrame:
             rows += [row(f"{name} %", level[column], here[f"{name}_pct"], *key) for name, column in names.items()]
             if scored == "method":
                 rows.append(row("frames %", level["frames_pct"], here["share_pct"], *key))
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    shares = table["figure"].str.endswith("%")
+    off, ratio = table["found"] - table["published"], table["found"] / table["published"]
+    table["off by"] = np.where(shares, off.map("{:+.1f} points".format), ratio.map("x {:.2f}".format))
+    return table
 
 
 _KEY = ["scene", "model", "subset", "poses"]

@@ -36,7 +36,7 @@ _LEAST = 1e-3
 # Filters of a level of distrust go on at it; one whose odometry has lost its frame mostly finds it again at once.
 _STAY_LOST = 0.2
 _LOST_M, _LOST_HEIGHT_M, _LOST_DEG = 10.0, 3.0, 60.0
-_PLACE_M = 40.0
+_ANYWHERE_DENSITY = 1 / (2 * pi * 40.0**2 * _LOST_HEIGHT_M)  # of predictions that are anywhere on a map of 40 m
 
 
 class DriftAwareOptions(OdometryOptions):
@@ -68,6 +68,9 @@ class DriftAwareOptions(OdometryOptions):
     lost: bool = Field(True, description="also try that odometry has lost its frame, so that it tells nothing")
     evidence: float = Field(0.5, gt=0, le=1, description="how much a prediction counts in judging odometry's quality")
     outliers: float = Field(0.1, gt=0, lt=1, description="share of predictions that may be anywhere on the map")
+    outlier_runs: float = Field(
+        0.67, ge=0, lt=1, description="share of such predictions after one: a look aside takes some seconds"
+    )
     switch: float = Field(0.001, gt=0, lt=0.5, description="probability a frame that odometry's quality changes")
     tilt_sd_deg: float = Field(0.3, gt=0, description="odometry's gravity error an axis")
     covariance_factor: float = Field(
@@ -119,10 +122,9 @@ class DriftAware(Localiser):
         self._anywhere = np.zeros((levels, 4))
         if o.lost:
             self._anywhere[-1] = np.square([radians(_LOST_DEG), _LOST_M, _LOST_HEIGHT_M, _LOST_M])
-        # Normalisation of Student's t in four dimensions, and the density of predictions that are anywhere.
+        # Normalisation of Student's t in four dimensions.
         nu = o.degrees_of_freedom
         self._t_density = exp(lgamma((nu + 4) / 2) - lgamma(nu / 2) - 2 * log(nu * pi))
-        self._anywhere_density = o.outliers / (2 * pi * _PLACE_M**2 * _LOST_HEIGHT_M)
         widened = np.sqrt([o.yaw_covariance_factor, *[o.covariance_factor] * 3])
         self._widened = np.outer(widened, widened)
         self._tilt_variance = radians(o.tilt_sd_deg) ** 2
@@ -140,6 +142,7 @@ class DriftAware(Localiser):
         self._x: Array | None = None  # (L, 8), L levels of distrust
         self._P = np.zeros((0, 8, 8))
         self._weight = np.zeros(0)
+        self._wrong = np.zeros(0)  # at each level: the probability that the last prediction was anywhere
         self._vio: tuple[int, Array] | None = None
         self._lost = False
         self._afresh()
@@ -210,6 +213,7 @@ class DriftAware(Localiser):
         self._P = np.tile(P, (levels, 1, 1))
         weight: Array = np.power(0.1, np.arange(levels))
         self._weight = weight / weight.sum()
+        self._wrong = np.zeros(levels)
 
     def _factors(self, position: float, angle: float) -> list[float]:
         """How much larger than expected the variances of yaw and position are, here and in this walk."""
@@ -267,7 +271,7 @@ class DriftAware(Localiser):
         apart = self._x - x[:, None]
         spread = (share[:, :, None] * apart).transpose(0, 2, 1) @ apart
         spread += (share @ self._P.reshape(levels, 64)).reshape(levels, 8, 8)
-        self._x, self._P, self._weight = x, spread, weight
+        self._x, self._P, self._weight, self._wrong = x, spread, weight, share @ self._wrong
 
     def _correct(
         self, measured: Array, tilt: float, signals: dict[str, float], expected: Expected
@@ -301,10 +305,16 @@ class DriftAware(Localiser):
         nu = o.degrees_of_freedom
         # Errors that the model takes for independent aren't quite, so a frame counts as less evidence than it looks. A
         # prediction that may be anywhere says nothing of odometry: a few of them are no reason to distrust it.
-        posterior = [
-            w * (self._t_density * sqrt(det) * (1 + d2 / nu) ** (-(nu + 4) / 2) + self._anywhere_density) ** o.evidence
-            for w, det, d2 in zip(self._weight.tolist(), np.linalg.det(inverse).tolist(), squares, strict=True)
-        ]
+        # Such predictions come in runs.
+        posterior, wrong = [], []
+        numbers = (self._weight, self._wrong, np.linalg.det(inverse))
+        for w, q, det, d2 in zip(*(n.tolist() for n in numbers), squares, strict=True):
+            fits = self._t_density * sqrt(det) * (1 + d2 / nu) ** (-(nu + 4) / 2)
+            share = (1 - q) * o.outliers + q * o.outlier_runs
+            right, elsewhere = (1 - share) * fits, share * _ANYWHERE_DENSITY
+            posterior.append(w * (right + elsewhere) ** o.evidence)
+            wrong.append(elsewhere / (right + elsewhere))
+        self._wrong = np.array(wrong)
         total = sum(posterior)
         weights = [max(p / total, 1e-6) for p in posterior]
         self._weight = np.array(weights)
@@ -339,23 +349,31 @@ class DriftAware(Localiser):
         changed = ((x - self._error[1]) ** 2 + (z - self._error[3]) ** 2) / 2
         typical_tilt, (typical_change, typical_turn) = self._scale[_TILT], self._change
         # What odometry has strayed meanwhile is no error of the prediction.
-        tilts = tilt * tilt / 2 / usual_tilt / typical_tilt if o.tilt else 1.0
+        leans = tilt * tilt / 2 / usual_tilt / typical_tilt if o.tilt else 1.0
         changes = changed / usual[1] / (typical_change + self._strayed[1] / usual[1])
         turns = turned * turned / usual[0] / (typical_turn + self._strayed[0] / usual[0])
         height = y * y / (self._scale[_VERTICAL] * usual[2] + float(self._weight @ self._P[:, 2, 2]))
         kept = o.place_decay**self._moved
-        counts = (2 * tilts, 2 * changes, turns, height)
-        self._evidence = [kept * before + now for before, now in zip(self._evidence, counts, strict=True)]
+        counts = (2 * leans, 2 * changes, turns, height)
+        tilts, positions, yaws, heights = (
+            kept * before + now for before, now in zip(self._evidence, counts, strict=True)
+        )
+        # A prediction tells all of itself. Of the place, for the next ones, one that is far off tells no more than a t
+        # distribution's weight lets it: else a single one would silence the good ones around it.
+        nu = o.degrees_of_freedom
+        self._evidence = [
+            kept * before + now * (nu + axes) / (nu + now)
+            for before, now, axes in zip(self._evidence, counts, (2, 2, 1, 1), strict=True)
+        ]
         self._evidence_frames = kept * self._evidence_frames + 1
         # What is typical is learnt as a t distribution's scale, which bad predictions hardly move.
-        rate, nu = 1 / (self._seen + 1), o.degrees_of_freedom
+        rate = 1 / (self._seen + 1)
         self._scale[_TILT], *self._change = (
             max(t + rate * t * (q * (nu + 2) / (nu + 2 * q) - 1), _LEAST)
-            for t, q in ((typical_tilt, tilts), (typical_change, changes), (typical_turn, turns))
+            for t, q in ((typical_tilt, leans), (typical_change, changes), (typical_turn, turns))
         )
         if not o.local_scale:
             return 1.0, 1.0
-        tilts, positions, yaws, heights = self._evidence
         n, sure = self._evidence_frames, _SURE if o.height else 0.0
         positions += sure * heights
         position = (nu + positions + o.cross * tilts) / (nu + (2 + sure) * n + o.cross * 2 * n)
@@ -441,6 +459,7 @@ class DriftAware(Localiser):
             "x": plain(self._x),
             "P": plain(self._P),
             "weight": plain(self._weight),
+            "wrong": plain(self._wrong),
             "vio": None if self._vio is None else [self._vio[0], plain(self._vio[1])],
             "lost": self._lost,
             "moved": self._moved,
@@ -458,7 +477,7 @@ class DriftAware(Localiser):
         self._strayed = list(state["strayed"])
         if state["x"] is not None:
             self._x, self._P = np.array(state["x"]), np.array(state["P"])
-            self._weight = np.array(state["weight"])
+            self._weight, self._wrong = np.array(state["weight"]), np.array(state["wrong"])
 
 
 def _dot(a: list[float], b: list[float]) -> float:

@@ -130,6 +130,37 @@ def test_a_bad_prediction_is_noticed_by_its_gravity():
     assert np.mean(scale[True]) > 1.5 * np.mean(scale[False])
 
 
+def test_one_prediction_far_off_does_not_silence_the_good_ones_after_it():
+    """It is turned by 150 degrees and 12 m off; what it says of the place is forgotten soon."""
+    after, at = [], []
+    for seed in range(6):
+        t_ns, _, vio, apr = upright_walk(seed, 40, outliers=0.0)
+        bad = apr.copy()
+        bad[20] = make_pose(yaw_rotation(2.6) @ bad[20, :3, :3], bad[20, :3, 3] + [12.0, 0.0, 0.0])
+        fooled, fine = (answers(DriftAware(), t_ns, vio, p) for p in (bad, apr))
+        at.append(fooled[20].signals["local_scale"] / fine[20].signals["local_scale"])
+        # The prediction after it shows as large a change of the error; the one after that doesn't.
+        after.append(fooled[22].signals["local_scale"] / fine[22].signals["local_scale"])
+    assert np.mean(at) > 3 and np.mean(after) < 2
+
+
+def test_some_seconds_of_wrong_predictions_are_no_reason_to_leave_odometry():
+    """A look aside at what the regressor doesn't know: five predictions in a row at some other place."""
+    strayed = {0.0: [], DriftAwareOptions().outlier_runs: []}
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        t_ns, truth, vio, apr = upright_walk(seed, 60, noise_m=0.3, outliers=0.0)
+        shift, yaw = rng.uniform(-12, 12, 3) * [1, 0.05, 1], rng.uniform(1, 3)
+        for i in range(40, 45):
+            turned = yaw_rotation(yaw + rng.normal(0, 0.2)) @ apr[i, :3, :3]
+            apr[i] = make_pose(turned, apr[i, :3, 3] + shift + rng.normal(0, 1, 3) * [1, 0.1, 1])
+        for share, found in strayed.items():
+            fused = poses(answers(DriftAware(DriftAwareOptions(outlier_runs=share)), t_ns, vio, apr))
+            found.append(position_error(fused, truth)[40:45].max())
+    alone, in_runs = (np.mean(found) for found in strayed.values())
+    assert in_runs < 0.3 * alone and in_runs < 1.5
+
+
 def test_a_jump_too_short_to_see_is_answered_by_following_the_predictions():
     """2 m within a second could be a walk; the predictions say that it wasn't one."""
     after = {"tried": [], "believed": []}
