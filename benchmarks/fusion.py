@@ -231,6 +231,9 @@ def report(
                 f"## {kind.capitalize()}: means over scenes and regressors",
                 markdown(scores.overview(plain, kind)),
             ]
+    for kind in compared:
+        what = f"## {kind.capitalize()}: means over the rule's, with 95 % intervals by bootstrap over walks"
+        parts += [what, markdown(scores.ratio_intervals(seen, kind))]
     for kind in _ABLATED if labels and inputs.SIMULATED in kinds else []:
         rows = scores.overview(summary, kind).loc[[OURS, *(v.label for v in plan.without)]]
         parts += [f"## {OURS} without one ingredient, {kind}", markdown(rows.drop(columns=_COMMON))]

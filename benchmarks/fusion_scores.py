@@ -26,6 +26,7 @@ ERRORS = ["position_mean_m", "rotation_mean_deg"]
 
 _BOUND = float(chi2.ppf(0.95, 3))
 _SETTLED_FRAMES = 10
+_BOOTSTRAP = 1000
 _LONG_GAP_S = 10.0
 
 
@@ -71,8 +72,17 @@ def score(case: Case, methods: Sequence[Variant]) -> tuple[pd.DataFrame, pd.Data
     for name in ("position", "rotation"):
         share = 100 * within[name] / within["covered"].where(within["covered"] > 0)
         summary[f"{name}_within_pct"] = summary["method"].map(share)
-    sessions = pd.DataFrame([session_figures(f) | {"recovery_s": _recovery_s(f)} for f in fused])
+    sessions = pd.DataFrame([session_figures(f) | {"recovery_s": _recovery_s(f)} | _sums(f) for f in fused])
     return summary.assign(kind=case.kind, scene=case.scene), sessions.assign(kind=case.kind, scene=case.scene)
+
+
+def _sums(fused: Fused) -> dict[str, float]:
+    """The sums of a walk's errors over answered frames, and their count: what a mean over walks is made of."""
+    rows = error_rows(fused)[["live_position_m", "live_rotation_deg"]]
+    return dict(zip(_SUMS, [*rows.sum(), rows.iloc[:, 0].count()], strict=True))
+
+
+_SUMS = ["position_sum_m", "rotation_sum_deg", "scored"]
 
 
 def _within(fused: Fused) -> dict[str, Any]:
@@ -152,6 +162,30 @@ def overview(summary: pd.DataFrame, kind: str) -> pd.DataFrame:
     )
     offline = [name for name in table.index if name in METHODS and not METHODS[name].causal]
     return pd.concat([table.drop(index=offline), table.loc[offline].rename(index="{} (offline)".format)])
+
+
+def ratio_intervals(sessions: pd.DataFrame, kind: str) -> pd.DataFrame:
+    """Each method's mean errors over the rule's, averaged over scenes and regressors, with 95 % intervals by bootstrap
+    over the walks of each scene: the same walks are drawn for both. One walk in a scene can't be drawn otherwise."""
+    rows = sessions[sessions["kind"] == kind]
+    methods = list(dict.fromkeys(rows["method"]))
+    rng = np.random.default_rng(0)
+    ratios = []
+    for _, group in rows.groupby(["scene", "model"], sort=False):
+        sums = np.array([group[group["method"] == m].sort_values("session_id")[_SUMS].to_numpy(float) for m in methods])
+        walks = sums.shape[1]
+        drawn = rng.multinomial(walks, np.full(walks, 1 / walks), size=_BOOTSTRAP)
+        weights = np.concatenate([np.ones((1, walks)), drawn])
+        total = np.einsum("dw,mws->mds", weights, sums)  # first the walks as they are
+        with np.errstate(invalid="ignore", divide="ignore"):
+            means = total[..., :2] / total[..., 2:]
+            ratios.append(means / means[methods.index(RULE)])
+    mean = np.nanmean(np.where(np.isfinite(ratios), ratios, np.nan), axis=0)  # (methods, draws, 2)
+    low, high = np.nanpercentile(mean[:, 1:], [2.5, 97.5], axis=1)
+    table = {"method": methods}
+    for i, name in enumerate(("position", "rotation")):
+        table |= {f"{name} /rule": mean[:, 0, i], f"{name} from": low[:, i], f"{name} to": high[:, i]}
+    return pd.DataFrame(table).set_index("method")
 
 
 def worst(summary: pd.DataFrame, kinds: Iterable[str]) -> pd.DataFrame:

@@ -23,6 +23,7 @@ from benchmarks.fusion_scores import (
     against,
     markdown,
     overview,
+    ratio_intervals,
     recovery_table,
     score,
     target_table,
@@ -68,12 +69,17 @@ def test_spoilt_odometry_is_spoilt_as_it_says(plain):
 def test_comparisons_and_recovery(plain):
     kidnapped = case(KIDNAPPED)
     assert all(np.diff(w.t_ns).max() > 10e9 for w in kidnapped.walks)
-    summary, _ = score(plain, METHODS)
+    summary, sessions = score(plain, METHODS)
     ratios = against(summary, SIMULATED, RULE)
     assert ratios.loc[RULE].to_numpy() == pytest.approx(1.0)
     rows = overview(summary, SIMULATED)
     assert rows.loc[OURS, "coverage %"] == 100 > rows.loc[RULE, "coverage %"]
     assert rows.loc[OURS, "position /rule"] == pytest.approx(rows["position m"][OURS] / rows["position m"][RULE])
+    intervals = ratio_intervals(sessions, SIMULATED)
+    assert intervals.loc[RULE].to_numpy() == pytest.approx(1.0)
+    for name, unit in (("position", "m"), ("rotation", "deg")):
+        low, middle, high = intervals.loc[OURS, [f"{name} from", f"{name} /rule", f"{name} to"]]
+        assert middle == pytest.approx(ratios.loc[OURS][f"{name}_mean_{unit}"].mean()) and low < middle < high
     assert set(worst(summary, [SIMULATED])["method"]) == {RULE, OURS}
     _, sessions = score(kidnapped, METHODS)
     recovery = recovery_table(sessions).set_index("method")
