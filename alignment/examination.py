@@ -281,10 +281,10 @@ def _shared_faults(
 
 
 def _check_unsure(found: Examination, frames: pd.DataFrame, images: pd.DataFrame, settings: AlignSettings) -> None:
-    """A frame of class A or B stands on its own: 95 % bounds of 0.3 degrees are 7 cm at the end of 5 m, and VIO strays as
-    far. One of class C needs VIO's word: it must move as VIO does, more closely than drift is allowed for elsewhere;
-    where most of a session's don't, none of them is believed. That they have no ground truth is a fault of the session
-    where it costs it too many frames."""
+    """A frame of class A or B stands on its own: its 95 % bounds of 0.3 degrees are 7 cm at the end of 5 m, and VIO
+    strays as far. One of class C needs VIO's word: it must move as VIO does, more closely than drift is allowed for
+    elsewhere; where most of a session's don't, none of them is believed. That they have no ground truth is a fault of
+    the session where it costs it too many frames."""
     covariance = sfm_covariances(images["covariance"])
     checked = np.isfinite(found.worst_m)
     for component in found.components:

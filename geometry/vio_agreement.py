@@ -30,6 +30,7 @@ STEP_SCALE_SD = 0.03
 LEAST_WINDOW = 6
 _FEWEST_FRAMES = 3
 # Residuals that nobody minds, where a robust fit stops telling items apart.
+_LEAST_SHARE = 0.5  # of the length of SfM's steps that VIO's go along them
 _STEP_FLOOR = 1e-2  # of the scale of a step of a metre against its recording's
 
 
@@ -187,11 +188,12 @@ def recording_scale(
     if not len(ratio):
         return None
     usual = float(np.median(np.concatenate(by_length)))
-    if np.median(ratio) < usual / 2:
-        # Most steps go another way, as where times are shuffled. Their lengths give a scale to show that with.
-        ratio = np.concatenate(by_length)
     share, length_sd = ratio / usual, 1 / np.sqrt(length)
     mean, robust = robust_mean(share, length, length_sd, _STEP_FLOOR, tolerance)
+    if mean < _LEAST_SHARE:
+        # The steps go other ways, as where times are shuffled. Their lengths give a scale to show that with.
+        share = np.concatenate(by_length) / usual
+        mean, robust = robust_mean(share, length, length_sd, _STEP_FLOOR, tolerance)
     weight = robust * length
     effective = max(1.0, float(weight.sum() ** 2 / np.sum(weight**2)))
     # One more step, as wrong as a step is expected to be, keeps few steps from looking certain.

@@ -16,8 +16,8 @@ from sfm.normal_equations import factor_of, jacobians, reduced_camera_system, si
 
 Ints = NDArray[np.int64]
 
-# So few points tell a factor to some hundredths of a per cent (docs/sfm.md).
-_POINTS_PER_FRAME = 30
+# So few points a frame tell a factor to some hundredths of a per cent (docs/sfm.md); small models have more of them.
+_POINTS_PER_FRAME, _POINTS = 30, 15_000
 _MOST_FRAMES = 600
 
 
@@ -43,8 +43,8 @@ class FocalScales:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """(S,) the images tell the factor well enough to act on it."""
-        return self.sd <= _MOST_SD
+        """(S,) the images tell the factor well enough to act on it, or to a tenth of what it's off by."""
+        return self.sd <= np.maximum(_MOST_SD, np.abs(self.factor - 1) / 10)
 
 
 def estimate_focal_scales(
@@ -129,6 +129,7 @@ def _chosen_observations(model: Model, frames_N: NDArray[np.bool_]) -> tuple[Int
     count = np.bincount(model.frame[order], minlength=len(frames_N))
     rank = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
     wanted = np.zeros(len(model.xyz), bool)
-    wanted[model.point[order[rank < _POINTS_PER_FRAME]]] = True
+    per_frame = max(_POINTS_PER_FRAME, _POINTS // max(np.count_nonzero(count), 1))
+    wanted[model.point[order[rank < per_frame]]] = True
     kept = inside[wanted[model.point[inside]]]
     return kept, model.point[kept]

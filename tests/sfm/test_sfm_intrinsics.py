@@ -29,7 +29,7 @@ from sfm.mapping_input import Matches
 from sfm.model import load_models
 from sfm.settings import SfmSettings
 
-_FRAMES, _POINTS, _MATCHES = 14, 150, 1500
+_FRAMES, _POINTS, _MATCHES = 14, 600, 1500
 _FOCAL_PX, _SIZE_PX, _NOISE_PX = 500.0, (640, 480), 0.4
 _DISTORTION = [0.05, -0.02, 0.0, 0.0]
 

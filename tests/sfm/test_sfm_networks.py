@@ -115,7 +115,6 @@ def test_aliked_and_lightglue_are_asked_for_with_their_files(tmp_path: Path, mon
     assert aliked.aliked.lightglue.model_path == "b.onnx"
     assert sift.type == pycolmap.FeatureMatcherType.SIFT_LIGHTGLUE
     assert sift.sift.lightglue.model_path == "c.onnx"
-    assert aliked.num_threads == sift.num_threads == 1
 
 
 def test_sift_is_asked_for_as_ever() -> None:
