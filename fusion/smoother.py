@@ -97,7 +97,10 @@ def _product(a: _Gaussian, b: _Gaussian) -> _Gaussian:
     x_b = b.x.copy()
     x_b[0] = a.x[0] + (x_b[0] - a.x[0] + np.pi) % (2 * np.pi) - np.pi
     information_a, information_b = np.linalg.inv(a.P), np.linalg.inv(b.P)
-    P = np.linalg.inv(information_a + information_b - _PRIOR)
+    information = information_a + information_b
+    # Filters that disagree spread wider than the prior, and then there is none of it to take away.
+    counted_once = information - _PRIOR
+    P = np.linalg.inv(counted_once if np.linalg.eigvalsh(counted_once)[0] > 0 else information)
     x = P @ (information_a @ a.x + information_b @ x_b)
     return _Gaussian(x, (P + P.T) / 2)
 
