@@ -129,7 +129,7 @@ def _chosen_observations(model: Model, frames_N: NDArray[np.bool_]) -> tuple[Int
     count = np.bincount(model.frame[order], minlength=len(frames_N))
     rank = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
     wanted = np.zeros(len(model.xyz), bool)
-    per_frame = max(_POINTS_PER_FRAME, _POINTS // max(np.count_nonzero(count), 1))
+    per_frame = max(_POINTS_PER_FRAME, _POINTS // max(int(np.count_nonzero(count)), 1))
     wanted[model.point[order[rank < per_frame]]] = True
     kept = inside[wanted[model.point[inside]]]
     return kept, model.point[kept]

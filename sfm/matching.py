@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 from artefacts.child import Report
-from sfm.database import have_results, image_id
+from sfm.database import have_results
 from sfm.features import extraction_options
 from sfm.networks import cannot_run, options_of_network
 from sfm.odometry import Comparison
@@ -19,12 +18,8 @@ from sfm.settings import SfmSettings
 
 _CHUNK = 128
 _TRIED_PX = 64
-ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
-"""Environment of the process that matches: on products as small as a pair's, more threads cost more than they gain."""
-_LENGTH = 512.0
-_FARTHEST, _FARTHEST_SHARE = 0.7, 0.8  # COLMAP's
-# Nearly all matches are right: RANSAC's confidence asks for ten trials or so, and COLMAP's least number is a hundred.
-_FEWEST_TRIALS = 30
+ONE_THREAD = {"OMP_NUM_THREADS": "1"}
+"""Environment of the process that matches: OpenMP would build the descriptors' index in another order each time."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +58,9 @@ def matching_options(settings: SfmSettings) -> pycolmap.FeatureMatchingOptions:
     """
     options = pycolmap.FeatureMatchingOptions()
     options.use_gpu = False
+    # Two threads share an index of SIFT's descriptors, and now and then lose most of a pair's matches. Its building
+    # repeats on one thread only, too: see ONE_THREAD.
+    options.num_threads = 1
     if settings.features == "aliked":
         options.type = pycolmap.FeatureMatcherType.ALIKED_LIGHTGLUE
         options_of_network(options, "aliked").lightglue.model_path = settings.aliked_lightglue_model
@@ -95,60 +93,18 @@ def match_pairs(
 
     Each pair's result depends on the pair and the seed alone, so that a killed run goes on as if it hadn't been.
     """
+    matching = matching_options(settings)
     verification = pycolmap.TwoViewGeometryOptions()
     verification.min_num_inliers = settings.min_inliers
     verification.ransac.random_seed = seed
-    verification.ransac.min_num_trials = _FEWEST_TRIALS
-    pair_list = database.with_name("pairs.txt")
-    by_network = settings.features != "sift" or settings.sift_matcher == "lightglue"
-    pairing = pycolmap.ImportedPairingOptions(match_list_path=pair_list, block_size=_CHUNK)
-    # Verification has no progress of its own, so it gets some pairs at a time.
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.block_size = _CHUNK
+    pairing.match_list_path = database.with_name("pairs.txt")
+    # Matching has no progress of its own, so it gets some pairs at a time.
     done = have_results(database, pairs)
     todo = pairs[~done]
     for start in range(0, len(todo), _CHUNK):
         chunk = todo[start : start + _CHUNK]
-        pair_list.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in chunk), encoding="utf-8")
-        if by_network:
-            pycolmap.match_image_pairs(database, matching_options(settings), pairing, verification, pycolmap.Device.cpu)
-        else:
-            _write_matches(database, chunk)
-            pycolmap.verify_matches(database, pair_list, verification)
+        pairing.match_list_path.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in chunk), encoding="utf-8")
+        pycolmap.match_image_pairs(database, matching, pairing, verification, pycolmap.Device.cpu)
         report(int(done.sum()) + start + len(chunk))
-
-
-def _write_matches(database: Path, pairs: Pairs) -> None:
-    """Of pairs that have none yet: a killed run may have left some that weren't verified."""
-    with pycolmap.Database.open(database) as opened, pycolmap.DatabaseTransaction(opened):
-        todo = [(a, b) for a, b in pairs.tolist() if not opened.exists_matches(image_id(a), image_id(b))]
-        descriptors = {row: opened.read_descriptors(image_id(row)).data.astype(np.float32) for row in set(chain(*todo))}
-        for a, b in todo:
-            matches = mutual_matches(descriptors[a], descriptors[b])
-            opened.write_matches(image_id(a), image_id(b), matches)
-            if not len(matches):
-                # Verification would leave the pair out, and it would count as one to be done.
-                opened.write_two_view_geometry(image_id(a), image_id(b), pycolmap.TwoViewGeometry())
-
-
-def mutual_matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.uint32]:
-    """Rows (M, 2) of SIFT descriptors (A, 128) and (B, 128), of length 512, that are each other's nearest.
-
-    The angle between them is at most 0.7 rad, and below 0.8 of the angle to either one's second nearest (Lowe,
-    "Distinctive image features from scale-invariant keypoints", IJCV 2004). Every descriptor is looked at; products of
-    such whole numbers are exact in single precision, so the matches are the same in any order and on any number of
-    threads.
-    """
-    if not len(a) or not len(b):
-        return np.empty((0, 2), np.uint32)
-    product = a @ b.T
-    nearest = product.argmax(axis=1)
-    mutual = product.max(axis=1) == product.max(axis=0)[nearest]
-    # Of two that are equally near one is taken, and thrown away below: its second nearest is just as near.
-    j, first = np.unique(nearest[mutual], return_index=True)
-    i = np.flatnonzero(mutual)[first]
-    best = product[i, j]
-    product[i, j] = -1.0
-    second = np.maximum(product.max(axis=1)[i], product.max(axis=0)[j])
-    angle, second_angle = (np.arccos(np.minimum(p / _LENGTH**2, 1.0)) for p in (best, second))
-    kept = (angle <= _FARTHEST) & (angle < _FARTHEST_SHARE * second_angle)
-    order = np.argsort(i[kept])
-    return np.column_stack([i[kept], j[kept]])[order].astype(np.uint32)

@@ -65,7 +65,7 @@ class SfmSettings(Settings):
         0.02, ge=0, lt=1, description="share by which the error of matches held out must shrink for a factor to help"
     )
     min_registered: float = Field(0.5, ge=0, le=1, description="share of frames that the models must have")
-    min_agreeing: float = Field(0.5, ge=0, le=1, description="share of these that must move as VIO does")
+    min_agreeing: float = Field(0.8, ge=0, le=1, description="share of these that must move as VIO does")
     covariance_max_images: int = Field(
         2500, ge=0, description="larger models get no covariances (memory: 36 n² numbers)"
     )

@@ -472,7 +472,7 @@ def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, ke
 
 STAGE = Stage(
     name="sfm",
-    version=5,
+    version=6,
     settings=SfmSettings,
     needs=("import",),
     run=run,
