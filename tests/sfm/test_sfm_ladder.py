@@ -116,7 +116,7 @@ def test_without_retries_there_is_one_attempt() -> None:
 
 @pytest.mark.parametrize(
     ("kept", "agreeing", "outcome"),
-    [([], 0, NO_MODEL), ([30, 19], 49, TOO_FEW), ([30, 20], 24, OTHERWISE), ([30, 20], 25, TAKEN)],
+    [([], 0, NO_MODEL), ([30, 19], 49, TOO_FEW), ([30, 20], 39, OTHERWISE), ([30, 20], 40, TAKEN)],
 )
 def test_outcomes(kept: list[int], agreeing: int, outcome: str) -> None:
     assert outcome_of(kept, agreeing, _FRAMES, SfmSettings()) == outcome
