@@ -31,11 +31,11 @@ def pose_covariance(
     position of sfm_T_cam + position, both along the sfm axes. `frame_M` and `point_M` say which pose sees which point;
     `loss_px` is the width of the Cauchy loss that the poses were adjusted with. Intrinsics count as known.
 
-    Nothing is assumed of the noise but that errors of two places have nothing to do with each other: those of one point
-    in the frames that see it hang together, as its features slide with the view, and so do those of points that lie in
-    one place. So this is the sandwich of an M-estimator, clustered by place (Huber 1967; Liang and Zeger, Biometrika
-    73, 1986; a point's residuals are scaled up for the three numbers that were fitted to them), brought to the gauge of
-    all positions by an S-transformation (Baarda 1973).
+    Nothing is assumed of the noise but that errors of two points have nothing to do with each other: those of one point
+    in the frames that see it hang together, as its features slide with the view. So this is the sandwich of an
+    M-estimator, clustered by point (Huber 1967; Liang and Zeger, Biometrika 73, 1986; a point's residuals are scaled up
+    for the three numbers that were fitted to them), brought to the gauge of all positions by an S-transformation
+    (Baarda 1973).
     """
     frames, points = len(sfm_T_cam), len(xyz_P3)
     seen_by = np.bincount(point_M, minlength=points)
@@ -53,8 +53,7 @@ def pose_covariance(
         return None
     fitted_M = np.sqrt(2 * seen_by / (2 * seen_by - 3))[point_M]
     force_M6 = _forces(by_pose, by_point, weight_M, fitted_M[:, None] * residual_px_M2, point_M, points)
-    place_P = _places(sfm_T_cam, focal_N2, xyz_P3, frame_M, point_M)
-    by_track = block_rows(force_M6[:, :, None], frame_M, place_P[point_M], frames, points)
+    by_track = block_rows(force_M6[:, :, None], frame_M, point_M, frames, points)
     return _gauge_free_sandwich(inverse, (by_track @ by_track.T).toarray(), sfm_T_cam[:, :3, 3])
 
 
@@ -74,17 +73,6 @@ def _forces(
     np.add.at(blocks, point_M, np.einsum("mij,mik->mjk", curved, by_point))
     moved_P3 = np.linalg.solve(blocks, of_points[:, :, None])[:, :, 0]
     return np.einsum("mij,mi->mj", by_pose, pull_M2 - np.einsum("mij,mj->mi", curved, moved_P3[point_M]))
-
-
-def _places(
-    sfm_T_cam: Array, focal_N2: Array, xyz_P3: Array, frame_M: NDArray[np.int64], point_M: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """The points (P,) by place: those within a pixel or so of one another are one, as they see the same texture. SIFT
-    finds a corner at several scales and in several directions, each a keypoint with the same error."""
-    away = np.linalg.norm(xyz_P3[point_M] - sfm_T_cam[frame_M, :3, 3], axis=1)
-    pixel = float(np.median(away / focal_N2[frame_M].mean(axis=1)))
-    _, place = np.unique(np.floor(xyz_P3 / pixel).astype(np.int64), axis=0, return_inverse=True)
-    return place.ravel()
 
 
 def _gauge_free_sandwich(inverse: Array, middle: Array, position_N3: Array) -> Array:
