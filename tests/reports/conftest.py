@@ -214,7 +214,7 @@ class MadeUpScene:
             reprojection_px=np.where(registered, self.rng.gamma(20, 0.04, count), np.nan), uses_vio=False,
             track_length=np.where(registered, 6.5, np.nan), triangulation_deg=np.where(registered, 12.0, np.nan),
             heldout_matches=40, heldout_px=np.where(registered, 0.5, np.nan),
-            fitted_px=np.where(registered, 0.4, np.nan),
+            fitted_px=np.where(registered, 0.4, np.nan), focal_scale=np.where(registered, 1.0, np.nan),
         )  # fmt: skip
 
     def _aligned(self) -> pd.DataFrame:
