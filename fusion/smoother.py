@@ -19,6 +19,7 @@ from geometry.poses import Array
 
 # Information of the prior that both passes hold: the bias has unit variance, the alignment is unknown.
 _PRIOR = np.diag([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
+_MOST_PRIOR = 0.9  # of what is known in any direction may be taken away as prior
 
 
 class SmootherOptions(DriftAwareOptions):
@@ -98,9 +99,9 @@ def _product(a: _Gaussian, b: _Gaussian) -> _Gaussian:
     x_b[0] = a.x[0] + (x_b[0] - a.x[0] + np.pi) % (2 * np.pi) - np.pi
     information_a, information_b = np.linalg.inv(a.P), np.linalg.inv(b.P)
     information = information_a + information_b
-    # Filters that disagree spread wider than the prior, and then there is none of it to take away.
-    counted_once = information - _PRIOR
-    P = np.linalg.inv(counted_once if np.linalg.eigvalsh(counted_once)[0] > 0 else information)
+    # Filters that disagree spread wider than the prior, and then there isn't all of it to take away.
+    share = float(np.linalg.eigvals(np.linalg.solve(information, _PRIOR)).real.max())
+    P = np.linalg.inv(information - min(1.0, _MOST_PRIOR / share) * _PRIOR)
     x = P @ (information_a @ a.x + information_b @ x_b)
     return _Gaussian(x, (P + P.T) / 2)
 
