@@ -25,9 +25,7 @@ UNTAUGHT = f"{OURS} without error_map"
 ERRORS = ["position_mean_m", "rotation_mean_deg"]
 
 _BOUND = float(chi2.ppf(0.95, 3))
-_SETTLED_FRAMES = 10
 _BOOTSTRAP = 1000
-_LONG_GAP_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -59,8 +57,8 @@ def ablations(options: MethodOptions) -> list[Variant]:
 def score(case: Case, methods: Sequence[Variant]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """A case's rows of fuse.summary and fuse.sessions, `method` being the variant's label, with the kind of walks.
 
-    Added to the summary: shares of errors within the 95 % bounds of the method's covariance; to the sessions: the time
-    to recover from the walk's longest gap.
+    Added to the summary: shares of errors within the 95 % bounds of the method's covariance; to the sessions: sums of
+    errors and their count.
     """
     fused: list[Fused] = []
     for variant in methods:
@@ -72,7 +70,7 @@ def score(case: Case, methods: Sequence[Variant]) -> tuple[pd.DataFrame, pd.Data
     for name in ("position", "rotation"):
         share = 100 * within[name] / within["covered"].where(within["covered"] > 0)
         summary[f"{name}_within_pct"] = summary["method"].map(share)
-    sessions = pd.DataFrame([session_figures(f) | {"recovery_s": _recovery_s(f)} | _sums(f) for f in fused])
+    sessions = pd.DataFrame([session_figures(f) | _sums(f) for f in fused])
     return summary.assign(kind=case.kind, scene=case.scene), sessions.assign(kind=case.kind, scene=case.scene)
 
 
@@ -102,20 +100,6 @@ def _within(fused: Fused) -> dict[str, Any]:
 def _count_within(errors: Array, covariance: Array) -> int:
     square = np.einsum("ni,ni->n", errors, np.linalg.solve(covariance, errors[..., None])[..., 0])
     return int((square <= _BOUND).sum())
-
-
-def _recovery_s(fused: Fused) -> float:
-    """Seconds from the end of the walk's longest gap until ten answers in a row are on average no worse than the raw
-    regressor's over the walk; infinite where that never comes, NaN for a walk without a gap."""
-    seconds = fused.walk.t_ns * 1e-9
-    after = int(np.argmax(np.diff(seconds))) + 1
-    if seconds[after] - seconds[after - 1] < _LONG_GAP_S:
-        return float("nan")
-    rows = error_rows(fused)
-    usual = float(rows["apr_position_m"].mean())
-    errors = rows["live_position_m"].fillna(np.inf).to_numpy()[after:]
-    settled = np.convolve(errors, np.full(_SETTLED_FRAMES, 1 / _SETTLED_FRAMES), "valid") <= usual
-    return float(seconds[after + np.argmax(settled)] - seconds[after]) if settled.any() else float("inf")
 
 
 # ---------------------------------------------------------------- over scenes
@@ -333,10 +317,10 @@ def target_table(found: Sequence[Target]) -> pd.DataFrame:
 
 
 def recovery_table(sessions: pd.DataFrame) -> pd.DataFrame:
-    """How long each method takes to be right again, over sessions."""
+    """How long each method takes to be right again, over the sessions with a long time without a frame."""
     rows = []
     for name, group in sessions.groupby("method", sort=False):
-        seconds = np.sort(group["recovery_s"].to_numpy(float))
+        seconds = np.sort(group["recovery_s"].dropna().to_numpy(float))
         at = {"median s": 0.5, "90 % within s": 0.9}
         row = {column: seconds[min(len(seconds) - 1, int(share * len(seconds)))] for column, share in at.items()}
         rows.append({"method": name} | row | {"never %": 100 * float(np.isinf(seconds).mean()), "walks": len(seconds)})
