@@ -25,7 +25,7 @@ from fusion.error_map import ErrorMap
 from fusion.evaluate import FuseSettings, Inputs, learnt
 from fusion.walks import Walk, evaluated, known
 from geometry.metrics import step_lengths
-from geometry.poses import Array, interpolate, inverse, make_pose, relative, yaw_rotation
+from geometry.poses import Array, heading, interpolate, inverse, make_pose, relative, yaw_rotation
 from simulation.apr_errors import apr_seeds, read_apr_models, simulate_apr
 from simulation.pose_walks import pose_walks
 from simulation.vio import FITTED, VioModel, simulate_vio
@@ -226,7 +226,7 @@ def recorded_tracks(folder: Path, seed: int = 0) -> list[Track]:
 
     None of these has ground truth. The recorded poses are the odometry as it is, with its jumps and its noise. The true
     walk is *made* from them: the recorded motion with a drift of the fitted size applied, so that the recording differs
-    from it by a drift of that size. Where odometry lost its place, the phone is taken to have stood still.
+    from it by a drift of that size. Where odometry lost its place, the phone is taken to have stayed where it was.
     """
     tracks = []
     for name, t_ns, vio_T_cam in _recordings(folder).values():
@@ -302,15 +302,15 @@ def _recordings(folder: Path) -> dict[Path, tuple[str, NDArray[np.int64], Array]
 
 
 def _without_jumps(t_ns: NDArray[np.int64], vio_T_cam: Array) -> Array:
-    """The motion (N, 4, 4) without its large jumps: there the pose stays as it was."""
-    steps = relative(vio_T_cam[:-1], vio_T_cam[1:])
+    """The walk (N, 4, 4) without its large jumps: there place and heading stay as they were. Odometry finds gravity
+    anew after one, so pitch and roll are odometry's throughout."""
+    walked = vio_T_cam.copy()
     for jump in find_jumps(t_ns, vio_T_cam):
         if jump.jump_m > _LARGE_JUMP_M:
-            steps[jump.index - 1] = np.eye(4)
-    walked = [vio_T_cam[0]]
-    for step in steps:
-        walked.append(walked[-1] @ step)
-    return np.array(walked)
+            before, after = walked[jump.index - 1], walked[jump.index]
+            turn = yaw_rotation(heading(before[:3, :3] @ after[:3, :3].T))
+            walked[jump.index :] = make_pose(turn, before[:3, 3] - turn @ after[:3, 3]) @ walked[jump.index :]
+    return walked
 
 
 def _each_second(track: Track) -> Track:
