@@ -140,8 +140,10 @@ def _describe(mapping: str, number: int, model: pycolmap.Reconstruction) -> Buil
 def adjust_robustly(model: pycolmap.Reconstruction, folder: Path, frames: int) -> float:
     """Adjust poses and points of the whole model robustly, its intrinsics fixed; returns the width of the loss, px.
 
-    `folder` gets the model as it was before; `frames` are those of the database that it is from.
+    Observations of points behind their camera are taken out, before and after. `folder` gets the model as it was
+    adjusted from; `frames` are those of the database that it is from.
     """
+    _without_points_behind(model)
     model.write_binary(folder)
     spread_px = float(np.median(np.abs(load_models([folder], frames).residual_px)))
     loss_px = max(_LOSS_WIDTH * spread_px, _NARROWEST_LOSS_PX)
@@ -155,5 +157,11 @@ def adjust_robustly(model: pycolmap.Reconstruction, folder: Path, frames: int) -
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     options.ceres.loss_function_scale = loss_px
     pycolmap.bundle_adjustment(model, options)
+    _without_points_behind(model)
     model.update_point_3d_errors()
     return loss_px
+
+
+def _without_points_behind(model: pycolmap.Reconstruction) -> None:
+    """A wrong match can bend the model until a point lies behind a camera that sees it, where it has no image."""
+    pycolmap.ObservationManager(model).filter_observations_with_negative_depth()
