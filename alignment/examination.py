@@ -24,6 +24,7 @@ from alignment.map_frame import common_scale, common_vertical
 from alignment.quality import contradicted, judge, sfm_covariances
 from alignment.segments import Segment, cut_segments, frame_components
 from alignment.settings import AlignSettings
+from alignment.sfm_tables import Focal, SfmTables
 from alignment.uncertainty import covariance_in_map
 from artefacts import UserError
 from geometry.diagnosis import Diagnosis, diagnose
@@ -39,7 +40,11 @@ NOT_REGISTERED = "SfM didn't register it"
 _OF_THE_WHOLE = {
     "session_folded": "look-alike places are folded together in its model",
     "session_turns": "its model is bent by a session whose intrinsics are wrong",
+    "session_focal": "its model is bent by a session whose intrinsics are wrong",
 }
+# Images count as telling a focal length beyond the bound and so many sigmas. Where a walk hardly tells it from depth,
+# as straight on, what isn't modelled decides, and the sigma is large.
+_FOCAL_SIGMAS = 5.0
 _OTHERWISE = (DISAGREES, "SfM moves otherwise than VIO in most steps")
 
 
@@ -67,13 +72,18 @@ class Examination:
 
 
 def examine(
-    frames: pd.DataFrame, images: pd.DataFrame, jumps: pd.DataFrame, recordings: dict[str, str], settings: AlignSettings
+    frames: pd.DataFrame,
+    sfm: SfmTables,
+    jumps: pd.DataFrame,
+    recordings: dict[str, str],
+    settings: AlignSettings,
 ) -> Examination:
     """Check SfM's models against VIO and put those that pass into one map.
 
-    `frames` and `jumps` are import's tables, `images` SfM's in the order of `frames`. Raises UserError where there is
-    nothing to compare; a model that is wrong is told in `refusal`.
+    `frames` and `jumps` are import's tables. Raises UserError where there is nothing to compare; a model that is wrong
+    is told in `refusal`.
     """
+    images = sfm.images
     if not images["registered"].any():
         raise UserError(
             "there is nothing to align: SfM registered no frame",
@@ -113,7 +123,7 @@ def examine(
         if component is None:
             continue
         found.components.append(component)
-        _check_sessions(found, component, drift, settings)
+        _check_sessions(found, component, sfm, drift, settings)
         for piece in component.pieces:
             windows = compare(piece, component.metric_S_sfm, settings.window_m, drift, sd)
             metres, radians, wrong = worst_by_frame(piece, windows)
@@ -202,7 +212,9 @@ def _component(
     return Component(index, name, segments, pieces, scale, vertical)
 
 
-def _check_sessions(found: Examination, component: Component, drift: VioDrift, settings: AlignSettings) -> None:
+def _check_sessions(
+    found: Examination, component: Component, sfm: SfmTables, drift: VioDrift, settings: AlignSettings
+) -> None:
     """Each session's motion, turns, scale and vertical in one model; a session that fails gets no ground truth."""
     for session_id in dict.fromkeys(s.session_id for s in component.segments):
         own = [s for s in component.segments if s.session_id == session_id]
@@ -212,7 +224,10 @@ def _check_sessions(found: Examination, component: Component, drift: VioDrift, s
         about: dict[str, Any] = {"session_id": session_id, "component": component.index, "frames": len(rows)}
         diagnosis = diagnose([p.stretch for p in component.pieces if p.session_id == session_id], drift)
         found.diagnoses[component.index, session_id] = diagnosis
-        reasons = _motion_faults(found.gate, diagnosis, settings, about)
+        focal = sfm.focal(component.model_id, session_id)
+        reasons = _focal_faults(found.gate, focal, settings, about)
+        belongs = sfm.belongs(session_id)
+        reasons += _motion_faults(found.gate, diagnosis, settings, about, focal=focal, belongs=belongs)
         if not reasons:
             # A scale or vertical by poses that are wrong themselves would tell nothing.
             reasons = _shared_faults(found.gate, component, own[0].recording, settings, about)
@@ -220,8 +235,28 @@ def _check_sessions(found: Examination, component: Component, drift: VioDrift, s
             _refuse(found, rows, reasons[0])
 
 
-def _motion_faults(gate: Gate, diagnosis: Diagnosis, settings: AlignSettings, about: dict[str, Any]) -> list[str]:
-    """Reasons of the failed checks of a session's motion."""
+def _focal_faults(gate: Gate, focal: Focal | None, settings: AlignSettings, about: dict[str, Any]) -> list[str]:
+    """The reason of the failed check of what the images say of a session's focal length, left as captured."""
+    if focal is None:
+        return []
+    off = focal.scale - 1
+    reason = f"the images say that the focal length is {abs(off):.1%} {'more' if off > 0 else 'less'} than captured"
+    limit = settings.focal_limit + _FOCAL_SIGMAS * focal.sd
+    passed = gate.check("session_focal", abs(off), limit, "share", INTRINSICS, reason, **about)
+    return [] if passed else [reason]
+
+
+def _motion_faults(
+    gate: Gate,
+    diagnosis: Diagnosis,
+    settings: AlignSettings,
+    about: dict[str, Any],
+    *,
+    focal: Focal | None,
+    belongs: bool,
+) -> list[str]:
+    """Reasons of the failed checks of a session's motion. `belongs`: pairs of its images, without any model, move as
+    its VIO does, so that they do belong to its poses and the model is what is wrong."""
     reasons: list[str] = []
 
     def check(name: str, value: float, limit: float, cause: str, reason: str, *, at_least: bool = False) -> None:
@@ -230,15 +265,16 @@ def _motion_faults(gate: Gate, diagnosis: Diagnosis, settings: AlignSettings, ab
 
     motions = diagnosis.motions
     if motions.pairs:
-        cause, reason = MISTAKES.get(motions.mistake or "", _OTHERWISE)
+        cause, reason = MISTAKES.get("" if belongs else motions.mistake or "", _OTHERWISE)
         # A mirror image that explains clearly more is a fault, however much a walk straight on agrees all the same.
         mirrored = cause == MIRRORED
         limit = max(motions.mirrors.values()) if mirrored else settings.motion_agreeing
         check("session_motion", motions.explained, limit, cause, reason, at_least=True)
-    if reasons:
+    if reasons and not belongs:
         # Turns and places say nothing where motions don't agree at all.
         return reasons
-    if np.isfinite(motions.turn_gain):
+    # Where the images themselves confirm the focal length, it's VIO that turns otherwise.
+    if np.isfinite(motions.turn_gain) and not reasons and (focal is None or not focal.confirmed):
         word = "less" if motions.turn_gain < 1 else "more"
         check(
             "session_turns",

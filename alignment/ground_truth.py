@@ -11,6 +11,7 @@ from alignment.examination import Examination, examine
 from alignment.quality import judge, sfm_covariances
 from alignment.sessions import SessionFit, fit_session, residuals_table, sessions_table
 from alignment.settings import AlignSettings
+from alignment.sfm_tables import SfmTables
 from alignment.uncertainty import SharedSd, covariance_in_map, largest_sd, shared_covariance
 from artefacts.tables import pose_frame, poses_of
 from geometry.poses import Array
@@ -39,26 +40,21 @@ class Aligned:
 
 def align(
     frames: pd.DataFrame,
-    images: pd.DataFrame,
+    sfm: SfmTables,
     jumps: pd.DataFrame,
     recordings: dict[str, str],
     settings: AlignSettings,
 ) -> Aligned:
     """Build the map frame, check the model against VIO, and give out ground truth.
 
-    `frames` and `jumps` are import's tables, `images` is SfM's; `recordings` names the recording of each session.
-    Raises UserError where the map can't be built, or where too much of the model fails the gate.
+    `frames` and `jumps` are import's tables; `recordings` names the recording of each session. Raises UserError where
+    the map can't be built, or where too much of the model fails the gate.
     """
-    frames, images = frames.reset_index(drop=True), in_order(images, frames)
-    found = examine(frames, images, jumps, recordings, settings)
+    frames = frames.reset_index(drop=True)
+    found = examine(frames, sfm, jumps, recordings, settings)
     if found.refusal:
         raise found.refusal
-    return build(frames, images, found, settings)
-
-
-def in_order(images: pd.DataFrame, frames: pd.DataFrame) -> pd.DataFrame:
-    """SfM's images in the order of the frames table."""
-    return images.set_index("frame_id").loc[frames["frame_id"]].reset_index()
+    return build(frames, sfm.images, found, settings)
 
 
 def build(frames: pd.DataFrame, images: pd.DataFrame, found: Examination, settings: AlignSettings) -> Aligned:

@@ -44,6 +44,11 @@ class AlignSettings(Settings):
     motion_agreeing: float = Field(
         0.5, ge=0, le=1, description="gate: share of a session's steps that must be alike in SfM and VIO"
     )
+    focal_limit: float = Field(
+        0.03,
+        gt=0,
+        description="gate: the images may say that a session's focal length is off by this share, and five sigmas",
+    )
     turn_gain_limit: float = Field(
         TURN_GAIN_LIMIT,
         gt=0,

@@ -5,11 +5,12 @@ import pandas as pd
 
 from alignment.drift import ALL
 from alignment.examination import examine
-from alignment.ground_truth import Aligned, build, camera_sd, in_order
+from alignment.ground_truth import Aligned, build, camera_sd
 from alignment.picture import draw_gate
 from alignment.recording import write_recording
 from alignment.sessions import SessionFit
 from alignment.settings import AlignSettings
+from alignment.sfm_tables import SfmTables
 from artefacts import Stage, StageRun, UserError
 from geometry.poses import Array
 
@@ -18,12 +19,14 @@ PICTURE = "gate.png"
 
 def run(r: StageRun[AlignSettings]) -> None:
     frames, sessions = r.read("import", "frames").reset_index(drop=True), r.read("import", "sessions")
-    images, jumps = in_order(r.read("sfm", "images"), frames), r.read("import", "jumps")
+    jumps = r.read("import", "jumps")
+    sfm = SfmTables.of(frames, r.read("sfm", "images"), r.read("sfm", "intrinsics"), r.read("sfm", "pairs"))
+    images = sfm.images
     # SfM's poses go with these focal lengths; they're import's where SfM didn't refine them.
     frames[["fx", "fy"]] = frames[["fx", "fy"]].mul(images["focal_scale"].fillna(1.0), axis=0)
     recordings = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
     with r.step("examine"):
-        found = examine(frames, images, jumps, recordings, r.settings)
+        found = examine(frames, sfm, jumps, recordings, r.settings)
     with r.step("picture"):
         draw_gate(r.work / PICTURE, found, r.scene.name, simulated=r.simulated)
     if found.refusal:
@@ -139,7 +142,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=3,
+    version=4,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

@@ -223,6 +223,11 @@ def _turned(quarters: int, swap: bool) -> Change:
     return lambda camera: (camera[0] @ turn, camera[1][[1, 0, 3, 2]] if swap else camera[1])
 
 
+def _mirrored(*signs: float) -> Change:
+    """The image is mirrored about its principal point, which is near enough to its middle."""
+    return lambda camera: (camera[0], camera[1] * np.array([*signs, 1.0, 1.0]))
+
+
 def _scaled(factor: float) -> Change:
     return lambda camera: (camera[0], camera[1] * factor)
 
@@ -244,6 +249,8 @@ CONVENTIONS: tuple[tuple[str, Change], ...] = (
     ("image is turned by 90 degrees counter-clockwise against the pose", _turned(3, swap=False)),
     ("image is turned by 90 degrees clockwise against pose and intrinsics", _turned(1, swap=True)),
     ("image is turned by 90 degrees counter-clockwise against pose and intrinsics", _turned(3, swap=True)),
+    ("the images are mirrored left to right", _mirrored(-1, 1)),
+    ("the images are mirrored upside down", _mirrored(1, -1)),
     ("intrinsics have width and height swapped", lambda camera: (camera[0], camera[1][[1, 0, 3, 2]])),
     *(
         (f"intrinsics are for an image {1 / factor:g} times as large", _scaled(factor))

@@ -24,7 +24,7 @@ _DIRECTION = np.radians(35.0)
 _LENGTH = 1.6
 _FEWEST_PAIRS = 8
 # A mistake is taken for the cause where it explains most pairs, and clearly more than no mistake does.
-_MOST, _CLEARLY, _HALF = 0.6, 0.2, 0.5
+_CLEARLY, _HALF = 0.2, 0.5
 # Turns beyond this from one frame to the other say little about the focal length: images hardly overlap.
 _MOST_TURN = np.radians(60.0)
 _GAIN_FLOOR = np.radians(0.1)
@@ -60,7 +60,7 @@ class MotionAgreement:
         if self.pairs < _FEWEST_PAIRS:
             return None
         name, share = max(self.mirrors.items(), key=lambda item: item[1])
-        if share >= _MOST and share >= self.explained + _CLEARLY:
+        if share >= _HALF and share >= self.explained + _CLEARLY:
             return name
         return UNRELATED if self.explained < _HALF else None
 

@@ -30,12 +30,15 @@ from sfm.odometry import Odometry
 
 # Millimetres are nothing against the limits, which are a decimetre and more: a few rounds of each fit will do.
 _TOLERANCE = 0.05
+# A wrong focal length leaves so large a share of the steps alike; in a model that is wrong in other ways turns say
+# nothing of it.
+_EXPLAINED = 0.8
 
 
 @dataclass(frozen=True)
 class ModelCheck:
-    """Which frames (N,) are in a model that moves as VIO does there, and the sessions in which a model turns by another
-    angle than VIO throughout, with the share, 1.1 for a tenth more."""
+    """Which frames (N,) are in a model that moves as VIO does there, and where nothing else explains those that aren't:
+    the sessions in which a model moves as VIO does but turns by another angle, with the share, 1.1 for a tenth more."""
 
     agrees: NDArray[np.bool_]
     turned: dict[str, float]
@@ -68,9 +71,11 @@ def check_models(
             found = diagnose([Stretch(sfm_T_cam[rows], vio.vio_T_cam[rows]) for rows in parts], drift)
             if found.folded > FOLDED_LIMIT:
                 agrees[own] = False
-            if abs(found.motions.turn_gain - 1) > TURN_GAIN_LIMIT + 2 * found.motions.turn_gain_sd:
+            beyond = abs(found.motions.turn_gain - 1) > TURN_GAIN_LIMIT + 2 * found.motions.turn_gain_sd
+            if beyond and found.motions.explained >= _EXPLAINED:
                 turned[str(session)] = found.motions.turn_gain
-    return ModelCheck(agrees, turned)
+    otherwise = set(vio.session[(model_N >= 0) & ~agrees].tolist())
+    return ModelCheck(agrees, turned if otherwise <= turned.keys() else {})
 
 
 def _stretches(chosen: NDArray[np.bool_], vio: Odometry, t_ns_N: NDArray[np.int64]) -> list[NDArray[np.intp]]:

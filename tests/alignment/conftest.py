@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from alignment.sfm_tables import SfmTables
 from alignment.uncertainty import covariance_in_map
 from artefacts import DataRoot
 from artefacts.schemas import schema
@@ -56,6 +57,14 @@ class Scene:
     jumps: pd.DataFrame
     true_T_cam: np.ndarray
     phone_scales: np.ndarray
+    intrinsics: pd.DataFrame = field(
+        default_factory=lambda: pd.DataFrame(columns=schema("sfm", "intrinsics").column_names)
+    )
+    pairs: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=schema("sfm", "pairs").column_names))
+
+    @property
+    def sfm(self) -> SfmTables:
+        return SfmTables.of(self.frames, self.images, self.intrinsics, self.pairs)
 
     @property
     def recordings(self) -> dict[str, str]:
@@ -196,6 +205,8 @@ def make_place(walks: Walks, root: DataRoot) -> None:
         "sfm",
         {
             "images": filled(scene.images, "sfm", "images"),
+            "intrinsics": scene.intrinsics,
+            "pairs": scene.pairs,
             "points": filled(points, "sfm", "points", r=200, model_id="incremental/0"),
         },
     )

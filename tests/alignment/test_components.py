@@ -32,7 +32,7 @@ def drop(scene, rows: np.ndarray) -> None:
 
 
 def run(scene, **settings):
-    return align(scene.frames, scene.images, scene.jumps, scene.recordings, AlignSettings(**settings))
+    return align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(**settings))
 
 
 def errors(aligned, scene) -> np.ndarray:

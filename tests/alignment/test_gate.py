@@ -20,7 +20,7 @@ NOISE = {"frames": FRAMES, "sfm_m": 0.01, "sfm_deg": 0.05, "drift_m": 0.01, "dri
 
 
 def run(scene) -> Examination:
-    return examine(scene.frames, scene.images, scene.jumps, scene.recordings, AlignSettings())
+    return examine(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings())
 
 
 def of_walk(scene, number: int) -> np.ndarray:
@@ -153,6 +153,58 @@ def cut_off(scene, rows: np.ndarray) -> dict[str, str]:
     return recordings | {f"{session}.part2": session}
 
 
+def told_focal(scene, *rows: tuple[str, float, float, str]) -> None:
+    """SfM's table of focal lengths: session, factor, its sigma, and what SfM decided."""
+    columns = {"model_id": "incremental/0", "frames": FRAMES, "heldout_px": np.nan, "heldout_refined_px": np.nan}
+    told = pd.DataFrame(rows, columns=["session_id", "focal_scale", "focal_scale_sd", "decision"]).assign(**columns)
+    scene.intrinsics = told[schema("sfm", "intrinsics").column_names]
+
+
+def test_focal_lengths_that_the_images_deny_are_named_where_motion_hides_them(walks) -> None:
+    scene = walks.make(**NOISE)
+    told_focal(scene, ("walk0", 1.16, 0.005, "captured: beyond"), ("walk1", 1.01, 0.005, "captured: beside"))
+    found = run(scene)
+    assert (gate.INTRINSICS, "walk0") in faults(found) and found.refusal is not None and not found.used.any()
+
+
+def test_focal_lengths_that_are_refined_or_hardly_told_pass(walks) -> None:
+    scene = walks.make(**NOISE)
+    told_focal(scene, ("walk0", 1.05, 0.001, "refined"), ("walk1", 1.08, 0.02, "captured: the images don't tell"))
+    assert not run(scene).gate.failed
+
+
+def turning_otherwise(scene, walk: int, gain: float) -> None:
+    """SfM turns `gain` times as far as VIO in a walk, wherever the fault lies."""
+    rows, sfm = of_walk(scene, walk), poses_of(scene.images, "sfm_cam")
+    turns = Rotation.from_matrix(np.swapaxes(sfm[rows[:-1], :3, :3], 1, 2) @ sfm[rows[1:], :3, :3])
+    for (a, b), turn in zip(pairwise(rows), turns, strict=True):
+        sfm[b, :3, :3] = sfm[a, :3, :3] @ Rotation.from_rotvec(gain * turn.as_rotvec()).as_matrix()
+    scene.set_sfm(sfm)
+
+
+def test_turns_are_odometrys_fault_where_the_images_confirm_the_focal_length(walks) -> None:
+    scene = walks.make(**NOISE)
+    turning_otherwise(scene, 1, 0.9)
+    assert (gate.INTRINSICS, "walk1") in faults(run(scene))
+    told_focal(scene, ("walk1", 1.001, 0.001, "captured: nothing speaks against them"))
+    assert (gate.INTRINSICS, "walk1") not in faults(run(scene))
+
+
+def test_images_whose_pairs_move_as_vio_belong_to_its_poses(walks) -> None:
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 1)
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[rows] = sfm[np.random.default_rng(0).permutation(rows)]
+    scene.set_sfm(sfm)
+    assert (gate.SHUFFLED, "walk1") in faults(run(scene))
+    ids = scene.frames["frame_id"].to_numpy()[rows]
+    scene.pairs = pd.DataFrame({"frame_id_a": ids[:-1], "frame_id_b": ids[1:]}).assign(
+        verdict="verified", rotation_deg=0.1
+    )
+    named = {cause for cause, session in faults(run(scene)) if session == "walk1"}
+    assert named and gate.SHUFFLED not in named
+
+
 @pytest.mark.parametrize("registered", [False, True])
 def test_what_a_vio_jump_cut_off_is_no_other_scene(walks, registered: bool) -> None:
     """A few frames that nothing ties to the map, by view or by VIO: not in the model, or in one of their own."""
@@ -161,7 +213,7 @@ def test_what_a_vio_jump_cut_off_is_no_other_scene(walks, registered: bool) -> N
     recordings = cut_off(scene, rows)
     scene.images.loc[rows, "model_id"] = "incremental/1" if registered else None
     scene.images.loc[rows, "registered"] = registered
-    found = examine(scene.frames, scene.images, scene.jumps, recordings, AlignSettings())
+    found = examine(scene.frames, scene.sfm, scene.jumps, recordings, AlignSettings())
     assert {cause for cause, _ in faults(found)} == ({gate.BROKEN_OFF} if registered else set())
     assert found.used.sum() == 3 * FRAMES - 8
 

@@ -27,7 +27,7 @@ PHONES = {
 
 
 def run(scene, **settings) -> Aligned:
-    return align(scene.frames, scene.images, scene.jumps, scene.recordings, AlignSettings(**settings))
+    return align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(**settings))
 
 
 def ground_truth(aligned: Aligned) -> np.ndarray:

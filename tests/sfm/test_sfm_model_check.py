@@ -110,3 +110,14 @@ def test_turns_that_are_all_too_small_are_the_focal_lengths_fault(rng) -> None:
     turned = _checked(poses, vio).turned
     assert set(turned) == {"a"} and turned["a"] == pytest.approx(1 / 1.12, rel=0.01)
     assert not _checked(_noisy(poses, rng), poses).turned
+
+
+def test_turns_say_nothing_of_focal_lengths_where_more_is_wrong(rng) -> None:
+    poses = _walks(rng)
+    vio, sfm = poses.copy(), poses.copy()
+    turns = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3])
+    for k in range(1, _EACH):
+        vio[k, :3, :3] = vio[k - 1, :3, :3] @ Rotation.from_rotvec(1.12 * turns[k - 1].as_rotvec()).as_matrix()
+    sfm[_EACH:, :3, 3] = sfm[_EACH + rng.permutation(_EACH), :3, 3]
+    checked = _checked(sfm, vio)
+    assert not checked.agrees[_EACH:].all() and not checked.turned
