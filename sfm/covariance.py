@@ -12,7 +12,7 @@ from scipy.linalg import LinAlgError
 from geometry.poses import Array
 from sfm.normal_equations import block_rows, inverse_of, jacobians, reduced_camera_system, similarities
 
-# The scatter of points tells that of the poses where there are some more of them than unknowns.
+# The scatter of blobs tells that of the poses where there are some more of them than unknowns.
 _POINTS_PER_UNKNOWN = 2
 
 
@@ -24,22 +24,25 @@ def pose_covariance(
     point_M: NDArray[np.int64],
     residual_px_M2: Array,
     loss_px: float,
+    blob_P: NDArray[np.int64] | None = None,
 ) -> Array | None:
     """Covariance (N, 6, 6) of N adjusted poses, or None where there are too few points to tell.
 
     In the order rotation (rad, 3), position (sfm units, 3): true rotation = exp(rotation) @ sfm_R_cam, true position =
     position of sfm_T_cam + position, both along the sfm axes. `frame_M` and `point_M` say which pose sees which point;
-    `loss_px` is the width of the Cauchy loss that the poses were adjusted with. Intrinsics count as known.
+    `loss_px` is the width of the Cauchy loss that the poses were adjusted with. `blob_P` numbers the blob of the images
+    that each point is of (`Model.blobs`; a blob each without it). Intrinsics count as known.
 
-    Nothing is assumed of the noise but that errors of two points have nothing to do with each other: those of one point
-    in the frames that see it hang together, as its features slide with the view. So this is the sandwich of an
-    M-estimator, clustered by point (Huber 1967; Liang and Zeger, Biometrika 73, 1986; a point's residuals are scaled up
-    for the three numbers that were fitted to them), brought to the gauge of all positions by an S-transformation
-    (Baarda 1973).
+    Nothing is assumed of the noise but that errors of two blobs have nothing to do with each other: those of one blob
+    in the frames that see it hang together, as its features slide with the view, and points of one blob share them. So
+    this is the sandwich of an M-estimator, clustered by blob (Huber 1967; Liang and Zeger, Biometrika 73, 1986; a
+    point's residuals are scaled up for the three numbers that were fitted to them), brought to the gauge of all
+    positions by an S-transformation (Baarda 1973).
     """
     frames, points = len(sfm_T_cam), len(xyz_P3)
-    seen_by = np.bincount(point_M, minlength=points)
-    if points < _POINTS_PER_UNKNOWN * 6 * frames or seen_by.min() < 2:
+    blob_P = np.arange(points) if blob_P is None else blob_P
+    seen_by, blobs = np.bincount(point_M, minlength=points), int(blob_P.max(initial=-1)) + 1
+    if blobs < _POINTS_PER_UNKNOWN * 6 * frames or seen_by.min() < 2:
         return None
     weight_M = 1 / (1 + np.sum(residual_px_M2**2, axis=1) / loss_px**2)
     by_pose, by_point = jacobians(sfm_T_cam, focal_N2, xyz_P3, frame_M, point_M)
@@ -53,8 +56,8 @@ def pose_covariance(
         return None
     fitted_M = np.sqrt(2 * seen_by / (2 * seen_by - 3))[point_M]
     force_M6 = _forces(by_pose, by_point, weight_M, fitted_M[:, None] * residual_px_M2, point_M, points)
-    by_track = block_rows(force_M6[:, :, None], frame_M, point_M, frames, points)
-    return _gauge_free_sandwich(inverse, (by_track @ by_track.T).toarray(), sfm_T_cam[:, :3, 3])
+    by_blob = block_rows(force_M6[:, :, None], frame_M, blob_P[point_M], frames, blobs)
+    return _gauge_free_sandwich(inverse, (by_blob @ by_blob.T).toarray(), sfm_T_cam[:, :3, 3])
 
 
 def _forces(

@@ -8,11 +8,16 @@ import numpy as np
 import pandas as pd
 import pycolmap
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from geometry.poses import Array, inverse, make_pose
 from sfm.database import image_id
 
 Ints = NDArray[np.int64]
+
+# Features of one blob have its place to the bit; a hundredth allows for rounding.
+_SAME_PLACE_PX = 0.01
 
 
 @dataclass(frozen=True)
@@ -91,6 +96,17 @@ class Model:
     def point_error_px(self) -> Array:
         """Mean length of each point's residuals, (P,)."""
         return _mean_by(self.point, np.linalg.norm(self.residual_px, axis=1), len(self.xyz))
+
+    def blobs(self) -> Ints:
+        """The number of each point's blob, (P,): SIFT gives a blob a feature for each of its orientations, so points
+        that any frame sees in the same place are of one."""
+        place = np.round(self.seen_px / _SAME_PLACE_PX).astype(np.int64)
+        _, seen = np.unique(np.column_stack([self.frame, place]), axis=0, return_inverse=True)
+        points = len(self.xyz)
+        size = points + int(seen.max(initial=-1)) + 1
+        ties = coo_array((np.ones(len(self.point), bool), (self.point, points + seen.ravel())), shape=(size, size))
+        label = connected_components(ties, directed=False)[1][:points]
+        return np.asarray(np.unique(label, return_inverse=True)[1], np.int64).ravel()
 
     def triangulation_angles(self) -> Array:
         """The widest angle in radians between two rays to each point, (P,)."""

@@ -462,6 +462,7 @@ def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, ke
             part.point,
             part.residual_px,
             told.loss_px,
+            part.blobs(),
         )
         if blocks is None:
             r.say(f"no covariances: model {told.model_id} has too few points to tell")
@@ -472,7 +473,7 @@ def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, ke
 
 STAGE = Stage(
     name="sfm",
-    version=6,
+    version=7,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from geometry.poses import Array, inverse, make_pose
 from sfm.covariance import pose_covariance
+from sfm.model import Model
 
 _FRAMES, _POINTS, _RUNS = 8, 300, 25
 _NOISE_PX = 0.7
@@ -74,6 +75,35 @@ def test_covariance_follows_the_gauge() -> None:
     assert here is not None and there is not None
     jacobian = np.kron(np.diag([1.0, scale]), turn)
     assert np.allclose(there, jacobian @ here @ jacobian.T, rtol=1e-5, atol=1e-12)
+
+
+def test_the_same_blob_twice_tells_no_more_than_once() -> None:
+    truth, rng = _ring_of_cameras(), np.random.default_rng(5)
+    xyz = rng.uniform(-1, 1, (_POINTS, 3))
+    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
+    residual_px = rng.normal(0, _NOISE_PX, (len(frame), 2))
+    focal = np.full((_FRAMES, 2), _FOCAL_PX)
+    once = pose_covariance(truth, focal, xyz, frame, point, residual_px, _LOSS_PX)
+    again = (
+        truth,
+        focal,
+        np.concatenate([xyz, xyz]),
+        np.concatenate([frame, frame]),
+        np.concatenate([point, _POINTS + point]),
+        np.concatenate([residual_px, residual_px]),
+        _LOSS_PX,
+    )
+    seen_px = _project(truth, again[2], again[3], again[4])
+    nothing = np.zeros(2 * _POINTS, int)
+    rgb = np.zeros((2 * _POINTS, 3), np.uint8)
+    registered = np.zeros(_FRAMES, int)
+    model = Model(truth, registered, nothing, nothing, again[2], rgb, again[3], again[4], seen_px, again[5])
+    twice = pose_covariance(*again, model.blobs())
+    assert once is not None and twice is not None
+    assert model.blobs().tolist() == 2 * list(range(_POINTS))
+    assert np.allclose(twice, once, rtol=1e-6, atol=1e-12)
+    counted_twice = pose_covariance(*again)
+    assert counted_twice is not None and np.allclose(counted_twice, once / 2, rtol=1e-6, atol=1e-12)
 
 
 def test_no_covariance_where_the_observations_do_not_determine_the_poses() -> None:
