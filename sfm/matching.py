@@ -18,6 +18,8 @@ from sfm.settings import SfmSettings
 
 _CHUNK = 128
 _TRIED_PX = 64
+# COLMAP's 100 trials at least are for matches of which half are wrong; how many more a pair needs it finds itself.
+_FEWEST_TRIALS = 30
 ONE_THREAD = {"OMP_NUM_THREADS": "1"}
 """Environment of the process that matches: OpenMP would build the descriptors' index in another order each time."""
 
@@ -97,6 +99,7 @@ def match_pairs(
     verification = pycolmap.TwoViewGeometryOptions()
     verification.min_num_inliers = settings.min_inliers
     verification.ransac.random_seed = seed
+    verification.ransac.min_num_trials = _FEWEST_TRIALS
     pairing = pycolmap.ImportedPairingOptions()
     pairing.block_size = _CHUNK
     pairing.match_list_path = database.with_name("pairs.txt")
