@@ -11,7 +11,8 @@ with odometry's, whose height disagrees with the one that is well known by then,
 within one frame and needs no threshold in metres. What still doesn't fit has the tails of Student's t. Several filters
 that believe odometry less and less, the last of them not at all, run side by side and share their states by how well
 they predict (interacting multiple models, Blom and Bar-Shalom 1988), so that bad odometry is answered by following the
-regressor, and a jump by aligning anew.
+regressor, and a jump by aligning anew. Odometry keeps its gravity through all of that, so a prediction that leans tells
+little of it.
 """
 
 from math import acos, atan2, cos, exp, lgamma, log, pi, radians, sin, sqrt
@@ -305,14 +306,16 @@ class DriftAware(Localiser):
         nu = o.degrees_of_freedom
         # Errors that the model takes for independent aren't quite, so a frame counts as less evidence than it looks. A
         # prediction that may be anywhere says nothing of odometry: a few of them are no reason to distrust it.
-        # Such predictions come in runs.
+        # Such predictions come in runs. One that leans is a bad one whatever odometry has done, and so no judge of it.
+        leans = tilt * tilt / (expected.tilt * self._scale[_TILT]) if o.tilt else 2.0
+        evidence = o.evidence * min(1.0, (nu + 2) / (nu + leans))
         posterior, wrong = [], []
         numbers = (self._weight, self._wrong, np.linalg.det(inverse))
         for w, q, det, d2 in zip(*(n.tolist() for n in numbers), squares, strict=True):
             fits = self._t_density * sqrt(det) * (1 + d2 / nu) ** (-(nu + 4) / 2)
             share = (1 - q) * o.outliers + q * o.outlier_runs
             right, elsewhere = (1 - share) * fits, share * _ANYWHERE_DENSITY
-            posterior.append(w * (right + elsewhere) ** o.evidence)
+            posterior.append(w * (right + elsewhere) ** evidence)
             wrong.append(elsewhere / (right + elsewhere))
         self._wrong = np.array(wrong)
         total = sum(posterior)

@@ -41,7 +41,7 @@ def _predictions(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:
 
 STAGE = Stage(
     name="fuse",
-    version=4,
+    version=5,
     settings=FuseSettings,
     needs=("import", "align", "train"),
     run=run,

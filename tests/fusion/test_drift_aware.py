@@ -161,6 +161,21 @@ def test_some_seconds_of_wrong_predictions_are_no_reason_to_leave_odometry():
     assert in_runs < 0.3 * alone and in_runs < 1.5
 
 
+def test_a_long_row_of_alike_mistakes_is_told_from_lost_odometry_by_its_gravity():
+    """Ten predictions wrong in the same way: where they lean, odometry is still believed at their end."""
+    strayed = {0: [], 30: []}
+    for seed in range(5):
+        t_ns, truth, vio, apr = upright_walk(seed, 80, noise_m=0.3, outliers=0.0)
+        for lean_deg, found in strayed.items():
+            lean = Rotation.from_rotvec(np.radians([lean_deg, 0, 0])).as_matrix()
+            wrong = apr.copy()
+            wrong[40:50] = make_pose(lean @ yaw_rotation(1.0) @ apr[40:50, :3, :3], apr[40:50, :3, 3] + [4.0, 0, 2.0])
+            fused = poses(answers(DriftAware(), t_ns, vio, wrong))
+            found.append(position_error(fused, truth)[45:50].mean())
+    upright, leaning = (np.mean(found) for found in strayed.values())
+    assert leaning < 0.3 * upright and leaning < 1
+
+
 def test_a_jump_too_short_to_see_is_answered_by_following_the_predictions():
     """2 m within a second could be a walk; the predictions say that it wasn't one."""
     after = {"tried": [], "believed": []}
