@@ -246,14 +246,15 @@ def measured_tracks(folder: Path) -> list[Track]:
     ]
 
 
-def recorded_case(kind: str, tracks: list[Track], scene: str, model: str, seed: int = 0) -> Case:
-    """Recorded walks with predictions as wrong as the regressor was in the scene. Each recording is a place of its own,
-    in which five training walks are made up beside it, with a tenth of each held out as import does."""
+def recorded_case(kind: str, tracks: list[Track], scene: str, model: str, seeds: Sequence[int] = (0,)) -> Case:
+    """Recorded walks with predictions as wrong as the regressor was in the scene; each seed is another regressor. Each
+    recording is a place of its own, in which five training walks are made up beside it, with a tenth of each held out
+    as import does."""
     walks, maps = [], []
-    for track in tracks:
+    for seed in seeds:
         regressor = Regressor(scene, model, seed)
-        walks.append(_predicted(track, regressor))
-        maps.append(_learnt(regressor, _walked_beside(track)))
+        walks += [_predicted(track, regressor) for track in tracks]
+        maps += [_learnt(regressor, _walked_beside(track)) for track in tracks]
     return Case(kind, scene, model, tuple(walks), tuple(maps))
 
 

@@ -6,6 +6,7 @@ import pytest
 from benchmarks.fusion_inputs import (
     KIDNAPPED,
     MEASURED,
+    RECORDED,
     SIMULATED,
     Case,
     measured_tracks,
@@ -121,3 +122,6 @@ def test_recorded_walks_differ_from_their_truth_by_a_drift_of_the_fitted_size(sh
         steps_m, steps_deg = relative_error(track.vio_T_cam, track.map_T_cam)
         assert np.median(steps_m) < 0.02 and np.median(steps_deg) < 0.5
     assert len(recorded_case(MEASURED, measured, SCENE, MODEL).walks) == 2
+    drawn = recorded_case(RECORDED, list(tracks.values())[:1], SCENE, MODEL, range(2)).walks
+    assert len({w.session_id for w in drawn}) == 2
+    assert not np.array_equal(drawn[0].map_T_cam_apr, drawn[1].map_T_cam_apr)
