@@ -77,7 +77,7 @@ class DriftAwareOptions(OdometryOptions):
     covariance_factor: float = Field(
         2.0, gt=0, description="what the filter's covariance of position is multiplied with"
     )
-    yaw_covariance_factor: float = Field(1.2, gt=0, description="the same, of yaw")
+    yaw_covariance_factor: float = Field(1.0, gt=0, description="the same, of yaw")
 
 
 class DriftAware(Localiser):
