@@ -50,7 +50,7 @@ from simulation.fit_apr_errors import REGRESSORS
 from simulation.scenes import NAMES
 
 KINDS = (inputs.SIMULATED, inputs.RECORDED, inputs.MEASURED, inputs.TRAINED, *inputs.BAD_ODOMETRY, inputs.KIDNAPPED)
-_COMPARED = (inputs.SIMULATED, inputs.RECORDED)
+_COMPARED = (inputs.SIMULATED, inputs.RECORDED, inputs.TRAINED)
 _ABLATED = (inputs.SIMULATED,)
 # A step of these takes milliseconds; with bad odometry, which is about ours and the raw regressor, they are left out.
 _SLOW = ("window30", "pose_graph", "smoother")
