@@ -64,22 +64,24 @@ def test_mirrored_images_are_named(walks, axis: int) -> None:
     assert found.refusal is not None and gate.MIRRORED in found.refusal.what and not found.used.any()
 
 
-def test_shuffled_images_are_named(walks) -> None:
-    scene = walks.make(**NOISE)
-    rows = of_walk(scene, 2)
+def shuffle(scene, rows: np.ndarray) -> None:
+    """SfM poses of images that were swapped among each other."""
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[rows] = sfm[np.random.default_rng(0).permutation(rows)]
     scene.set_sfm(sfm)
+
+
+def test_shuffled_images_are_named(walks) -> None:
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 2)
+    shuffle(scene, rows)
     found = run(scene)
     assert faults(found) == {(gate.SHUFFLED, "walk2")} and refused(found) == {2}
     assert "no relation" in found.reason[rows[0]]
 
 
-@pytest.mark.parametrize("gain", [0.91, 1.11])
-def test_wrong_intrinsics_are_named(walks, gain: float) -> None:
-    """SfM that turns about a tenth too little or too much, its steps right: what a wrong focal length does."""
-    scene = walks.make(**NOISE)
-    rows = of_walk(scene, 0)
+def turn_otherwise(scene, rows: np.ndarray, gain: float) -> None:
+    """SfM poses that turn `gain` times as far from one to the next, their steps right in their own axes."""
     sfm = poses_of(scene.images, "sfm_cam")
     turned = [sfm[rows[0]]]
     for a, b in pairwise(rows):
@@ -88,6 +90,13 @@ def test_wrong_intrinsics_are_named(walks, gain: float) -> None:
         turned.append(turned[-1] @ make_pose(Rotation.from_rotvec(vector).as_matrix(), motion[:3, 3]))
     sfm[rows] = turned
     scene.set_sfm(sfm)
+
+
+@pytest.mark.parametrize("gain", [0.91, 1.11])
+def test_wrong_intrinsics_are_named(walks, gain: float) -> None:
+    """SfM that turns about a tenth too little or too much, its steps right: what a wrong focal length does."""
+    scene = walks.make(**NOISE)
+    turn_otherwise(scene, of_walk(scene, 0), gain)
     found = run(scene)
     assert (gate.INTRINSICS, "walk0") in faults(found) and not found.used.any()
     assert found.refusal is not None and gate.INTRINSICS in found.refusal.what
@@ -173,18 +182,9 @@ def test_focal_lengths_that_are_refined_or_hardly_told_pass(walks) -> None:
     assert not run(scene).gate.failed
 
 
-def turning_otherwise(scene, walk: int, gain: float) -> None:
-    """SfM turns `gain` times as far as VIO in a walk, wherever the fault lies."""
-    rows, sfm = of_walk(scene, walk), poses_of(scene.images, "sfm_cam")
-    turns = Rotation.from_matrix(np.swapaxes(sfm[rows[:-1], :3, :3], 1, 2) @ sfm[rows[1:], :3, :3])
-    for (a, b), turn in zip(pairwise(rows), turns, strict=True):
-        sfm[b, :3, :3] = sfm[a, :3, :3] @ Rotation.from_rotvec(gain * turn.as_rotvec()).as_matrix()
-    scene.set_sfm(sfm)
-
-
 def test_turns_are_odometrys_fault_where_the_images_confirm_the_focal_length(walks) -> None:
     scene = walks.make(**NOISE)
-    turning_otherwise(scene, 1, 0.9)
+    turn_otherwise(scene, of_walk(scene, 1), 0.9)
     assert (gate.INTRINSICS, "walk1") in faults(run(scene))
     told_focal(scene, ("walk1", 1.001, 0.001, "captured: nothing speaks against them"))
     assert (gate.INTRINSICS, "walk1") not in faults(run(scene))
@@ -193,9 +193,7 @@ def test_turns_are_odometrys_fault_where_the_images_confirm_the_focal_length(wal
 def test_images_whose_pairs_move_as_vio_belong_to_its_poses(walks) -> None:
     scene = walks.make(**NOISE)
     rows = of_walk(scene, 1)
-    sfm = poses_of(scene.images, "sfm_cam")
-    sfm[rows] = sfm[np.random.default_rng(0).permutation(rows)]
-    scene.set_sfm(sfm)
+    shuffle(scene, rows)
     assert (gate.SHUFFLED, "walk1") in faults(run(scene))
     ids = scene.frames["frame_id"].to_numpy()[rows]
     scene.pairs = pd.DataFrame({"frame_id_a": ids[:-1], "frame_id_b": ids[1:]}).assign(
