@@ -72,7 +72,9 @@ def _once(rate_hz: int) -> bytes:
         stream.options = {"preset": "ultrafast", "x265-params": f"log-level=none:keyint={rate_hz}:open-gop=0"}
         for i in range(_PERIOD):
             image = _view(wall, round(_triangle(i, _PERIOD // 2) * _FRAME_PX))
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+            frame = av.VideoFrame.from_ndarray(image, format="bgr24")
+            # An encoder's own conversion doesn't repeat.
+            container.mux(stream.encode(frame.reformat(format="yuv420p")))
         container.mux(stream.encode())
     return file.getvalue()
 

@@ -98,8 +98,13 @@ def write_scanner_app(folder: Path, walk: Walk, private: bool = False) -> None:
             (folder / f"frame_{i:05d}.jpg").write_bytes(walk.jpeg(i))
 
 
+def video_frame(bgr: np.ndarray) -> av.VideoFrame:
+    """An image as an encoder takes it: when it's left to the encoder, the conversion's result differs now and then."""
+    return av.VideoFrame.from_ndarray(bgr, format="bgr24").reformat(format="yuv420p")
+
+
 def write_video(path: Path, walk: Walk, indices: np.ndarray) -> None:
-    """A video of the walk's images with these indices."""
+    """A video of the walk's images with these indices, the same to the byte each time."""
     rate_hz = round(1e9 / float(np.median(np.diff(walk.t_ns[indices]))))
     with av.open(path, "w") as container:
         stream = container.add_stream("libx264", rate=rate_hz)
@@ -107,7 +112,7 @@ def write_video(path: Path, walk: Walk, indices: np.ndarray) -> None:
         stream.pix_fmt = "yuv420p"
         stream.options = {"crf": "10"}
         for index in indices:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(walk.picture(index), format="bgr24")))
+            container.mux(stream.encode(video_frame(walk.picture(index))))
         container.mux(stream.encode())
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
-from capture_writers import HEIGHT, WIDTH, image, make_walk, write_stray_scanner
+from capture_writers import HEIGHT, WIDTH, image, make_walk, video_frame, write_stray_scanner
 
 from artefacts import DataRoot, UserError, execute
 from artefacts.stage import load_manifest
@@ -22,7 +22,7 @@ def write_long_video(path: Path, count: int, rate_hz: int = 10) -> None:
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
         stream.options = {"crf": "10", "bf": "2", "g": str(rate_hz)}
         for index in range(count):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(image(index), format="bgr24")))
+            container.mux(stream.encode(video_frame(image(index))))
         container.mux(stream.encode())
 
 
