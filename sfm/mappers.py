@@ -15,6 +15,7 @@ from sfm.settings import MapperName
 
 SMALLEST_MODEL = 3
 _LEAF_IMAGES = 200
+_FIRST_PAIR_SHARE = 0.001  # of an image's longer side
 
 
 @dataclass(frozen=True)
@@ -124,9 +125,21 @@ def pipeline_options(given: MappingInput) -> pycolmap.IncrementalPipelineOptions
     options.ba_global_max_refinements = 1
     options.ba_global_max_num_iterations = 15
     options.ba_local_max_refinements = 1
+    options.mapper.init_max_error = _first_pair_px(given.database)
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
     options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
     return options
+
+
+def _first_pair_px(database: Path) -> float:
+    """What a match of the first pair may be off by, in pixels.
+
+    Two poses explain the matches of a facade within COLMAP's 4 px, and of these RANSAC takes either: a model that
+    begins with the wrong one folds, however good all other matches are. Within a pixel one of them remains.
+    """
+    with pycolmap.Database.open(database) as opened:
+        longest = max(max(camera.width, camera.height) for camera in opened.read_all_cameras())
+    return max(1.0, _FIRST_PAIR_SHARE * longest)
 
 
 def _listed(models: dict[int, pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:

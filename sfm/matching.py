@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from artefacts.child import Report
 from sfm.database import have_results
 from sfm.features import extraction_options
-from sfm.networks import cannot_run, options_of_network
+from sfm.nearest import write_nearest
+from sfm.networks import cannot_run, model_files, options_of_network
 from sfm.odometry import Comparison
 from sfm.pairs import Pairs
 from sfm.settings import SfmSettings
@@ -20,8 +21,8 @@ _CHUNK = 128
 _TRIED_PX = 64
 # COLMAP's 100 trials at least are for matches of which half are wrong; how many more a pair needs it finds itself.
 _FEWEST_TRIALS = 30
-ONE_THREAD = {"OMP_NUM_THREADS": "1"}
-"""Environment of the process that matches: OpenMP would build the descriptors' index in another order each time."""
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
+"""Environment of the process that matches: pairs are matched side by side, each on one thread."""
 
 
 @dataclass(frozen=True)
@@ -54,15 +55,12 @@ class MatchedPairs:
 
 
 def matching_options(settings: SfmSettings) -> pycolmap.FeatureMatchingOptions:
-    """COLMAP's options; UserError where they ask for a network that this COLMAP has been built without.
+    """COLMAP's options to match by a network; UserError where this COLMAP has been built without.
 
     ALIKED's features are always matched by LightGlue (Lindenberger et al., ICCV 2023), SIFT's where the settings ask.
     """
     options = pycolmap.FeatureMatchingOptions()
     options.use_gpu = False
-    # Two threads share an index of SIFT's descriptors, and now and then lose most of a pair's matches. Its building
-    # repeats on one thread only, too: see ONE_THREAD.
-    options.num_threads = 1
     if settings.features == "aliked":
         options.type = pycolmap.FeatureMatcherType.ALIKED_LIGHTGLUE
         options_of_network(options, "aliked").lightglue.model_path = settings.aliked_lightglue_model
@@ -95,19 +93,23 @@ def match_pairs(
 
     Each pair's result depends on the pair and the seed alone, so that a killed run goes on as if it hadn't been.
     """
-    matching = matching_options(settings)
     verification = pycolmap.TwoViewGeometryOptions()
     verification.min_num_inliers = settings.min_inliers
     verification.ransac.random_seed = seed
     verification.ransac.min_num_trials = _FEWEST_TRIALS
+    listed = database.with_name("pairs.txt")
     pairing = pycolmap.ImportedPairingOptions()
     pairing.block_size = _CHUNK
-    pairing.match_list_path = database.with_name("pairs.txt")
-    # Matching has no progress of its own, so it gets some pairs at a time.
+    pairing.match_list_path = listed
+    # COLMAP's matching and verification have no progress of their own, so they get some pairs at a time.
     done = have_results(database, pairs)
     todo = pairs[~done]
     for start in range(0, len(todo), _CHUNK):
         chunk = todo[start : start + _CHUNK]
-        pairing.match_list_path.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in chunk), encoding="utf-8")
-        pycolmap.match_image_pairs(database, matching, pairing, verification, pycolmap.Device.cpu)
+        listed.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in chunk), encoding="utf-8")
+        if model_files(settings):
+            pycolmap.match_image_pairs(database, matching_options(settings), pairing, verification, pycolmap.Device.cpu)
+        else:
+            write_nearest(database, chunk)
+            pycolmap.verify_matches(database, listed, verification)
         report(int(done.sum()) + start + len(chunk))

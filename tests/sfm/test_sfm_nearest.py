@@ -1,0 +1,69 @@
+"""Which descriptors match, against a literal reading of the rule and against OpenCV's exact matcher."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sfm.nearest import mutual_matches
+
+
+def sift_like(rng: np.random.Generator, count: int) -> NDArray[np.float32]:
+    """Descriptors (count, 128) as COLMAP keeps them: whole numbers, of length 512."""
+    raw = rng.exponential(size=(count, 128))
+    return np.round(512 * raw / np.linalg.norm(raw, axis=1, keepdims=True)).astype(np.float32)
+
+
+def seen_again(rng: np.random.Generator, seen: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
+    moved = np.abs(seen + rng.normal(scale=noise, size=seen.shape))
+    return np.round(512 * moved / np.linalg.norm(moved, axis=1, keepdims=True)).astype(np.float32)
+
+
+def literal(a: NDArray[np.float32], b: NDArray[np.float32]) -> list[tuple[int, int]]:
+    def angles(one: NDArray[np.float32], others: NDArray[np.float32]) -> list[float]:
+        return [float(np.arccos(min(1.0, float(one.astype(int) @ o.astype(int)) / 512**2))) for o in others]
+
+    def best(ones: NDArray[np.float32], others: NDArray[np.float32]) -> dict[int, int]:
+        found = {}
+        for i, one in enumerate(ones):
+            order = sorted(enumerate(angles(one, others)), key=lambda entry: entry[1])
+            (j, first), (_, second) = order[0], order[1]
+            if first <= 0.7 and first < 0.8 * second:
+                found[i] = j
+        return found
+
+    forth, back = best(a, b), best(b, a)
+    return [(i, j) for i, j in forth.items() if back.get(j) == i]
+
+
+def test_matches_are_those_of_the_literal_rule() -> None:
+    rng = np.random.default_rng(0)
+    a = sift_like(rng, 40)
+    b = np.concatenate([seen_again(rng, a[::2], 8.0), seen_again(rng, a[::5], 16.0), sift_like(rng, 12)])
+    b = b[rng.permutation(len(b))]
+    found = [tuple(row) for row in mutual_matches(a, b).tolist()]
+    assert found == literal(a, b)
+    assert 8 < len(found) < 40
+
+
+def test_nearest_are_those_of_opencv() -> None:
+    rng = np.random.default_rng(1)
+    a = sift_like(rng, 300)
+    b = seen_again(rng, a, 6.0)[rng.permutation(300)]
+    theirs = {(m.queryIdx, m.trainIdx) for m in cv2.BFMatcher(cv2.NORM_L2, crossCheck=True).match(a, b)}
+    ours = {tuple(row) for row in mutual_matches(a, b).tolist()}
+    assert ours <= theirs
+    assert len(ours) == 300
+
+
+def test_a_descriptor_that_is_there_twice_matches_nothing() -> None:
+    rng = np.random.default_rng(2)
+    a = sift_like(rng, 6)
+    b = np.concatenate([a, a[:1]])
+    assert mutual_matches(a, b)[:, 0].tolist() == [1, 2, 3, 4, 5]
+    assert mutual_matches(b, a)[:, 1].tolist() == [1, 2, 3, 4, 5]
+
+
+def test_images_without_features_match_nothing() -> None:
+    empty = np.empty((0, 128), np.float32)
+    some = sift_like(np.random.default_rng(3), 3)
+    assert mutual_matches(empty, some).shape == mutual_matches(some, empty).shape == (0, 2)
