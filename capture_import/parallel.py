@@ -1,13 +1,14 @@
 """Work on all cores for what lets go of Python's lock: decoding and OpenCV."""
 
 import contextlib
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
 import cv2
+
+from artefacts.cores import usable_cores
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -27,11 +28,6 @@ def in_parallel(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
                 yield pending.popleft().result()
         while pending:
             yield pending.popleft().result()
-
-
-def usable_cores() -> int:
-    """Cores that this process may use; macOS has no affinity to ask."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextlib.contextmanager

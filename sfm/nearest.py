@@ -1,6 +1,5 @@
 """SIFT matches by comparing all descriptors of two images with each other."""
 
-import os
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
@@ -10,6 +9,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from artefacts.cores import usable_cores
 from sfm.database import image_id
 from sfm.pairs import Pairs
 
@@ -22,7 +22,7 @@ def write_nearest(database: Path, pairs: Pairs) -> None:
     with pycolmap.Database.open(database) as opened, pycolmap.DatabaseTransaction(opened):
         todo = [(a, b) for a, b in pairs.tolist() if not opened.exists_matches(image_id(a), image_id(b))]
         descriptors = {row: opened.read_descriptors(image_id(row)).data.astype(np.float32) for row in set(chain(*todo))}
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        with ThreadPoolExecutor(usable_cores()) as pool:
             found: Iterable[NDArray[np.uint32]] = pool.map(
                 lambda pair: mutual_matches(descriptors[pair[0]], descriptors[pair[1]]), todo
             )
