@@ -70,15 +70,23 @@ def _step_scale(sfm: Array, vio: Array) -> float:
 
 
 def _folded(stretch: Stretch, scale: float, drift: VioDrift) -> tuple[int, float]:
-    """How many frames lie where others do that VIO has far away, beyond all drift; and how far."""
+    """How many frames lie where others do that VIO has far away, beyond all drift; and how far.
+
+    Where a walk comes back, VIO is off by its drift in position and by what a heading that strayed on the way has done:
+    the integral of the way there over the heading's error, at most that error times half of how far the way went.
+    """
     sfm, vio, travelled = scale * stretch.sfm_T_cam[:, :3, 3], stretch.vio_T_cam[:, :3, 3], path_m(stretch.vio_T_cam)
-    folded, farthest = np.zeros(len(vio), dtype=bool), 0.0
+    folded, farthest, place = np.zeros(len(vio), dtype=bool), 0.0, np.arange(len(vio))
     for start in range(0, len(vio), _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)
+        later = place[None] > place[rows, None]
         apart = np.linalg.norm(vio[rows, None] - vio[None], axis=2)
         found = np.linalg.norm(sfm[rows, None] - sfm[None], axis=2)
         between = np.abs(travelled[rows, None] - travelled[None])
-        bad = (found < _FOLDED_SHARE * apart) & (apart - found > 2 * drift.metres(between))
-        folded[rows] = bad.any(axis=1)
+        reach = np.maximum.accumulate(np.where(later, apart, 0.0), axis=1)
+        allowed = 2 * drift.metres(between) + drift.radians(between) * reach / 2
+        bad = later & (found < _FOLDED_SHARE * apart) & (apart - found > allowed)
+        folded[rows] |= bad.any(axis=1)
+        folded |= bad.any(axis=0)
         farthest = max(farthest, float(apart[bad].max(initial=0.0)))
     return int(folded.sum()), farthest
