@@ -2,8 +2,7 @@
 
 Reads a finished import of a simulated scene, works in `--out` and holds everything against the true poses. Parts:
 `features` (SIFT's settings), `retrieval` (which frames of other sessions are proposed) and `intrinsics` (focal lengths
-that are off, captured or refined). Seconds are processor seconds of one thread; with OMP_NUM_THREADS=1 the matches
-repeat.
+that are off, captured or refined). Seconds are processor seconds of one thread.
 """
 
 import shutil

@@ -98,9 +98,6 @@ def match_pairs(
     verification.ransac.random_seed = seed
     verification.ransac.min_num_trials = _FEWEST_TRIALS
     listed = database.with_name("pairs.txt")
-    pairing = pycolmap.ImportedPairingOptions()
-    pairing.block_size = _CHUNK
-    pairing.match_list_path = listed
     # COLMAP's matching and verification have no progress of their own, so they get some pairs at a time.
     done = have_results(database, pairs)
     todo = pairs[~done]
@@ -108,6 +105,9 @@ def match_pairs(
         chunk = todo[start : start + _CHUNK]
         listed.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in chunk), encoding="utf-8")
         if model_files(settings):
+            pairing = pycolmap.ImportedPairingOptions()
+            pairing.block_size = _CHUNK
+            pairing.match_list_path = listed
             pycolmap.match_image_pairs(database, matching_options(settings), pairing, verification, pycolmap.Device.cpu)
         else:
             write_nearest(database, chunk)

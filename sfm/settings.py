@@ -70,5 +70,5 @@ class SfmSettings(Settings):
         2500, ge=0, description="larger models get no covariances (memory: 36 n² numbers)"
     )
     threads: int = Field(
-        -1, ge=-1, description="threads for features; -1: all cores. Matching and mapping have one, to repeat"
+        -1, ge=-1, description="threads for features; -1: all cores. Mapping has one, to repeat"
     )
