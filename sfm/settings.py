@@ -69,6 +69,4 @@ class SfmSettings(Settings):
     covariance_max_images: int = Field(
         2500, ge=0, description="larger models get no covariances (memory: 36 n² numbers)"
     )
-    threads: int = Field(
-        -1, ge=-1, description="threads for features; -1: all cores. Mapping has one, to repeat"
-    )
+    threads: int = Field(-1, ge=-1, description="threads for features; -1: all cores. Mapping has one, to repeat")
