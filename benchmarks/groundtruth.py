@@ -210,7 +210,7 @@ def repeat(o: Options) -> list[Figure]:
     runs = []
     for number, threads in enumerate((1, 1, 1, -1, -1)):
         console.print(f"  run {number + 1} of 5, threads={threads}")
-        run_stage("sfm", _SCENE, _fresh(o, root, number), f"threads={threads}")
+        run_stage("sfm", _SCENE, _fresh(o, root, number), f"threads={threads}", anew=True)
         outputs = load_manifest(_fresh(o, root, number).run(PROFILE, _SCENE, "sfm"))["outputs"]
         runs.append({name: digest for name, digest in outputs.items() if name.endswith(".parquet")})
     of = f"{_SCENE}, {o.sizes[0]} frames"
@@ -302,7 +302,7 @@ def _fresh(o: Options, root: DataRoot, name: int | str) -> DataRoot:
 
 def _sfm_cost(root: DataRoot) -> Cost:
     """What sfm cost, kept from the run that made its artefact."""
-    return _kept_cost(root.root / "sfm_cost.json", lambda: run_stage("sfm", _SCENE, root))
+    return _kept_cost(root.root / "sfm_cost.json", lambda: run_stage("sfm", _SCENE, root, anew=True))
 
 
 def _kept_cost(path: Path, work: Callable[[], Cost]) -> Cost:

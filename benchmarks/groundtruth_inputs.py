@@ -25,10 +25,10 @@ from sfm.settings import SfmSettings
 PROFILE = "demo"
 
 
-def run_stage(module: str, scene: str, root: DataRoot, *settings: str) -> Cost:
-    """Run a stage of a scene as a process of its own, and what that cost."""
+def run_stage(module: str, scene: str, root: DataRoot, *settings: str, anew: bool = False) -> Cost:
+    """Run a stage of a scene as a process of its own, and what that cost; `anew` even if it's up to date or half done."""
     sets = [word for setting in settings for word in ("--set", setting)]
-    arguments = ["--scene", scene, "--profile", PROFILE, "--data", str(root.root), *sets]
+    arguments = ["--scene", scene, "--profile", PROFILE, "--data", str(root.root), *sets, *["--force"] * anew]
     return measure([sys.executable, "-m", module, *arguments], root.run(PROFILE, scene, module))
 
 
