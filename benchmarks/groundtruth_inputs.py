@@ -26,7 +26,7 @@ PROFILE = "demo"
 
 
 def run_stage(module: str, scene: str, root: DataRoot, *settings: str, anew: bool = False) -> Cost:
-    """Run a stage of a scene as a process of its own (`anew`: even if it's up to date or half done), and what it cost."""
+    """Run a stage of a scene as a process of its own, `anew` even if it's up to date; what it cost."""
     sets = [word for setting in settings for word in ("--set", setting)]
     arguments = ["--scene", scene, "--profile", PROFILE, "--data", str(root.root), *sets, *["--force"] * anew]
     return measure([sys.executable, "-m", module, *arguments], root.run(PROFILE, scene, module))
