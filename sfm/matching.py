@@ -17,7 +17,8 @@ from sfm.odometry import Comparison
 from sfm.pairs import Pairs
 from sfm.settings import SfmSettings
 
-_CHUNK = 128
+_CHUNK = 512  # COLMAP opens the database anew for each chunk that it verifies
+_MATCHED_TOGETHER = 128  # a bound on the descriptors in memory
 _TRIED_PX = 64
 # COLMAP's 100 trials at least are for matches of which half are wrong; how many more a pair needs it finds itself.
 _FEWEST_TRIALS = 30
@@ -110,6 +111,7 @@ def match_pairs(
             pairing.match_list_path = listed
             pycolmap.match_image_pairs(database, matching_options(settings), pairing, verification, pycolmap.Device.cpu)
         else:
-            write_nearest(database, chunk)
+            for first in range(0, len(chunk), _MATCHED_TOGETHER):
+                write_nearest(database, chunk[first : first + _MATCHED_TOGETHER])
             pycolmap.verify_matches(database, listed, verification)
         report(int(done.sum()) + start + len(chunk))
