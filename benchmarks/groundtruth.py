@@ -134,7 +134,7 @@ def accuracy(o: Options) -> list[Figure]:
     for scene in o.scenes:
         root = o.data
         simulated(scene, root, f"frame_share={o.share}", *o.simulate)
-        cost = run_stage("sfm", scene, root)
+        run_stage("sfm", scene, root)
         run_stage("alignment", scene, root)
         folder = root.run(PROFILE, scene, "align")
         gt = read_table(folder / "ground_truth.parquet", schema("align", "ground_truth"))
@@ -156,7 +156,6 @@ def accuracy(o: Options) -> list[Figure]:
                 continue
             wanted = f"{'≥' if t.at_least else '≤'} {t.limit:g}" + (f" to {t.most:g}" if t.at_least else "")
             figures.append(Figure("accuracy", of, t.name, t.found, t.unit, wanted, bool(t.met)))
-        figures += _cost_figures("accuracy", of, cost)
         figures += _model_figures("accuracy", of, scene, root)
     for name in dict.fromkeys(t.name for t, _ in bounds):
         own = [(t, frames) for t, frames in bounds if t.name == name]
@@ -235,7 +234,7 @@ def mappers(o: Options) -> list[Figure]:
                 real(scene, o.shared / "captures" / scene, root)
             of = f"{scene}, {mapper}"
             try:
-                cost = run_stage("sfm", scene, root, f"mapper={mapper}", "retries=false", "min_registered=0")
+                run_stage("sfm", scene, root, f"mapper={mapper}", "retries=false", "min_registered=0")
             except UserError:
                 figures.append(Figure("mappers", of, "failed", 1, ""))
                 continue
@@ -246,7 +245,6 @@ def mappers(o: Options) -> list[Figure]:
             figures += _error_figures("mappers", of, poses, model, reference)
             figures.append(Figure("mappers", of, "models", int(model.max()) + 1, ""))
             figures.append(Figure("mappers", of, "mapping, wall", seconds, "s"))
-            figures.append(Figure("mappers", of, "sfm, processor", cost.cpu_s, "s"))
     return figures
 
 
