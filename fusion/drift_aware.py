@@ -201,7 +201,7 @@ class DriftAware(Localiser):
         """The first prediction is all there is: the state is what it says, as uncertain as it is."""
         o, levels = self.options, len(self._distrust)
         self._error = [0.0] * 4
-        tilts = tilt * tilt / (expected.tilt * self._scale[_TILT]) if o.tilt else 2.0
+        tilts = self._tilts(tilt, expected.tilt)
         self._evidence, self._evidence_frames = [tilts, 2.0, 1.0, 1.0], 1.0
         position = (1 + o.cross * tilts) / (1 + 2 * o.cross) if o.local_scale else 1.0
         angle = (1 + tilts) / 3 if o.local_scale else 1.0
@@ -215,6 +215,10 @@ class DriftAware(Localiser):
         weight: Array = np.power(0.1, np.arange(levels))
         self._weight = weight / weight.sum()
         self._wrong = np.zeros(levels)
+
+    def _tilts(self, tilt: float, usual: float) -> float:
+        """Squared tilt (rad) over its typical variance, both axes together: 2 is typical."""
+        return tilt * tilt / (usual * self._scale[_TILT]) if self.options.tilt else 2.0
 
     def _factors(self, position: float, angle: float) -> list[float]:
         """How much larger than expected the variances of yaw and position are, here and in this walk."""
@@ -307,8 +311,7 @@ class DriftAware(Localiser):
         # Errors that the model takes for independent aren't quite, so a frame counts as less evidence than it looks. A
         # prediction that may be anywhere says nothing of odometry: a few of them are no reason to distrust it.
         # Such predictions come in runs. One that leans is a bad one whatever odometry has done, and so no judge of it.
-        leans = tilt * tilt / (expected.tilt * self._scale[_TILT]) if o.tilt else 2.0
-        evidence = o.evidence * min(1.0, (nu + 2) / (nu + leans))
+        evidence = o.evidence * min(1.0, (nu + 2) / (nu + self._tilts(tilt, expected.tilt)))
         posterior, wrong = [], []
         numbers = (self._weight, self._wrong, np.linalg.det(inverse))
         for w, q, det, d2 in zip(*(n.tolist() for n in numbers), squares, strict=True):
@@ -350,14 +353,14 @@ class DriftAware(Localiser):
         yaw, x, y, z = error
         turned = _wrapped(yaw - self._error[0])
         changed = ((x - self._error[1]) ** 2 + (z - self._error[3]) ** 2) / 2
-        typical_tilt, (typical_change, typical_turn) = self._scale[_TILT], self._change
+        typical_change, typical_turn = self._change
+        tilts_now = self._tilts(tilt, usual_tilt)
         # What odometry has strayed meanwhile is no error of the prediction.
-        leans = tilt * tilt / 2 / usual_tilt / typical_tilt if o.tilt else 1.0
         changes = changed / usual[1] / (typical_change + self._strayed[1] / usual[1])
         turns = turned * turned / usual[0] / (typical_turn + self._strayed[0] / usual[0])
         height = y * y / (self._scale[_VERTICAL] * usual[2] + float(self._weight @ self._P[:, 2, 2]))
         kept = o.place_decay**self._moved
-        counts = (2 * leans, 2 * changes, turns, height)
+        counts = (tilts_now, 2 * changes, turns, height)
         tilts, positions, yaws, heights = (
             kept * before + now for before, now in zip(self._evidence, counts, strict=True)
         )
@@ -373,7 +376,7 @@ class DriftAware(Localiser):
         rate = 1 / (self._seen + 1)
         self._scale[_TILT], *self._change = (
             max(t + rate * t * (q * (nu + 2) / (nu + 2 * q) - 1), _LEAST)
-            for t, q in ((typical_tilt, leans), (typical_change, changes), (typical_turn, turns))
+            for t, q in ((self._scale[_TILT], tilts_now / 2), (typical_change, changes), (typical_turn, turns))
         )
         if not o.local_scale:
             return 1.0, 1.0
