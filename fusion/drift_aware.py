@@ -72,7 +72,7 @@ class DriftAwareOptions(OdometryOptions):
     outlier_runs: float = Field(
         0.67, ge=0, lt=1, description="share of such predictions after one: a look aside takes some seconds"
     )
-    switch: float = Field(0.001, gt=0, lt=0.5, description="probability a frame that odometry's quality changes")
+    switch: float = Field(5e-4, gt=0, lt=0.5, description="probability a frame that odometry's quality changes")
     tilt_sd_deg: float = Field(0.3, gt=0, description="odometry's gravity error an axis")
     covariance_factor: float = Field(
         2.0, gt=0, description="what the filter's covariance of position is multiplied with"
