@@ -51,7 +51,7 @@ from simulation.scenes import NAMES
 
 KINDS = (inputs.SIMULATED, inputs.RECORDED, inputs.MEASURED, inputs.TRAINED, *inputs.BAD_ODOMETRY, inputs.KIDNAPPED)
 _COMPARED = (inputs.SIMULATED, inputs.RECORDED, inputs.TRAINED)
-_ABLATED = (inputs.SIMULATED,)
+_ABLATED = (inputs.SIMULATED, inputs.TRAINED)
 # A step of these takes milliseconds; with bad odometry, which is about ours and the raw regressor, they are left out.
 _SLOW = ("window30", "pose_graph", "smoother")
 _EVERY_METHOD = (inputs.SIMULATED, inputs.RECORDED, inputs.MEASURED, inputs.TRAINED)
@@ -238,7 +238,7 @@ def report(
     for kind in compared:
         what = f"## {kind.capitalize()}: means over the rule's, with 95 % intervals by bootstrap over walks"
         parts += [what, markdown(scores.ratio_intervals(seen, kind))]
-    for kind in _ABLATED if labels and inputs.SIMULATED in kinds else []:
+    for kind in [k for k in kinds if labels and k in _ABLATED]:
         rows = scores.overview(summary, kind).loc[[OURS, *(v.label for v in plan.without)]]
         parts += [f"## {OURS} without one ingredient, {kind}", markdown(rows.drop(columns=_COMMON))]
     parts += ["## Worst scene, as a ratio to the raw regressor's error", markdown(scores.worst(plain, guarded))]

@@ -51,6 +51,7 @@ class DriftAwareOptions(OdometryOptions):
     memory_frames: float = Field(80.0, gt=1, description="predictions over which the scales of errors are learnt")
     prior_frames: float = Field(4.0, gt=0, description="predictions that the first assumptions count as")
     error_map: bool = Field(True, description="use what held-out frames tell of the regressor's errors")
+    side_yaw: bool = Field(True, description="use that an error to the side comes with a yaw error, as the map tells")
     bias: bool = Field(True, description="model the error that neighbouring predictions share")
     bias_length_m: float = Field(4.0, gt=0, description="motion over which the shared error fades to 1/e")
     turn_length_m: float = Field(2.0, ge=0, description="motion that a turn by one radian counts as")
@@ -77,7 +78,7 @@ class DriftAwareOptions(OdometryOptions):
     covariance_factor: float = Field(
         2.0, gt=0, description="what the filter's covariance of position is multiplied with"
     )
-    yaw_covariance_factor: float = Field(1.0, gt=0, description="the same, of yaw")
+    yaw_covariance_factor: float = Field(0.8, gt=0, description="the same, of yaw")
 
 
 class DriftAware(Localiser):
@@ -191,6 +192,8 @@ class DriftAware(Localiser):
         if self._error_map is None:
             return self._usual
         expected = self._error_map.expected(map_T_cam_apr[:3, 3], map_T_cam_apr[:3, 2])
+        if not self.options.side_yaw:
+            expected = expected.by_themselves()
         return (
             expected
             if self.options.bias
@@ -206,10 +209,12 @@ class DriftAware(Localiser):
         position = (1 + o.cross * tilts) / (1 + 2 * o.cross) if o.local_scale else 1.0
         angle = (1 + tilts) / 3 if o.local_scale else 1.0
         factor = o.first_factor * np.array(self._factors(position, angle))
-        P = np.zeros((8, 8))
-        P[_I4, _I4] = factor * (expected.shared + expected.noise)
-        P[_I4 + 4, _I4 + 4] = 1.0
-        P[_I4, _I4 + 4] = P[_I4 + 4, _I4] = -np.sqrt(factor * expected.shared)
+        coupled = np.eye(4)
+        coupled[0, 1::2] = expected.yaw_per_m
+        P = np.eye(8)
+        P[_ALIGNMENT, _ALIGNMENT] = coupled * (factor * (expected.shared + expected.noise)) @ coupled.T
+        P[_ALIGNMENT, _BIAS] = -coupled * np.sqrt(factor * expected.shared)
+        P[_BIAS, _ALIGNMENT] = P[_ALIGNMENT, _BIAS].T
         self._x = np.tile(np.concatenate([measured, np.zeros(4)]), (levels, 1))
         self._P = np.tile(P, (levels, 1, 1))
         weight: Array = np.power(0.1, np.arange(levels))
@@ -285,8 +290,7 @@ class DriftAware(Localiser):
         assert self._x is not None
         o, x, P, H = self.options, self._x, self._P, self._H
         P.reshape(-1, 64)[:, :32:9] += self._anywhere
-        error = (measured - self._weight @ x[:, _ALIGNMENT]).tolist()
-        error[0] = _wrapped(error[0])
+        error = _uncoupled(measured - self._weight @ x[:, _ALIGNMENT], expected)
         usual = (expected.shared + expected.noise).tolist()
         local = self._local_scale(error, tilt, usual, expected.tilt)
         position, angle = local
@@ -297,13 +301,18 @@ class DriftAware(Localiser):
         factors = self._factor_rows
         factors[0], factors[1:] = blamed, known
         shared, noise = factors * expected.shared, factors * expected.noise
-        H.reshape(-1, 32)[:, 4::9] = np.sqrt(shared)
+        # An error to the side comes with one of yaw: yaw is measured less what the position's error says of it.
+        per_x, per_z = expected.yaw_per_m
+        H.reshape(-1, 32)[:, 4::9] = sds = np.sqrt(shared)
+        H[:, 0, 1], H[:, 0, 3] = -per_x, -per_z
         HP = H @ P
         S = HP @ H.transpose(0, 2, 1)
         diagonal = S.reshape(-1, 16)[:, ::5]  # a view
         diagonal += noise
-        r = measured - (H @ x[:, :, None])[:, :, 0]
+        r = measured - x[:, _ALIGNMENT]
         _wrap_about(0.0, r[:, 0])
+        r[:, 0] -= per_x * r[:, 1] + per_z * r[:, 3]
+        r -= sds * x[:, _BIAS]
         inverse = np.asarray(np.linalg.inv(S), dtype=float)
         weighted = inverse @ r[:, :, None]
         squares = (r[:, None] @ weighted).ravel().tolist()
@@ -390,10 +399,11 @@ class DriftAware(Localiser):
 
     def _learn(self, measured: Array, x: Array, P: Array, local: tuple[float, float], expected: Expected) -> None:
         """Update the predictions' typical variances from what the corrected alignment leaves over."""
-        error = (measured - x[_ALIGNMENT]).tolist()
-        error[0] = _wrapped(error[0])
-        self._error = error
-        yaw, east, up, north = (e * e + p for e, p in zip(error, P.diagonal()[:4].tolist(), strict=True))
+        self._error = error = _uncoupled(measured - x[_ALIGNMENT], expected)
+        per_x, per_z = expected.yaw_per_m
+        seen = P[0] - per_x * P[1] - per_z * P[3]  # row of yaw less what positions say of it
+        known = [seen[0] - per_x * seen[1] - per_z * seen[3], *P.diagonal()[1:4]]
+        yaw, east, up, north = (float(e * e + p) for e, p in zip(error, known, strict=True))
         usual = expected.shared + expected.noise
         position, angle = local
         rate, nu = float(self._weight[0]) / (self._seen + 1), self.options.degrees_of_freedom
@@ -447,7 +457,9 @@ class DriftAware(Localiser):
         horizontal, vertical, yaw, tilt = self._scale
         a, x, y, z = (expected.shared + expected.noise).tolist()
         t = expected.tilt * tilt
-        covariance = np.diag([t, a * yaw, t, x * horizontal, y * vertical, z * horizontal])
+        coupled = np.eye(6)
+        coupled[1, 3::2] = expected.yaw_per_m
+        covariance = coupled * [t, a * yaw, t, x * horizontal, y * vertical, z * horizontal] @ coupled.T
         c, s = cos(expected.error[0]), sin(expected.error[0])
         pose = map_T_cam_apr.copy()
         pose[:3, :3] = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]) @ pose[:3, :3]
@@ -484,6 +496,13 @@ class DriftAware(Localiser):
         if state["x"] is not None:
             self._x, self._P = np.array(state["x"]), np.array(state["P"])
             self._weight, self._wrong = np.array(state["weight"]), np.array(state["wrong"])
+
+
+def _uncoupled(error: Array, expected: Expected) -> list[float]:
+    """Errors of yaw, x, y, z, yaw's less what comes with those of x and z."""
+    yaw, x, y, z = error.tolist()
+    per_x, per_z = expected.yaw_per_m
+    return [_wrapped(yaw) - per_x * x - per_z * z, x, y, z]
 
 
 def _dot(a: list[float], b: list[float]) -> float:

@@ -9,12 +9,13 @@ The error is a Gaussian process (Rasmussen and Williams, 2006, chapters 2 and 5)
 viewing direction, which is what a phone has. Its size is another one, on the logarithm. How far both reach and how much
 of the error is noise is what makes the held-out errors most likely. Nothing of a test walk goes in.
 
-Part of a yaw error is a walk's own: one who walks beside the usual way is taken for one who walks on it and looks
-elsewhere. Held-out frames of other walks don't tell that part, so it stays uncertain.
+A step to the side and a turn move an image nearly alike, and regressors take one for the other: an error to the side
+comes with a yaw error, of some degrees a metre, as the scene is near or far. How many is fitted, too, and the Gaussian
+process of yaw is one of what is left.
 """
 
 from dataclasses import asdict, dataclass
-from math import exp, sqrt
+from math import exp, hypot, sqrt
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -28,10 +29,11 @@ from geometry.poses import Array
 LEAST_FRAMES = 60
 """With fewer held-out frames there is no map: a few walks' worst views would stand for the whole place."""
 _MOST_FRAMES = 200  # kept, evenly: a step looks at each of them
-_FITTED_FRAMES = 120  # looked at to fit the five numbers
+_FITTED_FRAMES = 120  # looked at to fit how far errors reach
 
-# Of a yaw error's variance, noise aside: what is the walk's own. Chosen on simulated and recorded walks.
-_OWN_YAW = 0.4
+_SLOPE_STEPS, _SLOPE_DOF = 20, 3.0
+_ALIKE = 4.0  # neighbouring frames whose errors are alike, and so tell what one does
+_UPRIGHT = 0.1  # of the viewing direction's horizontal part: less has no side
 
 _POSITION, _ANGLE = 0, 1
 _GROUP = np.array([_ANGLE, _POSITION, _POSITION, _POSITION])  # of yaw, x, y, z
@@ -43,13 +45,23 @@ class Expected(NamedTuple):
     """What to expect of a prediction; arrays (4,) are yaw (rad), x, y, z (m) in map axes.
 
     error: the mean error. shared: the variance of what is left, as far as neighbouring predictions share it. noise: the
-    variance of what each has by itself. tilt: the variance of pitch and of roll (rad^2).
+    variance of what each has by itself; yaw's are of what `yaw_per_m` leaves, the yaw error (rad) that comes with a
+    metre of error in x and in z. tilt: the variance of pitch and of roll (rad^2).
     """
 
     error: Array
     shared: Array
     noise: Array
     tilt: float
+    yaw_per_m: tuple[float, float] = (0.0, 0.0)
+
+    def by_themselves(self) -> "Expected":
+        """The same of yaw errors that come without an error to the side: their variance is the whole one."""
+        coupled = np.square(self.yaw_per_m)
+        shared, noise = self.shared.copy(), self.noise.copy()
+        shared[0] += coupled @ shared[1::2]
+        noise[0] += coupled @ noise[1::2]
+        return self._replace(shared=shared, noise=noise, yaw_per_m=(0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -61,6 +73,7 @@ class Reach:
     size_variance: float  # over the map, of the logarithm of an error's variance
     position_noise: float  # share of a position error's variance that is new in each frame
     yaw_noise: float
+    yaw_per_m: float  # yaw error, rad, that comes with a metre of error to the side
 
 
 class ErrorMap:
@@ -70,14 +83,18 @@ class ErrorMap:
         """where (N, 6): predicted position (m) and viewing direction; error (N, 4) and tilt (N,) as `errors_of` gives
         them. Without `reach` it is fitted."""
         self.where, self.error, self.tilt = where, error, tilt
-        yaw, x, y, z = error.T
+        _, x, y, z = error.T
+        side = _to_the_side(where, error)
+        per_m = _yaw_per_m(error[:, 0], side) if reach is None else reach.yaw_per_m
+        yaw = error[:, 0] - per_m * side
+        self._left = np.column_stack([yaw, error[:, 1:]])
         horizontal, vertical, angle, lean = (_variance(e) for e in (np.concatenate([x, z]), y, yaw, tilt / np.sqrt(2)))
         self._lean = lean
         self._units = np.sqrt([angle, horizontal, vertical, horizontal])
         sizes = ((x**2 + z**2) / horizontal + y**2 / vertical) / 3, (yaw**2 / angle + tilt**2 / lean) / 3
         self._logs = np.log(np.maximum(np.column_stack(sizes), 1e-6)) - _LOG_MEAN
         self._usual = self._logs.mean(axis=0)
-        self.reach = reach or _fitted(where, error / self._units, self._logs - self._usual)
+        self.reach = reach or _fitted(where, self._left / self._units, self._logs - self._usual, per_m)
         self._prepare()
 
     @classmethod
@@ -99,7 +116,7 @@ class ErrorMap:
         values, vectors = np.linalg.eigh(K)
         self._vectors = np.ascontiguousarray(vectors.T)
         precisions = [(1 - share) / ((1 - share) * np.maximum(values, 0.0) + share) for share in self._shares]
-        scaled = self._vectors @ (self.error / self._units / np.exp(logs[:, _GROUP] / 2))
+        scaled = self._vectors @ (self._left / self._units / np.exp(logs[:, _GROUP] / 2))
         weights = [precisions[g] * scaled[:, c] for c, g in enumerate(_GROUP)]
         self._weights = np.column_stack([*weights, self._vectors @ (r.size_variance * size_weights)])
         self._precisions = np.column_stack(precisions)
@@ -118,17 +135,21 @@ class ErrorMap:
         # In plain numbers: numpy takes longer for four of them.
         variance, angle_variance = exp(log_position + self._usual[_POSITION]), exp(log_angle + self._usual[_ANGLE])
         share, angle_share = self._shares
-        left = (1 - share) * max(1 - known_position, 0.0)
-        angle_left = (1 - angle_share) * (max(1 - known_angle, 0.0) + _OWN_YAW)
+        left, angle_left = (1 - share) * max(1 - known_position, 0.0), (1 - angle_share) * max(1 - known_angle, 0.0)
         size, angle_size = sqrt(variance), sqrt(angle_variance)
         square = self._units * np.array([angle_size, size, size, size])
         error = square * errors
         square *= square
+        look_x, _, look_z = look.tolist()
+        a_metre = self.reach.yaw_per_m / max(hypot(look_x, look_z), _UPRIGHT)
+        per_m = a_metre * look_z, -a_metre * look_x
+        error[0] += per_m[0] * error[1] + per_m[1] * error[3]
         return Expected(
             error,
             square * np.array([angle_left, left, left, left]),
             square * np.array([angle_share, share, share, share]),
             self._lean * angle_variance,
+            per_m,
         )
 
     def table(self) -> pd.DataFrame:
@@ -153,6 +174,28 @@ def errors_of(map_T_cam_apr: Array, map_T_cam: Array) -> tuple[Array, Array]:
     yaw = np.arctan2(turn[:, 0, 2] - turn[:, 2, 0], turn[:, 0, 0] + turn[:, 2, 2])
     upright = np.einsum("ni,ni->n", map_T_cam_apr[:, 1, :3], map_T_cam[:, 1, :3])
     return np.column_stack([yaw, map_T_cam_apr[:, :3, 3] - map_T_cam[:, :3, 3]]), np.arccos(np.clip(upright, -1, 1))
+
+
+def _to_the_side(where: Array, error: Array) -> Array:
+    """Errors (N, 4) of positions along the horizontal across the viewing direction, (N,), metres."""
+    look_x, look_z = where[:, 3], where[:, 5]
+    return np.asarray((error[:, 1] * look_z - error[:, 3] * look_x) / np.maximum(np.hypot(look_x, look_z), _UPRIGHT))
+
+
+def _yaw_per_m(yaw: Array, side: Array) -> float:
+    """Slope (rad/m) of yaw errors (N,) over errors to the side (N,), as far as it is surely there.
+
+    Robust (iterated weights of Student's t), and shrunk by its own uncertainty (James and Stein's positive part), for
+    which a few neighbouring frames count as one.
+    """
+    slope, weight = 0.0, np.ones(len(yaw))
+    for _ in range(_SLOPE_STEPS):
+        power = float(weight @ side**2) + 1e-12
+        slope = float(weight @ (yaw * side)) / power
+        left = yaw - slope * side
+        weight = 1 / ((1 + left**2 / _variance(left) / _SLOPE_DOF) * (1 + side**2 / _variance(side) / _SLOPE_DOF))
+    variance = _ALIKE * float((weight * left * side) @ (weight * left * side)) / power**2
+    return slope * max(0.0, 1 - variance / (slope**2 + 1e-12))
 
 
 def _variance(errors: Array) -> float:
@@ -186,7 +229,7 @@ def _leave_one_out(K: Array, logs: Array, variance: float) -> tuple[Array, Array
     return weights, logs - weights / inverse.diagonal()[:, None]
 
 
-def _fitted(where: Array, error: Array, logs: Array) -> Reach:
+def _fitted(where: Array, error: Array, logs: Array, yaw_per_m: float) -> Reach:
     """The numbers of greatest posterior probability for errors (N, 4) in units of their usual size."""
     rows = _evenly(np.arange(len(where)), _FITTED_FRAMES)
     where, error, logs = where[rows], error[rows], logs[rows]
@@ -194,7 +237,7 @@ def _fitted(where: Array, error: Array, logs: Array) -> Reach:
     start = np.array([np.log(0.1 * extent + 0.1), 0.0, np.log(2.0), -2.0, -2.0])
 
     def cost(free: Array) -> float:
-        reach = _reach(free)
+        reach = _reach(free, yaw_per_m)
         K = _kernel(where, reach)
         _, sizes = _leave_one_out(K, logs, reach.size_variance)
         total = float((((free - start) / _PRIOR_SD) ** 2).sum()) / 2
@@ -208,13 +251,13 @@ def _fitted(where: Array, error: Array, logs: Array) -> Reach:
 
     bounds = list(zip(start - 4 * _PRIOR_SD, start + 4 * _PRIOR_SD, strict=True))
     found = minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20, "eps": 1e-4})
-    return _reach(found.x)
+    return _reach(found.x, yaw_per_m)
 
 
 _PRIOR_SD = np.array([1.0, 0.5, 0.4, 1.0, 1.0])
 
 
-def _reach(free: Array) -> Reach:
+def _reach(free: Array, yaw_per_m: float) -> Reach:
     length_m, length_look, size_variance = np.exp(free[:3]).tolist()
     position_noise, yaw_noise = (1 / (1 + np.exp(-free[3:]))).tolist()
-    return Reach(length_m, length_look, size_variance, position_noise, yaw_noise)
+    return Reach(length_m, length_look, size_variance, position_noise, yaw_noise, yaw_per_m)

@@ -235,6 +235,28 @@ def test_what_was_learnt_beforehand_is_used_and_can_be_switched_off():
     assert np.mean(ratio) < 0.5
 
 
+def test_a_regressor_that_takes_a_step_aside_for_a_turn_is_seen_through():
+    """Held-out frames tell how much yaw comes with a metre aside, so that a yaw error shows in the position's."""
+    with_it, without = [], []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        t_ns, truth, vio, _ = upright_walk(seed)
+
+        def predicted(rng=rng, truth=truth):
+            aside = np.zeros(200)
+            for i in range(1, 200):
+                aside[i] = 0.8 * aside[i - 1] + 0.6 * 0.4 * rng.normal()
+            turn = yaw_rotation(np.radians(15 * aside + rng.normal(size=200)))
+            return make_pose(turn @ truth[:, :3, :3], truth[:, :3, 3] + aside[:, None] * truth[:, :3, 0])
+
+        error_map = ErrorMap.learnt(predicted(), truth)
+        apr = predicted()
+        for found, options in ((with_it, None), (without, DriftAwareOptions(side_yaw=False))):
+            fused = poses(answers(DriftAware(options, error_map), t_ns, vio, apr))
+            found.append(rotation_error_deg(fused, truth).mean())
+    assert np.mean(with_it) < 0.85 * np.mean(without)
+
+
 def test_hopeless_walks_and_switched_off_ingredients_run():
     switched_off = DriftAwareOptions(
         bias=False, local_scale=False, tilt=False, height=False, distrust=[1.0], lost=False

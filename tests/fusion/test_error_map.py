@@ -62,6 +62,41 @@ def test_another_walks_errors_are_expected_and_so_is_what_is_left(learnt):
     assert np.median(leans[hard]) > 4 * np.median(leans[easy]) and 0.3 < np.mean(tilt**2 / 2 / leans) < 3
 
 
+def beside(true, seed, deg_per_m):
+    """Predictions that are 0.3 m off to either side, looking off by so much a metre, and a bit of noise on both."""
+    rng = np.random.default_rng(seed)
+    off = rng.normal(0, 0.3, len(true))
+    yaw = np.radians(deg_per_m * off + rng.normal(0, 1.0, len(true)))
+    across = np.cross(true[:, :3, 2], [0.0, -1.0, 0.0])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    shift = off[:, None] * across + rng.normal(0, 0.05, (len(true), 3))
+    return make_pose(yaw_rotation(yaw) @ true[:, :3, :3], true[:, :3, 3] + shift), off, across
+
+
+def test_yaw_that_comes_with_an_error_to_the_side_is_told():
+    true, _ = walk(3)
+    apr, _, across = beside(true, 0, 12.0)
+    told = ErrorMap.learnt(apr, true)
+    assert abs(np.degrees(told.reach.yaw_per_m)) == pytest.approx(12, rel=0.15)
+    for i in range(0, len(true), 10):
+        expected = told.expected(apr[i, :3, 3], apr[i, :3, 2])
+        # A metre along `across` comes with 12 deg, one along the viewing direction with none.
+        along = across[i, ::2] @ expected.yaw_per_m
+        assert np.degrees(along) == pytest.approx(12, rel=0.2)
+        assert np.degrees(true[i, [0, 2], 2] @ expected.yaw_per_m) == pytest.approx(0, abs=2)
+        whole = expected.by_themselves()
+        assert whole.yaw_per_m == (0, 0) and np.array_equal(whole.noise[1:], expected.noise[1:])
+        assert (whole.shared + whole.noise)[0] > 1.5 * (expected.shared + expected.noise)[0]
+
+
+def test_yaw_errors_of_their_own_are_left_alone():
+    slopes = []
+    for seed in range(8):
+        true, _ = walk(seed)
+        slopes.append(ErrorMap.learnt(beside(true, seed, 0.0)[0], true).reach.yaw_per_m)
+    assert np.count_nonzero(slopes) <= 3 and np.abs(np.degrees(slopes)).max() < 1.5
+
+
 def test_where_nothing_was_held_out_nothing_is_known(learnt):
     far = learnt.expected(np.array([500.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     assert far.error == pytest.approx(0) and (far.shared > 0).all()
