@@ -401,9 +401,9 @@ class DriftAware(Localiser):
         """Update the predictions' typical variances from what the corrected alignment leaves over."""
         self._error = error = _uncoupled(measured - x[_ALIGNMENT], expected)
         per_x, per_z = expected.yaw_per_m
-        seen = P[0] - per_x * P[1] - per_z * P[3]  # row of yaw less what positions say of it
-        known = [seen[0] - per_x * seen[1] - per_z * seen[3], *P.diagonal()[1:4]]
-        yaw, east, up, north = (float(e * e + p) for e, p in zip(error, known, strict=True))
+        row = P[0] - per_x * P[1] - per_z * P[3]  # of yaw less what the position's error says of it
+        unsure = [row[0] - per_x * row[1] - per_z * row[3], *P.diagonal()[1:4]]
+        yaw, east, up, north = (float(e * e + p) for e, p in zip(error, unsure, strict=True))
         usual = expected.shared + expected.noise
         position, angle = local
         rate, nu = float(self._weight[0]) / (self._seen + 1), self.options.degrees_of_freedom

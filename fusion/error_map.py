@@ -73,7 +73,7 @@ class Reach:
     size_variance: float  # over the map, of the logarithm of an error's variance
     position_noise: float  # share of a position error's variance that is new in each frame
     yaw_noise: float
-    yaw_per_m: float  # yaw error, rad, that comes with a metre of error to the side
+    yaw_per_m: float  # yaw error, rad, that comes with a metre of error to the left of the viewing direction
 
 
 class ErrorMap:
@@ -84,17 +84,17 @@ class ErrorMap:
         them. Without `reach` it is fitted."""
         self.where, self.error, self.tilt = where, error, tilt
         _, x, y, z = error.T
-        side = _to_the_side(where, error)
-        per_m = _yaw_per_m(error[:, 0], side) if reach is None else reach.yaw_per_m
-        yaw = error[:, 0] - per_m * side
-        self._left = np.column_stack([yaw, error[:, 1:]])
+        left = _to_the_left(where, error)
+        per_m = _yaw_per_m(error[:, 0], left) if reach is None else reach.yaw_per_m
+        yaw = error[:, 0] - per_m * left
+        self._uncoupled = np.column_stack([yaw, error[:, 1:]])
         horizontal, vertical, angle, lean = (_variance(e) for e in (np.concatenate([x, z]), y, yaw, tilt / np.sqrt(2)))
         self._lean = lean
         self._units = np.sqrt([angle, horizontal, vertical, horizontal])
         sizes = ((x**2 + z**2) / horizontal + y**2 / vertical) / 3, (yaw**2 / angle + tilt**2 / lean) / 3
         self._logs = np.log(np.maximum(np.column_stack(sizes), 1e-6)) - _LOG_MEAN
         self._usual = self._logs.mean(axis=0)
-        self.reach = reach or _fitted(where, self._left / self._units, self._logs - self._usual, per_m)
+        self.reach = reach or _fitted(where, self._uncoupled / self._units, self._logs - self._usual, per_m)
         self._prepare()
 
     @classmethod
@@ -116,7 +116,7 @@ class ErrorMap:
         values, vectors = np.linalg.eigh(K)
         self._vectors = np.ascontiguousarray(vectors.T)
         precisions = [(1 - share) / ((1 - share) * np.maximum(values, 0.0) + share) for share in self._shares]
-        scaled = self._vectors @ (self._left / self._units / np.exp(logs[:, _GROUP] / 2))
+        scaled = self._vectors @ (self._uncoupled / self._units / np.exp(logs[:, _GROUP] / 2))
         weights = [precisions[g] * scaled[:, c] for c, g in enumerate(_GROUP)]
         self._weights = np.column_stack([*weights, self._vectors @ (r.size_variance * size_weights)])
         self._precisions = np.column_stack(precisions)
@@ -176,25 +176,25 @@ def errors_of(map_T_cam_apr: Array, map_T_cam: Array) -> tuple[Array, Array]:
     return np.column_stack([yaw, map_T_cam_apr[:, :3, 3] - map_T_cam[:, :3, 3]]), np.arccos(np.clip(upright, -1, 1))
 
 
-def _to_the_side(where: Array, error: Array) -> Array:
-    """Errors (N, 4) of positions along the horizontal across the viewing direction, (N,), metres."""
+def _to_the_left(where: Array, error: Array) -> Array:
+    """How far errors (N, 4) lie to the left of the viewing direction, (N,), metres."""
     look_x, look_z = where[:, 3], where[:, 5]
     return np.asarray((error[:, 1] * look_z - error[:, 3] * look_x) / np.maximum(np.hypot(look_x, look_z), _UPRIGHT))
 
 
-def _yaw_per_m(yaw: Array, side: Array) -> float:
-    """Slope (rad/m) of yaw errors (N,) over errors to the side (N,), as far as it is surely there.
+def _yaw_per_m(yaw: Array, aside: Array) -> float:
+    """Slope (rad/m) of yaw errors (N,) over errors aside (N,), as far as it is surely there.
 
     Robust (iterated weights of Student's t), and shrunk by its own uncertainty (James and Stein's positive part), for
     which a few neighbouring frames count as one.
     """
     slope, weight = 0.0, np.ones(len(yaw))
     for _ in range(_SLOPE_STEPS):
-        power = float(weight @ side**2) + 1e-12
-        slope = float(weight @ (yaw * side)) / power
-        left = yaw - slope * side
-        weight = 1 / ((1 + left**2 / _variance(left) / _SLOPE_DOF) * (1 + side**2 / _variance(side) / _SLOPE_DOF))
-    variance = _ALIKE * float((weight * left * side) @ (weight * left * side)) / power**2
+        power = float(weight @ aside**2) + 1e-12
+        slope = float(weight @ (yaw * aside)) / power
+        rest = yaw - slope * aside
+        weight = 1 / ((1 + rest**2 / _variance(rest) / _SLOPE_DOF) * (1 + aside**2 / _variance(aside) / _SLOPE_DOF))
+    variance = _ALIKE * float(((weight * rest * aside) ** 2).sum()) / power**2
     return slope * max(0.0, 1 - variance / (slope**2 + 1e-12))
 
 

@@ -163,7 +163,7 @@ TABLES = [
             Column("size_variance", "float64", "variance over the map of the logarithm of an error's variance"),
             Column("position_noise", "float64", "share of a position error's variance that is new in each frame"),
             Column("yaw_noise", "float64", "share of a yaw error's variance that is new in each frame"),
-            Column("yaw_per_m", "float64", "yaw error that comes with a metre of error to the side", "rad/m"),
+            Column("yaw_per_m", "float64", "yaw error that comes with a metre of error to the left", "rad/m"),
         ],
         version="2.0",
     ),
