@@ -131,7 +131,10 @@ bench: $(installed) ## Time, memory and bytes of each stage (profile=demo scene=
 	@$(py) -m benchmarks.stages --scene "$(or $(scene),Church)" --profile "$(profile)"
 
 bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures to reach (build/fusion)
-	@$(py) -m benchmarks.fusion
+	@$(py) -m benchmarks.fusion $(if $(wildcard build/trained/runs),--data build/trained)
+
+bench-trained: $(installed) ## Train the regressors of bench-fusion's trained walks (build/trained); an hour and a half
+	@$(py) -m benchmarks.fusion_trained
 
 bench-groundtruth: $(installed) ## Ground truth: accuracy, honesty, speed beside COLMAP's stock way, growth, real captures; hours
 	@$(py) -m benchmarks.groundtruth
@@ -167,4 +170,4 @@ help: ## This text
 	@echo "your own captures:  make scene=<name> captures=<folder> all"
 	@echo "one stage's help:   .venv/bin/python -m sfm --help   (capture_import, sfm, alignment, training, fusion, reports)"
 
-.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench bench-fusion bench-groundtruth bench-import fuzz-import docs lock help
+.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench bench-fusion bench-trained bench-groundtruth bench-import fuzz-import docs lock help
