@@ -28,7 +28,6 @@ from geometry.poses import Array
 # The state of each filter: yaw of map_R_vio and the camera's map position, then the regressor's bias in these four,
 # in units of its local standard deviation.
 _ALIGNMENT, _BIAS = slice(0, 4), slice(4, 8)
-_I4, _I8 = np.arange(4), np.arange(8)
 # Learnt factors of variances, by kind of error.
 _HORIZONTAL, _VERTICAL, _YAW, _TILT = range(4)
 # Tilt and height are known to be errors of the prediction, whatever the alignment is: they count double.
@@ -194,11 +193,9 @@ class DriftAware(Localiser):
         expected = self._error_map.expected(map_T_cam_apr[:3, 3], map_T_cam_apr[:3, 2])
         if not self.options.side_yaw:
             expected = expected.by_themselves()
-        return (
-            expected
-            if self.options.bias
-            else expected._replace(shared=np.zeros(4), noise=expected.shared + expected.noise)
-        )
+        if not self.options.bias:
+            expected = expected._replace(shared=np.zeros(4), noise=expected.shared + expected.noise)
+        return expected
 
     def _begin(self, measured: Array, tilt: float, expected: Expected) -> None:
         """The first prediction is all there is: the state is what it says, as uncertain as it is."""

@@ -84,9 +84,10 @@ class ErrorMap:
         them. Without `reach` it is fitted."""
         self.where, self.error, self.tilt = where, error, tilt
         _, x, y, z = error.T
-        left = _to_the_left(where, error)
-        per_m = _yaw_per_m(error[:, 0], left) if reach is None else reach.yaw_per_m
-        yaw = error[:, 0] - per_m * left
+        left = np.array([_leftwards(look) for look in where[:, 3:]])
+        aside = np.einsum("ni,ni->n", left, error[:, 1::2])
+        per_m = _yaw_per_m(error[:, 0], aside) if reach is None else reach.yaw_per_m
+        yaw = error[:, 0] - per_m * aside
         self._uncoupled = np.column_stack([yaw, error[:, 1:]])
         horizontal, vertical, angle, lean = (_variance(e) for e in (np.concatenate([x, z]), y, yaw, tilt / np.sqrt(2)))
         self._lean = lean
@@ -140,9 +141,8 @@ class ErrorMap:
         square = self._units * np.array([angle_size, size, size, size])
         error = square * errors
         square *= square
-        look_x, _, look_z = look.tolist()
-        a_metre = self.reach.yaw_per_m / max(hypot(look_x, look_z), _UPRIGHT)
-        per_m = a_metre * look_z, -a_metre * look_x
+        left_x, left_z = _leftwards(look)
+        per_m = self.reach.yaw_per_m * left_x, self.reach.yaw_per_m * left_z
         error[0] += per_m[0] * error[1] + per_m[1] * error[3]
         return Expected(
             error,
@@ -176,10 +176,11 @@ def errors_of(map_T_cam_apr: Array, map_T_cam: Array) -> tuple[Array, Array]:
     return np.column_stack([yaw, map_T_cam_apr[:, :3, 3] - map_T_cam[:, :3, 3]]), np.arccos(np.clip(upright, -1, 1))
 
 
-def _to_the_left(where: Array, error: Array) -> Array:
-    """How far errors (N, 4) lie to the left of the viewing direction, (N,), metres."""
-    look_x, look_z = where[:, 3], where[:, 5]
-    return np.asarray((error[:, 1] * look_z - error[:, 3] * look_x) / np.maximum(np.hypot(look_x, look_z), _UPRIGHT))
+def _leftwards(look: Array) -> tuple[float, float]:
+    """x and z of the horizontal unit vector to the left of a viewing direction (3,)."""
+    x, _, z = look.tolist()
+    length = max(hypot(x, z), _UPRIGHT)
+    return z / length, -x / length
 
 
 def _yaw_per_m(yaw: Array, aside: Array) -> float:

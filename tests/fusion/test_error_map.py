@@ -63,7 +63,7 @@ def test_another_walks_errors_are_expected_and_so_is_what_is_left(learnt):
 
 
 def beside(true, seed, deg_per_m):
-    """Predictions that are 0.3 m off to either side, looking off by so much a metre, and a bit of noise on both."""
+    """Predictions 0.3 m off to either side, turned left by so much a metre to the left, and a bit of noise on both."""
     rng = np.random.default_rng(seed)
     off = rng.normal(0, 0.3, len(true))
     yaw = np.radians(deg_per_m * off + rng.normal(0, 1.0, len(true)))
@@ -77,7 +77,7 @@ def test_yaw_that_comes_with_an_error_to_the_side_is_told():
     true, _ = walk(3)
     apr, _, across = beside(true, 0, 12.0)
     told = ErrorMap.learnt(apr, true)
-    assert abs(np.degrees(told.reach.yaw_per_m)) == pytest.approx(12, rel=0.15)
+    assert np.degrees(told.reach.yaw_per_m) == pytest.approx(12, rel=0.15)
     for i in range(0, len(true), 10):
         expected = told.expected(apr[i, :3, 3], apr[i, :3, 2])
         # A metre along `across` comes with 12 deg, one along the viewing direction with none.
