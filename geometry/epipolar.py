@@ -8,9 +8,9 @@ from geometry.poses import Array, skew
 def sampson_px(a_T_b: Array, ray_a: Array, ray_b: Array, focal_a: Array, focal_b: Array) -> Array:
     """Sampson's distance of matches in pixels, (M,); NaN where the pose has no translation.
 
-    `a_T_b` (M, 4, 4) relative poses of any scale, rays (M, 3) with z = 1 in each camera, focal lengths (M, 2) or (2,)
-    in pixels along x and y. First-order distance of a match from the epipolar constraint (Hartley and Zisserman,
-    "Multiple View Geometry", 2nd ed., eq. 11.9), in the pixels of both images.
+    `a_T_b` (M, 4, 4), or (1, 4, 4) for all, relative poses of any scale, rays (M, 3) with z = 1 in each camera, focal
+    lengths (M, 2) or (2,) in pixels along x and y. First-order distance of a match from the epipolar constraint
+    (Hartley and Zisserman, "Multiple View Geometry", 2nd ed., eq. 11.9), in the pixels of both images.
     """
     essential = skew(a_T_b[:, :3, 3]) @ a_T_b[:, :3, :3]
     line_a = np.einsum("mij,mj->mi", essential, ray_b)

@@ -9,7 +9,8 @@ from artefacts.child import Report
 from sfm.networks import options_of_network
 from sfm.settings import SfmSettings
 
-_CHUNK = 8
+# COLMAP starts anew for each chunk, and cores wait for its last image; progress is told at its end.
+_FEWEST_AT_ONCE, _CHUNKS = 8, 12
 
 
 def features_name(settings: SfmSettings) -> str:
@@ -42,9 +43,10 @@ def extract_features(report: Report, database: Path, images: Path, names: Sequen
     Images larger than the settings' cap are shrunk first; keypoints are in pixels of the full image.
     """
     options = extraction_options(settings)
-    # Extraction has no progress of its own, so it gets a few images at a time.
-    for start in range(0, len(names), _CHUNK):
-        chunk = names[start : start + _CHUNK]
+    # Extraction has no progress of its own, so it gets some images at a time.
+    size = max(_FEWEST_AT_ONCE, len(names) // _CHUNKS)
+    for start in range(0, len(names), size):
+        chunk = names[start : start + size]
         pycolmap.extract_features(
             database,
             images,

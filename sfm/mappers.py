@@ -123,8 +123,9 @@ def pipeline_options(given: MappingInput) -> pycolmap.IncrementalPipelineOptions
     # A fraction of the time of COLMAP's own steps, poses as good (docs/sfm.md); the whole is adjusted at the end.
     options.ba_global_frames_ratio = options.ba_global_points_ratio = 2.0
     options.ba_global_max_refinements = 1
-    options.ba_global_max_num_iterations = 5
+    options.ba_global_max_num_iterations = 2
     options.ba_local_max_refinements = 1
+    options.ba_local_max_num_iterations = 10
     options.mapper.init_max_error = _first_pair_px(given.database)
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
     options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False

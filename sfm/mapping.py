@@ -21,7 +21,7 @@ _EASIER_MIN_INLIERS = 15
 # techniques", 1997); 1.4826 makes a median of absolute values a sigma.
 _LOSS_WIDTH = 2.385 * 1.4826
 _NARROWEST_LOSS_PX = 0.05
-_FINAL_STEPS = 15
+_FINAL_STEPS = 10
 _BUILT = "built.json"
 
 

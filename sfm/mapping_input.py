@@ -115,9 +115,11 @@ def held_out_check(matches: Matches, frames: pd.DataFrame, sfm_T_cam: Array, mod
     known = model >= 0
     ray_a, ray_b = (_rays(frames, side[known], xy[known]) for side, xy in ((a, matches.xy_a), (b, matches.xy_b)))
     focal = np.repeat(frames[["fx", "fy"]].to_numpy(float).mean(axis=1, keepdims=True), 2, axis=1)
-    a_T_b = relative(sfm_T_cam[a[known]], sfm_T_cam[b[known]])
+    # A pair has hundreds of matches.
+    pair, of_pair = np.unique(a[known] * len(frames) + b[known], return_inverse=True)
+    a_T_b = relative(*(sfm_T_cam[row] for row in np.divmod(pair, len(frames))))
     errors = np.full(len(a), np.nan)
-    errors[known] = sampson_px(a_T_b, ray_a, ray_b, focal[a[known]], focal[b[known]])
+    errors[known] = sampson_px(a_T_b[of_pair], ray_a, ray_b, focal[a[known]], focal[b[known]])
     return HeldOutCheck(errors, matches.frames, model, matches.held_out)
 
 

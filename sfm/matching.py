@@ -1,6 +1,7 @@
 """Matching of proposed pairs, and their geometric verification."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,16 +10,16 @@ import pycolmap
 from numpy.typing import NDArray
 
 from artefacts.child import Report
-from sfm.database import have_results
+from artefacts.cores import usable_cores
+from sfm.database import have_results, image_id
 from sfm.features import extraction_options
-from sfm.nearest import write_nearest
+from sfm.nearest import mutual_matches
 from sfm.networks import cannot_run, model_files, options_of_network
 from sfm.odometry import Comparison
 from sfm.pairs import Pairs
 from sfm.settings import SfmSettings
 
-_CHUNK = 512  # COLMAP opens the database anew for each chunk that it verifies
-_MATCHED_TOGETHER = 128  # a bound on the descriptors in memory
+_CHUNK = 128  # a bound on the descriptors in memory, and what a killed run matches again
 _TRIED_PX = 64
 # COLMAP's 100 trials at least are for matches of which half are wrong; how many more a pair needs it finds itself.
 _FEWEST_TRIALS = 30
@@ -98,20 +99,48 @@ def match_pairs(
     verification.min_num_inliers = settings.min_inliers
     verification.ransac.random_seed = seed
     verification.ransac.min_num_trials = _FEWEST_TRIALS
-    listed = database.with_name("pairs.txt")
-    # COLMAP's matching and verification have no progress of their own, so they get some pairs at a time.
     done = have_results(database, pairs)
     todo = pairs[~done]
     for start in range(0, len(todo), _CHUNK):
         chunk = todo[start : start + _CHUNK]
-        listed.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in chunk), encoding="utf-8")
         if model_files(settings):
-            pairing = pycolmap.ImportedPairingOptions()
-            pairing.block_size = _CHUNK
-            pairing.match_list_path = listed
-            pycolmap.match_image_pairs(database, matching_options(settings), pairing, verification, pycolmap.Device.cpu)
+            _match_by_network(database, names, chunk, settings, verification)
         else:
-            for first in range(0, len(chunk), _MATCHED_TOGETHER):
-                write_nearest(database, chunk[first : first + _MATCHED_TOGETHER])
-            pycolmap.verify_matches(database, listed, verification)
+            _match_nearest(database, chunk, verification)
         report(int(done.sum()) + start + len(chunk))
+
+
+def _match_by_network(
+    database: Path,
+    names: Sequence[str],
+    pairs: Pairs,
+    settings: SfmSettings,
+    verification: pycolmap.TwoViewGeometryOptions,
+) -> None:
+    listed = database.with_name("pairs.txt")
+    listed.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in pairs), encoding="utf-8")
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.block_size = _CHUNK
+    pairing.match_list_path = listed
+    pycolmap.match_image_pairs(database, matching_options(settings), pairing, verification, pycolmap.Device.cpu)
+
+
+def _match_nearest(database: Path, pairs: Pairs, verification: pycolmap.TwoViewGeometryOptions) -> None:
+    """Match and verify pairs side by side. COLMAP's own verification gets whole lists and no matches of ours."""
+    with pycolmap.Database.open(database) as opened, pycolmap.DatabaseTransaction(opened):
+        cameras = {row: opened.read_camera(image_id(row)) for row in np.unique(pairs).tolist()}
+        keypoints = {row: opened.read_keypoints(image_id(row))[:, :2].astype(float) for row in cameras}
+        descriptors = {row: opened.read_descriptors(image_id(row)).data.astype(np.float32) for row in cameras}
+
+        def match(pair: list[int]) -> tuple[NDArray[np.uint32], pycolmap.TwoViewGeometry]:
+            a, b = pair
+            matches = mutual_matches(descriptors[a], descriptors[b])
+            return matches, pycolmap.estimate_two_view_geometry(
+                cameras[a], keypoints[a], cameras[b], keypoints[b], matches, verification
+            )
+
+        listed = pairs.tolist()
+        with ThreadPoolExecutor(usable_cores()) as pool:
+            for (a, b), (matches, geometry) in zip(listed, pool.map(match, listed), strict=True):
+                opened.write_matches(image_id(a), image_id(b), matches)
+                opened.write_two_view_geometry(image_id(a), image_id(b), geometry)

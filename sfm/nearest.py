@@ -1,36 +1,10 @@
 """SIFT matches by comparing all descriptors of two images with each other."""
 
-from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
-from itertools import chain
-from pathlib import Path
-
 import numpy as np
-import pycolmap
 from numpy.typing import NDArray
-
-from artefacts.cores import usable_cores
-from sfm.database import image_id
-from sfm.pairs import Pairs
 
 _LENGTH = 512.0
 _FARTHEST, _FARTHEST_SHARE = 0.7, 0.8  # COLMAP's
-
-
-def write_nearest(database: Path, pairs: Pairs) -> None:
-    """Match those of the pairs of rows (P, 2) that have no matches yet: a killed run may have left some unverified."""
-    with pycolmap.Database.open(database) as opened, pycolmap.DatabaseTransaction(opened):
-        todo = [(a, b) for a, b in pairs.tolist() if not opened.exists_matches(image_id(a), image_id(b))]
-        descriptors = {row: opened.read_descriptors(image_id(row)).data.astype(np.float32) for row in set(chain(*todo))}
-        with ThreadPoolExecutor(usable_cores()) as pool:
-            found: Iterable[NDArray[np.uint32]] = pool.map(
-                lambda pair: mutual_matches(descriptors[pair[0]], descriptors[pair[1]]), todo
-            )
-            for (a, b), matches in zip(todo, found, strict=True):
-                opened.write_matches(image_id(a), image_id(b), matches)
-                if not len(matches):
-                    # Verification would leave the pair out, and it would count as one to be done.
-                    opened.write_two_view_geometry(image_id(a), image_id(b), pycolmap.TwoViewGeometry())
 
 
 def mutual_matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.uint32]:

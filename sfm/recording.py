@@ -1,6 +1,8 @@
 """The stage's Rerun recording: points, cameras, the pair graph and each session's path."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -9,6 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from artefacts import StageRun
+from artefacts.cores import usable_cores
 from artefacts.recording import APR, FUSED, GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
 from artefacts.tables import poses_of
 from geometry.poses import Array
@@ -40,10 +43,12 @@ def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model
             log_camera(stream, path, model.sfm_T_cam[row], frame, NEUTRAL, frustum, static=True)
         _log_pairs(stream, centres, model, matched)
         _log_quality(stream, model, registered)
-        for row in _spread(registered, _MOST_IMAGES):
-            stream.set_time(_TIMELINE, sequence=int(row))
-            frame = frames.iloc[row]
-            _log_view(stream, r, frame, model, int(row), 2 * frustum)
+        shown = _spread(registered, _MOST_IMAGES)
+        with ThreadPoolExecutor(usable_cores()) as pool:
+            images = pool.map(_shrunk, [r.image_path(image) for image in frames["image"].iloc[shown]])
+            for row, (image, shrink) in zip(shown.tolist(), images, strict=True):
+                stream.set_time(_TIMELINE, sequence=row)
+                _log_view(stream, image, shrink, frames.iloc[row], model, row, 2 * frustum)
 
 
 def _blueprint() -> rrb.Blueprint:
@@ -117,17 +122,27 @@ def _log_quality(stream: rr.RecordingStream, model: Model, registered: np.ndarra
         stream.send_columns(f"quality/{name}", times, rr.Scalars.columns(scalars=values[registered].astype(float)))
 
 
-def _log_view(
-    stream: rr.RecordingStream, r: StageRun[SfmSettings], frame: pd.Series, model: Model, row: int, size: float
-) -> None:
-    image = cv2.imread(str(r.image_path(frame.image)), cv2.IMREAD_COLOR_RGB)
-    assert image is not None, frame.image
+def _shrunk(path: Path) -> tuple[rr.EncodedImage, float]:
+    """An image as it's shown, and how much smaller that is."""
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB)
+    assert image is not None, path
     shrink = min(1.0, _IMAGE_SIDE / max(image.shape[:2]))
-    image = cv2.resize(image, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+    return rr.Image(cv2.resize(image, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)).compress(75), shrink
+
+
+def _log_view(
+    stream: rr.RecordingStream,
+    image: rr.EncodedImage,
+    shrink: float,
+    frame: pd.Series,
+    model: Model,
+    row: int,
+    size: float,
+) -> None:
     small = frame.copy()
     small[["fx", "fy", "cx", "cy", "width", "height"]] *= shrink
     log_camera(stream, "sfm/camera", model.sfm_T_cam[row], small, REJECTED, size)
-    stream.log("sfm/camera/image", rr.Image(image).compress(75))
+    stream.log("sfm/camera/image", image)
     seen = model.frame == row
     stream.log(
         "sfm/camera/image/seen",

@@ -473,7 +473,7 @@ def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, ke
 
 STAGE = Stage(
     name="sfm",
-    version=8,
+    version=9,
     settings=SfmSettings,
     needs=("import",),
     run=run,

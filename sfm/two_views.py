@@ -74,7 +74,7 @@ def pose_near(start: Array, ray_a: Array, ray_b: Array, focal_a: float, focal_b:
         return make_pose(turned, shift / max(float(np.linalg.norm(shift)), 1e-12))
 
     def errors_px(change: Array) -> Array:
-        return np.nan_to_num(sampson_px(np.broadcast_to(pose(change), (len(ray_a), 4, 4)), *rays, *focal))
+        return np.nan_to_num(sampson_px(pose(change)[None], *rays, *focal))
 
     fit = least_squares(errors_px, np.zeros(6), loss="cauchy", f_scale=_LOSS_PX, max_nfev=_MOST_EVALUATIONS)
     return pose(fit.x) if np.mean(errors_px(fit.x) < _ERROR_PX) >= _AS_WELL else None
