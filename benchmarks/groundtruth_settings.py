@@ -29,7 +29,7 @@ from sfm.intrinsics import REFINED, FocalScale, first_estimates, read_refined, r
 from sfm.mappers import MappingInput
 from sfm.mapping import build_models, kept_models, read_built
 from sfm.mapping_input import read_matches, write_mapping_input
-from sfm.matching import match_pairs
+from sfm.matching import match_pairs, verification_options
 from sfm.model import load_models
 from sfm.pairs import Pairs, sequence_pairs, unique_pairs, view_overlap
 from sfm.retrieval import RETRIEVALS, retrieval_pairs
@@ -219,10 +219,7 @@ def verified_anew(source: Path, target: Path, frames: pd.DataFrame, settings: Sf
     pairs = [pycolmap.pair_id_to_image_pair(i) for i in ids]
     listed = target.with_name("pairs.txt")
     listed.write_text("".join(f"{names[a - 1]} {names[b - 1]}\n" for a, b in pairs), encoding="utf-8")
-    verification = pycolmap.TwoViewGeometryOptions()
-    verification.min_num_inliers = settings.min_inliers
-    verification.ransac.random_seed = 0
-    pycolmap.verify_matches(target, listed, verification)
+    pycolmap.verify_matches(target, listed, verification_options(settings, seed=0))
 
 
 def errors(sfm_T_cam: Array, model_N: np.ndarray, truth: Array) -> dict[str, float]:

@@ -72,6 +72,15 @@ def matching_options(settings: SfmSettings) -> pycolmap.FeatureMatchingOptions:
     return options
 
 
+def verification_options(settings: SfmSettings, seed: int) -> pycolmap.TwoViewGeometryOptions:
+    """COLMAP's options to verify a pair by its essential matrix."""
+    options = pycolmap.TwoViewGeometryOptions()
+    options.min_num_inliers = settings.min_inliers
+    options.ransac.random_seed = seed
+    options.ransac.min_num_trials = _FEWEST_TRIALS
+    return options
+
+
 def try_networks(report: Report, settings: SfmSettings) -> None:
     """Load the networks that the settings ask for, and run ALIKED on a tiny image; UserError where that fails.
 
@@ -95,10 +104,7 @@ def match_pairs(
 
     Each pair's result depends on the pair and the seed alone, so that a killed run goes on as if it hadn't been.
     """
-    verification = pycolmap.TwoViewGeometryOptions()
-    verification.min_num_inliers = settings.min_inliers
-    verification.ransac.random_seed = seed
-    verification.ransac.min_num_trials = _FEWEST_TRIALS
+    verification = verification_options(settings, seed)
     done = have_results(database, pairs)
     todo = pairs[~done]
     for start in range(0, len(todo), _CHUNK):

@@ -122,7 +122,7 @@ def _log_quality(stream: rr.RecordingStream, model: Model, registered: np.ndarra
         stream.send_columns(f"quality/{name}", times, rr.Scalars.columns(scalars=values[registered].astype(float)))
 
 
-def _shrunk(path: Path) -> tuple[rr.EncodedImage, float]:
+def _shrunk(path: Path) -> tuple[rr.Image | rr.EncodedImage, float]:
     """An image as it's shown, and how much smaller that is."""
     image = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB)
     assert image is not None, path
@@ -132,7 +132,7 @@ def _shrunk(path: Path) -> tuple[rr.EncodedImage, float]:
 
 def _log_view(
     stream: rr.RecordingStream,
-    image: rr.EncodedImage,
+    image: rr.Image | rr.EncodedImage,
     shrink: float,
     frame: pd.Series,
     model: Model,
