@@ -132,7 +132,7 @@ def _match_by_network(
 
 
 def _match_nearest(database: Path, pairs: Pairs, verification: pycolmap.TwoViewGeometryOptions) -> None:
-    """Match and verify pairs side by side. COLMAP's own verification gets whole lists and no matches of ours."""
+    """Match and verify pairs side by side, one a core, and write down what came out once all are done."""
     with pycolmap.Database.open(database) as opened, pycolmap.DatabaseTransaction(opened):
         cameras = {row: opened.read_camera(image_id(row)) for row in np.unique(pairs).tolist()}
         keypoints = {row: opened.read_keypoints(image_id(row))[:, :2].astype(float) for row in cameras}
