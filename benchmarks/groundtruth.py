@@ -40,6 +40,7 @@ from benchmarks.stages import Cost, measure
 from geometry.fits import fit_poses, pose_residuals
 from geometry.poses import Array
 from sfm.settings import SfmSettings
+from sfm.stage import STAGE as SFM
 from simulation.scenes import NAMES
 
 _SCENE = "Church"
@@ -87,7 +88,9 @@ def speed(o: Options) -> list[Figure]:
     folder = o.out / "stock"
     settings = resolve_settings(SfmSettings, "sfm", root, PROFILE, _SCENE, [])
     command = [sys.executable, "-m", "benchmarks.groundtruth_inputs", _SCENE, str(root.root), str(folder)]
-    stock = _kept_cost(folder.with_suffix(".json"), lambda: measure([*command, settings.model_dump_json()], folder))
+    stock = _kept_cost(
+        o.out / f"stock_{SFM.version}.json", lambda: measure([*command, settings.model_dump_json()], folder)
+    )
     of = f"{_SCENE}, {len(truth)} frames"
     errors = _error_figures("speed", f"{of}, ours", *sfm_poses(_SCENE, root), truth)
     stock_errors = _error_figures("speed", f"{of}, stock", *stock_poses(folder, len(truth)), truth)
@@ -298,8 +301,8 @@ def _fresh(o: Options, root: DataRoot, name: int | str) -> DataRoot:
 
 
 def _sfm_cost(root: DataRoot) -> Cost:
-    """What sfm cost, kept from the run that made its artefact."""
-    return _kept_cost(root.root / "sfm_cost.json", lambda: run_stage("sfm", _SCENE, root, anew=True))
+    """What sfm cost, kept from the run that made its artefact by this version."""
+    return _kept_cost(root.root / f"sfm_{SFM.version}_cost.json", lambda: run_stage("sfm", _SCENE, root, anew=True))
 
 
 def _kept_cost(path: Path, work: Callable[[], Cost]) -> Cost:
