@@ -51,8 +51,8 @@ _OTHERWISE = (DISAGREES, "SfM moves otherwise than VIO in most steps")
 @dataclass
 class Examination:
     """What was found. Arrays are over the rows of the frames table: `registered`, `reason` (why a frame gets no ground
-    truth, empty where it does), and the largest residuals of its windows in metres and radians, NaN in none.
-    `refusal` is why there is no ground truth at all."""
+    truth, empty where it does), the largest residuals of its windows in metres and radians, NaN in none, and whether
+    the images doubt its focal length. `refusal` is why there is no ground truth at all."""
 
     components: list[Component]
     placed: list[Placed]
@@ -62,6 +62,7 @@ class Examination:
     reason: np.ndarray
     worst_m: Array
     worst_rad: Array
+    doubted: np.ndarray
     refusal: UserError | None = None
     diagnoses: dict[tuple[int, str], Diagnosis] = field(default_factory=dict)
 
@@ -69,6 +70,11 @@ class Examination:
     def used(self) -> np.ndarray:
         """(N,) frames with ground truth."""
         return self.registered & (self.reason == "")
+
+    @property
+    def checked(self) -> np.ndarray:
+        """(N,) frames that were compared with VIO, and whose focal length their images don't doubt."""
+        return np.isfinite(self.worst_m) & ~self.doubted
 
 
 def examine(
@@ -102,6 +108,7 @@ def examine(
         np.where(images["registered"], "", NOT_REGISTERED).astype(object),
         np.full(count, np.nan),
         np.full(count, np.nan),
+        sfm.doubted(frames["session_id"].to_numpy(object)),
     )
     _check_registered(found, frames, recordings, settings)
     drift = _drift(settings)
@@ -318,14 +325,14 @@ def _shared_faults(
 
 def _check_unsure(found: Examination, frames: pd.DataFrame, images: pd.DataFrame, settings: AlignSettings) -> None:
     """A frame of class A or B stands on its own: its 95 % bounds of 0.3 degrees are 7 cm at the end of 5 m, and VIO
-    strays as far. One of class C needs VIO's word: it must move as VIO does, more closely than drift is allowed for
-    elsewhere; where most of a session's don't, none of them is believed. That they have no ground truth is a fault of
-    the session where it costs it too many frames."""
+    strays as far. One of class C needs VIO's word (so is one whose images doubt its focal length, which its bounds take
+    as known): it must move as VIO does, more closely than drift is allowed for elsewhere; where most of a session's
+    don't, none of them is believed. That they have no ground truth is a fault of the session where it costs it too many
+    frames."""
     covariance = sfm_covariances(images["covariance"])
-    checked = np.isfinite(found.worst_m)
     for component in found.components:
         own = covariance_in_map(covariance, component.metric_S_sfm)
-        sure = judge(frames, images, own, checked, settings) != "C"
+        sure = judge(frames, images, own, found.checked, settings) != "C"
         for session_id in dict.fromkeys(s.session_id for s in component.segments):
             unsure, wrong = [], []
             for segment in (s for s in component.segments if s.session_id == session_id):

@@ -123,7 +123,7 @@ def _ground_truth(
         shared = SharedSd(placed.component.scale.sd, placed.component.vertical.sd, camera_sd(frames, settings))
         total[rows] = own[rows] + shared_covariance(map_T_cam[rows], anchor, shared)
     sd_m, sd_rad = largest_sd(own)
-    quality = judge(frames, images, own, np.isfinite(found.worst_m), settings)
+    quality = judge(frames, images, own, found.checked, settings)
     table = frames[["frame_id", "session_id", "split", "t_ns"]].copy()
     table["component"] = pd.Series(component, index=table.index).where(known).astype("Int64")
     stated = [c.ravel().tolist() if np.isfinite(c).all() else None for c in total]

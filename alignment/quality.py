@@ -14,7 +14,7 @@ def judge(
     frames: pd.DataFrame, images: pd.DataFrame, own: Array, checked: np.ndarray, settings: AlignSettings
 ) -> np.ndarray:
     """Classes A, B or C (N,) of frames (import's table, and SfM's in its order) by their own covariances (N, 6, 6) in
-    metres; `checked` (N,): compared with VIO."""
+    metres; `checked` (N,): compared with VIO, by a focal length that the images don't doubt."""
     sd_m, sd_rad = largest_sd(own)
     judged = pd.DataFrame(
         {

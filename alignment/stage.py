@@ -142,7 +142,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=5,
+    version=6,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

@@ -74,7 +74,8 @@ def quality_classes(frames: pd.DataFrame, limits: dict[str, QualityLimits]) -> n
     """A, B or C (N,) for frames with ground truth: the first class all of whose limits hold; C has none.
 
     `frames` has position_sd_m and rotation_sd_deg (NaN where SfM gives no covariance: at most B), observations,
-    reprojection_deg, and checked (bool: the frame took part in the comparison with VIO; otherwise C).
+    reprojection_deg, and checked (bool: the frame took part in the comparison with VIO, and its focal length is in no
+    doubt; otherwise C).
     """
     quality = np.full(len(frames), "C", dtype=object)
     for name in ("B", "A"):

@@ -258,6 +258,23 @@ def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks) -> None:
     assert row["session_id"] == "walk0" and row["cause"] == gate.DISAGREES
 
 
+@pytest.mark.parametrize(("factor", "sd", "believed"), [(0.98, 0.002, False), (0.98, 0.005, True), (0.995, 5e-4, True)])
+def test_frames_whose_images_doubt_their_focal_length_need_vios_word(
+    walks, factor: float, sd: float, believed: bool
+) -> None:
+    """The same stretch, SfM sure of it: its bounds take a focal length as known that the images say is another one,
+    clearly (five sigmas and 1 %) or not."""
+    scene = walks.make(frames=60, sfm_m=0.003, sfm_deg=0.02)
+    rows = of_walk(scene, 0)
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[rows, :3, 3] = sfm[rows[0], :3, 3] + 1.03 * (sfm[rows, :3, 3] - sfm[rows[0], :3, 3])
+    scene.set_sfm(sfm)
+    told_focal(scene, ("walk0", factor, sd, "captured: matches held out agree no better"))
+    found = run(scene)
+    assert found.used[60:].all() and found.used[rows].any() == believed
+    assert found.doubted.any() == (not believed) and not found.doubted[60:].any()
+
+
 def test_one_unsure_frame_that_is_off_goes_alone(walks) -> None:
     scene = walks.make(frames=30, sfm_m=0.002, sfm_deg=0.02)
     scene.images["covariance"] = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
