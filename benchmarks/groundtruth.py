@@ -169,13 +169,18 @@ def accuracy(o: Options) -> list[Figure]:
 
 
 def real_captures(o: Options) -> list[Figure]:
-    """Real captures against ARKit: the chair's known answer, and the corridor, right or refused."""
+    """Real captures against ARKit: the chair's known answer, and the corridor, right or refused, by an image a second
+    and by all of them."""
     figures = []
-    for scene in ("chair", "corridor"):
-        if not (o.shared / "captures" / scene).is_dir():
+    for scene, capture, settings in (
+        ("chair", "chair", []),
+        ("corridor", "corridor", []),
+        ("corridor_all", "corridor", ['sampling="all"']),
+    ):
+        if not (o.shared / "captures" / capture).is_dir():
             console.print(f"  {scene}: no capture in {o.shared}, left out")
             continue
-        real(scene, o.shared / "captures" / scene, o.data)
+        real(scene, o.shared / "captures" / capture, o.data, *settings)
         try:
             run_stage("sfm", scene, o.data)
             run_stage("alignment", scene, o.data)
@@ -183,7 +188,7 @@ def real_captures(o: Options) -> list[Figure]:
             # A stage that refuses its input exits with 2; anything else is a failure of ours.
             if "exit status 2" not in str(error):
                 raise
-            figures.append(Figure("real", scene, "refused", 1, "", "chair: no", scene == "corridor"))
+            figures.append(Figure("real", scene, "refused", 1, "", "right or refused", capture == "corridor"))
             continue
         folder = o.data.run(PROFILE, scene, "align")
         gt = read_table(folder / "ground_truth.parquet", schema("align", "ground_truth"))

@@ -38,13 +38,13 @@ def simulated(scene: str, root: DataRoot, *settings: str) -> None:
     run_stage("capture_import", scene, root)
 
 
-def real(scene: str, folder: Path, root: DataRoot) -> None:
-    """A real capture up to import; its folder is linked, not copied."""
+def real(scene: str, folder: Path, root: DataRoot, *settings: str) -> None:
+    """A real capture up to import by these settings; its folder is linked, not copied."""
     captures = root.captures(scene)
     captures.parent.mkdir(parents=True, exist_ok=True)
     if not captures.is_symlink():
         captures.symlink_to(folder.resolve(), target_is_directory=True)
-    run_stage("capture_import", scene, root)
+    run_stage("capture_import", scene, root, *settings)
 
 
 def part_of(scene: str, whole: DataRoot, part: DataRoot, frames: int) -> None:
