@@ -325,10 +325,10 @@ def _shared_faults(
 
 def _check_unsure(found: Examination, frames: pd.DataFrame, images: pd.DataFrame, settings: AlignSettings) -> None:
     """A frame of class A or B stands on its own: its 95 % bounds of 0.3 degrees are 7 cm at the end of 5 m, and VIO
-    strays as far. One of class C needs VIO's word (so is one whose images doubt its focal length, which its bounds take
-    as known): it must move as VIO does, more closely than drift is allowed for elsewhere; where most of a session's
-    don't, none of them is believed. That they have no ground truth is a fault of the session where it costs it too many
-    frames."""
+    strays as far. One of class C needs VIO's word, as does one whose images doubt its focal length, which bounds take
+    as known (`judge` makes it a C): it must move as VIO does, more closely than drift is allowed for elsewhere; where
+    most of a session's don't, none of them is believed. That they have no ground truth is a fault of the session where
+    it costs it too many frames."""
     covariance = sfm_covariances(images["covariance"])
     for component in found.components:
         own = covariance_in_map(covariance, component.metric_S_sfm)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pycolmap
 
 from artefacts.child import Report
@@ -10,7 +11,8 @@ from sfm.networks import options_of_network
 from sfm.settings import SfmSettings
 
 # COLMAP starts anew for each chunk, and cores wait for its last image; progress is told at its end.
-_FEWEST_AT_ONCE, _CHUNKS = 8, 12
+_AT_ONCE = (8, 64)
+_CHUNKS = 12
 
 
 def features_name(settings: SfmSettings) -> str:
@@ -44,7 +46,7 @@ def extract_features(report: Report, database: Path, images: Path, names: Sequen
     """
     options = extraction_options(settings)
     # Extraction has no progress of its own, so it gets some images at a time.
-    size = max(_FEWEST_AT_ONCE, len(names) // _CHUNKS)
+    size = int(np.clip(len(names) // _CHUNKS, *_AT_ONCE))
     for start in range(0, len(names), size):
         chunk = names[start : start + size]
         pycolmap.extract_features(
