@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from artefacts.parallel import in_parallel
 from capture_import.capture import RawFrame
 from capture_import.intake import Image, Session
-from capture_import.parallel import in_parallel
 from capture_import.scan import LoadGray
 from geometry.epipolar import sampson_px
 from geometry.poses import (

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from artefacts import UserError
+from artefacts.parallel import in_parallel
 from capture_import.blurring import Detector, Kind, blur_people
 from capture_import.capture import ImageFile, Limits, VideoFrame
 from capture_import.images import decode_rgb, encode_jpeg, without_metadata
 from capture_import.intake import Image
-from capture_import.parallel import in_parallel
 from capture_import.spool import spooled_path
 from capture_import.upright import turned_pixels
 from capture_import.video import decode, rgb_pixels

@@ -10,11 +10,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from artefacts.parallel import in_parallel
 from artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, set_time
 from capture_import.capture import Reject
 from capture_import.images import image_size
 from capture_import.intake import Session
-from capture_import.parallel import in_parallel
 from capture_import.spool import thumbnail_path
 from capture_import.tables import printable
 from capture_import.thumbnails import MOST, spread, thumbnail_of

@@ -1,6 +1,5 @@
 """The stage's Rerun recording: points, cameras, the pair graph and each session's path."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from artefacts import StageRun
-from artefacts.cores import usable_cores
+from artefacts.parallel import in_parallel
 from artefacts.recording import APR, FUSED, GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
 from artefacts.tables import poses_of
 from geometry.poses import Array
@@ -44,11 +43,10 @@ def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model
         _log_pairs(stream, centres, model, matched)
         _log_quality(stream, model, registered)
         shown = _spread(registered, _MOST_IMAGES)
-        with ThreadPoolExecutor(usable_cores()) as pool:
-            images = pool.map(_shrunk, [r.image_path(image) for image in frames["image"].iloc[shown]])
-            for row, (image, shrink) in zip(shown.tolist(), images, strict=True):
-                stream.set_time(_TIMELINE, sequence=row)
-                _log_view(stream, image, shrink, frames.iloc[row], model, row, 2 * frustum)
+        images = in_parallel(_shrunk, (r.image_path(image) for image in frames["image"].iloc[shown]))
+        for row, (image, shrink) in zip(shown.tolist(), images, strict=True):
+            stream.set_time(_TIMELINE, sequence=row)
+            _log_view(stream, image, shrink, frames.iloc[row], model, row, 2 * frustum)
 
 
 def _blueprint() -> rrb.Blueprint:
