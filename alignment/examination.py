@@ -51,8 +51,8 @@ _OTHERWISE = (DISAGREES, "SfM moves otherwise than VIO in most steps")
 @dataclass
 class Examination:
     """What was found. Arrays are over the rows of the frames table: `registered`, `reason` (why a frame gets no ground
-    truth, empty where it does), the largest residuals of its windows in metres and radians, NaN in none, and whether
-    the images doubt its focal length. `refusal` is why there is no ground truth at all."""
+    truth, empty where it does), the largest residuals of its windows in metres and radians, NaN in none.
+    `refusal` is why there is no ground truth at all."""
 
     components: list[Component]
     placed: list[Placed]
@@ -62,7 +62,6 @@ class Examination:
     reason: np.ndarray
     worst_m: Array
     worst_rad: Array
-    doubted: np.ndarray
     refusal: UserError | None = None
     diagnoses: dict[tuple[int, str], Diagnosis] = field(default_factory=dict)
 
@@ -73,8 +72,8 @@ class Examination:
 
     @property
     def checked(self) -> np.ndarray:
-        """(N,) frames that were compared with VIO, and whose focal length their images don't doubt."""
-        return np.isfinite(self.worst_m) & ~self.doubted
+        """(N,) frames that were compared with VIO."""
+        return np.isfinite(self.worst_m)
 
 
 def examine(
@@ -108,7 +107,6 @@ def examine(
         np.where(images["registered"], "", NOT_REGISTERED).astype(object),
         np.full(count, np.nan),
         np.full(count, np.nan),
-        sfm.doubted(frames["session_id"].to_numpy(object)),
     )
     _check_registered(found, frames, recordings, settings)
     drift = _drift(settings)
@@ -243,7 +241,7 @@ def _check_sessions(
 
 
 def _focal_faults(gate: Gate, focal: Focal | None, settings: AlignSettings, about: dict[str, Any]) -> list[str]:
-    """The reason of the failed check of what the images say of a session's focal length, left as captured."""
+    """The reason of the failed check of what the images say of a session's logged focal length."""
     if focal is None:
         return []
     off = focal.scale - 1

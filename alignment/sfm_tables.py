@@ -4,13 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 # Fewer pairs of a session's frames say nothing of it.
 _FEWEST_PAIRS = 8
-# Images confirm a focal length where they tell it to this share, and find no other beyond this or so many sigmas. They
-# doubt it where they find another beyond as much and more sigmas.
-_CONFIRMED_SD, _CONFIRMED, _CONFIRMED_SIGMAS, _DOUBTED_SIGMAS = 0.005, 0.01, 3.0, 5.0
+# Images confirm a focal length where they tell it to this share, and find no other beyond this or so many sigmas.
+_CONFIRMED_SD, _CONFIRMED, _CONFIRMED_SIGMAS = 0.005, 0.01, 3.0
 
 
 @dataclass(frozen=True)
@@ -24,11 +22,6 @@ class Focal:
     def confirmed(self) -> bool:
         """The images tell it well, and it's right."""
         return self.sd <= _CONFIRMED_SD and abs(self.scale - 1) <= max(_CONFIRMED, _CONFIRMED_SIGMAS * self.sd)
-
-    @property
-    def doubted(self) -> bool:
-        """The images say clearly that it's another one, be it by less than is refused."""
-        return abs(self.scale - 1) > max(_CONFIRMED, _DOUBTED_SIGMAS * self.sd)
 
 
 @dataclass(frozen=True)
@@ -48,18 +41,11 @@ class SfmTables:
         return SfmTables(ordered, intrinsics, pairs.assign(**ends))
 
     def focal(self, model_id: str, session_id: str) -> Focal | None:
-        """None where the images don't tell, or where SfM refined it."""
-        told = self.intrinsics
-        told = told[(told["model_id"] == model_id) & (told["session_id"] == session_id) & told["focal_scale"].notna()]
-        told = told[told["decision"] != "refined"]
-        return Focal(*told[["focal_scale", "focal_scale_sd"]].to_numpy(float)[0]) if len(told) else None
-
-    def doubted(self, session_N: np.ndarray) -> NDArray[np.bool_]:
-        """Which frames (N,), of the sessions `session_N`, have a focal length that their model's images doubt."""
-        of_frame = pd.Series(list(zip(self.images["model_id"], session_N, strict=True)))
-        focal = {key: self.focal(*key) for key in of_frame[self.images["registered"].to_numpy(bool)].unique()}
-        doubted = {key for key, told in focal.items() if told is not None and told.doubted}
-        return of_frame.isin(doubted).to_numpy(bool)
+        """None where the images don't tell."""
+        table = self.intrinsics
+        rows = table[(table["model_id"] == model_id) & (table["session_id"] == session_id)]
+        rows = rows[rows["focal_scale_sd"].notna()]
+        return Focal(*rows[["focal_scale", "focal_scale_sd"]].to_numpy(float)[0]) if len(rows) else None
 
     def belongs(self, session_id: str) -> bool:
         """Most pairs of the session's frames, each by its two images alone, move as VIO does."""

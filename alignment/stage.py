@@ -12,6 +12,7 @@ from alignment.sessions import SessionFit
 from alignment.settings import AlignSettings
 from alignment.sfm_tables import SfmTables
 from artefacts import Stage, StageRun, UserError
+from artefacts.tables import with_cameras
 from geometry.poses import Array
 
 PICTURE = "gate.png"
@@ -22,8 +23,8 @@ def run(r: StageRun[AlignSettings]) -> None:
     jumps = r.read("import", "jumps")
     sfm = SfmTables.of(frames, r.read("sfm", "images"), r.read("sfm", "intrinsics"), r.read("sfm", "pairs"))
     images = sfm.images
-    # SfM's poses go with these focal lengths; they're import's where SfM didn't refine them.
-    frames[["fx", "fy"]] = frames[["fx", "fy"]].mul(images["focal_scale"].fillna(1.0), axis=0)
+    # SfM's poses go with these cameras.
+    frames = with_cameras(frames, images)
     recordings = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
     with r.step("examine"):
         found = examine(frames, sfm, jumps, recordings, r.settings)
@@ -142,7 +143,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=6,
+    version=7,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

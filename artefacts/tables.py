@@ -75,6 +75,13 @@ def pose_prefixes(schema: TableSchema) -> list[str]:
     return [c.removesuffix("_qw") for c in schema.column_names if c.endswith("_qw")]
 
 
+def with_cameras(frames: pd.DataFrame, images: pd.DataFrame) -> pd.DataFrame:
+    """import.frames with the cameras of sfm.images, which go with the poses of SfM and of the ground truth."""
+    columns = ["fx", "fy", "cx", "cy", "distortion"]
+    cameras = images.set_index("frame_id").loc[frames["frame_id"], columns]
+    return frames.assign(**{name: cameras[name].to_numpy() for name in columns})
+
+
 def poses_of(frame: pd.DataFrame, prefix: str) -> Array:
     """The pose group `prefix` of a table as (N, 4, 4); rows with a null are all NaN."""
     t = frame[[f"{prefix}_t{a}" for a in "xyz"]].to_numpy(float, na_value=np.nan)

@@ -1,11 +1,10 @@
 """What sfm's settings are worth on a small simulated capture: `python -m benchmarks.groundtruth_settings --data data`.
 
 Reads a finished import of a simulated scene, works in `--out` and holds everything against the true poses. Parts:
-`features` (SIFT's settings), `retrieval` (which frames of other sessions are proposed) and `intrinsics` (focal lengths
-that are off, captured or refined). Seconds are processor seconds of one thread.
+`features` (SIFT's settings) and `retrieval` (which frames of other sessions are proposed). Seconds are processor
+seconds of one thread.
 """
 
-import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -23,21 +22,20 @@ from artefacts.settings import resolve_settings
 from artefacts.tables import poses_of, read_table
 from benchmarks.groundtruth_inputs import errors_after_sim3, true_poses
 from geometry.poses import Array
-from sfm.database import camera_of, create_database, image_id, image_name, read_descriptors
+from sfm.database import create_database, image_name, read_descriptors
 from sfm.features import extract_features
-from sfm.intrinsics import REFINED, FocalScale, first_estimates, read_refined, refine_models, with_focal_scales
 from sfm.mappers import MappingInput
 from sfm.mapping import build_models, kept_models, read_built
-from sfm.mapping_input import read_matches, write_mapping_input
-from sfm.matching import match_pairs, verification_options
+from sfm.mapping_input import write_mapping_input
+from sfm.matching import match_pairs
 from sfm.model import load_models
+from sfm.model_adjustment import camera_log
 from sfm.pairs import Pairs, sequence_pairs, unique_pairs, view_overlap
 from sfm.retrieval import RETRIEVALS, retrieval_pairs
 from sfm.settings import SfmSettings
 
 _REACH_M = 12.0
 _OVERLAP = 0.5
-_OFF = ("none", "all +1 %", "all -2 %", "one +1 %", "one +2 %")
 
 app = new_app(__doc__ or "")
 
@@ -114,16 +112,18 @@ def pairs_to_match(part: Part, settings: SfmSettings, database: Path) -> Pairs:
     return unique_pairs(np.concatenate([following, alike]))
 
 
-def mapped(part: Part, database: Path, frames: pd.DataFrame, settings: SfmSettings, folder: Path) -> None:
-    """Map the verified pairs of the database with the intrinsics of `frames` into `folder`."""
+def mapped(part: Part, database: Path, settings: SfmSettings, folder: Path) -> None:
+    """Map the verified pairs of the database into `folder`."""
+    frames = part.frames
     with pycolmap.Database.open(database) as opened:
         ids, inliers = opened.read_two_view_geometry_num_inliers()
     enough = [pycolmap.pair_id_to_image_pair(i) for i, n in zip(ids, inliers, strict=True) if n >= settings.min_inliers]
     target = folder.with_suffix(".db")
-    write_mapping_input(database, target, frames, unique_pairs(np.array(enough) - 1), settings.held_out, 0)
+    write_mapping_input(database, database, target, frames, unique_pairs(np.array(enough) - 1), settings.held_out, 0)
     vio_T_cam = poses_of(frames, "vio_cam")
     given = MappingInput(target, part.images, vio_T_cam, part.session.astype(object), 0)
-    build_models(quiet, given, settings.mapper, settings.component_frames, folder)
+    cameras = camera_log(frames, {}, pd.DataFrame({"session_id": []}), settings)
+    build_models(quiet, given, database, cameras, settings, folder)
 
 
 def features(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object]]:
@@ -136,7 +136,7 @@ def features(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object]
             start = time.process_time()
             match_pairs(quiet, database, part.names, pairs, changed, 0)
             matching = time.process_time() - start
-            mapped(part, database, part.frames, changed, part.folder / "mapping")
+            mapped(part, database, changed, part.folder / "mapping")
             model = load_models(
                 [part.folder / "mapping" / m.folder for m in kept_models(read_built(part.folder / "mapping"))],
                 len(part.frames),
@@ -172,56 +172,6 @@ def retrieval(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object
             }
 
 
-def intrinsics(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object]]:
-    """Focal lengths that are off in all sessions or in one: poses with them as captured, and refined where it helps."""
-    matched, _ = part.features(settings, "matched")
-    match_pairs(quiet, matched, part.names, pairs_to_match(part, settings, matched), settings, 0)
-    one = part.session == np.unique(part.session)[-1]
-    for off in _OFF:
-        size = float(off.split()[1]) / 100 if " " in off else 0.0
-        scale = 1 + size * (one if off.startswith("one") else np.ones(len(one)))
-        frames = with_focal_scales(part.frames, scale)
-        database = part.folder / "variant.db"
-        verified_anew(matched, database, frames, settings, part.names)
-        folder = part.folder / "mapping"
-        mapped(part, database, frames, settings, folder)
-        kept = kept_models(read_built(folder))
-        model = load_models([folder / told.folder for told in kept], len(frames))
-        start = time.process_time()
-        tried = first_estimates(model, kept, frames, settings.focal_limit)
-        after = model
-        if any(not t.decision for own in tried for t in own):
-            output = part.folder / "refined"
-            matches = read_matches(folder.with_suffix(".db"))
-            refine_models(quiet, folder, kept, tried, frames, matches, settings, output)
-            kept, tried = read_refined(output)
-            after = load_models([output / told.folder for told in kept], len(frames))
-        seconds = time.process_time() - start
-        before = errors(model.sfm_T_cam, model.model, part.truth)
-        refined = errors(after.sfm_T_cam, after.model, part.truth)
-        yield {
-            "off": off,
-            **{f"captured: {name}": value for name, value in before.items()},
-            **{f"refined: {name}": value for name, value in refined.items() if name != "registered %"},
-            **_told([t for own in tried for t in own]),
-            "s": seconds,
-        }
-
-
-def verified_anew(source: Path, target: Path, frames: pd.DataFrame, settings: SfmSettings, names: list[str]) -> None:
-    """A copy of a matched database with other intrinsics, its matches verified with them."""
-    shutil.copyfile(source, target)
-    with pycolmap.Database.open(target) as database:
-        database.clear_two_view_geometries()
-        for row, frame in enumerate(frames.itertuples(index=False)):
-            database.update_camera(camera_of(frame, image_id(row)))
-        ids, _ = database.read_num_matches()
-    pairs = [pycolmap.pair_id_to_image_pair(i) for i in ids]
-    listed = target.with_name("pairs.txt")
-    listed.write_text("".join(f"{names[a - 1]} {names[b - 1]}\n" for a, b in pairs), encoding="utf-8")
-    pycolmap.verify_matches(target, listed, verification_options(settings, seed=0))
-
-
 def errors(sfm_T_cam: Array, model_N: np.ndarray, truth: Array) -> dict[str, float]:
     """Registered frames, and medians of the errors after a similarity fit of each model."""
     metres, degrees = errors_after_sim3(sfm_T_cam, model_N, truth)
@@ -232,22 +182,9 @@ def errors(sfm_T_cam: Array, model_N: np.ndarray, truth: Array) -> dict[str, flo
     }
 
 
-def _told(tried: list[FocalScale]) -> dict[str, object]:
-    factors = [100 * (t.factor - 1) for t in tried if t.factor]
-    ones = {t.heldout_px: t.heldout_refined_px for t in tried if t.heldout_px is not None}
-    return {
-        "factors %": " ".join(f"{f:+.2f}" for f in factors),
-        "± %": max((100 * t.sd for t in tried if t.sd is not None), default=float("nan")),
-        "held out px": ", ".join(f"{a:.4f} to {b:.4f}" for a, b in ones.items() if a and b),
-        "refined": sum(t.decision == REFINED for t in tried),
-        "decision": "; ".join(sorted({t.decision for t in tried})),
-    }
-
-
 PARTS: dict[str, Callable[[Part, SfmSettings], Iterator[Mapping[str, object]]]] = {
     "features": features,
     "retrieval": retrieval,
-    "intrinsics": intrinsics,
 }
 
 
@@ -258,7 +195,7 @@ def main(
     data: Annotated[Path, typer.Option(help="Data folder with the scene's finished import.")] = Path("data"),
     only: Annotated[list[str] | None, typer.Option(help=f"Only these parts: {', '.join(PARTS)}.")] = None,
     out: Annotated[Path, typer.Option(help="Work here.")] = Path("build/groundtruth_settings"),
-    frames: Annotated[int, typer.Option(help="Frames of features and intrinsics, where the sessions meet.")] = 60,
+    frames: Annotated[int, typer.Option(help="Frames of features, where the sessions meet.")] = 60,
     spread: Annotated[int, typer.Option(help="Frames of retrieval, spread over the whole scene.")] = 120,
 ) -> None:
     """Run the parts and print a Markdown table of each."""

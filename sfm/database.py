@@ -27,10 +27,10 @@ def image_id(row: int) -> int:
 def camera_of(frame: Any, camera_id: int) -> pycolmap.Camera:
     """A row of the frames table as a COLMAP camera.
 
-    PINHOLE without distortion, otherwise the smallest of OPENCV and FULL_OPENCV that holds its coefficients.
+    PINHOLE without coefficients of distortion, otherwise the smaller of OPENCV and FULL_OPENCV that holds them.
     """
     distortion = [float(k) for k in frame.distortion]
-    if not any(distortion):
+    if not distortion:
         model, extra = "PINHOLE", []
     elif len(distortion) <= 4:
         model, extra = "OPENCV", distortion + [0.0] * (4 - len(distortion))
@@ -81,6 +81,12 @@ def read_descriptors(path: Path, count: int) -> list[Descriptors]:
 
     with pycolmap.Database.open(path) as database:
         return [numbers(database.read_descriptors(image_id(row))) for row in range(count)]
+
+
+def read_keypoints(path: Path, count: int) -> list[NDArray[np.float64]]:
+    """The keypoints (K, 2) of each of the `count` frames, px."""
+    with pycolmap.Database.open(path) as database:
+        return [database.read_keypoints(image_id(row))[:, :2].astype(float) for row in range(count)]
 
 
 def keypoint_counts(path: Path, count: int) -> Ints:

@@ -7,28 +7,23 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pycolmap
 
 from artefacts.child import Report
+from sfm.database import read_keypoints
 from sfm.mappers import MAPPERS, MappingInput, continued
 from sfm.mapping_input import write_mapping_input
-from sfm.model import load_models
-from sfm.settings import MapperName
+from sfm.model_adjustment import CameraLog, adjust_model, save_adjusted
+from sfm.settings import SfmSettings
 
 _EASIER_MIN_INLIERS = 15
-# Cauchy's loss keeps 95 % of least squares' efficiency on Gaussian noise at 2.385 sigma (Zhang, "Parameter estimation
-# techniques", 1997); 1.4826 makes a median of absolute values a sigma.
-_LOSS_WIDTH = 2.385 * 1.4826
-_NARROWEST_LOSS_PX = 0.05
-_FINAL_STEPS = 10
 _BUILT = "built.json"
 
 
 @dataclass(frozen=True)
 class BuiltModel:
-    """A model that mapping built: by what, its number there, its size, and, where it was kept, the folder that it's in
-    and the width of the Cauchy loss that it was adjusted with."""
+    """A model that mapping built: by what, its number there, its size, and, where it was kept, the folder that it's in;
+    beside it `<folder>.npz` has what `sfm.model_adjustment.load_adjusted` reads."""
 
     mapping: str
     number: int
@@ -38,7 +33,6 @@ class BuiltModel:
     mean_track_length: float
     mean_reprojection_px: float
     folder: str = ""
-    loss_px: float = 0.0
 
     @property
     def model_id(self) -> str:
@@ -49,22 +43,26 @@ def map_verified(
     report: Report,
     verified: tuple[Any, ...],
     given: MappingInput,
-    mapper: MapperName,
-    component_frames: int,
+    features: Path,
+    log: CameraLog,
+    settings: SfmSettings,
     output: Path,
 ) -> None:
     """`write_mapping_input` with the arguments `verified`, then `build_models` from what it wrote."""
     write_mapping_input(*verified)
-    build_models(report, given, mapper, component_frames, output)
+    build_models(report, given, features, log, settings, output)
 
 
-def build_models(report: Report, given: MappingInput, mapper: MapperName, component_frames: int, output: Path) -> None:
+def build_models(
+    report: Report, given: MappingInput, features: Path, log: CameraLog, settings: SfmSettings, output: Path
+) -> None:
     """Map the database's verified pairs; `output` then holds what `read_built` reads and the folders that it names.
 
-    Where the largest of the models that come out lacks images, a second mapping goes on from it with a lower bar for
-    registering one. The largest of all is kept, and of the others those that have `component_frames` or more frames
-    that no larger one has; a frame stays in the largest that has it. Each is adjusted once more as a whole,
-    robustly: a few per cent of wrong observations would otherwise weigh more than all right ones.
+    `features` is the database with the keypoints as they were found. Where the largest of the models that come out
+    lacks images, a second mapping goes on from it with a lower bar for registering one. The largest of all is kept, and
+    of the others those that have `component_frames` or more frames that no larger one has; a frame stays in the largest
+    that has it. Each is adjusted once more as a whole, with the cameras as phones have them and robustly: a few per
+    cent of wrong observations would otherwise weigh more than all right ones.
     """
     work = output.with_name(output.name + ".partial")
     shutil.rmtree(work, ignore_errors=True)
@@ -81,27 +79,30 @@ def build_models(report: Report, given: MappingInput, mapper: MapperName, compon
         (work / name).mkdir(parents=True)
         return work / name
 
+    mapper = settings.mapper
     built = list(_described(mapper, MAPPERS[mapper](given, folder(mapper), count)))
     if built and (largest := max(built, key=_size)[1]).num_reg_images() < wanted:
         more = continued(given, largest, _EASIER_MIN_INLIERS, folder("continued"), count)
         built += _described("continued", more)
 
+    keypoints = read_keypoints(features, wanted)
     taken: set[int] = set()
     kept = 0
     for index in sorted(range(len(built)), key=lambda i: _size(built[i]), reverse=True):
         told, model = built[index]
         own = set(model.reg_frame_ids()) - taken
-        if len(own) < component_frames and kept:
+        if len(own) < settings.component_frames and kept:
             continue
         kept += 1
         name = "model" if kept == 1 else f"model_{kept}"
         for other in set(model.reg_frame_ids()) & taken:
             model.deregister_frame(other)
         taken |= own
-        loss_px = adjust_robustly(model, folder(name), wanted)
+        adjusted, rows = adjust_model(model, keypoints, log, settings)
+        save_adjusted(work / f"{name}.npz", adjusted, rows)
         model.extract_colors_for_all_images(given.images)
-        model.write_binary(work / name)
-        built[index] = (replace(_describe(told.mapping, told.number, model), folder=name, loss_px=loss_px), model)
+        model.write_binary(folder(name))
+        built[index] = (replace(_describe(told.mapping, told.number, model), folder=name), model)
     (work / _BUILT).write_text(json.dumps([asdict(told) for told, _ in built]), encoding="utf-8")
     shutil.rmtree(output, ignore_errors=True)
     work.rename(output)
@@ -135,33 +136,3 @@ def _describe(mapping: str, number: int, model: pycolmap.Reconstruction) -> Buil
         model.compute_mean_track_length(),
         model.compute_mean_reprojection_error(),
     )
-
-
-def adjust_robustly(model: pycolmap.Reconstruction, folder: Path, frames: int) -> float:
-    """Adjust poses and points of the whole model robustly, its intrinsics fixed; returns the width of the loss, px.
-
-    Observations of points behind their camera are taken out, before and after. `folder` gets the model as it was
-    adjusted from; `frames` are those of the database that it is from.
-    """
-    _without_points_behind(model)
-    model.write_binary(folder)
-    spread_px = float(np.median(np.abs(load_models([folder], frames).residual_px)))
-    loss_px = max(_LOSS_WIDTH * spread_px, _NARROWEST_LOSS_PX)
-    options = pycolmap.BundleAdjustmentOptions()
-    options.refine_focal_length = options.refine_principal_point = False
-    options.refine_extra_params = False
-    options.print_summary = False
-    options.ceres.solver_options.num_threads = 1
-    # Mapping has adjusted the model already; what the robust loss changes is done in a few steps.
-    options.ceres.solver_options.max_num_iterations = _FINAL_STEPS
-    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    options.ceres.loss_function_scale = loss_px
-    pycolmap.bundle_adjustment(model, options)
-    _without_points_behind(model)
-    model.update_point_3d_errors()
-    return loss_px
-
-
-def _without_points_behind(model: pycolmap.Reconstruction) -> None:
-    """A wrong match can bend the model until a point lies behind a camera that sees it, where it has no image."""
-    pycolmap.ObservationManager(model).filter_observations_with_negative_depth()

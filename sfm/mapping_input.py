@@ -7,18 +7,21 @@ import numpy as np
 import pandas as pd
 import pycolmap
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from geometry.epipolar import sampson_px
-from geometry.poses import Array, relative
-from sfm.database import Ints, camera_of, create_database, image_id, image_name
+from geometry.lens import undistort
+from geometry.poses import Array, make_pose, relative
+from sfm.adjustment import Cameras
+from sfm.database import Ints, create_database, image_id, image_name, read_keypoints
 from sfm.held_out import choose_held_out
 from sfm.pairs import Pairs
 
 
 @dataclass(frozen=True)
 class Matches:
-    """M verified matches of the pairs that go into mapping: rows of two frames (M, 2), keypoints in pixels (M, 2) each,
-    and whether it was left out."""
+    """M verified matches of the pairs that go into mapping: rows of two frames (M, 2), keypoints as they were found, in
+    pixels (M, 2) each, and whether it was left out."""
 
     frames: Ints
     xy_a: Array
@@ -28,6 +31,7 @@ class Matches:
 
 def write_mapping_input(
     source: Path,
+    features: Path,
     target: Path,
     frames: pd.DataFrame,
     pairs: Pairs,
@@ -36,7 +40,7 @@ def write_mapping_input(
 ) -> None:
     """Write the database `target` of the verified matches of `pairs` without a `held_out` share of the tracks.
 
-    Beside it lies what `read_matches` reads.
+    `features` has the keypoints as they were found. Beside the target lies what `read_matches` reads.
     """
     names = [image_name(i, image) for i, image in zip(frames["frame_id"], frames["image"], strict=True)]
     target.unlink(missing_ok=True)
@@ -61,7 +65,7 @@ def write_mapping_input(
             geometry.inlier_matches = each[index][kept].astype(np.uint32)
             database.write_two_view_geometry(image_id(a), image_id(b), geometry)
     start = np.concatenate([[0], np.cumsum(counts)])
-    every = np.concatenate([np.empty((0, 2)), *(k[:, :2] for k in keypoints)]).astype(float)
+    every = np.concatenate([np.empty((0, 2)), *read_keypoints(features, len(frames))])
     ends = pairs[pair_M]
     xy_a, xy_b = (every[start[ends[:, side]] + match_M2[:, side]] for side in (0, 1))
     np.savez(target.with_suffix(".npz"), frames=ends, xy_a=xy_a, xy_b=xy_b, held_out=out_M)
@@ -108,28 +112,33 @@ class HeldOutCheck:
         return known & (self.model >= 0 if model is None else self.model == model)
 
 
-def held_out_check(matches: Matches, frames: pd.DataFrame, sfm_T_cam: Array, model_N: Ints) -> HeldOutCheck:
+def held_out_check(matches: Matches, cameras: Cameras, sfm_T_cam: Array, model_N: Ints) -> HeldOutCheck:
     """Hold all matches against finished poses (N, 4, 4); `model_N` says which model has each frame, -1 for none."""
     a, b = matches.frames.T
     model = np.where(model_N[a] == model_N[b], model_N[a], -1)
     known = model >= 0
-    ray_a, ray_b = (_rays(frames, side[known], xy[known]) for side, xy in ((a, matches.xy_a), (b, matches.xy_b)))
-    focal = np.repeat(frames[["fx", "fy"]].to_numpy(float).mean(axis=1, keepdims=True), 2, axis=1)
-    # A pair has hundreds of matches.
-    pair, of_pair = np.unique(a[known] * len(frames) + b[known], return_inverse=True)
-    a_T_b = relative(*(sfm_T_cam[row] for row in np.divmod(pair, len(frames))))
     errors = np.full(len(a), np.nan)
-    errors[known] = sampson_px(a_T_b[of_pair], ray_a, ray_b, focal[a[known]], focal[b[known]])
+    if known.any():
+        (ray_a, sfm_T_a), (ray_b, sfm_T_b) = (
+            _seen_from(cameras, sfm_T_cam, side[known], xy[known])
+            for side, xy in ((a, matches.xy_a), (b, matches.xy_b))
+        )
+        focal = np.repeat(cameras.focal.mean(axis=1, keepdims=True), 2, axis=1)
+        errors[known] = sampson_px(relative(sfm_T_a, sfm_T_b), ray_a, ray_b, focal[a[known]], focal[b[known]])
     return HeldOutCheck(errors, matches.frames, model, matches.held_out)
 
 
-def _rays(frames: pd.DataFrame, frame_M: Ints, xy_M2: Array) -> Array:
-    """Rays (M, 3) with z = 1 through pixels (M, 2) of the frames' cameras."""
+def _seen_from(cameras: Cameras, sfm_T_cam: Array, frame_M: Ints, xy_M2: Array) -> tuple[Array, Array]:
+    """Rays (M, 3) with z = 1 through pixels (M, 2), and the frames' cameras at their rows' time (M, 4, 4)."""
+    distorted = (xy_M2 - cameras.intrinsics[frame_M, 2:]) / cameras.focal[frame_M]
     rays = np.ones((len(frame_M), 3))
-    order = np.argsort(frame_M, kind="stable")
-    bounds = np.searchsorted(frame_M[order], np.arange(len(frames) + 1))
-    for row, frame in enumerate(frames.itertuples(index=False)):
-        mine = order[bounds[row] : bounds[row + 1]]
-        if len(mine):
-            rays[mine, :2] = camera_of(frame, image_id(row)).cam_from_img(xy_M2[mine])
-    return rays
+    coefficients = cameras.coefficients[cameras.lens]
+    lenses, of_frame = np.unique(coefficients, axis=0, return_inverse=True)
+    of_match = of_frame.ravel()[frame_M]
+    for number, lens in enumerate(lenses):
+        own = of_match == number
+        rays[own, :2] = undistort(distorted[own], lens)
+    row = xy_M2[:, 1] / cameras.height[frame_M] - 0.5
+    tau = (row * cameras.readout_s[cameras.lens[frame_M]])[:, None]
+    turn = Rotation.from_rotvec(cameras.angular[frame_M] * tau).as_matrix()
+    return rays, sfm_T_cam[frame_M] @ make_pose(turn, cameras.velocity[frame_M] * tau)

@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from geometry.poses import Array, inverse, make_pose
+from sfm.adjustment import Scene
 from sfm.database import image_id
 
 Ints = NDArray[np.int64]
@@ -97,17 +98,6 @@ class Model:
         """Mean length of each point's residuals, (P,)."""
         return _mean_by(self.point, np.linalg.norm(self.residual_px, axis=1), len(self.xyz))
 
-    def blobs(self) -> Ints:
-        """The number of each point's blob, (P,): SIFT gives a blob a feature for each of its orientations, so points
-        that any frame sees in the same place are of one."""
-        place = np.round(self.seen_px / _SAME_PLACE_PX).astype(np.int64)
-        _, seen = np.unique(np.column_stack([self.frame, place]), axis=0, return_inverse=True)
-        points = len(self.xyz)
-        size = points + int(seen.max(initial=-1)) + 1
-        ties = coo_array((np.ones(len(self.point), bool), (self.point, points + seen.ravel())), shape=(size, size))
-        label = connected_components(ties, directed=False)[1][:points]
-        return np.asarray(np.unique(label, return_inverse=True)[1], np.int64).ravel()
-
     def triangulation_angles(self) -> Array:
         """The widest angle in radians between two rays to each point, (P,)."""
         rays = self.sfm_T_cam[self.frame, :3, 3] - self.xyz[self.point]
@@ -122,6 +112,18 @@ class Model:
             cosine = np.einsum("pix,pjx->pij", of_points, of_points).min(axis=(1, 2))
             angles[points] = np.arccos(np.clip(cosine, -1.0, 1.0))
         return angles
+
+
+def blobs_of(scene: Scene) -> Ints:
+    """The number of each point's blob, (P,): SIFT gives a blob a feature for each of its orientations, so points
+    that any frame sees in the same place are of one."""
+    place = np.round(scene.seen_px / _SAME_PLACE_PX).astype(np.int64)
+    _, seen = np.unique(np.column_stack([scene.frame, place]), axis=0, return_inverse=True)
+    points = len(scene.xyz)
+    size = points + int(seen.max(initial=-1)) + 1
+    ties = coo_array((np.ones(len(scene.point), bool), (scene.point, points + seen.ravel())), shape=(size, size))
+    label = connected_components(ties, directed=False)[1][:points]
+    return np.asarray(np.unique(label, return_inverse=True)[1], np.int64).ravel()
 
 
 def load_models(folders: Sequence[Path], frames: int) -> Model:

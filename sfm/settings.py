@@ -8,7 +8,8 @@ from artefacts import Settings
 
 MapperName = Literal["incremental", "global", "hierarchical", "vio"]
 FeatureName = Literal["sift", "aliked"]
-RefineIntrinsics = Literal["never", "where it helps"]
+RefineCameras = Literal["auto", "never"]
+LensSource = Literal["auto", "stated"]
 RetrievalName = Literal["vlad", "pca-vlad"]
 SiftMatcherName = Literal["nearest", "lightglue"]
 
@@ -57,12 +58,17 @@ class SfmSettings(Settings):
     )
     held_out: float = Field(0.05, ge=0, le=0.5, description="share of tracks that is left out, to check the model with")
     retries: bool = Field(True, description="try other pairs, features and mappers where frames are missing or wrong")
-    refine_intrinsics: RefineIntrinsics = Field(
-        "where it helps", description="one factor for the focal lengths of a session: never, or where it helps"
+    lens: LensSource = Field(
+        "auto", description="distortion k1, k2: auto estimates it from the images; stated takes what the capture states"
     )
-    focal_limit: float = Field(0.03, gt=0, lt=0.5, description="a factor this far from 1 is never applied, but told")
-    focal_gain: float = Field(
-        0.02, ge=0, lt=1, description="share by which the error of matches held out must shrink for a factor to help"
+    readout_s: float | None = Field(
+        None, ge=-0.1, le=0.1, description="rolling shutter, first to last row in seconds; null estimates it"
+    )
+    refine_cameras: RefineCameras = Field(
+        "auto", description="auto adjusts lens, readout and focal lengths with the model; never leaves them as they are"
+    )
+    focal_limit: float = Field(
+        0.03, gt=0, lt=0.5, description="a session's focal lengths are called wrong where images say so by this share"
     )
     min_registered: float = Field(0.5, ge=0, le=1, description="share of frames that the models must have")
     min_agreeing: float = Field(0.8, ge=0, le=1, description="share of these that must move as VIO does")

@@ -10,28 +10,22 @@ from numpy.typing import NDArray
 
 from artefacts import Stage, StageRun, UserError
 from artefacts.child import Task, in_child
-from artefacts.tables import poses_of
+from artefacts.tables import poses_of, with_cameras
 from geometry.motion_agreement import compare_motions
 from geometry.poses import Array, relative
 from geometry.vio_drift import VioDrift
-from sfm.covariance import pose_covariance
+from sfm.adjustment import Adjusted
+from sfm.calibration import Calibration, calibrate, with_lenses, write_calibrated_database
+from sfm.covariance import Covariances, covariances
 from sfm.database import create_database, have_results, image_name, keypoint_counts, read_descriptors, read_pair_results
 from sfm.features import extract_features, features_name
-from sfm.intrinsics import (
-    BEYOND,
-    REFINED,
-    FocalScale,
-    first_estimates,
-    read_refined,
-    refine_models,
-    with_focal_scales,
-)
 from sfm.ladder import TAKEN, Attempt, climb, outcome_of
 from sfm.mappers import MappingInput
 from sfm.mapping import BuiltModel, kept_models, map_verified, read_built
 from sfm.mapping_input import HeldOutCheck, held_out_check, read_matches
 from sfm.matching import ONE_THREAD, MatchedPairs, match_pairs, try_networks
-from sfm.model import Model, load_models
+from sfm.model import Model, blobs_of, load_models
+from sfm.model_adjustment import CameraLog, camera_log, cameras_of_frames, load_adjusted
 from sfm.model_check import check_models
 from sfm.networks import model_files, require_model_files
 from sfm.odometry import Odometry, PairLimits, drift_between, nothing_compared, odometry
@@ -48,7 +42,14 @@ from sfm.pairs import (
 from sfm.recording import write_recording
 from sfm.retrieval import RETRIEVALS, retrieval_pairs
 from sfm.settings import SfmSettings
-from sfm.tables import attempts_table, images_table, intrinsics_table, models_table, pairs_table, points_table
+from sfm.tables import (
+    attempts_table,
+    camera_tables,
+    images_table,
+    models_table,
+    pairs_table,
+    points_table,
+)
 from sfm.two_views import compare_pairs
 
 _FEWEST_FRAMES = 3
@@ -62,9 +63,10 @@ _TOO_LITTLE = "too little memory needs a smaller sfm.max_image_size or sfm.max_f
 
 @dataclass(frozen=True)
 class _Scene:
-    """The frames, what VIO knows of them, and the files that COLMAP works on."""
+    """The frames with their lenses, what VIO knows of them, and the files that COLMAP works on."""
 
     frames: pd.DataFrame
+    cameras: CameraLog
     recording_N: NDArray[np.object_]
     vio: Odometry
     names: list[str]
@@ -85,50 +87,48 @@ class _Mapped:
     model: Model | None
 
 
-@dataclass(frozen=True)
-class _Kept:
-    """The models that were kept, in `folder`, as arrays, with the frames as they go with them, what their focal lengths
-    were multiplied by, (N,), and what was tried of that."""
-
-    models: list[BuiltModel]
-    folder: Path
-    model: Model
-    frames: pd.DataFrame
-    focal_scale: Array
-    tried: list[FocalScale]
-
-
 def run(r: StageRun[SfmSettings]) -> None:
-    scene = _prepare(r)
+    scene = _calibrated(r, _prepare(r))
     attempts, taken, mapped = _climb(r, scene)
     frame_ids = list(scene.frames["frame_id"])
-    with r.step("intrinsics"):
-        final = _refine(r, scene, mapped)
-    kept, model = final.models, final.model
-    built = [next((told for told in kept if told.model_id == one.model_id), one) for one in mapped.built]
+    kept, model = kept_models(mapped.built), mapped.model
+    assert model is not None  # what is taken has one
     with r.step("quality"):
-        covariance = _covariance(r, final.frames, model, kept)
+        parts = [load_adjusted(mapped.folder / f"{one.folder}.npz") for one in kept]
+        cameras = cameras_of_frames(scene.cameras, parts)
+        covariance, estimates = _covariances(r, model, kept, parts)
         matches = read_matches(_mapping_input(mapped.folder))
-        check = held_out_check(matches, final.frames, model.sfm_T_cam, model.model)
+        check = held_out_check(matches, cameras, model.sfm_T_cam, model.model)
         uses_vio = mapped.settings.mapper == "vio"
-        images = images_table(frame_ids, model, kept, mapped.keypoints, check, final.focal_scale, covariance, uses_vio)
+        images = images_table(frame_ids, model, kept, mapped.keypoints, check, cameras, covariance, uses_vio)
+        images["camera_origin"] = [scene.cameras.calibration.lenses[k].origin for k in scene.cameras.calibration.lens]
     r.write("images", images)
-    r.write("models", models_table(built, check))
-    r.write("intrinsics", intrinsics_table(final.tried))
+    r.write("models", models_table(mapped.built, check))
+    lenses, intrinsics = camera_tables(scene.cameras, kept, parts, estimates)
+    r.write("lenses", lenses)
+    r.write("intrinsics", intrinsics)
     r.write("attempts", attempts_table(attempts, taken))
     r.write("pairs", pairs_table(frame_ids, mapped.matched))
     r.write("points", points_table(model, kept))
     for told in kept:
-        shutil.copytree(final.folder / told.folder, r.work / told.folder, dirs_exist_ok=True)
+        shutil.copytree(mapped.folder / told.folder, r.work / told.folder, dirs_exist_ok=True)
     with r.step("recording"):
-        write_recording(r, final.frames, model, mapped.matched)
-    _tell(r, mapped, final, check, attempts[taken], len(attempts))
+        frames = with_cameras(scene.frames, images)
+        write_recording(r, frames, model, mapped.matched)
+    _tell(r, mapped, kept, check, attempts[taken], len(attempts))
+    _say_cameras(r, lenses, intrinsics)
 
 
 def _tell(
-    r: StageRun[SfmSettings], mapped: _Mapped, final: _Kept, check: HeldOutCheck, taken: Attempt, attempts: int
+    r: StageRun[SfmSettings],
+    mapped: _Mapped,
+    kept: list[BuiltModel],
+    check: HeldOutCheck,
+    taken: Attempt,
+    attempts: int,
 ) -> None:
-    kept, model = final.models, final.model
+    model = mapped.model
+    assert model is not None  # what is taken has one
     registered = int(model.registered.sum())
     disagree = int((mapped.matched.verdict == "disagrees").sum())
     track_length = float(model.track_lengths().mean())
@@ -149,7 +149,6 @@ def _tell(
         "mean_reprojection_px": error_px,
         "heldout_px": check.median_px(held_out=True),
         "fitted_px": check.median_px(held_out=False),
-        "refined_sessions": sum(scale.decision == REFINED for scale in final.tried),
     }
     for name, value in figures.items():
         r.figure(name, value)
@@ -160,14 +159,28 @@ def _tell(
     )
     if disagree:
         r.say(f"{disagree} verified pairs were kept out, as VIO moved otherwise (table pairs)")
-    for scale in final.tried:
-        if scale.decision in (REFINED, BEYOND) and scale.factor and scale.sd is not None:
-            more = f"{100 * (scale.factor - 1):+.2f} % ± {100 * scale.sd:.2f} %"
+
+
+def _say_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: pd.DataFrame) -> None:
+    """One line a lens, and one a session whose focal lengths are far from the logged ones."""
+    for lens in lenses.to_dict("records"):
+        r.say(
+            f"lens of {lens['lens_id']}: k1 {lens['k1']:.4f} ± {lens['k1_sd']:.4f}, k2 {lens['k2']:.4f} ± "
+            f"{lens['k2_sd']:.4f}, readout {1000 * lens['readout_s']:.1f} ± {1000 * lens['readout_sd_s']:.1f} ms "
+            f"({lens['origin']})"
+        )
+        if lens["stated_is_wrong"]:
             r.say(
-                f"session {scale.session_id}: focal lengths refined, {more} (table intrinsics)"
-                if scale.decision == REFINED
-                else f"session {scale.session_id}: ITS FOCAL LENGTHS ARE LIKELY WRONG, the images say {more}; kept as "
-                f"captured, since that is beyond {100 * r.settings.focal_limit:g} % (sfm.focal_limit)"
+                f"lens of {lens['lens_id']}: the STATED DISTORTION IS LIKELY WRONG (k1 {lens['stated_k1']:.4f}, k2 "
+                f"{lens['stated_k2']:.4f}): held-out matches are off by {lens['heldout_stated_px']:.2f} px with it, "
+                f"{lens['heldout_px']:.2f} px with the estimated lens, which is used"
+            )
+    for session in intrinsics.to_dict("records"):
+        if abs(session["focal_scale"] - 1) >= r.settings.focal_limit:
+            r.say(
+                f"session {session['session_id']}: its logged focal lengths are likely wrong: the images say "
+                f"{100 * (session['focal_scale'] - 1):+.2f} % ± {100 * session['focal_scale_sd']:.2f} %, beyond "
+                f"{100 * r.settings.focal_limit:g} % (sfm.focal_limit)"
             )
 
 
@@ -200,8 +213,11 @@ def _prepare(r: StageRun[SfmSettings]) -> _Scene:
             link.parent.mkdir(parents=True, exist_ok=True)
             link.symlink_to(source.absolute())
         names.append(name)
+    devices = r.read("import", "sessions").set_index("session_id")["device"]
+    cameras = camera_log(frames, dict(zip(devices.index, devices, strict=True)), r.read("import", "vio"), r.settings)
     return _Scene(
-        frames,
+        with_lenses(frames, cameras.calibration),
+        cameras,
         frames["session_id"].map(recordings).to_numpy(),
         _odometry(frames, r.read("import", "jumps")),
         names,
@@ -209,6 +225,36 @@ def _prepare(r: StageRun[SfmSettings]) -> _Scene:
         r.scratch,
         log,
     )
+
+
+def _features(r: StageRun[SfmSettings], scene: _Scene, settings: SfmSettings) -> Path:
+    """The database with the features as they were found, extracted where that hasn't been done."""
+    database = scene.scratch / f"features{features_name(settings)}.db"
+    create_database(database, scene.frames, scene.names)
+    with r.step("features"):
+        task = Task(extract_features, (database, scene.images, scene.names, settings), len(scene.names))
+        in_child("extracting features", scene.log, _TOO_LITTLE, task)
+    _require_features(r, keypoint_counts(database, len(scene.names)))
+    return database
+
+
+def _calibrated(r: StageRun[SfmSettings], scene: _Scene) -> _Scene:
+    """The scene with its lenses and readout times as pairs of images tell them."""
+    if r.settings.refine_cameras == "never":
+        return scene
+    path = scene.scratch / "calibration.json"
+    if not path.is_file():
+        database = _features(r, scene, r.settings)
+        with r.step("calibration"):
+            pairs = unique_pairs(
+                np.concatenate([p for name, p in _propose(r.seed, r.settings, scene, database) if name != "retrieval"])
+            )
+            prior, motion = scene.cameras.calibration, scene.cameras.motion
+            arguments = (database, scene.frames, scene.names, pairs, prior, motion, r.settings, r.seed, path)
+            in_child("calibrating lenses", scene.log, _TOO_LITTLE, Task(calibrate, arguments, None, ONE_THREAD))
+    calibration = Calibration.load(path)
+    frames = with_lenses(scene.frames, calibration)
+    return replace(scene, frames=frames, cameras=replace(scene.cameras, calibration=calibration))
 
 
 def _odometry(frames: pd.DataFrame, jumps: pd.DataFrame) -> Odometry:
@@ -266,14 +312,15 @@ def _attempt(
 ) -> tuple[Attempt, _Mapped]:
     """Features, pairs and models by these settings, held against VIO. `keypoints` are those counted before."""
     database = scene.scratch / f"database{features_name(settings)}.db"
-    create_database(database, scene.frames, scene.names)
-    with r.step("features"):
-        if database not in keypoints:
-            arguments = (database, scene.images, scene.names, settings)
-            task = Task(extract_features, arguments, len(scene.names))
-            in_child("extracting features", scene.log, _TOO_LITTLE, task)
-            keypoints[database] = keypoint_counts(database, len(scene.names))
-            _require_features(r, keypoints[database])
+    if database not in keypoints:
+        features = _features(r, scene, settings)
+        with r.step("features"):
+            if not database.is_file():
+                cameras = (scene.cameras.calibration, scene.cameras.motion)
+                arguments = (features, database, scene.frames, scene.names, *cameras)
+                task = Task(write_calibrated_database, arguments, len(scene.names))
+                in_child("correcting keypoints for the rolling shutter", scene.log, _TOO_LITTLE, task)
+        keypoints[database] = keypoint_counts(database, len(scene.names))
     with r.step("pairs"):
         proposals = _propose(r.seed, settings, scene, database)
     with r.step("matching"):
@@ -410,70 +457,35 @@ def _map(
         return []
     if not folder.is_dir():
         target, vio = _mapping_input(folder), scene.vio
-        verified = (database, target, scene.frames, matched.pairs[matched.verified], s.held_out, r.seed)
+        features = scene.scratch / f"features{features_name(s)}.db"
+        verified = (database, features, target, scene.frames, matched.pairs[matched.verified], s.held_out, r.seed)
         given = MappingInput(target, scene.images, vio.vio_T_cam, vio.session, r.seed)
-        arguments = (verified, given, s.mapper, s.component_frames, folder)
+        arguments = (verified, given, features, scene.cameras, s, folder)
         task = Task(map_verified, arguments, len(scene.names))
         in_child("mapping", scene.log, _TOO_LITTLE, task)
     return read_built(folder)
 
 
-def _refine(r: StageRun[SfmSettings], scene: _Scene, mapped: _Mapped) -> _Kept:
-    """The models that were kept, with focal lengths refined where the settings ask for it and it helps."""
-    kept, frames, model = kept_models(mapped.built), scene.frames, mapped.model
-    assert model is not None  # what is taken has one
-    as_captured = _Kept(kept, mapped.folder, model, frames, np.ones(len(frames)), [])
-    if r.settings.refine_intrinsics == "never":
-        return as_captured
-    first = first_estimates(model, kept, frames, r.settings.focal_limit)
-    if all(scale.decision for own in first for scale in own):
-        return replace(as_captured, tried=[scale for own in first for scale in own])
-    folder = mapped.folder.with_name(mapped.folder.name + "_refined")
-    if not folder.is_dir():
-        matches = read_matches(_mapping_input(mapped.folder))
-        arguments = (mapped.folder, kept, first, frames, matches, r.settings, folder)
-        in_child("refining focal lengths", scene.log, _TOO_LITTLE, Task(refine_models, arguments, len(kept)))
-    refined, scales_of = read_refined(folder)
-    tried = [scale for own in scales_of for scale in own]
-    if not any(scale.decision == REFINED for scale in tried):
-        return replace(as_captured, tried=tried)
-    applied = {(number, scale.session_id): scale.applied for number, own in enumerate(scales_of) for scale in own}
-    of_frame = zip(model.model.tolist(), frames["session_id"], strict=True)
-    focal_scale = np.array([applied.get(key, 1.0) for key in of_frame])
-    model = load_models([folder / told.folder for told in refined], len(frames))
-    return _Kept(refined, folder, model, with_focal_scales(frames, focal_scale), focal_scale, tried)
-
-
-def _covariance(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, kept: list[BuiltModel]) -> Array:
-    """(N, 6, 6), NaN for frames without one."""
-    covariance = np.full((len(frames), 6, 6), np.nan)
-    for number, told in enumerate(kept):
-        if told.images > r.settings.covariance_max_images:
+def _covariances(
+    r: StageRun[SfmSettings], model: Model, kept: list[BuiltModel], parts: list[tuple[Adjusted, NDArray[np.int64]]]
+) -> tuple[Array, list[Covariances | None]]:
+    """(N, 6, 6), NaN for frames without one, and what each kept model tells of its frames and cameras."""
+    covariance, estimates = np.full((len(model.model), 6, 6), np.nan), []
+    for one, (adjusted, rows) in zip(kept, parts, strict=True):
+        estimate = None
+        if one.images > r.settings.covariance_max_images:
             r.say(f"no covariances: more than {r.settings.covariance_max_images} frames (sfm.covariance_max_images)")
-            continue
-        part = model.part(number)
-        known = part.registered
-        row = np.cumsum(known) - 1
-        blocks = pose_covariance(
-            part.sfm_T_cam[known],
-            frames[["fx", "fy"]].to_numpy(float)[known],
-            part.xyz,
-            row[part.frame],
-            part.point,
-            part.residual_px,
-            told.loss_px,
-            part.blobs(),
-        )
-        if blocks is None:
-            r.say(f"no covariances: model {told.model_id} has too few points to tell")
+        elif (estimate := covariances(adjusted, blobs_of(adjusted.scene))) is None:
+            r.say(f"no covariances: model {one.model_id} has too few points to tell")
         else:
-            covariance[known] = blocks
-    return covariance
+            covariance[rows] = estimate.poses
+        estimates.append(estimate)
+    return covariance, estimates
 
 
 STAGE = Stage(
     name="sfm",
-    version=9,
+    version=10,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 from artefacts.schemas import schema
 from artefacts.tables import pose_frame
 from geometry.poses import Array
-from sfm.intrinsics import FocalScale
+from sfm.adjustment import Adjusted, Cameras, Ints
+from sfm.covariance import Covariances
 from sfm.ladder import Attempt
 from sfm.mapping import BuiltModel, kept_models
 from sfm.mapping_input import HeldOutCheck
 from sfm.matching import MatchedPairs
 from sfm.model import Model
+from sfm.model_adjustment import CameraLog
 
 
 def images_table(
@@ -23,7 +25,7 @@ def images_table(
     kept: Sequence[BuiltModel],
     keypoints_N: NDArray[np.int64],
     check: HeldOutCheck,
-    focal_scale_N: Array,
+    cameras: Cameras,
     covariance_N66: Array,
     uses_vio: bool,
 ) -> pd.DataFrame:
@@ -31,7 +33,11 @@ def images_table(
     table = pd.DataFrame({"frame_id": frame_ids, "registered": model.registered})
     table["model_id"] = _model_ids(kept)[model.model]
     table = pd.concat([table, pose_frame("sfm_cam", model.sfm_T_cam)], axis=1)
-    table["focal_scale"] = focal_scale_N
+    table[["fx", "fy"]] = cameras.focal
+    table[["cx", "cy"]] = cameras.intrinsics[:, 2:]
+    coefficients = cameras.coefficients[cameras.lens]
+    table["distortion"] = [row[: 8 if row[4:].any() else 4].tolist() for row in coefficients]
+    table["readout_s"] = cameras.readout_s[cameras.lens]
     table["uses_vio"] = uses_vio & model.registered
     table["keypoints"] = keypoints_N
     table["observations"] = model.observations()
@@ -70,22 +76,59 @@ def models_table(built: Sequence[BuiltModel], check: HeldOutCheck) -> pd.DataFra
     )
 
 
-def intrinsics_table(tried: Sequence[FocalScale]) -> pd.DataFrame:
-    """One row a session of a model."""
-    rows = [
-        {
-            "model_id": scale.model_id,
-            "session_id": scale.session_id,
-            "frames": scale.frames,
-            "focal_scale": scale.factor,
-            "focal_scale_sd": scale.sd,
-            "heldout_px": scale.heldout_px,
-            "heldout_refined_px": scale.heldout_refined_px,
-            "decision": scale.decision,
-        }
-        for scale in tried
-    ]
-    return pd.DataFrame(rows, columns=schema("sfm", "intrinsics").column_names)
+def camera_tables(
+    log: CameraLog,
+    kept: Sequence[BuiltModel],
+    parts: Sequence[tuple[Adjusted, Ints]],
+    estimates: Sequence[Covariances | None],
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """sfm.lenses, one row a lens of a model, and sfm.intrinsics, one row a session of a model."""
+    lens_rows, session_rows = [], []
+    for one, (adjusted, rows), estimate in zip(kept, parts, estimates, strict=True):
+        cameras = adjusted.cameras
+        unknowns = 3 * len(cameras.readout_s) + len(cameras.log_focal)
+        covariance = np.full((unknowns, unknowns), np.nan) if estimate is None else estimate.shared
+        sd = np.sqrt(np.diag(covariance))
+        first_focal = 3 * len(cameras.readout_s)
+        for number, index in enumerate(np.unique(log.calibration.lens[rows])):
+            lens = log.calibration.lenses[index]
+            k = 3 * number
+            with_focal = covariance[k : k + 2, first_focal:] / np.outer(sd[k : k + 2], sd[first_focal:])
+            lens_rows.append(
+                {
+                    "model_id": one.model_id,
+                    "lens_id": lens.lens_id,
+                    "frames": int(np.count_nonzero(cameras.lens == number)),
+                    "k1": cameras.coefficients[number, 0],
+                    "k1_sd": sd[k],
+                    "k2": cameras.coefficients[number, 1],
+                    "k2_sd": sd[k + 1],
+                    "k1_k2_correlation": covariance[k, k + 1] / (sd[k] * sd[k + 1]),
+                    "k1_focal_correlation": with_focal[0].mean(),
+                    "readout_s": cameras.readout_s[number],
+                    "readout_sd_s": sd[k + 2],
+                    "stated_k1": lens.stated[0],
+                    "stated_k2": lens.stated[1],
+                    "origin": lens.origin,
+                    "stated_is_wrong": lens.stated_is_wrong,
+                    "heldout_stated_px": lens.heldout_stated_px,
+                    "heldout_px": lens.heldout_px,
+                }
+            )
+        for number, session in enumerate(np.unique(log.session[rows])):
+            session_rows.append(
+                {
+                    "model_id": one.model_id,
+                    "session_id": session,
+                    "frames": int(np.count_nonzero(cameras.session == number)),
+                    "focal_scale": float(np.exp(cameras.log_focal[number])),
+                    "focal_scale_sd": sd[first_focal + number],
+                    "focus_sd": adjusted.priors.focus_sd[number],
+                    "angular_sd": float(np.sqrt(np.mean(adjusted.priors.angular_sd[cameras.session == number] ** 2))),
+                }
+            )
+    lenses = pd.DataFrame(lens_rows, columns=schema("sfm", "lenses").column_names)
+    return lenses, pd.DataFrame(session_rows, columns=schema("sfm", "intrinsics").column_names)
 
 
 def attempts_table(attempts: Sequence[Attempt], taken: int) -> pd.DataFrame:

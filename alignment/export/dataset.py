@@ -12,7 +12,7 @@ import pandas as pd
 from artefacts import DataRoot, UserError
 from artefacts.schemas import schema
 from artefacts.stage import MANIFEST, load_manifest
-from artefacts.tables import poses_of, read_table
+from artefacts.tables import poses_of, read_table, with_cameras
 from geometry.fits import Sim3
 from geometry.poses import Array
 
@@ -85,8 +85,7 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
     frames = read_table(folders["import"] / "frames.parquet", schema("import", "frames")).merge(
         ground_truth[["frame_id", "quality", "reason", "component"]], on="frame_id", validate="one_to_one"
     )
-    focal_scale = images.set_index("frame_id").loc[frames["frame_id"], "focal_scale"].fillna(1.0).to_numpy(float)
-    frames[["fx", "fy"]] = frames[["fx", "fy"]].mul(focal_scale, axis=0)
+    frames = with_cameras(frames, images)
     known = (frames["quality"] != "none").to_numpy()
     if not known.any():
         raise UserError("there is nothing to export: no frame has ground truth", where=folders["align"])

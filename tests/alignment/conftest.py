@@ -204,7 +204,11 @@ def make_place(walks: Walks, root: DataRoot) -> None:
         root,
         "sfm",
         {
-            "images": filled(scene.images, "sfm", "images"),
+            "images": filled(
+                scene.images.merge(frames[["frame_id", "fx", "fy", "cx", "cy", "distortion"]], on="frame_id"),
+                "sfm",
+                "images",
+            ),
             "intrinsics": scene.intrinsics,
             "pairs": scene.pairs,
             "points": filled(points, "sfm", "points", r=200, model_id="incremental/0"),

@@ -18,7 +18,7 @@ from alignment.export.command import WRITERS, FormatOption
 from alignment.stage import STAGE
 from artefacts import DataRoot, UserError, execute
 from artefacts.schemas import schema
-from artefacts.tables import pose_frame, poses_of, read_table, write_table
+from artefacts.tables import pose_frame, poses_of, read_table, with_cameras, write_table
 from capture_import.capture import Limits, RawSession
 from capture_import.discovery import find_recordings
 from geometry.fits import Sim3
@@ -52,8 +52,9 @@ def aligned(data_of_module: DataRoot) -> DataRoot:
         cv2.imwrite(str(path), np.full((12, 16, 3), 4 * row, np.uint8))
     images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
     images.loc[images["frame_id"] == UNREGISTERED, "registered"] = False
-    # SfM refined the focal lengths of one walk.
-    images["focal_scale"] = np.where(images["frame_id"].str.startswith("walk1/"), 1.01, np.nan)
+    # SfM found other focal lengths for one walk.
+    scale = np.where(images["frame_id"].str.startswith("walk1/"), 1.01, 1.0)
+    images["fx"], images["fy"] = frames["fx"] * scale, frames["fy"] * scale
     write_table(folders["sfm"] / "images.parquet", images, schema("sfm", "images"))
     _write_models(data, {"model": "incremental/0"})
     execute(STAGE, "Place", "tiny", data)
@@ -83,9 +84,8 @@ def _images(data: DataRoot) -> pd.DataFrame:
 
 
 def _refined(frames: pd.DataFrame, images: pd.DataFrame) -> pd.DataFrame:
-    """Import's frames with the focal lengths that SfM's poses go with."""
-    scale = images.set_index("frame_id")["focal_scale"].fillna(1.0).loc[frames["frame_id"]].to_numpy(float)
-    return frames.assign(fx=frames["fx"] * scale, fy=frames["fy"] * scale)
+    """Import's frames with the cameras that SfM's poses go with."""
+    return with_cameras(frames, images)
 
 
 def _model(frames: pd.DataFrame, sfm_T_cam: Array) -> pycolmap.Reconstruction:
@@ -314,10 +314,10 @@ def test_an_export_that_fails_leaves_nothing_behind(scene: DataRoot) -> None:
 
 
 def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:
-    path = scene.run("tiny", "Place", "import") / "frames.parquet"
-    frames = read_table(path, schema("import", "frames"))
-    frames["distortion"] = [[0.1, 0.0, 0.01, 0.0]] * len(frames)
-    write_table(path, frames, schema("import", "frames"))
+    path = scene.run("tiny", "Place", "sfm") / "images.parquet"
+    images = read_table(path, schema("sfm", "images"))
+    images["distortion"] = [[0.1, 0.0, 0.01, 0.0]] * len(images)
+    write_table(path, images, schema("sfm", "images"))
     for name in ("7scenes", "cambridge"):
         with pytest.raises(UserError, match=re.escape("lens distortion")):
             _export(scene, name)

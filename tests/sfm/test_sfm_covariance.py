@@ -8,8 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geometry.poses import Array, inverse, make_pose
-from sfm.covariance import pose_covariance
-from sfm.model import Model
+from sfm.adjustment import Adjusted, CameraPriors, Cameras, Scene
+from sfm.covariance import covariances
+from sfm.model import blobs_of
 
 _FRAMES, _POINTS, _RUNS = 8, 300, 25
 _NOISE_PX = 0.7
@@ -47,9 +48,7 @@ def test_normalised_errors_have_the_size_that_the_covariance_says(
     for _ in range(_RUNS):
         seen_px = exact_px + noise(rng).reshape(-1, 2)
         adjusted, adjusted_xyz = _bundle_adjusted(truth, xyz, seen_px.reshape(_FRAMES, _POINTS, 2))
-        residual_px = _project(adjusted, adjusted_xyz, frame, point) - seen_px
-        focal = np.full((_FRAMES, 2), _FOCAL_PX)
-        covariance = pose_covariance(adjusted, focal, adjusted_xyz, frame, point, residual_px, _LOSS_PX)
+        covariance = _covariance(Scene(adjusted, adjusted_xyz, frame, point, seen_px))
         assert covariance is not None
         error = _error_without_gauge(truth, adjusted)
         squared.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error))
@@ -66,12 +65,11 @@ def test_covariance_follows_the_gauge() -> None:
     rng = np.random.default_rng(4)
     xyz = rng.uniform(-1, 1, (_POINTS, 3))
     frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
-    residual_px = rng.normal(0, _NOISE_PX, (len(frame), 2))
-    focal = np.full((_FRAMES, 2), _FOCAL_PX)
+    seen_px = _project(truth, xyz, frame, point) - rng.normal(0, _NOISE_PX, (len(frame), 2))
     turn, shift, scale = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix(), np.array([5.0, -3.0, 2.0]), 3.0
     moved = make_pose(turn @ truth[:, :3, :3], scale * truth[:, :3, 3] @ turn.T + shift)
-    here = pose_covariance(truth, focal, xyz, frame, point, residual_px, _LOSS_PX)
-    there = pose_covariance(moved, focal, scale * xyz @ turn.T + shift, frame, point, residual_px, _LOSS_PX)
+    here = _covariance(Scene(truth, xyz, frame, point, seen_px))
+    there = _covariance(Scene(moved, scale * xyz @ turn.T + shift, frame, point, seen_px))
     assert here is not None and there is not None
     jacobian = np.kron(np.diag([1.0, scale]), turn)
     assert np.allclose(there, jacobian @ here @ jacobian.T, rtol=1e-5, atol=1e-12)
@@ -81,43 +79,49 @@ def test_the_same_blob_twice_tells_no_more_than_once() -> None:
     truth, rng = _ring_of_cameras(), np.random.default_rng(5)
     xyz = rng.uniform(-1, 1, (_POINTS, 3))
     frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
-    residual_px = rng.normal(0, _NOISE_PX, (len(frame), 2))
-    focal = np.full((_FRAMES, 2), _FOCAL_PX)
-    once = pose_covariance(truth, focal, xyz, frame, point, residual_px, _LOSS_PX)
-    again = (
-        truth,
-        focal,
-        np.concatenate([xyz, xyz]),
+    seen_px = _project(truth, xyz, frame, point) - rng.normal(0, _NOISE_PX, (len(frame), 2))
+    once = _covariance(Scene(truth, xyz, frame, point, seen_px))
+    both = (
         np.concatenate([frame, frame]),
         np.concatenate([point, _POINTS + point]),
-        np.concatenate([residual_px, residual_px]),
-        _LOSS_PX,
+        np.concatenate([seen_px, seen_px]),
     )
-    seen_px = _project(truth, again[2], again[3], again[4])
-    nothing = np.zeros(2 * _POINTS, int)
-    rgb = np.zeros((2 * _POINTS, 3), np.uint8)
-    registered = np.zeros(_FRAMES, int)
-    model = Model(truth, registered, nothing, nothing, again[2], rgb, again[3], again[4], seen_px, again[5])
-    twice = pose_covariance(*again, model.blobs())
+    again = Scene(truth, np.concatenate([xyz, xyz]), *both)
+    assert blobs_of(again).tolist() == 2 * list(range(_POINTS))
+    twice = _covariance(again, blobs_of(again))
     assert once is not None and twice is not None
-    assert model.blobs().tolist() == 2 * list(range(_POINTS))
-    assert np.allclose(twice, once, rtol=1e-6, atol=1e-12)
-    counted_twice = pose_covariance(*again)
-    assert counted_twice is not None and np.allclose(counted_twice, once / 2, rtol=1e-6, atol=1e-12)
+    assert np.allclose(twice, once, rtol=1e-3, atol=1e-9)
+    counted_twice = _covariance(again)
+    assert counted_twice is not None and np.allclose(counted_twice, once / 2, rtol=1e-3, atol=1e-9)
 
 
 def test_no_covariance_where_the_observations_do_not_determine_the_poses() -> None:
     frame, point = (index.ravel() for index in np.indices((_FRAMES, 2)))
-    covariance = pose_covariance(
-        _ring_of_cameras(),
-        np.full((_FRAMES, 2), _FOCAL_PX),
-        np.eye(3)[:2],
-        frame,
-        point,
-        np.ones((len(frame), 2)),
-        _LOSS_PX,
+    truth, xyz = _ring_of_cameras(), np.eye(3)[:2]
+    assert _covariance(Scene(truth, xyz, frame, point, _project(truth, xyz, frame, point) + 1)) is None
+
+
+def _covariance(scene: Scene, blobs: np.ndarray | None = None) -> Array | None:
+    """(N, 6, 6) of poses adjusted with pinhole cameras that are known exactly."""
+    size = np.array(_SIZE_PX) / 2
+    cameras = Cameras(
+        np.tile([_FOCAL_PX, _FOCAL_PX, *size], (_FRAMES, 1)),
+        np.full(_FRAMES, float(_SIZE_PX[1])),
+        np.zeros(_FRAMES, int),
+        np.zeros(_FRAMES, int),
+        np.arange(_FRAMES, dtype=float),
+        np.zeros((1, 8)),
+        np.zeros(1),
+        np.zeros(1),
+        np.zeros(_FRAMES),
+        np.zeros((_FRAMES, 3)),
+        np.zeros((_FRAMES, 3)),
     )
-    assert covariance is None
+    exact = 1e-7
+    known = (1e-14 * np.eye(3)[None], np.full(1, exact), np.full(1, exact), np.full(_FRAMES, exact))
+    adjusted = Adjusted(scene, cameras, CameraPriors(cameras, *known), _LOSS_PX)
+    estimate = covariances(adjusted, np.arange(len(scene.xyz)) if blobs is None else blobs)
+    return None if estimate is None else estimate.poses
 
 
 def _ring_of_cameras() -> Array:

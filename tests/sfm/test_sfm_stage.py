@@ -64,14 +64,20 @@ def test_a_room_of_two_walks_becomes_one_right_model(room: Room) -> None:
     assert attempts["outcome"].tolist() == ["taken"]
     assert attempts[["moving_as_vio", "taken"]].to_numpy().tolist() == [[1.0, True]]
 
-    # The model beside the tables is COLMAP's own, with the captured intrinsics as they were.
+    # The model beside the tables is COLMAP's own, with the cameras of the table.
     model = pycolmap.Reconstruction(folder / "model")
     points = pd.read_parquet(folder / "points.parquet")
     assert model.num_points3D() == len(points)
     assert model.compute_num_observations() == images["observations"].sum() == points["track_length"].sum()
     assert images["reprojection_px"].mean() == pytest.approx(model.compute_mean_reprojection_error(), rel=0.2)
     assert {image.name for image in model.images.values()} == {f"{i}.jpg" for i in images["frame_id"]}
-    assert all(list(camera.params) == [260, 260, 160, 120] for camera in model.cameras.values())
+    columns = images[["fx", "fy", "cx", "cy"]].to_numpy(float)
+    for row, (intrinsics, lens) in enumerate(zip(columns, images["distortion"], strict=True)):
+        assert list(model.cameras[row + 1].params) == pytest.approx([*intrinsics, *lens])
+    # The room's camera is a pinhole, which the images tell.
+    assert np.abs(columns / [260, 260, 160, 120] - 1).max() < 0.01
+    lenses = pd.read_parquet(folder / "lenses.parquet").iloc[0]
+    assert abs(lenses["k1"]) < 4 * lenses["k1_sd"] + 0.005 and abs(lenses["k2"]) < 4 * lenses["k2_sd"] + 0.005
     assert not (folder / "scratch").exists()
 
 

@@ -1,0 +1,422 @@
+"""Bundle adjustment with a camera as phones have it: a lens and a rolling shutter that a device's frames share, a focal
+length that a session's frames share up to a factor, and a focus that breathes.
+
+Of an observation in image row y the point is seen from where the camera was at tau = (y / height - 1/2) readout after
+the middle row: with angular velocity w and velocity v in the axes of the camera, a point p there is seen along
+exp(-w tau) (p - v tau). The lens is OpenCV's k1, k2 (`geometry.lens`), further coefficients stay as they are stated.
+
+Unknowns: poses and points; k1, k2 and readout time of each lens; the logarithm of the factor of each session's focal
+lengths; and of each frame what its focal length deviates by from that and its angular velocity. All but poses and
+points have priors. Gauss-Newton with Levenberg's damping on Cauchy's loss, points eliminated (Triggs et al., "Bundle
+adjustment - a modern synthesis", 2000).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import coo_array, csr_array
+from scipy.spatial.transform import Rotation
+
+from geometry.poses import Array, skew
+from sfm.normal_equations import block_rows, similarities
+
+Ints = NDArray[np.int64]
+
+_POSE, _FOCUS, _ANGULAR = slice(0, 6), 6, slice(7, 10)
+_LOCAL = 10
+_LENS = 3  # k1, k2, readout of a lens
+_SIGMA_OF_MEDIAN = 1.4826
+_LOSS_WIDTH = 2.385  # of sigma (Zhang, "Parameter estimation techniques", 1997)
+_NARROWEST_LOSS_PX = 0.05
+_STEPS = 15
+_SETTLED = 1e-6  # relative change of the cost
+# How long a focus stays as it is, and the share of its variance that is each frame's alone.
+_FOCUS_LAG_S, _FOCUS_NOISE = 5.0, 1e-3
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Cameras of N frames of S sessions and L lenses: what a device states and what is estimated of it.
+
+    `intrinsics` (N, 4) are fx, fy, cx, cy as logged, `height` (N,) px, `lens` and `session` (N,) indices, `t_s` (N,);
+    `coefficients` (L, 8) OpenCV's, `readout_s` (L,); `log_focal` (S,) and `focus` (N,) logarithms of factors to the
+    focal lengths; `angular` (N, 3) rad/s and `velocity` (N, 3) sfm units/s in the camera's axes.
+    """
+
+    intrinsics: Array
+    height: Array
+    lens: Ints
+    session: Ints
+    t_s: Array
+    coefficients: Array
+    readout_s: Array
+    log_focal: Array
+    focus: Array
+    angular: Array
+    velocity: Array
+
+    @property
+    def focal(self) -> Array:
+        """(N, 2) focal lengths in pixels, all factors applied."""
+        return self.intrinsics[:, :2] * np.exp(self.log_focal[self.session] + self.focus)[:, None]
+
+
+@dataclass(frozen=True)
+class CameraPriors:
+    """Means of the unknowns of cameras, as `Cameras`; covariance (L, 3, 3) of k1, k2 and readout in s; and one sigma of
+    log focal factors (S,), of a frame's focus by session (S,), and of a frame's angular velocity (N,) in rad/s."""
+
+    mean: Cameras
+    lens_covariance: Array
+    log_focal_sd: Array
+    focus_sd: Array
+    angular_sd: Array
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is adjusted: poses sfm_T_cam (N, 4, 4), points (P, 3), M observations in raw pixels (M, 2)."""
+
+    sfm_T_cam: Array
+    xyz: Array
+    frame: Ints
+    point: Ints
+    seen_px: Array
+
+
+@dataclass(frozen=True)
+class Linearized:
+    """Residuals (M, 2) px and their derivatives by each frame's own unknowns (M, 2, 10), by the lens and the session
+    that it shares (M, 2, 4) and by the point (M, 2, 3)."""
+
+    residual: Array
+    by_frame: Array
+    by_shared: Array
+    by_point: Array
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """An adjusted scene, its cameras, and the width of the Cauchy loss in px."""
+
+    scene: Scene
+    cameras: Cameras
+    priors: CameraPriors
+    loss_px: float
+
+
+def project(scene: Scene, cameras: Cameras, *, shutter: bool = True) -> Array:
+    """Where each observation's point is seen, (M, 2) px; without the shutter: as if all rows were the middle one."""
+    return _forward(scene, cameras, shutter=shutter).pixel
+
+
+@dataclass(frozen=True)
+class _Forward:
+    """On the way from points to pixels (M, 2): the point minus its camera in the sfm frame (M, 3), in the camera's axes
+    at its row's time (M, 3), at unit focal length before (M, 2) and after the lens (M, 2); the row's share of the
+    readout (M,), its time after the middle row (M,) s, and the camera's turn since then, to the row's axes."""
+
+    pixel: Array
+    cam_R_sfm: Array
+    offset: Array
+    in_row: Array
+    ideal: Array
+    distorted: Array
+    row: Array
+    tau: Array
+    row_R_cam: Rotation
+
+
+def _forward(scene: Scene, cameras: Cameras, *, shutter: bool = True) -> _Forward:
+    i = scene.frame
+    cam_R_sfm = np.swapaxes(scene.sfm_T_cam[:, :3, :3], 1, 2)[i]
+    offset = scene.xyz[scene.point] - scene.sfm_T_cam[i, :3, 3]
+    p = np.einsum("mij,mj->mi", cam_R_sfm, offset)
+    row = scene.seen_px[:, 1] / cameras.height[i] - 0.5
+    tau = row * cameras.readout_s[cameras.lens[i]] if shutter else np.zeros(len(i))
+    turn = Rotation.from_rotvec(-cameras.angular[i] * tau[:, None])
+    q = turn.apply(p - cameras.velocity[i] * tau[:, None])
+    n = q[:, :2] / q[:, 2:]
+    k = cameras.coefficients[cameras.lens[i]]
+    d = _distort(n, k)
+    pixel = cameras.focal[i] * d + cameras.intrinsics[i, 2:]
+    return _Forward(pixel, cam_R_sfm, offset, q, n, d, row, tau, turn)
+
+
+def _distort(n: Array, k: Array) -> Array:
+    """`geometry.lens.distort` with coefficients (M, 8) of each point's own."""
+    x, y = n.T
+    r2 = x * x + y * y
+    k1, k2, p1, p2, k3, k4, k5, k6 = k.T
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    return np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=1,
+    )
+
+
+def linearize(scene: Scene, cameras: Cameras) -> Linearized:
+    """Residuals, predicted minus seen, and their derivatives."""
+    seen = _forward(scene, cameras)
+    pixel, q, n, d, tau, turn = seen.pixel, seen.in_row, seen.ideal, seen.distorted, seen.tau, seen.row_R_cam
+    i = scene.frame
+    focal, k = cameras.focal[i], cameras.coefficients[cameras.lens[i]]
+    x, y = n.T
+    r2 = x * x + y * y
+    k1, k2, p1, p2, k3 = k[:, :5].T
+    # The rational model's denominator is rare enough to be left to the residuals.
+    radial = np.einsum("mi,mi->m", d, n) / np.maximum(r2, 1e-12)
+    slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
+    dd = np.empty((len(n), 2, 2))
+    dd[:, 0, 0] = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
+    dd[:, 1, 1] = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
+    dd[:, 0, 1] = dd[:, 1, 0] = slope * x * y + 2 * p1 * x + 2 * p2 * y
+    by_n = focal[:, :, None] * dd
+    z = q[:, 2]
+    n_by_q = np.zeros((len(n), 2, 3))
+    n_by_q[:, 0, 0] = n_by_q[:, 1, 1] = 1 / z
+    n_by_q[:, 0, 2], n_by_q[:, 1, 2] = -x / z, -y / z
+    by_q = by_n @ n_by_q
+    by_p = by_q @ turn.as_matrix()
+    by_point = by_p @ seen.cam_R_sfm
+    by_frame = np.empty((len(n), 2, _LOCAL))
+    by_frame[:, :, :3] = by_point @ skew(seen.offset)
+    by_frame[:, :, 3:6] = -by_point
+    by_frame[:, :, _FOCUS] = pixel - cameras.intrinsics[i, 2:]
+    by_frame[:, :, _ANGULAR] = by_q @ (tau[:, None, None] * skew(q))
+    by_shared = np.empty((len(n), 2, _LENS + 1))
+    by_shared[:, :, 0] = focal * n * r2[:, None]
+    by_shared[:, :, 1] = focal * n * (r2 * r2)[:, None]
+    moving = np.cross(q, cameras.angular[i]) - turn.apply(cameras.velocity[i])
+    by_shared[:, :, 2] = np.einsum("mij,mj->mi", by_q, moving * seen.row[:, None])
+    by_shared[:, :, 3] = by_frame[:, :, _FOCUS]
+    return Linearized(pixel - scene.seen_px, by_frame, by_shared, by_point)
+
+
+@dataclass(frozen=True)
+class System:
+    """Normal equations without the points over (10 N + G) unknowns: frames' own, then lenses' k1, k2 and readout, then
+    sessions' log focal factors. `weight` scales rows of observations; `to_points` takes a step back to the points."""
+
+    matrix: Array
+    gradient: Array
+    point_inverse: Array
+    point_gradient: Array
+
+
+def shared_columns(cameras: Cameras) -> Ints:
+    """(N, 4) which shared unknowns each frame has: k1, k2, readout of its lens, log focal of its session."""
+    lenses = len(cameras.readout_s)
+    of_lens = _LENS * cameras.lens[:, None] + np.arange(_LENS)
+    return np.concatenate([of_lens, _LENS * lenses + cameras.session[:, None]], axis=1)
+
+
+def normal_equations(scene: Scene, cameras: Cameras, linear: Linearized, weight_M: Array) -> System:
+    """The reduced system of residuals weighted by `weight_M` (M,), without priors."""
+    frames, points = len(scene.sfm_T_cam), len(scene.xyz)
+    columns = shared_columns(cameras)
+    shared = _LENS * len(cameras.readout_s) + len(cameras.log_focal)
+    w = np.sqrt(weight_M)[:, None]
+    residual = w * linear.residual
+    by_frame, by_shared, by_point = (w[:, :, None] * j for j in (linear.by_frame, linear.by_shared, linear.by_point))
+    by_own = np.concatenate([by_frame, by_shared], axis=2)
+    own_T = np.swapaxes(by_own, 1, 2)
+    blocks = summed(own_T @ by_own, scene.frame, frames)
+    pull = summed(np.einsum("mji,mj->mi", by_own, residual), scene.frame, frames)
+    point_blocks = summed(np.swapaxes(by_point, 1, 2) @ by_point, scene.point, points)
+    point_blocks += 1e-9 * np.trace(point_blocks, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    point_pull = summed(np.einsum("mji,mj->mi", by_point, residual), scene.point, points)
+    factor = np.linalg.cholesky(point_blocks)
+    lower_inverse = np.linalg.inv(factor)
+    # With V = L L^T the points' part of the Schur complement, W V^-1 W^T, is A A^T with A = W L^-T.
+    a_blocks = (own_T @ by_point) @ np.swapaxes(lower_inverse, 1, 2)[scene.point]
+    local = block_rows(a_blocks[:, :_LOCAL], scene.frame, scene.point, frames, points)
+    by_column = np.zeros((shared, points, 3))
+    for k in range(_LENS + 1):
+        np.add.at(by_column, (columns[scene.frame, k], scene.point), a_blocks[:, _LOCAL + k])
+    of_shared = by_column.reshape(shared, 3 * points)
+    size = _LOCAL * frames
+    matrix = np.empty((size + shared, size + shared))
+    matrix[:size, :size] = -(local @ local.T).toarray()
+    matrix[size:, :size] = -(local @ of_shared.T).T
+    matrix[size:, size:] = -of_shared @ of_shared.T
+    index = np.arange(frames)
+    matrix[:size, :size].reshape(frames, _LOCAL, frames, _LOCAL)[index, :, index, :] += blocks[:, :_LOCAL, :_LOCAL]
+    for k in range(_LENS + 1):
+        rows = size + columns[:, k]
+        np.add.at(matrix[:, :size].reshape(-1, frames, _LOCAL), (rows, index), blocks[:, _LOCAL + k, :_LOCAL])
+        for j in range(_LENS + 1):
+            np.add.at(matrix, (rows, size + columns[:, j]), blocks[:, _LOCAL + k, _LOCAL + j])
+    matrix[:size, size:] = matrix[size:, :size].T
+    scaled_pull = np.einsum("pij,pj->pi", lower_inverse, point_pull).ravel()
+    gradient = np.empty(size + shared)
+    gradient[:size] = pull[:, :_LOCAL].ravel() - local @ scaled_pull
+    gradient[size:] = -of_shared @ scaled_pull
+    for k in range(_LENS + 1):
+        np.add.at(gradient, size + columns[:, k], pull[:, _LOCAL + k])
+    return System(matrix, gradient, np.swapaxes(lower_inverse, 1, 2) @ lower_inverse, point_pull)
+
+
+def prior_information(cameras: Cameras, priors: CameraPriors) -> csr_array:
+    """(10 N + G, 10 N + G) information of the priors; a session's focus is one smooth (Ornstein-Uhlenbeck) process."""
+    frames, lenses, sessions = len(cameras.t_s), len(cameras.readout_s), len(cameras.log_focal)
+    size = _LOCAL * frames
+    rows, columns, values = [], [], []
+
+    def add(index: Ints, block: Array) -> None:
+        row, column = np.meshgrid(index, index, indexing="ij")
+        rows.append(row.ravel())
+        columns.append(column.ravel())
+        values.append(block.ravel())
+
+    angular = (_LOCAL * np.arange(frames)[:, None] + np.arange(_ANGULAR.start, _ANGULAR.stop)).ravel()
+    rows.append(angular)
+    columns.append(angular)
+    values.append(np.repeat(1 / priors.angular_sd**2, 3))
+    for session in range(sessions):
+        members = np.flatnonzero(cameras.session == session)
+        lag = np.abs(cameras.t_s[members][:, None] - cameras.t_s[members])
+        smooth = np.exp(-lag / _FOCUS_LAG_S) + _FOCUS_NOISE * np.eye(len(members))
+        add(_LOCAL * members + _FOCUS, np.linalg.inv(priors.focus_sd[session] ** 2 * smooth))
+        add(np.array([size + _LENS * lenses + session]), np.array([[1 / priors.log_focal_sd[session] ** 2]]))
+    for lens in range(lenses):
+        add(size + _LENS * lens + np.arange(_LENS), np.linalg.inv(priors.lens_covariance[lens]))
+    total = size + _LENS * lenses + sessions
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return csr_array(coo_array(entries, shape=(total, total)))
+
+
+def camera_unknowns(cameras: Cameras) -> Array:
+    """(10 N + G,) the unknowns of the cameras as a vector; 0 for poses."""
+    own = np.zeros((len(cameras.t_s), _LOCAL))
+    own[:, _FOCUS], own[:, _ANGULAR] = cameras.focus, cameras.angular
+    of_lens = np.concatenate([cameras.coefficients[:, :2], cameras.readout_s[:, None]], axis=1)
+    return np.concatenate([own.ravel(), of_lens.ravel(), cameras.log_focal])
+
+
+def with_step(scene: Scene, cameras: Cameras, step: Array, point_step: Array) -> tuple[Scene, Cameras]:
+    """The scene and cameras moved by a step of the unknowns (10 N + G,) and of the points (P, 3)."""
+    frames, lenses = len(scene.sfm_T_cam), len(cameras.readout_s)
+    own = step[: _LOCAL * frames].reshape(frames, _LOCAL)
+    of_lens = step[_LOCAL * frames :][: _LENS * lenses].reshape(lenses, _LENS)
+    sfm_T_cam = scene.sfm_T_cam.copy()
+    sfm_T_cam[:, :3, :3] = Rotation.from_rotvec(own[:, :3]).as_matrix() @ sfm_T_cam[:, :3, :3]
+    sfm_T_cam[:, :3, 3] += own[:, 3:6]
+    coefficients = cameras.coefficients.copy()
+    coefficients[:, :2] += of_lens[:, :2]
+    moved = replace(
+        cameras,
+        focus=cameras.focus + own[:, _FOCUS],
+        angular=cameras.angular + own[:, _ANGULAR],
+        coefficients=coefficients,
+        readout_s=cameras.readout_s + of_lens[:, 2],
+        log_focal=cameras.log_focal + step[_LOCAL * frames + _LENS * lenses :],
+    )
+    return replace(scene, sfm_T_cam=sfm_T_cam, xyz=scene.xyz + point_step), moved
+
+
+def adjust(scene: Scene, cameras: Cameras, priors: CameraPriors, steps: int = _STEPS) -> Adjusted:
+    """Adjust everything; raises LinAlgError where the scene is too small to tell."""
+    prior_mean, information = camera_unknowns(priors.mean), prior_information(cameras, priors)
+    damping = 1e-6
+    loss_px = loss_of(linearize(scene, cameras).residual)
+    cost = np.inf
+    for _ in range(steps):
+        linear = linearize(scene, cameras)
+        loss_px = loss_of(linear.residual)
+        weight = 1 / (1 + np.sum(linear.residual**2, axis=1) / loss_px**2)
+        variance = loss_variance(loss_px)
+        away = camera_unknowns(cameras) - prior_mean
+        before = _cost(linear.residual, loss_px) + variance * float(away @ (information @ away)) / 2
+        system = normal_equations(scene, cameras, linear, weight)
+        matrix = add_information(system.matrix, variance * information)
+        gradient = system.gradient + variance * (information @ away)
+        hold_gauge(matrix, scene.sfm_T_cam[:, :3, 3])
+        diagonal = np.diag_indices_from(matrix)
+        scale = matrix[diagonal].copy()
+        for _ in range(6):
+            matrix[diagonal] = scale * (1 + damping)
+            step = -cho_solve(cho_factor(matrix, lower=True), gradient)
+            point_step = _point_step(scene, cameras, linear, weight, system, step)
+            moved = with_step(scene, cameras, step, point_step)
+            away = camera_unknowns(moved[1]) - prior_mean
+            cost = _cost(project(*moved) - scene.seen_px, loss_px) + variance * float(away @ (information @ away)) / 2
+            if np.isfinite(cost) and cost <= before:
+                damping = max(damping / 10, 1e-9)
+                break
+            damping *= 30
+        else:
+            break
+        scene, cameras = moved
+        if before - cost < _SETTLED * before:
+            break
+    return Adjusted(scene, cameras, priors, loss_px)
+
+
+def add_information(matrix: Array, information: csr_array) -> Array:
+    """`matrix`, to which sparse information is added in place."""
+    entries = information.tocoo()
+    matrix[entries.row, entries.col] += entries.data
+    return matrix
+
+
+def loss_variance(loss_px: float) -> float:
+    """The variance of the residuals (px^2) that a loss of this width is for."""
+    return (loss_px / _LOSS_WIDTH) ** 2
+
+
+def local_unknowns(frames: int) -> Ints:
+    """(N, 10) where each frame's own unknowns are among all: rotation, position, focus, angular velocity."""
+    return np.arange(_LOCAL * frames).reshape(frames, _LOCAL)
+
+
+def loss_of(residual_M2: Array) -> float:
+    """The width of a Cauchy loss for residuals (M, 2), px."""
+    return max(_LOSS_WIDTH * _SIGMA_OF_MEDIAN * float(np.median(np.abs(residual_M2))), _NARROWEST_LOSS_PX)
+
+
+def hold_gauge(matrix: Array, position_N3: Array) -> None:
+    """Add a stiffness against moving, turning and scaling all poses together to the system, in place."""
+    frames = len(position_N3)
+    gauge = np.zeros((frames, _LOCAL, 7))
+    gauge[:, :6] = similarities(position_N3)
+    extent2 = float(np.mean(gauge[:, 3:6, 6] ** 2) * 3)
+    gauge[:, :3] *= extent2
+    held = gauge.reshape(-1, 7)
+    size = _LOCAL * frames
+    pose_diagonal = matrix[np.arange(size), np.arange(size)].reshape(frames, _LOCAL)[:, :6].sum()
+    matrix[:size, :size] += (pose_diagonal / np.sum(held**2)) * (held @ held.T)
+
+
+def _point_step(
+    scene: Scene, cameras: Cameras, linear: Linearized, weight: Array, system: System, step: Array
+) -> Array:
+    frames = len(scene.sfm_T_cam)
+    own = np.concatenate(
+        [step[: _LOCAL * frames].reshape(frames, _LOCAL), step[_LOCAL * frames :][shared_columns(cameras)]], axis=1
+    )
+    by_own = np.concatenate([linear.by_frame, linear.by_shared], axis=2)
+    change = weight[:, None] * np.einsum("mij,mj->mi", by_own, own[scene.frame])
+    pull = system.point_gradient + summed(np.einsum("mji,mj->mi", linear.by_point, change), scene.point, len(scene.xyz))
+    return -np.einsum("pij,pj->pi", system.point_inverse, pull)
+
+
+def _cost(residual: Array, loss_px: float) -> float:
+    return float(loss_px**2 / 2 * np.sum(np.log1p(np.sum(residual**2, axis=1) / loss_px**2)))
+
+
+def summed(values: Array, group: Ints, groups: int) -> Array:
+    """Sums of values (M, ...) by group (groups, ...)."""
+    flat = values.reshape(len(values), -1)
+    order = np.argsort(group, kind="stable")
+    starts = np.searchsorted(group[order], np.arange(groups))
+    counts = np.bincount(group, minlength=groups)
+    total = np.zeros((groups, flat.shape[1]))
+    filled = counts > 0
+    total[filled] = np.add.reduceat(flat[order], starts[filled], axis=0)
+    return total.reshape(groups, *values.shape[1:])

@@ -1,0 +1,325 @@
+"""Each lens of a scene before mapping: which frames share it, its distortion and readout time, from pairs of images.
+
+ARKit and most apps state a pinhole matrix while the images have a lens's distortion, alike on the phones that were
+measured (docs/sfm.md, Cameras). What the matches say is shrunk to a prior: what the capture states, or else what phones
+have.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pycolmap
+from scipy.spatial.transform import Rotation
+
+from artefacts.child import Report
+from geometry.lens import distort, largest_shift, undistort
+from geometry.poses import Array, inverse, make_pose
+from sfm.database import Ints, create_database, image_id
+from sfm.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
+from sfm.matching import match_pairs
+from sfm.motion import Motion
+from sfm.pairs import Pairs
+from sfm.settings import SfmSettings
+
+STATED, ESTIMATED, PRIOR = "stated", "estimated", "prior"
+
+# k1 and k2 of phones' main cameras (docs/sfm.md, Cameras), in OpenCV's convention, and how they scatter together.
+_PHONE = np.array([0.08, -0.12])
+_PHONE_COVARIANCE = np.array([[0.05**2, -0.8 * 0.05 * 0.08], [-0.8 * 0.05 * 0.08, 0.08**2]])
+# What a capture states is meant to be right.
+_STATED_SD = np.array([0.005, 0.01])
+_READOUT_SD_S = 0.02
+_UNBOUND = np.diag([0.1**2, 0.2**2, _READOUT_SD_S**2])
+_MOST_PAIRS = 160
+_MOST_MATCHES = 120
+_FEWEST_MATCHES = 40
+_FEWEST_PAIRS = 5
+_HELD_OUT = 0.25
+_NEAREST_M = 0.02
+_SAME_FOCAL = 0.08
+_EXACT = 1e12
+# A stated lens is wrong where the images say so beyond so many sigmas and pixels, and matches held out agree better.
+_WRONG_SIGMAS, _WRONG_PX, _WRONG_GAIN = 5.0, 1.0, 0.02
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A lens: its frames' device, size and coefficients (OpenCV's order, 8), readout time, covariance (3, 3) of k1, k2
+    and readout, where they are from, the lens stated (8), and the median Sampson distance of matches held out, px, with
+    the stated lens and with this one; None where nothing was estimated."""
+
+    lens_id: str
+    frames: int
+    coefficients: list[float]
+    readout_s: float
+    covariance: list[list[float]]
+    origin: str
+    stated: list[float]
+    prior_coefficients: list[float]
+    prior_readout_s: float
+    prior_covariance: list[list[float]]
+    pairs: int = 0
+    heldout_stated_px: float | None = None
+    heldout_px: float | None = None
+    stated_is_wrong: bool = False
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The lenses of a scene and which one each of N frames has (N,)."""
+
+    lenses: list[Lens]
+    lens: Ints = field(repr=False)
+
+    @property
+    def coefficients(self) -> Array:
+        """(L, 8)"""
+        return np.array([lens.coefficients for lens in self.lenses], float).reshape(-1, 8)
+
+    @property
+    def readout_s(self) -> Array:
+        """(L,)"""
+        return np.array([lens.readout_s for lens in self.lenses], float)
+
+    def save(self, path: Path) -> None:
+        """Write it whole or not at all."""
+        content = {"lenses": [asdict(lens) for lens in self.lenses], "lens": self.lens.tolist()}
+        partial = path.with_name(path.name + ".partial")
+        partial.write_text(json.dumps(content), encoding="utf-8")
+        partial.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> "Calibration":
+        """What `save` wrote."""
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return cls([Lens(**lens) for lens in content["lenses"]], np.array(content["lens"], np.int64))
+
+
+def lenses_of(frames: pd.DataFrame, device_of_session: dict[str, str]) -> tuple[Ints, list[str]]:
+    """Which lens each of N frames was taken with (N,), and the lenses' names.
+
+    Frames share a lens where their device, image size, stated distortion and, about, focal length are the same; an
+    ultra-wide camera's focal length is half of the main one's.
+    """
+    device = frames["session_id"].map(device_of_session).fillna("").to_numpy(str)
+    size = [f"{w}x{h}" for w, h in zip(frames["width"], frames["height"], strict=True)]
+    stated = [",".join(f"{k:.6g}" for k in row) for row in frames["distortion"]]
+    group = pd.Series(["|".join(key) for key in zip(device, size, stated, strict=True)])
+    focal = np.log(frames["fx"].to_numpy(float) / frames["width"].to_numpy(float))
+    lens = np.zeros(len(frames), np.int64)
+    names: list[str] = []
+    for _, rows in group.groupby(group, sort=True).indices.items():
+        first = int(rows[0])
+        order = np.sort(rows)[np.argsort(focal[np.sort(rows)], kind="stable")]
+        cluster = np.concatenate([[0], np.cumsum(np.diff(focal[order]) > _SAME_FOCAL)])
+        for number in range(cluster[-1] + 1):
+            own = order[cluster == number]
+            lens[own] = len(names)
+            widths = np.exp(focal[own].mean())
+            names.append(f"{device[first] or 'unknown device'}, {size[first]}, focal length {widths:.2f} widths")
+    return lens, names
+
+
+def prior_lenses(frames: pd.DataFrame, device_of_session: dict[str, str], settings: SfmSettings) -> Calibration:
+    """Each lens as it is stated, or as phones have it where nothing is stated and lenses are to be estimated."""
+    lens_N, names = lenses_of(frames, device_of_session)
+    lenses = []
+    for number, name in enumerate(names):
+        own = np.flatnonzero(lens_N == number)
+        stated = np.zeros(8)
+        given = np.asarray(frames["distortion"].iloc[own[0]], float)
+        stated[: len(given)] = given
+        covariance = np.diag([*_STATED_SD**2, _READOUT_SD_S**2])
+        coefficients, origin = stated.copy(), STATED
+        if settings.lens == "stated":
+            covariance[:2, :2] = np.eye(2) / _EXACT
+        elif not given.any():
+            coefficients[:2], origin = _PHONE, PRIOR
+            covariance[:2, :2] = _PHONE_COVARIANCE
+        readout_s = 0.0
+        if settings.readout_s is not None:
+            readout_s, covariance[2, 2] = settings.readout_s, 1 / _EXACT
+        known = (coefficients.tolist(), readout_s, covariance.tolist())
+        lenses.append(Lens(name, len(own), *known, origin, stated.tolist(), *known))
+    return Calibration(lenses, lens_N)
+
+
+def with_lenses(frames: pd.DataFrame, calibration: Calibration) -> pd.DataFrame:
+    """The frames table with the distortion of their lenses: four coefficients, or eight where the lens needs them."""
+    coefficients = calibration.coefficients[calibration.lens]
+    return frames.assign(distortion=[row[: 8 if row[4:].any() else 4].tolist() for row in coefficients])
+
+
+def calibrate(
+    report: Report,
+    database: Path,
+    frames: pd.DataFrame,
+    names: Sequence[str],
+    pairs: Pairs,
+    prior: Calibration,
+    motion: Motion,
+    settings: SfmSettings,
+    seed: int,
+    output: Path,
+) -> None:
+    """Match some of the pairs (P, 2) in `database`, whose cameras have the prior's lenses; write a `Calibration`."""
+    lens = prior.lens
+    pairs = pairs[lens[pairs[:, 0]] == lens[pairs[:, 1]]]
+    chosen = np.concatenate(
+        [
+            np.empty((0, 2), np.int64),
+            *(_spread(pairs[lens[pairs[:, 0]] == k], _MOST_PAIRS) for k in range(len(prior.lenses))),
+        ]
+    )
+    match_pairs(report, database, names, chosen, settings, seed)
+    lenses = []
+    for number, given in enumerate(prior.lenses):
+        own = chosen[lens[chosen[:, 0]] == number]
+        matches = read_pair_matches(database, frames, own, motion, seed)
+        lenses.append(given if len(matches.a_T_b) < _FEWEST_PAIRS else _estimated(given, matches, frames, own, seed))
+    replace(prior, lenses=lenses).save(output)
+
+
+def read_pair_matches(database: Path, frames: pd.DataFrame, pairs: Pairs, motion: Motion, seed: int) -> PairMatches:
+    """The verified matches of pairs (P, 2), some of each, as rays of their frames."""
+    intrinsics = frames[["fx", "fy", "cx", "cy"]].to_numpy(float)
+    height, session = frames["height"].to_numpy(float), frames["session_id"].to_numpy(str)
+    centre = frames[["vio_cam_tx", "vio_cam_ty", "vio_cam_tz"]].to_numpy(float)
+    rng = np.random.default_rng(seed)
+    columns: dict[str, list[Array]] = {
+        name: [] for name in ("pair", "xy_a", "xy_b", "row_a", "row_b", "focal_a", "focal_b")
+    }
+    poses, twist_a, twist_b = [], [], []
+    with pycolmap.Database.open(database) as opened:
+        for a, b in pairs.tolist():
+            geometry = opened.read_two_view_geometry(image_id(a), image_id(b))
+            matches = geometry.inlier_matches
+            if len(matches) < _FEWEST_MATCHES:
+                continue
+            xy = [opened.read_keypoints(image_id(row))[:, :2].astype(float) for row in (a, b)]
+            cameras = [opened.read_camera(image_id(row)) for row in (a, b)]
+            if not pycolmap.estimate_two_view_geometry_pose(cameras[0], xy[0], cameras[1], xy[1], geometry):
+                continue
+            assert geometry.cam2_from_cam1 is not None
+            b_T_a = geometry.cam2_from_cam1.matrix()
+            length = np.linalg.norm(b_T_a[:, 3])
+            if not length:
+                continue
+            poses.append(inverse(make_pose(b_T_a[:, :3], b_T_a[:, 3] / length)))
+            # VIO's metres in units of the pair's translation; across sessions it knows none.
+            apart_m = np.linalg.norm(centre[a] - centre[b]) if session[a] == session[b] else np.inf
+            apart_m = max(float(np.nan_to_num(apart_m, nan=np.inf, posinf=np.inf)), _NEAREST_M)
+            twist_a.append(np.r_[motion.angular[a], motion.velocity[a] / apart_m])
+            twist_b.append(np.r_[motion.angular[b], motion.velocity[b] / apart_m])
+            some = np.sort(rng.permutation(len(matches))[:_MOST_MATCHES])
+            columns["pair"].append(np.full(len(some), len(poses) - 1))
+            for name, row, points, side in (("a", a, xy[0], 0), ("b", b, xy[1], 1)):
+                seen = points[matches[some, side]]
+                columns[f"xy_{name}"].append((seen - intrinsics[row, 2:]) / intrinsics[row, :2])
+                columns[f"row_{name}"].append(seen[:, 1] / height[row] - 0.5)
+                columns[f"focal_{name}"].append(np.full(len(some), intrinsics[row, :2].mean()))
+    if not poses:
+        empty = np.empty(0)
+        return PairMatches(
+            np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)), empty, empty, empty, empty,
+            np.empty((0, 4, 4)), np.empty((0, 6)), np.empty((0, 6)),
+        )  # fmt: skip
+    joined: dict[str, Any] = {name: np.concatenate(parts) for name, parts in columns.items()}
+    return PairMatches(**joined, a_T_b=np.stack(poses), twist_a=np.stack(twist_a), twist_b=np.stack(twist_b))
+
+
+def _estimated(given: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: Pairs, seed: int) -> Lens:
+    """The lens by its matches, where those held out agree no worse with it than with what is given."""
+    held_out = np.random.default_rng(seed).random(len(matches.pair)) < _HELD_OUT
+    fitted, judges = matches.selected(~held_out), matches.selected(held_out)
+    stated = np.array([*given.stated[:2], 0.0])
+    start = np.array([*given.coefficients[:2], given.readout_s])
+    information = np.linalg.inv(np.array(given.covariance))
+    as_stated = estimate_lens(fitted, stated, _EXACT * np.eye(3))
+    estimate = estimate_lens(fitted, start, information)
+    stated_px, estimated_px = (_median_px(judges, e) for e in (as_stated, estimate))
+    wrong = False
+    if given.origin == STATED and np.diag(information)[0] < _EXACT / 2:
+        unbound = estimate_lens(fitted, start, np.linalg.inv(_UNBOUND))
+        row = frames.iloc[int(pairs[0, 0])]
+        extent = (0.5 * row.width / row.fx, 0.5 * row.height / row.fy)
+        shift_px = largest_shift(unbound.parameters[:2], stated[:2], extent) * row.fx
+        off = unbound.parameters[:2] - stated[:2]
+        sigmas = np.sqrt(off @ np.linalg.solve(unbound.covariance[:2, :2], off))
+        unbound_px = _median_px(judges, unbound)
+        wrong = bool(sigmas > _WRONG_SIGMAS and shift_px > _WRONG_PX and unbound_px < (1 - _WRONG_GAIN) * stated_px)
+        if wrong:
+            estimate, estimated_px = unbound, unbound_px
+            given = replace(given, prior_covariance=_UNBOUND.tolist())
+    judged: dict[str, Any] = {"pairs": len(matches.a_T_b), "heldout_stated_px": stated_px, "heldout_px": estimated_px}
+    if estimated_px > stated_px:
+        return replace(given, **judged)
+    coefficients = [*estimate.parameters[:2].tolist(), *given.coefficients[2:]]
+    return replace(
+        given,
+        **judged,
+        coefficients=coefficients,
+        readout_s=float(estimate.parameters[2]),
+        covariance=estimate.covariance.tolist(),
+        origin=ESTIMATED,
+        stated_is_wrong=wrong,
+    )
+
+
+def _median_px(matches: PairMatches, estimate: LensEstimate) -> float:
+    return float(np.median(np.abs(sampson_of(matches, estimate.a_T_b, estimate.parameters))))
+
+
+def _spread(pairs: Pairs, most: int) -> Pairs:
+    """Some of the pairs, evenly over them."""
+    if len(pairs) <= most:
+        return pairs
+    return pairs[np.unique(np.linspace(0, len(pairs) - 1, most).round().astype(int))]
+
+
+def to_middle_row(xy_M2: Array, frame: Any, readout_s: float, angular: Array) -> Array:
+    """Pixels (M, 2) where a frame would have them if all rows were exposed with the middle one: turned by its angular
+    velocity (3,). What its velocity does depends on depth, and is left to the adjustment."""
+    if not readout_s or not len(xy_M2):
+        return xy_M2
+    focal, centre = np.array([frame.fx, frame.fy]), np.array([frame.cx, frame.cy])
+    coefficients = np.asarray(frame.distortion, float)
+    rays = np.ones((len(xy_M2), 3))
+    rays[:, :2] = undistort((xy_M2 - centre) / focal, coefficients)
+    tau = readout_s * (xy_M2[:, 1] / frame.height - 0.5)
+    rays = Rotation.from_rotvec(tau[:, None] * angular).apply(rays)
+    return distort(rays[:, :2] / rays[:, 2:], coefficients) * focal + centre
+
+
+def write_calibrated_database(
+    report: Report,
+    source: Path,
+    target: Path,
+    frames: pd.DataFrame,
+    names: Sequence[str],
+    calibration: Calibration,
+    motion: Motion,
+) -> None:
+    """Write the database `target`: features of `source`, keypoints at the middle row's time, cameras with lenses."""
+    partial = target.with_name(target.name + ".partial")
+    partial.unlink(missing_ok=True)
+    create_database(partial, frames, names)
+    readout = calibration.readout_s[calibration.lens]
+    with (
+        pycolmap.Database.open(source) as features,
+        pycolmap.Database.open(partial) as opened,
+        pycolmap.DatabaseTransaction(opened),
+    ):
+        for row, frame in enumerate(frames.itertuples(index=False)):
+            keypoints = features.read_keypoints(image_id(row))
+            moved = to_middle_row(keypoints[:, :2].astype(float), frame, float(readout[row]), motion.angular[row])
+            keypoints[:, :2] = moved
+            opened.write_keypoints(image_id(row), keypoints)
+            opened.write_descriptors(image_id(row), features.read_descriptors(image_id(row)))
+            report(row + 1)
+    partial.replace(target)

@@ -1,0 +1,166 @@
+"""Lens and rolling shutter from verified pairs of images, before anything is mapped.
+
+The epipolar constraint of a pair holds for the rays of its matches once the lens is taken out of them (Zhang, "On the
+epipolar geometry between two images with lens distortion", ICPR 1996). The relative poses of all pairs and the one lens
+and readout time that they share are adjusted together by Gauss-Newton on Sampson's distance, with a Cauchy loss. The
+focal length stays as it is logged: pairs hardly tell it, and the adjustment of the whole model does.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from geometry.lens import undistort
+from geometry.poses import Array, skew
+
+Ints = NDArray[np.int64]
+
+_STEPS = 12
+_SETTLED = 1e-3  # of the sd
+_LOSS_WIDTH, _SIGMA_OF_MEDIAN = 2.385, 1.4826
+_NARROWEST_PX = 0.05
+_NUMERIC = 1e-5
+_LARGEST_TURN = 0.3
+
+
+@dataclass(frozen=True)
+class PairMatches:
+    """M matches of P pairs of one lens. Distorted image points at unit focal length (M, 2), the share of the readout
+    at which each row was exposed (M,), -0.5 to 0.5, mean focal lengths in pixels (M,); per pair: relative poses
+    a_T_b (P, 4, 4) with translations of length 1, and the twist of each camera (P, 6): angular velocity (rad/s) and
+    velocity in units of the pair's translation per second, in its axes."""
+
+    pair: Ints
+    xy_a: Array
+    xy_b: Array
+    row_a: Array
+    row_b: Array
+    focal_a: Array
+    focal_b: Array
+    a_T_b: Array
+    twist_a: Array
+    twist_b: Array
+
+    def selected(self, keep_M: NDArray[np.bool_]) -> "PairMatches":
+        """Some of the matches, of the same pairs."""
+        names = ("pair", "xy_a", "xy_b", "row_a", "row_b", "focal_a", "focal_b")
+        return replace(self, **{name: getattr(self, name)[keep_M] for name in names})
+
+
+@dataclass(frozen=True)
+class LensEstimate:
+    """k1, k2 and readout time in s (3,), their covariance (3, 3), and the relative poses (P, 4, 4)."""
+
+    parameters: Array
+    covariance: Array
+    a_T_b: Array
+
+
+def sampson_of(matches: PairMatches, a_T_b: Array, parameters: Array) -> Array:
+    """Signed Sampson distances (M,) in pixels with a lens and readout time, poses (P, 4, 4)."""
+    rays_a, rays_b = (_rays(xy, parameters) for xy in (matches.xy_a, matches.xy_b))
+    T = a_T_b[matches.pair]
+    rotation, translation = T[:, :3, :3], T[:, :3, 3]
+    if parameters[2]:
+        readout = parameters[2]
+        turn_a, shift_a = _motion(matches.twist_a[matches.pair], readout * matches.row_a)
+        turn_b, shift_b = _motion(matches.twist_b[matches.pair], readout * matches.row_b)
+        translation = np.einsum(
+            "mji,mj->mi", turn_a, translation + np.einsum("mij,mj->mi", rotation, shift_b) - shift_a
+        )
+        rotation = np.swapaxes(turn_a, 1, 2) @ rotation @ turn_b
+    essential = skew(translation) @ rotation
+    line_a = np.einsum("mij,mj->mi", essential, rays_b)
+    line_b = np.einsum("mji,mj->mi", essential, rays_a)
+    gradient = np.sum(line_a[:, :2] ** 2, axis=1) / matches.focal_a**2
+    gradient += np.sum(line_b[:, :2] ** 2, axis=1) / matches.focal_b**2
+    return np.sum(rays_a * line_a, axis=1) / np.sqrt(np.maximum(gradient, 1e-24))
+
+
+def estimate_lens(matches: PairMatches, start: Array, prior_information: Array) -> LensEstimate:
+    """The lens and readout time that explain the matches best, from `start` (3,), which is the prior's mean, too.
+
+    `prior_information` (3, 3) is the prior's inverse covariance. What the matches of one pair say hangs together, so
+    their information is scaled by the ratio of a sandwich clustered by pair to plain least squares.
+    """
+    a_T_b, theta = matches.a_T_b.copy(), start.astype(float)
+    covariance = np.linalg.inv(prior_information)
+    for _ in range(_STEPS):
+        residual = sampson_of(matches, a_T_b, theta)
+        loss_px = max(_LOSS_WIDTH * _SIGMA_OF_MEDIAN * float(np.median(np.abs(residual))), _NARROWEST_PX)
+        variance = (loss_px / _LOSS_WIDTH) ** 2
+        weight = 1 / (1 + (residual / loss_px) ** 2)
+        by_pose, by_lens = _derivatives(matches, a_T_b, theta, residual)
+        solved, bread, pull, force = _without_poses(matches, weight, residual, by_pose, by_lens)
+        inflation = max(1.0, float(np.trace(np.linalg.pinv(bread) @ force.T @ force) / len(theta) / variance))
+        total = bread / variance / inflation + prior_information
+        step = -np.linalg.solve(total, pull / variance / inflation + prior_information @ (theta - start))
+        theta, covariance = theta + step, np.linalg.inv(total)
+        a_T_b = _moved(a_T_b, np.clip(-solved[:, :, 3] - solved[:, :, :3] @ step, -_LARGEST_TURN, _LARGEST_TURN))
+        if np.all(np.abs(step) < _SETTLED * np.sqrt(np.diag(covariance))):
+            break
+    return LensEstimate(theta, np.asarray(covariance, float), a_T_b)
+
+
+def _without_poses(
+    matches: PairMatches, weight: Array, residual: Array, by_pose: Array, by_lens: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Normal equations with each pair's pose eliminated: the poses' answer to the lens and to their own residuals
+    (P, 5, 4), the lens's system (3, 3) and gradient (3,), and each pair's share of that gradient (P, 3)."""
+    pairs = len(matches.a_T_b)
+    of_pose = weight[:, None] * by_pose
+    system = np.zeros((pairs, 5, 5))
+    np.add.at(system, matches.pair, of_pose[:, :, None] * by_pose[:, None, :])
+    # A pair that hardly moved tells no direction.
+    system += (1e-6 * np.trace(system, axis1=1, axis2=2)[:, None, None] + 1e-9) * np.eye(5)
+    cross = np.zeros((pairs, 5, 4))
+    np.add.at(cross, matches.pair, of_pose[:, :, None] * np.column_stack([by_lens, residual])[:, None, :])
+    solved = np.linalg.solve(system, cross)
+    free = by_lens - np.einsum("mi,mij->mj", by_pose, solved[matches.pair, :, :3])
+    force = np.zeros((pairs, 3))
+    np.add.at(force, matches.pair, (weight * residual)[:, None] * free)
+    bread = (weight[:, None] * by_lens).T @ by_lens - np.einsum("pij,pik->jk", cross[:, :, :3], solved[:, :, :3])
+    pull = (weight * residual) @ by_lens - np.einsum("pij,pi->j", cross[:, :, :3], solved[:, :, 3])
+    return np.asarray(solved, float), bread, pull, force
+
+
+def _rays(xy_M2: Array, parameters: Array) -> Array:
+    rays = np.ones((len(xy_M2), 3))
+    rays[:, :2] = undistort(xy_M2, parameters[:2])
+    return rays
+
+
+def _motion(twist_M6: Array, time_M: Array) -> tuple[Array, Array]:
+    """mid_T_row: how a camera that moves so has moved after a time, rotations (M, 3, 3) and positions (M, 3)."""
+    return Rotation.from_rotvec(twist_M6[:, :3] * time_M[:, None]).as_matrix(), twist_M6[:, 3:] * time_M[:, None]
+
+
+def _derivatives(matches: PairMatches, a_T_b: Array, theta: Array, residual: Array) -> tuple[Array, Array]:
+    """Of the residuals by each pair's pose (M, 5) and by the lens (M, 3), numerically."""
+    by_pose = np.empty((len(residual), 5))
+    for k in range(5):
+        step = np.zeros((len(a_T_b), 5))
+        step[:, k] = _NUMERIC
+        by_pose[:, k] = (sampson_of(matches, _moved(a_T_b, step), theta) - residual) / _NUMERIC
+    by_lens = np.empty((len(residual), 3))
+    for k in range(3):
+        moved = theta.copy()
+        moved[k] += _NUMERIC
+        by_lens[:, k] = (sampson_of(matches, a_T_b, moved) - residual) / _NUMERIC
+    return by_pose, by_lens
+
+
+def _moved(a_T_b: Array, step_P5: Array) -> Array:
+    """Poses turned by step[:3] and with translations turned on the sphere by step[3:] along two tangents."""
+    t = a_T_b[:, :3, 3]
+    helper = np.where(np.abs(t[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    u = np.cross(t, helper)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v = np.cross(t, u)
+    moved = a_T_b.copy()
+    moved[:, :3, :3] = Rotation.from_rotvec(step_P5[:, :3]).as_matrix() @ a_T_b[:, :3, :3]
+    direction = t + step_P5[:, 3:4] * u + step_P5[:, 4:] * v
+    moved[:, :3, 3] = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    return moved

@@ -1,0 +1,230 @@
+"""A COLMAP model adjusted with cameras as phones have them (`sfm.adjustment`), and the file that keeps the outcome."""
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pycolmap
+
+from artefacts.tables import poses_of
+from geometry.poses import Array, inverse, make_pose
+from sfm.adjustment import Adjusted, CameraPriors, Cameras, Scene, adjust, loss_variance, project
+from sfm.calibration import Calibration, prior_lenses
+from sfm.database import Ints, image_id
+from sfm.motion import Motion, motion_by_vio
+from sfm.settings import SfmSettings
+
+# A step between two frames over which VIO tells how long an sfm unit is.
+_LEAST_STEP_M = 0.02
+# By how much a session's logged focal lengths may be off in common, and a frame's; the latter counts as some frames.
+_LOG_FOCAL_SD = 0.01
+_FOCUS_SD, _FOCUS_FRAMES = 0.002, 5
+_FIRST_STEPS = 4
+_EXACT_SD = 1e-7
+_OUTLIER_SIGMAS = 4.0
+
+
+@dataclass(frozen=True)
+class CameraLog:
+    """What is known of the cameras of N frames before a model of them is adjusted.
+
+    `intrinsics` (N, 4), `height` (N,) px, `session` (N,) names, `t_s` (N,) on each session's clock, and vio_T_cam
+    (N, 4, 4).
+    """
+
+    intrinsics: Array
+    height: Array
+    session: np.ndarray
+    t_s: Array
+    vio_T_cam: Array
+    calibration: Calibration
+    motion: Motion
+
+
+def camera_log(
+    frames: pd.DataFrame, device_of_session: dict[str, str], log: pd.DataFrame, settings: SfmSettings
+) -> CameraLog:
+    """From import's frames, the sessions' devices, and all poses of the log (table import.vio)."""
+    return CameraLog(
+        frames[["fx", "fy", "cx", "cy"]].to_numpy(float),
+        frames["height"].to_numpy(float),
+        frames["session_id"].to_numpy(str),
+        frames["t_ns"].to_numpy(np.int64) * 1e-9,
+        poses_of(frames, "vio_cam"),
+        prior_lenses(frames, device_of_session, settings),
+        motion_by_vio(frames, log),
+    )
+
+
+def adjust_model(
+    model: pycolmap.Reconstruction, keypoints: list[Array], log: CameraLog, settings: SfmSettings
+) -> tuple[Adjusted, Ints]:
+    """Adjust a model in place; `keypoints` are those of all N frames as they were found. Returns what came out, and the
+    rows (R,) of its frames.
+
+    Observations beyond four sigma are taken out on the way. The model then has the cameras' focal lengths and lenses,
+    and its observations where a camera without rolling shutter would have them.
+    """
+    observations = pycolmap.ObservationManager(model)
+    observations.filter_observations_with_negative_depth()
+    rows, point_ids, scene, features = _scene_of(model, keypoints)
+    cameras, priors = _cameras_of(rows, scene, log, settings)
+    adjusted = adjust(scene, cameras, priors, _FIRST_STEPS)
+    _write_back(model, rows, point_ids, adjusted, features)
+    residual = project(adjusted.scene, adjusted.cameras) - scene.seen_px
+    outliers = np.linalg.norm(residual, axis=1) > _OUTLIER_SIGMAS * np.sqrt(loss_variance(adjusted.loss_px))
+    for row, feature in zip(rows[scene.frame[outliers]].tolist(), features[outliers].tolist(), strict=True):
+        if model.image(image_id(row)).point2D(feature).has_point3D():
+            observations.delete_observation(image_id(row), feature)
+    observations.filter_observations_with_negative_depth()
+    rows, point_ids, scene, features = _scene_of(model, keypoints)
+    if settings.refine_cameras != "never":
+        priors = replace(priors, focus_sd=_focus_sd(adjusted.cameras))
+    adjusted = adjust(scene, adjusted.cameras, priors)
+    _write_back(model, rows, point_ids, adjusted, features)
+    model.update_point_3d_errors()
+    return adjusted, rows
+
+
+def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cameras:
+    """The cameras of all N frames, each with a lens and a session of its own, as adjusted with their models; as
+    calibrated where a frame is in none."""
+    count, lens = len(log.t_s), log.calibration.lens
+    every = Cameras(
+        log.intrinsics,
+        log.height,
+        np.arange(count),
+        np.arange(count),
+        log.t_s,
+        log.calibration.coefficients[lens],
+        log.calibration.readout_s[lens],
+        np.zeros(count),
+        np.zeros(count),
+        log.motion.angular.copy(),
+        np.zeros((count, 3)),
+    )
+    for adjusted, rows in parts:
+        own = adjusted.cameras
+        every.coefficients[rows], every.readout_s[rows] = own.coefficients[own.lens], own.readout_s[own.lens]
+        every.log_focal[rows], every.focus[rows] = own.log_focal[own.session], own.focus
+        every.angular[rows], every.velocity[rows] = own.angular, own.velocity
+    return every
+
+
+def save_adjusted(path: Path, adjusted: Adjusted, rows: Ints) -> None:
+    """Write what `load_adjusted` reads."""
+    arrays: dict[str, Any] = {"rows": rows, "loss_px": adjusted.loss_px}
+    for name, part in (("scene", adjusted.scene), ("cameras", adjusted.cameras), ("mean", adjusted.priors.mean)):
+        arrays |= {f"{name}.{f.name}": getattr(part, f.name) for f in fields(part)}
+    arrays |= {f"priors.{f.name}": getattr(adjusted.priors, f.name) for f in fields(CameraPriors) if f.name != "mean"}
+    np.savez(path, **arrays)
+
+
+def load_adjusted(path: Path) -> tuple[Adjusted, Ints]:
+    """An adjusted model and the rows of its frames."""
+    with np.load(path) as file:
+
+        def part(name: str) -> dict[str, Any]:
+            return {key.partition(".")[2]: file[key] for key in file.files if key.startswith(name + ".")}
+
+        priors = CameraPriors(mean=Cameras(**part("mean")), **part("priors"))
+        adjusted = Adjusted(Scene(**part("scene")), Cameras(**part("cameras")), priors, float(file["loss_px"]))
+        return adjusted, file["rows"]
+
+
+def _scene_of(model: pycolmap.Reconstruction, keypoints: list[Array]) -> tuple[Ints, Ints, Scene, Ints]:
+    """Rows of the model's frames (R,), its points' ids (P,), the scene, and each observation's feature (M,)."""
+    rows = np.array(sorted(i - 1 for i in model.reg_image_ids()), np.int64)
+    point_ids = np.array(sorted(model.points3D), np.int64)
+    xyz = np.array([model.points3D[i].xyz for i in point_ids]).reshape(-1, 3)
+    poses, frame, point, feature, seen = [], [], [], [], []
+    for number, row in enumerate(rows.tolist()):
+        image = model.image(image_id(row))
+        cam_T_sfm = image.cam_from_world().matrix()
+        poses.append(inverse(make_pose(cam_T_sfm[:, :3], cam_T_sfm[:, 3])))
+        features = np.asarray(image.get_observation_point2D_idxs(), np.int64)
+        frame.append(np.full(len(features), number))
+        ids = [p.point3D_id for p in image.get_observation_points2D()]
+        point.append(np.searchsorted(point_ids, ids))
+        feature.append(features)
+        seen.append(keypoints[row][features])
+    scene = Scene(np.stack(poses), xyz, *(np.concatenate(part) for part in (frame, point, seen)))
+    return rows, point_ids, scene, np.concatenate(feature)
+
+
+def _cameras_of(rows: Ints, scene: Scene, log: CameraLog, settings: SfmSettings) -> tuple[Cameras, CameraPriors]:
+    """The cameras to start from and what is known of them; lenses and sessions are those that the rows have."""
+    lenses, lens = np.unique(log.calibration.lens[rows], return_inverse=True)
+    sessions, session = np.unique(log.session[rows], return_inverse=True)
+    units_per_m = _units_per_m(scene.sfm_T_cam, log.vio_T_cam[rows], session)
+    cameras = Cameras(
+        log.intrinsics[rows],
+        log.height[rows],
+        lens,
+        session,
+        log.t_s[rows],
+        log.calibration.coefficients[lenses],
+        log.calibration.readout_s[lenses],
+        np.zeros(len(sessions)),
+        np.zeros(len(rows)),
+        log.motion.angular[rows],
+        log.motion.velocity[rows] * units_per_m,
+    )
+    prior = [log.calibration.lenses[k] for k in lenses]
+    coefficients = np.array([one.prior_coefficients for one in prior], float)
+    mean = replace(cameras, coefficients=coefficients, readout_s=np.array([one.prior_readout_s for one in prior]))
+    fixed = settings.refine_cameras == "never"
+    priors = CameraPriors(
+        mean,
+        np.array([one.prior_covariance for one in prior], float),
+        np.full(len(sessions), _EXACT_SD if fixed else _LOG_FOCAL_SD),
+        np.full(len(sessions), _EXACT_SD if fixed else _FOCUS_SD),
+        log.motion.angular_sd[rows],
+    )
+    if fixed:
+        priors = replace(priors, mean=cameras, lens_covariance=np.tile(_EXACT_SD**2 * np.eye(3), (len(lenses), 1, 1)))
+    return cameras, priors
+
+
+def _units_per_m(sfm_T_cam: Array, vio_T_cam: Array, session: Ints) -> float:
+    """How many sfm units a metre is by all steps of VIO between following frames, 0 where there are none."""
+    same = session[1:] == session[:-1]
+    units = np.linalg.norm(np.diff(sfm_T_cam[:, :3, 3], axis=0), axis=1)[same]
+    metres = np.linalg.norm(np.diff(vio_T_cam[:, :3, 3], axis=0), axis=1)[same]
+    known = metres > _LEAST_STEP_M
+    return float(np.median(units[known] / metres[known])) if known.any() else 0.0
+
+
+def _focus_sd(cameras: Cameras) -> Array:
+    """(S,) how much the focus of each session's frames scatters, shrunk to what is expected."""
+    square = np.bincount(cameras.session, cameras.focus**2, minlength=len(cameras.log_focal))
+    count = np.bincount(cameras.session, minlength=len(cameras.log_focal))
+    return np.sqrt((_FOCUS_FRAMES * _FOCUS_SD**2 + square) / (_FOCUS_FRAMES + count))
+
+
+def _write_back(
+    model: pycolmap.Reconstruction, rows: Ints, point_ids: Ints, adjusted: Adjusted, feature_M: Ints
+) -> None:
+    scene, cameras = adjusted.scene, adjusted.cameras
+    # What the shutter did to each observation is taken out of it.
+    seen = scene.seen_px + project(scene, cameras, shutter=False) - project(scene, cameras)
+    focal = cameras.focal
+    bounds = np.searchsorted(scene.frame, np.arange(len(rows) + 1))
+    for number, row in enumerate(rows.tolist()):
+        image = model.image(image_id(row))
+        camera = model.camera(image.camera_id)
+        params = np.array(camera.params)
+        params[:2] = focal[number]
+        coefficients = cameras.coefficients[cameras.lens[number]]
+        params[4:] = coefficients[: len(params) - 4]
+        camera.params = params.tolist()
+        assert image.frame is not None
+        image.frame.set_cam_from_world(image.camera_id, pycolmap.Rigid3d(inverse(scene.sfm_T_cam[number])[:3]))
+        points = image.points2D
+        own = slice(bounds[number], bounds[number + 1])
+        for feature, xy in zip(feature_M[own].tolist(), seen[own], strict=True):
+            points[feature].xy = xy
+    for number, point_id in enumerate(point_ids.tolist()):
+        model.points3D[point_id].xyz = scene.xyz[number]

@@ -1,0 +1,173 @@
+"""Bundle adjustment with lens, rolling shutter and focus: derivatives, recovery, honest sigmas."""
+
+from dataclasses import replace
+
+import numpy as np
+import pycolmap
+import pytest
+from scipy.spatial.transform import Rotation
+
+from geometry.fits import fit_sim3
+from geometry.poses import Array, inverse
+from sfm.adjustment import (
+    Adjusted,
+    CameraPriors,
+    Cameras,
+    Scene,
+    adjust,
+    camera_unknowns,
+    linearize,
+    project,
+    shared_columns,
+    with_step,
+)
+from sfm.covariance import covariances
+
+_FRAMES, _POINTS, _NOISE_PX = 24, 2500, 0.2
+_LENS, _READOUT_S = (0.092, -0.125), 0.02
+_ANGULAR_SD, _FOCUS_SD = 0.02, 0.003
+
+
+def _walk(seed: int) -> tuple[Scene, Cameras]:
+    """A camera in the middle of points all around, turning and walking; what it really sees."""
+    rng = np.random.default_rng(seed)
+    angle = np.linspace(0, 2.0, _FRAMES)
+    pose = np.tile(np.eye(4), (_FRAMES, 1, 1))
+    pose[:, :3, 3] = np.column_stack([4 * np.sin(angle), 0.3 * rng.normal(size=_FRAMES), 4 * np.cos(angle)])
+    turn = np.column_stack([angle, 0.1 * rng.normal(size=_FRAMES), 0.1 * rng.normal(size=_FRAMES)])
+    pose[:, :3, :3] = Rotation.from_euler("yxz", turn).as_matrix()
+    direction = rng.normal(size=(_POINTS, 3)) * [1, 0.5, 1]
+    xyz = direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(7, 13, (_POINTS, 1))
+    cameras = Cameras(
+        np.tile([483.0, 483.0, 320.0, 236.0], (_FRAMES, 1)),
+        np.full(_FRAMES, 480.0),
+        np.zeros(_FRAMES, int),
+        np.arange(_FRAMES) * 2 // _FRAMES,
+        np.arange(_FRAMES, dtype=float),
+        np.array([[*_LENS, 0, 0, 0, 0, 0, 0]], float),
+        np.array([_READOUT_S]),
+        rng.normal(0, 0.004, 2),
+        rng.normal(0, 0.001, _FRAMES),
+        rng.normal(0, 0.4, (_FRAMES, 3)),
+        rng.normal(0, 0.6, (_FRAMES, 3)),
+    )
+    frame, point = [], []
+    for row in range(_FRAMES):
+        p = (xyz - pose[row, :3, 3]) @ pose[row, :3, :3]
+        ahead = (p[:, 2] > 1) & (np.abs(p[:, 0]) < 0.62 * p[:, 2]) & (np.abs(p[:, 1]) < 0.47 * p[:, 2])
+        point.append(np.flatnonzero(ahead))
+        frame.append(np.full(len(point[-1]), row))
+    frame_M, point_M = np.concatenate(frame), np.concatenate(point)
+    often = (np.bincount(point_M, minlength=_POINTS) >= 3)[point_M]
+    kept, point_M = np.unique(point_M[often], return_inverse=True)
+    scene = Scene(pose, xyz[kept], frame_M[often], point_M, np.full((len(point_M), 2), 240.0))
+    for _ in range(6):
+        # The row where a point is seen decides when it is.
+        scene = replace(scene, seen_px=project(scene, cameras))
+    return scene, cameras
+
+
+def _adjusted(seed: int) -> tuple[Adjusted, Scene, Cameras]:
+    """The walk adjusted from noisy observations and VIO's angular velocities; the lens as phones have it on average."""
+    truth, cameras = _walk(seed)
+    rng = np.random.default_rng(100 + seed)
+    mean = replace(
+        cameras,
+        coefficients=np.array([[0.08, -0.12, 0, 0, 0, 0, 0, 0]], float),
+        readout_s=np.zeros(1),
+        log_focal=np.zeros(2),
+        focus=np.zeros(_FRAMES),
+        angular=cameras.angular + rng.normal(0, _ANGULAR_SD, (_FRAMES, 3)),
+    )
+    priors = CameraPriors(
+        mean,
+        np.diag([0.05**2, 0.08**2, 0.02**2])[None],
+        np.full(2, 0.01),
+        np.full(2, 0.001),
+        np.full(_FRAMES, _ANGULAR_SD),
+    )
+    pose = truth.sfm_T_cam.copy()
+    pose[:, :3, 3] += rng.normal(0, 0.01, (_FRAMES, 3))
+    noisy = replace(
+        truth,
+        sfm_T_cam=pose,
+        xyz=truth.xyz + rng.normal(0, 0.02, truth.xyz.shape),
+        seen_px=truth.seen_px + rng.normal(0, _NOISE_PX, truth.seen_px.shape),
+    )
+    return adjust(noisy, mean, priors), truth, cameras
+
+
+def test_without_shutter_a_point_is_seen_where_colmaps_opencv_camera_has_it() -> None:
+    scene, cameras = _walk(0)
+    for row in (0, _FRAMES - 1):
+        seen = scene.frame == row
+        params = [*cameras.focal[row], 320, 236, *cameras.coefficients[0, :4]]
+        camera = pycolmap.Camera(camera_id=1, model="OPENCV", width=640, height=480, params=params)
+        cam_T_sfm = inverse(scene.sfm_T_cam[row])
+        points = scene.xyz[scene.point[seen]] @ cam_T_sfm[:3, :3].T + cam_T_sfm[:3, 3]
+        assert np.allclose(project(scene, cameras, shutter=False)[seen], camera.img_from_cam(points), atol=1e-8)
+
+
+def test_a_row_is_seen_from_where_the_camera_is_at_its_time() -> None:
+    scene, cameras = _walk(0)
+    observation = int(np.argmax(np.abs(scene.seen_px[:, 1] - 240)))
+    row = scene.frame[observation]
+    tau = _READOUT_S * (scene.seen_px[observation, 1] / 480 - 0.5)
+    moved = scene.sfm_T_cam.copy()
+    moved[row, :3, 3] += moved[row, :3, :3] @ cameras.velocity[row] * tau
+    moved[row, :3, :3] = moved[row, :3, :3] @ Rotation.from_rotvec(cameras.angular[row] * tau).as_matrix()
+    still = project(replace(scene, sfm_T_cam=moved), cameras, shutter=False)[observation]
+    assert np.allclose(still, project(scene, cameras)[observation], atol=1e-9)
+
+
+def test_derivatives_are_those_of_finite_differences() -> None:
+    scene, cameras = _walk(1)
+    rng = np.random.default_rng(1)
+    linear, unknowns = linearize(scene, cameras), len(camera_unknowns(cameras))
+    step = 1e-6 * rng.normal(size=unknowns)
+    point_step = 1e-6 * rng.normal(size=scene.xyz.shape)
+    change = project(*with_step(scene, cameras, step, point_step)) - project(scene, cameras)
+    local = step[: 10 * _FRAMES].reshape(_FRAMES, 10)
+    shared = step[10 * _FRAMES :][shared_columns(cameras)]
+    predicted = np.einsum("mij,mj->mi", linear.by_frame, local[scene.frame])
+    predicted += np.einsum("mij,mj->mi", linear.by_shared, shared[scene.frame])
+    predicted += np.einsum("mij,mj->mi", linear.by_point, point_step[scene.point])
+    assert np.abs(change).max() > 1e-3
+    assert np.allclose(change, predicted, atol=2e-6)
+
+
+def test_lens_readout_and_poses_are_recovered() -> None:
+    adjusted, truth, cameras = _adjusted(0)
+    assert adjusted.cameras.coefficients[0, :2] == pytest.approx(_LENS, abs=0.006)
+    assert adjusted.cameras.readout_s[0] == pytest.approx(_READOUT_S, abs=0.0015)
+    assert np.abs(adjusted.cameras.angular - cameras.angular).max() < 3 * _ANGULAR_SD
+    assert _position_error_m(adjusted.scene, truth) < 0.008
+
+
+def test_a_camera_without_shutter_and_lens_leaves_the_truth_wrong() -> None:
+    adjusted, truth, cameras = _adjusted(0)
+    pinhole = replace(cameras, coefficients=np.zeros((1, 8)), readout_s=np.zeros(1))
+    exact = replace(adjusted.priors, mean=pinhole, lens_covariance=1e-14 * np.eye(3)[None])
+    assert _position_error_m(adjust(adjusted.scene, pinhole, exact).scene, truth) > 0.02
+
+
+def test_sigmas_of_lens_readout_and_poses_are_honest() -> None:
+    shared, position = [], []
+    for seed in range(6):
+        adjusted, truth, cameras = _adjusted(seed)
+        estimate = covariances(adjusted, np.arange(len(truth.xyz)))
+        assert estimate is not None
+        off = (camera_unknowns(adjusted.cameras) - camera_unknowns(cameras))[10 * _FRAMES :]
+        shared.append(off[:3] / np.sqrt(np.diag(estimate.shared)[:3]))
+        fit = fit_sim3(truth.sfm_T_cam[:, :3, 3], adjusted.scene.sfm_T_cam[:, :3, 3])
+        error = fit.poses(adjusted.scene.sfm_T_cam)[:, :3, 3] - truth.sfm_T_cam[:, :3, 3]
+        covariance = fit.rotation @ estimate.poses[:, 3:, 3:] @ fit.rotation.T * fit.scale**2
+        position.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error))
+    assert 0.6 < np.sqrt(np.mean(np.square(shared))) < 1.5
+    assert 2.0 < np.mean(position) < 4.5
+
+
+def _position_error_m(scene: Scene, truth: Scene) -> float:
+    centre: Array = scene.sfm_T_cam[:, :3, 3]
+    placed = fit_sim3(truth.sfm_T_cam[:, :3, 3], centre).poses(scene.sfm_T_cam)
+    return float(np.median(np.linalg.norm(placed[:, :3, 3] - truth.sfm_T_cam[:, :3, 3], axis=1)))
