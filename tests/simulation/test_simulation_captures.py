@@ -99,7 +99,7 @@ def test_a_killed_run_leaves_nothing_finished_and_goes_on(
     def dies(*_: object) -> None:
         raise Killed
 
-    monkeypatch.setattr(module, "_write_truth", dies)
+    monkeypatch.setattr(module, "write_truth", dies)
     with pytest.raises(Killed):
         run(tmp_path)
     assert not (tmp_path / "captures" / SCENE).exists()
