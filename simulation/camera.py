@@ -127,7 +127,7 @@ def expose(
 
 def _vignette(view: View) -> NDArray[np.float32]:
     columns, rows = np.arange(view.width, dtype=np.float32) + 0.5, np.arange(view.height, dtype=np.float32) + 0.5
-    x, y = np.broadcast_arrays(*view.points(columns[None, :], rows[:, None]))
+    x, y = view.points(columns[None, :], rows[:, None])
     if not view.lens.is_pinhole:
         x, y, _ = view.lens.undistort(x, y)
     return np.float32(1) - np.float32(0.11) * (x**2 + y**2)

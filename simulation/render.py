@@ -128,7 +128,7 @@ class Renderer:
             panes = panes[self._is_glass(behind.triangle)]
         seen = triangle != NOTHING
         final = np.empty((len(x), 3), np.float32)
-        final[seen] = self._shade(look, sight.part(seen), depth[seen], triangle[seen])
+        final[seen] = self._shade(look, sight.hits(depth, np.flatnonzero(seen)), triangle[seen])
         final[~seen] = sky.colour(rays[~seen, 3:])
         return (final if weight is None else colour + weight * final), depth, surface
 
@@ -138,9 +138,9 @@ class Renderer:
     def _surfaces(self, triangle: NDArray[np.int64]) -> NDArray[np.int64]:
         return np.where(triangle == NOTHING, -1, self._mesh.surface_T[triangle]).astype(np.int64)
 
-    def _shade(self, look: "_Look", sight: "_Sight", depth: F32, triangle: NDArray[np.int64]) -> F32:
+    def _shade(self, look: "_Look", sight: "_Sight", triangle: NDArray[np.int64]) -> F32:
         """Texture colours, filtered over each pixel's footprint: an ellipse of texels, walked along its length."""
-        u, v, long_u, long_v, long, short = look.footprint(sight, depth, triangle)
+        u, v, long_u, long_v, long, short = look.footprint(sight, triangle)
         taps = np.clip(long / np.maximum(short, 0.7) / _BLUR_PER_TAP, 1, _MAX_TAPS)
         exponent = np.ceil(np.log2(taps) - 0.25).astype(np.int8)
         size = np.maximum(short, long / np.exp2(exponent) / np.float32(_BLUR_PER_TAP))
@@ -211,10 +211,14 @@ class _Sight:
     direction: tuple[F32, ...] = ()
     start: tuple[F32, ...] = ()
 
-    def part(self, which: NDArray[np.bool_]) -> "_Sight":
-        """The points for which `which` (N,) holds."""
-        groups = (self.derivative, self.direction, self.start)
-        return _Sight(self.x[which], self.y[which], *(tuple(v[which] for v in group) for group in groups))
+    def hits(self, depth: F32, which: NDArray[np.intp]) -> "_Sight":
+        """The camera of the middle row looking at what was met at `depth` (N,), at the points `which` of them."""
+        x, y = self.x, self.y
+        if self.direction:
+            near = np.float32(1) / depth
+            x, y, z = (d + s * near for d, s in zip(self.direction, self.start, strict=True))
+            x, y = x / z, y / z
+        return _Sight(x[which], y[which], tuple(v[which] for v in self.derivative))
 
 
 class _Look:
@@ -259,14 +263,9 @@ class _Look:
             rays[:, 3 + k] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z
         return rays
 
-    def footprint(self, sight: _Sight, depth: F32, triangle: NDArray[np.int64]) -> tuple[F32, F32, F32, F32, F32, F32]:
+    def footprint(self, sight: _Sight, triangle: NDArray[np.int64]) -> tuple[F32, F32, F32, F32, F32, F32]:
         """Texel (u, v) under each point, its pixel's footprint there as long axis (u, v), and both axes' lengths."""
         x, y = sight.x, sight.y
-        if sight.direction:
-            # Where the camera of the middle row sees the point that was hit: the homography holds for that camera.
-            near = np.float32(1) / depth
-            x, y, z = (d + s * near for d, s in zip(sight.direction, sight.start, strict=True))
-            x, y = x / z, y / z
         h = np.ascontiguousarray(self._homography_T9[triangle].T)
         inverse = 1 / (h[6] * x + h[7] * y + h[8])
         u = (h[0] * x + h[1] * y + h[2]) * inverse
