@@ -247,7 +247,7 @@ def capture_files(captures: Path) -> list[Path]:
         folders[:] = sorted(f for f in folders if not f.startswith("."))
         at_top = Path(base) == captures
         for name in sorted(names):
-            if not (name.startswith(".") or (at_top and name == "true_poses.parquet")):
+            if not (name.startswith(".") or (at_top and name in ("true_poses.parquet", "true_cameras.parquet"))):
                 found.append(Path(base) / name)
     return found
 

@@ -7,11 +7,8 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
-from artefacts.schemas import schema
 from artefacts.stage import SIMULATED_MARKER, write_json
-from artefacts.tables import pose_frame, write_table
 from simulation import details, materials
 from simulation.canvas import Canvas
 from simulation.capture import write_frames
@@ -21,7 +18,7 @@ from simulation.render import Renderer
 from simulation.scenes import SceneryPlan, scenery
 from simulation.session import SessionOutline, plan_session, take
 from simulation.settings import SimulateSettings
-from simulation.simulate import TRUE_POSES
+from simulation.simulate import write_truth
 from simulation.walks import Route
 
 CORRIDOR = "Corridor"
@@ -49,7 +46,7 @@ def write_capture(folder: Path, capture: Capture) -> None:
     settings = _SETTINGS
     build_mesh(plan.place, settings.texel_m, capture.seed, lambda items, _: items).save(work / ".mesh")
     renderer = Renderer(TexturedMesh.load(work / ".mesh"))
-    truth = []
+    sessions = []
     for outline in _outlines(capture):
         target = work / outline.name
         target.mkdir(exist_ok=True)
@@ -58,11 +55,8 @@ def write_capture(folder: Path, capture: Capture) -> None:
         for shot in session.shots:
             take(shot, renderer, settings)
         write_frames(target, session.frames)
-        table = pose_frame("map_cam", session.world_T_cam)
-        table.insert(0, "session_id", session.frames.name)
-        table.insert(1, "t_ns", session.t_ns)
-        truth.append(table)
-    write_table(work / TRUE_POSES, pd.concat(truth, ignore_index=True), schema("simulate", "true_poses"))
+        sessions.append(session)
+    write_truth(work, sessions)
     write_json(work / SIMULATED_MARKER, {"what": "Simulated capture for benchmarks.gates", **vars(capture)})
     for path in (work / ".mesh").iterdir():
         path.unlink()

@@ -12,7 +12,7 @@ from capture_import.formats import Format, formats
 
 _DEEPEST = 5
 # The simulator's truth is for checks alone; import doesn't so much as open it.
-_IGNORED = {"true_poses.parquet", "SIMULATED.json", "LICENSE", "README.md", "__MACOSX"}
+_IGNORED = {"true_poses.parquet", "true_cameras.parquet", "SIMULATED.json", "LICENSE", "README.md", "__MACOSX"}
 _IMAGES = (".jpg", ".jpeg", ".png")
 
 

@@ -1,6 +1,7 @@
 """What a phone's camera does to a picture: autofocus, auto exposure, motion blur, noise."""
 
 import math
+import zlib
 from dataclasses import dataclass
 
 import cv2
@@ -8,17 +9,33 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from simulation.lens import Lens
 from simulation.place import Vec
 from simulation.render import Rendering, View
+from simulation.settings import Drawn, SimulateSettings
 
 FOCAL = 1447.65 / 1920  # of the image width: a phone's wide camera, 4:3
 _CENTRE = (967.5 / 1920, 692.5 / 1920)
 _BREATHING = 0.0022  # one sigma of the focal length, as a share of it
+_BREATH_S = 20.0  # one round of the focus breathing that the log doesn't know
 _WANDER_PX = 1.2  # one sigma of the principal point, at 1920 pixels
 _TARGET = 118.0  # mean grey level that auto exposure aims at
 _LAG_S = 0.8
 _LONGEST_S = 1 / 60
 _MAX_BLUR_TAPS = 9
+
+
+@dataclass(frozen=True)
+class Phone:
+    """The camera of the phone that walks all sessions of a scene.
+
+    Row y is exposed `readout_s` (y / height - 0.5) after the middle row, whose time is the logged one minus
+    `time_offset_s`.
+    """
+
+    lens: Lens
+    readout_s: float
+    time_offset_s: float
 
 
 @dataclass(frozen=True)
@@ -45,6 +62,27 @@ def intrinsics(t_s: Vec, width: int, height: int, rng: np.random.Generator) -> V
     cx = _CENTRE[0] * width + scale * _WANDER_PX * wander(t_s, 0.05, 0.5, rng)
     cy = _CENTRE[1] * width + (height - 0.75 * width) / 2 + scale * _WANDER_PX * 0.7 * wander(t_s, 0.05, 0.5, rng)
     return np.stack([focal, focal, cx, cy], axis=1)
+
+
+def draw_phone(settings: SimulateSettings, scene: str, seed: int) -> Phone:
+    """The phone of a scene and seed: what the settings state, and the rest drawn from the spread of real ones."""
+    rng = np.random.default_rng([seed, zlib.crc32(f"{scene}/phone".encode())])
+    k1 = _stated(settings.lens_k1, rng.uniform(0.05, 0.12))
+    # Measured pairs lie along a line that falls with k1.
+    k2 = float(np.clip(-0.125 - 1.6 * (k1 - 0.085) + rng.uniform(-0.03, 0.03), -0.20, -0.05))
+    lens = Lens(k1, _stated(settings.lens_k2, k2))
+    return Phone(lens, _stated(settings.readout_s, rng.uniform(0.010, 0.030)), settings.time_offset_s)
+
+
+def _stated(setting: float | Drawn, drawn: float) -> float:
+    return drawn if setting == "drawn" else setting
+
+
+def focus_breathing(t_s: Vec, settings: SimulateSettings, rng: np.random.Generator) -> Vec:
+    """True focal length over the logged one (N,): swings once in about 20 s, and the log doesn't know."""
+    share = _stated(settings.focus_breathing, rng.uniform(0.0, 0.003))
+    phase = rng.uniform(0, 2 * math.pi) + 0.8 * wander(t_s, 0.01, 0.04, rng)
+    return 1 + share * np.sin(2 * math.pi / _BREATH_S * t_s + phase)
 
 
 def auto_exposure(brightness: Vec, step_s: float, indoor: bool, rng: np.random.Generator) -> list[Exposure]:
@@ -88,9 +126,11 @@ def expose(
 
 
 def _vignette(view: View) -> NDArray[np.float32]:
-    x = (np.arange(view.width, dtype=np.float32) + 0.5 - view.cx) / view.fx
-    y = (np.arange(view.height, dtype=np.float32) + 0.5 - view.cy) / view.fy
-    return np.float32(1) - np.float32(0.11) * (x[None, :] ** 2 + y[:, None] ** 2).astype(np.float32)
+    columns, rows = np.arange(view.width, dtype=np.float32) + 0.5, np.arange(view.height, dtype=np.float32) + 0.5
+    x, y = view.points(columns[None, :], rows[:, None])
+    if not view.lens.is_pinhole:
+        x, y, _ = view.lens.undistort(x, y)
+    return np.float32(1) - np.float32(0.11) * (x**2 + y**2)
 
 
 def _motion_blur(

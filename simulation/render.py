@@ -7,9 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulation import atlas
+from simulation.lens import PINHOLE, Lens
 from simulation.mesh import TexturedMesh
 from simulation.place import Vec
 from simulation.raycast import NOTHING, Caster, Hits
+from simulation.shutter import Shutter, turned
 
 F32 = NDArray[np.float32]
 _MAX_TAPS = 8
@@ -22,7 +24,8 @@ _DEPTH_EDGE = 0.06
 
 @dataclass(frozen=True)
 class View:
-    """A pinhole camera: OpenCV axes, pixel centres at 0.5, focal length and principal point in pixels."""
+    """A camera: OpenCV axes, pixel centres at 0.5, focal length and principal point in pixels, the pose at the middle
+    row; no shutter: all rows at once."""
 
     world_T_cam: Vec
     fx: float
@@ -31,6 +34,12 @@ class View:
     cy: float
     width: int
     height: int
+    lens: Lens = PINHOLE
+    shutter: Shutter | None = None
+
+    def points(self, x: F32, y: F32) -> tuple[F32, F32]:
+        """Pixels about the principal point, in focal lengths."""
+        return (x - np.float32(self.cx)) / np.float32(self.fx), (y - np.float32(self.cy)) / np.float32(self.fy)
 
 
 @dataclass(frozen=True)
@@ -96,7 +105,8 @@ class Renderer:
 
     def _trace(self, look: "_Look", x: F32, y: F32, sky: Sky) -> tuple[F32, F32, NDArray[np.int64]]:
         """Colour (N, 3), depth (N,) and surface (N,) that the image points (x, y) see."""
-        rays = look.rays(x, y)
+        sight = look.sight(x, y)
+        rays = look.rays(sight)
         hits = self._caster.cast(rays)
         triangle, depth = hits.triangle, hits.distance
         surface = self._surfaces(triangle)
@@ -118,7 +128,7 @@ class Renderer:
             panes = panes[self._is_glass(behind.triangle)]
         seen = triangle != NOTHING
         final = np.empty((len(x), 3), np.float32)
-        final[seen] = self._shade(look, x[seen], y[seen], triangle[seen])
+        final[seen] = self._shade(look, sight.hits(depth, np.flatnonzero(seen)), triangle[seen])
         final[~seen] = sky.colour(rays[~seen, 3:])
         return (final if weight is None else colour + weight * final), depth, surface
 
@@ -128,15 +138,15 @@ class Renderer:
     def _surfaces(self, triangle: NDArray[np.int64]) -> NDArray[np.int64]:
         return np.where(triangle == NOTHING, -1, self._mesh.surface_T[triangle]).astype(np.int64)
 
-    def _shade(self, look: "_Look", x: F32, y: F32, triangle: NDArray[np.int64]) -> F32:
+    def _shade(self, look: "_Look", sight: "_Sight", triangle: NDArray[np.int64]) -> F32:
         """Texture colours, filtered over each pixel's footprint: an ellipse of texels, walked along its length."""
-        u, v, long_u, long_v, long, short = look.footprint(x, y, triangle)
+        u, v, long_u, long_v, long, short = look.footprint(sight, triangle)
         taps = np.clip(long / np.maximum(short, 0.7) / _BLUR_PER_TAP, 1, _MAX_TAPS)
         exponent = np.ceil(np.log2(taps) - 0.25).astype(np.int8)
         size = np.maximum(short, long / np.exp2(exponent) / np.float32(_BLUR_PER_TAP))
         level = np.clip(np.log2(np.maximum(size, 1e-6)) + 0.15, 0, atlas.LEVELS - 1.001).astype(np.float32)
         box = self._mesh.box_T4[triangle]
-        colour = np.empty((len(x), 3), np.float32)
+        colour = np.empty((len(triangle), 3), np.float32)
         for e in range(int(np.log2(_MAX_TAPS)) + 1):
             group = np.flatnonzero(exponent == e)
             if not len(group):
@@ -190,6 +200,27 @@ class Renderer:
         return colour, share.astype(np.float32)
 
 
+@dataclass(frozen=True)
+class _Sight:
+    """Rays (x, y, 1) of N image points in the camera of their row, the derivative xx, xy, yy of (x, y) by the distorted
+    point, and with a shutter the same rays in the camera of the middle row: direction and start, three arrays each."""
+
+    x: F32
+    y: F32
+    derivative: tuple[F32, ...] = ()
+    direction: tuple[F32, ...] = ()
+    start: tuple[F32, ...] = ()
+
+    def hits(self, depth: F32, which: NDArray[np.intp]) -> "_Sight":
+        """The camera of the middle row looking at what was met at `depth` (N,), at the points `which` of them."""
+        x, y = self.x, self.y
+        if self.direction:
+            near = np.float32(1) / depth
+            x, y, z = (d + s * near for d, s in zip(self.direction, self.start, strict=True))
+            x, y = x / z, y / z
+        return _Sight(x[which], y[which], tuple(v[which] for v in self.derivative))
+
+
 class _Look:
     """One view's rays, and its map from image points to texels: on each triangle's plane, a homography."""
 
@@ -205,23 +236,36 @@ class _Look:
         above = a * distance[:, None, None] + b[..., None] * normal[:, None, :]
         self._homography_T9 = np.hstack([above.reshape(-1, 6), normal]).astype(np.float32)
 
-    def _normalised(self, x: F32, y: F32) -> tuple[F32, F32]:
+    def sight(self, x: F32, y: F32) -> _Sight:
+        """What the image points (x, y) look along."""
         v = self._view
-        return (x - np.float32(v.cx)) / np.float32(v.fx), (y - np.float32(v.cy)) / np.float32(v.fy)
+        at_x, at_y = v.points(x, y)
+        derivative: tuple[F32, ...] = ()
+        if not v.lens.is_pinhole:
+            at_x, at_y, derivative = v.lens.undistort(at_x, at_y)
+        if v.shutter is None:
+            return _Sight(at_x, at_y, derivative)
+        turn, shift = v.shutter.motion(y / np.float32(v.height) - np.float32(0.5))
+        return _Sight(at_x, at_y, derivative, turned(turn, at_x, at_y), tuple(shift))
 
-    def rays(self, x: F32, y: F32) -> F32:
+    def rays(self, sight: _Sight) -> F32:
         """World rays (N, 6) whose direction has depth 1, so that distances are depths."""
-        x, y = self._normalised(x, y)
-        rays = np.empty((len(x), 6), np.float32)
+        rays = np.empty((len(sight.x), 6), np.float32)
         rays[:, :3] = self._origin
         r = self._rotation.astype(np.float32)
+        if not sight.direction:
+            for k in range(3):
+                rays[:, 3 + k] = r[k, 0] * sight.x + r[k, 1] * sight.y + r[k, 2]
+            return rays
         for k in range(3):
-            rays[:, 3 + k] = r[k, 0] * x + r[k, 1] * y + r[k, 2]
+            rays[:, k] += r[k, 0] * sight.start[0] + r[k, 1] * sight.start[1] + r[k, 2] * sight.start[2]
+            x, y, z = sight.direction
+            rays[:, 3 + k] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z
         return rays
 
-    def footprint(self, x: F32, y: F32, triangle: NDArray[np.int64]) -> tuple[F32, F32, F32, F32, F32, F32]:
+    def footprint(self, sight: _Sight, triangle: NDArray[np.int64]) -> tuple[F32, F32, F32, F32, F32, F32]:
         """Texel (u, v) under each point, its pixel's footprint there as long axis (u, v), and both axes' lengths."""
-        x, y = self._normalised(x, y)
+        x, y = sight.x, sight.y
         h = np.ascontiguousarray(self._homography_T9[triangle].T)
         inverse = 1 / (h[6] * x + h[7] * y + h[8])
         u = (h[0] * x + h[1] * y + h[2]) * inverse
@@ -229,6 +273,11 @@ class _Look:
         step_x, step_y = inverse / np.float32(self._view.fx), inverse / np.float32(self._view.fy)
         ux, vx = (h[0] - u * h[6]) * step_x, (h[3] - v * h[6]) * step_x
         uy, vy = (h[1] - u * h[7]) * step_y, (h[4] - v * h[7]) * step_y
+        if sight.derivative:
+            xx, xy, yy = sight.derivative
+            aspect = np.float32(self._view.fy / self._view.fx)
+            ux, uy = ux * xx + uy * xy * aspect, ux * xy / aspect + uy * yy
+            vx, vy = vx * xx + vy * xy * aspect, vx * xy / aspect + vy * yy
         # Singular values of the 2x2 Jacobian, and where the longer one points.
         xx, yy, xy = ux * ux + vx * vx, uy * uy + vy * vy, ux * uy + vx * vy
         gap = np.sqrt((xx - yy) ** 2 / 4 + xy * xy)

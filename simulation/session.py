@@ -7,22 +7,23 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from geometry.poses import inverse
 from simulation import camera
-from simulation.camera import Exposure
+from simulation.camera import Exposure, Phone
 from simulation.capture import FRAME, SessionFrames
 from simulation.place import Vec
 from simulation.render import Renderer, Sky, View
 from simulation.scenes import SceneryPlan
 from simulation.settings import SimulateSettings
+from simulation.shutter import row_times, shutter
 from simulation.vio import simulate_vio
-from simulation.walks import plan_walk
+from simulation.walks import Walk, plan_walk
 
 _METER_PX = (32, 24)  # the picture auto exposure looks at
 _METER_STEP_S = 0.5
 _CAMERA_HZ = 60
+_MOTION_S = 0.01
 
 
 @dataclass(frozen=True)
@@ -51,11 +52,23 @@ class Shot:
 
 
 @dataclass(frozen=True)
+class Truth:
+    """What the log doesn't say of each of N poses: pose, velocity (m/s) and spin (rad/s) at the middle row, both in
+    camera axes, and the camera: fx, fy, cx, cy in pixels."""
+
+    world_T_cam: Vec
+    velocity_cam_N3: Vec
+    spin_cam_N3: Vec
+    intrinsics_N4: Vec
+    phone: Phone
+
+
+@dataclass(frozen=True)
 class Session:
     """A planned session: what is written as JSON, the truth, and the pictures to take."""
 
     frames: SessionFrames
-    world_T_cam: Vec
+    truth: Truth
     shots: list[Shot]
 
     @property
@@ -96,18 +109,18 @@ def plan_session(
 ) -> Session:
     """Walk, believe, measure light: all of a session but its pictures, which go to `folder`."""
     seeds = np.random.SeedSequence([seed, zlib.crc32(f"{scenery.place.name}/{plan.name}".encode())])
-    walk_seed, focus_seed, light_seed, time_seed = (np.random.default_rng(s) for s in seeds.spawn(4))
+    walk_seed, focus_seed, light_seed, time_seed, breath_seed = (np.random.default_rng(s) for s in seeds.spawn(5))
     every = max(1, round(settings.rate_hz / settings.image_hz))
     count = plan.images * every
     duration = count / settings.rate_hz
+    phone = camera.draw_phone(settings, scenery.place.name, seed)
     walk = plan_walk(scenery.route, scenery.place, duration, plan.side, plan.start, walk_seed)
 
     t = np.round(np.arange(count) / settings.rate_hz * _CAMERA_HZ) / _CAMERA_HZ
     t = np.clip(t + time_seed.normal(0, 4e-5, count), 0, None)
     t = t if count < 2 or np.diff(t).min() > 0 else np.arange(count) / settings.rate_hz
     time_s = plan.boot_s + t
-    world_T_cam = walk.world_T_cam(t)
-    lens = camera.intrinsics(t, settings.width, settings.height, focus_seed)
+    logged = camera.intrinsics(t, settings.width, settings.height, focus_seed)
     sky_seed = int(seeds.generate_state(1)[0])
 
     meter_t = np.arange(0, duration + _METER_STEP_S, _METER_STEP_S)
@@ -116,40 +129,54 @@ def plan_session(
     exposures = camera.auto_exposure(brightness, 1 / settings.rate_hz, indoor, light_seed)
 
     t_ns = np.array([round(v * 1e9) for v in time_s], np.int64)
-    vio = simulate_vio(t_ns, world_T_cam, int(seeds.generate_state(2)[1]))
+    vio = simulate_vio(t_ns, walk.world_T_cam(t), int(seeds.generate_state(2)[1]))
     frames = SessionFrames(
         name=plan.name,
         time_s=time_s,
         vio_T_cam=vio.vio_T_cam,
-        intrinsics_N4=lens,
+        intrinsics_N4=logged,
         exposure_s=np.array([e.duration_s for e in exposures]),
         noise=np.array([e.noise for e in exposures]),
         width=settings.width,
         height=settings.height,
         image_every=every,
     )
+    truth = _truth(walk, t, logged, camera.focus_breathing(t, settings, breath_seed), phone)
     shots = []
     for i in frames.image_indices:
-        velocity, spin = _motion(walk.world_T_cam(t[i] + np.array([-0.005, 0.0, 0.005])), 0.01)
         shots.append(
             Shot(
                 path=folder / f"{FRAME.format(i)}.jpg",
-                # The JSON holds single precision, and the picture is to agree with it.
-                view=_view(world_T_cam[i], lens[i].astype(np.float32), settings),
-                velocity_cam=velocity,
-                spin_cam=spin,
+                view=_view(truth, i, walk, t[i], settings),
+                velocity_cam=truth.velocity_cam_N3[i],
+                spin_cam=truth.spin_cam_N3[i],
                 exposure=exposures[i],
                 sky_seed=sky_seed,
                 clock_s=float(t[i]),
                 noise_seed=zlib.crc32(f"{seed}/{scenery.place.name}/{plan.name}/{i}".encode()),
             )
         )
-    return Session(frames, world_T_cam, shots)
+    return Session(frames, truth, shots)
 
 
-def _view(world_T_cam: Vec, lens: NDArray[np.float32], settings: SimulateSettings) -> View:
-    fx, fy, cx, cy = (float(v) for v in lens)
-    return View(world_T_cam, fx, fy, cx, cy, settings.width, settings.height)
+def _truth(walk: Walk, t: Vec, logged_N4: Vec, focus: Vec, phone: Phone) -> Truth:
+    """The truth of poses logged at t (N,) with intrinsics logged_N4, whose focal length is off by the factor focus."""
+    middle = t - phone.time_offset_s
+    velocity, spin = _motion(*(walk.world_T_cam(middle + d) for d in (-_MOTION_S / 2, 0.0, _MOTION_S / 2)))
+    # The JSON holds single precision, and the picture is to agree with it.
+    intrinsics = logged_N4.astype(np.float32).astype(np.float64)
+    intrinsics[:, :2] *= focus[:, None]
+    return Truth(walk.world_T_cam(middle), velocity, spin, intrinsics, phone)
+
+
+def _view(truth: Truth, i: int, walk: Walk, t: float, settings: SimulateSettings) -> View:
+    fx, fy, cx, cy = (float(v) for v in truth.intrinsics_N4[i])
+    phone = truth.phone
+    moving = None
+    if phone.readout_s:
+        rows = walk.world_T_cam(t - phone.time_offset_s + row_times(phone.readout_s))
+        moving = shutter(truth.world_T_cam[i], rows)
+    return View(truth.world_T_cam[i], fx, fy, cx, cy, settings.width, settings.height, phone.lens, moving)
 
 
 def take(shot: Shot, renderer: Renderer, settings: SimulateSettings) -> None:
@@ -163,13 +190,12 @@ def take(shot: Shot, renderer: Renderer, settings: SimulateSettings) -> None:
     partial.replace(shot.path)
 
 
-def _motion(world_T_cam_3: Vec, span_s: float) -> tuple[Vec, Vec]:
-    """Velocity (m/s) and spin (rad/s) of the middle one of three poses, in its own axes."""
-    before, now, after = world_T_cam_3
-    velocity = now[:3, :3].T @ (after[:3, 3] - before[:3, 3]) / span_s
-    turn = (inverse(before) @ after)[:3, :3]
-    spin = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2 / span_s
-    return velocity, spin
+def _motion(before: Vec, now: Vec, after: Vec) -> tuple[Vec, Vec]:
+    """Velocity (m/s) and spin (rad/s), both (N, 3), in the axes of poses `now`, from those _MOTION_S / 2 around."""
+    velocity = np.einsum("nji,nj->ni", now[:, :3, :3], after[:, :3, 3] - before[:, :3, 3]) / _MOTION_S
+    turn = (inverse(before) @ after)[:, :3, :3]
+    spin = np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], 1)
+    return velocity, spin / 2 / _MOTION_S
 
 
 def _meter(renderer: Renderer, world_T_cam: Vec, sky_seed: int, clock_s: Vec) -> Vec:

@@ -1,8 +1,25 @@
 """Settings of the simulator, section [simulate]."""
 
-from pydantic import Field
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+from pydantic_core import PydanticCustomError
 
 from artefacts import Settings
+
+Drawn = Literal["drawn"]
+# "drawn": lens, readout time and focus as measured on phones, another one for each scene and seed.
+_PHONE: float | Drawn = 0.0
+
+
+def _between(low: float, high: float) -> BeforeValidator:
+    def check(value: Any) -> Any:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if value == "drawn" or (number and low <= value <= high):
+            return value
+        raise PydanticCustomError("number_or_drawn", f'should be a number from {low} to {high}, or "drawn"')
+
+    return BeforeValidator(check)
 
 
 class SimulateSettings(Settings):
@@ -20,4 +37,19 @@ class SimulateSettings(Settings):
     max_session_s: float = Field(400.0, gt=0, description="longer walks are split into more sessions")
     texel_m: float = Field(0.012, gt=0, description="texel of surfaces that are seen from near, metres")
     supersampling: int = Field(2, ge=1, le=4, description="n x n rays a pixel where surfaces meet")
+    lens_k1: Annotated[float | Drawn, _between(-0.5, 0.5)] = Field(
+        _PHONE, description='radial distortion k1, OpenCV\'s convention; "drawn": 0.05 to 0.12, by scene and seed'
+    )
+    lens_k2: Annotated[float | Drawn, _between(-0.6, 0.6)] = Field(
+        _PHONE, description='radial distortion k2; "drawn": -0.20 to -0.05, the lower the larger k1, by scene and seed'
+    )
+    readout_s: Annotated[float | Drawn, _between(0, 0.05)] = Field(
+        _PHONE, description='rolling shutter: first to last row, seconds; "drawn": 0.010 to 0.030, by scene and seed'
+    )
+    time_offset_s: float = Field(
+        0.0, ge=-0.1, le=0.1, description="logged time of an image minus that of its middle row, seconds"
+    )
+    focus_breathing: Annotated[float | Drawn, _between(0, 0.02)] = Field(
+        _PHONE, description='focal length off the log by up to this share; "drawn": 0 to 0.003, by session'
+    )
     jpeg_quality: int = Field(90, ge=50, le=100, description="JPEG quality")

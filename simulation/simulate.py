@@ -6,7 +6,7 @@ import json
 import multiprocessing
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from simulation.settings import SimulateSettings
 
 VERSION = 2  # goes up when the same settings give other captures
 TRUE_POSES = "true_poses.parquet"
+TRUE_CAMERAS = "true_cameras.parquet"
 _KEY = "key.json"
 _MESH = "mesh"
 
@@ -78,7 +79,7 @@ def simulate(
         _take_pictures([shot for s in sessions for shot in s.shots], settings, work / _MESH, processes)
         for session in track(sessions, "writing poses"):
             write_frames(work / session.frames.name, session.frames)
-        _write_truth(work / TRUE_POSES, sessions)
+        write_truth(work, sessions)
         content = {
             **parts,
             "key": key,
@@ -147,14 +148,21 @@ def _work(shot: Shot) -> None:
     take(shot, renderer, settings)
 
 
-def _write_truth(path: Path, sessions: list[Session]) -> None:
-    tables = []
+def write_truth(folder: Path, sessions: Iterable[Session]) -> None:
+    """TRUE_POSES and TRUE_CAMERAS of all sessions, for checks and benchmarks."""
+    poses, cameras = [], []
     for session in sessions:
-        frame = pose_frame("map_cam", session.world_T_cam)
-        frame.insert(0, "session_id", session.frames.name)
-        frame.insert(1, "t_ns", session.t_ns)
-        tables.append(frame)
-    write_table(path, pd.concat(tables, ignore_index=True), schema("simulate", "true_poses"))
+        truth, phone = session.truth, session.truth.phone
+        rows = pd.DataFrame({"session_id": session.frames.name, "t_ns": session.t_ns})
+        poses.append(rows.join(pose_frame("map_cam", truth.world_T_cam)))
+        rows[["fx", "fy", "cx", "cy"]] = truth.intrinsics_N4
+        rows[["k1", "k2"]] = phone.lens.k1, phone.lens.k2
+        rows[["readout_s", "time_offset_s"]] = phone.readout_s, phone.time_offset_s
+        rows[[f"velocity_{axis}" for axis in "xyz"]] = truth.velocity_cam_N3
+        rows[[f"spin_{axis}" for axis in "xyz"]] = truth.spin_cam_N3
+        cameras.append(rows)
+    write_table(folder / TRUE_POSES, pd.concat(poses, ignore_index=True), schema("simulate", "true_poses"))
+    write_table(folder / TRUE_CAMERAS, pd.concat(cameras, ignore_index=True), schema("simulate", "true_cameras"))
 
 
 def _reduced(settings: SimulateSettings, data: DataRoot, scene: str) -> dict[str, tuple[Any, Any]]:
@@ -185,7 +193,7 @@ def _own_marker(folder: Path) -> dict[str, Any] | None:
             expected=f"an empty folder, or one with {SIMULATED_MARKER}",
             do="use them as they are, or move them away to simulate this scene",
         )
-    own = {SIMULATED_MARKER, TRUE_POSES}
+    own = {SIMULATED_MARKER, TRUE_POSES, TRUE_CAMERAS}
     for name, count in marker["sessions"].items():
         own |= {f"{name}/info.json"} | {f"{name}/{FRAME.format(i)}.json" for i in range(count["poses"])}
         every = count["poses"] // count["images"]

@@ -112,7 +112,8 @@ def test_second_run_does_nothing_and_a_change_runs_again(data: DataRoot, capsys:
     execute(STAGE, "place", "tiny", data, ["rows=4"])
     assert load_manifest(folder)["key"] != before
     # The simulator's truth is no input of any stage.
-    (data.captures("place") / "true_poses.parquet").write_text("truth")
+    for name in ("true_poses", "true_cameras"):
+        (data.captures("place") / f"{name}.parquet").write_text("truth")
     before = load_manifest(folder)["key"]
     execute(STAGE, "place", "tiny", data, ["rows=4"])
     assert load_manifest(folder)["key"] == before

@@ -27,7 +27,8 @@ def test_tables_hold_the_walk_as_it_was(tmp_path: Path) -> None:
     walks = {"train-1": make_walk(60), "train-2": make_walk(60, seed=1), "test-1": make_walk(60, seed=2)}
     for name, walk in walks.items():
         write_scanner_app(tmp_path / "captures" / "place" / name, walk, private=True)
-    (tmp_path / "captures/place/true_poses.parquet").write_text("never opened")
+    for name in ("true_poses", "true_cameras"):
+        (tmp_path / f"captures/place/{name}.parquet").write_text("never opened")
     tables = run_import(tmp_path, "place", "sampling='all'")
     frames = tables["frames"]
     assert len(frames) == 90 and frames["frame_id"].is_unique

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -29,8 +30,12 @@ SMALL = [
 ]
 
 
-def run(root: Path, **more: object) -> Path:
-    return simulate(SCENE, "tiny", DataRoot(root), SMALL, processes=int(str(more.pop("processes", 1))), **more)  # type: ignore[arg-type]
+PHONE = ["lens_k1=drawn", "lens_k2=-0.11", "readout_s=drawn", "focus_breathing=0.005"]
+
+
+def run(root: Path, settings: Sequence[str] = (), **more: object) -> Path:
+    chosen = [*SMALL, *settings]
+    return simulate(SCENE, "tiny", DataRoot(root), chosen, processes=int(str(more.pop("processes", 1))), **more)  # type: ignore[arg-type]
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -73,6 +78,51 @@ def test_json_and_truth_describe_the_same_motion(finished: Path) -> None:
         assert np.ptp(k[:, 0, 0]) > 0
 
 
+def test_a_phones_camera_is_in_the_truth_and_in_the_pictures_but_not_in_the_json(
+    finished: Path, tmp_path: Path
+) -> None:
+    folder = run(tmp_path / "once", PHONE)
+    cameras = read_table(folder / "true_cameras.parquet", schema("simulate", "true_cameras"))
+    poses = read_table(folder / "true_poses.parquet", schema("simulate", "true_poses"))
+    assert cameras[["session_id", "t_ns"]].equals(poses[["session_id", "t_ns"]])
+    # One phone walks all sessions.
+    assert cameras[["k1", "k2", "readout_s", "time_offset_s"]].drop_duplicates().shape == (1, 4)
+    assert 0.05 <= cameras.k1[0] <= 0.12
+    assert cameras.k2[0] == -0.11
+    assert 0.010 <= cameras.readout_s[0] <= 0.030
+    logs = sorted(p.relative_to(folder) for p in folder.rglob("*.json") if p.name != "SIMULATED.json")
+    assert [p for p in logs if (folder / p).read_bytes() != (finished / p).read_bytes()] == []
+    logged = np.array([json.loads((folder / p).read_text())["intrinsics"][0] for p in logs if p.name != "info.json"])
+    order = cameras.sort_values(["session_id", "t_ns"])
+    assert 0.001 < np.abs(order.fx / logged - 1).max() <= 0.00501
+    pictures = sorted(p.relative_to(folder) for p in folder.rglob("*.jpg"))
+    assert all((folder / p).read_bytes() != (finished / p).read_bytes() for p in pictures)
+    assert digests(run(tmp_path / "again", PHONE, processes=2)) == digests(folder)
+
+
+def test_true_velocities_are_those_of_the_true_poses(finished: Path) -> None:
+    cameras = read_table(finished / "true_cameras.parquet", schema("simulate", "true_cameras"))
+    poses = read_table(finished / "true_poses.parquet", schema("simulate", "true_poses"))
+    assert (cameras[["k1", "k2", "readout_s"]] == 0).all(axis=None)
+    one = (poses.session_id == "train-1").to_numpy()
+    world_T_cam, t_s = poses_of(poses[one], "map_cam"), poses.t_ns[one].to_numpy() / 1e9
+    step = np.diff(t_s)[:, None]
+    velocity = cameras.loc[one, [f"velocity_{a}" for a in "xyz"]].to_numpy()
+    world = np.einsum("nij,nj->ni", world_T_cam[:, :3, :3], velocity)
+    moved = np.diff(world_T_cam[:, :3, 3], axis=0)
+    # Steps of 0.2 s hold a third of a gait's period.
+    assert np.median(np.linalg.norm(moved / step - (world[1:] + world[:-1]) / 2, axis=1)) < 0.06
+    turn = np.degrees(rotation_angle(relative(world_T_cam[:-1], world_T_cam[1:])[:, :3, :3]) / step[:, 0])
+    spin = np.degrees(np.linalg.norm(cameras.loc[one, [f"spin_{a}" for a in "xyz"]], axis=1))
+    assert np.median(np.abs(turn - (spin[1:] + spin[:-1]) / 2)) < 4
+
+
+@pytest.mark.parametrize("setting", ["lens_k1=wide", "readout_s=20", "lens_k2=null"])
+def test_a_lens_setting_that_is_no_number_in_range_is_named(tmp_path: Path, setting: str) -> None:
+    with pytest.raises(UserError, match=f'{setting.partition("=")[0]}.*a number from .* or "drawn"'):
+        run(tmp_path, [setting])
+
+
 def test_pictures_go_with_every_kth_pose(finished: Path) -> None:
     marker = json.loads((finished / "SIMULATED.json").read_text())
     for name, count in marker["sessions"].items():
@@ -99,7 +149,7 @@ def test_a_killed_run_leaves_nothing_finished_and_goes_on(
     def dies(*_: object) -> None:
         raise Killed
 
-    monkeypatch.setattr(module, "_write_truth", dies)
+    monkeypatch.setattr(module, "write_truth", dies)
     with pytest.raises(Killed):
         run(tmp_path)
     assert not (tmp_path / "captures" / SCENE).exists()

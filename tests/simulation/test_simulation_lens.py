@@ -1,0 +1,275 @@
+"""Lens, rolling shutter and focus: where features of a known room come out, against OpenCV's and COLMAP's camera."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import product
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+
+from geometry.poses import interpolate, inverse, transform
+from simulation.camera import FOCAL, draw_phone, focus_breathing
+from simulation.canvas import Canvas
+from simulation.lens import Lens
+from simulation.mesh import build_mesh
+from simulation.place import Builder, Light
+from simulation.render import Renderer, Sky
+from simulation.scenes import SceneryPlan, scenery
+from simulation.session import Session, SessionOutline, plan_session, take
+from simulation.settings import SimulateSettings
+from simulation.shutter import row_times, shutter, turned
+from simulation.walks import Route, plan_walk
+
+LENSES = [Lens(0.092, -0.125), Lens(0.05, -0.20), Lens(0.12, -0.05), Lens(0.16, -0.40), Lens(-0.2, 0.05)]
+WIDTH, HEIGHT = 640, 480
+F, CX, CY = FOCAL * WIDTH, 322.5, 230.8
+SQUARE_M = 0.25
+HALF_M = 3.0
+
+
+def pixels() -> np.ndarray:
+    """Image points (N, 2) all over the picture, corners included."""
+    x, y = np.meshgrid(np.linspace(0, WIDTH, 81), np.linspace(0, HEIGHT, 61))
+    return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+def rays_of(lens: Lens, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rays (N, 2) by the lens's own inverse, and which of them the polynomial describes."""
+    x, y = (((points - (CX, CY)) / F).T).astype(np.float32)
+    ray_x, ray_y, _ = lens.undistort(x, y)
+    rays = np.stack([ray_x, ray_y], axis=1).astype(float)
+    return rays, np.linalg.norm(rays, axis=1) < lens.last_radius
+
+
+@pytest.mark.parametrize("lens", LENSES, ids=str)
+def test_rays_come_back_to_their_pixels_in_colmaps_and_opencvs_camera(lens: Lens) -> None:
+    points = pixels()
+    rays, described = rays_of(lens, points)
+    assert described.mean() > 0.98
+    homogeneous = np.column_stack([rays, np.ones(len(rays))])
+    colmap = pycolmap.Camera(
+        model="OPENCV", width=WIDTH, height=HEIGHT, params=[F, F, CX, CY, lens.k1, lens.k2, 0.0, 0.0]
+    )
+    matrix = np.array([[F, 0, CX], [0, F, CY], [0, 0, 1]])
+    opencv = cv2.projectPoints(homogeneous, np.zeros(3), np.zeros(3), matrix, np.array([lens.k1, lens.k2, 0.0, 0.0]))[0]
+    assert np.abs(np.asarray(colmap.img_from_cam(homogeneous)) - points)[described].max() < 1e-4
+    assert np.abs(opencv[:, 0] - points)[described].max() < 1e-4
+    # Beyond the fold the picture goes on without a jump, by the lens's own formula.
+    assert np.abs(F * lens.distort(rays) + (CX, CY) - points).max() < 1e-4
+
+
+def test_rays_are_opencvs() -> None:
+    """cv2.undistortPoints converges where the lens is mild."""
+    lens, points = LENSES[0], pixels()
+    matrix = np.array([[F, 0, CX], [0, F, CY], [0, 0, 1]])
+    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-12)
+    theirs = cv2.undistortPointsIter(
+        points[:, None], matrix, np.array([lens.k1, lens.k2, 0.0, 0.0]), np.eye(3), np.eye(3), stop
+    )
+    assert np.abs(rays_of(lens, points)[0] - theirs[:, 0]).max() * F < 1e-4
+
+
+def test_derivative_of_rays_is_that_of_differences() -> None:
+    lens, step = LENSES[0], 2e-3
+    x, y = (v.astype(np.float32) for v in np.meshgrid(np.linspace(-0.6, 0.6, 7), np.linspace(-0.45, 0.45, 7)))
+    xx, xy, yy = lens.undistort(x, y)[2]
+    h = np.float32(step / 2)
+    right, left = lens.undistort(x + h, y), lens.undistort(x - h, y)
+    down, up = lens.undistort(x, y + h), lens.undistort(x, y - h)
+    assert np.abs((right[0] - left[0]) / step - xx).max() < 0.01
+    assert np.abs((right[1] - left[1]) / step - xy).max() < 0.01
+    assert np.abs((down[1] - up[1]) / step - yy).max() < 0.01
+
+
+def checkers(c: Canvas) -> None:
+    c.fill((60, 60, 60))
+    columns, rows = round(c.width_m / SQUARE_M), round(c.height_m / SQUARE_M)
+    for i, j in product(range(columns), range(rows)):
+        if (i + j) % 2:
+            x, y = i * SQUARE_M, j * SQUARE_M
+            c.box(x, y, x + SQUARE_M, y + SQUARE_M, (200, 200, 200))
+
+
+@cache
+def room() -> tuple[SceneryPlan, Renderer, np.ndarray]:
+    """A room of checkered walls with a course through it, its renderer, and the corners of all squares (N, 3)."""
+    b = Builder("room", (2 * HALF_M, 2 * HALF_M), 3, Light(ambient=1.0, sun=None), 0)
+    h = HALF_M
+    ends = [((-h, -h), (h, -h)), ((h, -h), (h, h)), ((h, h), (-h, h)), ((-h, h), (-h, -h))]
+    corners = []
+    for k, (left, right) in enumerate(ends):
+        b.wall(f"wall{k}", left, right, 0, 3, checkers)  # type: ignore[arg-type]
+        along = (np.array(right) - left) / (2 * h)
+        for i, j in product(range(1, round(2 * h / SQUARE_M)), range(1, round(3 / SQUARE_M))):
+            x, z = left + along * i * SQUARE_M
+            corners.append((x, j * SQUARE_M, z))
+    course = Route([(1.5, 1.5, 0), (1.5, -1.5, 0), (-1.5, -1.5, 0), (-1.5, 1.5, 0)], spread_m=0.2, turn_deg_s=60)
+    return SceneryPlan(b.place, course), Renderer(build_mesh(b.place, 0.005, 0)), np.array(corners)
+
+
+def walked(folder: Path, **settings: float | str) -> tuple[Session, SimulateSettings]:
+    """A session through the room with 60 poses and 2 images a second."""
+    scenery, renderer, _ = room()
+    chosen = SimulateSettings.model_validate({"rate_hz": 60.0, "image_hz": 2.0, "supersampling": 3, **settings})
+    plan = SessionOutline("walk", 12, 0.0, 0.1, 1000.0)
+    return plan_session(plan, scenery, chosen, True, renderer, folder, 3), chosen
+
+
+def predicted(session: Session, i: int, corners: np.ndarray) -> np.ndarray:
+    """Where OpenCV's camera puts the corners (N, 2) in picture i: at each row the pose between the true poses."""
+    truth, phone = session.truth, session.truth.phone
+    fx, fy, cx, cy = truth.intrinsics_N4[i]
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    distortion = np.array([phone.lens.k1, phone.lens.k2, 0.0, 0.0])
+    near = slice(max(i - 4, 0), i + 5)
+    points = np.full((len(corners), 2), np.nan)
+    ahead = np.flatnonzero(transform(inverse(truth.world_T_cam[i]), corners)[:, 2] > 0.3)
+    row = np.full(len(ahead), HEIGHT / 2)
+    for _ in range(8):
+        t_ns = session.t_ns[i] + np.round((row / HEIGHT - 0.5) * phone.readout_s * 1e9).astype(np.int64)
+        world_T_row = interpolate(session.t_ns[near], truth.world_T_cam[near], t_ns)
+        cam = np.einsum("nji,nj->ni", world_T_row[:, :3, :3], corners[ahead] - world_T_row[:, :3, 3])
+        points[ahead] = cv2.projectPoints(cam, np.zeros(3), np.zeros(3), matrix, distortion)[0][:, 0]
+        row = np.clip(points[ahead, 1], 0, HEIGHT)
+    # Outside the picture the polynomial may fold back into it.
+    sight = np.linalg.norm(cam[:, :2] / cam[:, 2:], axis=1)
+    points[ahead[sight > min(phone.lens.last_radius, 1.0)]] = np.nan
+    return points
+
+
+def offsets(session: Session, settings: SimulateSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Predicted corners (N, 2) and found minus predicted ones, pixels, over all sharp pictures of the session."""
+    _, renderer, corners = room()
+    at, found = [], []
+    for k, i in enumerate(session.frames.image_indices):
+        if not 5 <= i < len(session.t_ns) - 5:
+            continue
+        shot = session.shots[k]
+        sharp = renderer.render(shot.view, Sky(0), settings.supersampling).image[..., 1]
+        # Single precision and blurred: on sharp edges the corner finder leans towards pixel centres.
+        sharp = cv2.GaussianBlur(sharp, (0, 0), 1.0)
+        expected = predicted(session, i, corners)
+        apart = np.linalg.norm(expected[:, None] - expected[None], axis=-1) + 1e9 * np.eye(len(expected))
+        inside = ((expected > 20) & (expected < (WIDTH - 20, HEIGHT - 20))).all(axis=1)
+        clear = inside & (np.nan_to_num(apart, nan=1e9).min(axis=1) > 18)
+        start = (expected[clear, None] - 0.5).astype(np.float32)
+        stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
+        seen = cv2.cornerSubPix(sharp, start.copy(), (5, 5), (-1, -1), stop)
+        at.append(expected[clear])
+        found.append((seen - start)[:, 0])
+    return np.concatenate(at), np.concatenate(found)
+
+
+CAMERAS: dict[str, dict[str, float]] = {
+    "pinhole": {},
+    "lens": {"lens_k1": 0.092, "lens_k2": -0.125},
+    "strong lens": {"lens_k1": 0.16, "lens_k2": -0.40},
+    "shutter": {"readout_s": 0.03},
+    "lens, shutter, focus and clock": {
+        "lens_k1": 0.092,
+        "lens_k2": -0.125,
+        "readout_s": 0.02,
+        "focus_breathing": 0.005,
+        "time_offset_s": 0.006,
+    },
+}
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_corners_are_rendered_where_opencv_predicts_them(name: str, tmp_path: Path) -> None:
+    at, off = offsets(*walked(tmp_path, **CAMERAS[name]))
+    assert len(off) > 1000
+    # Filtered textures let a corner be located to about 0.05 px, a pinhole's too.
+    length = np.linalg.norm(off, axis=1)
+    assert np.median(length) < 0.06
+    assert np.percentile(length, 95) < 0.12
+    # What lens and shutter would do wrong is systematic over the picture.
+    cell = (at[:, 0] * 4 // WIDTH + 4 * (at[:, 1] * 4 // HEIGHT)).astype(int)
+    for k in range(16):
+        assert np.abs(off[cell == k].mean(axis=0)).max() < 0.03
+
+
+def test_rows_have_the_poses_of_the_walk() -> None:
+    """The shutter's polynomials against the walk itself: the longest readout, large images, points 0.5 m away."""
+    plan = scenery("Church", 0)
+    walk = plan_walk(plan.route, plan.place, 60.0, 0.0, 0.2, np.random.default_rng(1))
+    readout_s, focal = 0.030, FOCAL * 1920
+    share = np.linspace(-0.5, 0.5, 13)
+    x, y = np.full(13, 0.5, np.float32), (share * 0.75).astype(np.float32)
+    worst = 0.0
+    for t in np.linspace(0.5, 59.5, 400):
+        middle = walk.world_T_cam(np.array([t]))[0]
+        moving = shutter(middle, walk.world_T_cam(t + row_times(readout_s)))
+        turn, shift = moving.motion(share.astype(np.float32))
+        direction = np.stack(turned(turn, x, y), axis=1)
+        rows = inverse(middle) @ walk.world_T_cam(t + readout_s * share)
+        true = np.einsum("nij,nj->ni", rows[:, :3, :3], np.stack([x, y, np.ones(13)], axis=1))
+        off = direction - true + (np.stack(shift, axis=1) - rows[:, :3, 3]) / 0.5
+        worst = max(worst, float(np.abs(off).max()) * focal)
+    assert worst < 0.02
+
+
+def test_a_lens_of_no_strength_and_a_camera_at_rest_are_the_pinhole(tmp_path: Path) -> None:
+    session, _ = walked(tmp_path)
+    view = session.shots[2].view
+    assert view.lens.is_pinhole
+    assert view.shutter is None
+    renderer = room()[1]
+    plain = renderer.render(view, Sky(0)).image
+    rest = shutter(view.world_T_cam, np.tile(view.world_T_cam, (4, 1, 1)))
+    same = renderer.render(replace(view, lens=Lens(1e-12, 0.0), shutter=rest), Sky(0)).image
+    assert np.percentile(np.abs(same - plain), 99) < 0.05
+
+
+def test_phones_are_drawn_from_the_measured_spread_and_stated_values_are_kept() -> None:
+    drawn = SimulateSettings(lens_k1="drawn", lens_k2="drawn", readout_s="drawn")
+    phones = [draw_phone(drawn, "Church", seed) for seed in range(60)]
+    k1, k2 = np.array([(p.lens.k1, p.lens.k2) for p in phones]).T
+    readout = np.array([p.readout_s for p in phones])
+    assert 0.05 <= k1.min() < 0.06
+    assert 0.11 < k1.max() <= 0.12
+    assert -0.20 <= k2.min() < -0.17
+    assert -0.08 < k2.max() <= -0.05
+    assert np.corrcoef(k1, k2)[0, 1] < -0.7
+    assert 0.010 <= readout.min() < 0.013
+    assert 0.027 < readout.max() <= 0.030
+    assert draw_phone(drawn, "Church", 5) == phones[5]
+    assert draw_phone(drawn, "Bar", 5) != phones[5]
+    stated = draw_phone(SimulateSettings(lens_k1=0.16, lens_k2=-0.4, readout_s="drawn"), "Church", 5)
+    assert stated.lens == Lens(0.16, -0.4)
+    assert stated.readout_s == phones[5].readout_s
+
+
+def test_focus_breathes_smoothly_within_its_bounds() -> None:
+    t = np.arange(0, 200, 0.1)
+    factor = focus_breathing(t, SimulateSettings(focus_breathing=0.005), np.random.default_rng(0))
+    assert 0.0045 < np.abs(factor - 1).max() <= 0.005
+    crossings = np.count_nonzero(np.diff(np.sign(factor - 1)))
+    assert 14 <= crossings <= 28  # two in about 20 s
+    assert np.abs(np.diff(factor)).max() < 0.005 * 0.1
+    still = focus_breathing(t, SimulateSettings(focus_breathing=0.0), np.random.default_rng(0))
+    assert np.all(still == 1)
+
+
+def test_clock_offset_moves_truth_and_picture_but_not_vio(tmp_path: Path) -> None:
+    exact, _ = walked(tmp_path)
+    late, _ = walked(tmp_path, time_offset_s=1 / 60)
+    assert np.array_equal(exact.t_ns, late.t_ns)
+    assert np.array_equal(exact.frames.vio_T_cam, late.frames.vio_T_cam)
+    # Stamped a frame too late, a picture shows what the camera saw a frame before.
+    moved = np.linalg.norm(late.truth.world_T_cam[1:, :3, 3] - exact.truth.world_T_cam[:-1, :3, 3], axis=1)
+    assert moved.max() < 1e-3
+    assert np.array_equal(late.shots[3].view.world_T_cam, late.truth.world_T_cam[3 * 30])
+
+
+def test_pictures_of_the_same_phone_have_the_same_bytes(tmp_path: Path) -> None:
+    digests = []
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        session, settings = walked(tmp_path / name, **CAMERAS["lens, shutter, focus and clock"])
+        take(session.shots[1], room()[1], settings)
+        digests.append(session.shots[1].path.read_bytes())
+    assert digests[0] == digests[1]
