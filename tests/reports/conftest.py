@@ -68,7 +68,7 @@ class MadeUpScene:
             clock="boot", image=frames["frame_id"] + ".jpg", image_sha256="", width=64, height=48, fx=50.0, fy=50.0,
             cx=32.0, cy=24.0, distortion=[[] for _ in range(len(frames))], gravity_x=1.0, gravity_y=0.0, gravity_z=0.0,
             tracking="normal", sharpness=0.5, exposure_s=0.01, blurred_faces=None,
-            blurred_plates=None,
+            blurred_plates=None, support=False,
         )  # fmt: skip
         truth = pd.concat([frames, pose_frame("map_cam", self.map_T_cam)], axis=1).assign(
             covariance=None,
@@ -195,7 +195,16 @@ class MadeUpScene:
             }
             split = of_session["split"].iloc[-1].replace("val", "train")
             rows.append(
-                row | {"duration_s": n - 1.0, "path_m": 110.0, "poses": n, "images": n, "frames": n, "split": split}
+                row
+                | {
+                    "duration_s": n - 1.0,
+                    "path_m": 110.0,
+                    "poses": n,
+                    "images": n,
+                    "frames": n,
+                    "support_frames": 0,
+                    "split": split,
+                }
             )
         return pd.DataFrame(rows)
 

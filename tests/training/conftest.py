@@ -65,7 +65,7 @@ def make_scene(tmp_path: Path) -> Callable[..., Path]:
         )
         frames = frames.assign(cx=WIDTH / 2, cy=HEIGHT / 2, distortion=[[]] * len(keys), tracking="normal")
         frames = frames.assign(gravity_x=0.0, gravity_y=1.0, gravity_z=0.0, sharpness=1.0, exposure_s=0.01)
-        frames = frames.assign(blurred_faces=None, blurred_plates=None)
+        frames = frames.assign(blurred_faces=None, blurred_plates=None, support=False)
         truth_T = map_T_cam.copy()
         truth_T[-1] = np.nan  # a frame that SfM didn't register
         truth = pd.concat([keys, pose_frame("map_cam", truth_T)], axis=1).assign(

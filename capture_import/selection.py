@@ -1,0 +1,83 @@
+"""Which images of a capture are used: frames of the dataset, and support frames for SfM between them."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture_import.intake import Image, Session, image_poses
+from capture_import.sampling import sample_motion, sample_rate, sample_support, travelled_steps
+from capture_import.settings import ImportSettings
+
+# Sampling this much denser than its settings that still keeps too few images can't be helped by being denser.
+_DENSEST = 2.0**12
+_HALVINGS = 10
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A session's images that are used, in order of time, and which (N,) of them are support frames."""
+
+    images: list[Image]
+    support: NDArray[np.bool_]
+
+
+def select(sessions: Sequence[Session], settings: ImportSettings, density: float = 1.0) -> dict[str, Selection]:
+    """What is used of each session, by its id; sampled so many times more densely than the settings say."""
+    return {session.session_id: _select(session, settings, density) for session in sessions}
+
+
+def density_for(sessions: Sequence[Session], settings: ImportSettings) -> float:
+    """How many times more densely than its settings say a capture has to be sampled for `min_frames`: 1 where that is
+    enough, infinity where it takes every image."""
+    images = sum(len(session.images) for session in sessions)
+
+    def enough(density: float) -> bool:
+        return sum(len(_sampled(session, settings, density)) for session in sessions) >= settings.min_frames
+
+    if settings.sampling == "all" or enough(1.0):
+        return 1.0
+    if images <= settings.min_frames:
+        return math.inf
+    low, high = 1.0, 2.0
+    while not enough(high):
+        low, high = high, 2 * high
+        if high > _DENSEST:
+            return math.inf
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (low, middle) if enough(middle) else (middle, high)
+    return high
+
+
+def _select(session: Session, settings: ImportSettings, density: float) -> Selection:
+    kept = _sampled(session, settings, density)
+    support = np.empty(0, dtype=np.int64)
+    most = math.floor(settings.support_share * len(kept))
+    if most:
+        poses, sharpness = image_poses(session.images), _sharpness(session.images)
+        support = sample_support(poses, sharpness, kept, settings.support_step_m, settings.support_step_deg, most)
+    used = np.sort(np.concatenate([kept, support]))
+    return Selection([session.images[i] for i in used], np.isin(used, support))
+
+
+def _sampled(session: Session, settings: ImportSettings, density: float) -> NDArray[np.int64]:
+    """Indices of the session's images that become frames of the dataset."""
+    images = session.images
+    if not images or settings.sampling == "all" or math.isinf(density):
+        return np.arange(len(images))
+    sharpness, poses = _sharpness(images), image_poses(images)
+    if settings.sampling == "rate":
+        t_ns = np.array([i.frame.t_ns for i in images], dtype=np.int64)
+        return sample_rate(t_ns, sharpness, settings.rate_hz * density)
+    if density == 1:
+        return sample_motion(poses, sharpness, settings.step_m, settings.step_deg)
+    # Steps from one image that is kept to the next come in whole images, twice as many all at once; ticks don't.
+    travelled = travelled_steps(poses, settings.step_m, settings.step_deg)
+    return sample_rate((1e9 * travelled).astype(np.int64), sharpness, density)
+
+
+def _sharpness(images: Sequence[Image]) -> NDArray[np.float64]:
+    return np.array([i.check.sharpness for i in images])
