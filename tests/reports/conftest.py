@@ -70,6 +70,9 @@ class MadeUpScene:
             tracking="normal", sharpness=0.5, exposure_s=0.01, blurred_faces=None,
             blurred_plates=None, support=False,
         )  # fmt: skip
+        # A support frame, which SfM didn't register: no figure of the report may count it.
+        support = imported.iloc[[0]].assign(frame_id="walk_1/000900", t_ns=SECOND // 2, support=True)
+        imported = pd.concat([imported, support], ignore_index=True)
         truth = pd.concat([frames, pose_frame("map_cam", self.map_T_cam)], axis=1).assign(
             covariance=None,
             position_sd_m=0.005,
@@ -217,7 +220,7 @@ class MadeUpScene:
         poses = self.map_T_cam.copy()
         poses[lost] = np.nan
         registered = np.arange(count) != lost
-        return pd.concat([self.frames[["frame_id"]], pose_frame("sfm_cam", poses)], axis=1).assign(
+        images = pd.concat([self.frames[["frame_id"]], pose_frame("sfm_cam", poses)], axis=1).assign(
             registered=registered, model_id="incremental/0", keypoints=900, covariance=None,
             observations=self.rng.integers(150, 700, count) * registered,
             reprojection_px=np.where(registered, self.rng.gamma(20, 0.04, count), np.nan), uses_vio=False,
@@ -225,6 +228,8 @@ class MadeUpScene:
             heldout_matches=40, heldout_px=np.where(registered, 0.5, np.nan),
             fitted_px=np.where(registered, 0.4, np.nan), focal_scale=np.where(registered, 1.0, np.nan),
         )  # fmt: skip
+        support = images.iloc[[lost]].assign(frame_id="walk_1/000900")
+        return pd.concat([images, support], ignore_index=True)
 
     def _aligned(self) -> pd.DataFrame:
         sessions = self.frames.groupby("session_id").size().index

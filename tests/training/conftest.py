@@ -77,7 +77,9 @@ def make_scene(tmp_path: Path) -> Callable[..., Path]:
             gt_uses_vio=False,
             component=0,
         )
-        _write(data, name, "import", "frames", frames)
+        # Training that looked at a support frame would miss its image.
+        support = frames.iloc[[0]].assign(frame_id="walk/000900", t_ns=1, image="gone.png", support=True)
+        _write(data, name, "import", "frames", pd.concat([frames, support]))
         _write(data, name, "align", "ground_truth", truth)
         return data
 
