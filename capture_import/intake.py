@@ -83,11 +83,6 @@ def measures(looks: Iterable[Look | str]) -> Iterator[ImageCheck | str]:
     return (look.check if isinstance(look, Look) else look for look in looks)
 
 
-def image_poses(images: Sequence[Image]) -> Array:
-    """The poses (N, 4, 4) of images."""
-    return np.array([i.frame.vio_T_cam for i in images], dtype=float).reshape(-1, 4, 4)
-
-
 def path_length(session: Session) -> float:
     """Metres that the session's poses walk."""
     return float(np.linalg.norm(np.diff(session.poses[:, :3, 3], axis=0), axis=1).sum())

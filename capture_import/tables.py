@@ -11,7 +11,7 @@ from artefacts.tables import dataset_frames, pose_frame
 from capture_import.blurring import Kind
 from capture_import.capture import Reject
 from capture_import.health import gravity_of
-from capture_import.intake import Session, image_poses, path_length
+from capture_import.intake import Session, path_length
 from capture_import.placing import Placed
 from capture_import.selection import Selection
 
@@ -52,7 +52,7 @@ def frames_table(session: Session, used: Selection, places: Sequence[Placed]) ->
         f"blurred_{kind}s": [math.nan if p.blurred is None else float(p.blurred.count(kind)) for p in places]
         for kind in get_args(Kind)
     }
-    poses = image_poses(used.images)
+    poses = np.array([image.frame.vio_T_cam for image in used.images], dtype=float).reshape(-1, 4, 4)
     gravity = gravity_of(poses) if raw.gravity_aligned else np.full((len(poses), 3), np.nan)
     if raw.poses_are == "reference":
         poses = np.full_like(poses, np.nan)

@@ -14,7 +14,7 @@ from artefacts.settings import SplitRules
 from capture_import.capture import RawFrame, RawSession
 from capture_import.images import ImageCheck
 from capture_import.intake import Image, Session
-from capture_import.sampling import sample_motion, sample_rate, sample_support
+from capture_import.sampling import sample_motion, sample_rate, sample_support, support_cells
 from capture_import.selection import density_for, select
 from capture_import.settings import ImportSettings
 from capture_import.splits import LEAK_S, leak_seconds, split_frames
@@ -75,11 +75,13 @@ def steps_between(poses: np.ndarray, used: np.ndarray, step_m: float, step_deg: 
     return np.maximum(np.linalg.norm(a_T_b[:, :3, 3], axis=1) / step_m, turned / step_deg)
 
 
-@given(st.integers(2, 150), st.integers(1, 30), st.integers(0, 2**32 - 1))
-def test_support_frames_keep_steps_small_wherever_there_are_images(count: int, every: int, seed: int) -> None:
+@given(st.integers(2, 150), st.integers(1, 30), st.integers(1, 20), st.integers(0, 2**32 - 1))
+def test_support_frames_keep_steps_small_wherever_there_are_images(
+    count: int, every: int, width: int, seed: int
+) -> None:
     poses, sharpness = walk_of(count, seed)
-    kept = np.arange(0, count, every)
-    support = sample_support(poses, sharpness, kept, 0.3, 15.0, most=count)
+    kept, cells = np.arange(0, count, every), np.arange(count) // width
+    support = sample_support(poses, sharpness, cells, kept, 0.3, 15.0, most=count)
     assert np.intersect1d(support, kept).size == 0 and ((support > kept[0]) & (support < kept[-1])).all()
     used = np.sort(np.concatenate([kept, support]))
     large = steps_between(poses, used, 0.3, 15.0) > 1 + 1e-6
@@ -93,26 +95,45 @@ def test_support_frames_keep_steps_small_wherever_there_are_images(count: int, e
 def test_support_frames_stay_within_their_number(count: int, most: int, seed: int) -> None:
     poses, sharpness = walk_of(count, seed)
     kept = np.arange(0, count, 10)
-    support = sample_support(poses, sharpness, kept, 0.3, 15.0, most)
-    wanted = sample_support(poses, sharpness, kept, 0.3, 15.0, count)
-    assert len(support) == min(most, len(wanted)) and np.isin(support, wanted).all()
-    # They go where the largest steps are.
-    if 0 < most < len(wanted):
-        first = sample_support(poses, sharpness, kept, 0.3, 15.0, 1)
-        largest = int(np.argmax(steps_between(poses, kept, 0.3, 15.0)))
-        assert kept[largest] < first[0] < kept[largest + 1]
+    support = sample_support(poses, sharpness, np.arange(count), kept, 0.3, 15.0, most)
+    assert len(support) <= most
+    if len(support) < most:
+        used = np.sort(np.concatenate([kept, support]))
+        assert (np.diff(used)[steps_between(poses, used, 0.3, 15.0) > 1 + 1e-6] == 1).all()
+
+
+def straight(metres: np.ndarray) -> np.ndarray:
+    return make_pose(np.eye(3), np.stack([metres, 0 * metres, 0 * metres], axis=-1))
 
 
 def test_support_frames_are_few_even_and_sharp() -> None:
-    x = np.arange(101) * 0.01  # a metre, by 1 cm
-    poses, kept = make_pose(np.eye(3), np.stack([x, 0 * x, 0 * x], axis=-1)), np.array([0, 100])
-    support = sample_support(poses, np.zeros(101), kept, 0.3, 15.0, 100)
-    assert len(support) == 3 and np.abs(np.diff([0, *support, 100]) - 25).max() <= 1
+    poses, cells, kept = straight(np.arange(101) * 0.01), np.arange(101), np.array([0, 100])
+    support = sample_support(poses, np.zeros(101), cells, kept, 0.3, 15.0, 100)
+    assert support.tolist() == [25, 50, 75]
     sharpness = np.zeros(101)
     sharpness[[28, 52, 80, 99]] = 1.0
-    assert sample_support(poses, sharpness, kept, 0.3, 15.0, 100).tolist() == [28, 52, 80]
-    for off in ((0.0, 15.0), (0.3, 15.0)):
-        assert not len(sample_support(poses, sharpness, kept, *off, most=0 if off[0] else 100))
+    assert sample_support(poses, sharpness, cells, kept, 0.3, 15.0, 100).tolist() == [28, 52, 80]
+    # Only the sharpest image of each cell, as long as that does.
+    assert sample_support(poses, sharpness, cells // 12, kept, 0.3, 15.0, 100).tolist() == [28, 52, 80]
+    assert not len(sample_support(poses, sharpness, cells, kept, 0.0, 15.0, 100))
+    assert len(sample_support(poses, sharpness, cells, kept, 0.3, 0.0, 100)) == 3
+
+
+def test_the_largest_steps_are_cut_where_not_all_can_be() -> None:
+    metres = np.concatenate([np.arange(10) * 0.1, 1 + np.arange(41) * 0.1])  # 1 m, then 4 m
+    kept = np.array([0, 10, 50])
+    support = sample_support(straight(metres), np.zeros(51), np.arange(51), kept, 0.3, 15.0, 3)
+    assert support.tolist() == [20, 30, 40]
+
+
+def test_cells_are_narrow_but_no_more_than_so_many() -> None:
+    travelled = np.arange(1000) * 0.05  # in steps: half a step is ten images
+    windows = [np.arange(i, i + 5) for i in range(0, 1000, 100)]
+    cells = support_cells(travelled, windows, 1000)
+    assert (np.diff(cells) >= 0).all() and np.unique(cells, return_counts=True)[1].max() == 10
+    for window in windows:
+        assert np.intersect1d(cells[window], np.delete(cells, window)).size == 0
+    assert len(np.unique(support_cells(travelled, windows, 60))) <= 60
 
 
 @pytest.mark.parametrize("every", [1, 2, 3])
