@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import cv2
@@ -98,6 +99,18 @@ def test_support_frames_are_added_between_frames_that_stay_the_same(tmp_path: Pa
         own = used[~used["support"]]
         for extra in used[used["support"]].itertuples():
             assert extra.split == own["split"].iloc[(own["t_ns"] - extra.t_ns).abs().argmin()]
+
+
+def test_the_order_of_files_in_the_folder_does_not_matter(tmp_path: Path) -> None:
+    written = tmp_path / "one" / "captures" / "place" / "walk"
+    write_scanner_app(written, make_walk(201))
+    shuffled = tmp_path / "two" / "captures" / "place" / "walk"
+    shuffled.mkdir(parents=True)
+    for path in np.random.default_rng(0).permutation(sorted(written.iterdir())):
+        shutil.copyfile(path, shuffled / path.name)
+    one, two = (run_import(tmp_path / name, "place", "min_frames=30")["frames"] for name in ("one", "two"))
+    assert one["support"].sum() > 5
+    pd.testing.assert_frame_equal(one, two)
 
 
 def test_a_capture_with_too_few_frames_is_thinned_evenly_to_so_many(tmp_path: Path) -> None:
