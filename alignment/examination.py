@@ -1,6 +1,6 @@
 """Is the model right? Scale and vertical of each of its parts, and every check before ground truth is given out."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -69,6 +69,27 @@ class Examination:
     def used(self) -> np.ndarray:
         """(N,) frames with ground truth."""
         return self.registered & (self.reason == "")
+
+    def where(self, wanted: np.ndarray) -> "Examination":
+        """What was found of the rows of the frames table for which `wanted` (N,) holds, numbered from 0; windows and
+        checks stay as they are."""
+        row_of = np.cumsum(wanted) - 1
+
+        def part(segments: list[Segment]) -> list[Segment]:
+            return [s.where(wanted[s.rows]).renumbered(row_of) for s in segments if wanted[s.rows].any()]
+
+        components = {c.index: replace(c, segments=part(c.segments), pieces=part(c.pieces)) for c in self.components}
+        placed = [replace(p, component=components[p.component.index]) for p in self.placed]
+        return replace(
+            self,
+            components=[c for c in components.values() if c.segments],
+            placed=[p for p in placed if p.component.segments],
+            registered=self.registered[wanted],
+            reason=self.reason[wanted],
+            worst_m=self.worst_m[wanted],
+            worst_rad=self.worst_rad[wanted],
+            doubted=self.doubted[wanted],
+        )
 
     @property
     def checked(self) -> np.ndarray:
@@ -161,8 +182,10 @@ def _refuse(found: Examination, rows: np.ndarray, reason: str) -> None:
 def _check_registered(
     found: Examination, frames: pd.DataFrame, recordings: dict[str, str], settings: AlignSettings
 ) -> None:
-    """Enough frames of all, and of each recording: a few that a VIO jump cut off tell nothing by themselves."""
-    known, count = int(found.registered.sum()), len(frames)
+    """Enough frames of all, and of each recording: a few that a VIO jump cut off tell nothing by themselves. Support
+    frames that SfM didn't register cost the dataset nothing."""
+    dataset = np.flatnonzero(~frames["support"])
+    known, count = int(found.registered[dataset].sum()), len(dataset)
     found.gate.check(
         "registered",
         known / count,
@@ -174,7 +197,8 @@ def _check_registered(
         at_least=True,
     )
     recording = frames["session_id"].map(lambda session_id: recordings.get(session_id, session_id))
-    for _, rows in frames.groupby(recording, sort=True).indices.items():
+    for _, rows_in_dataset in frames.iloc[dataset].groupby(recording.iloc[dataset], sort=True).indices.items():
+        rows = dataset[rows_in_dataset]
         known, count = int(found.registered[rows].sum()), len(rows)
         sessions = sorted(set(frames["session_id"].iloc[rows]))
         found.gate.check(
@@ -412,7 +436,8 @@ def _place(found: Examination, settings: AlignSettings, drift: VioDrift, sd: Pos
 
 
 def _refusal(found: Examination, frames: pd.DataFrame, settings: AlignSettings) -> UserError | None:
-    registered, used = found.registered, found.used
+    dataset = ~frames["support"].to_numpy(bool)
+    registered, used = found.registered[dataset], found.used[dataset]
     share = registered.mean()
     if share < settings.least_registered:
         return UserError(

@@ -13,7 +13,7 @@ from alignment.sessions import SessionFit, fit_session, residuals_table, session
 from alignment.settings import AlignSettings
 from alignment.sfm_tables import SfmTables
 from alignment.uncertainty import SharedSd, covariance_in_map, largest_sd, shared_covariance
-from artefacts.tables import pose_frame, poses_of
+from artefacts.tables import dataset_frames, pose_frame, poses_of
 from geometry.poses import Array
 from geometry.vio_agreement import PoseSd
 
@@ -21,7 +21,8 @@ from geometry.vio_agreement import PoseSd
 @dataclass(frozen=True)
 class Aligned:
     """The stage's tables, and what the recording and the summary show: the placed models, the first giving the map its
-    origin, map_T_cam (N, 4, 4) of all frames that are in one, with ground truth or not, and each session's fit."""
+    origin, map_T_cam (N, 4, 4) of all frames that are in one, with ground truth or not, and each session's fit. All of
+    it is of the dataset's frames: support frames, by which the model was examined too, are in none of it."""
 
     ground_truth: pd.DataFrame
     sessions: pd.DataFrame
@@ -59,6 +60,8 @@ def align(
 
 def build(frames: pd.DataFrame, images: pd.DataFrame, found: Examination, settings: AlignSettings) -> Aligned:
     """Ground truth from what was examined; arguments as for `align`, `images` in the order of `frames`."""
+    dataset = ~frames["support"].to_numpy(bool)
+    found, images, frames = found.where(dataset), images[dataset].reset_index(drop=True), dataset_frames(frames)
     sd = PoseSd(settings.position_sd_m, float(np.radians(settings.rotation_sd_deg)))
     map_T_cam = np.full((len(frames), 4, 4), np.nan)
     sfm_T_cam = poses_of(images, "sfm_cam")

@@ -1,6 +1,6 @@
 """Sessions as the alignment sees them: SfM and VIO poses of the same frames, cut where VIO jumped."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -58,6 +58,10 @@ class Segment:
     def stretch(self) -> Stretch:
         """The poses of the frames that both know."""
         return Stretch(self.sfm_T_cam[self.both], self.vio_T_cam[self.both])
+
+    def renumbered(self, row_of: np.ndarray) -> "Segment":
+        """The segment with its rows' new positions: row_of (M,) of those in the whole frames table."""
+        return replace(self, rows=row_of[self.rows])
 
     def where(self, wanted: np.ndarray) -> "Segment":
         """The segment's frames for which `wanted` (N,) holds."""

@@ -12,7 +12,7 @@ from alignment.sessions import SessionFit
 from alignment.settings import AlignSettings
 from alignment.sfm_tables import SfmTables
 from artefacts import Stage, StageRun, UserError
-from artefacts.tables import with_cameras
+from artefacts.tables import dataset_frames, with_cameras
 from geometry.poses import Array
 
 PICTURE = "gate.png"
@@ -29,7 +29,8 @@ def run(r: StageRun[AlignSettings]) -> None:
     with r.step("examine"):
         found = examine(frames, sfm, jumps, recordings, r.settings)
     with r.step("picture"):
-        draw_gate(r.work / PICTURE, found, r.scene.name, simulated=r.simulated)
+        shown = found.where(~frames["support"].to_numpy(bool))
+        draw_gate(r.work / PICTURE, shown, r.scene.name, simulated=r.simulated)
     if found.refusal:
         r.write("gate", found.gate.table())
         told = found.refusal.details
@@ -42,6 +43,7 @@ def run(r: StageRun[AlignSettings]) -> None:
         )
     with r.step("align"):
         aligned = build(frames, images, found, r.settings)
+    frames = dataset_frames(frames)
     for table in ("ground_truth", "sessions", "drift", "gate", "residuals"):
         r.write(table, getattr(aligned, table))
     _figures(r, frames, aligned)

@@ -26,7 +26,7 @@ from artefacts import progress, recording
 from artefacts.errors import UserError
 from artefacts.schemas import schema
 from artefacts.settings import SHIPPED_DATA, DataRoot, SceneConfig, Settings, resolve_settings
-from artefacts.tables import read_table, write_table
+from artefacts.tables import dataset_frames, read_table, write_table
 
 S = TypeVar("S", bound=Settings)
 T = TypeVar("T")
@@ -108,6 +108,10 @@ class StageRun(Generic[S]):
     def read(self, stage: str, table: str, scene: str | None = None) -> pd.DataFrame:
         """A table of a finished stage of this scene (or of a group's member)."""
         return read_table(self.folder(stage, scene) / f"{table}.parquet", schema(stage, table))
+
+    def dataset_frames(self, scene: str | None = None) -> pd.DataFrame:
+        """import.frames without support frames: what every stage reads but sfm and align."""
+        return dataset_frames(self.read("import", "frames", scene))
 
     def manifest(self, stage: str, scene: str | None = None) -> dict[str, Any]:
         """The manifest of a finished stage."""

@@ -70,6 +70,12 @@ def read_table(path: Path, schema: TableSchema) -> pd.DataFrame:
     return frame
 
 
+def dataset_frames(frames: pd.DataFrame) -> pd.DataFrame:
+    """The rows of import.frames that are frames of the dataset, numbered from 0: without support frames, which only SfM
+    and the checks of its model use."""
+    return frames[~frames["support"].to_numpy(bool)].reset_index(drop=True)
+
+
 def pose_prefixes(schema: TableSchema) -> list[str]:
     """The prefixes of a schema's pose groups: ``map_cam`` where it has map_cam_qw."""
     return [c.removesuffix("_qw") for c in schema.column_names if c.endswith("_qw")]

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from artefacts import DataRoot
 from artefacts.schemas import schema
 from artefacts.settings import SplitRules
-from artefacts.tables import read_table
+from artefacts.tables import dataset_frames, read_table
 from capture_import.capture import Limits
 from capture_import.formats import formats
 from capture_import.health import find_jumps, gravity_of
@@ -369,7 +369,7 @@ def trained_cases(data: DataRoot) -> list[Case]:
     for folder in sorted((data.root / "runs").glob("*/*")):
         if not all((folder / stage / "manifest.json").is_file() for stage in ("import", "align", "train")):
             continue
-        frames = read_table(folder / "import" / "frames.parquet", schema("import", "frames"))
+        frames = dataset_frames(read_table(folder / "import" / "frames.parquet", schema("import", "frames")))
         truth = read_table(folder / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
         predictions = read_table(folder / "train" / "predictions.parquet", schema("train", "predictions"))
         for model, rows in predictions.groupby("model", sort=False):

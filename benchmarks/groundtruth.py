@@ -169,12 +169,13 @@ def accuracy(o: Options) -> list[Figure]:
 
 
 def real_captures(o: Options) -> list[Figure]:
-    """Real captures against ARKit: the chair's known answer, and the corridor, right or refused, by an image a second
-    and by all of them."""
+    """Real captures against ARKit: the chair's known answer, and the corridor, right or refused, by an image a second,
+    by these with support frames between them, and by all images."""
     figures = []
     for scene, capture, settings in (
         ("chair", "chair", []),
-        ("corridor", "corridor", []),
+        ("corridor", "corridor", ["support_share=0"]),
+        ("corridor_support", "corridor", []),
         ("corridor_all", "corridor", ['sampling="all"']),
     ):
         if not (o.shared / "captures" / capture).is_dir():
@@ -238,7 +239,7 @@ def mappers(o: Options) -> list[Figure]:
                 root = _fresh(o, _church(o, o.sizes[0]), f"mapper_{mapper}")
             else:
                 root = DataRoot(o.out / f"mapper_{mapper}")
-                real(scene, o.shared / "captures" / scene, root)
+                real(scene, o.shared / "captures" / scene, root, "support_share=0")
             of = f"{scene}, {mapper}"
             try:
                 run_stage("sfm", scene, root, f"mapper={mapper}", "retries=false", "min_registered=0")

@@ -12,8 +12,9 @@ from capture_import.clock import check_clock
 from capture_import.convention import SUSPECT, ConventionCheck, check_convention
 from capture_import.discovery import Found, find_recordings
 from capture_import.intake import Intake, measures, path_length, take_in
+from capture_import.selection import select
 from capture_import.settings import ImportSettings
-from capture_import.tables import printable, sampled
+from capture_import.tables import printable
 from capture_import.views import Views
 
 
@@ -53,6 +54,7 @@ def _inspect(found: Found, views: Views, settings: ImportSettings) -> Iterator[s
 
 
 def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:
+    used = select(intake.sessions, settings)
     for session in intake.sessions:
         if not session.frames:
             continue
@@ -78,8 +80,9 @@ def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:
                 + f", fx {min(focal):.1f}..{max(focal):.1f} px, "
                 f"sharpness {sharp[0]:.2f}..{sharp[2]:.2f} (median {sharp[1]:.2f})"
             )
-            kept = len(sampled(session, settings))
-            yield f"  sampling   {kept} frames at {settings.rate_hz:g} Hz"
+            support = used[session.session_id].support
+            frames = f"{len(support) - support.sum()} frames at {settings.rate_hz:g} Hz"
+            yield f"  sampling   {frames}, {support.sum()} support frames for SfM between them"
         for jump, splits in session.jumps:
             at = (jump.t_ns - int(t_ns[0])) * 1e-9
             effect = ", splits the session" if splits else ""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from artefacts.parallel import in_parallel
 from artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, set_time
+from artefacts.tables import dataset_frames
 from capture_import.capture import Reject
 from capture_import.images import image_size
 from capture_import.intake import Session
@@ -53,14 +54,14 @@ def log_session(
         return
     start = int(t_ns[0])
     _log_path(stream, f"{at}/{session.recording.poses_are}", session)
+    support, frames = frames[frames["support"]], dataset_frames(frames)
     _log_curves(stream, at, session, frames)
     _log_marks(stream, at, session, rejects, start)
-    numbers = [int(frame_id.rpartition("/")[2]) for frame_id in frames["frame_id"]]
-    pose_of = {image.frame.number: image.frame.vio_T_cam for image in session.images}
-    cameras = np.array([pose_of[number] for number in numbers], dtype=float).reshape(-1, 4, 4)
+    numbers, cameras = _numbers(frames), _cameras(session, frames)
     size = float(np.clip(np.ptp(poses[:, :3, 3], axis=0).max() / 15, 0.05, 1.5))
-    outlined = _spread(np.arange(len(frames)), _MOST_FRUSTA)
-    _log_frusta(stream, f"{at}/frames", frames.iloc[outlined], cameras[outlined], size / 4)
+    for name, of, depth_m in (("frames", frames, size / 4), ("support_frames", support, size / 8)):
+        outlined = of.iloc[_spread(np.arange(len(of)), _MOST_FRUSTA)]
+        _log_frusta(stream, f"{at}/{name}", outlined, _cameras(session, outlined), depth_m)
     thumbnails = [thumbnail_path(spooled, number) for number in numbers]
     ready = [i for i, thumbnail in enumerate(thumbnails) if thumbnail.is_file()]
     shown = np.array(spread(ready if len(ready) >= min(len(frames), MOST) / 2 else range(len(frames))), dtype=int)
@@ -68,6 +69,16 @@ def log_session(
         batch = shown[first : first + _BATCH]
         jpegs = list(in_parallel(lambda i: _thumbnail(thumbnails[i], image_path(frames["image"].iloc[i])), batch))
         _log_images(stream, f"{at}/camera", frames.iloc[batch], cameras[batch], jpegs, start, size)
+
+
+def _numbers(frames: pd.DataFrame) -> list[int]:
+    return [int(frame_id.rpartition("/")[2]) for frame_id in frames["frame_id"]]
+
+
+def _cameras(session: Session, frames: pd.DataFrame) -> Array:
+    """The session's own poses (N, 4, 4) of these rows of the frames table."""
+    pose_of = {image.frame.number: image.frame.vio_T_cam for image in session.images}
+    return np.array([pose_of[number] for number in _numbers(frames)], dtype=float).reshape(-1, 4, 4)
 
 
 def _session_view(session_id: str) -> rrb.Container:

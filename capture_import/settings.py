@@ -16,7 +16,18 @@ class ImportSettings(Settings):
     rate_hz: float = Field(1.0, gt=0, le=240, description="sampling by rate: images a second")
     step_m: float = Field(0.5, gt=0, description="sampling by motion: metres between images")
     step_deg: float = Field(20.0, gt=0, description="sampling by motion: degrees between images")
-    min_frames: int = Field(60, ge=0, description="a capture that would keep fewer frames keeps every image")
+    min_frames: int = Field(
+        60, ge=0, description="a capture that would keep fewer frames is sampled more densely, to about so many"
+    )
+    support_step_m: float = Field(
+        0.3, ge=0, description="images are added for SfM alone until neighbours are so many metres apart; 0: no matter"
+    )
+    support_step_deg: float = Field(
+        15.0, ge=0, description="images are added for SfM alone until neighbours turn by so many degrees; 0: no matter"
+    )
+    support_share: float = Field(
+        1.0, ge=0, description="most images added for SfM alone (support frames), per frame of the dataset; 0: none"
+    )
     split_by: Literal["session", "time"] = Field(
         "session", description="session: by whole recordings where there are several; time: each in time"
     )

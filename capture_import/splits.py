@@ -63,6 +63,17 @@ def split_frames(frames: pd.DataFrame, rules: SplitRules, by_time: bool) -> Spli
     return Split(split, how, leak)
 
 
+def nearest_split(frames: pd.DataFrame, split_frames: pd.DataFrame) -> NDArray[np.object_]:
+    """For each of `frames` the split of that of `split_frames` (with a column split) which is nearest in time in its
+    session, which has one."""
+    split = np.empty(len(frames), dtype=object)
+    for session_id, rows in frames.groupby("session_id").indices.items():
+        near = split_frames[split_frames["session_id"] == session_id]
+        apart = np.abs(frames["t_ns"].to_numpy()[rows, None] - near["t_ns"].to_numpy())
+        split[rows] = near["split"].to_numpy(dtype=object)[apart.argmin(axis=1)]
+    return split
+
+
 def leak_seconds(frames: pd.DataFrame, split: NDArray[np.object_]) -> float | None:
     """The shortest time between a test and a training frame of the same recording; None where none has both."""
     shortest = None

@@ -5,17 +5,16 @@ So the sharpest of each group of candidates is written on the way: a video's fra
 recording will show. What isn't here in the end is decoded again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import av
 import numpy as np
-from numpy.typing import NDArray
 
 from capture_import.capture import RawFrame, VideoFrame
 from capture_import.images import encode_jpeg
-from capture_import.sampling import motion_candidates, rate_candidates
 from capture_import.scan import Look
+from capture_import.selection import cells_of, windows_of
 from capture_import.settings import ImportSettings
 from capture_import.thumbnails import encode_thumbnail, spread
 from capture_import.video import rgb_pixels
@@ -34,16 +33,54 @@ class Spool:
         """`frames` are the rows of the log with an image, as they'll be scanned; `folder` needn't exist."""
         self._folder = folder
         self._frames = frames
-        groups = _candidates(frames, settings)
+        windows = windows_of(frames, settings)
+        self._shown = set(spread(range(len(windows))))
+        files = (window for number, window in enumerate(windows) if number in self._shown and len(window) <= _FEW)
+        self.in_colour = frozenset(int(i) for window in files for i in window)
+        self._groups = [_Groups(windows, self._write_frame)]
+        if settings.support_share and any(isinstance(frame.image, VideoFrame) for frame in frames):
+            cells = cells_of(frames, frames, settings)
+            borders = np.flatnonzero(np.diff(cells)) + 1
+            self._groups.append(_Groups(np.split(np.arange(len(cells)), borders), self._write_support))
+
+    def take(self, place: int, look: Look) -> None:
+        """Take what the image of the row at this place looks like."""
+        for groups in self._groups:
+            groups.take(place, look)
+
+    def flush(self) -> None:
+        """Write the best of the last groups."""
+        for groups in self._groups:
+            groups.flush()
+
+    def _write_frame(self, window: int, place: int, look: Look) -> None:
+        self._write_support(window, place, look)
+        picture = look.picture
+        if window in self._shown and picture is not None:
+            rgb = rgb_pixels(picture) if isinstance(picture, av.VideoFrame) else picture
+            thumbnail_path(self._folder, self._frames[place].number).write_bytes(encode_thumbnail(rgb))
+
+    def _write_support(self, _: int, place: int, look: Look) -> None:
+        """A video's frame as JPEG, unless it's there."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        image = self._frames[place].image
+        if isinstance(look.picture, av.VideoFrame) and isinstance(image, VideoFrame):
+            path = spooled_path(self._folder, image)
+            if not path.is_file():
+                path.write_bytes(encode_jpeg(rgb_pixels(look.picture)))
+
+
+class _Groups:
+    """Finds the sharpest look of each group of places as they come by in order, and hands it to `write`, with the
+    number of its group and its place, when the group is over."""
+
+    def __init__(self, groups: Iterable[Iterable[int]], write: Callable[[int, int, Look], None]) -> None:
         self._group_of = {int(i): number for number, group in enumerate(groups) for i in group}
-        self._shown = set(spread(range(len(groups))))
-        files = (group for number, group in enumerate(groups) if number in self._shown and len(group) <= _FEW)
-        self.in_colour = frozenset(int(i) for group in files for i in group)
+        self._write = write
         self._group = -1
         self._best: tuple[int, Look] | None = None
 
     def take(self, place: int, look: Look) -> None:
-        """Take what the image of the row at this place looks like."""
         group = self._group_of.get(place, -1)
         if group != self._group:
             self.flush()
@@ -53,19 +90,9 @@ class Spool:
             self._best = (place, look)
 
     def flush(self) -> None:
-        """Write the best of the last group."""
-        if self._best is None:
-            return
-        place, look = self._best
+        if self._best is not None:
+            self._write(self._group, *self._best)
         self._best = None
-        frame, picture = self._frames[place], look.picture
-        self._folder.mkdir(parents=True, exist_ok=True)
-        if isinstance(picture, av.VideoFrame):
-            assert isinstance(frame.image, VideoFrame)
-            picture = rgb_pixels(picture)
-            spooled_path(self._folder, frame.image).write_bytes(encode_jpeg(picture))
-        if self._group in self._shown and picture is not None:
-            thumbnail_path(self._folder, frame.number).write_bytes(encode_thumbnail(picture))
 
 
 def spooled_path(folder: Path, frame: VideoFrame) -> Path:
@@ -76,13 +103,3 @@ def spooled_path(folder: Path, frame: VideoFrame) -> Path:
 def thumbnail_path(folder: Path, number: int) -> Path:
     """Where the thumbnail of the row with this number is, if it was written."""
     return folder / f"{number:06d}.small.jpg"
-
-
-def _candidates(frames: Sequence[RawFrame], settings: ImportSettings) -> list[NDArray[np.int64]]:
-    """Groups of frames of which sampling will keep the sharpest, should none be rejected."""
-    if not frames or settings.sampling == "all":
-        return [np.array([i]) for i in range(len(frames))]
-    if settings.sampling == "rate":
-        return rate_candidates(np.array([f.t_ns for f in frames], dtype=np.int64), settings.rate_hz)
-    poses = np.array([f.vio_T_cam for f in frames], dtype=float)
-    return motion_candidates(poses, settings.step_m, settings.step_deg)

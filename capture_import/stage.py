@@ -9,18 +9,20 @@ import pandas as pd
 
 from artefacts import Stage, StageRun, UserError
 from artefacts.stage import write_json
+from artefacts.tables import dataset_frames
 from capture_import.blurring import CascadeDetector
 from capture_import.capture import RawFrame, Reject
 from capture_import.clock import NOTICEABLE_S, ClockCheck, check_clock
 from capture_import.convention import SUSPECT, ConventionCheck, check_convention
 from capture_import.discovery import Found, find_recordings
 from capture_import.images import ImageCheck
-from capture_import.intake import Image, Intake, Scan, Session, measures, take_in
+from capture_import.intake import Intake, Scan, Session, measures, take_in
 from capture_import.placing import Placement, place_images
 from capture_import.recording import blueprint, log_session
 from capture_import.scan import Look
+from capture_import.selection import Selection, density_for, select
 from capture_import.settings import ImportSettings
-from capture_import.splits import LEAK_S, Split, split_frames
+from capture_import.splits import LEAK_S, Split, nearest_split, split_frames
 from capture_import.spool import Spool
 from capture_import.tables import (
     frames_table,
@@ -28,7 +30,6 @@ from capture_import.tables import (
     printable,
     reference_table,
     rejects_table,
-    sampled,
     sessions_table,
     vio_table,
 )
@@ -64,10 +65,11 @@ def run(r: StageRun[ImportSettings]) -> None:
     quarters = to_upright if r.settings.upright else dict.fromkeys(to_upright, 0)
     sessions = [turned(s, quarters[s.session_id]) for s in sessions]
     with r.step("tables"):
-        kept = _sample(r, sessions)
+        used = _select_images(r, sessions)
         parts = []
         for session in sessions:
-            if own := kept[session.session_id]:
+            selection = used[session.session_id]
+            if selection.images:
                 where = Placement(
                     root=root,
                     work=r.work,
@@ -78,11 +80,12 @@ def run(r: StageRun[ImportSettings]) -> None:
                     limits=r.settings.limits,
                     detect=detect,
                 )
-                places = place_images(own, session.session_id, where)
-                parts.append(frames_table(session, own, places))
+                places = place_images(selection.images, session.session_id, where)
+                parts.append(frames_table(session, selection, places))
         frames = pd.concat(parts, ignore_index=True)
-        split = split_frames(frames, r.scene.split, r.settings.split_by == "time")
-        frames["split"] = split.of_frame
+        dataset = dataset_frames(frames)
+        split = split_frames(dataset, r.scene.split, r.settings.split_by == "time")
+        frames["split"] = nearest_split(frames, dataset.assign(split=split.of_frame))
         frames = frames[frames["split"] != "unused"].reset_index(drop=True)
         table = sessions_table(sessions, frames)
         r.write("frames", frames.drop(columns=["recording", "said"]))
@@ -200,13 +203,24 @@ def _report_fits(r: StageRun[ImportSettings], fits: Sequence[tuple[ConventionChe
     r.figure("clock_offset_s", max(offsets, key=abs, default=None))
 
 
-def _sample(r: StageRun[ImportSettings], sessions: Sequence[Session]) -> dict[str, list[Image]]:
-    kept = {s.session_id: sampled(s, r.settings) for s in sessions}
-    count, images = sum(map(len, kept.values())), sum(len(s.images) for s in sessions)
-    if count < min(r.settings.min_frames, images):
-        r.say(f"sampling would keep {count} of {images} images, fewer than {r.settings.min_frames}: all are kept")
-        return {s.session_id: s.images for s in sessions}
-    return kept
+def _select_images(r: StageRun[ImportSettings], sessions: Sequence[Session]) -> dict[str, Selection]:
+    """What is used of each session; says so where sampling has to be denser than its settings."""
+    density = density_for(sessions, r.settings)
+    used = select(sessions, r.settings, density)
+    if density == 1:
+        return used
+    usual, count = (_dataset_size(of) for of in (select(sessions, r.settings), used))
+    if usual < count:
+        images = sum(len(s.images) for s in sessions)
+        r.say(
+            f"sampling would keep {usual} of {images} images, fewer than {r.settings.min_frames} (import.min_frames): "
+            + ("all are kept" if count == images else f"sampled {density:.2f} times as densely, {count} are kept")
+        )
+    return used
+
+
+def _dataset_size(used: dict[str, Selection]) -> int:
+    return sum(int((~selection.support).sum()) for selection in used.values())
 
 
 def _refuse_same_ids(sessions: Sequence[Session], root: Path) -> None:
@@ -245,8 +259,8 @@ def _report(
     images = sum(len(s.images) for s in sessions)
     for row in table.itertuples():
         r.say(
-            f"{row.session_id}: {row.poses} poses, {row.images} images, {row.frames} kept, "
-            f"{row.path_m:.1f} m in {row.duration_s:.0f} s ({row.split})"
+            f"{row.session_id}: {row.poses} poses, {row.images} images, {row.frames} frames and {row.support_frames} "
+            f"support frames kept, {row.path_m:.1f} m in {row.duration_s:.0f} s ({row.split})"
         )
     if rejects:
         reasons = "; ".join(f"{n} x {printable(reason)}" for reason, n in _most_common(rejects))
@@ -260,13 +274,15 @@ def _report(
             f"warning: test frames are {split.leak_s:.1f} s from training frames of the same walk (5 s or more are "
             "needed): accuracy on this split says nothing about new walks"
         )
-    counts = frames["split"].value_counts()
+    dataset = dataset_frames(frames)
+    counts = dataset["split"].value_counts()
     figures: dict[str, float | int | str | None] = {
         "recordings": table["recording"].nunique(),
         "sessions": len(sessions),
         "poses": int(table["poses"].sum()),
         "images": images,
-        "frames": len(frames),
+        "frames": len(dataset),
+        "support_frames": len(frames) - len(dataset),
         **{f"frames_{name}": int(counts.get(name, 0)) for name in ("train", "val", "test")},
         "not_sampled": images - len(frames),
         "rejects": len(rejects),
@@ -294,7 +310,7 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
 
 STAGE = Stage(
     name="import",
-    version=3,
+    version=4,
     settings=ImportSettings,
     needs=(),
     run=run,

@@ -7,37 +7,21 @@ from typing import get_args
 import numpy as np
 import pandas as pd
 
-from artefacts.tables import pose_frame
+from artefacts.tables import dataset_frames, pose_frame
 from capture_import.blurring import Kind
 from capture_import.capture import Reject
 from capture_import.health import gravity_of
-from capture_import.intake import Image, Session, path_length
+from capture_import.intake import Session, path_length
 from capture_import.placing import Placed
-from capture_import.sampling import sample_motion, sample_rate
-from capture_import.settings import ImportSettings
-from geometry.poses import Array
+from capture_import.selection import Selection
 
 
-def sampled(session: Session, settings: ImportSettings) -> list[Image]:
-    """The session's images that its sampling keeps."""
-    images = session.images
-    if not images or settings.sampling == "all":
-        return images
-    sharpness = np.array([i.check.sharpness for i in images])
-    if settings.sampling == "rate":
-        t_ns = np.array([i.frame.t_ns for i in images], dtype=np.int64)
-        kept = sample_rate(t_ns, sharpness, settings.rate_hz)
-    else:
-        kept = sample_motion(_poses(images), sharpness, settings.step_m, settings.step_deg)
-    return [images[i] for i in kept]
-
-
-def frames_table(session: Session, kept: Sequence[Image], places: Sequence[Placed]) -> pd.DataFrame:
+def frames_table(session: Session, used: Selection, places: Sequence[Placed]) -> pd.DataFrame:
     """Rows of `frames`, all but the split; and what the split is made from: the recording's name in `recording`, and
     what a public data set says it's for in `said`."""
     raw = session.recording
     rows = []
-    for image, place in zip(kept, places, strict=True):
+    for image, support, place in zip(used.images, used.support, places, strict=True):
         camera = image.frame.intrinsics
         assert camera is not None  # health rejects images without
         exposure = image.frame.exposure_s
@@ -61,14 +45,15 @@ def frames_table(session: Session, kept: Sequence[Image], places: Sequence[Place
                 "tracking": image.frame.tracking,
                 "sharpness": image.check.sharpness,
                 "exposure_s": math.nan if exposure is None else exposure,
+                "support": bool(support),
             }
         )
     blurred = {
         f"blurred_{kind}s": [math.nan if p.blurred is None else float(p.blurred.count(kind)) for p in places]
         for kind in get_args(Kind)
     }
-    poses = _poses(kept)
-    gravity = gravity_of(poses) if raw.gravity_aligned else np.full((len(kept), 3), np.nan)
+    poses = np.array([image.frame.vio_T_cam for image in used.images], dtype=float).reshape(-1, 4, 4)
+    gravity = gravity_of(poses) if raw.gravity_aligned else np.full((len(poses), 3), np.nan)
     if raw.poses_are == "reference":
         poses = np.full_like(poses, np.nan)
     return pd.concat(
@@ -96,7 +81,8 @@ def sessions_table(sessions: Sequence[Session], frames: pd.DataFrame) -> pd.Data
     """One row a session; `frames` is the frames table with its splits."""
     rows = []
     for session in sessions:
-        own = frames[frames["session_id"] == session.session_id]
+        used = frames[frames["session_id"] == session.session_id]
+        dataset = dataset_frames(used)
         t_ns = session.t_ns
         rows.append(
             {
@@ -109,8 +95,9 @@ def sessions_table(sessions: Sequence[Session], frames: pd.DataFrame) -> pd.Data
                 "path_m": path_length(session),
                 "poses": len(session.frames),
                 "images": len(session.images),
-                "frames": len(own),
-                "split": _session_split(set(own["split"])),
+                "frames": len(dataset),
+                "support_frames": len(used) - len(dataset),
+                "split": _session_split(set(dataset["split"])),
             }
         )
     return pd.DataFrame(rows)
@@ -159,7 +146,3 @@ def _session_split(splits: set[str]) -> str:
     if splits <= {"train", "val"}:
         return "train"
     return "test" if splits == {"test"} else "mixed"
-
-
-def _poses(images: Sequence[Image]) -> Array:
-    return np.array([i.frame.vio_T_cam for i in images], dtype=float).reshape(-1, 4, 4)

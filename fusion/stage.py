@@ -11,7 +11,7 @@ def run(r: StageRun[FuseSettings]) -> None:
     inputs = [
         Inputs(
             leaf,
-            r.read("import", "frames", scene=leaf),
+            r.dataset_frames(leaf),
             r.read("align", "ground_truth", scene=leaf),
             _predictions(r, leaf),
         )

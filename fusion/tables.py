@@ -17,7 +17,7 @@ from artefacts.recording import RECORDING, open_recording
 from artefacts.schemas import schema
 from artefacts.settings import SHIPPED_DATA, resolve_settings
 from artefacts.stage import swap_in, write_json
-from artefacts.tables import write_table
+from artefacts.tables import dataset_frames, write_table
 from fusion.evaluate import FuseSettings, Inputs, evaluate, joined_walks, report_lines, resolved
 from fusion.mobilearloc import MobileARLocOptions
 from fusion.record import blueprint, record
@@ -40,6 +40,8 @@ class Files:
         frames = _read(self.frames)
         if "split" not in frames.columns:
             frames = frames.assign(split="test")
+        if "support" in frames.columns:
+            frames = dataset_frames(frames)
         return Inputs(scene, frames, _read(self.ground_truth), _read(self.predictions))
 
 

@@ -142,16 +142,17 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
     manifests = {stage: r.manifest(stage, leaf) for stage in ("import", "sfm", "align")}
     manifests |= {f"train of {owner}" if owner != leaf else "train": r.manifest("train", owner) for owner in trainers}
     manifests |= {f"fuse of {fused_by}" if fused_by != leaf else "fuse": r.manifest("fuse", fused_by)}
+    frames, images = r.dataset_frames(leaf), r.read("sfm", "images", scene=leaf)
     return SceneInputs(
         name=leaf,
         environment=r.data.scene(leaf)[0].environment,
         simulated=bool(manifests["import"]["simulated"]),
         profile=r.profile,
         seed=r.seed,
-        frames=r.read("import", "frames", scene=leaf),
+        frames=frames,
         sessions=r.read("import", "sessions", scene=leaf),
         rejects=r.read("import", "rejects", scene=leaf),
-        images=r.read("sfm", "images", scene=leaf),
+        images=images[images["frame_id"].isin(frames["frame_id"])].reset_index(drop=True),
         ground_truth=r.read("align", "ground_truth", scene=leaf),
         align_sessions=r.read("align", "sessions", scene=leaf),
         drift=r.read("align", "drift", scene=leaf),

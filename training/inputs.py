@@ -20,7 +20,7 @@ def read_frames(r: StageRun[TrainSettings]) -> pd.DataFrame:
     there is none), the scene's name and its index. Held-out frames are marked `val` in every scene."""
     tables = []
     for index, scene in enumerate(r.leaves):
-        frames = r.read("import", "frames", scene=scene)
+        frames = r.dataset_frames(scene)
         truth = r.read("align", "ground_truth", scene=scene)
         pose_columns = [c for c in truth.columns if c.startswith("map_cam_")]
         frames = frames.merge(truth[["frame_id", "quality", *pose_columns]], on="frame_id", how="left", validate="1:1")

@@ -12,7 +12,7 @@ import pandas as pd
 from artefacts import DataRoot, UserError
 from artefacts.schemas import schema
 from artefacts.stage import MANIFEST, load_manifest
-from artefacts.tables import poses_of, read_table, with_cameras
+from artefacts.tables import dataset_frames, poses_of, read_table, with_cameras
 from geometry.fits import Sim3
 from geometry.poses import Array
 
@@ -82,7 +82,7 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
             )
     ground_truth = read_table(folders["align"] / "ground_truth.parquet", schema("align", "ground_truth"))
     images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
-    frames = read_table(folders["import"] / "frames.parquet", schema("import", "frames")).merge(
+    frames = dataset_frames(read_table(folders["import"] / "frames.parquet", schema("import", "frames"))).merge(
         ground_truth[["frame_id", "quality", "reason", "component"]], on="frame_id", validate="one_to_one"
     )
     frames = with_cameras(frames, images)

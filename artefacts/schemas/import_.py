@@ -9,7 +9,8 @@ TABLES = [
     TableSchema(
         "import",
         "frames",
-        "Images that the later stages use, each with its intrinsics and the phone's pose.",
+        "Images that are used, each with its intrinsics and the phone's pose: frames of the dataset, and between them "
+        "support frames, which only SfM and the checks of its model use: no table of a later stage has them.",
         [
             Column("frame_id", "string", "<session>/<six digits>, the row's number in the capture's log"),
             _SESSION,
@@ -31,11 +32,17 @@ TABLES = [
             Column("tracking", "string", "the odometry's state: normal, limited, lost or unknown"),
             Column("sharpness", "float64", "1 - blur after Crete et al. 2007, 0 to 1; higher is sharper"),
             Column("exposure_s", "float64", "exposure time", "s", nullable=True),
-            Column("split", "string", "train, val (held-out block of the training walks) or test"),
+            Column(
+                "split",
+                "string",
+                "train, val (held-out block of the training walks) or test; a support frame's is that of the frame of "
+                "the dataset nearest in time",
+            ),
+            Column("support", "bool", "support frame: used by SfM and the checks of its model, not in the dataset"),
             Column("blurred_faces", "int64", "regions blurred as faces; null: none were looked for", nullable=True),
             Column("blurred_plates", "int64", "regions blurred as plates; null: none were looked for", nullable=True),
         ],
-        version="1.1",
+        version="2.0",
     ),
     TableSchema(
         "import",
@@ -51,14 +58,16 @@ TABLES = [
             Column("path_m", "float64", "length of the VIO path", "m"),
             Column("poses", "int64", "poses in the log"),
             Column("images", "int64", "sound images with a pose, before sampling"),
-            Column("frames", "int64", "images kept by sampling"),
+            Column("frames", "int64", "images kept by sampling: frames of the dataset"),
+            Column("support_frames", "int64", "images added for SfM alone"),
             Column("split", "string", "train (with val inside), test, mixed, or unused"),
         ],
+        version="2.0",
     ),
     TableSchema(
         "import",
         "rejects",
-        "Everything that was left out for a reason; frames thinned out by sampling aren't here.",
+        "Everything that was left out for a reason; images thinned out by sampling aren't here.",
         [
             _SESSION,
             Column("source", "string", "file or row in the capture"),

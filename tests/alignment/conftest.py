@@ -134,6 +134,7 @@ def _make(w: Walks) -> Scene:
                 "t_ns": 10**12 * (number + 1) + 10**9 * np.arange(w.frames),
                 "tracking": "normal",
                 "fx": 1400.0,
+                "support": False,
                 **{f"gravity_{axis}": gravity[:, i] for i, axis in enumerate("xyz")},
             }
         )

@@ -281,6 +281,21 @@ def test_frames_without_ground_truth_are_left_out_and_listed(scene: DataRoot, na
     assert not [p for p in out.rglob("*") if p.suffix in (".jpg", ".png")]
 
 
+@pytest.mark.parametrize("name", sorted(WRITERS))
+def test_support_frames_are_not_exported(scene: DataRoot, name: str) -> None:
+    support = {"walk0/000007", "walk1/000011"}
+    path = scene.run("tiny", "Place", "import") / "frames.parquet"
+    frames = read_table(path, schema("import", "frames"))
+    write_table(path, frames.assign(support=frames["frame_id"].isin(support)), schema("import", "frames"))
+    execute(STAGE, "Place", "tiny", scene, force=True)
+    out = _export(scene, name)
+    listed = pd.read_csv(out / "frames.csv", keep_default_na=False)
+    assert len(listed) == FRAMES + 1 - len(support) and not set(listed["frame_id"]) & support
+    if name == "colmap":
+        model = pycolmap.Reconstruction(out / "sparse" / "0")
+        assert {image.name.removesuffix(".jpg") for image in model.images.values()} == set(_frame_of(out).values())
+
+
 def test_images_are_linked_or_copied(scene: DataRoot) -> None:
     linked = _export(scene, "nerfstudio") / "images" / "walk0" / "000000.jpg"
     assert linked.is_symlink() and linked.read_bytes() == _image(scene, "walk0/000000").read_bytes()

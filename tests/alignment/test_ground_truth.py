@@ -181,6 +181,38 @@ def test_unregistered_frames_have_a_row_and_no_pose(walks) -> None:
     assert gt["covariance"].iloc[20:25].isna().all() and (gt["quality"].iloc[20:25] == "B").all()
 
 
+def test_support_frames_help_to_judge_the_model_and_are_in_no_table(walks) -> None:
+    scene = walks.make(**PHONES)
+    whole = run(scene)
+    support = np.arange(len(scene.frames)) % 3 == 1
+    scene.frames["support"] = support
+    aligned = run(scene)
+    # All frames say where the map is, those of the dataset get ground truth in it.
+    np.testing.assert_allclose(ground_truth(aligned), ground_truth(whole)[~support], atol=1e-12)
+    dataset = scene.frames["frame_id"][~support].tolist()
+    assert aligned.ground_truth["frame_id"].tolist() == dataset
+    assert aligned.ground_truth["quality"].tolist() == whole.ground_truth["quality"][~support].tolist()
+    assert set(aligned.residuals["frame_id"]) == set(dataset)
+    assert aligned.sessions[["frames", "registered", "used"]].to_numpy().tolist() == [[40, 40, 40]] * 5
+    np.testing.assert_allclose(aligned.sessions["scale"], whole.sessions["scale"], rtol=1e-12)
+    per_pair = aligned.drift[(aligned.drift["definition"] == "paper_rpe") & (aligned.drift["interval_unit"] == "pair")]
+    assert per_pair.set_index("session_id")["samples"]["all"] == 5 * 39
+
+
+def test_support_frames_that_are_not_registered_cost_the_dataset_nothing(walks) -> None:
+    scene = walks.make()
+    scene.frames["support"] = np.arange(len(scene.frames)) % 3 > 0
+    scene.images.loc[scene.frames["support"], "registered"] = False
+    aligned = run(scene)
+    assert len(aligned.ground_truth) == 60 and (aligned.ground_truth["quality"] != "none").all()
+    registered = aligned.gate[aligned.gate["check"] == "registered"]
+    assert registered[["frames", "value"]].to_numpy().tolist() == [[60, 1.0]]
+    scene.images["registered"] = scene.frames["support"]
+    with pytest.raises(UserError, match="too few frames") as error:
+        run(scene)
+    assert "0 of 60" in str(error.value)
+
+
 def test_no_registered_frame_is_an_error(walks) -> None:
     scene = walks.make(frames=6)
     scene.images["registered"] = False

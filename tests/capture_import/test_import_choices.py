@@ -1,16 +1,24 @@
 """Sampling and splits as properties."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from artefacts import UserError
 from artefacts.settings import SplitRules
-from capture_import.sampling import sample_motion, sample_rate
+from capture_import.capture import RawFrame, RawSession
+from capture_import.images import ImageCheck
+from capture_import.intake import Image, Session
+from capture_import.sampling import sample_motion, sample_rate, sample_support, support_cells
+from capture_import.selection import density_for, select
+from capture_import.settings import ImportSettings
 from capture_import.splits import LEAK_S, leak_seconds, split_frames
-from geometry.poses import make_pose
+from geometry.poses import make_pose, relative, rotation_angle
 
 
 def frames_of(**recordings: np.ndarray) -> pd.DataFrame:
@@ -48,6 +56,116 @@ def test_sampling_by_motion_keeps_steps() -> None:
     poses = make_pose(np.eye(3), np.stack([x, 0 * x, 0 * x], axis=-1))
     kept = sample_motion(poses, np.ones(len(x)), 0.5, 20.0)
     np.testing.assert_allclose(np.diff(x[kept]), 0.5)
+
+
+def walk_of(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (N, 4, 4) of a walk that stands, strolls, runs and turns, and how sharp its images are (N,)."""
+    rng = np.random.default_rng(seed)
+    speed = np.repeat(rng.choice([0.0, 0.02, 0.1, 0.5], count // 10 + 1), 10)[:count]
+    turn = np.repeat(rng.choice([0.0, 1.0, 8.0], count // 7 + 1), 7)[:count] * rng.choice([-1, 1])
+    yaw = np.radians(np.cumsum(turn))
+    step = speed[:, None] * np.stack([np.sin(yaw), 0 * yaw, np.cos(yaw)], axis=1)
+    return make_pose(Rotation.from_euler("y", yaw[:, None]).as_matrix(), np.cumsum(step, axis=0)), rng.random(count)
+
+
+def steps_between(poses: np.ndarray, used: np.ndarray, step_m: float, step_deg: float) -> np.ndarray:
+    """Steps between neighbours in units of the largest allowed."""
+    a_T_b = relative(poses[used[:-1]], poses[used[1:]])
+    turned = np.degrees(rotation_angle(a_T_b[:, :3, :3]))
+    return np.maximum(np.linalg.norm(a_T_b[:, :3, 3], axis=1) / step_m, turned / step_deg)
+
+
+@given(st.integers(2, 150), st.integers(1, 30), st.integers(1, 20), st.integers(0, 2**32 - 1))
+def test_support_frames_keep_steps_small_wherever_there_are_images(
+    count: int, every: int, width: int, seed: int
+) -> None:
+    poses, sharpness = walk_of(count, seed)
+    kept, cells = np.arange(0, count, every), np.arange(count) // width
+    support = sample_support(poses, sharpness, cells, kept, 0.3, 15.0, most=count)
+    assert np.intersect1d(support, kept).size == 0 and ((support > kept[0]) & (support < kept[-1])).all()
+    used = np.sort(np.concatenate([kept, support]))
+    large = steps_between(poses, used, 0.3, 15.0) > 1 + 1e-6
+    assert (np.diff(used)[large] == 1).all()
+    # Each was needed: it's in a gap between frames that was too large.
+    gaps = steps_between(poses, kept, 0.3, 15.0) > 1
+    assert gaps[np.searchsorted(kept, support) - 1].all()
+
+
+@given(st.integers(20, 150), st.integers(0, 20), st.integers(0, 2**32 - 1))
+def test_support_frames_stay_within_their_number(count: int, most: int, seed: int) -> None:
+    poses, sharpness = walk_of(count, seed)
+    kept = np.arange(0, count, 10)
+    support = sample_support(poses, sharpness, np.arange(count), kept, 0.3, 15.0, most)
+    assert len(support) <= most
+    if len(support) < most:
+        used = np.sort(np.concatenate([kept, support]))
+        assert (np.diff(used)[steps_between(poses, used, 0.3, 15.0) > 1 + 1e-6] == 1).all()
+
+
+def straight(metres: np.ndarray) -> np.ndarray:
+    return make_pose(np.eye(3), np.stack([metres, 0 * metres, 0 * metres], axis=-1))
+
+
+def test_support_frames_are_few_even_and_sharp() -> None:
+    poses, cells, kept = straight(np.arange(101) * 0.01), np.arange(101), np.array([0, 100])
+    support = sample_support(poses, np.zeros(101), cells, kept, 0.3, 15.0, 100)
+    assert support.tolist() == [25, 50, 75]
+    sharpness = np.zeros(101)
+    sharpness[[28, 52, 80, 99]] = 1.0
+    assert sample_support(poses, sharpness, cells, kept, 0.3, 15.0, 100).tolist() == [28, 52, 80]
+    # Only the sharpest image of each cell, as long as that does.
+    assert sample_support(poses, sharpness, cells // 12, kept, 0.3, 15.0, 100).tolist() == [28, 52, 80]
+    assert not len(sample_support(poses, sharpness, cells, kept, 0.0, 15.0, 100))
+    assert len(sample_support(poses, sharpness, cells, kept, 0.3, 0.0, 100)) == 3
+
+
+def test_the_largest_steps_are_cut_where_not_all_can_be() -> None:
+    metres = np.concatenate([np.arange(10) * 0.1, 1 + np.arange(41) * 0.1])  # 1 m, then 4 m
+    kept = np.array([0, 10, 50])
+    support = sample_support(straight(metres), np.zeros(51), np.arange(51), kept, 0.3, 15.0, 3)
+    assert support.tolist() == [20, 30, 40]
+
+
+def test_cells_are_narrow_but_no_more_than_so_many() -> None:
+    travelled = np.arange(1000) * 0.05  # in steps: half a step is ten images
+    windows = [np.arange(i, i + 5) for i in range(0, 1000, 100)]
+    cells = support_cells(travelled, windows, 1000)
+    assert (np.diff(cells) >= 0).all() and np.unique(cells, return_counts=True)[1].max() == 10
+    for window in windows:
+        assert np.intersect1d(cells[window], np.delete(cells, window)).size == 0
+    assert len(np.unique(support_cells(travelled, windows, 60))) <= 60
+
+
+@pytest.mark.parametrize("every", [1, 2, 3])
+@pytest.mark.parametrize("sampling", ["rate", "motion"])
+def test_thinning_to_a_number_is_even_whatever_the_rate(every: int, sampling: str) -> None:
+    session = session_of(np.arange(0, 34, 0.1)[::every])  # at 1 Hz or 1 m 34 images
+    settings = ImportSettings(sampling=sampling, step_m=1.0)  # type: ignore[arg-type]
+    selection = select([session], settings, density_for([session], settings))["walk"]
+    t_s = np.array([i.frame.t_ns for i in selection.images])[~selection.support] * 1e-9
+    assert 60 <= len(t_s) <= 66
+    steps = np.diff(t_s)[:-1]  # the last image has no window to choose from
+    assert steps.max() <= 1.6 * 34 / 60 and steps.min() >= 0.4 * 34 / 60
+    assert density_for([session], settings.model_copy(update={"min_frames": 20})) == 1
+    assert np.isinf(density_for([session], settings.model_copy(update={"min_frames": 1000})))
+
+
+def test_a_phone_that_stands_still_keeps_every_image() -> None:
+    session = session_of(np.arange(0, 34, 0.1), speed_m_s=0.0)
+    settings = ImportSettings(sampling="motion")
+    assert np.isinf(density_for([session], settings))
+
+
+def session_of(seconds: np.ndarray, speed_m_s: float = 1.0) -> Session:
+    """A straight walk with an image at each of the seconds, equally sharp."""
+    x = speed_m_s * seconds
+    poses = make_pose(np.eye(3), np.stack([x, 0 * x, 0 * x], axis=-1))
+    frames = [
+        RawFrame(number, str(number), round(1e9 * s), pose)
+        for number, (s, pose) in enumerate(zip(seconds, poses, strict=True))
+    ]
+    raw = RawSession("walk", "none", "", "boot", Path(), frames)
+    return Session("walk", raw, frames, [Image(frame, ImageCheck(96, 72, 0.5, "")) for frame in frames], [])
 
 
 def test_a_single_walk_is_split_in_time_with_validation_between() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import cv2
@@ -73,9 +74,53 @@ def test_few_frames_are_all_kept_and_the_leak_is_told(tmp_path: Path) -> None:
 
 def test_sampling_takes_one_frame_a_second(tmp_path: Path) -> None:
     write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(201))
-    frames = run_import(tmp_path, "place", "min_frames=0")["frames"]
+    frames = run_import(tmp_path, "place", "min_frames=0", "support_share=0")["frames"]
     steps = np.diff(frames["t_ns"]) * 1e-9
     assert len(frames) == 21 and steps.min() >= 0.5 and steps.max() <= 1.5
+
+
+def test_support_frames_are_added_between_frames_that_stay_the_same(tmp_path: Path) -> None:
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(201))
+    write_scanner_app(tmp_path / "captures" / "place" / "xlater", make_walk(101, seed=1))
+    alone = run_import(tmp_path, "place", "min_frames=0", "support_share=0")
+    tables = run_import(tmp_path, "place", "min_frames=0")
+    frames, sessions = tables["frames"], tables["sessions"].set_index("session_id")
+    dataset, support = frames[~frames["support"]], frames[frames["support"]]
+    assert not alone["frames"]["support"].any() and len(support) > 10
+    pd.testing.assert_frame_equal(dataset.reset_index(drop=True), alone["frames"])
+    figures = tables["figures"]
+    assert (figures["frames"], figures["support_frames"]) == (len(dataset), len(support))
+    assert sum(figures[f"frames_{split}"] for split in ("train", "val", "test")) == len(dataset)
+    assert figures["not_sampled"] == 152 - len(frames)
+    for session_id, used in frames.groupby("session_id"):
+        assert used["t_ns"].is_monotonic_increasing and not used["support"].iloc[[0, -1]].any()
+        row = sessions.loc[session_id]
+        assert (row["frames"], row["support_frames"]) == ((~used["support"]).sum(), used["support"].sum())
+        assert row["support_frames"] <= row["frames"] and row["frames"] < row["images"]
+        own = used[~used["support"]]
+        for extra in used[used["support"]].itertuples():
+            assert extra.split == own["split"].iloc[(own["t_ns"] - extra.t_ns).abs().argmin()]
+
+
+def test_the_order_of_files_in_the_folder_does_not_matter(tmp_path: Path) -> None:
+    written = tmp_path / "one" / "captures" / "place" / "walk"
+    write_scanner_app(written, make_walk(201))
+    shuffled = tmp_path / "two" / "captures" / "place" / "walk"
+    shuffled.mkdir(parents=True)
+    for path in np.random.default_rng(0).permutation(sorted(written.iterdir())):
+        shutil.copyfile(path, shuffled / path.name)
+    one, two = (run_import(tmp_path / name, "place", "min_frames=30")["frames"] for name in ("one", "two"))
+    assert one["support"].sum() > 5
+    pd.testing.assert_frame_equal(one, two)
+
+
+def test_a_capture_with_too_few_frames_is_thinned_evenly_to_so_many(tmp_path: Path) -> None:
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(301, every=1))  # 30 s, 31 frames at 1 Hz
+    for settings in ((), ("sampling='motion'", "step_m=3")):
+        frames = run_import(tmp_path, "place", "support_share=0", *settings)["frames"]
+        assert 60 <= len(frames) <= 64
+    steps = np.diff(run_import(tmp_path, "place", "support_share=0")["frames"]["t_ns"])[:-1] * 1e-9
+    assert steps.min() >= 0.25 and steps.max() <= 0.75
 
 
 @pytest.mark.parametrize("images", ["copy", "link"])
@@ -221,6 +266,15 @@ def test_chair_is_imported_whole(tmp_path: Path, shared_captures: Path) -> None:
     tables = run_import(tmp_path, "chair")
     assert len(tables["frames"]) == 24 and len(tables["vio"]) == 70
     assert tables["rejects"].empty and tables["jumps"].empty
+
+
+def test_corridor_is_dense_enough_for_sfm(tmp_path: Path, shared_captures: Path) -> None:
+    (tmp_path / "captures").mkdir()
+    (tmp_path / "captures" / "corridor").symlink_to(shared_captures / "corridor")
+    tables = run_import(tmp_path, "corridor")
+    frames = tables["frames"]
+    assert (~frames["support"]).sum() == 77 and len(frames) >= 140
+    assert tables["sessions"][["frames", "support_frames"]].to_numpy().tolist() == [[77, len(frames) - 77]]
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from capture_writers import HEIGHT, WIDTH, image, make_walk, video_frame, write_
 
 from artefacts import DataRoot, UserError, execute
 from artefacts.stage import load_manifest
+from capture_import import placing
 from capture_import.capture import Limits
 from capture_import.spool import Spool
 from capture_import.stage import STAGE
@@ -78,20 +79,21 @@ def test_brightness_is_read_as_the_converter_reads_it(tmp_path: Path) -> None:
         assert gray_pixels(frame, 48).shape == (36, 48)
 
 
-def test_frames_written_ahead_are_the_frames_that_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = ["min_frames=0", "rate_hz=2"]
-    write_stray_scanner(tmp_path / "ahead" / "captures" / "place" / "walk", make_walk(40))
+@pytest.mark.parametrize("share", [0, 0.5, 1, 5])
+def test_frames_written_ahead_are_the_frames_that_are_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
+    settings = ["min_frames=0", "rate_hz=1", f"support_share={share}"]
+    write_stray_scanner(tmp_path / "ahead" / "captures" / "place" / "walk", make_walk(240, rate_hz=30.0, every=1))
     shutil.copytree(tmp_path / "ahead", tmp_path / "again")
-    written = []
-    flush = Spool.flush
-
-    def counted(self: Spool) -> None:
-        written.append(self._best is not None)
-        flush(self)
-
-    monkeypatch.setattr(Spool, "flush", counted)
-    ahead = load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path / "ahead"), settings))
-    assert sum(written) == ahead["figures"]["frames"] == 9
+    with monkeypatch.context() as patch:
+        patch.setattr(placing, "decode", lambda *_: pytest.fail("the video is decoded again"))
+        ahead = load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path / "ahead"), settings))
+    assert ahead["figures"]["frames"] == 9
+    if share < 5:
+        assert ahead["figures"]["support_frames"] == int(9 * share)
+    else:  # ten metres
+        assert 25 <= ahead["figures"]["support_frames"] <= 40
     monkeypatch.setattr(Spool, "take", lambda *_: None)
     again = load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path / "again"), settings))
     assert ahead["outputs"] == again["outputs"] and any(name.endswith(".jpg") for name in ahead["outputs"])

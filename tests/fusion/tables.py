@@ -18,6 +18,7 @@ def tables(seeds: list[int], models: tuple[str, ...] = ("PN",), frames: int = 40
                 "session_id": f"s{seed}",
                 "split": "test",
                 "t_ns": walk.t_ns,
+                "support": False,
             }
         )
         none = np.full((4, 4), np.nan)

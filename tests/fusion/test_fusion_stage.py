@@ -48,7 +48,12 @@ def group(tmp_path):
 
 
 def test_a_scene_gets_all_tables_and_a_recording(tmp_path):
-    r = stage_run(tmp_path, "A", scene_inputs("A", [1, 2], ("PN",)))
+    inputs = scene_inputs("A", [1, 2], ("PN",))
+    frames = inputs["import", "A"]
+    # A support frame has neither ground truth nor a prediction.
+    support = frames.iloc[[0]].assign(frame_id="s1/000900", t_ns=frames["t_ns"].iloc[0] + 1, support=True)
+    inputs["import", "A"] = pd.concat([frames, support])
+    r = stage_run(tmp_path, "A", inputs)
     STAGE.run(r)
     for table in ("poses", "errors", "signals", "summary", "intervals", "sweep", "sessions", "methods"):
         assert len(read_table(r.work / f"{table}.parquet", schema("fuse", table)))

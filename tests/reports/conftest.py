@@ -68,8 +68,11 @@ class MadeUpScene:
             clock="boot", image=frames["frame_id"] + ".jpg", image_sha256="", width=64, height=48, fx=50.0, fy=50.0,
             cx=32.0, cy=24.0, distortion=[[] for _ in range(len(frames))], gravity_x=1.0, gravity_y=0.0, gravity_z=0.0,
             tracking="normal", sharpness=0.5, exposure_s=0.01, blurred_faces=None,
-            blurred_plates=None,
+            blurred_plates=None, support=False,
         )  # fmt: skip
+        # A support frame, which SfM didn't register: no figure of the report may count it.
+        support = imported.iloc[[0]].assign(frame_id="walk_1/000900", t_ns=SECOND // 2, support=True)
+        imported = pd.concat([imported, support], ignore_index=True)
         truth = pd.concat([frames, pose_frame("map_cam", self.map_T_cam)], axis=1).assign(
             covariance=None,
             position_sd_m=0.005,
@@ -195,7 +198,16 @@ class MadeUpScene:
             }
             split = of_session["split"].iloc[-1].replace("val", "train")
             rows.append(
-                row | {"duration_s": n - 1.0, "path_m": 110.0, "poses": n, "images": n, "frames": n, "split": split}
+                row
+                | {
+                    "duration_s": n - 1.0,
+                    "path_m": 110.0,
+                    "poses": n,
+                    "images": n,
+                    "frames": n,
+                    "support_frames": 0,
+                    "split": split,
+                }
             )
         return pd.DataFrame(rows)
 
@@ -208,7 +220,7 @@ class MadeUpScene:
         poses = self.map_T_cam.copy()
         poses[lost] = np.nan
         registered = np.arange(count) != lost
-        return pd.concat([self.frames[["frame_id"]], pose_frame("sfm_cam", poses)], axis=1).assign(
+        images = pd.concat([self.frames[["frame_id"]], pose_frame("sfm_cam", poses)], axis=1).assign(
             registered=registered, model_id="incremental/0", keypoints=900, covariance=None,
             observations=self.rng.integers(150, 700, count) * registered,
             reprojection_px=np.where(registered, self.rng.gamma(20, 0.04, count), np.nan), uses_vio=False,
@@ -217,6 +229,8 @@ class MadeUpScene:
             fitted_px=np.where(registered, 0.4, np.nan), fx=480.0, fy=480.0, cx=320.0, cy=240.0,
             distortion=[[0.09, -0.12, 0.0, 0.0]] * count, readout_s=0.015, camera_origin="estimated",
         )  # fmt: skip
+        support = images.iloc[[lost]].assign(frame_id="walk_1/000900")
+        return pd.concat([images, support], ignore_index=True)
 
     def _aligned(self) -> pd.DataFrame:
         sessions = self.frames.groupby("session_id").size().index

@@ -273,6 +273,15 @@ def test_a_real_capture_of_few_frames_says_that_its_accuracy_means_nothing(chair
     assert set(checks.loc[checks["check"] == "no_leak", "verdict"]) == {"caution"}
 
 
+def test_support_frames_are_not_counted(chair: tuple[DataRoot, Path]) -> None:
+    data, folder = chair
+    frames = table_of(data, "chair", "import", "frames")
+    images = table_of(data, "chair", "sfm", "images")
+    assert len(frames) == 25 and frames["support"].sum() == 1 and len(images) == 25
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    assert "23 of 24 frames" in page and "25 frames" not in page
+
+
 def test_the_same_run_gives_the_same_bytes(chair: tuple[DataRoot, Path]) -> None:
     data, folder = chair
     outputs = {

@@ -65,7 +65,7 @@ def make_scene(tmp_path: Path) -> Callable[..., Path]:
         )
         frames = frames.assign(cx=WIDTH / 2, cy=HEIGHT / 2, distortion=[[]] * len(keys), tracking="normal")
         frames = frames.assign(gravity_x=0.0, gravity_y=1.0, gravity_z=0.0, sharpness=1.0, exposure_s=0.01)
-        frames = frames.assign(blurred_faces=None, blurred_plates=None)
+        frames = frames.assign(blurred_faces=None, blurred_plates=None, support=False)
         truth_T = map_T_cam.copy()
         truth_T[-1] = np.nan  # a frame that SfM didn't register
         truth = pd.concat([keys, pose_frame("map_cam", truth_T)], axis=1).assign(
@@ -77,7 +77,9 @@ def make_scene(tmp_path: Path) -> Callable[..., Path]:
             gt_uses_vio=False,
             component=0,
         )
-        _write(data, name, "import", "frames", frames)
+        # Training that looked at a support frame would miss its image.
+        support = frames.iloc[[0]].assign(frame_id="walk/000900", t_ns=1, image="gone.png", support=True)
+        _write(data, name, "import", "frames", pd.concat([frames, support]))
         _write(data, name, "align", "ground_truth", truth)
         return data
 

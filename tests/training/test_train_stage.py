@@ -9,6 +9,7 @@ import torch
 
 from artefacts import DataRoot, UserError, execute
 from artefacts.stage import load_manifest
+from artefacts.tables import dataset_frames
 from training.build import load_trained
 from training.data import normalised, read_image, to_tensor
 from training.export import export_onnx
@@ -37,7 +38,7 @@ def test_the_stage_predicts_every_frame_and_says_what_it_trained(make_scene: Mak
     data = make_scene()
     folder = execute(STAGE, "Wall", "tiny", DataRoot(data), SMALL)
     predictions, cards, history = (table(folder, name) for name in ("predictions", "models", "history"))
-    frames = pd.read_parquet(data / "runs/tiny/Wall/import/frames.parquet")
+    frames = dataset_frames(pd.read_parquet(data / "runs/tiny/Wall/import/frames.parquet"))
     for model in ("PN", "MS-T"):
         mine = predictions[predictions["model"] == model]
         assert sorted(mine["frame_id"]) == sorted(frames["frame_id"])
