@@ -88,7 +88,6 @@ class Examination:
             reason=self.reason[wanted],
             worst_m=self.worst_m[wanted],
             worst_rad=self.worst_rad[wanted],
-            doubted=self.doubted[wanted],
         )
 
     @property
