@@ -1,42 +1,49 @@
 """Lens distortion in OpenCV's convention, on image coordinates at unit focal length about the principal point.
 
-x_d = x (1 + k1 r^2 + k2 r^4) + 2 p1 x y + p2 (r^2 + 2 x^2) and alike for y (OpenCV, camera calibration, "Detailed
-description"); further coefficients k3, k4, k5, k6 of the rational model follow k1, k2, p1, p2.
+x_d = x radial + 2 p1 x y + p2 (r^2 + 2 x^2) and alike for y, radial = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 +
+k5 r^4 + k6 r^6) (OpenCV, camera calibration, "Detailed description"). Coefficients are up to eight numbers in OpenCV's
+order k1, k2, p1, p2, k3, k4, k5, k6, of all points (k,) or of each (M, k).
 """
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geometry.poses import Array
 
-_ITERATIONS, _PRECISION = 100, 1e-12
+_STEPS, _PRECISION = 50, 1e-13
 
 
 def distort(ideal_M2: Array, coefficients: ArrayLike) -> Array:
     """Where the lens puts ideal image points (M, 2): distorted points (M, 2)."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = _eight(coefficients)
-    x, y = np.asarray(ideal_M2, float).T
-    r2 = x * x + y * y
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    return np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=1,
-    )
+    return _distorted(np.asarray(ideal_M2, float), _eight(coefficients))[0]
+
+
+def distort_with_slope(ideal_M2: Array, coefficients: ArrayLike) -> tuple[Array, Array]:
+    """Distorted points (M, 2), and their derivatives by the ideal ones (M, 2, 2)."""
+    return _distorted(np.asarray(ideal_M2, float), _eight(coefficients))
 
 
 def undistort(distorted_M2: Array, coefficients: ArrayLike) -> Array:
-    """The ideal image points (M, 2) behind distorted ones (M, 2), the inverse of `distort`."""
-    points = np.ascontiguousarray(distorted_M2, float).reshape(-1, 1, 2)
+    """The ideal image points (M, 2) behind distorted ones (M, 2), the inverse of `distort`, by Newton's method.
+
+    NaN where the lens has no such point.
+    """
+    distorted = np.asarray(distorted_M2, float).reshape(-1, 2)
     eight = _eight(coefficients)
-    if not len(points) or not eight.any():
-        return points.reshape(-1, 2).copy()
-    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _ITERATIONS, _PRECISION)
-    ideal = cv2.undistortPointsIter(points, np.eye(3), eight, np.eye(3), np.eye(3), stop)
-    return np.asarray(ideal, float).reshape(-1, 2)
+    ideal = distorted.copy()
+    if not eight.any():
+        return ideal
+    for _ in range(_STEPS):
+        again, slope = _distorted(ideal, eight)
+        miss = again - distorted
+        if not len(miss) or np.nanmax(np.abs(miss), initial=0.0) < _PRECISION:
+            return ideal
+        determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            ideal[:, 0] -= (slope[:, 1, 1] * miss[:, 0] - slope[:, 0, 1] * miss[:, 1]) / determinant
+            ideal[:, 1] -= (slope[:, 0, 0] * miss[:, 1] - slope[:, 1, 0] * miss[:, 0]) / determinant
+    ideal[~(np.abs(_distorted(ideal, eight)[0] - distorted) < 1e-9).all(axis=1)] = np.nan
+    return ideal
 
 
 def largest_shift(coefficients: ArrayLike, other: ArrayLike, extent_xy: tuple[float, float]) -> float:
@@ -49,9 +56,26 @@ def largest_shift(coefficients: ArrayLike, other: ArrayLike, extent_xy: tuple[fl
     return float(np.linalg.norm(distort(grid, coefficients) - distort(grid, other), axis=1).max())
 
 
+def _distorted(ideal_M2: Array, eight: Array) -> tuple[Array, Array]:
+    x, y = ideal_M2.T
+    k1, k2, p1, p2, k3, k4, k5, k6 = eight.T
+    r2 = x * x + y * y
+    above, below = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    radial = above / below
+    # The derivative of `radial` by r^2, twice.
+    bend = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3) - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) / below
+    cross = bend * x * y + 2 * p1 * x + 2 * p2 * y
+    slope = np.empty((len(x), 2, 2))
+    slope[:, 0, 0] = radial + bend * x * x + 2 * p1 * y + 6 * p2 * x
+    slope[:, 1, 1] = radial + bend * y * y + 6 * p1 * y + 2 * p2 * x
+    slope[:, 0, 1] = slope[:, 1, 0] = cross
+    tangential_x = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    tangential_y = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    return np.stack([x * radial + tangential_x, y * radial + tangential_y], axis=1), slope
+
+
 def _eight(coefficients: ArrayLike) -> Array:
-    """Coefficients (up to 8) as k1, k2, p1, p2, k3, k4, k5, k6."""
-    eight = np.zeros(8)
-    given = np.asarray(coefficients, float).ravel()
-    eight[: len(given)] = given
+    given = np.asarray(coefficients, float)
+    eight = np.zeros((*given.shape[:-1], 8))
+    eight[..., : given.shape[-1]] = given
     return eight

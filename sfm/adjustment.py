@@ -16,9 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import bsr_array, coo_array, csr_array
 from scipy.spatial.transform import Rotation
 
+from geometry.lens import distort_with_slope
 from geometry.poses import Array, skew
 from sfm.normal_equations import block_rows, similarities
 
@@ -77,7 +78,8 @@ class CameraPriors:
 
 @dataclass(frozen=True)
 class Scene:
-    """What is adjusted: poses sfm_T_cam (N, 4, 4), points (P, 3), M observations in raw pixels (M, 2)."""
+    """What is adjusted: poses sfm_T_cam (N, 4, 4), points (P, 3), M observations in raw pixels (M, 2), in the order of
+    their frames."""
 
     sfm_T_cam: Array
     xyz: Array
@@ -115,15 +117,15 @@ def project(scene: Scene, cameras: Cameras, *, shutter: bool = True) -> Array:
 @dataclass(frozen=True)
 class _Forward:
     """On the way from points to pixels (M, 2): the point minus its camera in the sfm frame (M, 3), in the camera's axes
-    at its row's time (M, 3), at unit focal length before (M, 2) and after the lens (M, 2); the row's share of the
-    readout (M,), its time after the middle row (M,) s, and the camera's turn since then, to the row's axes."""
+    at its row's time (M, 3), at unit focal length before the lens (M, 2), the lens's derivative there (M, 2, 2); the
+    row's share of the readout (M,), its time after the middle row (M,) s, and the camera's turn since then."""
 
     pixel: Array
     cam_R_sfm: Array
     offset: Array
     in_row: Array
     ideal: Array
-    distorted: Array
+    slope: Array
     row: Array
     tau: Array
     row_R_cam: Rotation
@@ -139,44 +141,20 @@ def _forward(scene: Scene, cameras: Cameras, *, shutter: bool = True) -> _Forwar
     turn = Rotation.from_rotvec(-cameras.angular[i] * tau[:, None])
     q = turn.apply(p - cameras.velocity[i] * tau[:, None])
     n = q[:, :2] / q[:, 2:]
-    k = cameras.coefficients[cameras.lens[i]]
-    d = _distort(n, k)
+    d, slope = distort_with_slope(n, cameras.coefficients[cameras.lens[i]])
     pixel = cameras.focal[i] * d + cameras.intrinsics[i, 2:]
-    return _Forward(pixel, cam_R_sfm, offset, q, n, d, row, tau, turn)
-
-
-def _distort(n: Array, k: Array) -> Array:
-    """`geometry.lens.distort` with coefficients (M, 8) of each point's own."""
-    x, y = n.T
-    r2 = x * x + y * y
-    k1, k2, p1, p2, k3, k4, k5, k6 = k.T
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    return np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=1,
-    )
+    return _Forward(pixel, cam_R_sfm, offset, q, n, slope, row, tau, turn)
 
 
 def linearize(scene: Scene, cameras: Cameras) -> Linearized:
     """Residuals, predicted minus seen, and their derivatives."""
     seen = _forward(scene, cameras)
-    pixel, q, n, d, tau, turn = seen.pixel, seen.in_row, seen.ideal, seen.distorted, seen.tau, seen.row_R_cam
+    pixel, q, n, tau, turn = seen.pixel, seen.in_row, seen.ideal, seen.tau, seen.row_R_cam
     i = scene.frame
-    focal, k = cameras.focal[i], cameras.coefficients[cameras.lens[i]]
+    focal = cameras.focal[i]
     x, y = n.T
     r2 = x * x + y * y
-    k1, k2, p1, p2, k3 = k[:, :5].T
-    # The rational model's denominator is rare enough to be left to the residuals.
-    radial = np.einsum("mi,mi->m", d, n) / np.maximum(r2, 1e-12)
-    slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
-    dd = np.empty((len(n), 2, 2))
-    dd[:, 0, 0] = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
-    dd[:, 1, 1] = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
-    dd[:, 0, 1] = dd[:, 1, 0] = slope * x * y + 2 * p1 * x + 2 * p2 * y
-    by_n = focal[:, :, None] * dd
+    by_n = focal[:, :, None] * seen.slope
     z = q[:, 2]
     n_by_q = np.zeros((len(n), 2, 3))
     n_by_q[:, 0, 0] = n_by_q[:, 1, 1] = 1 / z
@@ -221,37 +199,34 @@ def normal_equations(scene: Scene, cameras: Cameras, linear: Linearized, weight_
     frames, points = len(scene.sfm_T_cam), len(scene.xyz)
     columns = shared_columns(cameras)
     shared = _LENS * len(cameras.readout_s) + len(cameras.log_focal)
+    size = _LOCAL * frames
     w = np.sqrt(weight_M)[:, None]
-    residual = w * linear.residual
-    by_frame, by_shared, by_point = (w[:, :, None] * j for j in (linear.by_frame, linear.by_shared, linear.by_point))
-    by_own = np.concatenate([by_frame, by_shared], axis=2)
-    own_T = np.swapaxes(by_own, 1, 2)
-    blocks = summed(own_T @ by_own, scene.frame, frames)
-    pull = summed(np.einsum("mji,mj->mi", by_own, residual), scene.frame, frames)
-    point_blocks = summed(np.swapaxes(by_point, 1, 2) @ by_point, scene.point, points)
+    residual, by_point = w * linear.residual, w[:, :, None] * linear.by_point
+    by_own = w[:, :, None] * np.concatenate([linear.by_frame, linear.by_shared], axis=2)
+    blocks, pull = _frame_sums(by_own, residual, scene.frame, frames)
+    point_blocks = summed(outer(by_point, by_point), scene.point, points)
     point_blocks += 1e-9 * np.trace(point_blocks, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    point_pull = summed(np.einsum("mji,mj->mi", by_point, residual), scene.point, points)
-    factor = np.linalg.cholesky(point_blocks)
-    lower_inverse = np.linalg.inv(factor)
+    point_pull = summed(np.sum(by_point * residual[:, :, None], axis=1), scene.point, points)
+    lower_inverse = np.linalg.inv(np.linalg.cholesky(point_blocks))
     # With V = L L^T the points' part of the Schur complement, W V^-1 W^T, is A A^T with A = W L^-T.
-    a_blocks = (own_T @ by_point) @ np.swapaxes(lower_inverse, 1, 2)[scene.point]
+    a_blocks = outer(by_own, by_point) @ np.swapaxes(lower_inverse, 1, 2)[scene.point]
     local = block_rows(a_blocks[:, :_LOCAL], scene.frame, scene.point, frames, points)
     by_column = np.zeros((shared, points, 3))
     for k in range(_LENS + 1):
         np.add.at(by_column, (columns[scene.frame, k], scene.point), a_blocks[:, _LOCAL + k])
     of_shared = by_column.reshape(shared, 3 * points)
-    size = _LOCAL * frames
-    matrix = np.empty((size + shared, size + shared))
-    matrix[:size, :size] = -(local @ local.T).toarray()
+    matrix = np.zeros((size + shared, size + shared))
+    _add_blocks(matrix, local)
     matrix[size:, :size] = -(local @ of_shared.T).T
     matrix[size:, size:] = -of_shared @ of_shared.T
     index = np.arange(frames)
-    matrix[:size, :size].reshape(frames, _LOCAL, frames, _LOCAL)[index, :, index, :] += blocks[:, :_LOCAL, :_LOCAL]
+    own = local_unknowns(frames)
+    matrix[own[:, :, None], own[:, None, :]] += blocks[:, :_LOCAL, :_LOCAL]
     for k in range(_LENS + 1):
         rows = size + columns[:, k]
-        np.add.at(matrix[:, :size].reshape(-1, frames, _LOCAL), (rows, index), blocks[:, _LOCAL + k, :_LOCAL])
+        np.add.at(matrix, (rows[:, None], own), blocks[:, _LOCAL + k, :_LOCAL])
         for j in range(_LENS + 1):
-            np.add.at(matrix, (rows, size + columns[:, j]), blocks[:, _LOCAL + k, _LOCAL + j])
+            np.add.at(matrix, (rows, size + columns[:, j]), blocks[index, _LOCAL + k, _LOCAL + j])
     matrix[:size, size:] = matrix[size:, :size].T
     scaled_pull = np.einsum("pij,pj->pi", lower_inverse, point_pull).ravel()
     gradient = np.empty(size + shared)
@@ -260,6 +235,30 @@ def normal_equations(scene: Scene, cameras: Cameras, linear: Linearized, weight_
     for k in range(_LENS + 1):
         np.add.at(gradient, size + columns[:, k], pull[:, _LOCAL + k])
     return System(matrix, gradient, np.swapaxes(lower_inverse, 1, 2) @ lower_inverse, point_pull)
+
+
+def _frame_sums(by_own: Array, residual: Array, frame_M: Ints, frames: int) -> tuple[Array, Array]:
+    """J^T J (N, 14, 14) and J^T r (N, 14) of each frame."""
+    width = by_own.shape[2]
+    blocks, pull = np.zeros((frames, width, width)), np.zeros((frames, width))
+    bounds = np.searchsorted(frame_M, np.arange(frames + 1))
+    for k in range(frames):
+        own = by_own[bounds[k] : bounds[k + 1]].reshape(-1, width)
+        blocks[k], pull[k] = own.T @ own, own.T @ residual[bounds[k] : bounds[k + 1]].ravel()
+    return blocks, pull
+
+
+def _add_blocks(matrix: Array, local: bsr_array) -> None:
+    """Subtract A A^T from the part of the matrix that is of the frames' own unknowns."""
+    product = (local @ local.T).tobsr((_LOCAL, _LOCAL))
+    rows = np.repeat(np.arange(len(product.indptr) - 1), np.diff(product.indptr))
+    first, second = (_LOCAL * index[:, None] + np.arange(_LOCAL) for index in (rows, product.indices))
+    matrix[first[:, :, None], second[:, None, :]] -= product.data
+
+
+def outer(a_M2k: Array, b_M2l: Array) -> Array:
+    """a^T b of each of M blocks, (M, k, l)."""
+    return a_M2k[:, 0, :, None] * b_M2l[:, 0, None, :] + a_M2k[:, 1, :, None] * b_M2l[:, 1, None, :]
 
 
 def prior_information(cameras: Cameras, priors: CameraPriors) -> csr_array:
@@ -413,10 +412,5 @@ def _cost(residual: Array, loss_px: float) -> float:
 def summed(values: Array, group: Ints, groups: int) -> Array:
     """Sums of values (M, ...) by group (groups, ...)."""
     flat = values.reshape(len(values), -1)
-    order = np.argsort(group, kind="stable")
-    starts = np.searchsorted(group[order], np.arange(groups))
-    counts = np.bincount(group, minlength=groups)
-    total = np.zeros((groups, flat.shape[1]))
-    filled = counts > 0
-    total[filled] = np.add.reduceat(flat[order], starts[filled], axis=0)
+    total: Array = np.stack([np.bincount(group, column, minlength=groups) for column in flat.T], axis=1)
     return total.reshape(groups, *values.shape[1:])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, lapack
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import coo_array, csr_array, vstack
 
 from geometry.poses import Array
 from sfm.adjustment import (
@@ -31,6 +31,8 @@ from sfm.normal_equations import block_rows, similarities
 
 # The scatter of blobs tells that of the poses where there are some more of them than unknowns.
 _POINTS_PER_UNKNOWN = 2
+# Parts of the image in which errors of the cameras' model are alike.
+_BANDS, _COLUMNS = 6, 8
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,10 @@ def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
     this is the sandwich of an M-estimator, clustered by blob (Huber 1967; Liang and Zeger, Biometrika 73, 1986; a
     point's residuals are scaled up for the three numbers that were fitted to them), brought to the gauge of all
     positions by an S-transformation (Baarda 1973).
+
+    What the cameras' model leaves out is alike in a part of the image, or in the rows of a frame that are read out
+    together. So residuals are clustered by these, too, and where they hang together more than independent ones would,
+    that is added (multiway clustering: Cameron, Gelbach and Miller, J. Business & Economic Statistics 29, 2011).
     """
     scene, cameras = adjusted.scene, adjusted.cameras
     frames, points = len(scene.sfm_T_cam), len(scene.xyz)
@@ -63,19 +69,22 @@ def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
     variance = loss_variance(adjusted.loss_px)
     information = prior_information(cameras, adjusted.priors)
     # The mean curvature of Cauchy's loss at a residual is its weight squared.
-    matrix = add_information(normal_equations(scene, cameras, linear, weight**2).matrix, variance * information)
+    system = normal_equations(scene, cameras, linear, weight**2)
+    matrix = add_information(system.matrix, variance * information)
     hold_gauge(matrix, scene.sfm_T_cam[:, :3, 3])
     try:
         inverse = _inverse(matrix)
     except LinAlgError:
         return None
     fitted = np.sqrt(2 * seen_by / np.maximum(2 * seen_by - 3, 1))[scene.point]
-    force = _forces(linear, weight, fitted[:, None] * linear.residual, scene.point, points)
+    force = _forces(linear, weight, fitted[:, None] * linear.residual, scene.point, system.point_inverse)
     by_blob = _rows_of_unknowns(force, adjusted, blob_P[scene.point], blobs)
     middle = add_information((by_blob @ by_blob.T).toarray(), variance**2 * information)
     pose_index, shared_index = local_unknowns(frames)[:, :6].ravel(), np.arange(10 * frames, len(matrix))
     left = inverse[shared_index] @ middle
-    poses = _gauge_free_sandwich(inverse[pose_index], middle, pose_index, scene.sfm_T_cam[:, :3, 3])
+    position = scene.sfm_T_cam[:, :3, 3]
+    poses = _gauge_free_sandwich(inverse[pose_index], middle, position)
+    poses += _systematic(inverse[pose_index], force, adjusted, position)
     return Covariances(poses, left @ inverse[:, shared_index])
 
 
@@ -100,7 +109,7 @@ def _rows_of_unknowns(force_M14: Array, adjusted: Adjusted, blob_M: Ints, blobs:
     return csr_array(vstack([local.tocsr(), csr_array(shared)]))
 
 
-def _forces(linear: Linearized, weight_M: Array, residual_M2: Array, point_M: Ints, points: int) -> Array:
+def _forces(linear: Linearized, weight_M: Array, residual_M2: Array, point_M: Ints, point_inverse: Array) -> Array:
     """What each observation (M, 14) pulls its frame's own and shared unknowns by when its point has given way.
 
     Where an adjustment has converged the points pull nowhere; a few steps before that they do, and what that moves
@@ -108,26 +117,78 @@ def _forces(linear: Linearized, weight_M: Array, residual_M2: Array, point_M: In
     """
     pull_M2 = weight_M[:, None] * residual_M2
     by_point = linear.by_point
-    of_points = summed(np.einsum("mij,mi->mj", by_point, pull_M2), point_M, points)
+    of_points = summed(np.einsum("mij,mi->mj", by_point, pull_M2), point_M, len(point_inverse))
+    moved_P3 = np.einsum("pij,pj->pi", point_inverse, of_points)
     curved = (weight_M**2)[:, None, None] * by_point
-    blocks = summed(np.einsum("mij,mik->mjk", curved, by_point), point_M, points)
-    moved_P3 = np.linalg.solve(blocks, of_points[:, :, None])[:, :, 0]
     by_unknown = np.concatenate([linear.by_frame, linear.by_shared], axis=2)
     return np.einsum("mij,mi->mj", by_unknown, pull_M2 - np.einsum("mij,mj->mi", curved, moved_P3[point_M]))
 
 
-def _gauge_free_sandwich(inverse_rows: Array, middle: Array, pose_index: Ints, position_N3: Array) -> Array:
+def _systematic(inverse_rows: Array, force_M14: Array, adjusted: Adjusted, position_N3: Array) -> Array:
+    """(N, 6, 6) what residuals that hang together in a part of the image, or in some rows of a frame, add to the poses'
+    covariance beyond what they would if they were independent; never negative."""
+    scene, cameras = adjusted.scene, adjusted.cameras
+    frames = len(position_N3)
+    centred = (scene.seen_px - cameras.intrinsics[scene.frame, 2:]) / cameras.height[scene.frame, None]
+    band = np.clip(np.floor(scene.seen_px[:, 1] / cameras.height[scene.frame] * _BANDS), 0, _BANDS - 1).astype(np.int64)
+    column = np.clip(np.floor((centred[:, 0] + 1) / 2 * _COLUMNS), 0, _COLUMNS - 1).astype(np.int64)
+    cell = (cameras.lens[scene.frame] * _BANDS + band) * _COLUMNS + column
+    rows_of_frame = scene.frame * _BANDS + band
+    excess = np.zeros((frames, 6, 6))
+    independent = _blocks_of(inverse_rows, _frame_factors(force_M14, adjusted), position_N3)
+    for cluster in (cell, rows_of_frame):
+        pulls = _rows_of_unknowns(force_M14, adjusted, cluster, int(cluster.max()) + 1)
+        more = _blocks_of(inverse_rows, pulls, position_N3) - independent
+        value, vector = np.linalg.eigh(more)
+        excess += (vector * np.maximum(value, 0.0)[:, None, :]) @ np.swapaxes(vector, 1, 2)
+    return excess
+
+
+def _frame_factors(force_M14: Array, adjusted: Adjusted) -> csr_array:
+    """F (10 N + G, 14 N): F F^T is the sum of what the observations pull by, squared, as if they were independent."""
+    scene, cameras = adjusted.scene, adjusted.cameras
+    frames, width = len(scene.sfm_T_cam), force_M14.shape[1]
+    factors = np.zeros((frames, width, width))
+    bounds = np.searchsorted(scene.frame, np.arange(frames + 1))
+    for k in range(frames):
+        own = force_M14[bounds[k] : bounds[k + 1]]
+        triangle = np.asarray(np.linalg.qr(own, mode="r"), float)
+        factors[k, :, : len(triangle)] = triangle.T
+    unknown = np.concatenate([local_unknowns(frames), 10 * frames + shared_columns(cameras)], axis=1)
+    column = width * np.arange(frames)[:, None] + np.arange(width)
+    rows = np.broadcast_to(unknown[:, :, None], factors.shape)
+    columns = np.broadcast_to(column[:, None, :], factors.shape)
+    size = (int(unknown.max()) + 1, width * frames)
+    return csr_array(coo_array((factors.ravel(), (rows.ravel(), columns.ravel())), shape=size))
+
+
+def _blocks_of(inverse_rows: Array, factor: csr_array, position_N3: Array) -> Array:
+    """The (N, 6, 6) diagonal blocks of inverse @ F F^T @ inverse where no similarity of all positions is left."""
+    gauge, h = _gauge_of(position_N3)
+    spread = np.ascontiguousarray((factor.T @ inverse_rows.T).T)
+    spread -= gauge @ (h @ spread)
+    blocks = spread.reshape(len(position_N3), 6, -1)
+    return blocks @ np.swapaxes(blocks, 1, 2)
+
+
+def _gauge_of(position_N3: Array) -> tuple[Array, Array]:
+    """What similarities do to all poses (6 N, 7), and (7, 6 N) which similarity the positions say."""
+    gauge_N67 = similarities(position_N3)
+    positions_N67 = gauge_N67.copy()
+    positions_N67[:, :3] = 0.0
+    gauge, positions = gauge_N67.reshape(-1, 7), positions_N67.reshape(-1, 7)
+    return gauge, np.asarray(np.linalg.solve(positions.T @ gauge, positions.T), float)
+
+
+def _gauge_free_sandwich(inverse_rows: Array, middle: Array, position_N3: Array) -> Array:
     """The (N, 6, 6) diagonal blocks of inverse @ middle @ inverse where no similarity of all positions is left.
 
     S-transformation: X -> P X P^T with P = 1 - gauge (positions^T gauge)^-1 positions^T. Only its blocks are needed.
     `inverse_rows` are those of the poses (6 N, n).
     """
     frames = len(position_N3)
-    gauge_N67 = similarities(position_N3)
-    positions_N67 = gauge_N67.copy()
-    positions_N67[:, :3] = 0.0
-    gauge, positions = gauge_N67.reshape(-1, 7), positions_N67.reshape(-1, 7)
-    h = np.linalg.solve(positions.T @ gauge, positions.T)
+    gauge, h = _gauge_of(position_N3)
+    gauge_N67 = gauge.reshape(frames, 6, 7)
     left = inverse_rows @ middle
     blocks = left.reshape(frames, 6, -1) @ np.swapaxes(inverse_rows.reshape(frames, 6, -1), 1, 2)
     of_h = left @ (h @ inverse_rows).T

@@ -134,6 +134,8 @@ def _write_import(data: DataRoot, frames: pd.DataFrame, sessions: list[str]) -> 
     folder = data.run("tiny", "room", "import")
     folder.mkdir(parents=True)
     _write(folder, "frames", frames)
+    # The phone logs a pose a frame and nothing between them.
+    _write(folder, "vio", frames[["session_id", "t_ns", *(c for c in frames if c.startswith("vio_cam_"))]].copy())
     _write(folder, "sessions", pd.DataFrame({"session_id": sessions, "recording": sessions}))
     _write(folder, "jumps", pd.DataFrame({"session_id": [], "t_ns": []}).astype({"session_id": str, "t_ns": "int64"}))
     manifest = {"key": "test", "simulated": False, "outputs": {"frames.parquet": "made by a test"}}

@@ -81,10 +81,11 @@ def test_the_same_blob_twice_tells_no_more_than_once() -> None:
     frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
     seen_px = _project(truth, xyz, frame, point) - rng.normal(0, _NOISE_PX, (len(frame), 2))
     once = _covariance(Scene(truth, xyz, frame, point, seen_px))
+    order = np.argsort(np.concatenate([frame, frame]), kind="stable")
     both = (
-        np.concatenate([frame, frame]),
-        np.concatenate([point, _POINTS + point]),
-        np.concatenate([seen_px, seen_px]),
+        np.concatenate([frame, frame])[order],
+        np.concatenate([point, _POINTS + point])[order],
+        np.concatenate([seen_px, seen_px])[order],
     )
     again = Scene(truth, np.concatenate([xyz, xyz]), *both)
     assert blobs_of(again).tolist() == 2 * list(range(_POINTS))
