@@ -1,7 +1,6 @@
 """Running a stage: its inputs and key, its partial folder, its manifest, and the rename that finishes it."""
 
 import contextlib
-import fcntl
 import hashlib
 import json
 import os
@@ -24,18 +23,19 @@ import rerun as rr
 
 from artefacts import progress, recording
 from artefacts.errors import UserError
+from artefacts.locks import locked
 from artefacts.schemas import schema
 from artefacts.settings import SHIPPED_DATA, DataRoot, SceneConfig, Settings, resolve_settings
+from artefacts.simulated import SIMULATED_MARKER, TRUTH_FILES
 from artefacts.tables import dataset_frames, read_table, write_table
 
 S = TypeVar("S", bound=Settings)
 T = TypeVar("T")
 
-SIMULATED_MARKER = "SIMULATED.json"
 MANIFEST = "manifest.json"
-_KEY_FILE = "key.json"
+KEY_FILE = "key.json"
 _SCRATCH = "scratch"
-_NOT_HASHED = {MANIFEST, recording.RECORDING}
+UNHASHED = (MANIFEST, recording.RECORDING, KEY_FILE)
 _VERSIONS = (
     "groundwalk",
     "numpy",
@@ -179,7 +179,7 @@ def execute(
         )
     settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, overrides or [])
     final = data.run(profile, scene_name, stage.name)
-    with _locked(final):
+    with locked(final):
         _finish_interrupted_rename(final)
         inputs = _inputs(stage, scene, profile, data)
         parts = {
@@ -198,12 +198,12 @@ def execute(
             os.utime(final / MANIFEST)
             return final
 
-        work = _partial(final)
+        work = partial_folder(final)
         resumed = _same_key(work, key) and not force
         if not resumed:
             shutil.rmtree(work, ignore_errors=True)
             work.mkdir(parents=True)
-            (work / _KEY_FILE).write_text(json.dumps({"key": key}))
+            (work / KEY_FILE).write_text(json.dumps({"key": key}))
         progress.console.print(
             f"{title}{': goes on where it was stopped' if resumed else ''}", markup=False, style="bold"
         )
@@ -212,7 +212,6 @@ def execute(
         stage.run(run)
         elapsed = time.monotonic() - start
         shutil.rmtree(work / _SCRATCH, ignore_errors=True)
-        (work / _KEY_FILE).unlink()
         manifest = {"key": key, **parts, **_circumstances(run, elapsed, resumed), "outputs": _outputs(work)}
         write_json(work / MANIFEST, manifest)
         swap_in(work, final)
@@ -227,6 +226,15 @@ def load_manifest(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise UserError("a manifest can't be read", where=folder / MANIFEST, found=error) from None
     return content
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object in a JSON file, {} where there is none that can be read."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
 def write_json(path: Path, content: object) -> None:
@@ -251,7 +259,7 @@ def capture_files(captures: Path) -> list[Path]:
         folders[:] = sorted(f for f in folders if not f.startswith("."))
         at_top = Path(base) == captures
         for name in sorted(names):
-            if not (name.startswith(".") or (at_top and name in ("true_poses.parquet", "true_cameras.parquet"))):
+            if not (name.startswith(".") or (at_top and name in TRUTH_FILES)):
                 found.append(Path(base) / name)
     return found
 
@@ -346,27 +354,28 @@ def _git_revision() -> str:
 
 
 def _outputs(work: Path) -> dict[str, str]:
-    return hash_files(work, (p for p in work.rglob("*") if p.is_file() and p.name not in _NOT_HASHED))
+    unhashed = {work / name for name in UNHASHED}
+    return hash_files(work, (p for p in work.rglob("*") if p.is_file() and p not in unhashed))
 
 
-def _partial(final: Path) -> Path:
+def partial_folder(final: Path) -> Path:
+    """Where a run writes until it ends: beside the folder that it becomes."""
     return final.with_name(f".{final.name}.partial")
 
 
-def _old(final: Path) -> Path:
+def old_folder(final: Path) -> Path:
+    """Where a replaced folder is between the two renames of `swap_in`."""
     return final.with_name(f".{final.name}.old")
 
 
 def _same_key(work: Path, key: str) -> bool:
-    try:
-        return bool(json.loads((work / _KEY_FILE).read_text())["key"] == key)
-    except (OSError, ValueError, KeyError):
-        return False
+    return bool(read_json(work / KEY_FILE).get("key") == key)
 
 
 def swap_in(work: Path, final: Path) -> None:
     """Put a finished folder in its place; a kill between the two renames is mended by the next run."""
-    old = _old(final)
+    old = old_folder(final)
+    (work / KEY_FILE).unlink(missing_ok=True)
     shutil.rmtree(old, ignore_errors=True)
     if final.exists():
         final.rename(old)
@@ -375,26 +384,12 @@ def swap_in(work: Path, final: Path) -> None:
 
 
 def _finish_interrupted_rename(final: Path) -> None:
-    work, old = _partial(final), _old(final)
+    work, old = partial_folder(final), old_folder(final)
     if (work / MANIFEST).is_file():
         swap_in(work, final)
     elif old.exists() and not final.exists():
         old.rename(final)
     shutil.rmtree(old, ignore_errors=True)
-
-
-@contextlib.contextmanager
-def _locked(final: Path) -> Iterator[None]:
-    """Keep two runs of the same stage apart."""
-    final.parent.mkdir(parents=True, exist_ok=True)
-    with final.with_name(f".{final.name}.lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise UserError(
-                "another run of this stage is under way", where=final, do="wait for it to end, or stop it"
-            ) from None
-        yield
 
 
 def _shown(path: Path) -> str:
