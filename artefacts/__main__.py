@@ -49,6 +49,8 @@ def link_captures(
     link = DataRoot(data).captures(scene)
     if not folder.is_dir():
         raise UserError("the captures folder isn't there", where=folder, expected="a folder of phone captures")
+    if link.resolve() == folder.resolve():
+        return
     if link.is_symlink():
         link.unlink()
     elif link.exists():
