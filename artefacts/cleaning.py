@@ -7,10 +7,11 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from artefacts.files import KEY_FILE, old_folder, partial_folder, read_json
 from artefacts.locks import lock_file, locked
+from artefacts.manifests import MANIFEST, UNHASHED
 from artefacts.settings import STAGES, DataRoot
 from artefacts.simulated import SIMULATED_MARKER, simulated_files
-from artefacts.stage import KEY_FILE, MANIFEST, UNHASHED, old_folder, partial_folder, read_json
 
 
 @dataclass

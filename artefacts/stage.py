@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
@@ -22,20 +21,27 @@ import pandas as pd
 import rerun as rr
 
 from artefacts import progress, recording
+from artefacts.damage import as_user_error, may_be_damage
 from artefacts.errors import UserError
+from artefacts.files import (
+    KEY_FILE,
+    finish_interrupted_swap,
+    partial_folder,
+    read_json,
+    swap_in,
+    write_json,
+)
+from artefacts.inputs import Inputs, missing_input
 from artefacts.locks import locked
+from artefacts.manifests import MANIFEST, is_whole, load_manifest, output_hashes
 from artefacts.schemas import schema
-from artefacts.settings import SHIPPED_DATA, DataRoot, SceneConfig, Settings, resolve_settings
-from artefacts.simulated import SIMULATED_MARKER, TRUTH_FILES
+from artefacts.settings import DataRoot, SceneConfig, Settings, resolve_settings
 from artefacts.tables import dataset_frames, read_table, write_table
 
 S = TypeVar("S", bound=Settings)
 T = TypeVar("T")
 
-MANIFEST = "manifest.json"
-KEY_FILE = "key.json"
 _SCRATCH = "scratch"
-UNHASHED = (MANIFEST, recording.RECORDING, KEY_FILE)
 _VERSIONS = (
     "groundwalk",
     "numpy",
@@ -102,7 +108,7 @@ class StageRun(Generic[S]):
         """The finished artefact folder of a stage of this scene (or of a group's member)."""
         path = self.data.run(self.profile, scene or self.scene.name, stage)
         if not (path / MANIFEST).is_file():
-            raise _missing_input(stage, path, scene or self.scene.name)
+            raise missing_input(stage, path, scene or self.scene.name, self.profile)
         return path
 
     def read(self, stage: str, table: str, scene: str | None = None) -> pd.DataFrame:
@@ -165,10 +171,11 @@ def execute(
     seed: int = 0,
     force: bool = False,
 ) -> Path:
-    """Run a stage unless a finished artefact with the same key is there; returns the artefact's folder.
+    """Run a stage unless a finished artefact with the same key is there, whole; returns the artefact's folder.
 
     The key is a hash of everything that the output depends on. A partial folder that a killed run left is continued
-    when its key is the same, and dropped otherwise. Raises UserError for what a user can cause.
+    when its key is the same, and dropped otherwise. Inputs are held while the stage runs, and verified before. Raises
+    UserError for what a user can cause.
     """
     scene, _ = data.scene(scene_name)
     if scene.is_group and stage.name not in scene.stages:
@@ -179,9 +186,9 @@ def execute(
         )
     settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, overrides or [])
     final = data.run(profile, scene_name, stage.name)
-    with locked(final):
-        _finish_interrupted_rename(final)
-        inputs = _inputs(stage, scene, profile, data)
+    with locked(final), Inputs(stage, scene, profile, data) as inputs:
+        finish_interrupted_swap(final, MANIFEST)
+        inputs.refuse_outdated()
         parts = {
             "stage": stage.name,
             "version": stage.version,
@@ -189,129 +196,63 @@ def execute(
             "profile": profile,
             "settings": settings.model_dump(mode="json"),
             "seed": seed,
-            "inputs": inputs,
+            "inputs": inputs.hashes,
         }
         key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
         title = f"{stage.name} · {scene_name} · {profile}"
-        if not force and (final / MANIFEST).is_file() and load_manifest(final).get("key") == key:
+        if not force and is_whole(final, key):
             progress.console.print(f"{title}: up to date", markup=False)
             os.utime(final / MANIFEST)
             return final
 
+        inputs.verify()
         work = partial_folder(final)
-        resumed = _same_key(work, key) and not force
-        if not resumed:
-            shutil.rmtree(work, ignore_errors=True)
-            work.mkdir(parents=True)
-            (work / KEY_FILE).write_text(json.dumps({"key": key}))
-        progress.console.print(
-            f"{title}{': goes on where it was stopped' if resumed else ''}", markup=False, style="bold"
-        )
-        run = StageRun(stage, scene, profile, settings, seed, data, _simulated(stage, scene, profile, data), work)
-        start = time.monotonic()
-        stage.run(run)
-        elapsed = time.monotonic() - start
+        run = StageRun(stage, scene, profile, settings, seed, data, inputs.simulated(), work)
+        elapsed, resumed = _run_resumable(run, key, title, force)
+        inputs.refuse_changed()
         shutil.rmtree(work / _SCRATCH, ignore_errors=True)
-        manifest = {"key": key, **parts, **_circumstances(run, elapsed, resumed), "outputs": _outputs(work)}
+        recorded = (work / recording.RECORDING).is_file()
+        circumstances = _circumstances(run, elapsed, resumed)
+        manifest = {"key": key, **parts, **circumstances, "recorded": recorded, "outputs": output_hashes(work)}
         write_json(work / MANIFEST, manifest)
         swap_in(work, final)
         progress.console.print(f"{title}: done in {progress.format_seconds(elapsed)} → {_shown(final)}", markup=False)
         return final
 
 
-def load_manifest(folder: Path) -> dict[str, Any]:
-    """The manifest of an artefact folder; UserError where it can't be read."""
+def _run_resumable(run: StageRun[Any], key: str, title: str, force: bool) -> tuple[float, bool]:
+    """Run the stage, from a killed run's checkpoints where there are some of the same key; seconds, and whether it
+    was resumed. Checkpoints that turn out to be damaged are dropped, and the stage starts anew."""
+    resumed = not force and read_json(run.work / KEY_FILE).get("key") == key
+    start = time.monotonic()
+    if resumed:
+        progress.console.print(f"{title}: resuming from its checkpoints", markup=False, style="bold")
+        try:
+            _run_once(run)
+            return time.monotonic() - start, True
+        except Exception as error:
+            if not may_be_damage(error):
+                raise
+            told = str(error).split("\n")[0][:200]
+            run.say(f"the checkpoints are damaged ({type(error).__name__}: {told}): dropped, starting anew")
+    shutil.rmtree(run.work, ignore_errors=True)
+    run.work.mkdir(parents=True)
+    write_json(run.work / KEY_FILE, {"key": key})
+    run.figures.clear()
+    run.seconds.clear()
+    if not resumed:
+        progress.console.print(title, markup=False, style="bold")
+    _run_once(run)
+    return time.monotonic() - start, False
+
+
+def _run_once(run: StageRun[Any]) -> None:
     try:
-        content: dict[str, Any] = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise UserError("a manifest can't be read", where=folder / MANIFEST, found=error) from None
-    return content
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """The object in a JSON file, {} where there is none that can be read."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return content if isinstance(content, dict) else {}
-
-
-def write_json(path: Path, content: object) -> None:
-    """Write JSON atomically."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(content, indent=2, allow_nan=False, default=str) + "\n", encoding="utf-8")
-    partial.replace(path)
-
-
-def hash_files(folder: Path, files: Iterable[Path]) -> dict[str, str]:
-    """sha256 of files by their path relative to `folder`."""
-    paths = sorted(files)
-    with ThreadPoolExecutor() as pool:
-        digests = pool.map(_sha256, paths)
-        return {path.relative_to(folder).as_posix(): digest for path, digest in zip(paths, digests, strict=True)}
-
-
-def capture_files(captures: Path) -> list[Path]:
-    """The files of a capture folder that import may read: not those which hold the simulator's truth or notes."""
-    found = []
-    for base, folders, names in os.walk(captures, followlinks=False):
-        folders[:] = sorted(f for f in folders if not f.startswith("."))
-        at_top = Path(base) == captures
-        for name in sorted(names):
-            if not (name.startswith(".") or (at_top and name in TRUTH_FILES)):
-                found.append(Path(base) / name)
-    return found
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _inputs(stage: Stage[Any], scene: SceneConfig, profile: str, data: DataRoot) -> dict[str, Any]:
-    """What the stage reads, each with a hash of its content."""
-    if stage.reads_captures:
-        captures = data.captures(scene.name)
-        files = [path for path in capture_files(captures) if path.is_file()] if captures.is_dir() else []
-        if not files:
-            raise UserError(
-                f"scene {scene.name} has no captures",
-                where=captures,
-                expected="a folder of phone captures",
-                found="nothing",
-                do=f"make scene={scene.name} captures=<your folder> all",
-            )
-        hashes = hash_files(captures, files)
-        digest = hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
-        return {"captures": {"files": len(hashes), "sha256": digest}}
-    sources = [(leaf, need) for leaf in data.leaves(scene) for need in stage.needs]
-    if scene.is_group:
-        for group in (*scene.members, scene.name):
-            config = data.scene(group)[0]
-            if config.is_group:
-                sources += [(group, need) for need in stage.needs if need in config.stages]
-    inputs = {}
-    for name, need in sources:
-        folder = data.run(profile, name, need)
-        if not (folder / MANIFEST).is_file():
-            raise _missing_input(need, folder, name)
-        inputs[f"{name}/{need}"] = load_manifest(folder)["outputs"]
-    for name in stage.reads_shipped:
-        folder = SHIPPED_DATA / name
-        inputs[f"data/{name}"] = hash_files(folder, sorted(path for path in folder.rglob("*") if path.is_file()))
-    return inputs
-
-
-def _missing_input(stage: str, folder: Path, scene: str) -> UserError:
-    return UserError(f"stage {stage} of scene {scene} hasn't been run", where=folder, do=f"make scene={scene} {stage}")
-
-
-def _simulated(stage: Stage[Any], scene: SceneConfig, profile: str, data: DataRoot) -> bool:
-    """Whether any capture behind this run is simulated, as import saw it."""
-    if stage.reads_captures:
-        return (data.captures(scene.name) / SIMULATED_MARKER).is_file()
-    return any(bool(load_manifest(data.run(profile, leaf, "import"))["simulated"]) for leaf in data.leaves(scene))
+        run.stage.run(run)
+    except Exception as error:
+        if shown := as_user_error(error, run.work):
+            raise shown from error
+        raise
 
 
 def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool) -> dict[str, Any]:
@@ -351,45 +292,6 @@ def _git_revision() -> str:
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return shown.stdout.strip()
-
-
-def _outputs(work: Path) -> dict[str, str]:
-    unhashed = {work / name for name in UNHASHED}
-    return hash_files(work, (p for p in work.rglob("*") if p.is_file() and p not in unhashed))
-
-
-def partial_folder(final: Path) -> Path:
-    """Where a run writes until it ends: beside the folder that it becomes."""
-    return final.with_name(f".{final.name}.partial")
-
-
-def old_folder(final: Path) -> Path:
-    """Where a replaced folder is between the two renames of `swap_in`."""
-    return final.with_name(f".{final.name}.old")
-
-
-def _same_key(work: Path, key: str) -> bool:
-    return bool(read_json(work / KEY_FILE).get("key") == key)
-
-
-def swap_in(work: Path, final: Path) -> None:
-    """Put a finished folder in its place; a kill between the two renames is mended by the next run."""
-    old = old_folder(final)
-    (work / KEY_FILE).unlink(missing_ok=True)
-    shutil.rmtree(old, ignore_errors=True)
-    if final.exists():
-        final.rename(old)
-    work.rename(final)
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def _finish_interrupted_rename(final: Path) -> None:
-    work, old = partial_folder(final), old_folder(final)
-    if (work / MANIFEST).is_file():
-        swap_in(work, final)
-    elif old.exists() and not final.exists():
-        old.rename(final)
-    shutil.rmtree(old, ignore_errors=True)
 
 
 def _shown(path: Path) -> str:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from artefacts.files import write_json
 from artefacts.simulated import SIMULATED_MARKER
-from artefacts.stage import write_json
 from simulation import details, materials
 from simulation.canvas import Canvas
 from simulation.capture import write_frames

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from artefacts import Stage, StageRun, UserError
-from artefacts.stage import write_json
+from artefacts.files import write_json
 from artefacts.tables import dataset_frames
 from capture_import.blurring import CascadeDetector
 from capture_import.capture import RawFrame, Reject

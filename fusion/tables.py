@@ -12,11 +12,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from artefacts import DataRoot, UserError
+from artefacts.files import swap_in, write_json
 from artefacts.progress import console
 from artefacts.recording import RECORDING, open_recording
 from artefacts.schemas import schema
 from artefacts.settings import SHIPPED_DATA, resolve_settings
-from artefacts.stage import swap_in, write_json
 from artefacts.tables import dataset_frames, write_table
 from fusion.evaluate import FuseSettings, Inputs, evaluate, joined_walks, report_lines, resolved
 from fusion.mobilearloc import MobileARLocOptions

@@ -13,12 +13,13 @@ import cv2
 import pandas as pd
 
 from artefacts import DataRoot, UserError
+from artefacts.files import KEY_FILE, partial_folder, read_json, swap_in, write_json
 from artefacts.locks import locked
 from artefacts.progress import console, track
 from artefacts.schemas import schema
 from artefacts.settings import resolve_settings
+from artefacts.signals import signals_held
 from artefacts.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES, simulated_files
-from artefacts.stage import KEY_FILE, partial_folder, read_json, swap_in, write_json
 from artefacts.tables import pose_frame, write_table
 from simulation.capture import write_frames
 from simulation.mesh import TexturedMesh, build_mesh, is_saved
@@ -125,7 +126,9 @@ def _take_pictures(shots: list[Shot], settings: SimulateSettings, mesh: Path, pr
             take(shot, renderer, settings)
         return
     context = multiprocessing.get_context("spawn")
-    with context.Pool(min(processes, len(missing)), _start_worker, (mesh, settings)) as pool:
+    with signals_held():
+        workers = context.Pool(min(processes, len(missing)), _start_worker, (mesh, settings))
+    with workers as pool:
         for _ in track(pool.imap_unordered(_work, missing), "rendering images", len(missing)):
             pass
 

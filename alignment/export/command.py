@@ -19,7 +19,7 @@ from alignment.export.seven_scenes import write_seven_scenes
 from alignment.export.tum import write_tum
 from artefacts import DataRoot, UserError, progress
 from artefacts.cli import DataOption, ProfileOption
-from artefacts.stage import swap_in, write_json
+from artefacts.files import swap_in, write_json
 
 _NOTE = "export.json"
 _FRAMES = "frames.csv"

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from artefacts import DataRoot, UserError
+from artefacts.manifests import MANIFEST, load_manifest
 from artefacts.schemas import schema
-from artefacts.stage import MANIFEST, load_manifest
 from artefacts.tables import dataset_frames, poses_of, read_table, with_cameras
 from geometry.fits import Sim3
 from geometry.poses import Array

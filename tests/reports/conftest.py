@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from artefacts.files import write_json
 from artefacts.schemas import schema, stage_tables
 from artefacts.settings import DataRoot
-from artefacts.stage import write_json
 from artefacts.tables import pose_frame, read_table, write_table
 from geometry.metrics import position_error, rotation_error_deg
 from geometry.poses import Array, make_pose, yaw_rotation
