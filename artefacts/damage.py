@@ -19,6 +19,7 @@ _MACHINE = {
     errno.EMFILE: "too many files are open in this process",
     errno.ENFILE: "too many files are open on this machine",
     errno.ENOMEM: "the memory is used up",
+    errno.ENAMETOOLONG: "a name is too long for the file system",
     errno.EIO: "the disk reports an error",
 }
 _DO = {
@@ -28,6 +29,7 @@ _DO = {
     errno.EACCES: "look at the owner and the permissions of this path",
     errno.EMFILE: "raise the limit (ulimit -n 4096), then run the same command again",
 }
+_OF_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FULL_BELOW_BYTES = 16 << 20
 _STOPPED_FROM_OUTSIDE = {-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP}
 
@@ -40,7 +42,7 @@ def as_user_error(error: BaseException, work: Path | None = None) -> UserError |
     for cause in _chain(error):
         if isinstance(cause, OSError) and cause.errno in _MACHINE:
             where = Path(os.fsdecode(cause.filename)) if isinstance(cause.filename, str | bytes) else work
-            found = _free(where)
+            found = _free(where) if cause.errno in _OF_SPACE else None
             return UserError(_MACHINE[cause.errno], where=where, found=found, do=_DO.get(cause.errno))
     if work is not None and isinstance(error, RuntimeError | ProcessDied | OSError) and (number := _probe(work)):
         told = str(error).split("\n")[0][:200]

@@ -63,7 +63,7 @@ def swap_in(work: Path, final: Path) -> None:
     """Put a finished folder in its place, synced; a kill between the two renames is mended by the next run."""
     old = old_folder(final)
     (work / KEY_FILE).unlink(missing_ok=True)
-    _sync_all(work)
+    sync_tree(work)
     shutil.rmtree(old, ignore_errors=True)
     if final.exists():
         final.rename(old)
@@ -82,7 +82,8 @@ def finish_interrupted_swap(final: Path, last: str) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _sync_all(folder: Path) -> None:
+def sync_tree(folder: Path) -> None:
+    """Have every file and folder of a tree on the disk, so that a rename can't come before its content."""
     paths = [Path(base) / name for base, _, names in os.walk(folder) for name in (*names, ".")]
     with ThreadPoolExecutor() as pool:  # a disk writes many files at once sooner than one after the other
         list(pool.map(_sync, [path for path in paths if path.is_dir() or (path.is_file() and not path.is_symlink())]))

@@ -112,7 +112,7 @@ def test_a_limit_of_the_machine_is_a_sentence(
     process = start(run, data, limits)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 2
-    assert message in err and "MiB free" in err and "Traceback" not in err
+    assert message in err and "where:" in err and "Traceback" not in err
     assert not data.run("tiny", "place", "import").exists()
 
 
@@ -140,7 +140,8 @@ def test_an_error_of_the_disk_anywhere_is_a_sentence(
     with pytest.raises(SystemExit) as ended:
         app(["--scene", "place", "--profile", "tiny", "--data", str(data.root)])
     said = capsys.readouterr().err
-    assert ended.value.code == 2 and f"where:    {data.root / 'x'}" in said and "MiB free" in said
+    assert ended.value.code == 2 and f"where:    {data.root / 'x'}" in said
+    assert ("MiB free" in said) == (number in (errno.ENOSPC, errno.EDQUOT))
     assert not data.run("tiny", "place", "import").exists()
 
 

@@ -10,6 +10,8 @@ import pandas as pd
 import pytest
 
 from artefacts import UserError
+from artefacts.files import write_json
+from artefacts.manifests import load_manifest, output_hashes
 from artefacts.schemas import schema
 from artefacts.settings import DataRoot
 from artefacts.stage import execute
@@ -296,14 +298,19 @@ def test_the_same_run_gives_the_same_bytes(chair: tuple[DataRoot, Path]) -> None
 def test_bad_input_is_a_clear_error(make_run: MakeRun) -> None:
     data = make_run(Bar={"train": 12, "test": 6})
     errors = table_of(data, "Bar", "fuse", "errors")
-    path = data.run("tiny", "Bar", "fuse") / "errors.parquet"
-    write_table(path, errors[errors["method"] == "apr"], schema("fuse", "errors"))
+    folder = data.run("tiny", "Bar", "fuse")
+
+    def rewrite(table: pd.DataFrame) -> None:
+        write_table(folder / "errors.parquet", table, schema("fuse", "errors"))
+        write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})
+
+    rewrite(errors[errors["method"] == "apr"])
     with pytest.raises(UserError, match="paper's rule wasn't run"):
         execute(STAGE, "Bar", "tiny", data)
-    write_table(path, errors[errors["split"] != "test"], schema("fuse", "errors"))
+    rewrite(errors[errors["split"] != "test"])
     with pytest.raises(UserError, match="no test frame with ground truth"):
         execute(STAGE, "Bar", "tiny", data)
-    write_table(path, errors, schema("fuse", "errors"))
+    rewrite(errors)
     for image in data.captures("Bar").rglob("*.jpg"):
         image.write_bytes(b"not a picture")
     with pytest.raises(UserError, match="can't be read any more"):
