@@ -11,6 +11,7 @@ from artefacts.errors import UserError
 from artefacts.settings import DataRoot, Settings
 from artefacts.signals import Stopped, signals_raise
 from artefacts.stage import Stage, execute
+from artefacts.text import printable
 
 SceneOption = Annotated[str, typer.Option(help="The scene: a folder of data/captures, or one that can be simulated.")]
 ProfileOption = Annotated[str, typer.Option(help="Settings for the whole run: demo, paper or tiny (data/profiles).")]
@@ -36,7 +37,7 @@ class App(typer.Typer):
             shown = error if isinstance(error, UserError) else as_user_error(error)
             if shown is None:
                 raise
-            print(f"error: {shown}", file=sys.stderr)
+            print(f"error: {printable(str(shown))}", file=sys.stderr)
             sys.exit(2)
 
 

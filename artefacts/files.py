@@ -1,10 +1,12 @@
 """Files that are whole or not there: written aside, synced to the disk, then renamed; and their hashes."""
 
+import contextlib
 import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterable
+import tempfile
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -80,6 +82,28 @@ def finish_interrupted_swap(final: Path, last: str) -> None:
     elif old.exists() and not final.exists():
         old.rename(final)
     shutil.rmtree(old, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def fresh_folder(out: Path) -> Iterator[Path]:
+    """A folder that becomes `out` when the block ends well, in place of what is there; nothing else is touched.
+
+    It's made under a name that nothing beside `out` has, and dropped where the block fails.
+    """
+    aside = Path(tempfile.mkdtemp(prefix=".groundwalk-", dir=out.parent))
+    work, old = aside / "new", aside / "old"
+    try:
+        work.mkdir()
+        yield work
+        sync_tree(work)
+        if out.exists():
+            out.rename(old)
+        work.rename(out)
+        _sync(out.parent)
+    finally:
+        if old.exists() and not out.exists():
+            old.rename(out)
+        shutil.rmtree(aside, ignore_errors=True)
 
 
 def sync_tree(folder: Path) -> None:

@@ -37,6 +37,7 @@ from artefacts.manifests import MANIFEST, is_whole, load_manifest, output_hashes
 from artefacts.schemas import schema
 from artefacts.settings import DataRoot, SceneConfig, Settings, resolve_settings
 from artefacts.tables import dataset_frames, read_table, write_table
+from artefacts.text import printable
 
 S = TypeVar("S", bound=Settings)
 T = TypeVar("T")
@@ -148,7 +149,7 @@ class StageRun(Generic[S]):
 
     def say(self, text: str) -> None:
         """One line for the user."""
-        progress.console.print(f"  {text}", markup=False)
+        progress.console.print(f"  {printable(text)}", markup=False)
 
     def figure(self, name: str, value: float | int | str | bool | None) -> None:
         """Keep a number or text in the manifest."""

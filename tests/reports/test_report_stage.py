@@ -225,6 +225,10 @@ def test_text_is_escaped_in_every_format() -> None:
     assert latex_text("50 % of a_b & 2° ~ {x}") == r"50 \% of a\_b \& 2$^\circ$ \textasciitilde{} \{x\}"
     grid = Grid("t", "T", "c", (("", "a|b"), ("", "<i>")), (Block("", (Row(("x|y", "1 & 2"), "ours"),)),), 1)
     assert r"x\|y" in markdown(grid) and r"1 \& 2" in latex(grid)
+    hostile = Row(("<script>alert(1)</script>", "[x](http://y)\n| `z` \\"), "ours")
+    text = markdown(Grid("t", "<b>", "<c>", (("", "a"), ("", "b")), (Block("<d>", (hostile,)),), 1, ("<e>",)))
+    assert "<" not in text and "1 &amp; 2" in markdown(grid)
+    assert r"| &lt;script&gt;alert(1)&lt;/script&gt; | \[x\](http://y) \| \`z\` \\\\ |" in text.splitlines()
     with pytest.raises(ValueError, match="cells"):
         Grid("t", "T", "c", (("", "a"),), (Block("", (Row(("x", "y"), "ours"),)),))
 
