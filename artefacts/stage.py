@@ -21,19 +21,17 @@ import pandas as pd
 import rerun as rr
 
 from artefacts import progress, recording
-from artefacts.damage import as_user_error, may_be_damage
 from artefacts.errors import UserError
 from artefacts.files import (
-    KEY_FILE,
     finish_interrupted_swap,
     partial_folder,
-    read_json,
     swap_in,
     write_json,
 )
 from artefacts.inputs import Inputs, missing_input
 from artefacts.locks import locked
 from artefacts.manifests import MANIFEST, is_whole, load_manifest, output_hashes
+from artefacts.resuming import run_resumable
 from artefacts.schemas import schema
 from artefacts.settings import DataRoot, SceneConfig, Settings, resolve_settings
 from artefacts.tables import dataset_frames, read_table, write_table
@@ -87,6 +85,12 @@ class StageRun(Generic[S]):
     work: Path
     figures: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
+
+    def begin(self) -> None:
+        """Run the stage; figures and times of a failed attempt before are forgotten."""
+        self.figures.clear()
+        self.seconds.clear()
+        self.stage.run(self)
 
     @property
     def captures(self) -> Path:
@@ -209,7 +213,9 @@ def execute(
         inputs.verify()
         work = partial_folder(final)
         run = StageRun(stage, scene, profile, settings, seed, data, inputs.simulated(), work)
-        elapsed, resumed = _run_resumable(run, key, title, force)
+        start = time.monotonic()
+        resumed = run_resumable(work, key, title, force, run.begin)
+        elapsed = time.monotonic() - start
         inputs.refuse_changed()
         shutil.rmtree(work / _SCRATCH, ignore_errors=True)
         recorded = (work / recording.RECORDING).is_file()
@@ -219,41 +225,6 @@ def execute(
         swap_in(work, final)
         progress.console.print(f"{title}: done in {progress.format_seconds(elapsed)} → {_shown(final)}", markup=False)
         return final
-
-
-def _run_resumable(run: StageRun[Any], key: str, title: str, force: bool) -> tuple[float, bool]:
-    """Run the stage, from a killed run's checkpoints where there are some of the same key; seconds, and whether it
-    was resumed. Checkpoints that turn out to be damaged are dropped, and the stage starts anew."""
-    resumed = not force and read_json(run.work / KEY_FILE).get("key") == key
-    start = time.monotonic()
-    if resumed:
-        progress.console.print(f"{title}: resuming from its checkpoints", markup=False, style="bold")
-        try:
-            _run_once(run)
-            return time.monotonic() - start, True
-        except Exception as error:
-            if not may_be_damage(error):
-                raise
-            told = str(error).split("\n")[0][:200]
-            run.say(f"the checkpoints are damaged ({type(error).__name__}: {told}): dropped, starting anew")
-    shutil.rmtree(run.work, ignore_errors=True)
-    run.work.mkdir(parents=True)
-    write_json(run.work / KEY_FILE, {"key": key})
-    run.figures.clear()
-    run.seconds.clear()
-    if not resumed:
-        progress.console.print(title, markup=False, style="bold")
-    _run_once(run)
-    return time.monotonic() - start, False
-
-
-def _run_once(run: StageRun[Any]) -> None:
-    try:
-        run.stage.run(run)
-    except Exception as error:
-        if shown := as_user_error(error, run.work):
-            raise shown from error
-        raise
 
 
 def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool) -> dict[str, Any]:

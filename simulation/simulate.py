@@ -13,9 +13,10 @@ import cv2
 import pandas as pd
 
 from artefacts import DataRoot, UserError
-from artefacts.files import KEY_FILE, partial_folder, read_json, swap_in, write_json
+from artefacts.files import partial_folder, read_json, swap_in, write_json
 from artefacts.locks import locked
 from artefacts.progress import console, track
+from artefacts.resuming import run_resumable
 from artefacts.schemas import schema
 from artefacts.settings import resolve_settings
 from artefacts.signals import signals_held
@@ -58,23 +59,22 @@ def simulate(
     work.parent.mkdir(parents=True, exist_ok=True)
     with locked(final):
         marker = _own_marker(final)
-        if marker and marker["key"] == key and not force:
+        if marker and marker.get("key") == key and not force:
             console.print(f"{title}: up to date", markup=False)
             os.utime(final / SIMULATED_MARKER)
             return final
-        resumed = not force and read_json(work / KEY_FILE).get("key") == key
-        if not resumed:
-            shutil.rmtree(work, ignore_errors=True)
-            work.mkdir()
-            write_json(work / KEY_FILE, {"key": key})
-        console.print(f"{title}{': goes on where it was stopped' if resumed else ''}", markup=False, style="bold")
         reduced = _reduced(settings, data, scene)
         if reduced:
             shown = ", ".join(f"{name} {here} instead of {full}" for name, (here, full) in reduced.items())
             console.print(f"  this profile makes less than the paper's counts: {shown}", markup=False)
 
-        sessions = _plan(scene, settings, config.environment == "indoor", work, seed)
-        _take_pictures([shot for s in sessions for shot in s.shots], settings, work / _MESH, processes)
+        sessions: list[Session] = []
+
+        def attempt() -> None:
+            sessions[:] = _plan(scene, settings, config.environment == "indoor", work, seed)
+            _take_pictures([shot for s in sessions for shot in s.shots], settings, work / _MESH, processes)
+
+        run_resumable(work, key, title, force, attempt)
         for session in track(sessions, "writing poses"):
             write_frames(work / session.frames.name, session.frames)
         write_truth(work, sessions)
