@@ -5,10 +5,8 @@ import hashlib
 import json
 import os
 import platform
-import resource
 import shutil
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -31,6 +29,7 @@ from artefacts.files import (
 from artefacts.inputs import Inputs, missing_input
 from artefacts.locks import locked
 from artefacts.manifests import MANIFEST, is_whole, load_manifest, output_hashes
+from artefacts.memory import PeakMemory
 from artefacts.resuming import run_resumable
 from artefacts.schemas import schema
 from artefacts.settings import DataRoot, SceneConfig, Settings, resolve_settings
@@ -214,12 +213,13 @@ def execute(
         work = partial_folder(final)
         run = StageRun(stage, scene, profile, settings, seed, data, inputs.simulated(), work)
         start = time.monotonic()
-        resumed = run_resumable(work, key, title, force, run.begin)
+        with PeakMemory() as memory:
+            resumed = run_resumable(work, key, title, force, run.begin)
         elapsed = time.monotonic() - start
         inputs.refuse_changed()
         shutil.rmtree(work / _SCRATCH, ignore_errors=True)
         recorded = (work / recording.RECORDING).is_file()
-        circumstances = _circumstances(run, elapsed, resumed)
+        circumstances = _circumstances(run, elapsed, resumed, memory)
         manifest = {"key": key, **parts, **circumstances, "recorded": recorded, "outputs": output_hashes(work)}
         write_json(work / MANIFEST, manifest)
         swap_in(work, final)
@@ -227,16 +227,14 @@ def execute(
         return final
 
 
-def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool) -> dict[str, Any]:
-    peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: PeakMemory) -> dict[str, Any]:
     return {
         "simulated": run.simulated,
         "figures": run.figures,
         "seconds": {name: round(value, 3) for name, value in run.seconds.items()},
         "total_seconds": round(elapsed, 3),
         "resumed": resumed,
-        # Linux counts kilobytes, macOS bytes.
-        "peak_memory_mib": round(peak / (2**20 if sys.platform == "darwin" else 2**10), 1),
+        "peak_memory_mib": round(memory.peak_bytes / 2**20, 1),
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {name: _version(name) for name in _VERSIONS} | {"python": platform.python_version()},
         "git_revision": _git_revision(),
