@@ -28,7 +28,7 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the poses."""
-    rows = [(source, (i, line)) for i, (source, line) in enumerate(lines_of(path, limits.max_text_bytes))]
+    rows = [(source, (i, line)) for i, (source, line) in enumerate(lines_of(path, limits))]
     frames, rejects = collect(rows, session_id, _read_row)
     refuse_unreadable(path, frames, rejects, "time, qx, qy, qz, qw, tx, ty, tz a row")
     notes = ["poses are of Android's sensor axes: turned from the camera's about the optical axis"]

@@ -51,7 +51,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     for name, split in _LISTS.items():
         file = path.parent / name
         if file.is_file():
-            own = [row for row in lines_of(file, limits.max_text_bytes) if row[1].startswith(f"{path.name}/")]
+            own = lines_of(file, limits, lambda line: line.startswith(f"{path.name}/"))
             rows += own
             splits |= {split} if own else set()
     focal = _focal_lengths(path.parent / "reconstruction.nvm", path.name, limits)
@@ -101,7 +101,7 @@ def _focal_lengths(file: Path, folder: str, limits: Limits) -> dict[str, float]:
             "reconstruction.nvm is missing", where=file, do="it comes with the data set; it has the focal lengths"
         )
     found = {}
-    for _, line in lines_of(file, limits.max_text_bytes):
+    for _, line in lines_of(file, limits, lambda line: line.lstrip().startswith(f"{folder}/")):
         fields = line.split()
         # A camera's row: name, focal length, quaternion, centre, radial distortion, 0.
         if len(fields) == 11 and fields[0].startswith(f"{folder}/"):

@@ -17,6 +17,7 @@ from alignment.__main__ import app
 from alignment.export.command import WRITERS, FormatOption
 from alignment.stage import STAGE
 from artefacts import DataRoot, UserError, execute
+from artefacts.manifests import output_hashes
 from artefacts.schemas import schema
 from artefacts.tables import pose_frame, poses_of, read_table, with_cameras, write_table
 from capture_import.capture import Limits, RawSession
@@ -339,8 +340,8 @@ def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:
     frame = json.loads((_export(scene, "nerfstudio") / "transforms.json").read_text())["frames"][0]
     assert [frame.get(key) for key in ("k1", "k2", "p1", "p2", "k3")] == [0.1, 0.0, 0.01, 0.0, 0.0]
 
-    manifest = scene.run("tiny", "Place", "sfm") / "manifest.json"
-    manifest.write_text(json.dumps({"outputs": {"images.parquet": "another"}, "simulated": True}))
+    folder = scene.run("tiny", "Place", "sfm")
+    (folder / "manifest.json").write_text(json.dumps({"outputs": output_hashes(folder), "simulated": True}))
     with pytest.raises(UserError, match="another sfm run"):
         _export(scene, "tum")
 

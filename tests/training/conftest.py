@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 import torch
 
+from artefacts.files import write_json
 from artefacts.schemas import schema
-from artefacts.stage import write_json
 from artefacts.tables import pose_frame, write_table
 from geometry.poses import make_pose, yaw_rotation
 
