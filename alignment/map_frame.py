@@ -23,12 +23,19 @@ _RECORDING_FLOOR = 4.0  # sigmas, of a recording against the others
 
 @dataclass(frozen=True)
 class MapScale:
-    """Metres per SfM unit by all recordings: logarithm, sigma, each recording's own, and its weight (0 to 1)."""
+    """Metres per SfM unit by all recordings: logarithm, sigma, each recording's own, and its weight (0 to 1). `rulers`
+    names the rulers that logarithm and sigma are by instead, where there are any."""
 
     log: float
     sd: float
     recordings: dict[str, Scale]
     weights: dict[str, float]
+    rulers: tuple[str, ...] = ()
+
+    @property
+    def source(self) -> str:
+        """Who sets it, in the words of the tables."""
+        return f"ruler: {', '.join(self.rulers)}" if self.rulers else "vio"
 
 
 @dataclass(frozen=True)

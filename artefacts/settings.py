@@ -11,6 +11,8 @@ from artefacts.errors import UserError
 SHIPPED_DATA = Path(__file__).resolve().parent.parent / "data"
 STAGES = ("import", "sfm", "align", "train", "fuse", "report")
 _SECTIONS = ("simulate", *STAGES)
+# Lists of tables at the top of a scene's file that are a setting of one stage, which alone depends on them.
+_TABLES = {"ruler": ("align", "rulers")}
 
 
 class Settings(BaseModel):
@@ -88,6 +90,9 @@ class DataRoot:
         path = self.config_file("scenes", name)
         content = _read_toml(path) if path else {}
         sections = {key: content.pop(key) for key in _SECTIONS if key in content}
+        for table, (section, setting) in _TABLES.items():
+            if table in content:
+                sections.setdefault(section, {})[setting] = _list_of_tables(content.pop(table), table, path)
         return validated(SceneConfig, {**content, "name": name}, path or f"scene {name!r}"), sections
 
     def leaves(self, scene: SceneConfig) -> list[str]:
@@ -155,6 +160,12 @@ def _read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UserError("a settings file can't be read", where=path, found=error, expected="TOML in UTF-8") from None
+
+
+def _list_of_tables(content: Any, name: str, path: object) -> Any:
+    if not isinstance(content, list):
+        raise UserError(f"{name} is a list of tables", where=path, found=f"[{name}]", expected=f"[[{name}]]")
+    return content
 
 
 def _refuse_unknown_sections(content: dict[str, Any], more: tuple[str, ...], path: Path) -> None:
