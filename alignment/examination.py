@@ -21,7 +21,7 @@ from alignment.gate import (
     VIO_VERTICAL,
     Gate,
 )
-from alignment.map_frame import common_scale, common_vertical
+from alignment.map_frame import MapScale, common_scale, common_vertical
 from alignment.quality import contradicted, judge, sfm_covariances
 from alignment.rulers.measurement import Reading
 from alignment.rulers.verdict import Judged, judge_rulers, scale_by_rulers, unjudged
@@ -236,13 +236,7 @@ def _component(
 ) -> Component | None:
     """A model's scale and vertical; None, and noted, where they can't be had. The first model's must."""
     try:
-        scale = common_scale(
-            pieces,
-            step_m=settings.step_m,
-            least_step_m=settings.least_step_m,
-            step_sd=settings.step_scale_sd,
-            phone_sd=settings.phone_scale_sd,
-        )
+        scale, vio_scale = _scales(pieces, settings, rulers)
         vertical = common_vertical(segments, phone_sd=float(np.radians(settings.phone_tilt_sd_deg)))
     except UserError as error:
         if index == 0:
@@ -254,8 +248,28 @@ def _component(
         )
         _refuse(found, rows, reason)
         return None
-    by_rulers = scale_by_rulers(scale, rulers, settings.ruler_size_limit)
-    return Component(index, name, segments, pieces, by_rulers, vertical, scale)
+    return Component(index, name, segments, pieces, scale, vertical, vio_scale)
+
+
+def _scales(
+    pieces: list[Segment], settings: AlignSettings, rulers: Sequence[Reading]
+) -> tuple[MapScale, MapScale | None]:
+    """A model's scale, by rulers where they are to set it, and the one by VIO alone, None where VIO moves too little.
+    Raises UserError where neither can be had."""
+    try:
+        vio_scale = common_scale(
+            pieces,
+            step_m=settings.step_m,
+            least_step_m=settings.least_step_m,
+            step_sd=settings.step_scale_sd,
+            phone_sd=settings.phone_scale_sd,
+        )
+    except UserError:
+        scale = scale_by_rulers(None, rulers, settings.ruler_size_limit)
+        if scale is None:
+            raise
+        return scale, None
+    return scale_by_rulers(vio_scale, rulers, settings.ruler_size_limit) or vio_scale, vio_scale
 
 
 def _check_sessions(
@@ -346,7 +360,7 @@ def _shared_faults(
     reasons: list[str] = []
     scale, vertical = component.vio_scale, component.vertical
     # One recording has no other to differ from.
-    if recording in scale.recordings and len(scale.recordings) > 1:
+    if scale is not None and recording in scale.recordings and len(scale.recordings) > 1:
         off = float(np.expm1(scale.recordings[recording].log - scale.log))
         reason = f"this session's VIO measures {abs(off):.1%} {'more' if off > 0 else 'less'} than the others'"
         # What the session's own windows can't tell apart isn't held against it.

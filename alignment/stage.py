@@ -85,7 +85,7 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
         "metres_per_sfm_unit": main.map_S_sfm.scale,
         "scale_sd": main.component.scale.sd,
         "scale_source": main.component.scale.source,
-        "session_scale_spread": float(sessions["scale"].max() - sessions["scale"].min()),
+        "session_scale_spread": _or_none(sessions["scale"].max() - sessions["scale"].min()),
         "vertical_sd_deg": float(np.degrees(main.component.vertical.sd)),
         "camera_sd_deg": float(np.degrees(camera_sd(frames, r.settings))),
         "vertical_correction_deg": _or_none(sessions["up_error_deg"].max()),
@@ -107,7 +107,7 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
     )
     r.say(
         f"map: {main.map_S_sfm.scale:.6g} m per SfM unit ± {100 * main.component.scale.sd:.2f} %, vertical "
-        f"± {figures['vertical_sd_deg']:.2f}°, from {len(main.component.scale.recordings)} VIO recordings"
+        f"± {figures['vertical_sd_deg']:.2f}°, from {len(main.component.vertical.recordings)} VIO recordings"
         + (f"; scale by {main.component.scale.source}" if main.component.scale.rulers else "")
     )
     for placed in aligned.placed[1:]:

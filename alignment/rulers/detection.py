@@ -26,10 +26,10 @@ _SEARCHED = 12
 # Every dictionary is tried on so many of these.
 _SEARCHED_FOR_DICTIONARY = 3
 _FEWEST_MARKERS = 4
-# Half the side of the window in which a corner is refined, least and largest, pixels; then iterations and their end.
-_WINDOW_PX = (2, 8)
-# ... and the share of a marker's distance from the corner that it may take up.
+# Half the side of the window in which a corner is refined: the share that it may take up of the nearest marker's
+# distance, and its least and largest size, pixels. Then iterations and their end.
 _WINDOW_SHARE = 0.75
+_WINDOW_PX = (2, 8)
 _REFINE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
 
 

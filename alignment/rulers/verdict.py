@@ -1,7 +1,7 @@
 """Rulers against the map's scale, and against each other; the scale by a ruler where the settings ask for it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -14,7 +14,7 @@ from artefacts.schemas import schema
 
 # Bounds of 95 %.
 _SIGMAS = 1.96
-CHECK, AGREE = "ruler_scale", "rulers_agree"
+CHECK = "ruler_scale"
 
 
 @dataclass(frozen=True)
@@ -39,31 +39,25 @@ class Judged:
         return "held out" if self.used and "held out" in self.reading.fits else "all"
 
 
-def scale_by_rulers(vio: MapScale, readings: Sequence[Reading], size_limit: float) -> MapScale:
-    """The scale of a model: by the rulers that are to set it (weighted by their standard errors), by VIO otherwise.
+def scale_by_rulers(vio: MapScale | None, readings: Sequence[Reading], size_limit: float) -> MapScale | None:
+    """The scale of a model by the rulers that are to set it, weighted by their standard errors; None where none may.
 
     A ruler takes no part that is seen too poorly, mirrored, contradicted by another one, or further from VIO's scale
     than `size_limit` (share) and the 95 % bounds of both: it may be printed at another size.
     """
-    chosen = [
-        r
-        for r in readings
-        if r.ruler.use_for_scale
-        and not r.problem
-        and not _fault(vio, r, readings)
-        and not _another_size(vio, r, size_limit)
-    ]
+    chosen = [r for r in readings if r.ruler.use_for_scale and _is_fit_for_scale(vio, r, readings, size_limit)]
     if not chosen:
-        return vio
+        return None
     logs, sds = np.array([r.log_metres("used") for r in chosen]), np.array([r.sd("used") for r in chosen])
     log = float(np.average(logs, weights=sds**-2))
     excess = max(1.0, float(np.sum(((logs - log) / sds) ** 2)) / max(len(chosen) - 1, 1))
     sd = float(np.sqrt(excess / np.sum(sds**-2)))
-    return replace(vio, log=log, sd=sd, rulers=tuple(r.ruler.name for r in chosen))
+    by_recording = ({}, {}) if vio is None else (vio.recordings, vio.weights)
+    return MapScale(log, sd, *by_recording, rulers=tuple(r.ruler.name for r in chosen))
 
 
 def judge_rulers(
-    gate: Gate, component: int | None, scale: MapScale, vio: MapScale, readings: Sequence[Reading], size_limit: float
+    gate: Gate, component: int, scale: MapScale, vio: MapScale | None, readings: Sequence[Reading], size_limit: float
 ) -> list[Judged]:
     """Check each ruler of a model against its scale, one row of the gate each."""
     return [_judge(gate, component, scale, vio, reading, readings, size_limit) for reading in readings]
@@ -89,19 +83,17 @@ def rulers_table(judged: Sequence[Judged]) -> pd.DataFrame:
 
 def describe(judged: Judged) -> str:
     """A line for the user."""
-    reading, name = judged.reading, judged.reading.ruler.name
-    if not reading.fits or judged.scale is None or judged.vio is None:
+    reading, name, scale, vio = judged.reading, judged.reading.ruler.name, judged.scale, judged.vio
+    if not reading.fits or scale is None:
         return f"ruler {judged.reason}: {judged.verdict}"
     fit = reading.fits[judged.part]
-    by_vio = 100 * np.expm1(judged.vio.log - reading.log_metres("all"))
     text = (
         f"ruler {name}: {len(fit.frames)} frames, {_corner_count(judged, judged.part)} corners"
-        f"{' held out' if judged.part == 'held out' else ''}, views {np.degrees(fit.angle):.0f}° apart; scale by VIO "
-        f"{by_vio:+.2f} % (95 % bounds: VIO's ± {100 * _SIGMAS * judged.vio.sd:.2f} %, the ruler's "
-        f"± {100 * _SIGMAS * reading.sd():.2f} %)"
+        f"{' held out' if judged.part == 'held out' else ''}, views {np.degrees(fit.angle):.0f}° apart, "
+        f"{_by_vio(reading, vio)}"
     )
-    if judged.scale.rulers:
-        text += f", of the map {100 * np.expm1(judged.scale.log - reading.log_metres(judged.part)):+.2f} %"
+    if scale.rulers:
+        text += f"; map's scale {100 * np.expm1(scale.log - reading.log_metres(judged.part)):+.2f} %"
     text += f"; corners {fit.reprojection_px:.2f} px RMS"
     if not isinstance(reading.ruler, DistanceRuler):
         text += f", {1000 * fit.corner_rms_m:.2f} mm RMS, flat to {1000 * fit.flatness_m:.2f} mm"
@@ -112,11 +104,22 @@ def describe(judged: Judged) -> str:
     return "; ".join([f"{text}: {judged.verdict}", *([judged.reason] if judged.reason else []), *reading.notes])
 
 
+def _by_vio(reading: Reading, vio: MapScale | None) -> str:
+    ruler_percent = 100 * _SIGMAS * reading.sd()
+    if vio is None:
+        return f"95 % bounds ± {ruler_percent:.2f} %; VIO moves too little to give a scale"
+    error_percent = 100 * np.expm1(vio.log - reading.log_metres())
+    return (
+        f"VIO's scale {error_percent:+.2f} % (95 % bounds: VIO's ± {100 * _SIGMAS * vio.sd:.2f} %, the ruler's "
+        f"± {ruler_percent:.2f} %)"
+    )
+
+
 def _judge(
     gate: Gate,
-    component: int | None,
+    component: int,
     scale: MapScale,
-    vio: MapScale,
+    vio: MapScale | None,
     reading: Reading,
     readings: Sequence[Reading],
     size_limit: float,
@@ -143,26 +146,38 @@ def _judge(
     return Judged(reading, component, scale, vio, "passed" if passed else "failed", "" if passed else reason)
 
 
+def _is_fit_for_scale(vio: MapScale | None, reading: Reading, readings: Sequence[Reading], size_limit: float) -> bool:
+    if reading.problem or reading.fits["all"].mirrored or _contradicting(reading, readings):
+        return False
+    if vio is None:
+        return True
+    error = abs(float(np.expm1(vio.log - reading.log_metres())))
+    return error <= max(size_limit, _SIGMAS * float(np.hypot(vio.sd, reading.sd())))
+
+
+def _contradicting(reading: Reading, readings: Sequence[Reading]) -> Reading | None:
+    """Another ruler of the model that measures otherwise, beyond the 95 % bounds of both."""
+    for other in readings:
+        if other is reading or other.problem or other.fits["all"].mirrored:
+            continue
+        if abs(reading.log_metres() - other.log_metres()) > _SIGMAS * np.hypot(reading.sd(), other.sd()):
+            return other
+    return None
+
+
 def _fault(scale: MapScale, reading: Reading, readings: Sequence[Reading]) -> str:
     """Why a ruler that is seen well enough says nothing of scale: mirrored, or contradicted by another ruler."""
     if reading.fits["all"].mirrored:
         return "mirrored: its corners run the other way round as seen from its front; print it unmirrored"
-    for other in readings:
-        if other is reading or other.problem or other.fits["all"].mirrored:
-            continue
-        apart = reading.log_metres() - other.log_metres()
-        limit = _SIGMAS * float(np.hypot(reading.sd(), other.sd()))
-        if abs(apart) > limit:
-            return (
-                f"disagrees with ruler {other.ruler.name} by {abs(np.expm1(apart)):.1%}, 95 % bounds {limit:.1%}: "
-                f"in the map {_measured(scale, reading)} and {_measured(scale, other)}; measure both again"
-            )
-    return ""
-
-
-def _another_size(vio: MapScale, reading: Reading, size_limit: float) -> bool:
-    error = abs(float(np.expm1(vio.log - reading.log_metres())))
-    return error > max(size_limit, _SIGMAS * float(np.hypot(vio.sd, reading.sd())))
+    other = _contradicting(reading, readings)
+    if other is None:
+        return ""
+    apart = abs(float(np.expm1(reading.log_metres() - other.log_metres())))
+    limit = _SIGMAS * float(np.hypot(reading.sd(), other.sd()))
+    return (
+        f"disagrees with ruler {other.ruler.name} by {apart:.1%}, 95 % bounds {limit:.1%}: in the map "
+        f"{_measured(scale, reading)}, and {_measured(scale, other)}; measure both again"
+    )
 
 
 def _measured(scale: MapScale, reading: Reading, part: str = "all") -> str:
@@ -196,7 +211,8 @@ def _rows(judged: Judged) -> list[dict[str, object]]:
         "verdict": judged.verdict,
         "reason": "; ".join([judged.reason, *reading.notes]).strip("; "),
     }
-    if not reading.fits or judged.scale is None or judged.vio is None:
+    scale, vio = judged.scale, judged.vio
+    if not reading.fits or scale is None:
         return [common | {"part": "all", "frames": reading.frames, "corners": 0, "outliers": 0}]
     rows = []
     for part, fit in reading.fits.items():
@@ -207,11 +223,13 @@ def _rows(judged: Judged) -> list[dict[str, object]]:
                 "frames": len(fit.frames),
                 "corners": _corner_count(judged, part),
                 "outliers": int((~fit.inlier).sum()),
-                "measured_mm": reading.size_mm(float(np.exp(judged.scale.log)), part),
-                "scale_error_percent": 100 * float(np.expm1(judged.scale.log - reading.log_metres(part))),
+                "measured_mm": reading.size_mm(float(np.exp(scale.log)), part),
+                "scale_error_percent": 100 * float(np.expm1(scale.log - reading.log_metres(part))),
                 "scale_sd_percent": 100 * reading.sd(part),
-                "vio_scale_error_percent": 100 * float(np.expm1(judged.vio.log - reading.log_metres(part))),
-                "vio_scale_sd_percent": 100 * judged.vio.sd,
+                "vio_scale_error_percent": None
+                if vio is None
+                else 100 * float(np.expm1(vio.log - reading.log_metres(part))),
+                "vio_scale_sd_percent": None if vio is None else 100 * vio.sd,
                 "reprojection_px": fit.reprojection_px,
                 "corner_rms_mm": 1000 * fit.corner_rms_m,
                 "flatness_mm": 1000 * fit.flatness_m,

@@ -144,6 +144,17 @@ def test_a_print_of_another_size_sets_no_scale(scene) -> None:
     assert set(aligned.ground_truth["scale_source"]) == {"vio"} and abs(scale_error(scene, aligned)) < 0.01
 
 
+def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(scene) -> None:
+    still = AlignSettings(least_step_m=1e6)
+    with pytest.raises(UserError, match="no session moves enough"):
+        align(scene.frames, scene.sfm, scene.jumps, scene.recordings, still, read(scene, sighted(scene, ruler())))
+    readings = read(scene, sighted(scene, ruler(use_for_scale=True)))
+    aligned = align(scene.frames, scene.sfm, scene.jumps, scene.recordings, still, readings)
+    assert abs(scale_error(scene, aligned)) < 0.003
+    assert set(aligned.ground_truth["scale_source"]) == {"ruler: charuco"}
+    assert aligned.sessions["scale"].isna().all()
+
+
 def test_a_mirrored_board_judges_nothing(scene) -> None:
     aligned, checks = aligned_by(scene, sighted(scene, ruler(use_for_scale=True), mirror=True))
     assert checks["verdict"].tolist() == ["failed"] and "mirrored" in checks["reason"].iloc[0]
