@@ -69,7 +69,7 @@ def common_scale(
             where="frames that have both an SfM and a VIO pose",
             expected=f"3 or more such frames in a row, {least_step_m:g} m or more from first to last",
             found=f"{sum(int(s.both.sum()) for s in segments)} such frames, {walked:.3g} m walked at most",
-            do="capture with more walking, or lower align.least_step_m",
+            do="capture with more walking, lower align.least_step_m, or set the scale by a ruler (docs/rulers.md)",
         )
     logs = np.array([s.log for s in found.values()])
     sds = np.array([np.hypot(s.sd, phone_sd) for s in found.values()])

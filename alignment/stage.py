@@ -38,6 +38,9 @@ def run(r: StageRun[AlignSettings]) -> None:
             least_angle=float(np.radians(r.settings.ruler_min_angle_deg)),
             largest_sd=r.settings.ruler_max_sd,
         )
+    for reading in readings:
+        if reading.problem:
+            r.say(f"ruler {reading.ruler.name}: undecided: {reading.problem}")
     with r.step("examine"):
         found = examine(frames, sfm, jumps, recordings, r.settings, readings)
     with r.step("picture"):
@@ -46,7 +49,8 @@ def run(r: StageRun[AlignSettings]) -> None:
         if found.rulers:
             draw_rulers(r.work / RULERS_PICTURE, found.rulers, frames, images, r.image_path)
     for judged in found.rulers:
-        r.say(describe(judged))
+        if not judged.reading.problem:
+            r.say(describe(judged))
     r.write("rulers", rulers_table(found.rulers))
     if found.refusal:
         r.write("gate", found.gate.table())

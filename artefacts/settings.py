@@ -129,12 +129,13 @@ def validated(model: type[T], content: dict[str, Any], where: object) -> T:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        first = error.errors()[0]
+        # A key that there isn't says most: its right name may be what is missing.
+        first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
         key = ".".join(str(part) for part in first["loc"])
         raise UserError(
             f"setting {key!r}: {first['msg']}",
             where=where,
-            found=repr(first.get("input")),
+            found=None if first["type"] == "missing" else repr(first.get("input")),
             expected="one of " + ", ".join(model.model_fields) if first["type"] == "extra_forbidden" else None,
             do="correct it; `python -m <stage> --help` lists the settings",
         ) from None

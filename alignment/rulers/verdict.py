@@ -174,21 +174,22 @@ def _fault(scale: MapScale, reading: Reading, readings: Sequence[Reading]) -> st
         return ""
     apart = abs(float(np.expm1(reading.log_metres() - other.log_metres())))
     limit = _SIGMAS * float(np.hypot(reading.sd(), other.sd()))
+    this, that = _measured("its", scale, reading), _measured(f"{other.ruler.name}'s", scale, other)
     return (
-        f"disagrees with ruler {other.ruler.name} by {apart:.1%}, 95 % bounds {limit:.1%}: in the map "
-        f"{_measured(scale, reading)}, and {_measured(scale, other)}; measure both again"
+        f"disagrees with ruler {other.ruler.name} by {apart:.1%}, 95 % bounds {limit:.1%}: in the map {this}, "
+        f"and {that}; measure both again"
     )
 
 
-def _measured(scale: MapScale, reading: Reading, part: str = "all") -> str:
+def _measured(whose: str, scale: MapScale, reading: Reading, part: str = "all") -> str:
     ruler, size = reading.ruler, reading.size_mm(float(np.exp(scale.log)), part)
     verb = "measures" if isinstance(ruler, DistanceRuler) else "measure"
-    return f"{ruler.name}'s {ruler.size_name} {verb} {size:.4g} mm, {ruler.size_mm:g} mm stated"
+    return f"{whose} {ruler.size_name} {verb} {size:.4g} mm, {ruler.size_mm:g} mm stated"
 
 
 def _size_fault(scale: MapScale, reading: Reading, part: str, error: float, limit: float) -> str:
     by = "VIO" if not scale.rulers else f"ruler {', '.join(scale.rulers)}"
-    what = _measured(scale, reading, part)
+    what = _measured("its", scale, reading, part)
     return (
         f"in the map scaled by {by} {what} ({error:+.1%}, 95 % bounds ± {limit:.1%}): measure the print and correct "
         "its size in [[ruler]], or doubt the map's scale"

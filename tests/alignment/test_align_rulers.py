@@ -120,7 +120,7 @@ def test_a_wrong_vio_scale_is_named_with_figures(scene) -> None:
     stretch_vio(scene, 1.05)
     _, checks = aligned_by(scene, sighted(scene, ruler()))
     assert checks["verdict"].tolist() == ["failed"] and checks["cause"].iloc[0] == "ruler and map disagree"
-    assert "squares measure 21" in checks["reason"].iloc[0]
+    assert "its squares measure 21" in checks["reason"].iloc[0]
     assert "200 mm stated (+5." in checks["reason"].iloc[0] or "200 mm stated (+4." in checks["reason"].iloc[0]
 
 
@@ -140,7 +140,7 @@ def test_a_board_sets_the_scale_and_half_of_it_judges(scene) -> None:
 def test_a_print_of_another_size_sets_no_scale(scene) -> None:
     aligned, checks = aligned_by(scene, sighted(scene, ruler(use_for_scale=True), printed=0.9))
     assert checks["verdict"].tolist() == ["failed"]
-    assert "squares measure 180" in checks["reason"].iloc[0] and "200 mm stated" in checks["reason"].iloc[0]
+    assert "its squares measure 180" in checks["reason"].iloc[0] and "200 mm stated" in checks["reason"].iloc[0]
     assert set(aligned.ground_truth["scale_source"]) == {"vio"} and abs(scale_error(scene, aligned)) < 0.01
 
 
@@ -316,7 +316,7 @@ DISTANCE = {
     [
         ([{"kind": "yardstick"}], ("'yardstick'", "charuco, apriltag, distance", "number 1")),
         ([{}], ("needs a kind",)),
-        ([{**BOARD, "square_cm": 2}], ("square_cm", "square_mm")),
+        ([{"kind": "charuco", "square_cm": 2}], ("'square_cm'", "square_mm", "number 1")),
         ([{k: v for k, v in BOARD.items() if k != "square_mm"}], ("square_mm", "required")),
         ([{**BOARD, "marker_mm": 220}], ("marker_mm 220 must be less than square_mm 200",)),
         ([{**BOARD, "dictionary": "DICT_7X8"}], ("DICT_6X6_250",)),
