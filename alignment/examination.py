@@ -152,12 +152,8 @@ def examine(
         rulers = [reading for reading in readings if reading.model_id == name]
         component = _component(found, index, name, own, [p for p in pieces if p.component == index], settings, rulers)
         if component is None:
-            found.rulers += unjudged(gate, rulers)
             continue
         found.components.append(component)
-        found.rulers += judge_rulers(
-            gate, index, component.scale, component.vio_scale, rulers, settings.ruler_size_limit
-        )
         _check_sessions(found, component, sfm, drift, settings)
         for piece in component.pieces:
             windows = compare(piece, component.metric_S_sfm, settings.window_m, drift, sd)
@@ -234,7 +230,8 @@ def _component(
     settings: AlignSettings,
     rulers: Sequence[Reading],
 ) -> Component | None:
-    """A model's scale and vertical; None, and noted, where they can't be had. The first model's must."""
+    """A model's scale and vertical, and its rulers judged; None, and noted, where they can't be had. The first model's
+    must."""
     try:
         scale, vio_scale = _scales(pieces, settings, rulers)
         vertical = common_vertical(segments, phone_sd=float(np.radians(settings.phone_tilt_sd_deg)))
@@ -247,7 +244,9 @@ def _component(
             "component_metric", None, 0.0, "m", BROKEN_OFF, reason, component=index, frames=len(rows), at_least=True
         )
         _refuse(found, rows, reason)
+        found.rulers += unjudged(found.gate, rulers)
         return None
+    found.rulers += judge_rulers(found.gate, index, scale, vio_scale, rulers, settings.ruler_size_limit)
     return Component(index, name, segments, pieces, scale, vertical, vio_scale)
 
 
