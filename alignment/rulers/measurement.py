@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler
 from artefacts import UserError
 from artefacts.tables import poses_of
 from geometry import GeometryError
+from geometry.lens import distort, undistort
 from geometry.poses import Array
 from geometry.rulers import Corners, Observations, RulerFit, measure
 
@@ -25,7 +25,6 @@ Mask = NDArray[np.bool_]
 _DETECTED_SD_PX, _READ_OFF_SD_PX = 0.1, 1.0
 # OpenCV takes so many distortion coefficients.
 _LENGTHS = (0, 4, 5, 8, 12, 14)
-_UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
 # Where a lens model has no inverse, iterations end elsewhere: such corners are left out.
 _UNDISTORTED_PX = 0.05
 
@@ -152,12 +151,10 @@ def undistorted(frames: pd.DataFrame, rows: Indices, xy_px: Array) -> tuple[Arra
         own = rows == row
         matrix, distortion = camera_of(frames, int(row))
         focal_px[own] = np.sqrt(matrix[0, 0] * matrix[1, 1])
-        found = cv2.undistortPointsIter(xy_px[own], matrix, distortion, np.eye(3), np.eye(3), _UNDISTORT).reshape(-1, 2)
-        back, _ = cv2.projectPoints(
-            np.column_stack([found, np.ones(len(found))]), np.zeros(3), np.zeros(3), matrix, distortion
-        )
-        good = np.linalg.norm(back.reshape(-1, 2) - xy_px[own], axis=1) < _UNDISTORTED_PX
-        xy[own] = np.where(good[:, None], found, np.nan)
+        distorted = (xy_px[own] - matrix[:2, 2]) / matrix.diagonal()[:2]
+        ideal = undistort(distorted, distortion)
+        good = np.linalg.norm(distort(ideal, distortion) - distorted, axis=1) * focal_px[own] < _UNDISTORTED_PX
+        xy[own] = np.where(good[:, None], ideal, np.nan)
     return xy, focal_px
 
 

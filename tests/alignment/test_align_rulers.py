@@ -374,17 +374,13 @@ def test_the_stage_with_a_distance_that_sets_the_scale(data: DataRoot, walks) ->
     )
     write_table(folder / "frames.parquet", frames, schema("import", "frames"))
     cv2.imwrite(str(data.captures("Place") / "grey.png"), np.full((144, 192), 128, dtype=np.uint8))
-    # SfM of this scene says that focal lengths are half of what import says.
-    focal_px = 0.5 * 1400
     ends = transform(true_T_cam[8], np.array([[-1.5, 0.0, 8.0], [1.5, 0.0, 8.0]]))
     points = []
     for name, end in zip(("left", "right"), ends, strict=True):
         seen = []
         for row in range(5, 10):
             x, y, z = transform(inverse(true_T_cam[row]), end)
-            seen.append(
-                f'{{frame = "{frames["frame_id"][row]}", xy = [{focal_px * x / z + 960}, {focal_px * y / z + 720}]}}'
-            )
+            seen.append(f'{{frame = "{frames["frame_id"][row]}", xy = [{1400 * x / z + 960}, {1400 * y / z + 720}]}}')
         points.append(f'[[ruler.points]]\nname = "{name}"\nobservations = [{", ".join(seen)}]\n')
     (data.root / "scenes").mkdir()
     (data.root / "scenes" / "Place.toml").write_text(
