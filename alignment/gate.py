@@ -21,6 +21,7 @@ OTHER_SCENE = "another scene mixed in"
 BROKEN_OFF = "broken off"
 TOO_FEW = "too few frames registered"
 DISAGREES = "SfM and VIO disagree"
+RULER = "ruler and map disagree"
 CAUSES = (
     MIRRORED,
     SHUFFLED,
@@ -32,6 +33,7 @@ CAUSES = (
     BROKEN_OFF,
     TOO_FEW,
     DISAGREES,
+    RULER,
 )
 
 
@@ -70,12 +72,20 @@ class Gate:
                 "value": value,
                 "limit": limit,
                 "unit": unit,
+                "verdict": "passed" if passed else "failed",
                 "passed": passed,
                 "cause": "" if passed else cause,
                 "reason": "" if passed else reason,
             }
         )
         return passed
+
+    def undecided(
+        self, name: str, cause: str, reason: str, *, unit: str, component: int | None = None, frames: int
+    ) -> None:
+        """Note a check that can't be decided, and why: it neither passes nor counts as failed."""
+        self.check(name, None, 0.0, unit, cause, reason, component=component, frames=frames)
+        self.rows[-1]["verdict"] = "undecided"
 
     def check_window(self, window: Window) -> None:
         """Note both checks of a window: its largest residuals against what VIO may drift by there."""
@@ -106,7 +116,7 @@ class Gate:
 
     @property
     def failed(self) -> list[dict[str, object]]:
-        return [row for row in self.rows if not row["passed"]]
+        return [row for row in self.rows if row["verdict"] == "failed"]
 
     @property
     def main_cause(self) -> dict[str, object] | None:

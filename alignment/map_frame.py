@@ -23,12 +23,19 @@ _RECORDING_FLOOR = 4.0  # sigmas, of a recording against the others
 
 @dataclass(frozen=True)
 class MapScale:
-    """Metres per SfM unit by all recordings: logarithm, sigma, each recording's own, and its weight (0 to 1)."""
+    """Metres per SfM unit by all recordings: logarithm, sigma, each recording's own, and its weight (0 to 1). `rulers`
+    names the rulers that logarithm and sigma are by instead, where there are any."""
 
     log: float
     sd: float
     recordings: dict[str, Scale]
     weights: dict[str, float]
+    rulers: tuple[str, ...] = ()
+
+    @property
+    def source(self) -> str:
+        """Who sets it, in the words of the tables."""
+        return f"ruler: {', '.join(self.rulers)}" if self.rulers else "vio"
 
 
 @dataclass(frozen=True)
@@ -62,7 +69,7 @@ def common_scale(
             where="frames that have both an SfM and a VIO pose",
             expected=f"3 or more such frames in a row, {least_step_m:g} m or more from first to last",
             found=f"{sum(int(s.both.sum()) for s in segments)} such frames, {walked:.3g} m walked at most",
-            do="capture with more walking, or lower align.least_step_m",
+            do="capture with more walking, lower align.least_step_m, or set the scale by a ruler (docs/rulers.md)",
         )
     logs = np.array([s.log for s in found.values()])
     sds = np.array([np.hypot(s.sd, phone_sd) for s in found.values()])

@@ -8,6 +8,9 @@ from alignment.examination import examine
 from alignment.ground_truth import Aligned, build, camera_sd
 from alignment.picture import draw_gate
 from alignment.recording import write_recording
+from alignment.rulers.measurement import find_rulers, read_rulers
+from alignment.rulers.picture import draw_rulers
+from alignment.rulers.verdict import describe, rulers_table
 from alignment.sessions import SessionFit
 from alignment.settings import AlignSettings
 from alignment.sfm_tables import SfmTables
@@ -15,7 +18,7 @@ from artefacts import Stage, StageRun, UserError
 from artefacts.tables import dataset_frames, with_cameras
 from geometry.poses import Array
 
-PICTURE = "gate.png"
+PICTURE, RULERS_PICTURE = "gate.png", "rulers.png"
 
 
 def run(r: StageRun[AlignSettings]) -> None:
@@ -26,11 +29,29 @@ def run(r: StageRun[AlignSettings]) -> None:
     # SfM's poses go with these cameras.
     frames = with_cameras(frames, images)
     recordings = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
+    with r.step("rulers"):
+        sightings = find_rulers(r.settings.rulers, frames, r.image_path)
+        readings = read_rulers(
+            sightings,
+            frames,
+            images,
+            least_angle=float(np.radians(r.settings.ruler_min_angle_deg)),
+            largest_sd=r.settings.ruler_max_sd,
+        )
+    for reading in readings:
+        if reading.problem:
+            r.say(f"ruler {reading.ruler.name}: undecided: {reading.problem}")
     with r.step("examine"):
-        found = examine(frames, sfm, jumps, recordings, r.settings)
+        found = examine(frames, sfm, jumps, recordings, r.settings, readings)
     with r.step("picture"):
         shown = found.where(~frames["support"].to_numpy(bool))
         draw_gate(r.work / PICTURE, shown, r.scene.name, simulated=r.simulated)
+        if found.rulers:
+            draw_rulers(r.work / RULERS_PICTURE, found.rulers, frames, images, r.image_path)
+    for judged in found.rulers:
+        if not judged.reading.problem:
+            r.say(describe(judged))
+    r.write("rulers", rulers_table(found.rulers))
     if found.refusal:
         r.write("gate", found.gate.table())
         told = found.refusal.details
@@ -56,7 +77,8 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
     known = gt["quality"] != "none"
     registered = int(sessions["registered"].sum())
     counts = {name: int((gt["quality"] == name).sum()) for name in ("A", "B", "C", "none")}
-    failed = int((~aligned.gate["passed"]).sum())
+    failures = aligned.gate[aligned.gate["verdict"] == "failed"]
+    failed, undecided = len(failures), int((aligned.gate["verdict"] == "undecided").sum())
     figures = {
         "frames": len(gt),
         "registered": registered,
@@ -66,7 +88,8 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
         "bridged": int(gt["gt_uses_vio"].sum()),
         "metres_per_sfm_unit": main.map_S_sfm.scale,
         "scale_sd": main.component.scale.sd,
-        "session_scale_spread": float(sessions["scale"].max() - sessions["scale"].min()),
+        "scale_source": main.component.scale.source,
+        "session_scale_spread": _or_none(sessions["scale"].max() - sessions["scale"].min()),
         "vertical_sd_deg": float(np.degrees(main.component.vertical.sd)),
         "camera_sd_deg": float(np.degrees(camera_sd(frames, r.settings))),
         "vertical_correction_deg": _or_none(sessions["up_error_deg"].max()),
@@ -78,6 +101,7 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
         "vio_5m_max_percent": _over_5m(aligned.drift, "max"),
         "checks": len(aligned.gate),
         "checks_failed": failed,
+        "checks_undecided": undecided,
     }
     for name, value in figures.items():
         r.figure(name, value)
@@ -87,7 +111,8 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
     )
     r.say(
         f"map: {main.map_S_sfm.scale:.6g} m per SfM unit ± {100 * main.component.scale.sd:.2f} %, vertical "
-        f"± {figures['vertical_sd_deg']:.2f}°, from {len(main.component.scale.recordings)} VIO recordings"
+        f"± {figures['vertical_sd_deg']:.2f}°, from {len(main.component.vertical.recordings)} VIO recordings"
+        + (f"; scale by {main.component.scale.source}" if main.component.scale.rulers else "")
     )
     for placed in aligned.placed[1:]:
         if placed.bridge is not None:
@@ -97,8 +122,9 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
             )
     for fit in aligned.fits:
         r.say(_describe(fit))
-    r.say(f"gate: {failed} of {len(aligned.gate)} checks failed" if failed else "gate: all checks passed")
-    for (cause, session_id), rows in aligned.gate[~aligned.gate["passed"]].groupby(["cause", "session_id"]):
+    verdict = f"{failed} of {len(aligned.gate)} checks failed" if failed else "no check failed"
+    r.say(f"gate: {f'{verdict}, {undecided} undecided' if failed or undecided else 'all checks passed'}")
+    for (cause, session_id), rows in failures.groupby(["cause", "session_id"]):
         r.say(f"  {cause}{f', {session_id}' if session_id else ''}: {rows['reason'].iloc[0]} ({len(rows)} checks)")
 
 
@@ -145,7 +171,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=7,
+    version=8,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

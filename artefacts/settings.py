@@ -13,6 +13,8 @@ SHIPPED_DATA = Path(__file__).resolve().parent.parent / "data"
 STAGES = ("import", "sfm", "align", "train", "fuse", "report")
 _SECTIONS = ("simulate", *STAGES)
 _NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}"
+# Lists of tables at the top of a scene's file that are a setting of one stage, which alone depends on them.
+_TABLES = {"ruler": ("align", "rulers")}
 
 
 class Settings(BaseModel):
@@ -103,6 +105,9 @@ class DataRoot:
         path = self.config_file("scenes", checked_name("scene", name))
         content = _read_toml(path) if path else {}
         sections = {key: content.pop(key) for key in _SECTIONS if key in content}
+        for table, (section, setting) in _TABLES.items():
+            if table in content:
+                sections.setdefault(section, {})[setting] = _list_of_tables(content.pop(table), table, path)
         return validated(SceneConfig, {**content, "name": name}, path or f"scene {name!r}"), sections
 
     def leaves(self, scene: SceneConfig) -> list[str]:
@@ -139,12 +144,13 @@ def validated(model: type[T], content: dict[str, Any], where: object) -> T:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        first = error.errors()[0]
+        # A key that there isn't says most: its right name may be what is missing.
+        first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
         key = ".".join(str(part) for part in first["loc"])
         raise UserError(
             f"setting {key!r}: {first['msg']}",
             where=where,
-            found=repr(first.get("input")),
+            found=None if first["type"] == "missing" else repr(first.get("input")),
             expected="one of " + ", ".join(model.model_fields) if first["type"] == "extra_forbidden" else None,
             do="correct it; `python -m <stage> --help` lists the settings",
         ) from None
@@ -170,6 +176,12 @@ def _read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UserError("a settings file can't be read", where=path, found=error, expected="TOML in UTF-8") from None
+
+
+def _list_of_tables(content: Any, name: str, path: object) -> Any:
+    if not isinstance(content, list):
+        raise UserError(f"{name} is a list of tables", where=path, found=f"[{name}]", expected=f"[[{name}]]")
+    return content
 
 
 def _refuse_unknown_sections(content: dict[str, Any], more: tuple[str, ...], path: Path) -> None:

@@ -80,6 +80,7 @@ class MadeUpScene:
             quality=self.quality,
             reason="",
             gt_uses_vio=False,
+            scale_source="vio",
             component=0,
         )
         # One test frame without ground truth: it can't be scored, and must be counted as such.
@@ -259,7 +260,9 @@ class MadeUpScene:
     def _gate(self) -> pd.DataFrame:
         row = {"check": "window_motion", "session_id": "walk_1", "t_start_ns": 0, "t_end_ns": SECOND, "frames": 10}
         row |= {"value": 0.01, "limit": 0.1, "unit": "m", "passed": True, "reason": "", "component": 0, "cause": ""}
+        row["verdict"] = "passed"
         failed = row | {"session_id": "walk_2", "value": 0.3, "passed": False, "reason": "VIO and the model disagree"}
+        failed["verdict"] = "failed"
         return pd.DataFrame([row, failed])
 
     def _history(self) -> pd.DataFrame:

@@ -75,6 +75,7 @@ def make_scene(tmp_path: Path) -> Callable[..., Path]:
             quality="A",
             reason="",
             gt_uses_vio=False,
+            scale_source="vio",
             component=0,
         )
         # Training that looked at a support frame would miss its image.
