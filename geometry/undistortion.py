@@ -96,8 +96,8 @@ def undistorted_image(image: NDArray[np.uint8], camera: Camera, pinhole: Camera)
         raise GeometryError(
             f"the image is {image.shape[1]} x {image.shape[0]} px, its camera {camera.width} x {camera.height} px"
         )
-    x, y = (np.arange(side) + 0.5 for side in (pinhole.width, pinhole.height))
-    grid = np.stack(np.meshgrid((x - pinhole.cx) / pinhole.fx, (y - pinhole.cy) / pinhole.fy), axis=-1)
-    at = (camera.project(grid.reshape(-1, 2)) - 0.5).astype(np.float32).reshape(*grid.shape)
-    found = cv2.remap(image, at, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
-    return np.asarray(found, np.uint8)
+    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    eight = np.pad(np.array(camera.distortion, float), (0, 8 - len(camera.distortion)))
+    size = (pinhole.width, pinhole.height)
+    at = cv2.initUndistortRectifyMap(camera.matrix - half, eight, np.eye(3), pinhole.matrix - half, size, cv2.CV_32FC1)
+    return np.asarray(cv2.remap(image, *at, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.uint8)

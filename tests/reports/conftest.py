@@ -288,6 +288,7 @@ class MadeUpScene:
             "weights": "scratch: no internet",
             "resize_px": 256,
             "crop_px": 224,
+            "focal_px": 250.0,
             "epochs": 12,
         }
         base |= {
