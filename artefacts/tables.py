@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 from artefacts.errors import UserError
 from artefacts.files import replace_synced
 from artefacts.schemas import TableSchema
+from geometry.cameras import Camera
 from geometry.poses import Array, pose_from_tq, tq_from_pose
-from geometry.undistortion import Camera
 
 CAMERA_COLUMNS = ["fx", "fy", "cx", "cy", "distortion"]
 _QUATERNION_TOLERANCE = 1e-6

@@ -13,8 +13,9 @@ from artefacts import StageRun
 from artefacts.parallel import in_parallel
 from artefacts.recording import APR, FUSED, GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
 from artefacts.tables import camera_of, poses_of
+from artefacts.undistortion import undistorted_image
+from geometry.cameras import Camera
 from geometry.poses import Array
-from geometry.undistortion import Camera, undistorted_image
 from sfm.matching import MatchedPairs
 from sfm.model import Model
 from sfm.settings import SfmSettings

@@ -14,7 +14,8 @@ from torch import Tensor
 
 from artefacts import UserError
 from artefacts.files import replace_synced
-from geometry.undistortion import Camera, centred_pinhole, undistorted_image
+from artefacts.undistortion import undistorted_image
+from geometry.cameras import Camera, centred_pinhole
 from training.models.regressor import PoseBatch
 
 Image = NDArray[np.uint8]

@@ -13,10 +13,11 @@ from artefacts import DataRoot, UserError
 from artefacts.manifests import MANIFEST, load_verified
 from artefacts.schemas import schema
 from artefacts.tables import CAMERA_COLUMNS, camera_of, dataset_frames, poses_of, read_table, with_cameras
+from artefacts.undistortion import undistorted_image
 from geometry import GeometryError
+from geometry.cameras import Camera, pinhole_within
 from geometry.fits import Sim3
 from geometry.poses import Array
-from geometry.undistortion import Camera, pinhole_within, undistorted_image
 
 Images = Literal["link", "copy", "none"]
 

@@ -21,9 +21,9 @@ from artefacts.schemas import schema
 from artefacts.tables import pose_frame, poses_of, read_table, with_cameras, write_table
 from capture_import.capture import Limits, RawSession
 from capture_import.discovery import find_recordings
+from geometry.cameras import Camera
 from geometry.fits import Sim3
 from geometry.poses import Array, inverse, make_pose, transform
-from geometry.undistortion import Camera
 
 UNREGISTERED, VALIDATION, TESTED = "walk0/000003", range(5, 8), range(15, 20)
 FRAMES = 39

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from artefacts import UserError
 from artefacts.tables import pose_frame
-from geometry.undistortion import Camera
+from geometry.cameras import Camera
 from training.data import ImageCache, Jitter, pinhole_image, read_image, shift_hue, small_image, turned_crop
 from training.inputs import as_training_frames, virtual_focal
 

@@ -1,16 +1,14 @@
-"""Images without the distortion of their lens: as a pinhole at the same place, looking the same way, sees them.
+"""A camera with a lens, and pinholes at its place that look the same way.
 
-Positions are in pixels with the centre of the first one at (0.5, 0.5); OpenCV has it at (0, 0).
+Positions are in pixels with the centre of the first one at (0.5, 0.5).
 """
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from geometry import GeometryError
-from geometry.lens import distort, undistort
+from geometry.lens import distort, distort_with_slope, undistort
 from geometry.poses import Array
 
 _GRID = 33
@@ -30,11 +28,6 @@ class Camera:
     distortion: tuple[float, ...] = ()
 
     @property
-    def is_pinhole(self) -> bool:
-        """No coefficient of distortion differs from 0."""
-        return not any(self.distortion)
-
-    @property
     def matrix(self) -> Array:
         """K (3, 3)."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
@@ -49,7 +42,7 @@ class Camera:
         return distort(ideal_M2, self.distortion) * [self.fx, self.fy] + [self.cx, self.cy]
 
     def unproject(self, px_M2: Array) -> Array:
-        """Ideal image points (M, 2) of pixels (M, 2), the inverse of `project`."""
+        """Ideal image points (M, 2) of pixels (M, 2), the inverse of `project`; NaN where the lens has none."""
         return undistort((np.asarray(px_M2, float) - [self.cx, self.cy]) / [self.fx, self.fy], self.distortion)
 
 
@@ -67,12 +60,11 @@ def pinhole_within(camera: Camera) -> Camera:
 
     def fits(focal_px: float) -> bool:
         side = np.linspace(-0.5, 0.5, _GRID)
-        grid = np.stack(np.meshgrid(camera.width * side, camera.height * side), axis=-1) / focal_px
-        px = camera.project(grid.reshape(-1, 2)).reshape(grid.shape)
-        right, down = px[:-1, 1:] - px[:-1, :-1], px[1:, :-1] - px[:-1, :-1]
-        one_to_one = right[..., 0] * down[..., 1] > right[..., 1] * down[..., 0]
-        size = np.array([camera.width, camera.height])
-        return bool(one_to_one.all() and (px >= -_ROUNDING_PX).all() and (px <= size + _ROUNDING_PX).all())
+        x, y = np.meshgrid(camera.width * side / focal_px, camera.height * side / focal_px)
+        distorted, slope = distort_with_slope(np.stack([x.ravel(), y.ravel()], axis=1), camera.distortion)
+        px = distorted * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+        inside = (px >= -_ROUNDING_PX) & (px <= np.array([camera.width, camera.height]) + _ROUNDING_PX)
+        return bool(inside.all() and (np.linalg.det(slope) > 0).all())
 
     too_short, fitting = 0.1 * min(camera.fx, camera.fy), 10 * max(camera.fx, camera.fy)
     if not fits(fitting):
@@ -85,19 +77,3 @@ def pinhole_within(camera: Camera) -> Camera:
         middle = (too_short + fitting) / 2
         too_short, fitting = (too_short, middle) if fits(middle) else (middle, fitting)
     return centred_pinhole(camera.width, camera.height, fitting)
-
-
-def undistorted_image(image: NDArray[np.uint8], camera: Camera, pinhole: Camera) -> NDArray[np.uint8]:
-    """What `pinhole` sees (its height, its width, channels) where `camera` took `image`, by bicubic interpolation.
-
-    Beyond the image its border is repeated. GeometryError where the image hasn't the camera's size.
-    """
-    if image.shape[:2] != (camera.height, camera.width):
-        raise GeometryError(
-            f"the image is {image.shape[1]} x {image.shape[0]} px, its camera {camera.width} x {camera.height} px"
-        )
-    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-    eight = np.pad(np.array(camera.distortion, float), (0, 8 - len(camera.distortion)))
-    size = (pinhole.width, pinhole.height)
-    at = cv2.initUndistortRectifyMap(camera.matrix - half, eight, np.eye(3), pinhole.matrix - half, size, cv2.CV_32FC1)
-    return np.asarray(cv2.remap(image, *at, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.uint8)
