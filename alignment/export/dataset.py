@@ -74,7 +74,8 @@ class ImageSource:
                 raise UserError(
                     "an image can't be undistorted", where=self.file, found=error, do="import the scene again"
                 ) from None
-        if not cv2.imwrite(str(target), pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]):
+        options = [] if target.suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+        if not cv2.imwrite(str(target), pixels, options):
             raise UserError("an image can't be written", where=target)
 
 
