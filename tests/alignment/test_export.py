@@ -347,12 +347,14 @@ def _give_lens(scene: DataRoot, lens: tuple[float, ...]) -> dict[str, Array]:
     gt = read_table(path, schema("align", "ground_truth"))
     gt = gt.assign(fx=230.0 + 0.1 * np.arange(len(gt)), fy=231.0, cx=161.3, cy=118.4, distortion=[list(lens)] * len(gt))
     write_table(path, gt, schema("align", "ground_truth"))
+    manifest = json.loads(path.with_name("manifest.json").read_text())
+    path.with_name("manifest.json").write_text(json.dumps(manifest | {"outputs": output_hashes(path.parent)}))
     x, y = np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1])[:, None] + 0.5
     points = {}
     for frame_id, row in _truth(scene).iterrows():
         camera = Camera(*SIZE, row["fx"], row["fy"], row["cx"], row["cy"], lens)
         dots = [np.exp(-((x - u) ** 2 + (y - v) ** 2) / 8) for u, v in camera.project(SEEN)]
-        cv2.imwrite(str(_image(scene, str(frame_id))), 230 * np.sum(dots, axis=0))
+        cv2.imwrite(str(_image(scene, str(frame_id))), (230 * np.sum(dots, axis=0)).astype(np.uint8))
         map_T_cam = poses_of(pd.DataFrame([row]), "map_cam")[0]
         points[str(frame_id)] = transform(map_T_cam, DEPTH_M * np.column_stack([SEEN, np.ones(len(SEEN))]))
     return points
