@@ -171,7 +171,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=8,
+    version=9,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,
