@@ -191,6 +191,14 @@ def paths_of(run: Finished) -> Paths:
     ))  # fmt: skip
 
 
+def placed_alone(paths: Paths) -> tuple[Placed, Placed]:
+    """Our frames and stock's, each fitted by itself."""
+    return (
+        place(paths.vio_T_cam, paths.ours_T_cam, paths.groups(ours=True, stock=False)),
+        place(paths.vio_T_cam, paths.stock_T_cam, paths.groups(ours=False, stock=True)),
+    )
+
+
 def ground_truth_figures(run: Finished) -> list[Figure]:
     """The verdict, frames, classes, models, checks, reprojection and held-out errors; stock's where it has them."""
     frames = run.table("import", "frames")
@@ -285,10 +293,11 @@ def _stock_camera_figures(run: Finished) -> list[Figure]:
 
 
 def agreement_figures(run: Finished) -> list[Figure]:
-    """Agreement with VIO on the frames that both ways have, each way fitted in the same groups; ours on all of its
-    frames, too."""
+    """Agreement with VIO on the frames that both ways have, each way fitted in the same groups; and of each way on all
+    of its frames: a model that is folded may be right on those that both have."""
     paths = paths_of(run)
-    figures = _agreement(paths, place(paths.vio_T_cam, paths.ours_T_cam, paths.groups(ours=True, stock=False)), "all")
+    ours, stock = placed_alone(paths)
+    figures = _agreement(paths, ours, "all") + _agreement(paths, stock, "all", STOCK)
     both = paths.groups(ours=True, stock=True)
     ours, stock = (place(paths.vio_T_cam, poses, both) for poses in (paths.ours_T_cam, paths.stock_T_cam))
     by_way = {OURS: _agreement(paths, ours, "common"), STOCK: _agreement(paths, stock, "common", STOCK)}

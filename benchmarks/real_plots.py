@@ -7,21 +7,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from artefacts.recording import GROUND_TRUTH, NEUTRAL, VIO
-from benchmarks.real_figures import Paths, Placed, place
+from benchmarks.real_figures import Paths, Placed, placed_alone
 
 _INCHES = 3.0
 _COLOURS = {name: tuple(c / 255 for c in colour) for name, colour in (
     ("VIO", VIO), ("ours", GROUND_TRUTH), ("stock COLMAP", NEUTRAL)
 )}  # fmt: skip
+_MOST_TIMES = 4
 _STYLES = {"ours": "-", "stock COLMAP": "--"}
 
 
 def draw_case(path: Path, title: str, verdict: str, paths: Paths) -> None:
     """One row a session: plan in its VIO frame, each model fitted by a Sim3, and residuals over VIO's path."""
-    ways = {
-        "stock COLMAP": place(paths.vio_T_cam, paths.stock_T_cam, paths.groups(ours=False, stock=True)),
-        "ours": place(paths.vio_T_cam, paths.ours_T_cam, paths.groups(ours=True, stock=False)),
-    }
+    ours, stock = placed_alone(paths)
+    ways = {"stock COLMAP": stock, "ours": ours}
     sessions = list(np.unique(paths.session.astype(str)))
     figure = Figure(figsize=(4 * _INCHES, _INCHES * len(sessions) + 0.4), layout="constrained")
     axes = figure.subplots(len(sessions), 3, squeeze=False)
@@ -55,11 +54,22 @@ def _draw_residuals(metres: Axes, degrees: Axes, paths: Paths, ways: dict[str, P
     known = np.isfinite(vio[:, 0])
     rows, vio = rows[known], vio[known]
     travelled_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vio, axis=0), axis=1))])[: len(rows)]
-    for name, placed in ways.items():
-        for axis, values in ((metres, 1000 * placed.position_m), (degrees, placed.rotation_deg)):
-            axis.plot(travelled_m, values[rows], ".", ls=_STYLES[name], ms=3, lw=1, color=_COLOURS[name], label=name)
     for axis, unit in ((metres, "mm"), (degrees, "deg")):
+        values = {
+            name: (1000 * placed.position_m if unit == "mm" else placed.rotation_deg)[rows]
+            for name, placed in ways.items()
+        }
+        for name, own in values.items():
+            axis.plot(travelled_m, own, ".", ls=_STYLES[name], ms=3, lw=1, color=_COLOURS[name])
         axis.set_ylim(bottom=0)
-        axis.set_title(f"from VIO, {unit}", fontsize=8)
+        title = f"from VIO, {unit}"
+        ours, stock = (
+            np.max(values[name], where=np.isfinite(values[name]), initial=0) for name in ("ours", "stock COLMAP")
+        )
+        # A folded model would leave nothing to see of the other.
+        if 0 < _MOST_TIMES * ours < stock:
+            axis.set_ylim(0, _MOST_TIMES * ours)
+            title += f"; stock COLMAP up to {stock:.0f}"
+        axis.set_title(title, fontsize=8)
         axis.set_xlabel("VIO path, m", fontsize=7)
         axis.tick_params(labelsize=7)
