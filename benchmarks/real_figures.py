@@ -18,6 +18,7 @@ from benchmarks.stages import Cost
 from benchmarks.stock import largest_model, matcher_name
 from geometry import GeometryError
 from geometry.fits import fit_sim3, pose_residuals
+from geometry.metrics import relative_error
 from geometry.poses import Array, rotation_angle
 from sfm.database import image_id
 from sfm.model import load_models
@@ -101,6 +102,10 @@ class Placed:
     """(N,)"""
     rotation_deg: Array
     """(N,)"""
+    step_m: Array
+    """(N,) of the motion to the frame from the one before in its group: a drift of VIO hardly shows in it"""
+    step_deg: Array
+    """(N,)"""
 
 
 def verdict_of(statuses: dict[str, int], logs: dict[str, str], causes: list[str]) -> Verdict:
@@ -119,12 +124,12 @@ def verdict_of(statuses: dict[str, int], logs: dict[str, str], causes: list[str]
 
 
 def place(vio_T_cam: Array, sfm_T_cam: Array, group: NDArray[np.object_]) -> Placed:
-    """Fit the poses (N, 4, 4) of each group (N,), a session in a model, to VIO's; None: in no group.
+    """Fit the poses (N, 4, 4) of each group (N,), a session in a model in order of time, to VIO's; None: in no group.
 
     Groups of fewer than five frames with VIO, or of positions on a line, aren't fitted.
     """
     count = len(group)
-    placed = Placed(np.full((count, 3), np.nan), np.full(count, np.nan), np.full(count, np.nan))
+    placed = Placed(np.full((count, 3), np.nan), *(np.full(count, np.nan) for _ in range(4)))
     usable = np.isfinite(vio_T_cam[:, 0, 0]) & np.isfinite(sfm_T_cam[:, 0, 0])
     for _, rows in pd.Series(group).groupby(group).indices.items():
         rows = rows[usable[rows]]
@@ -137,6 +142,7 @@ def place(vio_T_cam: Array, sfm_T_cam: Array, group: NDArray[np.object_]) -> Pla
             continue
         placed.xyz_vio[rows] = fit.points(sfm[:, :3, 3])
         placed.position_m[rows] = pose_residuals(vio, fit.poses(sfm), np.eye(4))[0]
+        placed.step_m[rows[1:]], placed.step_deg[rows[1:]] = relative_error(vio, fit.poses(sfm))
         vio_R_sfm = Rotation.from_matrix(vio[:, :3, :3] @ np.swapaxes(sfm[:, :3, :3], 1, 2)).mean().as_matrix()
         left = np.swapaxes(vio[:, :3, :3], 1, 2) @ vio_R_sfm @ sfm[:, :3, :3]
         placed.rotation_deg[rows] = np.degrees(rotation_angle(left))
@@ -145,7 +151,7 @@ def place(vio_T_cam: Array, sfm_T_cam: Array, group: NDArray[np.object_]) -> Pla
 
 @dataclass(frozen=True)
 class Paths:
-    """The frames of the dataset that have VIO poses, and where both ways have them; a model number of -1: nowhere."""
+    """The dataset's frames, session by session in time: poses by VIO, ours and stock; each one's model, -1: none."""
 
     session: NDArray[np.object_]
     t_ns: NDArray[np.int64]
@@ -183,8 +189,9 @@ def paths_of(run: Finished) -> Paths:
     if (largest := largest_model(run.stock_folder)) is not None:
         model = load_models([largest], count)
         stock_T_cam, stock_model = model.sfm_T_cam, model.model
-    rows = np.flatnonzero(~frames["support"].to_numpy(bool))
     session, t_ns = frames["session_id"].to_numpy(object), frames["t_ns"].to_numpy(np.int64)
+    rows = np.lexsort([t_ns, session.astype(str)])
+    rows = rows[~frames["support"].to_numpy(bool)[rows]]
     vio = poses_of(frames, "vio_cam")
     return Paths(session[rows], t_ns[rows], vio[rows], *(
         values[rows] for values in (ours_T_cam, ours_model, stock_T_cam, stock_model)
@@ -314,19 +321,20 @@ def _agreement(paths: Paths, placed: Placed, which: str, way: str = OURS) -> lis
         rows = np.isfinite(placed.position_m) & ((paths.session == session) | (session == ""))
         if not rows.any():
             continue
-        rms_mm = 1000 * float(np.sqrt(np.mean(placed.position_m[rows] ** 2)))
-        figures += [
-            Figure(f"{which} frames against VIO", int(rows.sum()), "", way, session),
-            Figure(f"{which} frames against VIO, position RMS", rms_mm, "mm", way, session),
-            Figure(
-                f"{which} frames against VIO, rotation median",
-                float(np.median(placed.rotation_deg[rows])),
-                "deg",
-                way,
-                session,
-            ),
-        ]
+        name = f"{which} frames against VIO"
+        figures.append(Figure(name, int(rows.sum()), "", way, session))
+        for statistic, value, unit in (
+            ("position RMS", 1000 * _rms(placed.position_m[rows]), "mm"),
+            ("rotation median", float(np.median(placed.rotation_deg[rows])), "deg"),
+            ("step RMS", 1000 * _rms(placed.step_m[rows]), "mm"),
+            ("step rotation RMS", _rms(placed.step_deg[rows]), "deg"),
+        ):
+            figures.append(Figure(f"{name}, {statistic}", value, unit, way, session))
     return figures
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
 
 
 def cost_figures(run: Finished) -> list[Figure]:

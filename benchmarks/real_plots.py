@@ -26,7 +26,6 @@ def draw_case(path: Path, title: str, verdict: str, paths: Paths) -> None:
     axes = figure.subplots(len(sessions), 3, squeeze=False)
     for (plan, metres, degrees), session in zip(axes, sessions, strict=True):
         rows = np.flatnonzero(paths.session == session)
-        rows = rows[np.argsort(paths.t_ns[rows], kind="stable")]
         _draw_plan(plan, session, paths, ways, rows)
         _draw_residuals(metres, degrees, paths, ways, rows)
     figure.suptitle(f"{title}: {verdict}", fontsize=10, wrap=True)

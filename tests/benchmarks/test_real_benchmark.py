@@ -64,6 +64,8 @@ def test_a_frame_that_is_off_shows_by_as_much():
     assert placed.position_m[7] == pytest.approx(0.2, rel=0.05)
     assert placed.rotation_deg[9] == pytest.approx(2, rel=0.05)
     assert np.median(placed.position_m) < 0.005
+    assert placed.step_m[7] == pytest.approx(0.2, rel=0.05) and placed.step_deg[10] == pytest.approx(2, rel=0.05)
+    assert np.isnan(placed.step_m[0]) and np.nanmedian(placed.step_m) < 0.005
 
 
 def test_frames_without_a_model_or_vio_and_groups_of_few_are_not_compared():
