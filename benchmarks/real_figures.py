@@ -263,22 +263,26 @@ def _stock_model_figures(run: Finished, images: int) -> list[Figure]:
 
 
 def camera_figures(run: Finished) -> list[Figure]:
-    """Distortion and readout time of each lens, and each session's focal scale, of the largest model of either way."""
-    figures = []
+    """Distortion and readout time of each lens and each session's focal scale, of all our models, as one lens should
+    be the same in each, and of stock's largest."""
+    figures = list[Figure]()
     if run.has("sfm"):
-        lenses, sessions = (run.table("sfm", name).groupby("model_id", sort=False) for name in ("lenses", "intrinsics"))
-        for lens in next(iter(lenses))[1].to_dict("records"):
-            for name, key, sd, unit, factor in (
-                ("k1", "k1", "k1_sd", "", 1),
-                ("k2", "k2", "k2_sd", "", 1),
-                ("readout", "readout_s", "readout_sd_s", "ms", 1000),
-            ):
-                figures.append(Figure(name, factor * lens[key], unit, subject=lens["lens_id"]))
-                figures.append(Figure(f"{name}, one sigma", factor * lens[sd], unit, subject=lens["lens_id"]))
-        for session in next(iter(sessions))[1].to_dict("records"):
-            for name, key in (("focal scale", "focal_scale"), ("focal scale, one sigma", "focal_scale_sd")):
-                figures.append(Figure(name, session[key], subject=session["session_id"]))
+        lenses, sessions = run.table("sfm", "lenses"), run.table("sfm", "intrinsics")
+        for number, model_id in enumerate(lenses["model_id"].unique()):
+            of_model = f", model {number + 1}" if number else ""
+            for lens in lenses[lenses["model_id"] == model_id].to_dict("records"):
+                subject = lens["lens_id"] + of_model
+                figures += _with_sigma("k1", lens["k1"], lens["k1_sd"], "", subject)
+                figures += _with_sigma("k2", lens["k2"], lens["k2_sd"], "", subject)
+                figures += _with_sigma("readout", 1000 * lens["readout_s"], 1000 * lens["readout_sd_s"], "ms", subject)
+            for session in sessions[sessions["model_id"] == model_id].to_dict("records"):
+                subject = session["session_id"] + of_model
+                figures += _with_sigma("focal scale", session["focal_scale"], session["focal_scale_sd"], "", subject)
     return figures + _stock_camera_figures(run)
+
+
+def _with_sigma(name: str, value: float, sigma: float, unit: str, subject: str) -> list[Figure]:
+    return [Figure(name, value, unit, subject=subject), Figure(f"{name}, one sigma", sigma, unit, subject=subject)]
 
 
 def _stock_camera_figures(run: Finished) -> list[Figure]:
