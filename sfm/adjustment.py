@@ -319,17 +319,22 @@ def with_step(scene: Scene, cameras: Cameras, step: Array, point_step: Array) ->
     return replace(scene, sfm_T_cam=sfm_T_cam, xyz=scene.xyz + point_step), moved
 
 
-def adjust(scene: Scene, cameras: Cameras, priors: CameraPriors, steps: int = _STEPS) -> Adjusted:
-    """Adjust everything; raises LinAlgError where the scene is too small to tell."""
+def adjust(
+    scene: Scene, cameras: Cameras, priors: CameraPriors, steps: int = _STEPS, loss_widening: float = 1.0
+) -> Adjusted:
+    """Adjust everything; raises LinAlgError where the scene is too small to tell.
+
+    Where a camera isn't near the right one yet, misfit in the corners is no outlier: a wider loss lets it count.
+    """
     prior_mean, information = camera_unknowns(priors.mean), prior_information(cameras, priors)
     damping = 1e-6
-    loss_px = loss_of(linearize(scene, cameras).residual)
+    loss_px = loss_widening * loss_of(linearize(scene, cameras).residual)
     cost = np.inf
     for _ in range(steps):
         linear = linearize(scene, cameras)
-        loss_px = loss_of(linear.residual)
+        loss_px = loss_widening * loss_of(linear.residual)
         weight = 1 / (1 + np.sum(linear.residual**2, axis=1) / loss_px**2)
-        variance = loss_variance(loss_px)
+        variance = loss_variance(loss_px / loss_widening)
         away = camera_unknowns(cameras) - prior_mean
         before = _cost(linear.residual, loss_px) + variance * float(away @ (information @ away)) / 2
         system = normal_equations(scene, cameras, linear, weight)
@@ -354,7 +359,7 @@ def adjust(scene: Scene, cameras: Cameras, priors: CameraPriors, steps: int = _S
         scene, cameras = moved
         if before - cost < _SETTLED * before:
             break
-    return Adjusted(scene, cameras, priors, loss_px)
+    return Adjusted(scene, cameras, priors, loss_px / loss_widening)
 
 
 def add_information(matrix: Array, information: csr_array) -> Array:

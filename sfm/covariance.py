@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, lapack
-from scipy.sparse import coo_array, csr_array, vstack
+from scipy.sparse import csr_array, vstack
 
 from geometry.poses import Array
 from sfm.adjustment import (
@@ -24,6 +24,7 @@ from sfm.adjustment import (
     loss_variance,
     normal_equations,
     prior_information,
+    project,
     shared_columns,
     summed,
 )
@@ -39,10 +40,13 @@ _BANDS, _COLUMNS = 6, 8
 class Covariances:
     """Of an adjusted model's frames (N, 6, 6), in the order rotation (rad, 3), position (sfm units, 3): true rotation =
     exp(rotation) @ sfm_R_cam, true position = position of sfm_T_cam + position, both along the sfm axes; and of what
-    the frames share (G, G): k1, k2 and readout of each lens, then each session's log focal factor."""
+    the frames share (G, G): k1, k2 and readout of each lens, then each session's log focal factor; and the coherence of
+    residuals in rows of a frame and in parts of the image, by which they have grown."""
 
     poses: Array
     shared: Array
+    by_rows: float
+    by_cell: float
 
 
 def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
@@ -54,9 +58,8 @@ def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
     point's residuals are scaled up for the three numbers that were fitted to them), brought to the gauge of all
     positions by an S-transformation (Baarda 1973).
 
-    What the cameras' model leaves out is alike in a part of the image, or in the rows of a frame that are read out
-    together. So residuals are clustered by these, too, and where they hang together more than independent ones would,
-    that is added (multiway clustering: Cameron, Gelbach and Miller, J. Business & Economic Statistics 29, 2011).
+    What the cameras' model leaves out is alike in the rows of a frame that are read out together, or in a part of the
+    image. Where residuals hang together more than independent ones would (`coherence`), covariances grow by as much.
     """
     scene, cameras = adjusted.scene, adjusted.cameras
     frames, points = len(scene.sfm_T_cam), len(scene.xyz)
@@ -84,8 +87,9 @@ def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
     left = inverse[shared_index] @ middle
     position = scene.sfm_T_cam[:, :3, 3]
     poses = _gauge_free_sandwich(inverse[pose_index], middle, position)
-    poses += _systematic(inverse[pose_index], force, adjusted, position)
-    return Covariances(poses, left @ inverse[:, shared_index])
+    by_rows, by_cell = coherence(adjusted, blob_P)
+    shared = max(by_rows, by_cell) * left @ inverse[:, shared_index]
+    return Covariances(by_rows * poses, shared, by_rows, by_cell)
 
 
 def _inverse(matrix: Array) -> Array:
@@ -124,51 +128,30 @@ def _forces(linear: Linearized, weight_M: Array, residual_M2: Array, point_M: In
     return np.einsum("mij,mi->mj", by_unknown, pull_M2 - np.einsum("mij,mj->mi", curved, moved_P3[point_M]))
 
 
-def _systematic(inverse_rows: Array, force_M14: Array, adjusted: Adjusted, position_N3: Array) -> Array:
-    """(N, 6, 6) what residuals that hang together in a part of the image, or in some rows of a frame, add to the poses'
-    covariance beyond what they would if they were independent; never negative."""
+def coherence(adjusted: Adjusted, blob_P: Ints) -> tuple[float, float]:
+    """How much more residuals hang together in the rows of a frame that are read out together, and in a part of the
+    image over all frames, than independent ones would: the ratio of the variances of their sums (Kish's design effect),
+    at least 1, less what may be chance. A shutter or focus that isn't modelled shows in the first, a lens in the second.
+    """
     scene, cameras = adjusted.scene, adjusted.cameras
-    frames = len(position_N3)
-    centred = (scene.seen_px - cameras.intrinsics[scene.frame, 2:]) / cameras.height[scene.frame, None]
-    band = np.clip(np.floor(scene.seen_px[:, 1] / cameras.height[scene.frame] * _BANDS), 0, _BANDS - 1).astype(np.int64)
-    column = np.clip(np.floor((centred[:, 0] + 1) / 2 * _COLUMNS), 0, _COLUMNS - 1).astype(np.int64)
-    cell = (cameras.lens[scene.frame] * _BANDS + band) * _COLUMNS + column
-    rows_of_frame = scene.frame * _BANDS + band
-    excess = np.zeros((frames, 6, 6))
-    independent = _blocks_of(inverse_rows, _frame_factors(force_M14, adjusted), position_N3)
-    for cluster in (cell, rows_of_frame):
-        pulls = _rows_of_unknowns(force_M14, adjusted, cluster, int(cluster.max()) + 1)
-        more = _blocks_of(inverse_rows, pulls, position_N3) - independent
-        value, vector = np.linalg.eigh(more)
-        excess += (vector * np.maximum(value, 0.0)[:, None, :]) @ np.swapaxes(vector, 1, 2)
-    return excess
+    residual = project(scene, cameras) - scene.seen_px
+    residual /= 1 + np.sum(residual**2, axis=1, keepdims=True) / adjusted.loss_px**2
+    # Features of one blob are in the same place with the same error.
+    key = scene.frame * (int(blob_P.max(initial=0)) + 1) + blob_P[scene.point]
+    _, first = np.unique(key, return_index=True)
+    residual, frame, seen = residual[first], scene.frame[first], scene.seen_px[first]
+    height = cameras.height[frame]
+    band = np.clip(seen[:, 1] / height * _BANDS, 0, _BANDS - 1).astype(np.int64)
+    column = np.clip(((seen[:, 0] - cameras.intrinsics[frame, 2]) / height + 1) / 2 * _COLUMNS, 0, _COLUMNS - 1)
+    cell = (cameras.lens[frame] * _BANDS + band) * _COLUMNS + column.astype(np.int64)
+    return _design_effect(residual, frame * _BANDS + band), _design_effect(residual, cell)
 
 
-def _frame_factors(force_M14: Array, adjusted: Adjusted) -> csr_array:
-    """F (10 N + G, 14 N): F F^T is the sum of what the observations pull by, squared, as if they were independent."""
-    scene, cameras = adjusted.scene, adjusted.cameras
-    frames, width = len(scene.sfm_T_cam), force_M14.shape[1]
-    factors = np.zeros((frames, width, width))
-    bounds = np.searchsorted(scene.frame, np.arange(frames + 1))
-    for k in range(frames):
-        own = force_M14[bounds[k] : bounds[k + 1]]
-        triangle = np.asarray(np.linalg.qr(own, mode="r"), float)
-        factors[k, :, : len(triangle)] = triangle.T
-    unknown = np.concatenate([local_unknowns(frames), 10 * frames + shared_columns(cameras)], axis=1)
-    column = width * np.arange(frames)[:, None] + np.arange(width)
-    rows = np.broadcast_to(unknown[:, :, None], factors.shape)
-    columns = np.broadcast_to(column[:, None, :], factors.shape)
-    size = (int(unknown.max()) + 1, width * frames)
-    return csr_array(coo_array((factors.ravel(), (rows.ravel(), columns.ravel())), shape=size))
-
-
-def _blocks_of(inverse_rows: Array, factor: csr_array, position_N3: Array) -> Array:
-    """The (N, 6, 6) diagonal blocks of inverse @ F F^T @ inverse where no similarity of all positions is left."""
-    gauge, h = _gauge_of(position_N3)
-    spread = np.ascontiguousarray((factor.T @ inverse_rows.T).T)
-    spread -= gauge @ (h @ spread)
-    blocks = spread.reshape(len(position_N3), 6, -1)
-    return blocks @ np.swapaxes(blocks, 1, 2)
+def _design_effect(residual_M2: Array, cluster_M: Ints) -> float:
+    _, cluster = np.unique(cluster_M, return_inverse=True)
+    clusters = int(cluster.max()) + 1
+    ratio = float(np.sum(summed(residual_M2, cluster, clusters) ** 2) / max(np.sum(residual_M2**2), 1e-12))
+    return max(1.0, ratio / (1 + 2 / np.sqrt(clusters)))
 
 
 def _gauge_of(position_N3: Array) -> tuple[Array, Array]:

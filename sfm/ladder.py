@@ -9,6 +9,7 @@ from sfm.settings import SfmSettings
 TAKEN = "taken"
 TOO_FEW = "too few frames registered"
 NO_MODEL = "no model"
+MISSING = "frames missing"
 OTHERWISE = "moves otherwise than VIO"
 
 Found = TypeVar("Found")
@@ -54,7 +55,9 @@ def outcome_of(kept: list[int], agreeing: int, frames: int, settings: SfmSetting
         return NO_MODEL
     if registered < settings.min_registered * frames:
         return TOO_FEW
-    return TAKEN if agreeing >= settings.min_agreeing * registered else OTHERWISE
+    if agreeing < settings.min_agreeing * registered:
+        return OTHERWISE
+    return TAKEN if registered >= settings.wanted_registered * frames else MISSING
 
 
 def ladder(settings: SfmSettings) -> list[Step]:
@@ -68,7 +71,7 @@ def ladder(settings: SfmSettings) -> list[Step]:
         "retrieval_pairs": 2 * settings.retrieval_pairs + 5,
         "transitive_pairs": 2 * settings.transitive_pairs + 5,
     }
-    steps.append(Step("more pairs", more, (TOO_FEW, NO_MODEL)))
+    steps.append(Step("more pairs", more, (TOO_FEW, NO_MODEL, MISSING)))
     # Pairs are what bends a model or folds it: those of far frames, and those that few matches speak for.
     surer = {
         "vio_max_distance_m": settings.vio_max_distance_m / 2,
@@ -103,14 +106,18 @@ def climb(
             if attempts[-1].outcome not in step.helps:
                 continue
             say(f"{attempts[-1]}; trying again: {step.name}")
-        tried = settings.model_copy(update=step.changes)
-        told, found = attempt(len(attempts), step.name, tried)
-        lost = bool(attempts) and attempts[-1].outcome == OTHERWISE and told.outcome in (TOO_FEW, NO_MODEL)
+        changed = settings.model_copy(update=step.changes)
+        told, found = attempt(len(attempts), step.name, changed)
+        lost = bool(attempts) and attempts[-1].outcome in (MISSING, OTHERWISE) and told.outcome in (TOO_FEW, NO_MODEL)
         attempts.append(told)
-        if told.outcome in (TAKEN, OTHERWISE) and (index is None or told.agreeing > attempts[index].agreeing):
+        passing = (TAKEN, MISSING, OTHERWISE)
+        if told.outcome in passing and (index is None or told.agreeing > attempts[index].agreeing):
             index, best = len(attempts) - 1, found
         if told.outcome == TAKEN or (told.outcome == OTHERWISE and told.no_help):
             break
+        if len(attempts) > 1 and any(tried.outcome == MISSING for tried in attempts):
+            # One that moves as VIO does is good enough without the rest of the frames.
+            break
         if not lost:
-            settings = tried
+            settings = changed
     return attempts, index, best

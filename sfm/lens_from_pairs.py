@@ -20,9 +20,10 @@ Ints = NDArray[np.int64]
 _STEPS = 12
 _SETTLED = 1e-3  # of the sd
 _LOSS_WIDTH, _SIGMA_OF_MEDIAN = 2.385, 1.4826
-_NARROWEST_PX = 0.05
+_NARROWEST_PX = 0.02
 _NUMERIC = 1e-5
 _LARGEST_TURN = 0.3
+_WIDE_STEPS, _FIRST_WIDENING = 4, 4.0
 
 
 @dataclass(frozen=True)
@@ -87,10 +88,12 @@ def estimate_lens(matches: PairMatches, start: Array, prior_information: Array) 
     """
     a_T_b, theta = matches.a_T_b.copy(), start.astype(float)
     covariance = np.linalg.inv(prior_information)
-    for _ in range(_STEPS):
+    for number in range(_STEPS):
         residual = sampson_of(matches, a_T_b, theta)
-        loss_px = max(_LOSS_WIDTH * _SIGMA_OF_MEDIAN * float(np.median(np.abs(residual))), _NARROWEST_PX)
-        variance = (loss_px / _LOSS_WIDTH) ** 2
+        sigma_px = max(_SIGMA_OF_MEDIAN * float(np.median(np.abs(residual))), _NARROWEST_PX)
+        # At first a wrong lens makes corners look like outliers.
+        loss_px = _LOSS_WIDTH * sigma_px * (_FIRST_WIDENING if number < _WIDE_STEPS else 1.0)
+        variance = sigma_px**2
         weight = 1 / (1 + (residual / loss_px) ** 2)
         by_pose, by_lens = _derivatives(matches, a_T_b, theta, residual)
         solved, bread, pull, force = _without_poses(matches, weight, residual, by_pose, by_lens)
@@ -99,7 +102,7 @@ def estimate_lens(matches: PairMatches, start: Array, prior_information: Array) 
         step = -np.linalg.solve(total, pull / variance / inflation + prior_information @ (theta - start))
         theta, covariance = theta + step, np.linalg.inv(total)
         a_T_b = _moved(a_T_b, np.clip(-solved[:, :, 3] - solved[:, :, :3] @ step, -_LARGEST_TURN, _LARGEST_TURN))
-        if np.all(np.abs(step) < _SETTLED * np.sqrt(np.diag(covariance))):
+        if number >= _WIDE_STEPS and np.all(np.abs(step) < _SETTLED * np.sqrt(np.diag(covariance))):
             break
     return LensEstimate(theta, np.asarray(covariance, float), a_T_b)
 

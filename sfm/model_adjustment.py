@@ -21,9 +21,9 @@ _LEAST_STEP_M = 0.02
 # By how much a session's logged focal lengths may be off in common, and a frame's; the latter counts as some frames.
 _LOG_FOCAL_SD = 0.01
 _FOCUS_SD, _FOCUS_FRAMES = 0.002, 5
-_FIRST_STEPS = 4
+_FIRST_STEPS, _FIRST_LOSS_WIDENING = 8, 4.0
 _EXACT_SD = 1e-7
-_OUTLIER_SIGMAS = 4.0
+_OUTLIER_SIGMAS = 5.0
 
 
 @dataclass(frozen=True)
@@ -64,14 +64,14 @@ def adjust_model(
     """Adjust a model in place; `keypoints` are those of all N frames as they were found. Returns what came out, and the
     rows (R,) of its frames.
 
-    Observations beyond four sigma are taken out on the way. The model then has the cameras' focal lengths and lenses,
+    Observations beyond five sigma are taken out on the way. The model then has the cameras' focal lengths and lenses,
     and its observations where a camera without rolling shutter would have them.
     """
     observations = pycolmap.ObservationManager(model)
     observations.filter_observations_with_negative_depth()
     rows, point_ids, scene, features = _scene_of(model, keypoints)
     cameras, priors = _cameras_of(rows, scene, log, settings)
-    adjusted = adjust(scene, cameras, priors, _FIRST_STEPS)
+    adjusted = adjust(scene, cameras, priors, _FIRST_STEPS, _FIRST_LOSS_WIDENING)
     _write_back(model, rows, point_ids, adjusted, features)
     residual = project(adjusted.scene, adjusted.cameras) - scene.seen_px
     outliers = np.linalg.norm(residual, axis=1) > _OUTLIER_SIGMAS * np.sqrt(loss_variance(adjusted.loss_px))

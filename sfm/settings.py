@@ -71,6 +71,9 @@ class SfmSettings(Settings):
         0.03, gt=0, lt=0.5, description="a session's focal lengths are called wrong where images say so by this share"
     )
     min_registered: float = Field(0.5, ge=0, le=1, description="share of frames that the models must have")
+    wanted_registered: float = Field(
+        0.9, ge=0, le=1, description="share of frames below which more pairs are tried, and the best attempt is taken"
+    )
     min_agreeing: float = Field(0.8, ge=0, le=1, description="share of these that must move as VIO does")
     covariance_max_images: int = Field(
         2500, ge=0, description="larger models get no covariances (memory: 36 n² numbers)"

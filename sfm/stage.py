@@ -19,7 +19,7 @@ from sfm.calibration import Calibration, calibrate, with_lenses, write_calibrate
 from sfm.covariance import Covariances, covariances
 from sfm.database import create_database, have_results, image_name, keypoint_counts, read_descriptors, read_pair_results
 from sfm.features import extract_features, features_name
-from sfm.ladder import TAKEN, Attempt, climb, outcome_of
+from sfm.ladder import OTHERWISE, Attempt, climb, outcome_of
 from sfm.mappers import MappingInput
 from sfm.mapping import BuiltModel, kept_models, map_verified, read_built
 from sfm.mapping_input import HeldOutCheck, held_out_check, read_matches
@@ -55,6 +55,7 @@ from sfm.two_views import compare_pairs
 _FEWEST_FRAMES = 3
 _FEWEST_COMPARED = 8
 _UNTRACKED = ("limited", "lost")
+_INCOHERENT = 4.0
 
 
 # An error on one of COLMAP's threads aborts the process that it runs in, hence child processes.
@@ -293,7 +294,7 @@ def _climb(r: StageRun[SfmSettings], scene: _Scene) -> tuple[list[Attempt], int,
             do="look at the images: neighbours need to overlap by half and to be sharp; a larger sfm.max_features or "
             "sfm.max_image_size finds more in hard images",
         )
-    if attempts[taken].outcome != TAKEN:
+    if attempts[taken].outcome == OTHERWISE:
         why = attempts[taken].no_help
         r.say(
             f"fewer than {r.settings.min_agreeing:.0%} of the frames move as VIO does (sfm.min_agreeing); "
@@ -361,7 +362,9 @@ def _require_features(r: StageRun[SfmSettings], keypoints_N: NDArray[np.int64]) 
 
 def _propose(seed: int, s: SfmSettings, scene: _Scene, database: Path) -> list[tuple[str, Pairs]]:
     frames, vio = scene.frames, scene.vio
-    following = sequence_pairs(scene.recording_N, frames["t_ns"], s.sequence_pairs)
+    # Support frames lie between the dataset's, and pairs are to reach as far as without them.
+    density = len(frames) / max(int((~frames["support"]).sum()), 1)
+    following = sequence_pairs(scene.recording_N, frames["t_ns"], round(density * s.sequence_pairs))
     # The next frame is always tried: that is what ties a recording together where VIO jumped.
     next_one = sequence_pairs(scene.recording_N, frames["t_ns"], 1)
     near = vio_pairs(
@@ -371,7 +374,7 @@ def _propose(seed: int, s: SfmSettings, scene: _Scene, database: Path) -> list[t
         frames[["width", "height"]].to_numpy(float),
         s.vio_max_distance_m,
         s.vio_max_angle_deg,
-        s.vio_pairs,
+        round(density * s.vio_pairs),
     )
     alike = unique_pairs([])
     if s.retrieval_pairs and len(set(vio.session)) > 1:
@@ -479,6 +482,13 @@ def _covariances(
             r.say(f"no covariances: model {one.model_id} has too few points to tell")
         else:
             covariance[rows] = estimate.poses
+            r.figure(f"coherence_rows_{one.folder}", estimate.by_rows)
+            r.figure(f"coherence_cells_{one.folder}", estimate.by_cell)
+            if estimate.by_rows > _INCOHERENT:
+                r.say(
+                    f"model {one.model_id}: residuals hang together in rows of frames ({estimate.by_rows:.0f} times what"
+                    " independent ones do): a rolling shutter, focus or stabilised video isn't modelled; sigmas grow"
+                )
         estimates.append(estimate)
     return covariance, estimates
 

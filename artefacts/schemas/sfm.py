@@ -127,7 +127,8 @@ TABLES = [
             Column(
                 "outcome",
                 "string",
-                "taken, or what is wrong: no model, too few frames registered, or moves otherwise than VIO",
+                "taken, or what is wrong: no model, too few frames registered, frames missing, or moves otherwise "
+                "than VIO",
             ),
             Column("taken", "bool", "its models are the stage's; where none is good, the one with most such frames"),
         ],

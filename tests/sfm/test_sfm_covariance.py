@@ -93,7 +93,10 @@ def test_the_same_blob_twice_tells_no_more_than_once() -> None:
     assert once is not None and twice is not None
     assert np.allclose(twice, once, rtol=1e-3, atol=1e-9)
     counted_twice = _covariance(again)
-    assert counted_twice is not None and np.allclose(counted_twice, once / 2, rtol=1e-3, atol=1e-9)
+    # As separate blobs they would tell more, though not twice as much: their residuals hang together.
+    assert counted_twice is not None
+    told = np.diagonal(counted_twice / once, axis1=1, axis2=2)
+    assert (told > 0.5).all() and (told < 1).all()
 
 
 def test_no_covariance_where_the_observations_do_not_determine_the_poses() -> None:

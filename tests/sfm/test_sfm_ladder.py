@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from sfm.ladder import NO_MODEL, OTHERWISE, TAKEN, TOO_FEW, Attempt, climb, ladder, outcome_of
+from sfm.ladder import MISSING, NO_MODEL, OTHERWISE, TAKEN, TOO_FEW, Attempt, climb, ladder, outcome_of
 from sfm.settings import SfmSettings
 
 _FRAMES = 100
@@ -52,11 +52,21 @@ def test_too_few_frames_get_more_of_everything_and_vio_comes_last() -> None:
 def test_the_first_attempt_that_passes_ends_the_climb() -> None:
     attempts, index, found, said = _climbed([(90, 90)])
     assert (_names(attempts), index, found, said) == (["as set"], 0, SfmSettings(), [])
-    attempts, index, _, said = _climbed([(90, 20), (80, 75)])
+    attempts, index, _, said = _climbed([(90, 20), (95, 92)])
     assert _names(attempts) == ["as set", "surer pairs"] and index == 1
     assert [attempt.outcome for attempt in attempts] == [OTHERWISE, TAKEN]
     assert said == [f"{attempts[0]}; trying again: surer pairs"]
     assert "22% of which move as VIO does" in said[0]
+
+
+def test_where_frames_are_missing_more_pairs_are_tried_once_and_the_best_is_taken() -> None:
+    attempts, index, _, _ = _climbed([(70, 70), (95, 95)])
+    assert [attempt.outcome for attempt in attempts] == [MISSING, TAKEN] and index == 1
+    assert _names(attempts) == ["as set", "more pairs"]
+    attempts, index, _, _ = _climbed([(70, 70), (60, 55)])
+    assert [attempt.outcome for attempt in attempts] == [MISSING, MISSING] and index == 0
+    attempts, index, _, _ = _climbed([(70, 70), (99, 20), (99, 99)])
+    assert [attempt.outcome for attempt in attempts] == [MISSING, OTHERWISE] and index == 0
 
 
 def test_models_that_move_otherwise_get_surer_pairs_and_no_more_of_them() -> None:
@@ -116,7 +126,13 @@ def test_without_retries_there_is_one_attempt() -> None:
 
 @pytest.mark.parametrize(
     ("kept", "agreeing", "outcome"),
-    [([], 0, NO_MODEL), ([30, 19], 49, TOO_FEW), ([30, 20], 39, OTHERWISE), ([30, 20], 40, TAKEN)],
+    [
+        ([], 0, NO_MODEL),
+        ([30, 19], 49, TOO_FEW),
+        ([30, 20], 39, OTHERWISE),
+        ([30, 20], 40, MISSING),
+        ([60, 30], 80, TAKEN),
+    ],
 )
 def test_outcomes(kept: list[int], agreeing: int, outcome: str) -> None:
     assert outcome_of(kept, agreeing, _FRAMES, SfmSettings()) == outcome
