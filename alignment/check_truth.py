@@ -5,7 +5,7 @@ A check for people and benchmarks: no stage reads the true poses.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -101,9 +101,15 @@ def compare_with_bounds(map_T_cam: Array, true_T_cam: Array, covariance: Array, 
     return targets
 
 
-def shared_sd(figures: dict[str, float]) -> SharedSd:
+def shared_sd(figures: dict[str, Any]) -> SharedSd:
     """What all frames share, by the figures of align's manifest."""
     vertical, camera = (float(np.radians(figures[name])) for name in ("vertical_sd_deg", "camera_sd_deg"))
+    if figures["scale_sd"] is None:
+        raise UserError(
+            "the map has no metric scale to compare with the truth",
+            found="scale_source none in align's manifest",
+            do="simulate longer walks",
+        )
     return SharedSd(figures["scale_sd"], vertical, camera)
 
 

@@ -6,7 +6,6 @@ import numpy as np
 
 from alignment.map_frame import MapScale, Vertical
 from alignment.segments import Segment
-from artefacts import UserError
 from geometry.fits import Sim3, rotation_to_up
 from geometry.poses import Array, heading, inverse, transform
 from geometry.vio_agreement import PoseSd, fit_rigid
@@ -18,7 +17,7 @@ _LEAST_FRAMES = 3
 @dataclass(frozen=True)
 class Component:
     """One SfM model: its frames in parts of sessions (`pieces` are cut at all VIO jumps), its scale and vertical.
-    `vio_scale` is its scale by VIO alone, the same unless a ruler sets the scale; None where VIO moves too little."""
+    `vio_scale` is its scale by VIO alone, the same unless a ruler sets the scale."""
 
     index: int
     model_id: str
@@ -26,7 +25,7 @@ class Component:
     pieces: list[Segment]
     scale: MapScale
     vertical: Vertical
-    vio_scale: MapScale | None
+    vio_scale: MapScale
 
     @property
     def metric_S_sfm(self) -> Sim3:
@@ -94,7 +93,9 @@ def place_components(
     Ways through several sessions must agree within what VIO may drift by.
     """
     first = components[0]
-    placed = [Placed(first, _origin(first.segments, first.metric_S_sfm, used, sd) @ first.metric_S_sfm)]
+    # Without a scale positions say nothing of the heading.
+    first_sd = sd if first.scale.is_known else PoseSd(np.inf, sd.rotation)
+    placed = [Placed(first, _origin(first.segments, first.metric_S_sfm, used, first_sd) @ first.metric_S_sfm)]
     waiting = list(components[1:])
     ways: dict[int, list[tuple[Bridge, Sim3]]] = {}
     while waiting:
@@ -145,7 +146,7 @@ def _ways(
     # Drift bends the path within a window more than it turns the camera: rotations tell the heading.
     bending = PoseSd(drift.position_m * np.sqrt(window_m), drift.heading * np.sqrt(window_m))
     found = []
-    for a in placed.component.pieces:
+    for a in placed.component.pieces if placed.component.scale.is_known else []:
         for b in component.pieces:
             if (a.session_id, a.index) != (b.session_id, b.index):
                 continue
@@ -212,7 +213,8 @@ def _near(along: Array, middle: float, reach_m: float) -> np.ndarray:
 
 
 def _origin(segments: list[Segment], metric_S_sfm: Sim3, used: np.ndarray, sd: PoseSd) -> Sim3:
-    """Origin and heading: those of the VIO frame of the first segment that has 3 or more frames to tell by."""
+    """Origin and heading: those of the VIO frame of the first segment that has 3 or more frames to tell by; where none
+    has, the place of the first frame, with the heading as it comes."""
     for segment in segments:
         known = segment.both & used[segment.rows]
         if known.sum() >= _LEAST_FRAMES:
@@ -220,8 +222,5 @@ def _origin(segments: list[Segment], metric_S_sfm: Sim3, used: np.ndarray, sd: P
             metric_T_vio, _, _ = fit_rigid(metric_T_cam, segment.vio_T_cam[known], sd, yaw_only=True)
             vio_T_metric = inverse(metric_T_vio)
             return Sim3(1.0, vio_T_metric[:3, :3], vio_T_metric[:3, 3])
-    raise UserError(
-        "no session has 3 frames in which SfM and VIO agree",
-        found=f"{int(used.sum())} frames that could be used, in {len(segments)} parts of sessions",
-        do="capture longer sessions, or import more frames of these",
-    )
+    first = next(s.where(s.registered & used[s.rows]) for s in segments if np.any(s.registered & used[s.rows]))
+    return Sim3(1.0, np.eye(3), -metric_S_sfm.poses(first.sfm_T_cam[:1])[0, :3, 3])

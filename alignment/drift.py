@@ -16,6 +16,8 @@ from geometry.fits import fit_se3, fit_sim3, fit_yaw
 from geometry.poses import Array, heading, inverse, relative, rotation_angle, transform
 
 DISTANCES_M = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
+# Of a walk that is shorter than all of these.
+SHORT_DISTANCES_M = (0.25, 0.5, 1.0, 2.0)
 # What counts as one second: the frame nearest to a second later, if it lies within these.
 _SECOND_S = (0.5, 1.5)
 # Yaw's rate over less time or path than this would be noise.
@@ -124,7 +126,8 @@ def _steps(found: DriftSamples, t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: A
 def _distances(found: DriftSamples, map_T_cam: Array, vio_T_cam: Array) -> None:
     """KITTI's odometry error (Geiger et al., CVPR 2012): relative motion over fixed travelled distances, divided by the
     distance really travelled, since our frames may be a metre apart."""
-    for distance_m in DISTANCES_M:
+    travelled_m = float(np.linalg.norm(np.diff(map_T_cam[:, :3, 3], axis=0), axis=1).sum())
+    for distance_m in DISTANCES_M if travelled_m >= DISTANCES_M[0] else SHORT_DISTANCES_M:
         first, last, really_m = distance_pairs(map_T_cam[:, :3, 3], distance_m)
         step, vio_step = relative(map_T_cam[first], map_T_cam[last]), relative(vio_T_cam[first], vio_T_cam[last])
         left_m, left_deg = _motion(inverse(step) @ vio_step)

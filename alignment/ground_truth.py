@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from alignment.checks import gate_table
 from alignment.components import Placed, bridge_covariance
 from alignment.drift import DriftSamples, drift_table, measure_drift
 from alignment.examination import Examination, examine
@@ -14,7 +15,13 @@ from alignment.rulers.measurement import Reading
 from alignment.sessions import SessionFit, fit_session, residuals_table, sessions_table
 from alignment.settings import AlignSettings
 from alignment.sfm_tables import SfmTables
-from alignment.uncertainty import SharedSd, covariance_in_map, largest_sd, shared_covariance
+from alignment.uncertainty import (
+    SharedSd,
+    count_grades,
+    covariance_in_map,
+    largest_sd,
+    shared_covariance,
+)
 from artefacts.tables import CAMERA_COLUMNS, dataset_frames, pose_frame, poses_of
 from geometry.poses import Array
 from geometry.vio_agreement import PoseSd
@@ -22,15 +29,17 @@ from geometry.vio_agreement import PoseSd
 
 @dataclass(frozen=True)
 class Aligned:
-    """The stage's tables, and what the recording and the summary show: the placed models, the first giving the map its
-    origin, map_T_cam (N, 4, 4) of all frames that are in one, with ground truth or not, and each session's fit. All of
-    it is of the dataset's frames: support frames, by which the model was examined too, are in none of it."""
+    """The stage's tables, and what the recording and the summary show: how many frames have which class for which
+    reason, the placed models, the first giving the map its origin, map_T_cam (N, 4, 4) of all frames that are in one,
+    with ground truth or not, and each session's fit. All of it is of the dataset's frames: support frames, by which the
+    model was examined too, are in none of it."""
 
     ground_truth: pd.DataFrame
     sessions: pd.DataFrame
     drift: pd.DataFrame
     gate: pd.DataFrame
     residuals: pd.DataFrame
+    class_counts: list[str]
     placed: list[Placed]
     map_T_cam: Array
     fits: list[SessionFit]
@@ -77,13 +86,18 @@ def build(frames: pd.DataFrame, images: pd.DataFrame, found: Examination, settin
         ((s, p) for p in found.placed for s in p.component.segments),
         key=lambda item: (item[0].session_id, item[0].index, item[0].component),
     )
-    fits = [fit_session(s, map_T_cam[s.rows], found.used[s.rows], sd) for s, _ in order]
+    fits = [
+        fit_session(s, map_T_cam[s.rows], found.used[s.rows], sd, is_metric=p.component.scale.is_known)
+        for s, p in order
+    ]
+    ground_truth, class_counts = _ground_truth(frames, images, map_T_cam, found, settings)
     return Aligned(
-        _ground_truth(frames, images, map_T_cam, found, settings),
-        sessions_table(fits, [p for _, p in order]),
+        ground_truth,
+        sessions_table(fits, [p for _, p in order], settings.max_scale_sd),
         _drift(fits),
-        found.gate.table(),
+        gate_table(found.checks),
         residuals_table(fits, frames["frame_id"].to_numpy(str), found.worst_m, np.degrees(found.worst_rad)),
+        class_counts,
         found.placed,
         map_T_cam,
         fits,
@@ -106,7 +120,8 @@ def _ground_truth(
     map_T_cam: Array,
     found: Examination,
     settings: AlignSettings,
-) -> pd.DataFrame:
+) -> tuple[pd.DataFrame, list[str]]:
+    """The align.ground_truth table, and how many frames have which class for which reason."""
     known = found.used
     map_T_cam = np.where(known[:, None, None], map_T_cam, np.nan)
     xyz = map_T_cam[:, :3, 3]
@@ -122,30 +137,34 @@ def _ground_truth(
         if not len(rows):
             continue
         component[rows] = placed.component.index
-        scale_source[rows] = placed.component.scale.source
+        scale_source[rows] = placed.component.scale.source(settings.max_scale_sd)
         own[rows] = covariance_in_map(sfm_covariance[rows], placed.map_S_sfm)
         anchor = xyz[rows].mean(axis=0)
         if placed.bridge is not None:
             bridged[rows] = True
             own[rows] += bridge_covariance(xyz[rows], placed.bridge)
             anchor = placed.bridge.anchor
-        shared = SharedSd(placed.component.scale.sd, placed.component.vertical.sd, camera_sd(frames, settings))
+        # Where the unit is SfM's, nothing is off in it.
+        scale_sd = placed.component.scale.sd if placed.component.scale.is_known else 0.0
+        shared = SharedSd(scale_sd, placed.component.vertical.sd, camera_sd(frames, settings))
         total[rows] = own[rows] + shared_covariance(map_T_cam[rows], anchor, shared)
     sd_m, sd_rad = largest_sd(own)
-    quality = judge(frames, images, own, found.checked, settings)
+    grades = judge(frames, images, own, found.problem, settings)
     table = frames[["frame_id", "session_id", "split", "t_ns"]].copy()
     table["component"] = pd.Series(component, index=table.index).where(known).astype("Int64")
     stated = [c.ravel().tolist() if np.isfinite(c).all() else None for c in total]
     table["covariance"] = pd.Series(stated, index=table.index, dtype=object)
     table["position_sd_m"] = sd_m
     table["rotation_sd_deg"] = np.degrees(sd_rad)
-    table["quality"] = np.where(known, quality, "none")
-    table["reason"] = found.reason
-    table["gt_uses_vio"] = images["uses_vio"].to_numpy(bool) | bridged
+    table["quality"] = np.where(known, [g.quality for g in grades], "none")
+    table["reason"] = np.where(known, [g.reason for g in grades], found.reason)
     table["scale_source"] = scale_source
     # Later stages need the cameras that go with these poses, and read no table of SfM.
     table[[*CAMERA_COLUMNS, "camera_origin"]] = images[[*CAMERA_COLUMNS, "camera_origin"]]
-    return pd.concat([table, pose_frame("map_cam", map_T_cam)], axis=1)
+    table["gt_uses_vio"] = images["uses_vio"].to_numpy(bool) | bridged
+    return pd.concat([table, pose_frame("map_cam", map_T_cam)], axis=1), count_grades(
+        [grades[row] for row in np.flatnonzero(known)]
+    )
 
 
 def _drift(fits: list[SessionFit]) -> pd.DataFrame:

@@ -10,21 +10,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from alignment.segments import Segment
-from artefacts import UserError
-from geometry import GeometryError
 from geometry.fits import direction_angles, fit_robust, mean_direction
 from geometry.poses import Array
-from geometry.vio_agreement import Scale, path_m, recording_scale, robust_mean
+from geometry.vio_agreement import Scale, recording_scale, robust_mean
 
 # Residuals that nobody minds, where a robust fit stops telling items apart.
 _UP_FLOOR = np.radians(0.2)  # of a frame's vertical against its recording's
 _RECORDING_FLOOR = 4.0  # sigmas, of a recording against the others
+# Neighbouring frames' gravity has the same error: so many parts of a recording count as independent.
+_PARTS = 8
 
 
 @dataclass(frozen=True)
 class MapScale:
-    """Metres per SfM unit by all recordings: logarithm, sigma, each recording's own, and its weight (0 to 1). `rulers`
-    names the rulers that logarithm and sigma are by instead, where there are any."""
+    """Metres per SfM unit by all recordings: logarithm, standard error (NaN: not known, the unit stays SfM's), each
+    recording's own, and its weight (0 to 1). `rulers` names the rulers that logarithm and standard error are by
+    instead, where there are any."""
 
     log: float
     sd: float
@@ -33,9 +34,24 @@ class MapScale:
     rulers: tuple[str, ...] = ()
 
     @property
-    def source(self) -> str:
-        """Who sets it, in the words of the tables."""
-        return f"ruler: {', '.join(self.rulers)}" if self.rulers else "vio"
+    def is_known(self) -> bool:
+        """The map is metric."""
+        return bool(np.isfinite(self.sd))
+
+    def source(self, max_sd: float) -> str:
+        """What gives it, in the words of the tables; above a standard error of `max_sd` it is called uncertain."""
+        if not self.is_known:
+            return "none"
+        by = f"ruler: {', '.join(self.rulers)}" if self.rulers else "vio"
+        return by if self.sd <= max_sd else f"{by}, uncertain"
+
+
+@dataclass(frozen=True)
+class RecordingVertical:
+    """A recording's up (3,) in SfM's axes, and the standard error of its mean, radians per axis."""
+
+    up_sfm: Array
+    sd: float
 
 
 @dataclass(frozen=True)
@@ -44,33 +60,24 @@ class Vertical:
 
     up_sfm: Array
     sd: float
-    recordings: dict[str, Array]
+    recordings: dict[str, RecordingVertical]
 
 
-def common_scale(
-    segments: list[Segment], *, step_m: float, least_step_m: float, step_sd: float, phone_sd: float
-) -> MapScale:
-    """Metres per SfM unit, one robust estimate over all recordings.
+def common_scale(segments: list[Segment], *, step_m: float, step_sd: float, phone_sd: float) -> MapScale:
+    """Metres per SfM unit, one robust estimate over all recordings; not known where no recording moves enough.
 
-    `step_m`: VIO path over which steps are compared. `least_step_m`: steps that VIO moved less say nothing about scale.
-    `step_sd` and `phone_sd`: what the scale of a step of a metre and of a phone are expected to be off by, as shares;
-    the scatter that is found adds to them. Raises UserError where no session moves enough.
+    `step_m`: VIO path over which steps are compared, at most. `step_sd` and `phone_sd`: what the scale of a step of a
+    metre and of a phone are expected to be off by, as shares; the scatter that is found adds to them. Raises
+    GeometryError where SfM puts frames in one place that VIO says are apart.
     """
     found = {}
     for recording in sorted({s.recording for s in segments}):
-        own = [s for s in segments if s.recording == recording]
-        scale = _recording_scale(own, step_m, least_step_m, step_sd)
+        stretches = [s.stretch for s in segments if s.recording == recording]
+        scale = recording_scale(stretches, step_m=step_m, step_sd=step_sd)
         if scale is not None:
             found[recording] = scale
     if not found:
-        walked = max((float(path_m(s.vio_T_cam[s.both])[-1]) for s in segments if s.both.any()), default=0.0)
-        raise UserError(
-            "the map's metric scale can't be had: no session moves enough",
-            where="frames that have both an SfM and a VIO pose",
-            expected=f"3 or more such frames in a row, {least_step_m:g} m or more from first to last",
-            found=f"{sum(int(s.both.sum()) for s in segments)} such frames, {walked:.3g} m walked at most",
-            do="capture with more walking, lower align.least_step_m, or set the scale by a ruler (docs/rulers.md)",
-        )
+        return MapScale(0.0, float("nan"), {}, {})
     logs = np.array([s.log for s in found.values()])
     sds = np.array([np.hypot(s.sd, phone_sd) for s in found.values()])
     mean, robust = robust_mean(logs, sds**-2, sds, _RECORDING_FLOOR)
@@ -81,25 +88,20 @@ def common_scale(
     return MapScale(mean, sd, found, dict(zip(found, robust.tolist(), strict=True)))
 
 
-def common_vertical(segments: list[Segment], *, phone_sd: float) -> Vertical:
-    """The direction of up in SfM's axes: the robust mean of each recording's own.
+def common_vertical(segments: list[Segment], *, phone_sd: float) -> Vertical | None:
+    """The direction of up in SfM's axes: the robust mean of each recording's own; None where no frame has both gravity
+    and an SfM pose.
 
     `phone_sd`: expected error of one recording's vertical in radians (per axis); the scatter that is found adds to it.
-    Raises UserError where no frame has both gravity and an SfM pose.
     """
-    own: dict[str, Array] = {}
+    own: dict[str, RecordingVertical] = {}
     for recording in sorted({s.recording for s in segments}):
         ups = np.concatenate([_ups(s) for s in segments if s.recording == recording])
         if len(ups):
-            own[recording], _ = _robust_direction(ups, _UP_FLOOR)
+            own[recording] = _recording_vertical(ups, phone_sd)
     if not own:
-        raise UserError(
-            "the map's vertical can't be had: no registered frame has a gravity vector",
-            where="import.frames, gravity_x/y/z",
-            expected="gravity or VIO poses for some of the registered frames",
-            do="use a capture format with phone poses",
-        )
-    ups = np.stack(list(own.values()))
+        return None
+    ups = np.stack([vertical.up_sfm for vertical in own.values()])
     up, robust = _robust_direction(ups, _RECORDING_FLOOR * phone_sd)
     angles = direction_angles(ups, up)
     # Two axes of tilt an angle; one prior observation of each keeps few recordings from looking certain.
@@ -107,16 +109,15 @@ def common_vertical(segments: list[Segment], *, phone_sd: float) -> Vertical:
     return Vertical(up, float(np.sqrt(variance / robust.sum())), own)
 
 
-def _recording_scale(segments: list[Segment], step_m: float, least_step_m: float, step_sd: float) -> Scale | None:
-    stretches = [segment.stretch for segment in segments]
-    try:
-        return recording_scale(stretches, step_m=step_m, least_step_m=least_step_m, step_sd=step_sd)
-    except GeometryError as error:
-        raise UserError(
-            "SfM puts frames in one place that VIO says are apart",
-            found=str(error),
-            do="look at the sfm recording; its model is collapsed there",
-        ) from error
+def _recording_vertical(ups: Array, phone_sd: float) -> RecordingVertical:
+    """From the up vectors (n, 3) of its frames in order; the standard error by the scatter of its parts, or `phone_sd`
+    where there are no two."""
+    up, _ = _robust_direction(ups, _UP_FLOOR)
+    parts = [_robust_direction(part, _UP_FLOOR)[0] for part in np.array_split(ups, min(_PARTS, len(ups)))]
+    if len(parts) < 2:
+        return RecordingVertical(up, phone_sd)
+    squares = np.sum(direction_angles(np.stack(parts), up) ** 2)
+    return RecordingVertical(up, float(np.sqrt(squares / 2 / (len(parts) - 1) / len(parts))))
 
 
 def _robust_direction(directions: Array, floor: float) -> tuple[Array, Array]:

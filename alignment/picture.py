@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from alignment.checks import describe, main_failure
 from alignment.components import Component
 from alignment.examination import Examination
 from alignment.segments import Segment
@@ -33,11 +34,11 @@ def draw_gate(path: Path, found: Examination, title: str, *, simulated: bool) ->
     for (plan, metres, degrees), (component, segment) in zip(axes, shown, strict=False):
         _draw_plan(plan, found, component, segment)
         _draw_curves(metres, degrees, found, segment)
-    main = found.gate.main_cause
-    verdict = "all checks passed"
+    main = main_failure(found.checks)
+    verdict = describe(found.checks)[0]
     if main is not None:
-        session = f", {main['session_id']}" if main["session_id"] else ""
-        verdict = f"{main['cause']}{session}: {main['reason']}"
+        session = f", {main.about.session_id}" if main.about.session_id else ""
+        verdict = f"{main.cause}{session}: {main.reason}"
     kind = " (simulated)" if simulated else ""
     left_out = f"; {len(parts) - len(shown)} more not shown" if len(parts) > len(shown) else ""
     figure.suptitle(f"{title}{kind}: {verdict}{left_out}", fontsize=10, wrap=True)

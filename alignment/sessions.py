@@ -10,7 +10,7 @@ from alignment.segments import Segment
 from artefacts.schemas import schema
 from artefacts.tables import pose_frame
 from geometry import GeometryError
-from geometry.fits import direction_angles, fit_sim3, pose_residuals
+from geometry.fits import direction_angles, fit_poses, fit_sim3, pose_residuals
 from geometry.poses import Array
 from geometry.vio_agreement import PoseSd, fit_rigid
 
@@ -38,15 +38,19 @@ class SessionFit:
     sim3_rotation_deg: Array
 
 
-def fit_session(segment: Segment, map_T_cam: Array, used: np.ndarray, sd: PoseSd) -> SessionFit:
-    """Fit a segment's VIO to the map: poses map_T_cam (N, 4, 4) of all its frames, `used` (N,) those to go by.
+def fit_session(
+    segment: Segment, map_T_cam: Array, used: np.ndarray, sd: PoseSd, *, is_metric: bool = True
+) -> SessionFit:
+    """Fit a segment's VIO to the map: poses map_T_cam (N, 4, 4) of all its frames, `used` (N,) those to go by. Nothing
+    but a similarity fits metres to a map that isn't metric (`is_metric`).
 
-    The similarity's residuals are over all frames with both poses, used or not, as a plain least-squares fit.
+    The similarity's residuals are over all frames with both poses, used or not, as a plain least-squares fit: of
+    positions for positions, and of rotations alone for rotations, as a short or straight path says little of these.
     """
     compared = np.flatnonzero(used & segment.both)
     nowhere, nothing = np.full((4, 4), np.nan), np.empty(0)
     sim3_position_m, sim3_rotation_deg = _similarity_residuals(segment, map_T_cam)
-    if len(compared) < _LEAST_FRAMES:
+    if len(compared) < _LEAST_FRAMES or not is_metric:
         return SessionFit(
             segment,
             map_T_cam,
@@ -84,15 +88,16 @@ def _similarity_residuals(segment: Segment, map_T_cam: Array) -> tuple[Array, Ar
     known = segment.both
     vio, gt = segment.vio_T_cam[known], map_T_cam[known]
     try:
-        vio_S_map = fit_sim3(vio[:, :3, 3], gt[:, :3, 3])
+        vio_S_map = fit_sim3(vio[:, :3, 3], gt[:, :3, 3], line_ok=True)
     except GeometryError:
         return np.empty(0), np.empty(0)
-    metres, radians = pose_residuals(vio, vio_S_map.poses(gt), np.eye(4))
+    metres, _ = pose_residuals(vio, vio_S_map.poses(gt), np.eye(4))
+    _, radians = pose_residuals(vio, gt, fit_poses(vio, gt, position_sd_m=np.inf, rotation_sd=1.0))
     return metres, np.degrees(radians)
 
 
-def sessions_table(fits: list[SessionFit], placed: list[Placed]) -> pd.DataFrame:
-    """The align.sessions table; `placed` is the model that each fit's frames are from."""
+def sessions_table(fits: list[SessionFit], placed: list[Placed], max_scale_sd: float) -> pd.DataFrame:
+    """The align.sessions table; `placed` is the model that each fit's frames are from, `max_scale_sd` the setting."""
     rows = []
     for fit, of in zip(fits, placed, strict=True):
         s, scale, vertical = fit.segment, of.component.scale, of.component.vertical
@@ -111,11 +116,12 @@ def sessions_table(fits: list[SessionFit], placed: list[Placed]) -> pd.DataFrame
                 "registered": int(s.registered.sum()),
                 "used": int(fit.used.sum()),
                 "path_m": float(s.travelled_m[-1]),
+                "scale_source": scale.source(max_scale_sd),
                 "scale": ratio,
                 "scale_sd": None if own_scale is None or ratio is None else ratio * own_scale.sd,
                 "up_error_deg": None
                 if own_up is None
-                else float(np.degrees(direction_angles(own_up[None], vertical.up_sfm)[0])),
+                else float(np.degrees(direction_angles(own_up.up_sfm[None], vertical.up_sfm)[0])),
                 **_statistics("position", "m", fit.position_m),
                 **_statistics("rotation", "deg", fit.rotation_deg),
                 "yaw_position_rms_m": _rms(fit.yaw_position_m),

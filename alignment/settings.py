@@ -8,7 +8,7 @@ from alignment.rulers.settings import Ruler, rulers_of
 from alignment.uncertainty import QualityLimits
 from artefacts import Settings
 from geometry.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT
-from geometry.vio_agreement import LEAST_STEP_M, POSE_SD, STEP_M, STEP_SCALE_SD, WINDOW_M
+from geometry.vio_agreement import POSE_SD, STEP_M, STEP_SCALE_SD, WINDOW_M
 
 
 class QualitySettings(Settings):
@@ -27,10 +27,17 @@ class AlignSettings(Settings):
     """How ground truth is made; docs/ground-truth.md says why these defaults."""
 
     window_m: float = Field(WINDOW_M, gt=0, description="VIO path over which SfM and VIO are compared, metres")
-    step_m: float = Field(STEP_M, gt=0, description="VIO path of the steps that give the scale, metres")
-    least_step_m: float = Field(LEAST_STEP_M, gt=0, description="steps that VIO moved less tell no scale, metres")
+    step_m: float = Field(
+        STEP_M, gt=0, description="VIO path of the steps that give the scale, metres; an eighth of a shorter walk"
+    )
     step_scale_sd: float = Field(STEP_SCALE_SD, gt=0, description="expected scale error of a step of a metre, share")
     phone_scale_sd: float = Field(0.003, gt=0, description="expected scale error of one recording's VIO, share")
+    max_scale_sd: float = Field(
+        0.02, gt=0, description="a metric scale with a larger standard error, as a share, is called uncertain"
+    )
+    max_vertical_sd_deg: float = Field(
+        1.0, gt=0, description="a vertical with a larger standard error, degrees an axis, is called uncertain"
+    )
     phone_tilt_sd_deg: float = Field(0.3, gt=0, description="expected gravity error of one recording, degrees an axis")
     position_sd_m: float = Field(
         POSE_SD.position_m, gt=0, description="position's weight in fits of VIO to the map, metres"
@@ -50,7 +57,7 @@ class AlignSettings(Settings):
     focal_limit: float = Field(
         0.03,
         gt=0,
-        description="gate: the images may say that a session's focal length is off by this share, and five sigmas",
+        description="gate: the images may say that a session's focal length is off by this share",
     )
     turn_gain_limit: float = Field(
         TURN_GAIN_LIMIT,

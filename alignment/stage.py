@@ -3,19 +3,24 @@
 import numpy as np
 import pandas as pd
 
+from alignment.checks import ANY_SCENE, Check, describe, gate_table
+from alignment.components import Placed
 from alignment.drift import ALL
 from alignment.examination import examine
 from alignment.ground_truth import Aligned, build, camera_sd
+from alignment.map_frame import MapScale
 from alignment.picture import draw_gate
 from alignment.recording import write_recording
 from alignment.rulers.measurement import find_rulers, read_rulers
 from alignment.rulers.picture import draw_rulers
-from alignment.rulers.verdict import describe, rulers_table
+from alignment.rulers.verdict import describe as describe_ruler
+from alignment.rulers.verdict import rulers_table
 from alignment.sessions import SessionFit
 from alignment.settings import AlignSettings
 from alignment.sfm_tables import SfmTables
 from artefacts import Stage, StageRun, UserError
 from artefacts.tables import dataset_frames, with_cameras
+from geometry.decisions import Status
 from geometry.poses import Array
 
 PICTURE, RULERS_PICTURE = "gate.png", "rulers.png"
@@ -50,35 +55,34 @@ def run(r: StageRun[AlignSettings]) -> None:
             draw_rulers(r.work / RULERS_PICTURE, found.rulers, frames, images, r.image_path)
     for judged in found.rulers:
         if not judged.reading.problem:
-            r.say(describe(judged))
+            r.say(describe_ruler(judged))
     r.write("rulers", rulers_table(found.rulers))
     if found.refusal:
-        r.write("gate", found.gate.table())
+        r.write("gate", gate_table(found.checks))
         told = found.refusal.details
         raise UserError(
             found.refusal.what,
             where=told["where"],
             expected=told["expected"],
             found=told["found"],
-            do=f"look at {r.work / PICTURE}; {told['do']}",
+            do=f"look at {r.work / PICTURE}; {str(told['do']).replace(ANY_SCENE, r.scene.name)}",
         )
     with r.step("align"):
         aligned = build(frames, images, found, r.settings)
     frames = dataset_frames(frames)
     for table in ("ground_truth", "sessions", "drift", "gate", "residuals"):
         r.write(table, getattr(aligned, table))
-    _figures(r, frames, aligned)
+    _figures(r, frames, aligned, found.checks)
     with r.step("recording"):
         write_recording(r, aligned, frames, r.read("sfm", "points"))
 
 
-def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned) -> None:
+def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned, checks: list[Check]) -> None:
     gt, sessions, main = aligned.ground_truth, aligned.sessions, aligned.main
     known = gt["quality"] != "none"
     registered = int(sessions["registered"].sum())
     counts = {name: int((gt["quality"] == name).sum()) for name in ("A", "B", "C", "none")}
-    failures = aligned.gate[aligned.gate["verdict"] == "failed"]
-    failed, undecided = len(failures), int((aligned.gate["verdict"] == "undecided").sum())
+    scale = main.component.scale
     figures = {
         "frames": len(gt),
         "registered": registered,
@@ -87,8 +91,8 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
         "components": len(aligned.placed),
         "bridged": int(gt["gt_uses_vio"].sum()),
         "metres_per_sfm_unit": main.map_S_sfm.scale,
-        "scale_sd": main.component.scale.sd,
-        "scale_source": main.component.scale.source,
+        "scale_source": scale.source(r.settings.max_scale_sd),
+        "scale_sd": _or_none(scale.sd),
         "session_scale_spread": _or_none(sessions["scale"].max() - sessions["scale"].min()),
         "vertical_sd_deg": float(np.degrees(main.component.vertical.sd)),
         "camera_sd_deg": float(np.degrees(camera_sd(frames, r.settings))),
@@ -100,8 +104,8 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
         "vio_5m_median_percent": _over_5m(aligned.drift, "median"),
         "vio_5m_max_percent": _over_5m(aligned.drift, "max"),
         "checks": len(aligned.gate),
-        "checks_failed": failed,
-        "checks_undecided": undecided,
+        "checks_failed": int((aligned.gate["status"] == Status.FAILED).sum()),
+        "checks_undecided": int((aligned.gate["status"] == Status.UNDECIDED).sum()),
     }
     for name, value in figures.items():
         r.figure(name, value)
@@ -109,11 +113,9 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
         f"{registered} of {len(gt)} frames registered, {int(known.sum())} with ground truth "
         f"(A {counts['A']}, B {counts['B']}, C {counts['C']})"
     )
-    r.say(
-        f"map: {main.map_S_sfm.scale:.6g} m per SfM unit ± {100 * main.component.scale.sd:.2f} %, vertical "
-        f"± {figures['vertical_sd_deg']:.2f}°, from {len(main.component.vertical.recordings)} VIO recordings"
-        + (f"; scale by {main.component.scale.source}" if main.component.scale.rulers else "")
-    )
+    for line in aligned.class_counts:
+        r.say(f"  {line}")
+    r.say(f"map: {_describe_scale(scale, r.settings)}, vertical {_describe_vertical(main, r.settings)}")
     for placed in aligned.placed[1:]:
         if placed.bridge is not None:
             r.say(
@@ -122,10 +124,26 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
             )
     for fit in aligned.fits:
         r.say(_describe(fit))
-    verdict = f"{failed} of {len(aligned.gate)} checks failed" if failed else "no check failed"
-    r.say(f"gate: {f'{verdict}, {undecided} undecided' if failed or undecided else 'all checks passed'}")
-    for (cause, session_id), rows in failures.groupby(["cause", "session_id"]):
-        r.say(f"  {cause}{f', {session_id}' if session_id else ''}: {rows['reason'].iloc[0]} ({len(rows)} checks)")
+    for line in describe(checks):
+        r.say(line.replace(ANY_SCENE, r.scene.name))
+
+
+def _describe_scale(scale: MapScale, settings: AlignSettings) -> str:
+    if not scale.is_known:
+        return "NO METRIC SCALE, VIO hardly moves: all lengths are in SfM's unit; a longer walk or a ruler gives one"
+    by = scale.source(np.inf) if scale.rulers else f"{len(scale.recordings)} VIO recordings"
+    text = f"{np.exp(scale.log):.6g} m per SfM unit ± {100 * scale.sd:.2f} % from {by}"
+    return text if scale.sd <= settings.max_scale_sd else f"{text}, UNCERTAIN: above {100 * settings.max_scale_sd:g} %"
+
+
+def _describe_vertical(main: Placed, settings: AlignSettings) -> str:
+    sd_deg = float(np.degrees(main.component.vertical.sd))
+    text = f"± {sd_deg:.2f}°"
+    return (
+        text
+        if sd_deg <= settings.max_vertical_sd_deg
+        else f"{text}, UNCERTAIN: above {settings.max_vertical_sd_deg:g}°"
+    )
 
 
 def _describe(fit: SessionFit) -> str:

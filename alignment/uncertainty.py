@@ -4,10 +4,11 @@ A pose's error is (rotation, position), both in the axes of the frame it is give
 exp(rotation) @ R, true position = t + position.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from geometry.fits import Sim3
 from geometry.poses import Array
@@ -23,14 +24,18 @@ class SharedSd:
     camera: float = 0.0
 
 
-@dataclass(frozen=True)
-class QualityLimits:
-    """What a frame must keep for a class: sigmas of SfM's own part, image points seen, mean reprojection angle."""
+class Measures(NamedTuple):
+    """What a frame's class goes by: sigmas of SfM's own part (NaN: not known), image points seen, mean reprojection
+    angle."""
 
     position_sd_m: float
     rotation_sd_deg: float
-    observations: int
+    observations: float
     reprojection_deg: float
+
+
+QualityLimits = Measures
+"""What a frame must keep for a class."""
 
 
 def covariance_in_map(covariance_sfm: Array, map_S_sfm: Sim3) -> Array:
@@ -70,22 +75,56 @@ def largest_sd(covariance: Array) -> tuple[Array, Array]:
     return sds[0], sds[1]
 
 
-def quality_classes(frames: pd.DataFrame, limits: dict[str, QualityLimits]) -> np.ndarray:
-    """A, B or C (N,) for frames with ground truth: the first class all of whose limits hold; C has none.
+class Grade(NamedTuple):
+    """A frame's quality class, and what keeps it from a better one, with the figure and its limit where there are."""
 
-    `frames` has position_sd_m and rotation_sd_deg (NaN where SfM gives no covariance: at most B), observations,
-    reprojection_deg, and checked (bool: the frame took part in the comparison with VIO, and its focal length is in no
-    doubt; otherwise C).
-    """
-    quality = np.full(len(frames), "C", dtype=object)
-    for name in ("B", "A"):
-        limit = limits[name]
-        good = frames["observations"] >= limit.observations
-        good &= frames["reprojection_deg"] <= limit.reprojection_deg
-        sds_good = (frames["position_sd_m"] <= limit.position_sd_m) & (
-            frames["rotation_sd_deg"] <= limit.rotation_sd_deg
-        )
-        if name == "B":
-            sds_good |= frames["position_sd_m"].isna()
-        quality[(good & sds_good & frames["checked"]).to_numpy(bool)] = name
-    return quality
+    quality: str
+    limited_by: str = ""
+    value: float = float("nan")
+    limit: float = float("nan")
+    unit: str = ""
+
+    @property
+    def reason(self) -> str:
+        """In words; empty for A."""
+        if not self.limited_by:
+            return ""
+        unit = f" {self.unit}" if self.unit else ""
+        figures = f" {self.value:.3g}{unit} (limit {self.limit:g})" if np.isfinite(self.limit) else ""
+        return f"class {self.quality}: {self.limited_by}{figures}"
+
+
+def grade(measures: Measures, a: QualityLimits, b: QualityLimits) -> Grade:
+    """The class of a frame with ground truth by the limits of A and B, all of which it must keep; C has none. The limit
+    that is exceeded most, as a ratio, is named."""
+    for better, below, limits in (("B", "C", b), ("A", "B", a)):
+        exceeded = _exceeded(measures, limits)
+        if exceeded is not None:
+            return Grade(below, *exceeded)
+        if better == "A" and np.isnan(measures.position_sd_m):
+            return Grade("B", "uncertainty not known")
+    return Grade("A")
+
+
+def _exceeded(measures: Measures, limits: QualityLimits) -> tuple[str, float, float, str] | None:
+    """What exceeds its limit most, or None; an uncertainty that isn't known doesn't."""
+    few = limits.observations / max(measures.observations, 0.5)
+    figures = [
+        (measures.position_sd_m / limits.position_sd_m, "position uncertain", 0, "m"),
+        (measures.rotation_sd_deg / limits.rotation_sd_deg, "rotation uncertain", 1, "deg"),
+        (few, "few points seen", 2, ""),
+        (np.nan_to_num(measures.reprojection_deg / limits.reprojection_deg, nan=np.inf), "reprojection", 3, "deg"),
+    ]
+    ratio, words, place, unit = max(figures, key=lambda figure: np.nan_to_num(figure[0], posinf=np.inf))
+    return (words, measures[place], limits[place], unit) if ratio > 1 else None
+
+
+def count_grades(grades: Sequence[Grade]) -> list[str]:
+    """Lines for the user: how many frames are of class B and C for which reason, with the median figure."""
+    groups: dict[tuple[str, str], list[Grade]] = {}
+    for one in sorted(grades):
+        if one.limited_by:
+            groups.setdefault((one.quality, one.limited_by), []).append(one)
+    return [
+        f"{len(group)} {group[len(group) // 2].reason.removeprefix('class ')}" for _, group in sorted(groups.items())
+    ]

@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 import typer
 
-from alignment.gate import CAUSES, INTRINSICS, LOOK_ALIKE, MIRRORED, OTHER_SCENE, SHUFFLED, VIO_SCALE
+from alignment.checks import CAUSES, INTRINSICS, LOOK_ALIKE, MIRRORED, OTHER_SCENE, SHUFFLED, VIO_SCALE
 from alignment.stage import STAGE as ALIGN
 from artefacts import DataRoot, UserError, execute
 from artefacts.cli import new_app
@@ -167,7 +167,7 @@ def _found(data: DataRoot, scene: str, case: Case) -> tuple[str, str, str]:
             if backward:
                 return SHUFFLED, stage.name, f"{backward} rows: {_BACKWARD}"
     gate = read_table(data.run(PROFILE, scene, "align") / "gate.parquet", schema("align", "gate"))
-    failed = gate[~gate["passed"]]
+    failed = gate[gate["status"] == "failed"]
     # A window that fails costs its frames; a fault is what a scene or a session is told for.
     failed = failed[~failed["check"].str.startswith("window_")]
     if not len(failed):

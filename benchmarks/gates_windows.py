@@ -50,7 +50,6 @@ def main(
             common_scale(
                 segments,
                 step_m=step_m,
-                least_step_m=settings.least_step_m,
                 step_sd=settings.step_scale_sd,
                 phone_sd=settings.phone_scale_sd,
             )

@@ -234,13 +234,13 @@ def ground_truth_figures(run: Finished) -> list[Figure]:
         ("scale, one sigma", "scale_sd", "%", 100),
         ("vertical, one sigma", "vertical_sd_deg", "deg", 1),
     ):
-        if key in align:
+        if align.get(key) is not None:
             figures.append(Figure(name, factor * align[key], unit))
     if align:
         figures.append(Figure("class A or B", align["quality_A"] + align["quality_B"]))
     if run.has_table("align", "gate"):
         gate = run.table("align", "gate")
-        figures += [Figure("checks", len(gate)), Figure("checks failed", int((~gate["passed"]).sum()))]
+        figures += [Figure("checks", len(gate)), Figure("checks failed", int((gate["status"] == "failed").sum()))]
         windows = gate.loc[gate["check"] == "window_position", "value"].max()
         if np.isfinite(windows):
             figures.append(Figure("largest residual to VIO in a window", windows, "m"))

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.motion_agreement import MotionAgreement, compare_motions
-from geometry.poses import Array, relative
+from geometry.motion_agreement import LEAST_STEP_M, LEAST_TURN, MotionAgreement, compare_motions
+from geometry.poses import Array, relative, rotation_angle
 from geometry.vio_agreement import Stretch, path_m
 from geometry.vio_drift import VioDrift
 
@@ -15,8 +15,8 @@ TURN_GAIN_LIMIT = 0.03
 FOLDED_LIMIT = 0.03
 """Share of a session's frames that may lie where others do that VIO has far away."""
 
-# Motions are compared between each frame and so many next ones.
-_NEXT = 2
+# How many frames on the next one that moved enough is looked for.
+_FARTHEST = 60
 # Places count as folded together where SfM has them at less than this share of the distance that VIO has.
 _FOLDED_SHARE = 0.35
 _ROWS_AT_ONCE = 500
@@ -35,7 +35,7 @@ class Diagnosis:
 
 def diagnose(stretches: Sequence[Stretch], drift: VioDrift) -> Diagnosis:
     """Diagnose one session's frames in one model; `stretches` are its parts between all VIO jumps."""
-    pairs = [_near_pairs(len(stretch.vio_T_cam)) for stretch in stretches]
+    pairs = [_near_pairs(stretch.vio_T_cam) for stretch in stretches]
     sfm, vio = (
         np.concatenate([relative(poses[a], poses[b]) for poses, (a, b) in zip(side, pairs, strict=True)])
         for side in ([s.sfm_T_cam for s in stretches], [s.vio_T_cam for s in stretches])
@@ -48,7 +48,7 @@ def diagnose(stretches: Sequence[Stretch], drift: VioDrift) -> Diagnosis:
         agree = motions.agree[start : start + len(a)]
         start += len(a)
         # A frame that is wrong alone agrees with none of its neighbours.
-        right = np.zeros(len(stretch.vio_T_cam), dtype=bool)
+        right = ~np.isin(np.arange(len(stretch.vio_T_cam)), np.concatenate([a, b]))
         right[a[agree]] = right[b[agree]] = True
         if np.isfinite(scale) and right.any():
             count, metres = _folded(Stretch(stretch.sfm_T_cam[right], stretch.vio_T_cam[right]), scale, drift)
@@ -56,10 +56,24 @@ def diagnose(stretches: Sequence[Stretch], drift: VioDrift) -> Diagnosis:
     return Diagnosis(frames, motions, folded / max(frames, 1), farthest)
 
 
-def _near_pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (P,), (P,) of each of `count` frames and the next ones."""
-    first = [np.arange(max(count - step, 0)) for step in range(1, _NEXT + 1)]
-    return np.concatenate(first), np.concatenate([of + step for step, of in enumerate(first, 1)])
+def _near_pairs(vio_T_cam: Array) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (P,), (P,) of each of the frames (n, 4, 4) and the next two that tell something of its motion: the first
+    that turned or moved enough against it, and the one after. However densely a walk is sampled, the pairs are alike.
+    """
+    count = len(vio_T_cam)
+    following = np.full(count, -1)
+    for step in range(1, min(count, _FARTHEST + 1)):
+        first = np.flatnonzero(following[:-step] < 0)
+        if not len(first):
+            break
+        motion = relative(vio_T_cam[first], vio_T_cam[first + step])
+        enough = np.linalg.norm(motion[:, :3, 3], axis=1) >= LEAST_STEP_M
+        enough |= rotation_angle(motion[:, :3, :3]) >= LEAST_TURN
+        following[first[enough]] = first[enough] + step
+    a = np.flatnonzero(following >= 0)
+    b = following[a]
+    inside = b + 1 < count
+    return np.concatenate([a, a[inside]]), np.concatenate([b, b[inside] + 1])
 
 
 def _step_scale(sfm: Array, vio: Array) -> float:

@@ -163,12 +163,12 @@ def gate(scene: SceneInputs) -> Grid | None:
     """What the gate let through or not, one line a check; None where nothing was checked."""
     rows = []
     for check, of_check in scene.gate.groupby("check", sort=False):
-        failed = of_check[~of_check["passed"]]
-        verdict = "; ".join(dict.fromkeys(failed["reason"])) or "passed"
+        open_ones = of_check[of_check["status"] != "passed"]
+        status = "; ".join(dict.fromkeys(open_ones["status"] + ": " + open_ones["reason"])) or "passed"
+        counts = [int((of_check["status"] == name).sum()) for name in ("failed", "undecided")]
         unit = of_check["unit"].iloc[0]
-        figures = [len(of_check), len(failed), _range(of_check["value"]), _range(of_check["limit"])]
-        rows.append([check, verdict, unit, *figures])
-    columns = ["check", "verdict", "unit", "checked", "failed", "found", "limit"]
+        rows.append([check, status, unit, len(of_check), *counts, _range(of_check["value"]), _range(of_check["limit"])])
+    columns = ["check", "status", "unit", "checked", "failed", "undecided", "found", "limit"]
     caption = "What had to hold before ground truth was given out."
     return _grid(f"gate-{scene.name}", "Gate", caption, columns, rows, 3) if rows else None
 

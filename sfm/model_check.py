@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry import GeometryError
+from geometry.decisions import Status, decide
 from geometry.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT, diagnose
 from geometry.fits import Sim3
 from geometry.poses import Array
 from geometry.vio_agreement import (
-    LEAST_STEP_M,
     POSE_SD,
     STEP_M,
     STEP_SCALE_SD,
@@ -71,9 +71,10 @@ def check_models(
             found = diagnose([Stretch(sfm_T_cam[rows], vio.vio_T_cam[rows]) for rows in parts], drift)
             if found.folded > FOLDED_LIMIT:
                 agrees[own] = False
-            beyond = abs(found.motions.turn_gain - 1) > TURN_GAIN_LIMIT + 2 * found.motions.turn_gain_sd
-            if beyond and found.motions.explained >= _EXPLAINED:
-                turned[str(session)] = found.motions.turn_gain
+            motions = found.motions
+            verdict = decide(abs(motions.turn_gain - 1), motions.turn_gain_sd, TURN_GAIN_LIMIT)
+            if verdict is Status.FAILED and motions.explained >= _EXPLAINED:
+                turned[str(session)] = motions.turn_gain
     otherwise = set(vio.session[(model_N >= 0) & ~agrees].tolist())
     return ModelCheck(agrees, turned if otherwise <= turned.keys() else {})
 
@@ -98,7 +99,6 @@ def _moving_otherwise(
         scale = recording_scale(
             [Stretch(sfm_T_cam[rows], vio.vio_T_cam[rows]) for rows in parts],
             step_m=STEP_M,
-            least_step_m=LEAST_STEP_M,
             step_sd=STEP_SCALE_SD,
             tolerance=_TOLERANCE,
         )

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from alignment.gate import RULER, Gate
+from alignment.checks import RULER, About, Check, check
 from alignment.map_frame import MapScale
 from alignment.rulers.measurement import Reading
 from alignment.rulers.settings import DistanceRuler
 from artefacts.schemas import schema
+from geometry.decisions import Status, decide
 
 # Bounds of 95 %.
 _SIGMAS = 1.96
@@ -19,15 +20,14 @@ CHECK = "ruler_scale"
 
 @dataclass(frozen=True)
 class Judged:
-    """A reading, and what became of it: `verdict` is passed, failed or undecided. `scale` is the map's, by which the
+    """A reading, and the check of it. `scale` is the map's, by which the
     model is metric, `vio` the one by VIO alone; None where the model has none. `used`: the map's scale is by it."""
 
     reading: Reading
     component: int | None
     scale: MapScale | None
     vio: MapScale | None
-    verdict: str
-    reason: str
+    check: Check
 
     @property
     def used(self) -> bool:
@@ -39,11 +39,11 @@ class Judged:
         return "held out" if self.used and "held out" in self.reading.fits else "all"
 
 
-def scale_by_rulers(vio: MapScale | None, readings: Sequence[Reading], size_limit: float) -> MapScale | None:
+def scale_by_rulers(vio: MapScale, readings: Sequence[Reading], size_limit: float) -> MapScale | None:
     """The scale of a model by the rulers that are to set it, weighted by their standard errors; None where none may.
 
-    A ruler takes no part that is seen too poorly, mirrored, contradicted by another one, or further from VIO's scale
-    than `size_limit` (share) and the 95 % bounds of both: it may be printed at another size.
+    A ruler takes no part that is seen too poorly, mirrored, contradicted by another one, or surely further from VIO's
+    scale than `size_limit` (share): it may be printed at another size.
     """
     chosen = [r for r in readings if r.ruler.use_for_scale and _is_fit_for_scale(vio, r, readings, size_limit)]
     if not chosen:
@@ -52,25 +52,28 @@ def scale_by_rulers(vio: MapScale | None, readings: Sequence[Reading], size_limi
     log = float(np.average(logs, weights=sds**-2))
     excess = max(1.0, float(np.sum(((logs - log) / sds) ** 2)) / max(len(chosen) - 1, 1))
     sd = float(np.sqrt(excess / np.sum(sds**-2)))
-    by_recording = ({}, {}) if vio is None else (vio.recordings, vio.weights)
-    return MapScale(log, sd, *by_recording, rulers=tuple(r.ruler.name for r in chosen))
+    return MapScale(log, sd, vio.recordings, vio.weights, rulers=tuple(r.ruler.name for r in chosen))
 
 
 def judge_rulers(
-    gate: Gate, component: int, scale: MapScale, vio: MapScale | None, readings: Sequence[Reading], size_limit: float
+    component: int, scale: MapScale, vio: MapScale, readings: Sequence[Reading], size_limit: float
 ) -> list[Judged]:
-    """Check each ruler of a model against its scale, one row of the gate each."""
-    return [_judge(gate, component, scale, vio, reading, readings, size_limit) for reading in readings]
+    """Check each ruler of a model against its scale."""
+    return [_judge(component, scale, vio, reading, readings, size_limit) for reading in readings]
 
 
-def unjudged(gate: Gate, readings: Sequence[Reading]) -> list[Judged]:
-    """Rulers of no model, or of one without scale: undecided, one row of the gate each."""
-    judged = []
-    for reading in readings:
-        reason = f"{reading.ruler.name}: {reading.problem or 'its model has no scale or vertical'}"
-        gate.undecided(CHECK, RULER, reason, unit="share", frames=reading.frames)
-        judged.append(Judged(reading, None, None, None, "undecided", reason))
-    return judged
+def unjudged(readings: Sequence[Reading]) -> list[Judged]:
+    """Rulers of no model, or of one without scale: undecided."""
+    return [
+        Judged(r, None, None, None, _undecided(r, None, r.problem or "its model has no scale or vertical"))
+        for r in readings
+    ]
+
+
+def _undecided(reading: Reading, component: int | None, why: str) -> Check:
+    about = About(reading.frames, component=component)
+    reason = f"{reading.ruler.name}: {why}"
+    return check(CHECK, None, None, 0.0, about, RULER, reason, status=Status.UNDECIDED)
 
 
 def rulers_table(judged: Sequence[Judged]) -> pd.DataFrame:
@@ -84,8 +87,8 @@ def rulers_table(judged: Sequence[Judged]) -> pd.DataFrame:
 def describe(judged: Judged) -> str:
     """A line for the user."""
     reading, name, scale, vio = judged.reading, judged.reading.ruler.name, judged.scale, judged.vio
-    if not reading.fits or scale is None:
-        return f"ruler {judged.reason}: {judged.verdict}"
+    if not reading.fits or scale is None or not scale.is_known:
+        return f"ruler {judged.check.reason}: {judged.check.status}"
     fit = reading.fits[judged.part]
     text = (
         f"ruler {name}: {len(fit.frames)} frames, {_corner_count(judged, judged.part)} corners"
@@ -101,12 +104,12 @@ def describe(judged: Judged) -> str:
         text += "; sets the scale"
     elif reading.ruler.use_for_scale:
         text += "; not used for scale"
-    return "; ".join([f"{text}: {judged.verdict}", *([judged.reason] if judged.reason else []), *reading.notes])
+    return "; ".join(filter(None, [f"{text}: {judged.check.status}", judged.check.reason, *reading.notes]))
 
 
 def _by_vio(reading: Reading, vio: MapScale | None) -> str:
     ruler_percent = 100 * _SIGMAS * reading.sd()
-    if vio is None:
+    if vio is None or not vio.is_known:
         return f"95 % bounds ± {ruler_percent:.2f} %; VIO moves too little to give a scale"
     error_percent = 100 * np.expm1(vio.log - reading.log_metres())
     return (
@@ -116,43 +119,36 @@ def _by_vio(reading: Reading, vio: MapScale | None) -> str:
 
 
 def _judge(
-    gate: Gate,
-    component: int,
-    scale: MapScale,
-    vio: MapScale | None,
-    reading: Reading,
-    readings: Sequence[Reading],
-    size_limit: float,
+    component: int, scale: MapScale, vio: MapScale, reading: Reading, readings: Sequence[Reading], size_limit: float
 ) -> Judged:
     name = reading.ruler.name
-    if reading.problem:
-        reason = f"{name}: {reading.problem}"
-        gate.undecided(CHECK, RULER, reason, unit="share", component=component, frames=reading.frames)
-        return Judged(reading, component, scale, vio, "undecided", reason)
     part = "held out" if name in scale.rulers and "held out" in reading.fits else "all"
-    if name in scale.rulers and part == "all":
-        reason = f"{name}: it sets the scale, and no corners are left to judge it by"
-        gate.undecided(CHECK, RULER, reason, unit="share", component=component, frames=reading.frames)
-        return Judged(reading, component, scale, vio, "undecided", reason)
+    why = reading.problem
+    if not why and name in scale.rulers and part == "all":
+        why = "it sets the scale, and no corners are left to judge it by"
+    if not why and not scale.is_known:
+        why = "the map has no metric scale"
+    if why:
+        return Judged(reading, component, scale, vio, _undecided(reading, component, why))
     # Corners held out share their board's stated size with those that set the scale.
-    sd = reading.fits[part].sd if part == "held out" else reading.sd(part)
+    sd = float(np.hypot(scale.sd, reading.fits[part].sd if part == "held out" else reading.sd(part)))
     error = float(np.expm1(scale.log - reading.log_metres(part)))
-    limit = _SIGMAS * float(np.hypot(scale.sd, sd))
     fault = _fault(scale, reading, readings)
-    reason = f"{name}: {fault or _size_fault(scale, reading, part, error, limit)}"
+    reason = f"{name}: {fault or _size_fault(scale, reading, part, error, sd)}"
+    status = Status.FAILED if fault else decide(abs(error), sd, size_limit)
+    about = About(len(reading.fits[part].frames), component=component)
     value = None if fault else abs(error)
-    frames = len(reading.fits[part].frames)
-    passed = gate.check(CHECK, value, limit, "share", RULER, reason, component=component, frames=frames)
-    return Judged(reading, component, scale, vio, "passed" if passed else "failed", "" if passed else reason)
+    result = check(CHECK, value, sd, size_limit, about, RULER, reason, status=status)
+    return Judged(reading, component, scale, vio, result)
 
 
-def _is_fit_for_scale(vio: MapScale | None, reading: Reading, readings: Sequence[Reading], size_limit: float) -> bool:
+def _is_fit_for_scale(vio: MapScale, reading: Reading, readings: Sequence[Reading], size_limit: float) -> bool:
     if reading.problem or reading.fits["all"].mirrored or _contradicting(reading, readings):
         return False
-    if vio is None:
+    if not vio.is_known:
         return True
     error = abs(float(np.expm1(vio.log - reading.log_metres())))
-    return error <= max(size_limit, _SIGMAS * float(np.hypot(vio.sd, reading.sd())))
+    return decide(error, float(np.hypot(vio.sd, reading.sd())), size_limit) is not Status.FAILED
 
 
 def _contradicting(reading: Reading, readings: Sequence[Reading]) -> Reading | None:
@@ -187,13 +183,10 @@ def _measured(whose: str, scale: MapScale, reading: Reading, part: str = "all") 
     return f"{whose} {ruler.size_name} {verb} {size:.4g} mm, {ruler.size_mm:g} mm stated"
 
 
-def _size_fault(scale: MapScale, reading: Reading, part: str, error: float, limit: float) -> str:
+def _size_fault(scale: MapScale, reading: Reading, part: str, error: float, sd: float) -> str:
     by = "VIO" if not scale.rulers else f"ruler {', '.join(scale.rulers)}"
     what = _measured("its", scale, reading, part)
-    return (
-        f"in the map scaled by {by} {what} ({error:+.1%}, 95 % bounds ± {limit:.1%}): measure the print and correct "
-        "its size in [[ruler]], or doubt the map's scale"
-    )
+    return f"in the map scaled by {by} {what} ({error:+.1%} ± {sd:.1%})"
 
 
 def _corner_count(judged: Judged, part: str) -> int:
@@ -209,11 +202,11 @@ def _rows(judged: Judged) -> list[dict[str, object]]:
         "used_for_scale": judged.used,
         "stated_mm": reading.ruler.size_mm,
         "map_scale_sd_percent": None if judged.scale is None else 100 * judged.scale.sd,
-        "verdict": judged.verdict,
-        "reason": "; ".join([judged.reason, *reading.notes]).strip("; "),
+        "status": judged.check.status,
+        "reason": "; ".join([judged.check.reason, *reading.notes]).strip("; "),
     }
     scale, vio = judged.scale, judged.vio
-    if not reading.fits or scale is None:
+    if not reading.fits or scale is None or not scale.is_known:
         return [common | {"part": "all", "frames": reading.frames, "corners": 0, "outliers": 0}]
     rows = []
     for part, fit in reading.fits.items():
@@ -228,9 +221,9 @@ def _rows(judged: Judged) -> list[dict[str, object]]:
                 "scale_error_percent": 100 * float(np.expm1(scale.log - reading.log_metres(part))),
                 "scale_sd_percent": 100 * reading.sd(part),
                 "vio_scale_error_percent": None
-                if vio is None
+                if vio is None or not vio.is_known
                 else 100 * float(np.expm1(vio.log - reading.log_metres(part))),
-                "vio_scale_sd_percent": None if vio is None else 100 * vio.sd,
+                "vio_scale_sd_percent": None if vio is None or not vio.is_known else 100 * vio.sd,
                 "reprojection_px": fit.reprojection_px,
                 "corner_rms_mm": 1000 * fit.corner_rms_m,
                 "flatness_mm": 1000 * fit.flatness_m,

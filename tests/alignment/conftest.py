@@ -85,6 +85,12 @@ class Scene:
         table = pose_frame("sfm_cam", sfm_T_cam)
         self.images[table.columns] = table
 
+    def set_focal(self, session_id: str, scale: float, sd: float) -> None:
+        """What the images of the first model say of a session's focal length: its factor and standard error."""
+        row = {"model_id": "incremental/0", "session_id": session_id, "frames": 1, "focal_scale": scale}
+        row |= {"focal_scale_sd": sd, "focus_sd": 0.001, "angular_sd": 0.02}
+        self.intrinsics = pd.DataFrame([*self.intrinsics.to_dict("records"), row])
+
     def set_vio(self, vio_T_cam: np.ndarray) -> None:
         table = pose_frame("vio_cam", vio_T_cam)
         self.frames[table.columns] = table

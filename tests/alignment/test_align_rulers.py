@@ -111,15 +111,15 @@ def scale_error(scene, aligned: Aligned) -> float:
 
 def test_a_board_agrees_with_a_right_scale(scene) -> None:
     aligned, checks = aligned_by(scene, sighted(scene, ruler()))
-    assert checks["verdict"].tolist() == ["passed"]
-    assert checks["value"].iloc[0] < checks["limit"].iloc[0] < 0.02
+    assert checks["status"].tolist() == ["passed"]
+    assert checks["value"].iloc[0] + 2 * checks["sd"].iloc[0] < checks["limit"].iloc[0] == 0.03
     assert set(aligned.ground_truth["scale_source"]) == {"vio"}
 
 
 def test_a_wrong_vio_scale_is_named_with_figures(scene) -> None:
     stretch_vio(scene, 1.05)
     _, checks = aligned_by(scene, sighted(scene, ruler()))
-    assert checks["verdict"].tolist() == ["failed"] and checks["cause"].iloc[0] == "ruler and map disagree"
+    assert checks["status"].tolist() == ["failed"] and checks["cause"].iloc[0] == "ruler and map disagree"
     assert "its squares measure 21" in checks["reason"].iloc[0]
     assert "200 mm stated (+5." in checks["reason"].iloc[0] or "200 mm stated (+4." in checks["reason"].iloc[0]
 
@@ -131,7 +131,7 @@ def test_a_board_sets_the_scale_and_half_of_it_judges(scene) -> None:
     sighting = sighted(scene, ruler(use_for_scale=True))
     aligned, checks = aligned_by(scene, sighting)
     assert abs(scale_error(scene, aligned)) < 0.003
-    assert checks["verdict"].tolist() == ["passed"]
+    assert checks["status"].tolist() == ["passed"]
     assert set(aligned.ground_truth["scale_source"]) == {"ruler: charuco"}
     assert aligned.main.component.scale.sd < 0.004
     assert sighting.held_out.sum() == 35
@@ -139,15 +139,17 @@ def test_a_board_sets_the_scale_and_half_of_it_judges(scene) -> None:
 
 def test_a_print_of_another_size_sets_no_scale(scene) -> None:
     aligned, checks = aligned_by(scene, sighted(scene, ruler(use_for_scale=True), printed=0.9))
-    assert checks["verdict"].tolist() == ["failed"]
+    assert checks["status"].tolist() == ["failed"]
     assert "its squares measure 180" in checks["reason"].iloc[0] and "200 mm stated" in checks["reason"].iloc[0]
     assert set(aligned.ground_truth["scale_source"]) == {"vio"} and abs(scale_error(scene, aligned)) < 0.01
 
 
 def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(scene) -> None:
-    still = AlignSettings(least_step_m=1e6)
-    with pytest.raises(UserError, match="no session moves enough"):
-        align(scene.frames, scene.sfm, scene.jumps, scene.recordings, still, read(scene, sighted(scene, ruler())))
+    # VIO that may be off by so much tells no scale.
+    still = AlignSettings(step_scale_sd=1e3)
+    readings = read(scene, sighted(scene, ruler()))
+    plain = align(scene.frames, scene.sfm, scene.jumps, scene.recordings, still, readings)
+    assert set(plain.ground_truth["scale_source"]) == {"none"}
     readings = read(scene, sighted(scene, ruler(use_for_scale=True)))
     aligned = align(scene.frames, scene.sfm, scene.jumps, scene.recordings, still, readings)
     assert abs(scale_error(scene, aligned)) < 0.003
@@ -157,7 +159,7 @@ def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(scene) -> None
 
 def test_a_mirrored_board_judges_nothing(scene) -> None:
     aligned, checks = aligned_by(scene, sighted(scene, ruler(use_for_scale=True), mirror=True))
-    assert checks["verdict"].tolist() == ["failed"] and "mirrored" in checks["reason"].iloc[0]
+    assert checks["status"].tolist() == ["failed"] and "mirrored" in checks["reason"].iloc[0]
     assert set(aligned.ground_truth["scale_source"]) == {"vio"}
 
 
@@ -166,7 +168,7 @@ def test_a_board_seen_once_is_undecided(scene) -> None:
     first = sighting.row == sighting.row[0]
     once = replace(sighting, row=sighting.row[first], corner=sighting.corner[first], xy_px=sighting.xy_px[first])
     aligned, checks = aligned_by(scene, once)
-    assert checks["verdict"].tolist() == ["undecided"] and not checks["passed"].any()
+    assert checks["status"].tolist() == ["undecided"]
     assert "seen in 1 frame (walk0/" in checks["reason"].iloc[0]
     assert set(aligned.ground_truth["scale_source"]) == {"vio"}
 
@@ -185,7 +187,7 @@ def test_two_rulers_that_disagree_are_both_named(scene) -> None:
     aligned, checks = aligned_by(
         scene, sighted(scene, ruler(use_for_scale=True)), sighted(scene, other, printed=0.98, near=80)
     )
-    assert checks["verdict"].tolist() == ["failed", "failed"]
+    assert checks["status"].tolist() == ["failed", "failed"]
     for reason, name in zip(checks["reason"], ("small", "charuco"), strict=True):
         assert f"disagrees with ruler {name}" in reason and "mm stated" in reason and "%" in reason
     assert set(aligned.ground_truth["scale_source"]) == {"vio"}
@@ -388,7 +390,7 @@ def test_the_stage_with_a_distance_that_sets_the_scale(data: DataRoot, walks) ->
     )
     out = execute(STAGE, "Place", "tiny", data)
     table = read_table(out / "rulers.parquet", schema("align", "rulers"))
-    assert table["used_for_scale"].all() and table["verdict"].eq("undecided").all()
+    assert table["used_for_scale"].all() and table["status"].eq("undecided").all()
     assert "no corners are left" in table["reason"].iloc[0]
     assert (out / "rulers.png").read_bytes().startswith(b"\x89PNG")
     figures = load_manifest(out)["figures"]

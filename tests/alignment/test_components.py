@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from alignment import gate
+from alignment import checks
 from alignment.components import Bridge, bridge_covariance
 from alignment.ground_truth import align
 from alignment.settings import AlignSettings
-from artefacts import UserError
 from artefacts.tables import poses_of
 from geometry.fits import Sim3, fit_sim3
 from geometry.metrics import position_error
@@ -53,7 +52,7 @@ def test_without_drift_two_models_of_one_walk_come_out_as_one(walks) -> None:
     assert errors(aligned, scene).max() < 1e-8
     assert aligned.sessions[["segment", "component", "frames"]].to_numpy().tolist() == [[0, 0, 35], [0, 1, 25]]
     assert aligned.sessions["bridge_m"].isna().tolist() == [True, False]
-    assert aligned.gate["passed"].all()
+    assert (aligned.gate["status"] == "passed").all()
 
 
 def test_a_bridge_is_as_good_as_its_covariance_says(walks) -> None:
@@ -62,6 +61,8 @@ def test_a_bridge_is_as_good_as_its_covariance_says(walks) -> None:
         scene = walks.make(**NOISE | {"seed": seed, "sessions": 1, "drift_m": 0.028, "drift_yaw_deg": 0.5})
         split(scene, np.arange(35, 60))
         drop(scene, np.arange(35, 38))
+        # VIO that strays so far tells nothing of the focal length; the images do.
+        scene.set_focal("walk0", 1.0, 0.01)
         aligned = run(scene)
         gt = aligned.ground_truth
         assert aligned.sessions["bridge_m"].iloc[1] == pytest.approx(4.8, rel=0.2)
@@ -94,8 +95,8 @@ def test_a_longer_way_than_vio_may_be_trusted_for_is_no_bridge(walks) -> None:
     gt = aligned.ground_truth
     assert (gt["quality"].iloc[45:] == "none").all() and (gt["component"].iloc[:30] == 0).all()
     assert "VIO alone for" in gt["reason"].iloc[50]
-    (row,) = aligned.gate[~aligned.gate["passed"]].to_dict("records")
-    assert (row["cause"], row["component"]) == (gate.BROKEN_OFF, 1)
+    (row,) = aligned.gate[(aligned.gate["status"] == "failed")].to_dict("records")
+    assert (row["cause"], row["component"]) == (checks.BROKEN_OFF, 1)
 
 
 def test_sessions_that_place_a_model_differently_are_believed_neither(walks) -> None:
@@ -110,7 +111,7 @@ def test_sessions_that_place_a_model_differently_are_believed_neither(walks) -> 
     assert "apart" in gt["reason"].iloc[50]
 
 
-def test_a_model_without_motion_is_left_out_and_the_first_must_have_some(walks) -> None:
+def test_a_model_without_motion_is_left_out(walks) -> None:
     scene = walks.make(sessions=1)
     vio = poses_of(scene.frames, "vio_cam")
     vio[50:, :3, 3] = vio[50, :3, 3]
@@ -118,6 +119,3 @@ def test_a_model_without_motion_is_left_out_and_the_first_must_have_some(walks) 
     split(scene, np.arange(50, 60))
     gt = run(scene).ground_truth
     assert (gt["quality"].iloc[50:] == "none").all() and "no scale" in gt["reason"].iloc[55]
-    still = walks.make(speed_m=0.0, jitter_m=0.002)
-    with pytest.raises(UserError, match="metric scale"):
-        run(still)

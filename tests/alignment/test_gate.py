@@ -7,12 +7,14 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from alignment import gate
+from alignment import checks
+from alignment.checks import main_failure
 from alignment.examination import Examination, examine
 from alignment.picture import draw_gate
 from alignment.settings import AlignSettings
 from artefacts.schemas import schema
 from artefacts.tables import poses_of
+from geometry.decisions import Status
 from geometry.poses import make_pose
 
 FRAMES = 30
@@ -30,7 +32,11 @@ def of_walk(scene, number: int) -> np.ndarray:
 
 def faults(found: Examination) -> set[tuple[str, str]]:
     """Causes and sessions of all failed checks but those of windows."""
-    return {(r["cause"], r["session_id"]) for r in found.gate.failed if not str(r["check"]).startswith("window")}
+    return {(c.cause, c.about.session_id) for c in failed(found) if not c.name.startswith("window")}
+
+
+def failed(found: Examination) -> list[checks.Check]:
+    return checks.with_status(found.checks, Status.FAILED)
 
 
 def refused(found: Examination) -> set[int]:
@@ -41,7 +47,7 @@ def refused(found: Examination) -> set[int]:
 def test_clean_walks_pass_every_check(walks) -> None:
     for seed in range(2):
         found = run(walks.make(**NOISE | {"seed": seed}))
-        assert not found.gate.failed and found.refusal is None and found.used.all()
+        assert not failed(found) and found.refusal is None and found.used.all()
 
 
 def mirror(scene, rows: np.ndarray, axis: int) -> None:
@@ -58,10 +64,10 @@ def test_mirrored_images_are_named(walks, axis: int) -> None:
     scene = walks.make(**NOISE)
     mirror(scene, of_walk(scene, 1), axis)
     found = run(scene)
-    assert (gate.MIRRORED, "walk1") in faults(found) and refused(found) == {1}
+    assert (checks.MIRRORED, "walk1") in faults(found) and refused(found) == {1}
     mirror(scene, np.concatenate([of_walk(scene, 0), of_walk(scene, 2)]), axis)
     found = run(scene)
-    assert found.refusal is not None and gate.MIRRORED in found.refusal.what and not found.used.any()
+    assert found.refusal is not None and checks.MIRRORED in found.refusal.what and not found.used.any()
 
 
 def shuffle(scene, rows: np.ndarray) -> None:
@@ -76,7 +82,7 @@ def test_shuffled_images_are_named(walks) -> None:
     rows = of_walk(scene, 2)
     shuffle(scene, rows)
     found = run(scene)
-    assert faults(found) == {(gate.SHUFFLED, "walk2")} and refused(found) == {2}
+    assert faults(found) == {(checks.SHUFFLED, "walk2")} and refused(found) == {2}
     assert "no relation" in found.reason[rows[0]]
 
 
@@ -98,8 +104,8 @@ def test_wrong_intrinsics_are_named(walks, gain: float) -> None:
     scene = walks.make(**NOISE)
     turn_otherwise(scene, of_walk(scene, 0), gain)
     found = run(scene)
-    assert (gate.INTRINSICS, "walk0") in faults(found) and not found.used.any()
-    assert found.refusal is not None and gate.INTRINSICS in found.refusal.what
+    assert (checks.INTRINSICS, "walk0") in faults(found) and not found.used.any()
+    assert found.refusal is not None and checks.INTRINSICS in found.refusal.what
 
 
 def test_a_wrong_vio_scale_costs_that_session_its_ground_truth(walks) -> None:
@@ -109,7 +115,7 @@ def test_a_wrong_vio_scale_costs_that_session_its_ground_truth(walks) -> None:
     vio[rows, :3, 3] *= 0.9
     scene.set_vio(vio)
     found = run(scene)
-    assert faults(found) == {(gate.VIO_SCALE, "walk1")} and refused(found) == {1}
+    assert faults(found) == {(checks.VIO_SCALE, "walk1")} and refused(found) == {1}
     assert "less than the others" in found.reason[rows[0]]
 
 
@@ -126,8 +132,8 @@ def test_folded_places_cost_the_whole_model(walks) -> None:
     scene.set_vio(vio)
     scene.set_sfm(sfm)
     found = run(scene)
-    assert (gate.LOOK_ALIKE, "walk0") in faults(found) and not found.used.any()
-    assert found.refusal is not None and gate.LOOK_ALIKE in found.refusal.what
+    assert (checks.LOOK_ALIKE, "walk0") in faults(found) and not found.used.any()
+    assert found.refusal is not None and checks.LOOK_ALIKE in found.refusal.what
 
 
 def test_a_single_wrong_frame_is_no_fold(walks) -> None:
@@ -145,13 +151,13 @@ def test_a_session_of_another_scene_is_named(walks) -> None:
     rows = of_walk(scene, 2)
     scene.images.loc[rows, "model_id"] = "incremental/1"
     found = run(scene)
-    assert faults(found) == {(gate.OTHER_SCENE, "")} and refused(found) == {2}
-    assert "walk2" in found.gate.main_cause["reason"]
+    assert faults(found) == {(checks.OTHER_SCENE, "")} and refused(found) == {2}
+    assert "walk2" in main_failure(found.checks).reason
 
     scene.images.loc[rows, "registered"] = False
     scene.images.loc[rows, "model_id"] = None
     found = run(scene)
-    assert faults(found) == {(gate.OTHER_SCENE, "walk2")} and refused(found) == {2}
+    assert faults(found) == {(checks.OTHER_SCENE, "walk2")} and refused(found) == {2}
 
 
 def cut_off(scene, rows: np.ndarray) -> dict[str, str]:
@@ -162,45 +168,44 @@ def cut_off(scene, rows: np.ndarray) -> dict[str, str]:
     return recordings | {f"{session}.part2": session}
 
 
-def focal_lengths_by_images(scene, *rows: tuple[str, float, float]) -> None:
-    """SfM's table of focal lengths: session, factor and its sigma."""
-    columns = {"model_id": "incremental/0", "frames": FRAMES, "focus_sd": 0.001, "angular_sd": 0.02}
-    table = pd.DataFrame(rows, columns=["session_id", "focal_scale", "focal_scale_sd"]).assign(**columns)
-    scene.intrinsics = table[schema("sfm", "intrinsics").column_names]
-
-
 def test_focal_lengths_that_the_images_deny_are_named_where_motion_hides_them(walks) -> None:
     scene = walks.make(**NOISE)
-    focal_lengths_by_images(scene, ("walk0", 1.16, 0.005), ("walk1", 1.01, 0.005))
+    scene.set_focal("walk0", 1.16, 0.005)
+    scene.set_focal("walk1", 1.01, 0.005)
     found = run(scene)
-    assert (gate.INTRINSICS, "walk0") in faults(found) and found.refusal is not None and not found.used.any()
+    assert (checks.INTRINSICS, "walk0") in faults(found) and found.refusal is not None and not found.used.any()
 
 
-def test_focal_lengths_that_are_near_or_hardly_known_pass(walks) -> None:
+def test_a_focal_length_that_is_near_passes_and_one_hardly_known_is_undecided(walks) -> None:
     scene = walks.make(**NOISE)
-    focal_lengths_by_images(scene, ("walk0", 1.025, 0.001), ("walk1", 1.08, 0.02))
-    assert not run(scene).gate.failed
+    scene.set_focal("walk0", 1.025, 0.001)
+    scene.set_focal("walk1", 1.05, 0.015)
+    found = run(scene)
+    status = {c.about.session_id: c.status for c in found.checks if c.name == "session_focal"}
+    assert status == {"walk0": Status.PASSED, "walk1": Status.UNDECIDED}
+    # Its standard error is in the frames' covariances: no frame has a lower class for it.
+    assert found.used.all() and not found.problem.any()
 
 
 def test_turns_are_odometrys_fault_where_the_images_confirm_the_focal_length(walks) -> None:
     scene = walks.make(**NOISE)
     turn_otherwise(scene, of_walk(scene, 1), 0.9)
-    assert (gate.INTRINSICS, "walk1") in faults(run(scene))
-    focal_lengths_by_images(scene, ("walk1", 1.001, 0.001))
-    assert (gate.INTRINSICS, "walk1") not in faults(run(scene))
+    assert (checks.INTRINSICS, "walk1") in faults(run(scene))
+    scene.set_focal("walk1", 1.001, 0.001)
+    assert (checks.INTRINSICS, "walk1") not in faults(run(scene))
 
 
 def test_images_whose_pairs_move_as_vio_belong_to_its_poses(walks) -> None:
     scene = walks.make(**NOISE)
     rows = of_walk(scene, 1)
     shuffle(scene, rows)
-    assert (gate.SHUFFLED, "walk1") in faults(run(scene))
+    assert (checks.SHUFFLED, "walk1") in faults(run(scene))
     ids = scene.frames["frame_id"].to_numpy()[rows]
     scene.pairs = pd.DataFrame({"frame_id_a": ids[:-1], "frame_id_b": ids[1:]}).assign(
         verdict="verified", rotation_deg=0.1
     )
     named = {cause for cause, session in faults(run(scene)) if session == "walk1"}
-    assert named and gate.SHUFFLED not in named
+    assert named and checks.SHUFFLED not in named
 
 
 @pytest.mark.parametrize("registered", [False, True])
@@ -212,7 +217,7 @@ def test_what_a_vio_jump_cut_off_is_no_other_scene(walks, registered: bool) -> N
     scene.images.loc[rows, "model_id"] = "incremental/1" if registered else None
     scene.images.loc[rows, "registered"] = registered
     found = examine(scene.frames, scene.sfm, scene.jumps, recordings, AlignSettings())
-    assert {cause for cause, _ in faults(found)} == ({gate.BROKEN_OFF} if registered else set())
+    assert {cause for cause, _ in faults(found)} == ({checks.BROKEN_OFF} if registered else set())
     assert found.used.sum() == 3 * FRAMES - 8
 
 
@@ -234,10 +239,10 @@ def test_the_picture_is_drawn_for_a_refused_run_too(walks, tmp_path) -> None:
     found = run(scene)
     draw_gate(tmp_path / "gate.png", found, "Place", simulated=True)
     assert (tmp_path / "gate.png").read_bytes().startswith(b"\x89PNG")
-    table = found.gate.table()
+    table = checks.gate_table(found.checks)
     assert list(table.columns) == schema("align", "gate").column_names
     assert isinstance(table["component"].dtype, pd.Int64Dtype)
-    assert set(table.loc[~table["passed"], "cause"]) <= set(gate.CAUSES)
+    assert set(table.loc[table["status"] != "passed", "cause"]) <= set(checks.CAUSES)
 
 
 def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks) -> None:
@@ -254,8 +259,8 @@ def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks) -> None:
     found = run(scene)
     assert found.used[60:].all() and not found.used[rows].any()
     assert "isn't sure" in found.reason[rows[0]]
-    (row,) = [r for r in found.gate.failed if r["check"] == "session_unsure"]
-    assert row["session_id"] == "walk0" and row["cause"] == gate.DISAGREES
+    (unsure,) = [c for c in failed(found) if c.name == "session_unsure"]
+    assert unsure.about.session_id == "walk0" and unsure.cause == checks.DISAGREES
 
 
 def test_one_unsure_frame_that_is_off_goes_alone(walks) -> None:

@@ -1,15 +1,16 @@
 """Covariances against Monte Carlo, and quality classes."""
 
 import numpy as np
-import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from alignment.settings import AlignSettings
 from alignment.uncertainty import (
+    Measures,
     SharedSd,
+    count_grades,
     covariance_in_map,
+    grade,
     largest_sd,
-    quality_classes,
     shared_covariance,
 )
 from geometry.fits import Sim3
@@ -61,28 +62,26 @@ def test_largest_sd_looks_along_the_worst_axis() -> None:
     assert np.isnan([metres[1], radians[1]]).all()
 
 
-def test_a_class_needs_all_of_its_limits() -> None:
-    good = {
-        "position_sd_m": 0.005,
-        "rotation_sd_deg": 0.02,
-        "observations": 400,
-        "reprojection_deg": 0.05,
-        "checked": True,
-    }
+def test_a_class_needs_all_of_its_limits_and_says_which_it_lacks() -> None:
+    good = Measures(position_sd_m=0.005, rotation_sd_deg=0.02, observations=400, reprojection_deg=0.05)
     cases = [
-        ({}, "A"),
-        ({"position_sd_m": 0.03}, "B"),
-        ({"rotation_sd_deg": 0.5}, "C"),
-        ({"observations": 70}, "B"),
-        ({"observations": 10}, "C"),
-        ({"reprojection_deg": 0.2}, "B"),
-        ({"position_sd_m": np.nan, "rotation_sd_deg": np.nan}, "B"),
-        ({"checked": False}, "C"),
-        ({"reprojection_deg": np.nan}, "C"),
+        ({}, "A", ""),
+        ({"position_sd_m": 0.03}, "B", "class B: position uncertain 0.03 m (limit 0.02)"),
+        ({"position_sd_m": 0.03, "rotation_sd_deg": 0.42}, "C", "class C: rotation uncertain 0.42 deg (limit 0.3)"),
+        ({"observations": 70}, "B", "class B: few points seen 70 (limit 100)"),
+        ({"observations": 0}, "C", "class C: few points seen 0 (limit 50)"),
+        ({"reprojection_deg": 0.2}, "B", "class B: reprojection 0.2 deg (limit 0.15)"),
+        ({"position_sd_m": np.nan, "rotation_sd_deg": np.nan}, "B", "class B: uncertainty not known"),
+        ({"reprojection_deg": np.nan}, "C", "class C: reprojection nan deg (limit 0.3)"),
     ]
     settings = AlignSettings()
-    found = quality_classes(
-        pd.DataFrame([good | changes for changes, _ in cases]),
-        {"A": settings.quality_a.limits(), "B": settings.quality_b.limits()},
-    )
-    assert found.tolist() == [expected for _, expected in cases]
+    grades = [
+        grade(good._replace(**changes), settings.quality_a.limits(), settings.quality_b.limits())
+        for changes, _, _ in cases
+    ]
+    assert [(g.quality, g.reason) for g in grades] == [(quality, reason) for _, quality, reason in cases]
+    assert count_grades(grades[:4] + grades[1:2]) == [
+        "1 B: few points seen 70 (limit 100)",
+        "2 B: position uncertain 0.03 m (limit 0.02)",
+        "1 C: rotation uncertain 0.42 deg (limit 0.3)",
+    ]

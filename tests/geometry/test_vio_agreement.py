@@ -13,7 +13,7 @@ from geometry.vio_agreement import POSE_SD, Stretch, compare_windows, path_m, pa
 from geometry.vio_drift import VioDrift
 
 _DRIFT = VioDrift.in_degrees(0.1, 0.03, 3.0, 2.5)
-_SCALE = {"step_m": 1.0, "least_step_m": 0.3, "step_sd": 0.03}
+_SCALE = {"step_m": 1.0, "step_sd": 0.03}
 
 
 def _walk(seed: int, frames: int = 60) -> Array:

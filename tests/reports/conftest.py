@@ -240,7 +240,8 @@ class MadeUpScene:
         frame = pd.DataFrame({"session_id": sessions, "segment": 0})
         for column in schema("align", "sessions").columns:
             if column.name not in frame and not column.name.startswith("map_vio"):
-                frame[column.name] = 30 if column.dtype == "int64" else 1.003 if column.name == "scale" else 0.021
+                plain = {"int64": 30, "string": "vio", "float64": 0.021}[column.dtype]
+                frame[column.name] = 1.003 if column.name == "scale" else plain
         identity = np.tile(np.eye(4), (len(frame), 1, 1))
         return pd.concat([frame, pose_frame("map_vio", identity), pose_frame("map_vio_yaw", identity)], axis=1)
 
@@ -261,10 +262,14 @@ class MadeUpScene:
 
     def _gate(self) -> pd.DataFrame:
         row = {"check": "window_motion", "session_id": "walk_1", "t_start_ns": 0, "t_end_ns": SECOND, "frames": 10}
-        row |= {"value": 0.01, "limit": 0.1, "unit": "m", "passed": True, "reason": "", "component": 0, "cause": ""}
-        row["verdict"] = "passed"
-        failed = row | {"session_id": "walk_2", "value": 0.3, "passed": False, "reason": "VIO and the model disagree"}
-        failed["verdict"] = "failed"
+        row |= {"value": 0.01, "limit": 0.1, "unit": "m", "sd": None, "status": "passed", "reason": ""}
+        row |= {"advice": "", "component": 0, "cause": ""}
+        failed = row | {
+            "session_id": "walk_2",
+            "value": 0.3,
+            "status": "failed",
+            "reason": "VIO and the model disagree",
+        }
         return pd.DataFrame([row, failed])
 
     def _history(self) -> pd.DataFrame:
