@@ -131,7 +131,8 @@ def _forces(linear: Linearized, weight_M: Array, residual_M2: Array, point_M: In
 def coherence(adjusted: Adjusted, blob_P: Ints) -> tuple[float, float]:
     """How much more residuals hang together in the rows of a frame that are read out together, and in a part of the
     image over all frames, than independent ones would: the ratio of the variances of their sums (Kish's design effect),
-    at least 1, less what may be chance. A shutter or focus that isn't modelled shows in the first, a lens in the second.
+    at least 1, less what may be chance. A shutter or focus that isn't modelled shows in the first, a lens in the
+    second.
     """
     scene, cameras = adjusted.scene, adjusted.cameras
     residual = project(scene, cameras) - scene.seen_px

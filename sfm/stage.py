@@ -485,9 +485,10 @@ def _covariances(
             r.figure(f"coherence_rows_{one.folder}", estimate.by_rows)
             r.figure(f"coherence_cells_{one.folder}", estimate.by_cell)
             if estimate.by_rows > _INCOHERENT:
+                times = f"{estimate.by_rows:.0f} times what independent ones do"
                 r.say(
-                    f"model {one.model_id}: residuals hang together in rows of frames ({estimate.by_rows:.0f} times what"
-                    " independent ones do): a rolling shutter, focus or stabilised video isn't modelled; sigmas grow"
+                    f"model {one.model_id}: residuals hang together in rows of frames ({times}): a rolling shutter, "
+                    "focus or stabilised video isn't modelled; sigmas grow"
                 )
         estimates.append(estimate)
     return covariance, estimates
