@@ -84,8 +84,9 @@ def adjust_model(
         priors = replace(priors, focus_sd=_focus_sd(adjusted.cameras))
     adjusted = adjust(scene, adjusted.cameras, priors)
     _write_back(model, rows, point_ids, adjusted, features)
+    observations.filter_observations_with_negative_depth()
     model.update_point_3d_errors()
-    return adjusted, rows
+    return replace(adjusted, scene=_scene_of(model, keypoints)[2]), rows
 
 
 def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cameras:
