@@ -23,7 +23,7 @@ _LOG_FOCAL_SD = 0.01
 _FOCUS_SD, _FOCUS_FRAMES = 0.002, 5
 _FIRST_STEPS, _FIRST_LOSS_WIDENING = 8, 4.0
 _EXACT_SD = 1e-7
-_OUTLIER_SIGMAS = 5.0
+_OUTLIER_SIGMAS = 4.0
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def adjust_model(
     """Adjust a model in place; `keypoints` are those of all N frames as they were found. Returns what came out, and the
     rows (R,) of its frames.
 
-    Observations beyond five sigma are taken out on the way. The model then has the cameras' focal lengths and lenses,
+    Observations beyond four sigma are taken out on the way. The model then has the cameras' focal lengths and lenses,
     and its observations where a camera without rolling shutter would have them.
     """
     observations = pycolmap.ObservationManager(model)
