@@ -83,20 +83,6 @@ def artefacts(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-m", "artefacts", *arguments], capture_output=True, text=True, cwd=cwd)
 
 
-def test_clean_spares_real_captures(tmp_path: Path) -> None:
-    real, simulated = tmp_path / "data/captures/real", tmp_path / "data/captures/made"
-    for folder in (real, simulated, tmp_path / "data/runs/demo/real", tmp_path / "data/runs/demo/made"):
-        folder.mkdir(parents=True)
-    (simulated / "SIMULATED.json").write_text("{}")
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    assert artefacts("link-captures", "--scene", "linked", "--folder", str(elsewhere), cwd=tmp_path).returncode == 0
-    for scene in ("real", "made", "linked"):
-        assert artefacts("clean", "--scene", scene, cwd=tmp_path).returncode == 0
-    assert real.is_dir() and elsewhere.is_dir() and not simulated.exists()
-    assert not (tmp_path / "data/runs/demo/real").exists()
-
-
 def test_user_errors_are_short(tmp_path: Path) -> None:
     refused = artefacts("link-captures", "--scene", "x", "--folder", "missing", cwd=tmp_path)
     assert refused.returncode == 2

@@ -213,7 +213,7 @@ def test_rows_have_the_poses_of_the_walk() -> None:
 
 
 def test_a_lens_of_no_strength_and_a_camera_at_rest_are_the_pinhole(tmp_path: Path) -> None:
-    session, _ = walked(tmp_path)
+    session, _ = walked(tmp_path, lens_k1=0.0, lens_k2=0.0, readout_s=0.0, focus_breathing=0.0)
     view = session.shots[2].view
     assert view.lens.is_pinhole
     assert view.shutter is None
