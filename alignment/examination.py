@@ -1,6 +1,7 @@
 """Is the model right? Scale and vertical of each of its parts, and every check before ground truth is given out."""
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,13 @@ from alignment.gate import (
 )
 from alignment.map_frame import common_scale, common_vertical
 from alignment.quality import contradicted, judge, sfm_covariances
+from alignment.reference import Reference, check_sessions, fit_component
 from alignment.segments import Segment, cut_segments, frame_components
 from alignment.settings import AlignSettings
 from alignment.sfm_tables import Focal, SfmTables
 from alignment.uncertainty import covariance_in_map
 from artefacts import UserError
+from geometry import GeometryError
 from geometry.diagnosis import Diagnosis, diagnose
 from geometry.fits import direction_angles
 from geometry.motion_agreement import MISTAKES
@@ -45,14 +48,16 @@ _OF_THE_WHOLE = {
 # Images count as telling a focal length beyond the bound and so many sigmas. Where a walk hardly tells it from depth,
 # as straight on, what isn't modelled decides, and the sigma is large.
 _FOCAL_SIGMAS = 5.0
+# What a frame of class A or B is inside of with 95 %: a reference that says otherwise confirms neither.
+_TOLERANCE_M, _TOLERANCE_RAD = 0.25, float(np.radians(2.0))
 _OTHERWISE = (DISAGREES, "SfM moves otherwise than VIO in most steps")
 
 
 @dataclass
 class Examination:
     """What was found. Arrays are over the rows of the frames table: `registered`, `reason` (why a frame gets no ground
-    truth, empty where it does), the largest residuals of its windows in metres and radians, NaN in none.
-    `refusal` is why there is no ground truth at all."""
+    truth, empty where it does), the largest residuals of its windows in metres and radians (or those against the
+    reference, where that gives the map), NaN in none. `refusal` is why there is no ground truth at all."""
 
     components: list[Component]
     placed: list[Placed]
@@ -64,6 +69,7 @@ class Examination:
     worst_rad: Array
     refusal: UserError | None = None
     diagnoses: dict[tuple[int, str], Diagnosis] = field(default_factory=dict)
+    reference: Reference | None = None
 
     @property
     def used(self) -> np.ndarray:
@@ -88,12 +94,21 @@ class Examination:
             reason=self.reason[wanted],
             worst_m=self.worst_m[wanted],
             worst_rad=self.worst_rad[wanted],
+            reference=None if self.reference is None else self.reference.where(wanted),
         )
 
     @property
     def checked(self) -> np.ndarray:
-        """(N,) frames that were compared with VIO."""
-        return np.isfinite(self.worst_m)
+        """(N,) frames that were compared with VIO, or with a reference in metres that confirms them."""
+        known = np.isfinite(self.worst_m)
+        if self.reference is not None and self.reference.gives_map:
+            known &= (self.worst_m <= _TOLERANCE_M) & (self.worst_rad <= _TOLERANCE_RAD)
+        return known & self.is_metric
+
+    @property
+    def is_metric(self) -> bool:
+        """The map's unit is the metre: not where a reference of unknown unit gives it."""
+        return self.reference is None or self.reference.metric or not self.reference.gives_map
 
 
 def examine(
@@ -102,8 +117,9 @@ def examine(
     jumps: pd.DataFrame,
     recordings: dict[str, str],
     settings: AlignSettings,
+    reference: Reference | None = None,
 ) -> Examination:
-    """Check SfM's models against VIO and put those that pass into one map.
+    """Check SfM's models against VIO, or a reference where no frame has VIO, and put those that pass into one map.
 
     `frames` and `jumps` are import's tables. Raises UserError where there is nothing to compare; a model that is wrong
     is told in `refusal`.
@@ -128,20 +144,18 @@ def examine(
         np.full(count, np.nan),
         np.full(count, np.nan),
     )
+    found.reference = reference
     _check_registered(found, frames, recordings, settings)
     drift = _drift(settings)
     sd = PoseSd(settings.position_sd_m, float(np.radians(settings.rotation_sd_deg)))
+    cut = partial(cut_segments, frames, images, jumps, recordings, component_of)
+    segments = cut(jump_m=settings.segment_jump_m, jump_deg=settings.segment_jump_deg)
     # Scale and agreement are compared between all jumps, also those that an alignment lives with.
-    segments = cut_segments(
-        frames,
-        images,
-        jumps,
-        recordings,
-        component_of,
-        jump_m=settings.segment_jump_m,
-        jump_deg=settings.segment_jump_deg,
-    )
-    pieces = cut_segments(frames, images, jumps, recordings, component_of, jump_m=0.0, jump_deg=0.0)
+    pieces = cut(jump_m=0.0, jump_deg=0.0)
+    if reference is not None and reference.gives_map:
+        _place_on_reference(found, names, segments, pieces, sfm, settings)
+        found.refusal = _refusal(found, frames, settings)
+        return found
     for index, name in enumerate(names):
         own = [s for s in segments if s.component == index]
         component = _component(found, index, name, own, [p for p in pieces if p.component == index], settings)
@@ -161,6 +175,47 @@ def examine(
     _place(found, settings, drift, sd)
     found.refusal = _refusal(found, frames, settings)
     return found
+
+
+def _place_on_reference(
+    found: Examination,
+    names: list[str],
+    segments: list[Segment],
+    pieces: list[Segment],
+    sfm: SfmTables,
+    settings: AlignSettings,
+) -> None:
+    """Each model in the reference's frame by a fit of its own, and its sessions checked against it."""
+    assert found.reference is not None
+    for index, name in enumerate(names):
+        own, parts = ([s for s in of if s.component == index] for of in (segments, pieces))
+        try:
+            fit = fit_component(index, name, own, parts, found.reference, settings)
+        except GeometryError as error:
+            rows = np.concatenate([s.rows[s.registered] for s in own])
+            if index == 0:
+                raise UserError(
+                    "SfM's model can't be put onto the reference poses",
+                    where="frames that have both an SfM and a reference pose",
+                    expected="3 or more, in different places",
+                    found=error,
+                    do="import more frames of the data set",
+                ) from None
+            reason = f"its part of the model can't be put onto the reference: {error}"
+            about: dict[str, Any] = {"component": index, "frames": len(rows), "at_least": True}
+            found.gate.check("component_metric", None, 0.0, "m", BROKEN_OFF, reason, **about)
+            _refuse(found, rows, reason)
+            continue
+        found.components.append(fit.placed.component)
+        found.placed.append(fit.placed)
+        found.worst_m[fit.rows], found.worst_rad[fit.rows] = fit.fit.position, fit.fit.rotation
+        for rows, reason in check_sessions(found.gate, fit, settings):
+            _refuse(found, rows, reason)
+        for session_id in dict.fromkeys(s.session_id for s in own):
+            rows = np.concatenate([s.rows[s.registered] for s in own if s.session_id == session_id])
+            about = {"session_id": session_id, "component": index, "frames": len(rows)}
+            for reason in _focal_faults(found.gate, sfm.focal(name, session_id), settings, about):
+                _refuse(found, rows, reason)
 
 
 def _drift(settings: AlignSettings) -> VioDrift:
@@ -456,10 +511,14 @@ def _refusal(found: Examination, frames: pd.DataFrame, settings: AlignSettings) 
         ids = frames["frame_id"].to_numpy(str)[largest.segment.rows[largest.inside]]
         where = f"worst from {ids[0]} to {ids[-1]}"
     failed = len(found.gate.failed)
+    on_reference = found.reference is not None and found.reference.gives_map
+    against = (
+        "the limits around the reference poses (align.reference_limit_*)" if on_reference else "what VIO can drift"
+    )
     return UserError(
         f"the SfM model is wrong: {main['cause']}",
         where=where,
-        expected=f"at least {settings.least_agreeing:.0%} of the frames within what VIO can drift",
+        expected=f"at least {settings.least_agreeing:.0%} of the frames within {against}",
         found=f"{used.sum()} of {registered.sum()} ({good:.0%}); {failed} of {len(found.gate.rows)} checks failed; "
         f"{main['reason']}",
         do="look at the sfm recording and at the capture",

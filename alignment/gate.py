@@ -21,6 +21,8 @@ OTHER_SCENE = "another scene mixed in"
 BROKEN_OFF = "broken off"
 TOO_FEW = "too few frames registered"
 DISAGREES = "SfM and VIO disagree"
+REFERENCE = "SfM and the reference disagree"
+DEPTH = "map and depth sensor disagree"
 CAUSES = (
     MIRRORED,
     SHUFFLED,
@@ -32,6 +34,8 @@ CAUSES = (
     BROKEN_OFF,
     TOO_FEW,
     DISAGREES,
+    REFERENCE,
+    DEPTH,
 )
 
 

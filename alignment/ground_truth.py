@@ -9,6 +9,7 @@ from alignment.components import Placed, bridge_covariance
 from alignment.drift import DriftSamples, drift_table, measure_drift
 from alignment.examination import Examination, examine
 from alignment.quality import judge, sfm_covariances
+from alignment.reference import BY_GRAVITY, BY_VIO, Reference, agreement_table
 from alignment.sessions import SessionFit, fit_session, residuals_table, sessions_table
 from alignment.settings import AlignSettings
 from alignment.sfm_tables import SfmTables
@@ -29,6 +30,7 @@ class Aligned:
     drift: pd.DataFrame
     gate: pd.DataFrame
     residuals: pd.DataFrame
+    reference_agreement: pd.DataFrame
     placed: list[Placed]
     map_T_cam: Array
     fits: list[SessionFit]
@@ -45,6 +47,7 @@ def align(
     jumps: pd.DataFrame,
     recordings: dict[str, str],
     settings: AlignSettings,
+    reference: Reference | None = None,
 ) -> Aligned:
     """Build the map frame, check the model against VIO, and give out ground truth.
 
@@ -52,7 +55,7 @@ def align(
     the map can't be built, or where too much of the model fails the gate.
     """
     frames = frames.reset_index(drop=True)
-    found = examine(frames, sfm, jumps, recordings, settings)
+    found = examine(frames, sfm, jumps, recordings, settings, reference)
     if found.refusal:
         raise found.refusal
     return build(frames, sfm.images, found, settings)
@@ -63,11 +66,11 @@ def build(frames: pd.DataFrame, images: pd.DataFrame, found: Examination, settin
     dataset = ~frames["support"].to_numpy(bool)
     found, images, frames = found.where(dataset), images[dataset].reset_index(drop=True), dataset_frames(frames)
     sd = PoseSd(settings.position_sd_m, float(np.radians(settings.rotation_sd_deg)))
-    map_T_cam = np.full((len(frames), 4, 4), np.nan)
+    map_T_cam, component = np.full((len(frames), 4, 4), np.nan), np.full(len(frames), -1)
     sfm_T_cam = poses_of(images, "sfm_cam")
     for placed in found.placed:
         rows = _rows(placed)
-        map_T_cam[rows] = placed.map_S_sfm.poses(sfm_T_cam[rows])
+        map_T_cam[rows], component[rows] = placed.map_S_sfm.poses(sfm_T_cam[rows]), placed.component.index
     # By session, for whoever reads the table; models of one session one after the other.
     order = sorted(
         ((s, p) for p in found.placed for s in p.component.segments),
@@ -80,6 +83,7 @@ def build(frames: pd.DataFrame, images: pd.DataFrame, found: Examination, settin
         _drift(fits),
         found.gate.table(),
         residuals_table(fits, frames["frame_id"].to_numpy(str), found.worst_m, np.degrees(found.worst_rad)),
+        agreement_table(frames, map_T_cam, component, found.reference),
         found.placed,
         map_T_cam,
         fits,
@@ -135,6 +139,9 @@ def _ground_truth(
     table["rotation_sd_deg"] = np.degrees(sd_rad)
     table["quality"] = np.where(known, quality, "none")
     table["reason"] = found.reason
+    by_reference = found.reference if found.reference is not None and found.reference.gives_map else None
+    table["scale_source"] = BY_VIO if by_reference is None else by_reference.scale_source
+    table["vertical_source"] = BY_GRAVITY if by_reference is None else by_reference.vertical_source
     table["gt_uses_vio"] = images["uses_vio"].to_numpy(bool) | bridged
     return pd.concat([table, pose_frame("map_cam", map_T_cam)], axis=1)
 

@@ -3,11 +3,14 @@
 import numpy as np
 import pandas as pd
 
+from alignment.depth import DepthSamples, check_depth, depth_clouds, has_depth, sample_frames
+from alignment.depth import agreement_table as depth_table
 from alignment.drift import ALL
-from alignment.examination import examine
+from alignment.examination import Examination, examine
 from alignment.ground_truth import Aligned, build, camera_sd
 from alignment.picture import draw_gate
 from alignment.recording import write_recording
+from alignment.reference import BY_VIO, Reference, describe_agreement
 from alignment.sessions import SessionFit
 from alignment.settings import AlignSettings
 from alignment.sfm_tables import SfmTables
@@ -26,8 +29,9 @@ def run(r: StageRun[AlignSettings]) -> None:
     # SfM's poses go with these cameras.
     frames = with_cameras(frames, images)
     recordings = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
+    reference = Reference.of(frames, r.read("import", "reference"), sessions)
     with r.step("examine"):
-        found = examine(frames, sfm, jumps, recordings, r.settings)
+        found = examine(frames, sfm, jumps, recordings, r.settings, reference)
     with r.step("picture"):
         shown = found.where(~frames["support"].to_numpy(bool))
         draw_gate(r.work / PICTURE, shown, r.scene.name, simulated=r.simulated)
@@ -41,14 +45,37 @@ def run(r: StageRun[AlignSettings]) -> None:
             found=told["found"],
             do=f"look at {r.work / PICTURE}; {told['do']}",
         )
+    with r.step("depth"):
+        depth = _judge_by_depth(r, frames, images, found)
+    r.write("depth_agreement", depth)
     with r.step("align"):
         aligned = build(frames, images, found, r.settings)
     frames = dataset_frames(frames)
-    for table in ("ground_truth", "sessions", "drift", "gate", "residuals"):
+    for table in ("ground_truth", "sessions", "drift", "gate", "residuals", "reference_agreement"):
         r.write(table, getattr(aligned, table))
     _figures(r, frames, aligned)
+    clouds = {}
+    if len(depth) and found.is_metric:
+        clouds = depth_clouds(frames, aligned.map_T_cam, shown.used, r.image_path)
     with r.step("recording"):
-        write_recording(r, aligned, frames, r.read("sfm", "points"))
+        write_recording(r, aligned, frames, r.read("sfm", "points"), clouds)
+
+
+def _judge_by_depth(
+    r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame, found: Examination
+) -> pd.DataFrame:
+    """The depth_agreement table, with its checks in the gate where the map is metric."""
+    if not has_depth(frames):
+        return depth_table(DepthSamples.none(), r.seed)
+    folders = r.read("sfm", "models").set_index("model_id")["folder"]
+    samples = sample_frames(
+        frames, images, found.used, found.placed, lambda model_id: r.folder("sfm") / folders[model_id], r.image_path
+    )
+    agreement = depth_table(samples, r.seed)
+    if found.is_metric:
+        for line in check_depth(found.gate, agreement, r.settings):
+            r.say(line)
+    return agreement
 
 
 def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned) -> None:
@@ -66,7 +93,7 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
         "bridged": int(gt["gt_uses_vio"].sum()),
         "metres_per_sfm_unit": main.map_S_sfm.scale,
         "scale_sd": main.component.scale.sd,
-        "session_scale_spread": float(sessions["scale"].max() - sessions["scale"].min()),
+        "session_scale_spread": _or_none(sessions["scale"].max() - sessions["scale"].min()),
         "vertical_sd_deg": float(np.degrees(main.component.vertical.sd)),
         "camera_sd_deg": float(np.degrees(camera_sd(frames, r.settings))),
         "vertical_correction_deg": _or_none(sessions["up_error_deg"].max()),
@@ -76,6 +103,11 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
         "sim3_rotation_median_deg": _or_none(sessions["sim3_rotation_median_deg"].max()),
         "vio_5m_median_percent": _over_5m(aligned.drift, "median"),
         "vio_5m_max_percent": _over_5m(aligned.drift, "max"),
+        "scale_source": gt["scale_source"].iloc[0],
+        "vertical_source": gt["vertical_source"].iloc[0],
+        "reference_position_rms_m": _pooled_rms(
+            aligned.reference_agreement["position_rms_m"], aligned.reference_agreement["compared"]
+        ),
         "checks": len(aligned.gate),
         "checks_failed": failed,
     }
@@ -85,10 +117,17 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
         f"{registered} of {len(gt)} frames registered, {int(known.sum())} with ground truth "
         f"(A {counts['A']}, B {counts['B']}, C {counts['C']})"
     )
+    source = gt["scale_source"].iloc[0]
+    if source != BY_VIO:
+        source = f"{source} (± of the fit to it; what it is off by itself isn't known)"
+    else:
+        source = f"{len(main.component.scale.recordings)} VIO recordings"
     r.say(
         f"map: {main.map_S_sfm.scale:.6g} m per SfM unit ± {100 * main.component.scale.sd:.2f} %, vertical "
-        f"± {figures['vertical_sd_deg']:.2f}°, from {len(main.component.scale.recordings)} VIO recordings"
+        f"± {figures['vertical_sd_deg']:.2f}°, from {source}"
     )
+    for line in describe_agreement(aligned.reference_agreement, gt):
+        r.say(line)
     for placed in aligned.placed[1:]:
         if placed.bridge is not None:
             r.say(
@@ -96,9 +135,15 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
                 f"{placed.bridge.gap_m:.1f} m of {placed.bridge.session_id}"
             )
     for fit in aligned.fits:
-        r.say(_describe(fit))
-    r.say(f"gate: {failed} of {len(aligned.gate)} checks failed" if failed else "gate: all checks passed")
-    for (cause, session_id), rows in aligned.gate[~aligned.gate["passed"]].groupby(["cause", "session_id"]):
+        if fit.segment.tracked.any():
+            r.say(_describe(fit))
+    _report_gate(r, aligned.gate)
+
+
+def _report_gate(r: StageRun[AlignSettings], gate: pd.DataFrame) -> None:
+    failed = int((~gate["passed"]).sum())
+    r.say(f"gate: {failed} of {len(gate)} checks failed" if failed else "gate: all checks passed")
+    for (cause, session_id), rows in gate[~gate["passed"]].groupby(["cause", "session_id"]):
         r.say(f"  {cause}{f', {session_id}' if session_id else ''}: {rows['reason'].iloc[0]} ({len(rows)} checks)")
 
 
@@ -145,7 +190,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=7,
+    version=8,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

@@ -38,6 +38,17 @@ def read_text(path: Path, max_bytes: int) -> str:
         raise BadRow(f"file can't be read: {error.strerror}") from None
 
 
+def first_bytes(path: Path, count: int = 1 << 16) -> bytes:
+    """The beginning of a file; nothing where it's no ordinary file or can't be read."""
+    try:
+        if not path.is_file():
+            return b""
+        with path.open("rb") as file:
+            return file.read(count)
+    except OSError:
+        return b""
+
+
 def parse_json(text: str) -> dict[str, Any]:
     """A JSON object; BadRow where the text isn't one."""
     try:

@@ -10,10 +10,11 @@ import pandas as pd
 from artefacts import Stage, StageRun, UserError
 from artefacts.stage import write_json
 from artefacts.tables import dataset_frames
-from capture_import.blurring import CascadeDetector
+from capture_import.blurring import CascadeDetector, Detector
 from capture_import.capture import RawFrame, Reject
 from capture_import.clock import NOTICEABLE_S, ClockCheck, check_clock
 from capture_import.convention import SUSPECT, ConventionCheck, check_convention
+from capture_import.depth import place_depths
 from capture_import.discovery import Found, find_recordings
 from capture_import.images import ImageCheck
 from capture_import.intake import Intake, Scan, Session, measures, take_in
@@ -70,24 +71,16 @@ def run(r: StageRun[ImportSettings]) -> None:
         for session in sessions:
             selection = used[session.session_id]
             if selection.images:
-                where = Placement(
-                    root=root,
-                    work=r.work,
-                    spooled=_spooled(r, session.recording.session_id),
-                    how=r.settings.images,
-                    quarters=quarters[session.session_id],
-                    to_upright=to_upright[session.session_id],
-                    limits=r.settings.limits,
-                    detect=detect,
-                )
-                places = place_images(selection.images, session.session_id, where)
-                parts.append(frames_table(session, selection, places))
+                turns = (quarters[session.session_id], to_upright[session.session_id])
+                placed, bad = _placed_frames(r, session, selection, turns, detect)
+                parts.append(placed)
+                rejects += bad
         frames = pd.concat(parts, ignore_index=True)
         dataset = dataset_frames(frames)
         split = split_frames(dataset, r.scene.split, r.settings.split_by == "time")
         frames["split"] = nearest_split(frames, dataset.assign(split=split.of_frame))
         frames = frames[frames["split"] != "unused"].reset_index(drop=True)
-        table = sessions_table(sessions, frames)
+        table = sessions_table(sessions, frames, metric=r.settings.reference_is_metric)
         r.write("frames", frames.drop(columns=["recording", "said"]))
         r.write("sessions", table)
         r.write("rejects", rejects_table(rejects))
@@ -105,6 +98,29 @@ def run(r: StageRun[ImportSettings]) -> None:
             left_out = _rejects_of(session, sessions, rejects)
             spooled = _spooled(r, session.recording.session_id)
             log_session(stream, session, by_session[session.session_id], left_out, _image_path(r.work, root), spooled)
+
+
+def _placed_frames(
+    r: StageRun[ImportSettings], session: Session, selection: Selection, turns: tuple[int, int], detect: Detector | None
+) -> tuple[pd.DataFrame, list[Reject]]:
+    """Place a session's kept images and their depth: rows of the frames table, and depth images that can't be used.
+
+    `turns` are the quarter turns that images are turned by, and those that would put gravity down.
+    """
+    quarters, to_upright = turns
+    where = Placement(
+        root=r.captures.resolve(),
+        work=r.work,
+        spooled=_spooled(r, session.recording.session_id),
+        how=r.settings.images,
+        quarters=quarters,
+        to_upright=to_upright,
+        limits=r.settings.limits,
+        detect=detect,
+    )
+    places = place_images(selection.images, session.session_id, where)
+    depths, rejects = place_depths(selection.images, session.session_id, where)
+    return frames_table(session, selection, places, depths), rejects
 
 
 def _rejects_of(session: Session, sessions: Sequence[Session], rejects: Sequence[Reject]) -> list[Reject]:
@@ -289,6 +305,7 @@ def _report(
         "jumps": jumps,
         "jumps_that_split": int(cuts),
         "path_m": float(table["path_m"].sum()),
+        "frames_with_depth": int(frames["depth"].notna().sum()),
         "split": split.how,
         "leak_s": split.leak_s,
     }
@@ -310,7 +327,7 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
 
 STAGE = Stage(
     name="import",
-    version=4,
+    version=5,
     settings=ImportSettings,
     needs=(),
     run=run,

@@ -42,6 +42,14 @@ class Dataset:
     simulated: bool
 
     @property
+    def world(self) -> str:
+        """Unit and axes of the map, in words."""
+        scale, vertical = (str(self.frames[f"{of}_source"].iloc[0]) for of in ("scale", "vertical"))
+        unit = "a reference's unit, which isn't known" if "unknown" in scale else "metres"
+        axes = "a reference's axes, up not known" if "unknown" in vertical else "+y up"
+        return f"{unit}, {axes}"
+
+    @property
     def in_test(self) -> np.ndarray:
         """(N,) for formats that know training and test alone: validation frames are part of the training walks."""
         return (self.frames["split"] == "test").to_numpy()
@@ -83,7 +91,9 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
     ground_truth = read_table(folders["align"] / "ground_truth.parquet", schema("align", "ground_truth"))
     images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
     frames = dataset_frames(read_table(folders["import"] / "frames.parquet", schema("import", "frames"))).merge(
-        ground_truth[["frame_id", "quality", "reason", "component"]], on="frame_id", validate="one_to_one"
+        ground_truth[["frame_id", "quality", "reason", "component", "scale_source", "vertical_source"]],
+        on="frame_id",
+        validate="one_to_one",
     )
     frames = with_cameras(frames, images)
     known = (frames["quality"] != "none").to_numpy()

@@ -5,6 +5,7 @@ Documented at https://www.repository.cam.ac.uk/handle/1810/251342 (readme). What
 - a row is an image's path, the camera's position in metres, and a quaternion w, x, y, z of the world-to-camera
   rotation, with OpenCV's camera axes; poses come from SfM: a reference, not VIO, and nothing says where up is;
 - `reconstruction.nvm` (VisualSFM) has each image's focal length; the centre is in the middle of the image;
+- `intrinsics.csv`, which our own exports write beside, has each image's whole intrinsics and goes before both;
 - frames have no time; the videos were sampled twice a second.
 
 A folder of images (`seq1`) is one recording; it's wholly for training or for testing.
@@ -55,6 +56,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             rows += own
             splits |= {split} if own else set()
     focal = _focal_lengths(path.parent / "reconstruction.nvm", path.name, limits)
+    whole = _intrinsics(path.parent / "intrinsics.csv", limits)
 
     def read_row(source: str, line: str) -> RawFrame:
         name, _, numbers = line.strip().partition(" ")
@@ -75,7 +77,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             t_ns=seconds_to_ns(int(index[1]) / _FRAMES_A_SECOND),
             vio_T_cam=make_pose(cam_R_world.T, values[:3]),
             image=ImageFile(image),
-            intrinsics=Intrinsics(f, f, width / 2, height / 2, width, height),
+            intrinsics=whole.get(name) or Intrinsics(f, f, width / 2, height / 2, width, height),
         )
 
     frames, rejects = collect(rows, session_id, read_row)
@@ -107,6 +109,29 @@ def _focal_lengths(file: Path, folder: str, limits: Limits) -> dict[str, float]:
         if len(fields) == 11 and fields[0].startswith(f"{folder}/"):
             value = float(fields[1]) if re.fullmatch(r"[0-9.]+(e[+-]?\d+)?", fields[1]) else np.nan
             found[Path(fields[0]).stem] = value
+    return found
+
+
+def _intrinsics(file: Path, limits: Limits) -> dict[str, Intrinsics]:
+    """Whole intrinsics by the image's path, where our export has written them; none where it's another file."""
+    if not file.is_file():
+        return {}
+    header, *rows = lines_of(file, limits.max_text_bytes) or [("", "")]
+    if header[1].strip() != "image,width,height,fx,fy,cx,cy":
+        return {}
+    found = {}
+    for source, line in rows:
+        name, _, numbers = line.partition(",")
+        try:
+            width, height, *camera = split_numbers(numbers, ",")
+            found[name] = Intrinsics.of(camera, int(width), int(height))
+        except (BadRow, ValueError, OverflowError) as error:
+            raise UserError(
+                "intrinsics.csv can't be read",
+                where=file,
+                expected="image,width,height,fx,fy,cx,cy",
+                found=f"{source}: {error}",
+            ) from None
     return found
 
 

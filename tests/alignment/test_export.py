@@ -246,10 +246,40 @@ def test_our_importer_reads_its_data_sets(scene: DataRoot, name: str) -> None:
             found[frame_id] = raw.vio_T_cam
             pixels = cv2.imread(str(raw.image.path))
             assert (pixels == cv2.imread(str(_image(scene, frame_id)))).all()
-            if name == "cambridge":
-                expected = truth.loc[frame_id, ["fx", "fy"]].mean()
-                assert raw.intrinsics.fx == pytest.approx(expected, abs=1e-6)
+            camera, columns = raw.intrinsics, ["fx", "fy", "cx", "cy"]
+            stated = [camera.fx, camera.fy, camera.cx, camera.cy]
+            np.testing.assert_allclose(stated, truth.loc[frame_id, columns].to_numpy(float), atol=1e-6)
     _assert_same(scene, found)
+
+
+@pytest.mark.parametrize("name", ["colmap", "colmap-text", "nerfstudio"])
+def test_our_importer_reads_what_other_tools_read(scene: DataRoot, name: str) -> None:
+    out = _export(scene, name, "--images", "copy")
+    frame_of, truth, found = _frame_of(out), _truth(scene), {}
+    sessions = _sessions(out)
+    # walk0 is partly for testing; a recording is for one thing, or for none by name.
+    assert [(s.session_id, s.split, len(s.frames)) for s in sessions] == [("walk0", None, 19), ("walk1", "test", 20)]
+    for session in sessions:
+        assert not session.rejects and not session.notes
+        assert (session.poses_are, session.metric, session.gravity_aligned) == ("reference", True, True)
+        for raw in session.frames:
+            frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
+            found[frame_id] = raw.vio_T_cam
+            camera, columns = raw.intrinsics, ["fx", "fy", "cx", "cy"]
+            stated = [camera.fx, camera.fy, camera.cx, camera.cy]
+            np.testing.assert_allclose(stated, truth.loc[frame_id, columns].to_numpy(float), atol=1e-6)
+            assert camera.distortion == () and raw.image.path.is_file()
+    _assert_same(scene, found)
+
+
+def test_a_map_of_unknown_unit_is_not_exported_as_metres(scene: DataRoot) -> None:
+    path = scene.run("tiny", "Place", "align") / "ground_truth.parquet"
+    gt = read_table(path, schema("align", "ground_truth"))
+    gt = gt.assign(scale_source="reference, unit unknown", vertical_source="reference, up unknown")
+    write_table(path, gt, schema("align", "ground_truth"))
+    out = _export(scene, "nerfstudio", "--images", "copy")
+    assert json.loads((out / "export.json").read_text())["map"].startswith("a reference's unit, which isn't known")
+    assert {(s.metric, s.gravity_aligned) for s in _sessions(out)} == {(False, False)}
 
 
 def test_what_two_formats_have_no_place_for_lies_beside(scene: DataRoot) -> None:
