@@ -3,7 +3,7 @@
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -17,6 +17,8 @@ from geometry.fits import Sim3
 from geometry.poses import Array
 
 Images = Literal["link", "copy", "none"]
+_CAMERA = ["width", "height", "fx", "fy", "cx", "cy"]
+_NO_LENS_PX = 0.1
 
 
 @dataclass(frozen=True)
@@ -55,8 +57,10 @@ class Dataset:
         return (self.frames["split"] == "test").to_numpy()
 
     def refuse_distortion(self, format_name: str, coefficients: int = 0) -> None:
-        """UserError where a frame has more distortion coefficients than a format can hold."""
-        most = max(len(np.trim_zeros(np.asarray(d, dtype=float), "b")) for d in self.frames["distortion"])
+        """UserError where a frame has more distortion coefficients than a format can hold; a lens that moves no corner
+        of its image by 0.1 px is none."""
+        cameras = self.frames[[*_CAMERA, "distortion"]].itertuples(index=False)
+        most = max((_coefficients(camera) for camera in cameras if _lens_shift_px(camera) > _NO_LENS_PX), default=0)
         if most > coefficients:
             raise UserError(
                 f"{format_name} can't hold the lens distortion of these images",
@@ -121,6 +125,23 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
         ],
         bool(manifest["simulated"]),
     )
+
+
+def _coefficients(camera: Any) -> int:
+    return len(np.trim_zeros(np.asarray(camera.distortion, dtype=float), "b"))
+
+
+def _lens_shift_px(camera: Any) -> float:
+    """How far a frame's lens moves the corners of its image, at most."""
+    if not _coefficients(camera):
+        return 0.0
+    k = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
+    corners = np.array([[x, y] for x in (0, camera.width) for y in (0, camera.height)], dtype=float)
+    rays = np.column_stack([(corners - k[:2, 2]) / [camera.fx, camera.fy], np.ones(4)])
+    lens = np.zeros(8)
+    lens[: len(camera.distortion)] = camera.distortion
+    seen, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), k, lens)
+    return float(np.linalg.norm(seen[:, 0] - corners, axis=1).max())
 
 
 def place_image(source: Path, target: Path, images: Images) -> None:

@@ -369,6 +369,12 @@ def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:
     frame = json.loads((_export(scene, "nerfstudio") / "transforms.json").read_text())["frames"][0]
     assert [frame.get(key) for key in ("k1", "k2", "p1", "p2", "k3")] == [0.1, 0.0, 0.01, 0.0, 0.0]
 
+    # An estimate that moves no pixel is no lens.
+    frames["distortion"] = [[1e-5, -1e-6]] * len(frames)
+    write_table(path, frames, schema("import", "frames"))
+    for name in ("7scenes", "cambridge"):
+        _export(scene, name)
+
     manifest = scene.run("tiny", "Place", "sfm") / "manifest.json"
     manifest.write_text(json.dumps({"outputs": {"images.parquet": "another"}, "simulated": True}))
     with pytest.raises(UserError, match="another sfm run"):
