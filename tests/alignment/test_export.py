@@ -370,8 +370,8 @@ def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:
     assert [frame.get(key) for key in ("k1", "k2", "p1", "p2", "k3")] == [0.1, 0.0, 0.01, 0.0, 0.0]
 
     # An estimate that moves no pixel is no lens.
-    frames["distortion"] = [[1e-5, -1e-6]] * len(frames)
-    write_table(path, frames, schema("import", "frames"))
+    images["distortion"] = [[1e-5, -1e-6]] * len(images)
+    write_table(path, images, schema("sfm", "images"))
     for name in ("7scenes", "cambridge"):
         _export(scene, name)
 
