@@ -2,22 +2,52 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.DELETE_ON_ERROR:
 
 scene ?=
 profile ?= demo
 captures ?=
 web ?=
+seconds ?= 60
+nerfstudio ?=
 python ?= python3
+
+# What the user gives is text, never make's or the shell's language: it's read unexpanded, names have to pass a check
+# before a shell sees them, and recipes get all of it through the environment.
+profile_is_given := $(filter command,$(origin profile))
+override scene := $(value scene)
+override profile := $(value profile)
+override captures := $(value captures)
+override web := $(value web)
+override seconds := $(value seconds)
+override nerfstudio := $(value nerfstudio)
+export scene profile captures seconds nerfstudio
+
+name_characters := a b c d e f g h i j k l m n o p q r s t u v w x y z \
+	A B C D E F G H I J K L M N O P Q R S T U V W X Y Z 0 1 2 3 4 5 6 7 8 9 - _
+# $(call check_name,variable): an error unless each word character of its value may stand in a name.
+define check_name
+$(eval rest := $$($(1)))$(foreach c,$(name_characters),$(eval rest := $$(subst $(c),,$$(rest))))
+ifneq ([$$(rest)],[])
+$$(error error: a $(1)'s name has only letters a-z or A-Z, digits, - and _; the given $(1) has something else)
+endif
+endef
+$(eval $(call check_name,scene))
+$(eval $(call check_name,profile))
+ifeq ($(profile),)
+$(error error: the profile is empty; `make help` lists the profiles)
+endif
 
 py := .venv/bin/python
 installed := .venv/.installed
 run := data/runs/$(profile)/$(scene)
 capture := data/captures/$(scene)
 stages := import sfm align train fuse report
-arguments = --scene "$(scene)" --profile "$(profile)"
+arguments := --scene "$$scene" --profile "$$profile"
 scene_goals := all $(stages) simulate view clean
 FORCE:
+
+# Stages put finished artefacts in place by a rename: whatever stops make, there's nothing half-written to delete.
+.PRECIOUS: $(stages:%=$(run)/%/manifest.json) $(capture)/SIMULATED.json
 
 ifneq ($(filter $(scene_goals),$(MAKECMDGOALS)),)
 ifeq ($(scene),)
@@ -40,12 +70,12 @@ install: $(installed) ## Create .venv from the pinned dependencies
 # ---------------------------------------------------------------- captures
 # A folder of one's own is linked, not copied: data/captures/<scene> -> captures=<folder>.
 ifneq ($(captures),)
-ifneq ($(shell realpath -q "$(captures)"),$(shell realpath -q "$(capture)"))
+ifneq ($(words $(captures))$(realpath $(captures)),1$(or $(realpath $(capture)),none))
 link := link-captures
 endif
 endif
 link-captures: | $(installed)
-	@$(py) -m artefacts link-captures --scene "$(scene)" --folder "$(captures)"
+	@$(py) -m artefacts link-captures --scene "$$scene" --folder "$$captures"
 
 # A scene without a file depends on the folder, which changes when a file of it is taken away.
 settings := data/profiles/$(profile).toml $(or $(wildcard data/scenes/$(scene).toml),data/scenes)
@@ -67,12 +97,14 @@ simulate: $(capture)/SIMULATED.json ## Simulate the scene's captures, where it h
 # ---------------------------------------------------------------- stages
 # A group of scenes (outdoor, indoor) shares one model; its members come first.
 members := $(shell sed -n 's/^members = \[\(.*\)\]/\1/p' "data/scenes/$(scene).toml" 2>/dev/null | tr -d '",')
+member := $(subst $() ,,$(members))
+$(eval $(call check_name,member))
 
 ifeq ($(members),)
 # Anything newer than the last import, whatever its name, makes import look again.
 changed := $(shell find -L "$(capture)" -newer "$(run)/import/manifest.json" -print -quit 2>/dev/null)
 all: $(run)/report/manifest.json ## Everything: import, sfm, align, train, fuse, report
-$(run)/import/manifest.json: $(settings) $(simulated) $(if $(changed),FORCE) | $(installed) $(link)
+$(run)/import/manifest.json: $(settings) $(simulated) $(if $(changed)$(link),FORCE) | $(installed) $(link)
 	@$(py) -m capture_import $(arguments)
 $(run)/sfm/manifest.json: $(run)/import/manifest.json $(settings)
 	@$(py) -m sfm $(arguments)
@@ -104,7 +136,7 @@ report: $(run)/report/manifest.json ## Stage 6: tables, figures, page.html
 
 paper: ## All six scenes in the paper profile (profile=tiny: a rehearsal), then one MS-T outdoors and one indoors
 	@for group in outdoor indoor; do \
-		$(MAKE) --no-print-directory scene=$$group profile=$(if $(filter command,$(origin profile)),$(profile),paper) all \
+		$(MAKE) --no-print-directory scene=$$group profile=$(if $(profile_is_given),$(profile),paper) all \
 		|| exit; \
 	done
 
@@ -128,7 +160,7 @@ test-slow: $(installed) ## Whole-pipeline cases
 	@$(py) -m pytest -m slow
 
 bench: $(installed) ## Time, memory and bytes of each stage (profile=demo scene=Church unless named)
-	@$(py) -m benchmarks.stages --scene "$(or $(scene),Church)" --profile "$(profile)"
+	@$(py) -m benchmarks.stages --scene "$${scene:-Church}" --profile "$$profile"
 
 bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures to reach (build/fusion)
 	@$(py) -m benchmarks.fusion $(if $(wildcard build/trained/runs),--data build/trained)
@@ -145,10 +177,10 @@ bench-import: $(installed) ## Import: speed, memory, figures of each format, ner
 	@$(py) -m benchmarks.import_throughput
 	@$(py) -m benchmarks.import_formats $(if $(wildcard ../shared),--captures ../shared/captures --trajectories ../shared/trajectories)
 	@$(py) -m benchmarks.import_blurring $(if $(wildcard ../shared),--captures ../shared/captures)
-	@$(py) -m benchmarks.import_peers $(if $(nerfstudio),--nerfstudio "$(nerfstudio)")
+	@$(py) -m benchmarks.import_peers $(if $(nerfstudio),--nerfstudio "$$nerfstudio")
 
 fuzz-import: $(installed) ## Fuzz the capture formats for some seconds (seconds=60); needs the extra `fuzz`
-	@$(py) -m benchmarks.import_fuzz "$(or $(seconds),60)"
+	@$(py) -m benchmarks.import_fuzz "$$seconds"
 
 docs: $(installed) ## Write docs/artefacts.md from the table schemas
 	@$(py) -m artefacts docs > docs/artefacts.md
@@ -156,14 +188,15 @@ docs: $(installed) ## Write docs/artefacts.md from the table schemas
 lock: ## Resolve the dependencies again into constraints.txt (needs uv)
 	uv pip compile --universal --extra dev --python-version 3.11 --no-annotate --upgrade pyproject.toml -o constraints.txt
 
+as_names := sed 's:.*/::; s:\.toml$$::' | tr '\n' ' '
 help: ## This text
 	@echo "make scene=<scene> [profile=demo|paper|tiny] [captures=<folder>] <target>"
 	@echo
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14 | sed 's/^/  /'
 	@echo
-	@echo "scenes that can be simulated:  $(sort $(basename $(notdir $(shell grep -ls '^can_simulate = true' data/scenes/*.toml))))"
-	@echo "groups of scenes:              $(sort $(basename $(notdir $(shell grep -ls '^members = ' data/scenes/*.toml))))"
-	@echo "your captures:                 $(notdir $(wildcard data/captures/*))"
+	@echo "scenes that can be simulated:  $$(grep -ls '^can_simulate = true' data/scenes/*.toml | $(as_names))"
+	@echo "groups of scenes:              $$(grep -ls '^members = ' data/scenes/*.toml | $(as_names))"
+	@echo "your captures:                 $$(ls -q data/captures 2>/dev/null | $(as_names))"
 	@for file in data/profiles/*.toml; do \
 		printf 'profile %-8s %s\n' "$$(basename $$file .toml):" "$$(sed -n 's/^description = "\(.*\)"/\1/p' $$file)"; done
 	@echo

@@ -18,9 +18,9 @@ from scipy.stats import chi2
 from alignment.uncertainty import SharedSd, shared_covariance
 from artefacts import UserError
 from artefacts.cli import DataOption, ProfileOption
+from artefacts.manifests import load_manifest
 from artefacts.schemas import schema
 from artefacts.settings import DataRoot
-from artefacts.stage import load_manifest
 from artefacts.tables import poses_of, read_table
 from geometry import GeometryError
 from geometry.fits import fit_sim3, fit_yaw, pose_residuals

@@ -17,7 +17,9 @@ _LEAST_FRAMES = 3
 
 @dataclass(frozen=True)
 class Component:
-    """One SfM model: its frames in parts of sessions (`pieces` are cut at all VIO jumps), its scale and vertical."""
+    """One SfM model: its frames in parts of sessions (`pieces` are cut at all VIO jumps), its scale and vertical.
+    `vio_scale` is its scale by VIO alone, the same unless a ruler sets the scale; None where VIO moves too little or
+    isn't there."""
 
     index: int
     model_id: str
@@ -25,6 +27,7 @@ class Component:
     pieces: list[Segment]
     scale: MapScale
     vertical: Vertical
+    vio_scale: MapScale | None
 
     @property
     def metric_S_sfm(self) -> Sim3:

@@ -161,7 +161,10 @@ def check_depth(gate: Gate, agreement: pd.DataFrame, settings: AlignSettings) ->
         sure = sure[(sure["samples"] >= _LEAST_SAMPLES) & (sure["frames"] >= _LEAST_FRAMES)]
         is_whole = (sure["near_m"] == 0.0) & (sure["far_m"] == REACH_M)
         if not is_whole.any():
-            lines.append(f"{session_id}: too little depth within {REACH_M:g} m to judge the map by")
+            reason = f"too little depth within {REACH_M:g} m to judge the map by"
+            lines.append(f"{session_id}: {reason}")
+            about = {"session_id": session_id, "component": int(component), "frames": int(of_session["frames"].max())}
+            gate.undecided("session_depth_scale", DEPTH, reason, unit="share", **about)
             continue
         whole, bins = sure[is_whole].iloc[0], sure[~is_whole & (sure["far_m"] <= REACH_M)]
         about = {"session_id": session_id, "component": int(component), "frames": int(whole["frames"])}

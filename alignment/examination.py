@@ -1,5 +1,6 @@
 """Is the model right? Scale and vertical of each of its parts, and every check before ground truth is given out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -21,9 +22,11 @@ from alignment.gate import (
     VIO_VERTICAL,
     Gate,
 )
-from alignment.map_frame import common_scale, common_vertical
+from alignment.map_frame import MapScale, common_scale, common_vertical
 from alignment.quality import contradicted, judge, sfm_covariances
 from alignment.reference import Reference, check_sessions, fit_component
+from alignment.rulers.measurement import Reading
+from alignment.rulers.verdict import Judged, judge_rulers, scale_by_rulers, unjudged
 from alignment.segments import Segment, cut_segments, frame_components
 from alignment.settings import AlignSettings
 from alignment.sfm_tables import Focal, SfmTables
@@ -57,7 +60,8 @@ _OTHERWISE = (DISAGREES, "SfM moves otherwise than VIO in most steps")
 class Examination:
     """What was found. Arrays are over the rows of the frames table: `registered`, `reason` (why a frame gets no ground
     truth, empty where it does), the largest residuals of its windows in metres and radians (or those against the
-    reference, where that gives the map), NaN in none. `refusal` is why there is no ground truth at all."""
+    reference, where that gives the map), NaN in none. `refusal` is why there is no ground truth at all, `rulers` what
+    became of each ruler."""
 
     components: list[Component]
     placed: list[Placed]
@@ -70,6 +74,7 @@ class Examination:
     refusal: UserError | None = None
     diagnoses: dict[tuple[int, str], Diagnosis] = field(default_factory=dict)
     reference: Reference | None = None
+    rulers: list[Judged] = field(default_factory=list)
 
     @property
     def used(self) -> np.ndarray:
@@ -117,12 +122,13 @@ def examine(
     jumps: pd.DataFrame,
     recordings: dict[str, str],
     settings: AlignSettings,
+    readings: Sequence[Reading] = (),
     reference: Reference | None = None,
 ) -> Examination:
     """Check SfM's models against VIO, or a reference where no frame has VIO, and put those that pass into one map.
 
-    `frames` and `jumps` are import's tables. Raises UserError where there is nothing to compare; a model that is wrong
-    is told in `refusal`.
+    `frames` and `jumps` are import's tables, `readings` of rulers by SfM's models. Raises UserError where there is
+    nothing to compare; a model that is wrong is told in `refusal`.
     """
     images = sfm.images
     if not images["registered"].any():
@@ -153,12 +159,13 @@ def examine(
     # Scale and agreement are compared between all jumps, also those that an alignment lives with.
     pieces = cut(jump_m=0.0, jump_deg=0.0)
     if reference is not None and reference.gives_map:
-        _place_on_reference(found, names, segments, pieces, sfm, settings)
+        _place_on_reference(found, names, segments, pieces, sfm, settings, readings)
         found.refusal = _refusal(found, frames, settings)
         return found
     for index, name in enumerate(names):
         own = [s for s in segments if s.component == index]
-        component = _component(found, index, name, own, [p for p in pieces if p.component == index], settings)
+        rulers = [reading for reading in readings if reading.model_id == name]
+        component = _component(found, index, name, own, [p for p in pieces if p.component == index], settings, rulers)
         if component is None:
             continue
         found.components.append(component)
@@ -169,6 +176,7 @@ def examine(
             found.worst_m[piece.rows], found.worst_rad[piece.rows] = metres, radians
             _refuse(found, piece.rows[wrong], "SfM and VIO disagree here")
             found.windows += windows
+    found.rulers += unjudged(gate, [reading for reading in readings if reading.model_id not in names])
     for window in found.windows:
         gate.check_window(window)
     _check_unsure(found, frames, images, settings)
@@ -184,11 +192,14 @@ def _place_on_reference(
     pieces: list[Segment],
     sfm: SfmTables,
     settings: AlignSettings,
+    readings: Sequence[Reading],
 ) -> None:
-    """Each model in the reference's frame by a fit of its own, and its sessions checked against it."""
+    """Each model in the reference's frame by a fit of its own, its sessions checked against it, and its rulers
+    judged. A ruler never sets the scale here: lengths are the reference's."""
     assert found.reference is not None
     for index, name in enumerate(names):
         own, parts = ([s for s in of if s.component == index] for of in (segments, pieces))
+        rulers = [reading for reading in readings if reading.model_id == name]
         try:
             fit = fit_component(index, name, own, parts, found.reference, settings)
         except GeometryError as error:
@@ -205,7 +216,14 @@ def _place_on_reference(
             about: dict[str, Any] = {"component": index, "frames": len(rows), "at_least": True}
             found.gate.check("component_metric", None, 0.0, "m", BROKEN_OFF, reason, **about)
             _refuse(found, rows, reason)
+            found.rulers += unjudged(found.gate, rulers)
             continue
+        if found.is_metric:
+            found.rulers += judge_rulers(
+                found.gate, index, fit.placed.component.scale, None, rulers, settings.ruler_size_limit
+            )
+        else:
+            found.rulers += unjudged(found.gate, rulers, "the map is in the reference's unit, which isn't known")
         found.components.append(fit.placed.component)
         found.placed.append(fit.placed)
         found.worst_m[fit.rows], found.worst_rad[fit.rows] = fit.fit.position, fit.fit.rotation
@@ -216,6 +234,7 @@ def _place_on_reference(
             about = {"session_id": session_id, "component": index, "frames": len(rows)}
             for reason in _focal_faults(found.gate, sfm.focal(name, session_id), settings, about):
                 _refuse(found, rows, reason)
+    found.rulers += unjudged(found.gate, [reading for reading in readings if reading.model_id not in names])
 
 
 def _drift(settings: AlignSettings) -> VioDrift:
@@ -270,17 +289,18 @@ def _check_registered(
 
 
 def _component(
-    found: Examination, index: int, name: str, segments: list[Segment], pieces: list[Segment], settings: AlignSettings
+    found: Examination,
+    index: int,
+    name: str,
+    segments: list[Segment],
+    pieces: list[Segment],
+    settings: AlignSettings,
+    rulers: Sequence[Reading],
 ) -> Component | None:
-    """A model's scale and vertical; None, and noted, where they can't be had. The first model's must."""
+    """A model's scale and vertical, and its rulers judged; None, and noted, where they can't be had. The first model's
+    must."""
     try:
-        scale = common_scale(
-            pieces,
-            step_m=settings.step_m,
-            least_step_m=settings.least_step_m,
-            step_sd=settings.step_scale_sd,
-            phone_sd=settings.phone_scale_sd,
-        )
+        scale, vio_scale = _scales(pieces, settings, rulers)
         vertical = common_vertical(segments, phone_sd=float(np.radians(settings.phone_tilt_sd_deg)))
     except UserError as error:
         if index == 0:
@@ -291,8 +311,31 @@ def _component(
             "component_metric", None, 0.0, "m", BROKEN_OFF, reason, component=index, frames=len(rows), at_least=True
         )
         _refuse(found, rows, reason)
+        found.rulers += unjudged(found.gate, rulers)
         return None
-    return Component(index, name, segments, pieces, scale, vertical)
+    found.rulers += judge_rulers(found.gate, index, scale, vio_scale, rulers, settings.ruler_size_limit)
+    return Component(index, name, segments, pieces, scale, vertical, vio_scale)
+
+
+def _scales(
+    pieces: list[Segment], settings: AlignSettings, rulers: Sequence[Reading]
+) -> tuple[MapScale, MapScale | None]:
+    """A model's scale, by rulers where they are to set it, and the one by VIO alone, None where VIO moves too little.
+    Raises UserError where neither can be had."""
+    try:
+        vio_scale = common_scale(
+            pieces,
+            step_m=settings.step_m,
+            least_step_m=settings.least_step_m,
+            step_sd=settings.step_scale_sd,
+            phone_sd=settings.phone_scale_sd,
+        )
+    except UserError:
+        scale = scale_by_rulers(None, rulers, settings.ruler_size_limit)
+        if scale is None:
+            raise
+        return scale, None
+    return scale_by_rulers(vio_scale, rulers, settings.ruler_size_limit) or vio_scale, vio_scale
 
 
 def _check_sessions(
@@ -381,9 +424,9 @@ def _shared_faults(
 ) -> list[str]:
     """Reasons of the failed checks of a session's scale and vertical against the others'."""
     reasons: list[str] = []
-    scale, vertical = component.scale, component.vertical
+    scale, vertical = component.vio_scale, component.vertical
     # One recording has no other to differ from.
-    if recording in scale.recordings and len(scale.recordings) > 1:
+    if scale is not None and recording in scale.recordings and len(scale.recordings) > 1:
         off = float(np.expm1(scale.recordings[recording].log - scale.log))
         reason = f"this session's VIO measures {abs(off):.1%} {'more' if off > 0 else 'less'} than the others'"
         # What the session's own windows can't tell apart isn't held against it.

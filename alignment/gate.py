@@ -22,6 +22,7 @@ BROKEN_OFF = "broken off"
 TOO_FEW = "too few frames registered"
 DISAGREES = "SfM and VIO disagree"
 REFERENCE = "SfM and the reference disagree"
+RULER = "ruler and map disagree"
 DEPTH = "map and depth sensor disagree"
 CAUSES = (
     MIRRORED,
@@ -35,6 +36,7 @@ CAUSES = (
     TOO_FEW,
     DISAGREES,
     REFERENCE,
+    RULER,
     DEPTH,
 )
 
@@ -74,12 +76,28 @@ class Gate:
                 "value": value,
                 "limit": limit,
                 "unit": unit,
+                "verdict": "passed" if passed else "failed",
                 "passed": passed,
                 "cause": "" if passed else cause,
                 "reason": "" if passed else reason,
             }
         )
         return passed
+
+    def undecided(
+        self,
+        name: str,
+        cause: str,
+        reason: str,
+        *,
+        unit: str,
+        session_id: str = "",
+        component: int | None = None,
+        frames: int,
+    ) -> None:
+        """Note a check that can't be decided, and why: it neither passes nor counts as failed."""
+        self.check(name, None, 0.0, unit, cause, reason, session_id=session_id, component=component, frames=frames)
+        self.rows[-1]["verdict"] = "undecided"
 
     def check_window(self, window: Window) -> None:
         """Note both checks of a window: its largest residuals against what VIO may drift by there."""
@@ -110,7 +128,7 @@ class Gate:
 
     @property
     def failed(self) -> list[dict[str, object]]:
-        return [row for row in self.rows if not row["passed"]]
+        return [row for row in self.rows if row["verdict"] == "failed"]
 
     @property
     def main_cause(self) -> dict[str, object] | None:

@@ -1,5 +1,6 @@
 """From SfM's poses and the phones' VIO to ground truth: the whole computation, tables in, tables out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,8 @@ from alignment.components import Placed, bridge_covariance
 from alignment.drift import DriftSamples, drift_table, measure_drift
 from alignment.examination import Examination, examine
 from alignment.quality import judge, sfm_covariances
-from alignment.reference import BY_GRAVITY, BY_VIO, Reference, agreement_table
+from alignment.reference import Reference, agreement_table
+from alignment.rulers.measurement import Reading
 from alignment.sessions import SessionFit, fit_session, residuals_table, sessions_table
 from alignment.settings import AlignSettings
 from alignment.sfm_tables import SfmTables
@@ -47,15 +49,17 @@ def align(
     jumps: pd.DataFrame,
     recordings: dict[str, str],
     settings: AlignSettings,
+    readings: Sequence[Reading] = (),
     reference: Reference | None = None,
 ) -> Aligned:
-    """Build the map frame, check the model against VIO, and give out ground truth.
+    """Build the map frame, check the model against VIO or reference poses, and give out ground truth.
 
-    `frames` and `jumps` are import's tables; `recordings` names the recording of each session. Raises UserError where
-    the map can't be built, or where too much of the model fails the gate.
+    `frames` and `jumps` are import's tables; `recordings` names the recording of each session, `readings` what
+    rulers say of SfM's models, `reference` the poses that a data set states. Raises UserError where the map can't be
+    built, or where too much of the model fails the gate.
     """
     frames = frames.reset_index(drop=True)
-    found = examine(frames, sfm, jumps, recordings, settings, reference)
+    found = examine(frames, sfm, jumps, recordings, settings, readings, reference)
     if found.refusal:
         raise found.refusal
     return build(frames, sfm.images, found, settings)
@@ -114,6 +118,7 @@ def _ground_truth(
     # `own` is what the classes go by: SfM's part, and what a model that VIO ties to the map may be off by in it.
     own, total = np.full((count, 6, 6), np.nan), np.full((count, 6, 6), np.nan)
     component, bridged = np.full(count, -1), np.zeros(count, dtype=bool)
+    scale_source, vertical_source = np.full(count, None, dtype=object), np.full(count, None, dtype=object)
     sfm_covariance = sfm_covariances(images["covariance"])
     for placed in found.placed:
         rows = _rows(placed)
@@ -121,6 +126,8 @@ def _ground_truth(
         if not len(rows):
             continue
         component[rows] = placed.component.index
+        scale_source[rows] = placed.component.scale.source
+        vertical_source[rows] = placed.component.vertical.source
         own[rows] = covariance_in_map(sfm_covariance[rows], placed.map_S_sfm)
         anchor = xyz[rows].mean(axis=0)
         if placed.bridge is not None:
@@ -139,10 +146,9 @@ def _ground_truth(
     table["rotation_sd_deg"] = np.degrees(sd_rad)
     table["quality"] = np.where(known, quality, "none")
     table["reason"] = found.reason
-    by_reference = found.reference if found.reference is not None and found.reference.gives_map else None
-    table["scale_source"] = BY_VIO if by_reference is None else by_reference.scale_source
-    table["vertical_source"] = BY_GRAVITY if by_reference is None else by_reference.vertical_source
     table["gt_uses_vio"] = images["uses_vio"].to_numpy(bool) | bridged
+    table["scale_source"] = scale_source
+    table["vertical_source"] = vertical_source
     return pd.concat([table, pose_frame("map_cam", map_T_cam)], axis=1)
 
 

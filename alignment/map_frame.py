@@ -16,6 +16,10 @@ from geometry.fits import direction_angles, fit_robust, mean_direction
 from geometry.poses import Array
 from geometry.vio_agreement import Scale, path_m, recording_scale, robust_mean
 
+# What gave the map its scale or vertical, as align.ground_truth names it; rulers go by their names.
+BY_VIO, BY_GRAVITY, BY_REFERENCE = "vio", "gravity", "reference"
+BY_REFERENCE_UNIT_UNKNOWN, BY_REFERENCE_UP_UNKNOWN = "reference, unit unknown", "reference, up unknown"
+
 # Residuals that nobody minds, where a robust fit stops telling items apart.
 _UP_FLOOR = np.radians(0.2)  # of a frame's vertical against its recording's
 _RECORDING_FLOOR = 4.0  # sigmas, of a recording against the others
@@ -23,21 +27,32 @@ _RECORDING_FLOOR = 4.0  # sigmas, of a recording against the others
 
 @dataclass(frozen=True)
 class MapScale:
-    """Metres per SfM unit by all recordings: logarithm, sigma, each recording's own, and its weight (0 to 1)."""
+    """Metres per SfM unit by all recordings: logarithm, sigma, each recording's own, and its weight (0 to 1). `rulers`
+    names the rulers that logarithm and sigma are by instead, where there are any; `reference` says that they are by
+    reference poses, BY_REFERENCE or BY_REFERENCE_UNIT_UNKNOWN."""
 
     log: float
     sd: float
     recordings: dict[str, Scale]
     weights: dict[str, float]
+    rulers: tuple[str, ...] = ()
+    reference: str = ""
+
+    @property
+    def source(self) -> str:
+        """What gives it, as align.ground_truth names it."""
+        return f"ruler: {', '.join(self.rulers)}" if self.rulers else self.reference or BY_VIO
 
 
 @dataclass(frozen=True)
 class Vertical:
-    """The map's up (3,) in SfM's axes, sigma of its tilt in radians (per axis), and each recording's own."""
+    """The map's up (3,) in SfM's axes, sigma of its tilt in radians (per axis), and each recording's own. `source`:
+    what gives it, as align.ground_truth names it."""
 
     up_sfm: Array
     sd: float
     recordings: dict[str, Array]
+    source: str = BY_GRAVITY
 
 
 def common_scale(
@@ -62,7 +77,7 @@ def common_scale(
             where="frames that have both an SfM and a VIO pose",
             expected=f"3 or more such frames in a row, {least_step_m:g} m or more from first to last",
             found=f"{sum(int(s.both.sum()) for s in segments)} such frames, {walked:.3g} m walked at most",
-            do="capture with more walking, or lower align.least_step_m",
+            do="capture with more walking, lower align.least_step_m, or set the scale by a ruler (docs/rulers.md)",
         )
     logs = np.array([s.log for s in found.values()])
     sds = np.array([np.hypot(s.sd, phone_sd) for s in found.values()])

@@ -8,7 +8,13 @@ import pandas as pd
 
 from alignment.components import Component, Placed
 from alignment.gate import REFERENCE, Gate
-from alignment.map_frame import MapScale, Vertical
+from alignment.map_frame import (
+    BY_REFERENCE,
+    BY_REFERENCE_UNIT_UNKNOWN,
+    BY_REFERENCE_UP_UNKNOWN,
+    MapScale,
+    Vertical,
+)
 from alignment.segments import Segment
 from alignment.settings import AlignSettings
 from artefacts.schemas import schema
@@ -18,9 +24,6 @@ from geometry.fits import pose_residuals
 from geometry.pose_similarity import PoseSimilarity, fit_similar_poses
 from geometry.poses import Array
 
-# Origins as align.ground_truth names them.
-BY_VIO, BY_REFERENCE, BY_REFERENCE_UNIT_UNKNOWN = "vio", "reference", "reference, unit unknown"
-BY_GRAVITY, BY_REFERENCE_UP_UNKNOWN = "gravity", "reference, up unknown"
 # Real references, by depth or other SfM, agree with SfM's rotations to some tenths of a degree.
 _NOTICEABLE_DEG = 0.5
 _REASON = "SfM and the reference poses disagree here"
@@ -101,9 +104,9 @@ def fit_component(
     sfm_T_cam = np.concatenate([s.sfm_T_cam for s in segments])
     known = np.isfinite(sfm_T_cam[:, 0, 0]) & np.isfinite(reference.map_T_cam[rows, 0, 0])
     fit = fit_similar_poses(reference.map_T_cam[rows[known]], sfm_T_cam[known])
-    scale = MapScale(float(np.log(fit.a_S_b.scale)), fit.scale_sd, {}, {})
-    vertical = Vertical(fit.a_S_b.rotation[1], fit.turn_sd, {})
-    placed = Placed(Component(index, model_id, segments, pieces, scale, vertical), fit.a_S_b)
+    scale = MapScale(float(np.log(fit.a_S_b.scale)), fit.scale_sd, {}, {}, reference=reference.scale_source)
+    vertical = Vertical(fit.a_S_b.rotation[1], fit.turn_sd, {}, reference.vertical_source)
+    placed = Placed(Component(index, model_id, segments, pieces, scale, vertical, vio_scale=None), fit.a_S_b)
     limit_rad = float(np.radians(settings.reference_limit_deg))
     wrong = (fit.position > reference.limit(settings)) | (fit.rotation > limit_rad)
     return ReferenceFit(placed, fit, rows[known], wrong)

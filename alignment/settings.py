@@ -1,7 +1,10 @@
 """Settings of the align stage."""
 
-from pydantic import Field
+from typing import Annotated
 
+from pydantic import BeforeValidator, Field
+
+from alignment.rulers.settings import Ruler, rulers_of
 from alignment.uncertainty import QualityLimits
 from artefacts import Settings
 from geometry.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT
@@ -87,6 +90,20 @@ class AlignSettings(Settings):
     least_agreeing: float = Field(0.5, ge=0, le=1, description="share of registered frames that must pass the gate")
     common_px: float = Field(
         0.05, ge=0, description="what all keypoints are off by in common, one sigma per image axis; turns all cameras"
+    )
+    rulers: Annotated[list[Ruler], BeforeValidator(rulers_of)] = Field(
+        default_factory=list, description="boards and known distances in the images; [[ruler]] in the scene's file"
+    )
+    ruler_size_limit: float = Field(
+        0.03,
+        gt=0,
+        description="a ruler further from VIO's scale, as a share, doesn't set the scale: a print of another size?",
+    )
+    ruler_max_sd: float = Field(
+        0.01, gt=0, description="a ruler's scale must be surer than this share, one sigma, to judge"
+    )
+    ruler_min_angle_deg: float = Field(
+        5.0, gt=0, description="views of a ruler must be this far apart to judge, degrees"
     )
     quality_a: QualitySettings = QualitySettings(
         position_sd_m=0.02, rotation_sd_deg=0.1, observations=100, reprojection_deg=0.15

@@ -3,14 +3,19 @@
 import numpy as np
 import pandas as pd
 
+from alignment.components import Placed
 from alignment.depth import DepthSamples, check_depth, depth_clouds, has_depth, sample_frames
 from alignment.depth import agreement_table as depth_table
 from alignment.drift import ALL
 from alignment.examination import Examination, examine
 from alignment.ground_truth import Aligned, build, camera_sd
+from alignment.map_frame import BY_GRAVITY
 from alignment.picture import draw_gate
 from alignment.recording import write_recording
-from alignment.reference import BY_VIO, Reference, describe_agreement
+from alignment.reference import Reference, describe_agreement
+from alignment.rulers.measurement import find_rulers, read_rulers
+from alignment.rulers.picture import draw_rulers
+from alignment.rulers.verdict import describe, rulers_table
 from alignment.sessions import SessionFit
 from alignment.settings import AlignSettings
 from alignment.sfm_tables import SfmTables
@@ -18,7 +23,7 @@ from artefacts import Stage, StageRun, UserError
 from artefacts.tables import dataset_frames, with_cameras
 from geometry.poses import Array
 
-PICTURE = "gate.png"
+PICTURE, RULERS_PICTURE = "gate.png", "rulers.png"
 
 
 def run(r: StageRun[AlignSettings]) -> None:
@@ -29,12 +34,30 @@ def run(r: StageRun[AlignSettings]) -> None:
     # SfM's poses go with these cameras.
     frames = with_cameras(frames, images)
     recordings = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
+    with r.step("rulers"):
+        sightings = find_rulers(r.settings.rulers, frames, r.image_path)
+        readings = read_rulers(
+            sightings,
+            frames,
+            images,
+            least_angle=float(np.radians(r.settings.ruler_min_angle_deg)),
+            largest_sd=r.settings.ruler_max_sd,
+        )
+    for reading in readings:
+        if reading.problem:
+            r.say(f"ruler {reading.ruler.name}: undecided: {reading.problem}")
     reference = Reference.of(frames, r.read("import", "reference"), sessions)
     with r.step("examine"):
-        found = examine(frames, sfm, jumps, recordings, r.settings, reference)
+        found = examine(frames, sfm, jumps, recordings, r.settings, readings, reference)
     with r.step("picture"):
         shown = found.where(~frames["support"].to_numpy(bool))
         draw_gate(r.work / PICTURE, shown, r.scene.name, simulated=r.simulated)
+        if found.rulers:
+            draw_rulers(r.work / RULERS_PICTURE, found.rulers, frames, images, r.image_path)
+    for judged in found.rulers:
+        if not judged.reading.problem:
+            r.say(describe(judged))
+    r.write("rulers", rulers_table(found.rulers))
     if found.refusal:
         r.write("gate", found.gate.table())
         told = found.refusal.details
@@ -83,7 +106,7 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
     known = gt["quality"] != "none"
     registered = int(sessions["registered"].sum())
     counts = {name: int((gt["quality"] == name).sum()) for name in ("A", "B", "C", "none")}
-    failed = int((~aligned.gate["passed"]).sum())
+    verdicts = aligned.gate["verdict"]
     figures = {
         "frames": len(gt),
         "registered": registered,
@@ -93,6 +116,8 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
         "bridged": int(gt["gt_uses_vio"].sum()),
         "metres_per_sfm_unit": main.map_S_sfm.scale,
         "scale_sd": main.component.scale.sd,
+        "scale_source": main.component.scale.source,
+        "vertical_source": main.component.vertical.source,
         "session_scale_spread": _or_none(sessions["scale"].max() - sessions["scale"].min()),
         "vertical_sd_deg": float(np.degrees(main.component.vertical.sd)),
         "camera_sd_deg": float(np.degrees(camera_sd(frames, r.settings))),
@@ -103,13 +128,12 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
         "sim3_rotation_median_deg": _or_none(sessions["sim3_rotation_median_deg"].max()),
         "vio_5m_median_percent": _over_5m(aligned.drift, "median"),
         "vio_5m_max_percent": _over_5m(aligned.drift, "max"),
-        "scale_source": gt["scale_source"].iloc[0],
-        "vertical_source": gt["vertical_source"].iloc[0],
         "reference_position_rms_m": _pooled_rms(
             aligned.reference_agreement["position_rms_m"], aligned.reference_agreement["compared"]
         ),
         "checks": len(aligned.gate),
-        "checks_failed": failed,
+        "checks_failed": int((verdicts == "failed").sum()),
+        "checks_undecided": int((verdicts == "undecided").sum()),
     }
     for name, value in figures.items():
         r.figure(name, value)
@@ -117,15 +141,7 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
         f"{registered} of {len(gt)} frames registered, {int(known.sum())} with ground truth "
         f"(A {counts['A']}, B {counts['B']}, C {counts['C']})"
     )
-    source = gt["scale_source"].iloc[0]
-    if source != BY_VIO:
-        source = f"{source} (± of the fit to it; what it is off by itself isn't known)"
-    else:
-        source = f"{len(main.component.scale.recordings)} VIO recordings"
-    r.say(
-        f"map: {main.map_S_sfm.scale:.6g} m per SfM unit ± {100 * main.component.scale.sd:.2f} %, vertical "
-        f"± {figures['vertical_sd_deg']:.2f}°, from {source}"
-    )
+    r.say(_describe_map(main))
     for line in describe_agreement(aligned.reference_agreement, gt):
         r.say(line)
     for placed in aligned.placed[1:]:
@@ -141,10 +157,24 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned)
 
 
 def _report_gate(r: StageRun[AlignSettings], gate: pd.DataFrame) -> None:
-    failed = int((~gate["passed"]).sum())
-    r.say(f"gate: {failed} of {len(gate)} checks failed" if failed else "gate: all checks passed")
-    for (cause, session_id), rows in gate[~gate["passed"]].groupby(["cause", "session_id"]):
+    failures, undecided = gate[gate["verdict"] == "failed"], int((gate["verdict"] == "undecided").sum())
+    failed = f"{len(failures)} of {len(gate)} checks failed" if len(failures) else "no check failed"
+    r.say(f"gate: {f'{failed}, {undecided} undecided' if len(failures) or undecided else 'all checks passed'}")
+    for (cause, session_id), rows in failures.groupby(["cause", "session_id"]):
         r.say(f"  {cause}{f', {session_id}' if session_id else ''}: {rows['reason'].iloc[0]} ({len(rows)} checks)")
+
+
+def _describe_map(main: Placed) -> str:
+    """One line on the map's scale and vertical, and what gave them."""
+    scale, vertical = main.component.scale, main.component.vertical
+    text = (
+        f"map: {main.map_S_sfm.scale:.6g} m per SfM unit ± {100 * scale.sd:.2f} %, vertical "
+        f"± {np.degrees(vertical.sd):.2f}°, from "
+    )
+    if vertical.source != BY_GRAVITY:
+        return f"{text}{scale.source} (± of the fit to it; what it is off by itself isn't known)"
+    text += f"{len(vertical.recordings)} VIO recordings"
+    return f"{text}; scale by {scale.source}" if scale.rulers else text
 
 
 def _describe(fit: SessionFit) -> str:
@@ -190,7 +220,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=8,
+    version=9,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

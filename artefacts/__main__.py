@@ -1,7 +1,6 @@
 """`python -m artefacts`: look at, link and remove what the stages made; the artefact reference."""
 
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,12 +8,12 @@ from typing import Annotated
 
 import typer
 
+from artefacts.cleaning import clean_scene
 from artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
 from artefacts.errors import UserError
 from artefacts.recording import RECORDING
 from artefacts.reference import reference
 from artefacts.settings import STAGES, DataRoot
-from artefacts.stage import SIMULATED_MARKER
 
 app = new_app("Look at, link and remove what the stages made.")
 
@@ -50,6 +49,8 @@ def link_captures(
     link = DataRoot(data).captures(scene)
     if not folder.is_dir():
         raise UserError("the captures folder isn't there", where=folder, expected="a folder of phone captures")
+    if link.resolve() == folder.resolve():
+        return
     if link.is_symlink():
         link.unlink()
     elif link.exists():
@@ -66,16 +67,16 @@ def link_captures(
 
 @app.command()
 def clean(scene: SceneOption, profile: ProfileOption = "demo", data: DataOption = Path("data")) -> None:
-    """Remove a scene's artefacts of one profile, and its captures where they are simulated; never a real capture."""
-    root = DataRoot(data)
-    root.scene(scene)  # refuses a name that would lead elsewhere
-    captures = root.captures(scene)
-    for path in (root.run(profile, scene), captures):
-        if path == captures and (captures.is_symlink() or not (captures / SIMULATED_MARKER).is_file()):
-            continue
-        if path.is_dir():
-            shutil.rmtree(path)
-            print(f"removed {path}")
+    """Remove a scene's artefacts of one profile, and its captures where they are simulated; never a real capture.
+
+    Only files that a manifest, a run's key file or SIMULATED.json lists are removed. What else is there is named and
+    left, and no link is followed.
+    """
+    cleaned = clean_scene(DataRoot(data), profile, scene)
+    for path in cleaned.removed:
+        print(f"removed {path}")
+    for path in cleaned.left:
+        print(f"left as it is, not made by groundwalk: {path}")
 
 
 @app.command()

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from artefacts.errors import UserError
 from artefacts.progress import Reporter
+from artefacts.signals import signals_held
 
 _TAIL_LINES = 15
 
@@ -45,6 +46,14 @@ class _Running:
     done: int = 0
     note: str = ""
     result: list[Any] = field(default_factory=list)
+
+
+class ProcessDied(UserError):
+    """A task's process ended without a result; `exit_code` is negative for a signal."""
+
+    def __init__(self, what: str, *, exit_code: int | None = None, **details: Any) -> None:
+        super().__init__(what, **details)
+        self.exit_code = exit_code
 
 
 def in_child(text: str, log: Path, remedy: str, task: Task) -> Any:
@@ -84,7 +93,7 @@ def _start(task: Task, log: Path) -> _Running:
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(there, log, task.function, task.arguments), daemon=True)
-    with _added_to_environment(task.environment):
+    with _added_to_environment(task.environment), signals_held():
         process.start()
     there.close()
     return _Running(process, here)
@@ -106,11 +115,12 @@ def _receive(one: _Running, text: str, log: Path, remedy: str) -> None:
         kind, value = one.pipe.recv()
     except EOFError:
         one.process.join()
-        raise UserError(
+        raise ProcessDied(
             f"{text}: the process that does it died ({_cause(one.process.exitcode)})",
             where=log,
             found="its last lines:\n" + _tail(log),
-            do=f"the same command goes on from the last safe point; {remedy}",
+            do=f"the same command resumes from the last checkpoint; {remedy}",
+            exit_code=one.process.exitcode,
         ) from None
     if kind == "progress":
         one.done, one.note = value
@@ -122,15 +132,15 @@ def _receive(one: _Running, text: str, log: Path, remedy: str) -> None:
 
 def _work(pipe: Connection, log: Path, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     _end_with_parent()
-    # Native libraries write to the process's streams, beneath Python's.
-    with log.open("ab") as file:
-        os.dup2(file.fileno(), sys.stdout.fileno())
-        os.dup2(file.fileno(), sys.stderr.fileno())
 
     def report(done: int, note: str = "") -> None:
         pipe.send(("progress", (done, note)))
 
     try:
+        # Native libraries write to the process's streams, beneath Python's.
+        with log.open("ab") as file:
+            os.dup2(file.fileno(), sys.stdout.fileno())
+            os.dup2(file.fileno(), sys.stderr.fileno())
         message = ("result", function(report, *arguments))
     except Exception as error:
         message = ("error", error)

@@ -6,9 +6,12 @@ from typing import Annotated, Any
 
 import typer
 
+from artefacts.damage import as_user_error
 from artefacts.errors import UserError
 from artefacts.settings import DataRoot, Settings
+from artefacts.signals import Stopped, signals_raise
 from artefacts.stage import Stage, execute
+from artefacts.text import printable
 
 SceneOption = Annotated[str, typer.Option(help="The scene: a folder of data/captures, or one that can be simulated.")]
 ProfileOption = Annotated[str, typer.Option(help="Settings for the whole run: demo, paper or tiny (data/profiles).")]
@@ -20,17 +23,22 @@ SetOption = Annotated[
 
 
 class App(typer.Typer):
-    """A typer application that shows a UserError in a few lines and exits with 2."""
+    """A typer application that shows what a user or the machine caused in a few lines and exits with 2; with 130 after
+    Ctrl-C, 143 after SIGTERM."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         try:
-            return super().__call__(*args, **kwargs)
-        except UserError as error:
-            print(f"error: {error}", file=sys.stderr)
+            with signals_raise():
+                return super().__call__(*args, **kwargs)
+        except Stopped as stopped:
+            print(f"stopped by {stopped}; the same command resumes from the last checkpoint", file=sys.stderr)
+            sys.exit(stopped.exit_code)
+        except (UserError, OSError) as error:
+            shown = error if isinstance(error, UserError) else as_user_error(error)
+            if shown is None:
+                raise
+            print(f"error: {printable(str(shown))}", file=sys.stderr)
             sys.exit(2)
-        except KeyboardInterrupt:
-            print("stopped; the same command goes on from the last safe point", file=sys.stderr)
-            sys.exit(130)
 
 
 def new_app(help_text: str) -> App:

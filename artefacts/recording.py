@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from artefacts.files import replace_synced
 from geometry.poses import Array
 
 RECORDING = "recording.rrd"
@@ -40,7 +41,7 @@ def open_recording(path: Path, stage: str, name: str, blueprint: object) -> Iter
         stream.flush()
     finally:
         stream.disconnect()
-    partial.replace(path)
+    replace_synced(partial, path)
 
 
 def set_time(stream: rr.RecordingStream, t_ns: int) -> None:

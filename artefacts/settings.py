@@ -1,5 +1,6 @@
 """Settings of stages and scenes: strict, typed, resolved from code, profile, scene and command line."""
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -11,6 +12,9 @@ from artefacts.errors import UserError
 SHIPPED_DATA = Path(__file__).resolve().parent.parent / "data"
 STAGES = ("import", "sfm", "align", "train", "fuse", "report")
 _SECTIONS = ("simulate", *STAGES)
+_NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}"
+# Lists of tables at the top of a scene's file that are a setting of one stage, which alone depends on them.
+_TABLES = {"ruler": ("align", "rulers")}
 
 
 class Settings(BaseModel):
@@ -32,7 +36,7 @@ class SplitRules(Settings):
 class SceneConfig(Settings):
     """A scene, or a group of scenes that share a model (`members`)."""
 
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
+    name: str
     description: str = ""
     environment: Literal["outdoor", "indoor", "unknown"] = "unknown"
     extent_m: list[float] | None = Field(None, description="published or expected extent, metres")
@@ -49,6 +53,17 @@ class SceneConfig(Settings):
 T = TypeVar("T", bound=Settings)
 
 
+def checked_name(kind: Literal["scene", "profile"], name: str) -> str:
+    """`name`, fit to be one folder's name everywhere; UserError otherwise. Every path with a name in it passes here."""
+    if not re.fullmatch(_NAME, name):
+        raise UserError(
+            f"this can't be the name of a {kind}",
+            found=repr(name if len(name) <= 100 else name[:97] + "...") + f" ({len(name)} characters)",
+            expected="1 to 100 letters a-z or A-Z, digits, - and _, beginning with a letter or digit",
+        )
+    return name
+
+
 class DataRoot:
     """The data folder: captures/, runs/, and the scene and profile files (the shipped ones where it has none)."""
 
@@ -56,10 +71,12 @@ class DataRoot:
         self.root = root.absolute()
 
     def captures(self, scene: str) -> Path:
-        return self.root / "captures" / scene
+        """data/captures/<scene>; UserError for a name that isn't one."""
+        return self.root / "captures" / checked_name("scene", scene)
 
     def run(self, profile: str, scene: str, stage: str = "") -> Path:
-        return self.root / "runs" / profile / scene / stage
+        """data/runs/<profile>/<scene>/<stage>; UserError for a name that isn't one."""
+        return self.root / "runs" / checked_name("profile", profile) / checked_name("scene", scene) / stage
 
     def config_file(self, kind: Literal["profiles", "scenes"], name: str) -> Path | None:
         """data/<kind>/<name>.toml here or as shipped, or None."""
@@ -75,7 +92,7 @@ class DataRoot:
 
     def profile(self, name: str) -> dict[str, Any]:
         """A profile's sections; UserError where there is no such profile."""
-        path = self.config_file("profiles", name)
+        path = self.config_file("profiles", checked_name("profile", name))
         if path is None:
             known = ", ".join(self.names("profiles"))
             raise UserError(f"there is no profile {name!r}", where=self.root / "profiles", expected=f"one of {known}")
@@ -85,9 +102,12 @@ class DataRoot:
 
     def scene(self, name: str) -> tuple[SceneConfig, dict[str, Any]]:
         """A scene's config and its stage sections; a scene without a file has the defaults."""
-        path = self.config_file("scenes", name)
+        path = self.config_file("scenes", checked_name("scene", name))
         content = _read_toml(path) if path else {}
         sections = {key: content.pop(key) for key in _SECTIONS if key in content}
+        for table, (section, setting) in _TABLES.items():
+            if table in content:
+                sections.setdefault(section, {})[setting] = _list_of_tables(content.pop(table), table, path)
         return validated(SceneConfig, {**content, "name": name}, path or f"scene {name!r}"), sections
 
     def leaves(self, scene: SceneConfig) -> list[str]:
@@ -124,12 +144,13 @@ def validated(model: type[T], content: dict[str, Any], where: object) -> T:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        first = error.errors()[0]
+        # A key that there isn't says most: its right name may be what is missing.
+        first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
         key = ".".join(str(part) for part in first["loc"])
         raise UserError(
             f"setting {key!r}: {first['msg']}",
             where=where,
-            found=repr(first.get("input")),
+            found=None if first["type"] == "missing" else repr(first.get("input")),
             expected="one of " + ", ".join(model.model_fields) if first["type"] == "extra_forbidden" else None,
             do="correct it; `python -m <stage> --help` lists the settings",
         ) from None
@@ -155,6 +176,12 @@ def _read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UserError("a settings file can't be read", where=path, found=error, expected="TOML in UTF-8") from None
+
+
+def _list_of_tables(content: Any, name: str, path: object) -> Any:
+    if not isinstance(content, list):
+        raise UserError(f"{name} is a list of tables", where=path, found=f"[{name}]", expected=f"[[{name}]]")
+    return content
 
 
 def _refuse_unknown_sections(content: dict[str, Any], more: tuple[str, ...], path: Path) -> None:

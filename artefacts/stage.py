@@ -1,18 +1,14 @@
 """Running a stage: its inputs and key, its partial folder, its manifest, and the rename that finishes it."""
 
 import contextlib
-import fcntl
 import hashlib
 import json
 import os
 import platform
-import resource
 import shutil
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
@@ -24,18 +20,26 @@ import rerun as rr
 
 from artefacts import progress, recording
 from artefacts.errors import UserError
+from artefacts.files import (
+    finish_interrupted_swap,
+    partial_folder,
+    swap_in,
+    write_json,
+)
+from artefacts.inputs import Inputs, missing_input
+from artefacts.locks import locked
+from artefacts.manifests import MANIFEST, is_whole, load_manifest, output_hashes
+from artefacts.memory import PeakMemory
+from artefacts.resuming import run_resumable
 from artefacts.schemas import schema
-from artefacts.settings import SHIPPED_DATA, DataRoot, SceneConfig, Settings, resolve_settings
+from artefacts.settings import DataRoot, SceneConfig, Settings, resolve_settings
 from artefacts.tables import dataset_frames, read_table, write_table
+from artefacts.text import printable
 
 S = TypeVar("S", bound=Settings)
 T = TypeVar("T")
 
-SIMULATED_MARKER = "SIMULATED.json"
-MANIFEST = "manifest.json"
-_KEY_FILE = "key.json"
 _SCRATCH = "scratch"
-_NOT_HASHED = {MANIFEST, recording.RECORDING}
 _VERSIONS = (
     "groundwalk",
     "numpy",
@@ -81,6 +85,12 @@ class StageRun(Generic[S]):
     figures: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
 
+    def begin(self) -> None:
+        """Run the stage; figures and times of a failed attempt before are forgotten."""
+        self.figures.clear()
+        self.seconds.clear()
+        self.stage.run(self)
+
     @property
     def captures(self) -> Path:
         """data/captures/<scene>, the capture folder."""
@@ -102,7 +112,7 @@ class StageRun(Generic[S]):
         """The finished artefact folder of a stage of this scene (or of a group's member)."""
         path = self.data.run(self.profile, scene or self.scene.name, stage)
         if not (path / MANIFEST).is_file():
-            raise _missing_input(stage, path, scene or self.scene.name)
+            raise missing_input(stage, path, scene or self.scene.name, self.profile)
         return path
 
     def read(self, stage: str, table: str, scene: str | None = None) -> pd.DataFrame:
@@ -142,7 +152,7 @@ class StageRun(Generic[S]):
 
     def say(self, text: str) -> None:
         """One line for the user."""
-        progress.console.print(f"  {text}", markup=False)
+        progress.console.print(f"  {printable(text)}", markup=False)
 
     def figure(self, name: str, value: float | int | str | bool | None) -> None:
         """Keep a number or text in the manifest."""
@@ -165,10 +175,11 @@ def execute(
     seed: int = 0,
     force: bool = False,
 ) -> Path:
-    """Run a stage unless a finished artefact with the same key is there; returns the artefact's folder.
+    """Run a stage unless a finished artefact with the same key is there, whole; returns the artefact's folder.
 
     The key is a hash of everything that the output depends on. A partial folder that a killed run left is continued
-    when its key is the same, and dropped otherwise. Raises UserError for what a user can cause.
+    when its key is the same, and dropped otherwise. Inputs are held while the stage runs, and verified before. Raises
+    UserError for what a user can cause.
     """
     scene, _ = data.scene(scene_name)
     if scene.is_group and stage.name not in scene.stages:
@@ -179,9 +190,9 @@ def execute(
         )
     settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, overrides or [])
     final = data.run(profile, scene_name, stage.name)
-    with _locked(final):
-        _finish_interrupted_rename(final)
-        inputs = _inputs(stage, scene, profile, data)
+    with locked(final), Inputs(stage, scene, profile, data) as inputs:
+        finish_interrupted_swap(final, MANIFEST)
+        inputs.refuse_outdated()
         parts = {
             "stage": stage.name,
             "version": stage.version,
@@ -189,133 +200,41 @@ def execute(
             "profile": profile,
             "settings": settings.model_dump(mode="json"),
             "seed": seed,
-            "inputs": inputs,
+            "inputs": inputs.hashes,
         }
         key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
         title = f"{stage.name} · {scene_name} · {profile}"
-        if not force and (final / MANIFEST).is_file() and load_manifest(final).get("key") == key:
+        if not force and is_whole(final, key):
             progress.console.print(f"{title}: up to date", markup=False)
             os.utime(final / MANIFEST)
             return final
 
-        work = _partial(final)
-        resumed = _same_key(work, key) and not force
-        if not resumed:
-            shutil.rmtree(work, ignore_errors=True)
-            work.mkdir(parents=True)
-            (work / _KEY_FILE).write_text(json.dumps({"key": key}))
-        progress.console.print(
-            f"{title}{': goes on where it was stopped' if resumed else ''}", markup=False, style="bold"
-        )
-        run = StageRun(stage, scene, profile, settings, seed, data, _simulated(stage, scene, profile, data), work)
+        inputs.verify()
+        work = partial_folder(final)
+        run = StageRun(stage, scene, profile, settings, seed, data, inputs.simulated(), work)
         start = time.monotonic()
-        stage.run(run)
+        with PeakMemory() as memory:
+            resumed = run_resumable(work, key, title, force, run.begin)
         elapsed = time.monotonic() - start
+        inputs.refuse_changed()
         shutil.rmtree(work / _SCRATCH, ignore_errors=True)
-        (work / _KEY_FILE).unlink()
-        manifest = {"key": key, **parts, **_circumstances(run, elapsed, resumed), "outputs": _outputs(work)}
+        recorded = (work / recording.RECORDING).is_file()
+        circumstances = _circumstances(run, elapsed, resumed, memory)
+        manifest = {"key": key, **parts, **circumstances, "recorded": recorded, "outputs": output_hashes(work)}
         write_json(work / MANIFEST, manifest)
         swap_in(work, final)
         progress.console.print(f"{title}: done in {progress.format_seconds(elapsed)} → {_shown(final)}", markup=False)
         return final
 
 
-def load_manifest(folder: Path) -> dict[str, Any]:
-    """The manifest of an artefact folder; UserError where it can't be read."""
-    try:
-        content: dict[str, Any] = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise UserError("a manifest can't be read", where=folder / MANIFEST, found=error) from None
-    return content
-
-
-def write_json(path: Path, content: object) -> None:
-    """Write JSON atomically."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(content, indent=2, allow_nan=False, default=str) + "\n", encoding="utf-8")
-    partial.replace(path)
-
-
-def hash_files(folder: Path, files: Iterable[Path]) -> dict[str, str]:
-    """sha256 of files by their path relative to `folder`."""
-    paths = sorted(files)
-    with ThreadPoolExecutor() as pool:
-        digests = pool.map(_sha256, paths)
-        return {path.relative_to(folder).as_posix(): digest for path, digest in zip(paths, digests, strict=True)}
-
-
-def capture_files(captures: Path) -> list[Path]:
-    """The files of a capture folder that import may read: not those which hold the simulator's truth or notes."""
-    found = []
-    for base, folders, names in os.walk(captures, followlinks=False):
-        folders[:] = sorted(f for f in folders if not f.startswith("."))
-        at_top = Path(base) == captures
-        for name in sorted(names):
-            if not (name.startswith(".") or (at_top and name in ("true_poses.parquet", "true_cameras.parquet"))):
-                found.append(Path(base) / name)
-    return found
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _inputs(stage: Stage[Any], scene: SceneConfig, profile: str, data: DataRoot) -> dict[str, Any]:
-    """What the stage reads, each with a hash of its content."""
-    if stage.reads_captures:
-        captures = data.captures(scene.name)
-        files = [path for path in capture_files(captures) if path.is_file()] if captures.is_dir() else []
-        if not files:
-            raise UserError(
-                f"scene {scene.name} has no captures",
-                where=captures,
-                expected="a folder of phone captures",
-                found="nothing",
-                do=f"make scene={scene.name} captures=<your folder> all",
-            )
-        hashes = hash_files(captures, files)
-        digest = hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
-        return {"captures": {"files": len(hashes), "sha256": digest}}
-    sources = [(leaf, need) for leaf in data.leaves(scene) for need in stage.needs]
-    if scene.is_group:
-        for group in (*scene.members, scene.name):
-            config = data.scene(group)[0]
-            if config.is_group:
-                sources += [(group, need) for need in stage.needs if need in config.stages]
-    inputs = {}
-    for name, need in sources:
-        folder = data.run(profile, name, need)
-        if not (folder / MANIFEST).is_file():
-            raise _missing_input(need, folder, name)
-        inputs[f"{name}/{need}"] = load_manifest(folder)["outputs"]
-    for name in stage.reads_shipped:
-        folder = SHIPPED_DATA / name
-        inputs[f"data/{name}"] = hash_files(folder, sorted(path for path in folder.rglob("*") if path.is_file()))
-    return inputs
-
-
-def _missing_input(stage: str, folder: Path, scene: str) -> UserError:
-    return UserError(f"stage {stage} of scene {scene} hasn't been run", where=folder, do=f"make scene={scene} {stage}")
-
-
-def _simulated(stage: Stage[Any], scene: SceneConfig, profile: str, data: DataRoot) -> bool:
-    """Whether any capture behind this run is simulated, as import saw it."""
-    if stage.reads_captures:
-        return (data.captures(scene.name) / SIMULATED_MARKER).is_file()
-    return any(bool(load_manifest(data.run(profile, leaf, "import"))["simulated"]) for leaf in data.leaves(scene))
-
-
-def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool) -> dict[str, Any]:
-    peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: PeakMemory) -> dict[str, Any]:
     return {
         "simulated": run.simulated,
         "figures": run.figures,
         "seconds": {name: round(value, 3) for name, value in run.seconds.items()},
         "total_seconds": round(elapsed, 3),
         "resumed": resumed,
-        # Linux counts kilobytes, macOS bytes.
-        "peak_memory_mib": round(peak / (2**20 if sys.platform == "darwin" else 2**10), 1),
+        "peak_memory_mib": round(memory.peak_bytes / 2**20, 1),
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {name: _version(name) for name in _VERSIONS} | {"python": platform.python_version()},
         "git_revision": _git_revision(),
@@ -343,58 +262,6 @@ def _git_revision() -> str:
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return shown.stdout.strip()
-
-
-def _outputs(work: Path) -> dict[str, str]:
-    return hash_files(work, (p for p in work.rglob("*") if p.is_file() and p.name not in _NOT_HASHED))
-
-
-def _partial(final: Path) -> Path:
-    return final.with_name(f".{final.name}.partial")
-
-
-def _old(final: Path) -> Path:
-    return final.with_name(f".{final.name}.old")
-
-
-def _same_key(work: Path, key: str) -> bool:
-    try:
-        return bool(json.loads((work / _KEY_FILE).read_text())["key"] == key)
-    except (OSError, ValueError, KeyError):
-        return False
-
-
-def swap_in(work: Path, final: Path) -> None:
-    """Put a finished folder in its place; a kill between the two renames is mended by the next run."""
-    old = _old(final)
-    shutil.rmtree(old, ignore_errors=True)
-    if final.exists():
-        final.rename(old)
-    work.rename(final)
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def _finish_interrupted_rename(final: Path) -> None:
-    work, old = _partial(final), _old(final)
-    if (work / MANIFEST).is_file():
-        swap_in(work, final)
-    elif old.exists() and not final.exists():
-        old.rename(final)
-    shutil.rmtree(old, ignore_errors=True)
-
-
-@contextlib.contextmanager
-def _locked(final: Path) -> Iterator[None]:
-    """Keep two runs of the same stage apart."""
-    final.parent.mkdir(parents=True, exist_ok=True)
-    with final.with_name(f".{final.name}.lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise UserError(
-                "another run of this stage is under way", where=final, do="wait for it to end, or stop it"
-            ) from None
-        yield
 
 
 def _shown(path: Path) -> str:

@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from artefacts.errors import UserError
+from artefacts.files import replace_synced
 from artefacts.schemas import TableSchema
 from geometry.poses import Array, pose_from_tq, tq_from_pose
 
@@ -39,7 +40,7 @@ def write_table(path: Path, frame: pd.DataFrame, schema: TableSchema) -> None:
             raise ValueError(f"{name}.{prefix}_q*: quaternion lengths {norm.min():.6f}..{norm.max():.6f}, not 1")
     partial = path.with_name(path.name + ".partial")
     pq.write_table(table, partial)
-    partial.replace(path)
+    replace_synced(partial, path)
 
 
 def read_table(path: Path, schema: TableSchema) -> pd.DataFrame:

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from simulation.simulate import TRUE_POSES
+from artefacts.simulated import TRUE_POSES
 
 Break = Callable[[Path], None]
 _INTRINSICS = (0, 4)  # fx and fy in the row-major matrix

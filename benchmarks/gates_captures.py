@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.stage import SIMULATED_MARKER, write_json
+from artefacts.files import write_json
+from artefacts.simulated import SIMULATED_MARKER
 from simulation import details, materials
 from simulation.canvas import Canvas
 from simulation.capture import write_frames

@@ -20,10 +20,10 @@ import typer
 from alignment.check_truth import Target, compare_with_bounds, compare_with_truth, shared_sd
 from artefacts import DataRoot, UserError
 from artefacts.cli import new_app
+from artefacts.manifests import load_manifest
 from artefacts.progress import console
 from artefacts.schemas import schema
 from artefacts.settings import resolve_settings
-from artefacts.stage import load_manifest
 from artefacts.tables import poses_of, read_table
 from benchmarks.groundtruth_inputs import (
     PROFILE,

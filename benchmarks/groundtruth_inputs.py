@@ -10,8 +10,9 @@ import pandas as pd
 import pycolmap
 
 from artefacts import DataRoot, UserError
+from artefacts.files import hash_files
+from artefacts.manifests import MANIFEST
 from artefacts.schemas import schema
-from artefacts.stage import MANIFEST, hash_files
 from artefacts.tables import poses_of, read_table, write_table
 from benchmarks.stages import Cost, measure
 from geometry import GeometryError

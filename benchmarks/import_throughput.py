@@ -25,7 +25,7 @@ import typer
 from artefacts import DataRoot, execute
 from artefacts.cli import new_app
 from artefacts.cores import usable_cores
-from artefacts.stage import load_manifest
+from artefacts.manifests import load_manifest
 from benchmarks.import_captures import write_images, write_video
 from benchmarks.stages import measure
 from capture_import.images import WORKING_LONG_SIDE, decode_gray

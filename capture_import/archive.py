@@ -1,22 +1,44 @@
 """Unpacking archives that nobody has checked."""
 
+import lzma
 import shutil
 import stat
+import struct
 import zipfile
+import zlib
 from pathlib import Path, PurePosixPath
 
 from artefacts import UserError
+from artefacts.damage import as_user_error
+from artefacts.files import sync_tree
 from capture_import.capture import Limits
 
 SUFFIXES = (".zip", ".r3d")
 _CHUNK = 1 << 20
+_KEPT_FREE_BYTES = 256 << 20
+# An archive may unpack to this much whatever its ratio.
+_ANY_RATIO_BYTES = 100 << 20
+# What the standard library raises for members that are damaged or use what it doesn't know.
+_BROKEN = (
+    zipfile.BadZipFile,
+    zipfile.LargeZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    NotImplementedError,
+    RuntimeError,
+    EOFError,
+    OSError,
+    ValueError,
+)
 
 
 def unpack(archive: Path, target: Path, limits: Limits) -> None:
     """Unpack a zip archive into the folder `target`, which appears only when all of it is there.
 
     UserError for an archive that is broken or encrypted, has too many files or bytes (counted while unpacking, whatever
-    its headers claim), or a member that is a link or would land outside `target`.
+    its headers claim; those of other archives beside `target` count too) or shrinks them more than captures do, needs
+    more space than is free, or has a member that is a link or would land outside `target`.
     """
     if target.is_dir():
         return
@@ -28,14 +50,38 @@ def unpack(archive: Path, target: Path, limits: Limits) -> None:
             members = content.infolist()
             if len(members) > limits.max_archive_files:
                 raise _refused(archive, f"more than {limits.max_archive_files} files")
-            left = limits.max_archive_bytes
+            _require_space(archive, partial, sum(member.file_size for member in members))
+            left = _bytes_left(archive, target, limits)
             for member in members:
                 place = _place(archive, partial, member)
                 if not member.is_dir():
                     left -= _extract(archive, content, member, place, left)
-    except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, EOFError, OSError, ValueError) as error:
-        raise UserError("an archive can't be unpacked", where=archive, found=error, do="export it again") from None
+    except _BROKEN as error:
+        raise as_user_error(error) or UserError(
+            "an archive can't be unpacked", where=archive, found=error, do="export it again"
+        ) from None
+    sync_tree(partial)
     partial.rename(target)
+
+
+def _require_space(archive: Path, folder: Path, needed: int) -> None:
+    free = shutil.disk_usage(folder).free
+    if needed + _KEPT_FREE_BYTES > free:
+        raise UserError(
+            f"there is too little space to unpack an archive into {folder}",
+            where=archive,
+            expected=f"{(needed + _KEPT_FREE_BYTES) / 2**20:,.0f} MiB",
+            found=f"{free / 2**20:,.0f} MiB free",
+            do="free some space",
+        )
+
+
+def _bytes_left(archive: Path, target: Path, limits: Limits) -> int:
+    """How many bytes may still be unpacked from an archive."""
+    others = [path for other in target.parent.iterdir() if other != target for path in other.rglob("*")]
+    used = sum(path.lstat().st_size for path in others if path.is_file())
+    by_ratio = _ANY_RATIO_BYTES + int(limits.max_archive_ratio * archive.stat().st_size)
+    return min(limits.max_archive_bytes - used, by_ratio)
 
 
 def _place(archive: Path, folder: Path, member: zipfile.ZipInfo) -> Path:
@@ -58,7 +104,7 @@ def _extract(archive: Path, content: zipfile.ZipFile, member: zipfile.ZipInfo, p
         while chunk := source.read(_CHUNK):
             size += len(chunk)
             if size > left:
-                raise _refused(archive, "more bytes than the limit")
+                raise _refused(archive, f"more bytes than the limit, in {member.filename!r}")
             target.write(chunk)
     return size
 

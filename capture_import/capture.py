@@ -20,9 +20,12 @@ class Limits:
     """How much of a capture is read before it counts as hostile."""
 
     max_megapixels: float = 100.0
-    max_archive_bytes: int = 64 * 2**30
+    max_archive_bytes: int = 64 * 2**30  # of all archives of a capture together, unpacked
     max_archive_files: int = 500_000
+    max_archive_ratio: float = 20.0  # logs shrink to a tenth, images and videos hardly; beyond the first 100 MiB
     max_text_bytes: int = 1 << 30
+    max_rows: int = 500_000  # of a log: more than two hours at 60 Hz
+    max_parsed_bytes: int = 512 << 20  # memory for a log's lines, or for what a JSON file holds
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from artefacts.cli import App
+from artefacts.text import printable
 from capture_import.formats import formats
 from capture_import.inspection import inspect_capture
 
@@ -30,4 +31,4 @@ def add_commands(app: App) -> None:
     ) -> None:
         """Print what a capture holds, its health and a verdict, without importing it."""
         for line in inspect_capture(path, format):
-            typer.echo(line)
+            typer.echo(printable(line))

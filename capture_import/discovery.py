@@ -1,5 +1,6 @@
 """Finding the recordings in a capture folder."""
 
+import hashlib
 import os
 from collections import Counter
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from capture_import.capture import Limits, RawSession
 from capture_import.formats import Format, formats
 
 _DEEPEST = 5
+_LONGEST_ID_BYTES = 120
 # The simulator's truth is for checks alone; import doesn't so much as open it.
 _IGNORED = {"true_poses.parquet", "true_cameras.parquet", "SIMULATED.json", "LICENSE", "README.md", "__MACOSX"}
 _IMAGES = (".jpg", ".jpeg", ".png")
@@ -74,7 +76,10 @@ def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str
 
 def _unreadable(path: Path, error: OSError) -> UserError:
     return UserError(
-        "a capture can't be read", where=error.filename or path, found=error.strerror, do="look at its permissions"
+        "a capture can't be read",
+        where=error.filename or path,
+        found=error.strerror,
+        do="look at its permissions" if isinstance(error, PermissionError) else None,
     )
 
 
@@ -120,7 +125,9 @@ class _Search:
 
     def _in_archive(self, path: Path, parts: tuple[str, ...], depth: int) -> list[_Hit]:
         _refuse_odd_name(self.root, path)
-        target = self.unpacked.resolve() / _plain("-".join((*parts[:-1], path.name)))
+        # Of its path alone, so that no two archives share a folder, and a killed run finds it again.
+        digest = hashlib.sha256(os.fsencode(path.relative_to(self.root))).hexdigest()
+        target = self.unpacked.resolve() / digest[:32]
         unpack(path, target, self.limits)
         return _Search(target, target, self.limits, self.known, in_archive=True).run(target, parts, depth + 1)
 
@@ -163,8 +170,12 @@ def _refuse_odd_name(root: Path, path: Path) -> None:
 
 
 def _plain(name: str) -> str:
-    """`name` with everything replaced that could not be part of an id."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name).strip(".") or "capture"
+    """`name` with everything replaced that could not be part of an id, and cut where files couldn't be named by it."""
+    plain = "".join(c if c.isalnum() or c in "-_." else "_" for c in name).strip(".") or "capture"
+    if len(plain.encode()) <= _LONGEST_ID_BYTES:
+        return plain
+    digest = hashlib.sha256(name.encode(errors="surrogateescape")).hexdigest()[:8]
+    return f"{plain.encode()[: _LONGEST_ID_BYTES - 9].decode(errors='ignore')}-{digest}"
 
 
 def _content(root: Path) -> str:

@@ -3,20 +3,22 @@
 import json
 import math
 import stat
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from artefacts import UserError
-from capture_import.capture import RawFrame, Reject
+from capture_import.capture import Limits, RawFrame, Reject
 from geometry import GeometryError
 from geometry.poses import Array, pose_from_tq
 
 Row = TypeVar("Row")
 
 _MOST_NS = 2**63 - 1
+_LONGEST_LINE = 1 << 20
 
 
 class BadRow(ValueError):
@@ -26,11 +28,7 @@ class BadRow(ValueError):
 def read_text(path: Path, max_bytes: int) -> str:
     """A text file in UTF-8; BadRow where it's missing, unreadable, larger than the limit or not UTF-8."""
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise BadRow("no ordinary file")
-        if status.st_size > max_bytes:
-            raise BadRow(f"file is larger than {max_bytes} bytes")
+        _refuse_odd_file(path, max_bytes)
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise BadRow("file isn't UTF-8 text") from None
@@ -47,6 +45,14 @@ def first_bytes(path: Path, count: int = 1 << 16) -> bytes:
             return file.read(count)
     except OSError:
         return b""
+
+
+def _refuse_odd_file(path: Path, max_bytes: int) -> None:
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise BadRow("no ordinary file")
+    if status.st_size > max_bytes:
+        raise BadRow(f"file has {status.st_size} bytes, more than the limit of {max_bytes}")
 
 
 def parse_json(text: str) -> dict[str, Any]:
@@ -138,22 +144,67 @@ def refuse_unreadable(path: Path, frames: Sequence[RawFrame], rejects: Sequence[
         )
 
 
-def lines_of(path: Path, max_bytes: int) -> list[tuple[str, str]]:
-    """The lines of a text log as (source, line), without empty lines and comments; UserError where it can't be read."""
-    try:
-        text = read_text(path, max_bytes)
-    except BadRow as error:
-        raise UserError("a log can't be read", where=path, found=error) from None
-    numbered = enumerate(text.splitlines(), start=1)
-    return [(f"{path.name} line {n}", line) for n, line in numbered if line.strip() and not line.startswith("#")]
+def lines_of(path: Path, limits: Limits, keep: Callable[[str], bool] = bool) -> list[tuple[str, str]]:
+    """The lines of a text log that `keep` wants, as (source, line), without empty lines and comments.
+
+    The log is read line by line, so that what isn't kept takes no memory. UserError where it can't be read, or where
+    it goes beyond the limits.
+    """
+    rows: list[tuple[str, str]] = []
+    size = 0
+    for number, line in numbered_lines(path, limits):
+        if not line.strip() or line.startswith("#") or not keep(line):
+            continue
+        rows.append((f"{path.name} line {number}", line))
+        size += sys.getsizeof(line)
+        if len(rows) > limits.max_rows or size > limits.max_parsed_bytes:
+            found = f"more than {limits.max_rows} rows, or {limits.max_parsed_bytes >> 20} MiB of them"
+            raise _unreadable(path, found)
+    return rows
 
 
-def json_of(path: Path, max_bytes: int) -> dict[str, Any]:
-    """A recording's JSON file as an object; UserError where it can't be read."""
+def numbered_lines(path: Path, limits: Limits) -> Iterator[tuple[int, str]]:
+    """All lines of a text file, numbered from 1, one in memory at a time. UserError where it can't be read, or where
+    the file or a line is larger than the limits."""
     try:
-        return parse_json(read_text(path, max_bytes))
+        _refuse_odd_file(path, limits.max_text_bytes)
+        with path.open(encoding="utf-8-sig") as file:
+            for number, line in enumerate(iter(lambda: file.readline(_LONGEST_LINE + 1), ""), start=1):
+                if len(line) > _LONGEST_LINE:
+                    raise BadRow(f"line {number} is longer than {_LONGEST_LINE} characters")
+                yield number, line.removesuffix("\n")
     except BadRow as error:
-        raise UserError("a log can't be read", where=path, found=error) from None
+        raise _unreadable(path, error) from None
+    except UnicodeDecodeError:
+        raise _unreadable(path, "file isn't UTF-8 text") from None
+    except OSError as error:
+        raise _unreadable(path, f"file can't be read: {error.strerror}") from None
+
+
+def json_of(path: Path, limits: Limits) -> dict[str, Any]:
+    """A recording's JSON file as an object; UserError where it can't be read, or would take more memory parsed than
+    the limit."""
+    try:
+        text = read_text(path, min(limits.max_text_bytes, limits.max_parsed_bytes // 4))
+        if (needed := parsed_bytes(text)) > limits.max_parsed_bytes:
+            raise BadRow(
+                f"JSON of {len(text) >> 20} MiB would take about {needed >> 20} MiB of memory, more than the limit of "
+                f"{limits.max_parsed_bytes >> 20} MiB"
+            )
+        return parse_json(text)
+    except BadRow as error:
+        raise _unreadable(path, error) from None
+
+
+def parsed_bytes(text: str) -> int:
+    """About how many bytes of memory a JSON text takes when it's parsed, the text itself included: CPython's sizes of
+    lists, dictionaries, strings and numbers, by the characters that begin or part them."""
+    sizes = {"[": 72, "{": 240, ",": 40, '"': 32}
+    return sys.getsizeof(text) + len(text) + sum(size * text.count(character) for character, size in sizes.items())
+
+
+def _unreadable(path: Path, found: object) -> UserError:
+    return UserError("a log can't be read", where=path, found=found)
 
 
 def row_major_pose(values: Sequence[float] | Array) -> Array:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from artefacts import Stage, StageRun, UserError
-from artefacts.stage import write_json
+from artefacts.files import write_json
 from artefacts.tables import dataset_frames
 from capture_import.blurring import CascadeDetector, Detector
 from capture_import.capture import RawFrame, Reject
@@ -47,8 +47,7 @@ def run(r: StageRun[ImportSettings]) -> None:
         unpacked.mkdir(exist_ok=True)
         found = find_recordings(root, unpacked, r.settings.limits, r.settings.format)
         roots = [root, unpacked.resolve()]
-    intakes = []
-    fits = []
+    intakes, fits = [], []
     for recording in found:
         views = Views(roots, r.settings.limits)
         with r.step("images"):
@@ -90,6 +89,7 @@ def run(r: StageRun[ImportSettings]) -> None:
         r.write("reference", pd.concat(reference, ignore_index=True))
         r.write("vio", pd.concat([vio_table(s) for s in sessions], ignore_index=True))
     _report(r, sessions, frames, table, rejects, split)
+    _report_same_images(r, frames)
     if detect is not None:
         _report_blurred(r, frames)
 
@@ -313,6 +313,19 @@ def _report(
         r.figure(name, value)
 
 
+def _report_same_images(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
+    trained = frames[frames["split"] != "test"].drop_duplicates("image_sha256").set_index("image_sha256")["frame_id"]
+    test = frames[frames["split"] == "test"]
+    same = test[test["image_sha256"].isin(trained.index)]
+    r.figure("test_images_also_in_train", len(same))
+    if len(same):
+        first = same.iloc[0]
+        r.say(
+            f"warning: {len(same)} of {len(test)} test images are also training images, byte for byte (the first: "
+            f"{first.frame_id} is {trained[first.image_sha256]}): accuracy on this split means nothing"
+        )
+
+
 def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
     faces, plates = int(frames["blurred_faces"].sum()), int(frames["blurred_plates"].sum())
     images = int((frames["blurred_faces"] + frames["blurred_plates"] > 0).sum())
@@ -327,7 +340,7 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
 
 STAGE = Stage(
     name="import",
-    version=5,
+    version=6,
     settings=ImportSettings,
     needs=(),
     run=run,

@@ -146,10 +146,20 @@ _MEANINGS = {
 }
 
 
+# What puts every figure in doubt comes before the figures.
+_WARNINGS = {
+    "prediction_quaternions_not_of_unit_length": "predictions have quaternions that aren't of unit length; their "
+    "direction is taken",
+    "predictions_not_finite": "predictions are not finite and count as missing",
+    "predictions_outside_the_place": "predictions lie farther from the ground truth's bounding box than the box is "
+    "large: of another scene, or in another unit or frame?",
+}
+
+
 def report_lines(results: Results) -> list[str]:
     """The means over all frames, and the input rows that weren't as they should be, a line each."""
     summary = results.tables["summary"]
-    lines = []
+    lines = [f"warning: {n} {meaning}" for name, meaning in _WARNINGS.items() if (n := results.counts[name])]
     for row in summary[(summary["subset"] == "all") & (summary["scored"] == "method")].to_dict("records"):
         error = f"{row['position_mean_m']:.2f} m, {row['rotation_mean_deg']:.2f} deg" if row["answered"] else "no pose"
         coverage = f"{row['coverage_pct']:.0f} % of {row['total']} frames"
@@ -158,7 +168,7 @@ def report_lines(results: Results) -> list[str]:
     for scene in all_frames.loc[all_frames["too_uncertain"] == all_frames["frames"], "scene"].unique():
         lines.append(f"{scene}: no accuracy level can be scored, as no frame's ground truth is sure enough (class C)")
     for name, n in results.counts.items():
-        if n and name != "frames":
+        if n and name != "frames" and name not in _WARNINGS:
             meaning = f" ({_MEANINGS[name]})" if name in _MEANINGS else ""
             lines.append(f"{name.replace('_', ' ')}: {n}{meaning}")
     return lines

@@ -2,7 +2,6 @@
 
 import contextlib
 import hashlib
-import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,11 +11,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from artefacts import DataRoot, UserError
+from artefacts.files import fresh_folder, write_json
 from artefacts.progress import console
 from artefacts.recording import RECORDING, open_recording
 from artefacts.schemas import schema
 from artefacts.settings import SHIPPED_DATA, resolve_settings
-from artefacts.stage import swap_in, write_json
 from artefacts.tables import dataset_frames, write_table
 from fusion.evaluate import FuseSettings, Inputs, evaluate, joined_walks, report_lines, resolved
 from fusion.mobilearloc import MobileARLocOptions
@@ -88,18 +87,14 @@ def _written(out: Path, force: bool) -> Iterator[Path]:
     out = out.absolute()
     try:
         _refuse_to_overwrite(out, force)
-        partial = out.with_name(f".{out.name}.partial")
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
+        out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError("the output folder can't be made", where=out, found=error.strerror) from None
     try:
-        yield partial
-        swap_in(partial, out)
+        with fresh_folder(out) as folder:
+            yield folder
     except OSError as error:
         raise UserError("the results can't be written", where=error.filename or out, found=error.strerror) from None
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _refuse_to_overwrite(out: Path, force: bool) -> None:

@@ -19,6 +19,9 @@ Flags = NDArray[np.bool_]
 MIN_OVERLAP = 0.5
 _MIN_QUATERNION = 1e-6
 _UNIT_QUATERNION = 1e-3
+_SMALLEST_PLACE_M = 10.0
+# What a network puts out may not be normalised; angles in degrees are far from it.
+_QUATERNION_LENGTHS = (0.2, 5.0)
 _ON_EARTH_M = 1e8  # farther from the origin there is no place for a camera
 _QUALITIES = ("A", "B", "C", "none")
 _NO_TRUTH = "none"
@@ -89,8 +92,10 @@ def check_frames(frames: pd.DataFrame, truth: pd.DataFrame, where: str = "") -> 
 
 
 def check_predictions(frames: pd.DataFrame, predictions: pd.DataFrame, where: str = "") -> None:
-    """Refuse predictions with a missing column, a frame listed twice for a model, or of another session or time."""
+    """Refuse predictions with a missing column, a frame listed twice for a model, of another session or time, without
+    any pose, or with rotations that can't be quaternions."""
     _need(predictions, PREDICTION_COLUMNS, "map_cam", f"predictions {where}")
+    _refuse_no_quaternions(predictions, f"predictions {where}")
     _refuse_duplicates(predictions, ["model", "frame_id"], f"predictions {where}")
     _refuse_disagreement(frames, predictions, f"predictions {where}")
 
@@ -161,6 +166,7 @@ def evaluated(
         "prediction_quaternions_not_of_unit_length": _not_unit(evaluated_predictions),
         "frames_without_prediction": int((~listed).sum()),
         "predictions_not_finite": int((listed & ~known(apr_T)).sum()),
+        "predictions_outside_the_place": _outside(apr_T, true_T),
         "predictions_of_unknown_frames": unknown,
     }
     if listed.mean() < MIN_OVERLAP:
@@ -171,6 +177,15 @@ def evaluated(
             do="check that frame_id is <session>/<six digits> as in the frames table",
         )
     return Evaluated(walks, frame_counts, prediction_counts)
+
+
+def _outside(apr_T: Array, true_T: Array) -> int:
+    """How many predicted positions lie farther from the box around the ground truth than that box is large."""
+    true, apr = true_T[known(true_T), :3, 3], apr_T[known(apr_T), :3, 3]
+    low, high = true.min(axis=0), true.max(axis=0)
+    extent_m = max(float(np.linalg.norm(high - low)), _SMALLEST_PLACE_M)
+    away_m = np.linalg.norm(np.maximum(0, np.maximum(low - apr, apr - high)), axis=1)
+    return int((away_m > extent_m).sum())
 
 
 def poses_for(frames: pd.DataFrame, table: pd.DataFrame, prefix: str) -> Array:
@@ -200,6 +215,22 @@ def _not_unit(table: pd.DataFrame, prefix: str = "map_cam") -> int:
     lengths = _lengths(table, prefix)
     used = np.isfinite(lengths) & (lengths > _MIN_QUATERNION)
     return int((used & (np.abs(lengths - 1) > _UNIT_QUATERNION)).sum())
+
+
+def _refuse_no_quaternions(table: pd.DataFrame, what: str) -> None:
+    """Rows without a single pose, or whose rotations are something else than quaternions: Euler angles, say."""
+    finite = np.isfinite(table[_pose_columns("map_cam")].to_numpy(float, na_value=np.nan)).all(axis=1)
+    if not finite.any():
+        raise UserError(f"{what.strip()}: none of {len(table)} rows has a finite pose", expected="numbers, not NaN")
+    median = float(np.median(_lengths(table[finite], "map_cam")))
+    if not _QUATERNION_LENGTHS[0] <= median <= _QUATERNION_LENGTHS[1]:
+        raise UserError(
+            f"{what.strip()}: the rotations are no quaternions",
+            where="columns map_cam_qx, _qy, _qz, _qw",
+            expected="unit quaternions, length 1",
+            found=f"lengths of {median:.3g} (median of {finite.sum()} rows)",
+            do="convert Euler angles or other rotations to unit quaternions",
+        )
 
 
 def _qualities(frames: pd.DataFrame, truth: pd.DataFrame) -> NDArray[np.object_]:

@@ -60,18 +60,26 @@ def markdown(grid: Grid) -> str:
     """The table in GitHub's Markdown: a table a block, as Markdown has no headings that span."""
     names = [f"{group}: {name}" if group else name for group, name in grid.columns]
     rule = ["---"] * grid.labels + ["---:"] * (len(names) - grid.labels)
-    lines = [f"### {grid.title}", "", grid.caption, ""]
+    lines = [f"### {_md_text(grid.title)}", "", _md_text(grid.caption), ""]
     for block in grid.blocks:
-        lines += [f"**{block.title}**", ""] if block.title else []
+        lines += [f"**{_md_text(block.title)}**", ""] if block.title else []
         lines += [_md_line(names), _md_line(rule)]
         lines += [_md_line([f"*{cell}*" for cell in r.cells] if r.source == PUBLISHED else r.cells) for r in block.rows]
         lines.append("")
-    lines += [f"- {note}" for note in grid.notes]
+    lines += [f"- {_md_text(note)}" for note in grid.notes]
     return "\n".join(lines).rstrip() + "\n"
 
 
 def _md_line(cells: list[str] | tuple[str, ...]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+    return "| " + " | ".join(_md_text(cell).replace("|", "\\|") for cell in cells) + " |"
+
+
+def _md_text(text: str) -> str:
+    """Text that Markdown shows as it is: without HTML, links and code, on one line."""
+    escaped = text.replace("\\", "\\\\").replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    for character in "[]`":
+        escaped = escaped.replace(character, f"\\{character}")
+    return " ".join(escaped.splitlines())
 
 
 # --- LaTeX ------------------------------------------------------------------------------------------------------

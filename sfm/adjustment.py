@@ -32,7 +32,7 @@ _SIGMA_OF_MEDIAN = 1.4826
 _LOSS_WIDTH = 2.385  # of sigma (Zhang, "Parameter estimation techniques", 1997)
 _NARROWEST_LOSS_PX = 0.05
 _STEPS = 15
-_SETTLED = 1e-6  # relative change of the cost
+_SETTLED = 1e-4  # relative change of the cost
 # How long a focus stays as it is, and the share of its variance that is each frame's alone.
 _FOCUS_LAG_S, _FOCUS_NOISE = 5.0, 1e-3
 

@@ -51,6 +51,9 @@ def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame) -> Motion:
             continue
         known[rows] = near
         angular[rows[near]], velocity[rows[near]] = rates.angular[near], rates.velocity[near]
-        change = float(np.sqrt(np.mean(rates.angular_change[near] ** 2))) / 2
-        sd[rows[near]] = max(change, _LEAST_ANGULAR_SD)
+        change = rates.angular_change[np.isfinite(rates.angular_change[:, 0])]
+        one_sided = near & ~np.isfinite(rates.angular_change[:, 0])
+        scatter = float(np.sqrt(np.mean(change**2))) / 2 if len(change) else _UNKNOWN_ANGULAR_SD
+        sd[rows[near]] = max(scatter, _LEAST_ANGULAR_SD)
+        sd[rows[one_sided]] *= 2
     return Motion(angular, sd, velocity, known)

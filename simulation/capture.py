@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from artefacts.simulated import FRAME
 from geometry.poses import ARKIT_CAM_T_CAM, inverse, rotation_angle
 from simulation.place import Vec
-
-FRAME = "frame_{:05d}"
 
 
 @dataclass(frozen=True)

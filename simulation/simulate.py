@@ -1,13 +1,11 @@
 """Simulates the captures of a scene: plans, renders in several processes, writes, and puts all in place at the end."""
 
-import fcntl
 import hashlib
 import json
 import multiprocessing
 import os
 import shutil
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +13,16 @@ import cv2
 import pandas as pd
 
 from artefacts import DataRoot, UserError
+from artefacts.files import partial_folder, read_json, swap_in, write_json
+from artefacts.locks import locked
 from artefacts.progress import console, track
+from artefacts.resuming import run_resumable
 from artefacts.schemas import schema
 from artefacts.settings import resolve_settings
-from artefacts.stage import SIMULATED_MARKER, swap_in, write_json
+from artefacts.signals import signals_held
+from artefacts.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES, simulated_files
 from artefacts.tables import pose_frame, write_table
-from simulation.capture import FRAME, write_frames
+from simulation.capture import write_frames
 from simulation.mesh import TexturedMesh, build_mesh, is_saved
 from simulation.render import Renderer
 from simulation.scenes import NAMES, scenery
@@ -28,9 +30,6 @@ from simulation.session import Session, Shot, outline, plan_session, take
 from simulation.settings import SimulateSettings
 
 VERSION = 2  # goes up when the same settings give other captures
-TRUE_POSES = "true_poses.parquet"
-TRUE_CAMERAS = "true_cameras.parquet"
-_KEY = "key.json"
 _MESH = "mesh"
 
 
@@ -56,27 +55,26 @@ def simulate(
     parts = {"version": VERSION, "scene": scene, "seed": seed, "settings": settings.model_dump(mode="json")}
     key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
     title = f"simulate · {scene} · {profile}"
-    work = final.with_name(f".{scene}.partial")
+    work = partial_folder(final)
     work.parent.mkdir(parents=True, exist_ok=True)
-    with _alone(final.with_name(f".{scene}.lock")):
+    with locked(final):
         marker = _own_marker(final)
-        if marker and marker["key"] == key and not force:
+        if marker and marker.get("key") == key and not force:
             console.print(f"{title}: up to date", markup=False)
             os.utime(final / SIMULATED_MARKER)
             return final
-        resumed = not force and _read_json(work / _KEY).get("key") == key
-        if not resumed:
-            shutil.rmtree(work, ignore_errors=True)
-            work.mkdir()
-            write_json(work / _KEY, {"key": key})
-        console.print(f"{title}{': goes on where it was stopped' if resumed else ''}", markup=False, style="bold")
         reduced = _reduced(settings, data, scene)
         if reduced:
             shown = ", ".join(f"{name} {here} instead of {full}" for name, (here, full) in reduced.items())
             console.print(f"  this profile makes less than the paper's counts: {shown}", markup=False)
 
-        sessions = _plan(scene, settings, config.environment == "indoor", work, seed)
-        _take_pictures([shot for s in sessions for shot in s.shots], settings, work / _MESH, processes)
+        sessions: list[Session] = []
+
+        def attempt() -> None:
+            sessions[:] = _plan(scene, settings, config.environment == "indoor", work, seed)
+            _take_pictures([shot for s in sessions for shot in s.shots], settings, work / _MESH, processes)
+
+        run_resumable(work, key, title, force, attempt)
         for session in track(sessions, "writing poses"):
             write_frames(work / session.frames.name, session.frames)
         write_truth(work, sessions)
@@ -91,7 +89,6 @@ def simulate(
             "sessions": {s.frames.name: _count(s) for s in sessions},
         }
         shutil.rmtree(work / _MESH)
-        (work / _KEY).unlink()
         write_json(work / SIMULATED_MARKER, content)
         swap_in(work, final)
     images = sum(len(s.shots) for s in sessions)
@@ -129,7 +126,9 @@ def _take_pictures(shots: list[Shot], settings: SimulateSettings, mesh: Path, pr
             take(shot, renderer, settings)
         return
     context = multiprocessing.get_context("spawn")
-    with context.Pool(min(processes, len(missing)), _start_worker, (mesh, settings)) as pool:
+    with signals_held():
+        workers = context.Pool(min(processes, len(missing)), _start_worker, (mesh, settings))
+    with workers as pool:
         for _ in track(pool.imap_unordered(_work, missing), "rendering images", len(missing)):
             pass
 
@@ -185,7 +184,7 @@ def _own_marker(folder: Path) -> dict[str, Any] | None:
     """The marker of a simulated capture folder, None for an absent or empty folder; UserError for anything else."""
     if not folder.exists() or not any(folder.iterdir()):
         return None
-    marker = _read_json(folder / SIMULATED_MARKER)
+    marker = read_json(folder / SIMULATED_MARKER)
     if not marker:
         raise UserError(
             "this folder holds captures that the simulator didn't write, and it won't touch them",
@@ -193,11 +192,10 @@ def _own_marker(folder: Path) -> dict[str, Any] | None:
             expected=f"an empty folder, or one with {SIMULATED_MARKER}",
             do="use them as they are, or move them away to simulate this scene",
         )
-    own = {SIMULATED_MARKER, TRUE_POSES, TRUE_CAMERAS}
-    for name, count in marker["sessions"].items():
-        own |= {f"{name}/info.json"} | {f"{name}/{FRAME.format(i)}.json" for i in range(count["poses"])}
-        every = count["poses"] // count["images"]
-        own |= {f"{name}/{FRAME.format(i)}.jpg" for i in range(0, count["poses"], every)}
+    try:
+        own = simulated_files(marker)
+    except ValueError as error:
+        raise UserError("the marker of simulated captures is damaged", where=folder, found=error) from None
     files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if not p.is_dir() or p.is_symlink()}
     foreign = sorted(files - own)
     if foreign:
@@ -208,23 +206,3 @@ def _own_marker(folder: Path) -> dict[str, Any] | None:
             do="move them away",
         )
     return marker
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    """The content of a JSON file, {} where there is none that can be read."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
-
-
-@contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Hold a lock, so that two runs don't write the same captures at once."""
-    with path.open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise UserError("another run is simulating this scene", where=path, do="wait until it ends") from None
-        yield

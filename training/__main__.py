@@ -7,6 +7,7 @@ import typer
 
 from artefacts import DataRoot
 from artefacts.cli import DataOption, ProfileOption, SceneOption, stage_app
+from artefacts.manifests import load_verified
 from training.export import export_onnx
 from training.stage import STAGE
 
@@ -22,7 +23,9 @@ def export(
     data: DataOption = Path("data"),
 ) -> None:
     """Write a trained model as ONNX: an RGB image in 0..1 to position and quaternion of map_T_cam."""
-    export_onnx(DataRoot(data).run(profile, scene, "train") / "weights" / f"{model}.pt", out)
+    folder = DataRoot(data).run(profile, scene, "train")
+    load_verified(folder)
+    export_onnx(folder / "weights" / f"{model}.pt", out)
     typer.echo(f"{model} of {scene} → {out}")
 
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from artefacts import UserError
+from artefacts.files import replace_synced
 from training.models.regressor import PoseBatch
 
 Image = NDArray[np.uint8]
@@ -59,7 +60,7 @@ class ImageCache:
                     file.write(image.tobytes())
             partial = folder / "shapes.partial.npy"
             np.save(partial, np.array(shapes, dtype=np.int64).reshape(-1, 2))
-            partial.replace(folder / "shapes.npy")
+            replace_synced(partial, folder / "shapes.npy")
         return cls(folder)
 
 

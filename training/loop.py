@@ -15,6 +15,7 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from artefacts import UserError
 from artefacts.child import Report
+from artefacts.files import replace_synced
 from training.data import Frames, Jitter, Turns, normalised
 from training.evaluation import pose_errors
 from training.models.regressor import PoseRegressor
@@ -181,4 +182,4 @@ def save(path: Path, content: dict[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".partial")
     torch.save(content, partial)
-    partial.replace(path)
+    replace_synced(partial, path)

@@ -1,7 +1,6 @@
 """`python -m alignment export`: ground truth in the layout of another tool or data set."""
 
 import json
-import shutil
 from collections.abc import Callable
 from enum import StrEnum
 from functools import partial
@@ -19,7 +18,7 @@ from alignment.export.seven_scenes import write_seven_scenes
 from alignment.export.tum import write_tum
 from artefacts import DataRoot, UserError, progress
 from artefacts.cli import DataOption, ProfileOption
-from artefacts.stage import swap_in, write_json
+from artefacts.files import fresh_folder, write_json
 
 _NOTE = "export.json"
 _FRAMES = "frames.csv"
@@ -92,31 +91,27 @@ def write_export(
     """
     out = out.absolute()
     _refuse_to_overwrite(out, force)
-    partial_ = out.with_name(f".{out.name}.partial")
-    shutil.rmtree(partial_, ignore_errors=True)
     try:
-        partial_.mkdir(parents=True)
-        placed = WRITERS[format_name](dataset, partial_, images)
-        listed = _listed(dataset, placed)
-        listed.to_csv(partial_ / _FRAMES, index=False)
-        write_json(
-            partial_ / _NOTE,
-            {
-                **about,
-                "simulated": dataset.simulated,
-                "images": images,
-                "frames": len(dataset.frames),
-                "left_out": len(dataset.left_out),
-                "by_split": dataset.frames["split"].value_counts().sort_index().to_dict(),
-                "by_quality": dataset.frames["quality"].value_counts().sort_index().to_dict(),
-                "map": f"{dataset.world} before any turn that the format asks for",
-            },
-        )
-        swap_in(partial_, out)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with fresh_folder(out) as folder:
+            placed = WRITERS[format_name](dataset, folder, images)
+            listed = _listed(dataset, placed)
+            listed.to_csv(folder / _FRAMES, index=False)
+            write_json(
+                folder / _NOTE,
+                {
+                    **about,
+                    "simulated": dataset.simulated,
+                    "images": images,
+                    "frames": len(dataset.frames),
+                    "left_out": len(dataset.left_out),
+                    "by_split": dataset.frames["split"].value_counts().sort_index().to_dict(),
+                    "by_quality": dataset.frames["quality"].value_counts().sort_index().to_dict(),
+                    "map": f"{dataset.world} before any turn that the format asks for",
+                },
+            )
     except OSError as error:
         raise UserError("the export can't be written", where=error.filename or out, found=error.strerror) from None
-    finally:
-        shutil.rmtree(partial_, ignore_errors=True)
 
 
 def _listed(dataset: Dataset, placed: list[str]) -> pd.DataFrame:

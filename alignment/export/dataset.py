@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from artefacts import DataRoot, UserError
+from artefacts.manifests import MANIFEST, load_verified
 from artefacts.schemas import schema
-from artefacts.stage import MANIFEST, load_manifest
 from artefacts.tables import dataset_frames, poses_of, read_table, with_cameras
 from geometry.fits import Sim3
 from geometry.poses import Array
@@ -83,10 +83,10 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
                 where=folder,
                 do=f"make scene={scene} profile={profile} align",
             )
-    manifest = load_manifest(folders["align"])
+    manifests = {stage: load_verified(folder) for stage, folder in folders.items()}
     for stage in ("import", "sfm"):
-        used = manifest["inputs"].get(f"{scene}/{stage}")
-        if used != load_manifest(folders[stage])["outputs"]:
+        used = manifests["align"].get("inputs", {}).get(f"{scene}/{stage}")
+        if used != manifests[stage]["outputs"]:
             raise UserError(
                 f"the ground truth was made from another {stage} run than the one that is here",
                 where=folders["align"],
@@ -123,7 +123,7 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
             )
             for index in np.unique(component).tolist()
         ],
-        bool(manifest["simulated"]),
+        bool(manifests["align"]["simulated"]),
     )
 
 

@@ -27,7 +27,7 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the poses."""
-    rows = [(source, (i, line)) for i, (source, line) in enumerate(lines_of(path, limits.max_text_bytes))]
+    rows = [(source, (i, line)) for i, (source, line) in enumerate(lines_of(path, limits))]
     frames, rejects = collect(rows, session_id, _read_row)
     refuse_unreadable(path, frames, rejects, "time and 12 numbers a row")
     return RawSession(session_id, FORMAT.name, "iOS, ARKit Data Logger", "boot", path.parent, frames, rejects)

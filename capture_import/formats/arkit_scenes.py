@@ -42,7 +42,7 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the trajectory and the images; poses are interpolated where an image lies between two rows."""
-    poses, rejects = collect(lines_of(path / "lowres_wide.traj", limits.max_text_bytes), session_id, _read_pose)
+    poses, rejects = collect(lines_of(path / "lowres_wide.traj", limits), session_id, _read_pose)
     refuse_unreadable(path, poses, rejects, "time, rotation (3), translation (3) a row")
     folder = next(path / name for name in _IMAGES if (path / name).is_dir())
     cameras = folder.with_name(folder.name + "_intrinsics")

@@ -52,11 +52,11 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     for name, split in _LISTS.items():
         file = path.parent / name
         if file.is_file():
-            own = [row for row in lines_of(file, limits.max_text_bytes) if row[1].startswith(f"{path.name}/")]
+            own = lines_of(file, limits, lambda line: line.startswith(f"{path.name}/"))
             rows += own
             splits |= {split} if own else set()
     focal = _focal_lengths(path.parent / "reconstruction.nvm", path.name, limits)
-    whole = _intrinsics(path.parent / "intrinsics.csv", limits)
+    whole = _intrinsics(path.parent / "intrinsics.csv", path.name, limits)
 
     def read_row(source: str, line: str) -> RawFrame:
         name, _, numbers = line.strip().partition(" ")
@@ -103,7 +103,7 @@ def _focal_lengths(file: Path, folder: str, limits: Limits) -> dict[str, float]:
             "reconstruction.nvm is missing", where=file, do="it comes with the data set; it has the focal lengths"
         )
     found = {}
-    for _, line in lines_of(file, limits.max_text_bytes):
+    for _, line in lines_of(file, limits, lambda line: line.lstrip().startswith(f"{folder}/")):
         fields = line.split()
         # A camera's row: name, focal length, quaternion, centre, radial distortion, 0.
         if len(fields) == 11 and fields[0].startswith(f"{folder}/"):
@@ -112,11 +112,12 @@ def _focal_lengths(file: Path, folder: str, limits: Limits) -> dict[str, float]:
     return found
 
 
-def _intrinsics(file: Path, limits: Limits) -> dict[str, Intrinsics]:
-    """Whole intrinsics by the image's path, where our export has written them; none where it's another file."""
+def _intrinsics(file: Path, folder: str, limits: Limits) -> dict[str, Intrinsics]:
+    """Whole intrinsics by the image's path, of one folder, where our export has written them; none where it's another
+    file."""
     if not file.is_file():
         return {}
-    header, *rows = lines_of(file, limits.max_text_bytes) or [("", "")]
+    header, *rows = lines_of(file, limits, lambda line: line.startswith(("image,", f"{folder}/"))) or [("", "")]
     if header[1].strip() != "image,width,height,fx,fy,cx,cy":
         return {}
     found = {}

@@ -14,10 +14,13 @@ Documented at https://colmap.github.io/format.html. What matters:
 The poses are a reference, not VIO. Each folder of images in `images/` is a recording.
 """
 
+import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -29,8 +32,9 @@ from capture_import.parsing import (
     BadRow,
     collect,
     inside,
+    lines_of,
+    numbered_lines,
     quaternion_pose,
-    read_text,
     refuse_unreadable,
     seconds_to_ns,
     split_numbers,
@@ -145,17 +149,15 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         poses_are="reference",
         gravity_aligned=ours,
         metric=ours,
-        split=split_of([file for _, file in rows], _tested(data_set)),
+        split=split_of([file for _, file in rows], _tested(data_set, limits)),
         notes=notes,
     )
 
 
-def _tested(data_set: Path) -> set[Path]:
+def _tested(data_set: Path, limits: Limits) -> set[Path]:
     """The images that test.txt lists, which our exports write."""
-    try:
-        return {data_set / "images" / line for line in read_text(data_set / "test.txt", 1 << 26).splitlines()}
-    except BadRow:
-        return set()
+    file = data_set / "test.txt"
+    return {data_set / "images" / line for _, line in lines_of(file, limits)} if file.is_file() else set()
 
 
 def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[_Image]]:
@@ -163,17 +165,19 @@ def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[
     binary = (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file()
     suffix = ".bin" if binary else ".txt"
     cameras, images = folder / f"cameras{suffix}", folder / f"images{suffix}"
-    for file in (cameras, images):
-        if file.stat().st_size > limits.max_text_bytes:
-            raise UserError("a COLMAP file is too large", where=file, expected=f"{limits.max_text_bytes} bytes at most")
+    most = limits.max_rows
     try:
         if binary:
-            return dict(_binary_cameras(cameras.read_bytes())), list(_binary_images(images.read_bytes()))
-        return (
-            dict(_text_cameras(read_text(cameras, limits.max_text_bytes))),
-            list(_text_images(read_text(images, limits.max_text_bytes))),
-        )
-    except (BadRow, struct.error, UnicodeDecodeError) as error:
+            with cameras.open("rb") as file:
+                by_number = dict(islice(_binary_cameras(file), most + 1))
+            with images.open("rb") as file:
+                listed = list(islice(_binary_images(file), most + 1))
+        else:
+            by_number = dict(_text_cameras([line for _, line in lines_of(cameras, limits)]))
+            listed = list(islice(_text_images(line for _, line in numbered_lines(images, limits)), most + 1))
+        if max(len(by_number), len(listed)) > most:
+            raise BadRow(f"more than {most} cameras or images")
+    except (BadRow, struct.error, UnicodeDecodeError, OSError) as error:
         raise UserError(
             "a COLMAP model can't be read",
             where=folder,
@@ -181,46 +185,57 @@ def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[
             found=error,
             do="write it again with colmap model_converter",
         ) from None
+    return by_number, listed
 
 
-def _binary_cameras(data: bytes) -> Iterator[tuple[int, _Camera]]:
-    (count,), at = struct.unpack_from("<Q", data), 8
+def _binary_cameras(file: BinaryIO) -> Iterator[tuple[int, _Camera]]:
+    (count,) = _take(file, "<Q")
     for _ in range(count):
-        number, model, width, height = struct.unpack_from("<IiQQ", data, at)
+        number, model, width, height = _take(file, "<IiQQ")
         if model not in _MODELS:
             raise BadRow(f"cameras.bin has a camera model of number {model}, whose length isn't known")
         name, params = _MODELS[model]
-        yield number, _Camera(name, width, height, struct.unpack_from(f"<{params}d", data, at + 24))
-        at += 24 + 8 * params
+        yield number, _Camera(name, width, height, _take(file, f"<{params}d"))
 
 
-def _binary_images(data: bytes) -> Iterator[_Image]:
-    (count,), at = struct.unpack_from("<Q", data), 8
+def _binary_images(file: BinaryIO) -> Iterator[_Image]:
+    size = os.fstat(file.fileno()).st_size
+    (count,) = _take(file, "<Q")
     for _ in range(count):
-        _, qw, qx, qy, qz, tx, ty, tz, camera = struct.unpack_from("<I7dI", data, at)
-        end = data.find(b"\0", at + 64, at + 64 + _LONGEST_NAME)
-        if end < 0:
+        _, qw, qx, qy, qz, tx, ty, tz, camera = _take(file, "<I7dI")
+        name = _name(file)
+        (points,) = _take(file, "<Q")
+        end = file.tell() + 24 * points
+        if end > size:
+            raise BadRow(f"images.bin has {size} bytes, but points of {name[:60]} up to byte {end}")
+        file.seek(end)
+        yield _Image(name, camera, (qx, qy, qz, qw), (tx, ty, tz))
+
+
+def _take(file: BinaryIO, form: str) -> tuple[Any, ...]:
+    return struct.unpack(form, file.read(struct.calcsize(form)))
+
+
+def _name(file: BinaryIO) -> str:
+    name = bytearray()
+    while (character := file.read(1)) != b"\0":
+        if not character or len(name) == _LONGEST_NAME:
             raise BadRow("images.bin has an image whose name doesn't end")
-        (points,) = struct.unpack_from("<Q", data, end + 1)
-        if points > len(data):
-            raise BadRow("images.bin has an image with more points than the file has bytes")
-        yield _Image(data[at + 64 : end].decode(), camera, (qx, qy, qz, qw), (tx, ty, tz))
-        at = end + 9 + 24 * points
+        name += character
+    return name.decode()
 
 
-def _text_cameras(text: str) -> Iterator[tuple[int, _Camera]]:
-    for line in text.splitlines():
-        if not line.strip() or line.startswith("#"):
-            continue
-        number, name, *values = line.split()
-        width, height, *params = split_numbers(" ".join(values)) if len(values) > 2 else (0.0, 0.0)
-        if not _is_id(number) or not (0 < width < 1e6 and 0 < height < 1e6):
+def _text_cameras(lines: Iterable[str]) -> Iterator[tuple[int, _Camera]]:
+    for line in lines:
+        fields = line.split()
+        width, height, *params = split_numbers(" ".join(fields[2:])) if len(fields) > 4 else (0.0, 0.0)
+        if not _is_id(fields[0]) or not (0 < width < 1e6 and 0 < height < 1e6):
             raise BadRow(f"cameras.txt has a row that isn't CAMERA_ID MODEL WIDTH HEIGHT PARAMS: {line[:60]}")
-        yield int(number), _Camera(name, int(width), int(height), tuple(params))
+        yield int(fields[0]), _Camera(fields[1], int(width), int(height), tuple(params))
 
 
-def _text_images(text: str) -> Iterator[_Image]:
-    lines = (line for line in text.splitlines() if not line.startswith("#"))
+def _text_images(lines: Iterable[str]) -> Iterator[_Image]:
+    lines = (line for line in lines if not line.startswith("#"))
     for line in lines:
         if not line.strip():
             continue

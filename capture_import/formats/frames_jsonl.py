@@ -38,7 +38,7 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the header and the rows."""
-    lines = lines_of(path / "frames.jsonl", limits.max_text_bytes)
+    lines = lines_of(path / "frames.jsonl", limits)
     header = _header(path, lines[0][1] if lines else "")
 
     def read_row(source: str, line: tuple[int, str]) -> RawFrame:

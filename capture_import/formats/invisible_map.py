@@ -36,7 +36,7 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the poses."""
-    rows = json_of(path, limits.max_text_bytes).get("pose_data")
+    rows = json_of(path, limits).get("pose_data")
     if not isinstance(rows, list):
         raise UserError("pose_data is no list", where=path, expected="objects with timestamp and pose")
     frames, rejects = collect([(f"pose {i}", (i, row)) for i, row in enumerate(rows)], session_id, _read_row)

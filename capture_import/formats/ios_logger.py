@@ -35,9 +35,9 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read poses and images and join them by time; images and video frames belong together by number."""
-    poses, rejects = collect(lines_of(path / "ARposes.txt", limits.max_text_bytes), session_id, _read_pose)
+    poses, rejects = collect(lines_of(path / "ARposes.txt", limits), session_id, _read_pose)
     refuse_unreadable(path, poses, rejects, "time, x, y, z, qw, qx, qy, qz")
-    rows = lines_of(path / "Frames.txt", limits.max_text_bytes)
+    rows = lines_of(path / "Frames.txt", limits)
     video = path / "Frames.m4v"
     require_row_per_frame(video, "Frames.txt", len(rows), limits)
 

@@ -43,7 +43,7 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the frames and put them in the order of time."""
-    rows = json_of(path / "transforms.json", limits.max_text_bytes).get("frames")
+    rows = json_of(path / "transforms.json", limits).get("frames")
     if not isinstance(rows, list) or not any(isinstance(row, dict) and "timestamp" in row for row in rows):
         raise UserError(
             "transforms.json isn't NeRFCapture's",

@@ -59,7 +59,7 @@ def detect(path: Path) -> bool:
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the frames of one recording."""
     data_set = data_set_of(path, _is_data_set) or path
-    content = json_of(data_set / _FILE, limits.max_text_bytes)
+    content = json_of(data_set / _FILE, limits)
     listed = content.get("frames")
     if not isinstance(listed, list):
         raise UserError("transforms.json has no frames", where=data_set / _FILE, expected="frames: a list")

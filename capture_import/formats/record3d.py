@@ -41,7 +41,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the poses and join them to images by number."""
     metadata, images = _metadata(path), _images(path)
     assert metadata is not None and images is not None  # detect() has seen them
-    content = json_of(metadata, limits.max_text_bytes)
+    content = json_of(metadata, limits)
     poses = content.get("poses")
     if not isinstance(poses, list):
         raise UserError("Record3D's metadata has no poses", where=metadata, expected="poses: a list")

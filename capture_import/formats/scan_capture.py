@@ -40,7 +40,7 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the rows and join them to the video's frames by time."""
-    frames, rejects = collect(lines_of(path / "poses.txt", limits.max_text_bytes), session_id, _read_row)
+    frames, rejects = collect(lines_of(path / "poses.txt", limits), session_id, _read_row)
     refuse_unreadable(path, frames, rejects, "timestamp, status, tx .. tz, qx .. qw, w, h, fx, fy, cx, cy")
     video = path / "images.mp4"
     times = np.array([row.t_ns for row in frames], dtype=np.int64)

@@ -48,7 +48,7 @@ def detect(path: Path) -> bool:
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the poses, and the video's frames where they can be used."""
     calibration = path / "calibration.json"
-    device_T_cam = _device_T_cam(json_of(calibration, 1 << 20), calibration) if calibration.is_file() else None
+    device_T_cam = _device_T_cam(json_of(calibration, limits), calibration) if calibration.is_file() else None
 
     def read_pose(source: str, line: str) -> RawFrame:
         row = parse_json(line)
@@ -67,7 +67,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             tracking=_STATES.get(str(row.get("status")), "unknown"),
         )
 
-    poses, rejects = collect(lines_of(path / "output.jsonl", limits.max_text_bytes), session_id, read_pose)
+    poses, rejects = collect(lines_of(path / "output.jsonl", limits), session_id, read_pose)
     refuse_unreadable(path, poses, rejects, "time, position and orientation a row")
     notes: list[str] = []
     images: list[RawFrame] = []
@@ -103,7 +103,7 @@ def _device_T_cam(calibration: dict[str, Any], path: Path) -> Array:
 
 
 def _read_images(path: Path, session_id: str, limits: Limits) -> tuple[list[RawFrame], list[Any]]:
-    lines = [(s, line) for s, line in lines_of(path / "data.jsonl", limits.max_text_bytes) if '"frames"' in line]
+    lines = lines_of(path / "data.jsonl", limits, lambda line: '"frames"' in line)
     video = path / "data.mp4"
     require_row_per_frame(video, "data.jsonl", len(lines), limits)
 

@@ -44,7 +44,7 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the rows and join them to the video's frames by number."""
-    header, *rows = lines_of(path / "odometry.csv", limits.max_text_bytes) or [("odometry.csv", "")]
+    header, *rows = lines_of(path / "odometry.csv", limits) or [("odometry.csv", "")]
     names = [name.strip() for name in header[1].split(",")]
     if missing := [name for name in _COLUMNS if name not in names]:
         raise UserError(

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from alignment.sfm_tables import SfmTables
 from alignment.uncertainty import covariance_in_map
 from artefacts import DataRoot
+from artefacts.files import write_json
 from artefacts.schemas import schema
-from artefacts.stage import write_json
 from artefacts.tables import pose_frame, poses_of, write_table
 from geometry.fits import Sim3
 from geometry.poses import make_pose, yaw_rotation

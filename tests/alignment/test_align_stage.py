@@ -17,9 +17,9 @@ from alignment.check_truth import compare_with_bounds, compare_with_truth
 from alignment.stage import STAGE
 from alignment.uncertainty import SharedSd, shared_covariance
 from artefacts import DataRoot, UserError, execute
+from artefacts.manifests import load_manifest
 from artefacts.recording import GROUND_TRUTH, VIO
 from artefacts.schemas import schema, stage_tables
-from artefacts.stage import load_manifest
 from artefacts.tables import read_table, write_table
 from geometry.poses import make_pose, yaw_rotation
 

@@ -83,7 +83,7 @@ def scene(tmp_path: Path):
     table["depth"] = [f"depth{i}.png" for i in range(COUNT)]
     table["depth_confidence"] = [f"conf{i}.png" for i in range(COUNT)]
     placed = Placed(
-        Component(0, "m", [], [], MapScale(0.0, 0.0, {}, {}), Vertical(np.zeros(3), 0.0, {})), GAUGE.inverse()
+        Component(0, "m", [], [], MapScale(0.0, 0.0, {}, {}), Vertical(np.zeros(3), 0.0, {}), None), GAUGE.inverse()
     )
     return table, pose_frame("sfm_cam", sfm_T_cam), placed
 
@@ -129,7 +129,9 @@ def test_too_little_depth_judges_nothing(scene, tmp_path: Path) -> None:
     samples = samples_of((frames, images, placed), tmp_path, 1.3)
     gate = Gate()
     (line,) = check_depth(gate, agreement_table(samples, seed=0), AlignSettings())
-    assert not gate.rows and "too little depth" in line
+    (row,) = gate.rows
+    assert (row["check"], row["session_id"], row["verdict"]) == ("session_depth_scale", "walk", "undecided")
+    assert "too little depth" in line and not gate.failed
     frames["depth"] = None
     assert not has_depth(frames)
     assert not len(agreement_table(samples_of((frames, images, placed), tmp_path), seed=0))

@@ -17,6 +17,8 @@ from alignment.__main__ import app
 from alignment.export.command import WRITERS, FormatOption
 from alignment.stage import STAGE
 from artefacts import DataRoot, UserError, execute
+from artefacts.files import write_json
+from artefacts.manifests import output_hashes
 from artefacts.schemas import schema
 from artefacts.tables import pose_frame, poses_of, read_table, with_cameras, write_table
 from capture_import.capture import Limits, RawSession
@@ -277,6 +279,8 @@ def test_a_map_of_unknown_unit_is_not_exported_as_metres(scene: DataRoot) -> Non
     gt = read_table(path, schema("align", "ground_truth"))
     gt = gt.assign(scale_source="reference, unit unknown", vertical_source="reference, up unknown")
     write_table(path, gt, schema("align", "ground_truth"))
+    manifest = json.loads((path.parent / "manifest.json").read_text())
+    write_json(path.parent / "manifest.json", manifest | {"outputs": output_hashes(path.parent)})
     out = _export(scene, "nerfstudio", "--images", "copy")
     assert json.loads((out / "export.json").read_text())["map"].startswith("a reference's unit, which isn't known")
     assert {(s.metric, s.gravity_aligned) for s in _sessions(out)} == {(False, False)}
@@ -375,8 +379,8 @@ def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:
     for name in ("7scenes", "cambridge"):
         _export(scene, name)
 
-    manifest = scene.run("tiny", "Place", "sfm") / "manifest.json"
-    manifest.write_text(json.dumps({"outputs": {"images.parquet": "another"}, "simulated": True}))
+    folder = scene.run("tiny", "Place", "sfm")
+    (folder / "manifest.json").write_text(json.dumps({"outputs": output_hashes(folder), "simulated": True}))
     with pytest.raises(UserError, match="another sfm run"):
         _export(scene, "tum")
 

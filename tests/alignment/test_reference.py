@@ -33,7 +33,7 @@ def stated(scene, map_T_cam: np.ndarray, **changes) -> Reference:
 
 
 def run(scene, reference: Reference) -> Aligned:
-    return align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), reference)
+    return align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), reference=reference)
 
 
 @pytest.mark.parametrize("unit", [1.0, 7.3])

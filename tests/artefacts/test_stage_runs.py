@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
-from artefacts.stage import load_manifest
+from artefacts.manifests import load_manifest
 from artefacts.tables import pose_frame
 from geometry.poses import make_pose
 
@@ -26,7 +26,7 @@ die_at = sys.argv[2]
 def die(place):
     if place == die_at:
         os.kill(os.getpid(), signal.SIGKILL)
-for name in ("_outputs", "swap_in", "write_json"):
+for name in ("output_hashes", "swap_in", "write_json"):
     original = getattr(stage_module, name)
     def wrapped(*args, _original=original, _name=name):
         die("before " + _name)
@@ -123,7 +123,7 @@ MOMENTS = [
     "row 0",
     "row 2",
     "table written",
-    "before _outputs",
+    "before output_hashes",
     "after write_json",
     "before swap_in",
     "rename to .simulate.old",

@@ -9,7 +9,7 @@ from capture_writers import make_walk, write_scanner_app, write_stray_scanner
 from rerun.chunk import RrdReader
 
 from artefacts import DataRoot, execute
-from artefacts.stage import load_manifest
+from artefacts.manifests import load_manifest
 from capture_import import recording, views
 from capture_import.capture import Limits, RawFrame
 from capture_import.clock import CLOCK_LONG_SIDE, dense_stretch

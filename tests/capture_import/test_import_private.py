@@ -13,7 +13,7 @@ import pytest
 from capture_writers import HEIGHT, WIDTH, image, jpeg, make_walk, write_scanner_app, write_stray_scanner
 
 from artefacts import DataRoot, UserError, execute
-from artefacts.stage import load_manifest
+from artefacts.manifests import load_manifest
 from capture_import import stage as import_stage
 from capture_import.blurring import CascadeDetector, Region, blur_people
 from capture_import.images import decode_rgb, without_metadata

@@ -77,6 +77,34 @@ def test_other_camera_models_are_left_out_by_name(tmp_path: Path) -> None:
     assert "OPENCV_FISHEYE" in session.rejects[0].reason
 
 
+@pytest.mark.parametrize("suffix", [".bin", ".txt"])
+def test_a_model_beyond_the_limits_is_refused(tmp_path: Path, suffix: str) -> None:
+    write_colmap(tmp_path / "walk", make_walk(8))
+    folder = tmp_path / "walk" / "sparse" / "0"
+    written = pycolmap.Reconstruction(folder)
+    for file in folder.iterdir():
+        file.unlink()
+    (written.write_text if suffix == ".txt" else written.write_binary)(folder)
+    (found,) = find_recordings(tmp_path, tmp_path.parent / "unpacked", Limits())
+    count = len(written.images)
+    assert len(found.read(Limits(max_rows=count)).frames) == count
+    with pytest.raises(UserError, match=f"more than {count - 1} "):
+        found.read(Limits(max_rows=count - 1))
+
+
+def test_points_that_end_beyond_the_file_are_refused(tmp_path: Path) -> None:
+    write_colmap(tmp_path / "walk", make_walk(4))
+    folder = tmp_path / "walk" / "sparse" / "0"
+    written = pycolmap.Reconstruction(folder)
+    for file in folder.iterdir():
+        file.unlink()
+    written.write_binary(folder)
+    images = folder / "images.bin"
+    images.write_bytes(images.read_bytes()[:-1])
+    with pytest.raises(UserError, match="points of"):
+        read_all(tmp_path)
+
+
 def test_a_wrong_number_of_parameters_is_refused() -> None:
     with pytest.raises(ValueError, match="4 parameters, not 8"):
         _intrinsics(_Camera("OPENCV", 96, 72, (80.0, 80.0, 48.0, 36.0)))

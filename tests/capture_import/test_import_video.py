@@ -9,7 +9,7 @@ import pytest
 from capture_writers import HEIGHT, WIDTH, image, make_walk, video_frame, write_stray_scanner
 
 from artefacts import DataRoot, UserError, execute
-from artefacts.stage import load_manifest
+from artefacts.manifests import load_manifest
 from capture_import import placing
 from capture_import.capture import Limits
 from capture_import.spool import Spool

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 from tables import tables
 from typer.testing import CliRunner
 
@@ -286,6 +287,16 @@ def truth_refused(frames, truth, predictions):
     return frames, truth.assign(quality="none"), predictions
 
 
+def euler_degrees(frames, truth, predictions):
+    degrees = Rotation.from_matrix(poses_of(predictions, "map_cam")[:, :3, :3]).as_euler("xyz", degrees=True)
+    columns = dict(zip(["map_cam_qx", "map_cam_qy", "map_cam_qz"], degrees.T, strict=True))
+    return frames, truth, predictions.assign(map_cam_qw=0.0, **columns)
+
+
+def nan_predictions(frames, truth, predictions):
+    return frames, truth, predictions.assign(map_cam_tx=np.nan)
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -311,12 +322,34 @@ def truth_refused(frames, truth, predictions):
         (truth_without_poses, "no evaluated frame has ground truth"),
         (truth_refused, "no evaluated frame has ground truth"),
         (no_predictions, "no rows"),
+        (euler_degrees, "rotations are no quaternions"),
+        (nan_predictions, "none of 40 rows has a finite pose"),
         (no_frames, "no rows"),
     ],
 )
 def test_input_that_cannot_be_evaluated_is_refused(spoil, message):
     with pytest.raises(UserError, match=message):
         run(*spoil(*tables([2])))
+
+
+def test_what_puts_the_figures_in_doubt_is_said_before_them():
+    frames, truth, predictions = tables([1])
+    finite = int(predictions["map_cam_tx"].notna().sum())
+
+    def warnings(changed):
+        lines = report_lines(run(frames, truth, changed))
+        first_figure = next(i for i, line in enumerate(lines) if "mean error" in line)
+        assert not any(line.startswith("warning") for line in lines[first_figure:])
+        return lines[:first_figure]
+
+    assert warnings(predictions) == [f"warning: {40 - finite} predictions are not finite and count as missing"]
+    far = predictions.assign(map_cam_tx=predictions["map_cam_tx"] + 5000)
+    assert f"warning: {finite} predictions lie farther from the ground truth" in warnings(far)[-1]
+    some = predictions.copy()
+    some.loc[some["map_cam_tx"].notna().to_numpy().nonzero()[0][:10], "map_cam_tz"] += 5000
+    assert "warning: 10 predictions lie farther" in warnings(some)[-1]
+    doubled = predictions.assign(**{f"map_cam_q{a}": 2 * predictions[f"map_cam_q{a}"] for a in "xyzw"})
+    assert f"warning: {finite} predictions have quaternions" in warnings(doubled)[0]
 
 
 def test_options_are_recorded_and_checked():
@@ -391,7 +424,12 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path, monkeypa
     ):
         with pytest.raises(UserError, match=message):
             write(files, folder)
+    others = [tmp_path / f".out.{suffix}" for suffix in ("partial", "old")]
+    for foreign in others:
+        foreign.mkdir()
+        (foreign / "mine.txt").write_text("mine")
     write(files, out)
+    assert all((foreign / "mine.txt").read_text() == "mine" for foreign in others)
     note = json.loads((out / "evaluation.json").read_text())
     assert note["counts"]["frames"] == 40 and note["settings"]["methods"] == ["apr"]
     assert note["inputs"]["frames"]["sha256"] == hashlib.sha256(files.frames.read_bytes()).hexdigest()
@@ -406,8 +444,9 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path, monkeypa
         patched.setattr("fusion.tables.record", fail)
         with pytest.raises(UserError, match="can't be written"):
             write(files, out, force=True)
-    assert (out / "stale.parquet").exists() and len(list(tmp_path.iterdir())) == 4
+    assert (out / "stale.parquet").exists() and len(list(tmp_path.iterdir())) == 6
     write(files, out, force=True)
+    assert all((foreign / "mine.txt").read_text() == "mine" for foreign in others)
     assert not (out / "stale.parquet").exists()
 
 

@@ -35,8 +35,11 @@ def test_change_says_how_much_the_rate_changes_around_the_moment() -> None:
     assert np.allclose(rates.angular_change, [[0.0, 0.6 * 0.04, 0.8 * 0.04]], atol=1e-9)
 
 
-def test_no_rates_at_the_ends_and_in_gaps() -> None:
+def test_rates_at_the_ends_come_from_one_side_and_there_are_none_in_gaps() -> None:
     log_ns = np.array([0, 1, 2, 12, 13, 14]) * _STEP_NS
     t_ns = np.array([0, 1, 7, 13, 14]) * _STEP_NS
     rates = rates_at(t_ns, _turning(t_ns * 1e-9), log_ns, _turning(log_ns * 1e-9), 0.3)
-    assert np.isfinite(rates.angular[:, 0]).tolist() == [False, True, False, True, False]
+    assert np.isfinite(rates.angular[:, 0]).tolist() == [True, True, False, True, True]
+    assert np.isfinite(rates.angular_change[:, 0]).tolist() == [False, True, False, True, False]
+    # From 0 to 0.1 s the camera turns by 0.032 rad.
+    assert np.allclose(rates.angular[0], [0.0, 0.6 * 0.32, 0.8 * 0.32], atol=1e-9)

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from artefacts.files import hash_files, write_json
 from artefacts.schemas import schema, stage_tables
 from artefacts.settings import DataRoot
-from artefacts.stage import write_json
 from artefacts.tables import pose_frame, read_table, write_table
 from geometry.metrics import position_error, rotation_error_deg
 from geometry.poses import Array, make_pose, yaw_rotation
@@ -80,6 +80,7 @@ class MadeUpScene:
             quality=self.quality,
             reason="",
             gt_uses_vio=False,
+            scale_source="vio",
             component=0,
         )
         # One test frame without ground truth: it can't be scored, and must be counted as such.
@@ -259,7 +260,9 @@ class MadeUpScene:
     def _gate(self) -> pd.DataFrame:
         row = {"check": "window_motion", "session_id": "walk_1", "t_start_ns": 0, "t_end_ns": SECOND, "frames": 10}
         row |= {"value": 0.01, "limit": 0.1, "unit": "m", "passed": True, "reason": "", "component": 0, "cause": ""}
+        row["verdict"] = "passed"
         failed = row | {"session_id": "walk_2", "value": 0.3, "passed": False, "reason": "VIO and the model disagree"}
+        failed["verdict"] = "failed"
         return pd.DataFrame([row, failed])
 
     def _history(self) -> pd.DataFrame:
@@ -354,7 +357,7 @@ def write_stage(data: DataRoot, scene: str, stage: str, tables: dict[str, pd.Dat
             "stage": stage, "seed": 0, "simulated": simulated, "settings": {"made": "up"}, "figures": {},
             "seconds": {"step": 1.5}, "total_seconds": 2.0, "finished": "2026-01-01T00:00:00+00:00",
             "peak_memory_mib": 100.0, "versions": {"numpy": "2"}, "git_revision": "abc", "machine": "made up",
-            "outputs": {"all": json.dumps([stage, scene])},
+            "outputs": hash_files(folder, folder.glob("*.parquet")),
         },
     )  # fmt: skip
 

@@ -10,6 +10,8 @@ import pandas as pd
 import pytest
 
 from artefacts import UserError
+from artefacts.files import write_json
+from artefacts.manifests import load_manifest, output_hashes
 from artefacts.schemas import schema
 from artefacts.settings import DataRoot
 from artefacts.stage import execute
@@ -223,6 +225,10 @@ def test_text_is_escaped_in_every_format() -> None:
     assert latex_text("50 % of a_b & 2° ~ {x}") == r"50 \% of a\_b \& 2$^\circ$ \textasciitilde{} \{x\}"
     grid = Grid("t", "T", "c", (("", "a|b"), ("", "<i>")), (Block("", (Row(("x|y", "1 & 2"), "ours"),)),), 1)
     assert r"x\|y" in markdown(grid) and r"1 \& 2" in latex(grid)
+    hostile = Row(("<script>alert(1)</script>", "[x](http://y)\n| `z` \\"), "ours")
+    text = markdown(Grid("t", "<b>", "<c>", (("", "a"), ("", "b")), (Block("<d>", (hostile,)),), 1, ("<e>",)))
+    assert "<" not in text and "1 &amp; 2" in markdown(grid)
+    assert r"| &lt;script&gt;alert(1)&lt;/script&gt; | \[x\](http://y) \| \`z\` \\ |" in text.splitlines()
     with pytest.raises(ValueError, match="cells"):
         Grid("t", "T", "c", (("", "a"),), (Block("", (Row(("x", "y"), "ours"),)),))
 
@@ -296,14 +302,19 @@ def test_the_same_run_gives_the_same_bytes(chair: tuple[DataRoot, Path]) -> None
 def test_bad_input_is_a_clear_error(make_run: MakeRun) -> None:
     data = make_run(Bar={"train": 12, "test": 6})
     errors = table_of(data, "Bar", "fuse", "errors")
-    path = data.run("tiny", "Bar", "fuse") / "errors.parquet"
-    write_table(path, errors[errors["method"] == "apr"], schema("fuse", "errors"))
+    folder = data.run("tiny", "Bar", "fuse")
+
+    def rewrite(table: pd.DataFrame) -> None:
+        write_table(folder / "errors.parquet", table, schema("fuse", "errors"))
+        write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})
+
+    rewrite(errors[errors["method"] == "apr"])
     with pytest.raises(UserError, match="paper's rule wasn't run"):
         execute(STAGE, "Bar", "tiny", data)
-    write_table(path, errors[errors["split"] != "test"], schema("fuse", "errors"))
+    rewrite(errors[errors["split"] != "test"])
     with pytest.raises(UserError, match="no test frame with ground truth"):
         execute(STAGE, "Bar", "tiny", data)
-    write_table(path, errors, schema("fuse", "errors"))
+    rewrite(errors)
     for image in data.captures("Bar").rglob("*.jpg"):
         image.write_bytes(b"not a picture")
     with pytest.raises(UserError, match="can't be read any more"):

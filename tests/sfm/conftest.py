@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from artefacts import DataRoot
+from artefacts.files import hash_files
 from artefacts.schemas import schema
 from artefacts.tables import pose_frame, write_table
 from geometry.poses import Array, inverse, make_pose
@@ -138,7 +139,7 @@ def _write_import(data: DataRoot, frames: pd.DataFrame, sessions: list[str]) -> 
     _write(folder, "vio", frames[["session_id", "t_ns", *(c for c in frames if c.startswith("vio_cam_"))]].copy())
     _write(folder, "sessions", pd.DataFrame({"session_id": sessions, "recording": sessions}))
     _write(folder, "jumps", pd.DataFrame({"session_id": [], "t_ns": []}).astype({"session_id": str, "t_ns": "int64"}))
-    manifest = {"key": "test", "simulated": False, "outputs": {"frames.parquet": "made by a test"}}
+    manifest = {"key": "test", "simulated": False, "outputs": hash_files(folder, folder.glob("*.parquet"))}
     (folder / "manifest.json").write_text(json.dumps(manifest))
 
 

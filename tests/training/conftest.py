@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 import torch
 
+from artefacts.files import write_json
 from artefacts.schemas import schema
-from artefacts.stage import write_json
 from artefacts.tables import pose_frame, write_table
 from geometry.poses import make_pose, yaw_rotation
 
@@ -75,6 +75,7 @@ def make_scene(tmp_path: Path) -> Callable[..., Path]:
             quality="A",
             reason="",
             gt_uses_vio=False,
+            scale_source="vio",
             component=0,
         )
         # Training that looked at a support frame would miss its image.

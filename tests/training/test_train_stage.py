@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from artefacts import DataRoot, UserError, execute
-from artefacts.stage import load_manifest
+from artefacts.manifests import load_manifest
 from artefacts.tables import dataset_frames
 from training.build import load_trained
 from training.data import normalised, read_image, to_tensor

@@ -1,0 +1,188 @@
+"""Settings of rulers: the `[[ruler]]` tables of a scene's file."""
+
+from typing import Annotated, Any, ClassVar, Literal
+
+import cv2
+from pydantic import BeforeValidator, Field, model_validator
+
+from artefacts import Settings, UserError
+from artefacts.settings import validated
+
+DICTIONARIES = tuple(sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_")))
+APRILTAG = "DICT_APRILTAG_36H11"
+
+
+def _dictionary(name: Any) -> Any:
+    if not isinstance(name, str) or name.upper() not in map(str.upper, DICTIONARIES):
+        raise ValueError(f"not a dictionary that OpenCV knows; one of {', '.join(DICTIONARIES)}")
+    return next(known for known in DICTIONARIES if known.upper() == name.upper())
+
+
+Dictionary = Annotated[str, BeforeValidator(_dictionary)]
+
+
+class RulerSettings(Settings):
+    """What all kinds of rulers have in common."""
+
+    name: str = Field("", description="name of the ruler in tables and messages; by default its kind")
+    use_for_scale: bool = Field(
+        False, description="set the map's scale by this ruler; every second corner is held out and judges it"
+    )
+    length_sd_percent: float = Field(
+        0.2, gt=0, le=10, description="standard error of the stated size, percent, as printed and measured"
+    )
+    size_name: ClassVar[str]
+
+    @property
+    def size_mm(self) -> float:
+        """The stated size that messages compare, millimetres."""
+        raise NotImplementedError
+
+
+class CharucoRuler(RulerSettings):
+    """A ChArUco board: a chessboard with ArUco markers in its white squares."""
+
+    kind: Literal["charuco"]
+    squares_x: int = Field(ge=3, le=100, description="squares along the board's rows")
+    squares_y: int = Field(ge=3, le=100, description="squares along the board's columns")
+    square_mm: float = Field(gt=0, description="side of a square, millimetres")
+    marker_mm: float = Field(gt=0, description="side of a marker, millimetres; less than square_mm")
+    dictionary: Dictionary = Field(description="OpenCV's name of the markers' dictionary, such as DICT_6X6_250")
+    legacy: bool = Field(
+        False, description="pattern of OpenCV before 4.6: boards with an even number of rows begin with a white square"
+    )
+    size_name: ClassVar[str] = "squares"
+
+    @property
+    def size_mm(self) -> float:
+        return self.square_mm
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "CharucoRuler":
+        if self.marker_mm >= self.square_mm:
+            raise ValueError(f"marker_mm {self.marker_mm:g} must be less than square_mm {self.square_mm:g}")
+        needed = self.squares_x * self.squares_y // 2
+        held = len(dictionary(self.dictionary).bytesList)
+        if needed > held:
+            raise ValueError(
+                f"{self.squares_x} x {self.squares_y} squares need {needed} markers, {self.dictionary} has {held}"
+            )
+        return self
+
+
+class AprilTagRuler(RulerSettings):
+    """AprilTags of one size, anywhere in the scene, each id once."""
+
+    kind: Literal["apriltag"]
+    tag_mm: float = Field(gt=0, description="side of a tag's black square, millimetres")
+    dictionary: Dictionary = Field(APRILTAG, description="OpenCV's name of the tags' dictionary")
+    ids: list[int] = Field(default_factory=list, description="ids of the tags; empty: all that are detected")
+    size_name: ClassVar[str] = "tags"
+
+    @property
+    def size_mm(self) -> float:
+        return self.tag_mm
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "AprilTagRuler":
+        held = len(dictionary(self.dictionary).bytesList)
+        unknown = [tag for tag in self.ids if not 0 <= tag < held]
+        if unknown:
+            raise ValueError(f"id {unknown[0]}: {self.dictionary} has ids 0 to {held - 1}")
+        return self
+
+
+class PointObservation(Settings):
+    """Where a frame sees a point."""
+
+    frame: str = Field(description="frame_id of import.frames: <session>/<six digits>")
+    xy: tuple[float, float] = Field(description="pixels; the centre of the top-left pixel is (0.5, 0.5)")
+
+
+class NamedPoint(Settings):
+    """An end of a known distance."""
+
+    name: str = Field(min_length=1, description="what the point is, such as 'left edge of the door'")
+    observations: list[PointObservation] = Field(min_length=2, description="pixels in two or more frames")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "NamedPoint":
+        frames = [seen.frame for seen in self.observations]
+        if len(set(frames)) < len(frames):
+            twice = next(frame for frame in frames if frames.count(frame) > 1)
+            raise ValueError(f"point {self.name!r} has two observations in frame {twice}")
+        return self
+
+
+class DistanceRuler(RulerSettings):
+    """Two points a known distance apart."""
+
+    kind: Literal["distance"]
+    length_m: float = Field(gt=0, description="distance between the two points, metres")
+    points: list[NamedPoint] = Field(min_length=2, max_length=2, description="the two points")
+    size_name: ClassVar[str] = "distance"
+
+    @property
+    def size_mm(self) -> float:
+        return 1000 * self.length_m
+
+
+Ruler = CharucoRuler | AprilTagRuler | DistanceRuler
+_KINDS: dict[str, type[Ruler]] = {
+    "charuco": CharucoRuler,
+    "apriltag": AprilTagRuler,
+    "distance": DistanceRuler,
+}
+
+
+def dictionary(name: str) -> cv2.aruco.Dictionary:
+    """OpenCV's predefined dictionary of that name."""
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def rulers_of(tables: Any) -> list[Ruler]:
+    """The `[[ruler]]` tables as settings, each with a name; UserError says which one is wrong and how."""
+    if not isinstance(tables, list) or not all(isinstance(table, dict | Ruler) for table in tables):
+        raise UserError("rulers are a list of tables", where="the scene's file", found=tables, expected="[[ruler]] ...")
+    rulers = [_ruler(table, index) for index, table in enumerate(tables, start=1)]
+    names = [ruler.name for ruler in rulers]
+    for index, ruler in enumerate(rulers):
+        if ruler.name in names[:index]:
+            raise UserError(
+                f"two rulers are named {ruler.name!r}",
+                where=_where(index + 1),
+                do="give each [[ruler]] a name of its own",
+            )
+    used = [(ruler.name, ruler.dictionary) for ruler in rulers if not isinstance(ruler, DistanceRuler)]
+    for index, (name, of_markers) in enumerate(used):
+        same = [other for other, markers in used[:index] if _family(markers) == _family(of_markers)]
+        if same:
+            raise UserError(
+                f"rulers {same[0]!r} and {name!r} have markers of the same dictionary and can't be told apart",
+                where=_where(names.index(name) + 1),
+                found=of_markers,
+                do="print one of them with another dictionary",
+            )
+    return rulers
+
+
+def _ruler(table: dict[str, Any] | Ruler, number: int) -> Ruler:
+    if isinstance(table, Ruler):
+        return table
+    kind = table.get("kind")
+    if kind not in _KINDS:
+        raise UserError(
+            "a ruler needs a kind" if kind is None else f"unknown kind of ruler {kind!r}",
+            where=_where(number),
+            expected=f"kind = one of {', '.join(_KINDS)}",
+        )
+    return validated(_KINDS[kind], {**table, "name": table.get("name") or kind}, _where(number))
+
+
+def _where(number: int) -> str:
+    return f"[[ruler]] number {number} of the scene's file (data/scenes/<scene>.toml)"
+
+
+def _family(name: str) -> str:
+    """DICT_6X6_50 is the beginning of DICT_6X6_250."""
+    return name.rsplit("_", 1)[0] if name[5].isdigit() else name

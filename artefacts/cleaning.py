@@ -1,0 +1,110 @@
+"""Removing a scene's artefacts: what a manifest, a key file or the simulator's marker lists, nothing else."""
+
+import contextlib
+import os
+import shutil
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from artefacts.files import KEY_FILE, old_folder, partial_folder, read_json
+from artefacts.locks import lock_file, locked
+from artefacts.manifests import MANIFEST, UNHASHED
+from artefacts.settings import STAGES, DataRoot
+from artefacts.simulated import SIMULATED_MARKER, simulated_files
+
+
+@dataclass
+class Cleaned:
+    """What was removed, and what was left because this program didn't make it."""
+
+    removed: list[Path] = field(default_factory=list)
+    left: list[Path] = field(default_factory=list)
+
+
+def clean_scene(data: DataRoot, profile: str, scene: str) -> Cleaned:
+    """Remove data/runs/<profile>/<scene> and the simulated captures of the scene, each file only where it's listed.
+
+    Never follows a link. UserError for a name that is none, and where a stage of the scene is under way; nothing is
+    removed then.
+    """
+    runs, captures = data.run(profile, scene), data.captures(scene)
+    cleaned = Cleaned()
+    through_link = runs.is_symlink() or runs.parent.is_symlink()
+    stages = [] if through_link else [runs / stage for stage in STAGES if _leaves_traces(runs / stage)]
+    with contextlib.ExitStack() as locks:
+        for folder in (*stages, *([captures] if _leaves_traces(captures) else [])):
+            locks.enter_context(locked(folder))
+        for stage in stages:
+            _clean_stage(stage, cleaned)
+        _clean_captures(captures, cleaned)
+    if through_link:
+        cleaned.left.append(runs)
+    elif runs.is_dir():
+        named = {parent for path in cleaned.left for parent in path.parents}
+        cleaned.left += [path for path in sorted(runs.iterdir()) if path not in named]
+        _remove_empty(runs)
+    return cleaned
+
+
+def _leaves_traces(final: Path) -> bool:
+    return any(map(os.path.lexists, (final, partial_folder(final), old_folder(final), lock_file(final))))
+
+
+def _clean_stage(final: Path, cleaned: Cleaned) -> None:
+    for folder in (final, old_folder(final)):
+        manifest = read_json(folder / MANIFEST)
+        if _is_folder(folder) and manifest.get("stage") == final.name and isinstance(manifest.get("outputs"), dict):
+            _remove_listed(folder, {*manifest["outputs"], *UNHASHED}, MANIFEST, cleaned)
+    _remove_partial(partial_folder(final), cleaned)
+    lock_file(final).unlink(missing_ok=True)
+
+
+def _clean_captures(captures: Path, cleaned: Cleaned) -> None:
+    marker = read_json(captures / SIMULATED_MARKER)
+    if _is_folder(captures) and marker:
+        try:
+            files = simulated_files(marker)
+        except ValueError:
+            cleaned.left.append(captures)
+        else:
+            _remove_listed(captures, files, SIMULATED_MARKER, cleaned)
+    _remove_partial(partial_folder(captures), cleaned)
+    lock_file(captures).unlink(missing_ok=True)
+
+
+def _remove_partial(folder: Path, cleaned: Cleaned) -> None:
+    """A run's unfinished folder is its own as a whole: nothing else has a key file under that hidden name."""
+    if _is_folder(folder) and (isinstance(read_json(folder / KEY_FILE).get("key"), str) or not any(folder.iterdir())):
+        shutil.rmtree(folder)
+        cleaned.removed.append(folder)
+
+
+def _remove_listed(folder: Path, files: Collection[str], last: str, cleaned: Cleaned) -> None:
+    """Remove the listed files, `last` as the last one, so that a clean that was killed can be done again."""
+    foreign = []
+    for base, folders, names in os.walk(folder, topdown=False, followlinks=False):
+        for path in (Path(base) / name for name in sorted(names)):
+            relative = path.relative_to(folder).as_posix()
+            if relative not in files:
+                foreign.append(path)
+            elif relative != last:
+                path.unlink()
+        for path in (Path(base) / name for name in sorted(folders)):
+            if path.is_symlink():
+                foreign.append(path)
+            else:
+                _remove_empty(path)
+    (folder / last).unlink()
+    _remove_empty(folder)
+    cleaned.removed.append(folder)
+    cleaned.left += foreign
+
+
+def _remove_empty(folder: Path) -> None:
+    with contextlib.suppress(OSError):
+        folder.rmdir()
+
+
+def _is_folder(path: Path) -> bool:
+    return path.is_dir() and not path.is_symlink()

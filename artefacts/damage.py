@@ -1,0 +1,88 @@
+"""What an exception says about its cause: damaged checkpoints, or a machine that gives no more."""
+
+import errno
+import os
+import shutil
+import signal
+from pathlib import Path
+
+from artefacts.child import ProcessDied
+from artefacts.errors import UserError
+
+_MACHINE = {
+    errno.ENOSPC: "the disk is full",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "a file is larger than allowed here",
+    errno.EROFS: "the file system is read-only",
+    errno.EACCES: "permission is denied",
+    errno.EPERM: "the operation isn't permitted",
+    errno.EMFILE: "too many files are open in this process",
+    errno.ENFILE: "too many files are open on this machine",
+    errno.ENOMEM: "the memory is used up",
+    errno.ENAMETOOLONG: "a name is too long for the file system",
+    errno.EIO: "the disk reports an error",
+}
+_DO = {
+    errno.ENOSPC: "free some space, then run the same command again; it resumes from its checkpoints",
+    errno.EDQUOT: "free some space, then run the same command again; it resumes from its checkpoints",
+    errno.EROFS: "name another data folder with --data, or make this one writable",
+    errno.EACCES: "look at the owner and the permissions of this path",
+    errno.EMFILE: "raise the limit (ulimit -n 4096), then run the same command again",
+}
+_OF_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_FULL_BELOW_BYTES = 16 << 20
+_STOPPED_FROM_OUTSIDE = {-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP}
+
+
+def as_user_error(error: BaseException, work: Path | None = None) -> UserError | None:
+    """What a full disk, a read-only folder and their like did, as a sentence; None where the machine isn't to blame.
+
+    Libraries hide the cause: where `work` is given, an error without a number is the disk's if that is full there.
+    """
+    for cause in _chain(error):
+        if isinstance(cause, OSError) and cause.errno in _MACHINE:
+            where = Path(os.fsdecode(cause.filename)) if isinstance(cause.filename, str | bytes) else work
+            found = _free(where) if cause.errno in _OF_SPACE else None
+            return UserError(_MACHINE[cause.errno], where=where, found=found, do=_DO.get(cause.errno))
+    if work is not None and isinstance(error, RuntimeError | ProcessDied | OSError) and (number := _probe(work)):
+        told = str(error).split("\n")[0][:200]
+        return UserError(_MACHINE[number], where=work, found=f"{_free(work)}; {told}", do=_DO.get(number))
+    return None
+
+
+def may_be_damage(error: Exception) -> bool:
+    """Whether a resumed run may have failed because its checkpoints are damaged: an error that neither the user nor
+    the machine caused, or a process that died of itself."""
+    if isinstance(error, ProcessDied):
+        return error.exit_code not in _STOPPED_FROM_OUTSIDE
+    return not isinstance(error, UserError | MemoryError)
+
+
+def _chain(error: BaseException | None) -> list[BaseException]:
+    chain: list[BaseException] = []
+    while error is not None and error not in chain:
+        chain.append(error)
+        error = error.__cause__ or error.__context__
+    return chain
+
+
+def _probe(folder: Path) -> int | None:
+    """The number of the error that writing into a folder gives now, if it's one of the machine's."""
+    path = folder / ".probe"
+    try:
+        if shutil.disk_usage(folder).free < _FULL_BELOW_BYTES:
+            return errno.ENOSPC
+        path.write_bytes(b"x")
+        path.unlink()
+    except OSError as error:
+        return error.errno if error.errno in _MACHINE else None
+    return None
+
+
+def _free(where: Path | None) -> str | None:
+    for folder in (where, *where.parents) if where is not None else ():
+        try:
+            return f"{shutil.disk_usage(folder).free / 2**20:,.0f} MiB free"
+        except OSError:
+            continue
+    return None

@@ -1,0 +1,121 @@
+"""Files that are whole or not there: written aside, synced to the disk, then renamed; and their hashes."""
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+KEY_FILE = "key.json"
+
+
+def replace_synced(partial: Path, path: Path) -> None:
+    """Rename a file that is written to the end; after a power cut either it or the one before is there, whole."""
+    _sync(partial)
+    partial.replace(path)
+    _sync(path.parent)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object in a JSON file, {} where there is none that can be read."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write JSON atomically."""
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(json.dumps(content, indent=2, allow_nan=False, default=str) + "\n", encoding="utf-8")
+    replace_synced(partial, path)
+
+
+def hash_files(folder: Path, files: Iterable[Path]) -> dict[str, str]:
+    """sha256 of files by their path relative to `folder`."""
+    paths = sorted(files)
+    with ThreadPoolExecutor() as pool:
+        digests = pool.map(sha256_of, paths)
+        return {path.relative_to(folder).as_posix(): digest for path, digest in zip(paths, digests, strict=True)}
+
+
+def sha256_of(path: Path) -> str:
+    """The sha256 of a file in hexadecimal digits."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def partial_folder(final: Path) -> Path:
+    """Where a run writes until it ends: beside the folder that it becomes."""
+    return final.with_name(f".{final.name}.partial")
+
+
+def old_folder(final: Path) -> Path:
+    """Where a replaced folder is between the two renames of `swap_in`."""
+    return final.with_name(f".{final.name}.old")
+
+
+def swap_in(work: Path, final: Path) -> None:
+    """Put a finished folder in its place, synced; a kill between the two renames is mended by the next run."""
+    old = old_folder(final)
+    (work / KEY_FILE).unlink(missing_ok=True)
+    sync_tree(work)
+    shutil.rmtree(old, ignore_errors=True)
+    if final.exists():
+        final.rename(old)
+    work.rename(final)
+    _sync(final.parent)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def finish_interrupted_swap(final: Path, last: str) -> None:
+    """What a `swap_in` that was killed left undone; `last` is the file that a finished folder gets last."""
+    work, old = partial_folder(final), old_folder(final)
+    if read_json(work / last):
+        swap_in(work, final)
+    elif old.exists() and not final.exists():
+        old.rename(final)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def fresh_folder(out: Path) -> Iterator[Path]:
+    """A folder that becomes `out` when the block ends well, in place of what is there; nothing else is touched.
+
+    It's made under a name that nothing beside `out` has, and dropped where the block fails.
+    """
+    aside = Path(tempfile.mkdtemp(prefix=".groundwalk-", dir=out.parent))
+    work, old = aside / "new", aside / "old"
+    try:
+        work.mkdir()
+        yield work
+        sync_tree(work)
+        if out.exists():
+            out.rename(old)
+        work.rename(out)
+        _sync(out.parent)
+    finally:
+        if old.exists() and not out.exists():
+            old.rename(out)
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def sync_tree(folder: Path) -> None:
+    """Have every file and folder of a tree on the disk, so that a rename can't come before its content."""
+    paths = [Path(base) / name for base, _, names in os.walk(folder) for name in (*names, ".")]
+    with ThreadPoolExecutor() as pool:  # a disk writes many files at once sooner than one after the other
+        list(pool.map(_sync, [path for path in paths if path.is_dir() or (path.is_file() and not path.is_symlink())]))
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

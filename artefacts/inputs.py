@@ -1,0 +1,170 @@
+"""What a stage reads: held while it reads, hashed into its key, verified before use."""
+
+import contextlib
+import hashlib
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from artefacts.errors import UserError
+from artefacts.files import hash_files
+from artefacts.locks import locked
+from artefacts.manifests import MANIFEST, load_manifest, load_verified
+from artefacts.settings import SHIPPED_DATA, STAGES, DataRoot, SceneConfig
+from artefacts.simulated import SIMULATED_MARKER, TRUTH_FILES
+
+
+class Reader(Protocol):
+    """The part of a stage that says what it reads."""
+
+    @property
+    def needs(self) -> tuple[str, ...]: ...
+    @property
+    def reads_captures(self) -> bool: ...
+    @property
+    def reads_shipped(self) -> tuple[str, ...]: ...
+
+
+@dataclass
+class Inputs:
+    """The inputs of one run of a stage; use it as a context, which holds them against being replaced.
+
+    `hashes` is what goes into the stage's key.
+    """
+
+    stage: Reader
+    scene: SceneConfig
+    profile: str
+    data: DataRoot
+    hashes: dict[str, Any] = field(default_factory=dict)
+    _held: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+    _captures: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    def __enter__(self) -> "Inputs":
+        try:
+            self._read()
+        except BaseException:
+            self._held.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._held.close()
+
+    def verify(self) -> None:
+        """UserError where an artefact among the inputs isn't as its stage wrote it."""
+        for _, _, folder in self._sources():
+            load_verified(folder)
+
+    def refuse_outdated(self) -> None:
+        """UserError where an artefact among the inputs was made from others than are there now."""
+        for scene, stage, folder in self._sources():
+            self._refuse_outdated(scene, stage, load_manifest(folder))
+
+    def refuse_changed(self) -> None:
+        """UserError where the captures have changed since they were hashed; artefacts are held, and can't."""
+        if self.stage.reads_captures and self._captures != _capture_state(self.data.captures(self.scene.name)):
+            raise UserError(
+                "the captures changed while they were imported",
+                where=self.data.captures(self.scene.name),
+                do="wait until nothing writes there, then run the same command again",
+            )
+
+    def simulated(self) -> bool:
+        """Whether any capture behind this run is simulated, as import saw it."""
+        if self.stage.reads_captures:
+            return (self.data.captures(self.scene.name) / SIMULATED_MARKER).is_file()
+        leaves = self.data.leaves(self.scene)
+        return any(load_manifest(self.data.run(self.profile, leaf, "import"))["simulated"] for leaf in leaves)
+
+    def _read(self) -> None:
+        if self.stage.reads_captures:
+            self._read_captures()
+        for scene, stage, folder in self._sources():
+            if not (folder / MANIFEST).is_file():
+                raise missing_input(stage, folder, scene, self.profile)
+            self._held.enter_context(locked(folder, shared=True))
+            self.hashes[f"{scene}/{stage}"] = load_manifest(folder)["outputs"]
+        for name in self.stage.reads_shipped:
+            folder = SHIPPED_DATA / name
+            self.hashes[f"data/{name}"] = hash_files(folder, (path for path in folder.rglob("*") if path.is_file()))
+
+    def _read_captures(self) -> None:
+        captures = self.data.captures(self.scene.name)
+        if captures.is_dir():
+            self._held.enter_context(locked(captures, shared=True))
+            self._captures = _capture_state(captures)
+        if not self._captures:
+            raise UserError(
+                f"scene {self.scene.name} has no captures",
+                where=captures,
+                expected="a folder of phone captures",
+                found="nothing",
+                do=f"make scene={self.scene.name} captures=<your folder> all",
+            )
+        hashes = hash_files(captures, [captures / name for name in self._captures])
+        digest = hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
+        self.hashes["captures"] = {"files": len(hashes), "sha256": digest}
+
+    def _sources(self) -> list[tuple[str, str, Path]]:
+        """Scene, stage and folder of every artefact that is read."""
+        named = [(leaf, need) for leaf in self.data.leaves(self.scene) for need in self.stage.needs]
+        if self.scene.is_group:
+            for group in (*self.scene.members, self.scene.name):
+                config = self.data.scene(group)[0]
+                if config.is_group:
+                    named += [(group, need) for need in self.stage.needs if need in config.stages]
+        return [(scene, need, self.data.run(self.profile, scene, need)) for scene, need in named]
+
+    def _refuse_outdated(self, scene: str, stage: str, manifest: dict[str, Any]) -> None:
+        """Each artefact must come from those that are there now, or a run would mix two imports."""
+        for source, hashes in manifest.get("inputs", {}).items():
+            its_scene, _, its_stage = source.partition("/")
+            if its_stage not in STAGES:
+                continue
+            folder = self.data.run(self.profile, its_scene, its_stage)
+            if not (folder / MANIFEST).is_file():
+                continue
+            made_from = load_manifest(folder)
+            if made_from["outputs"] != hashes:
+                raise UserError(
+                    f"artefact {stage} of scene {scene} is outdated: {its_stage} of scene {its_scene} has been made "
+                    "anew since",
+                    where=self.data.run(self.profile, scene, stage),
+                    do=f"make scene={scene} profile={self.profile} {stage}",
+                )
+            self._refuse_outdated(its_scene, its_stage, made_from)
+
+
+def missing_input(stage: str, folder: Path, scene: str, profile: str) -> UserError:
+    """The error for an artefact that isn't there."""
+    return UserError(
+        f"stage {stage} of scene {scene} hasn't been run",
+        where=folder,
+        do=f"make scene={scene} profile={profile} {stage}",
+    )
+
+
+def capture_files(captures: Path) -> list[Path]:
+    """The files of a capture folder that import may read: not those which hold the simulator's truth or notes."""
+    found = []
+    for base, folders, names in os.walk(captures, followlinks=False):
+        folders[:] = sorted(f for f in folders if not f.startswith("."))
+        at_top = Path(base) == captures
+        for name in sorted(names):
+            if not (name.startswith(".") or (at_top and name in TRUTH_FILES)):
+                found.append(Path(base) / name)
+    return found
+
+
+def _capture_state(captures: Path) -> dict[str, tuple[int, int]]:
+    """Size and time (ns) of each file that import may read."""
+    state = {}
+    for path in capture_files(captures):
+        with contextlib.suppress(FileNotFoundError):  # a link to nothing, or removed just now
+            status = path.stat()
+            if path.is_file():
+                state[path.relative_to(captures).as_posix()] = (status.st_size, status.st_mtime_ns)
+    return state

@@ -1,0 +1,89 @@
+"""Manifests of finished artefacts: what they have to say, and whether the artefact is still as it was written."""
+
+import contextlib
+import os
+from pathlib import Path
+from typing import Any
+
+from artefacts import recording
+from artefacts.errors import UserError
+from artefacts.files import KEY_FILE, hash_files, read_json
+
+MANIFEST = "manifest.json"
+# Not among the hashed outputs: a recording is a view of the tables and never the same twice.
+UNHASHED = (MANIFEST, recording.RECORDING, KEY_FILE)
+
+
+def load_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest of a finished artefact; UserError where it can't be read or isn't one."""
+    content = read_json(folder / MANIFEST)
+    outputs = content.get("outputs")
+    if (
+        not isinstance(outputs, dict)
+        or not all(isinstance(digest, str) for digest in outputs.values())
+        or not isinstance(content.get("simulated"), bool)
+    ):
+        make_again(folder)
+        raise UserError(
+            f"the manifest of artefact {folder.name} is damaged",
+            where=folder / MANIFEST,
+            expected="a JSON object with `outputs` and `simulated`, as the stage wrote it",
+            do=_again(folder),
+        )
+    return content
+
+
+def output_hashes(folder: Path) -> dict[str, str]:
+    """sha256 of every file of an artefact that counts as its output."""
+    unhashed = {folder / name for name in UNHASHED}
+    return hash_files(folder, (p for p in folder.rglob("*") if p.is_file() and p not in unhashed))
+
+
+def damaged_outputs(folder: Path, manifest: dict[str, Any]) -> list[str]:
+    """The outputs that a manifest lists and that are gone or have another content."""
+    listed: dict[str, str] = manifest["outputs"]
+    there = [folder / name for name in listed if ".." not in Path(name).parts and (folder / name).is_file()]
+    hashes = hash_files(folder, there)
+    return [name for name, digest in sorted(listed.items()) if hashes.get(name) != digest]
+
+
+def load_verified(folder: Path) -> dict[str, Any]:
+    """The manifest of a finished artefact all of whose outputs are as they were written; UserError otherwise."""
+    manifest = load_manifest(folder)
+    try:
+        damaged = damaged_outputs(folder, manifest)
+    except OSError as error:
+        raise UserError("an artefact can't be read", where=error.filename, found=error.strerror) from None
+    if damaged:
+        make_again(folder)
+        gone = sum(not (folder / name).is_file() for name in damaged)
+        raise UserError(
+            f"artefact {folder.name} isn't as its stage wrote it: {len(damaged)} of {len(manifest['outputs'])} files "
+            f"have another sha256 than in the manifest, {gone} of them are gone",
+            where=folder / damaged[0],
+            do=_again(folder),
+        )
+    return manifest
+
+
+def is_whole(folder: Path, key: str) -> bool:
+    """Whether a finished artefact of this key is there with all that it was written with."""
+    manifest = read_json(folder / MANIFEST)
+    if manifest.get("key") != key:
+        return False
+    try:
+        load_verified(folder)
+    except UserError:
+        return False
+    return not manifest.get("recorded") or (folder / recording.RECORDING).is_file()
+
+
+def _again(folder: Path) -> str:
+    profile, scene, stage = folder.parts[-3:]
+    return f"make scene={scene} profile={profile} {stage}, which makes it anew"
+
+
+def make_again(folder: Path) -> None:
+    """Date a damaged artefact's manifest back, so that make runs its stage, which then finds the damage itself."""
+    with contextlib.suppress(OSError):
+        os.utime(folder / MANIFEST, (0, 0))

@@ -1,0 +1,339 @@
+"""A ruler in a model: corners triangulated with known poses, compared with where they are on the printed board.
+
+Everything is in the model's frame and units; a ruler's nominal corners are in metres, so its scale is model units per
+metre. Board axes are OpenCV's: x right, y down, z into the board, away from whoever looks at its front.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry import GeometryError
+from geometry.fits import Sim3, fit_robust, fit_sim3
+from geometry.poses import Array
+
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_STEPS = 3
+# Least squares end with what a robust fit gives this weight or more: residuals of up to four sigma.
+_INLIER_WEIGHT = 0.05
+_IRLS_TOLERANCE = 1e-3
+# A ridge, relative to the mean curvature: rays without parallax give a far point instead of a singular matrix.
+_RIDGE = 1e-12
+# Corners of a part that lie on a line tell no front side.
+_LINE = 1e-3
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Nominal corners (K, 3) in metres, and the rigid part (K,) that each belongs to: a board is one, a tag is one."""
+
+    xyz_m: Array
+    part: Indices
+
+
+@dataclass(frozen=True)
+class Observations:
+    """M observations: corner (M,) by index, frame (M,) by index of its pose, undistorted normalised image coordinates
+    (M, 2), and the focal length (M,) that turns these into pixels."""
+
+    corner: Indices
+    frame: Indices
+    xy: Array
+    focal_px: Array
+
+    def where(self, kept: Mask) -> "Observations":
+        return Observations(self.corner[kept], self.frame[kept], self.xy[kept], self.focal_px[kept])
+
+
+@dataclass(frozen=True)
+class RulerFit:
+    """What a model says of a ruler.
+
+    `log_scale`: logarithm of model units per metre of the ruler, and `sd`, its standard error. `xyz` (K, 3) and
+    `fitted` (K, 3): corners as triangulated, and nominal ones by the similarity, NaN where not seen from two frames.
+    `residual_px` (M, 2): triangulated corner minus observation, `inlier` (M,) the observations that took part.
+    `frames`: indices of the frames that took part. `angle`: largest angle between two of their rays, radians.
+    `pixel_sd`: one sigma of an observation in an image axis. `mirrored`: the frames are behind the board's front.
+    """
+
+    log_scale: float
+    sd: float
+    xyz: Array
+    fitted: Array
+    residual_px: Array
+    inlier: Mask
+    frames: Indices
+    angle: float
+    pixel_sd: float
+    mirrored: bool
+    flatness: float
+
+    @property
+    def reprojection_px(self) -> float:
+        """Root mean square distance in the image, triangulated corners to observations that took part."""
+        return float(np.sqrt(np.mean(np.sum(self.residual_px[self.inlier] ** 2, axis=1))))
+
+    @property
+    def corner_rms_m(self) -> float:
+        """Root mean square distance of triangulated from fitted corners, metres of the ruler."""
+        return float(np.sqrt(np.nanmean(np.sum((self.xyz - self.fitted) ** 2, axis=1))) / np.exp(self.log_scale))
+
+    @property
+    def flatness_m(self) -> float:
+        """Root mean square distance of triangulated corners from the best plane of their part; NaN without one."""
+        return float(self.flatness / np.exp(self.log_scale))
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """Residuals (M, 2) in pixels and their derivatives: by the corner (M, 2, 3), by the frame's pose error (M, 2, 6),
+    rotation before position, as in the tables' covariances."""
+
+    residual: Array
+    by_corner: Array
+    by_pose: Array
+
+
+def seen_twice(observations: Observations, count: int) -> Mask:
+    """(M,) observations of a corner that two or more frames see; `count` corners in all."""
+    pairs = np.unique(np.stack([observations.corner, observations.frame]), axis=1)
+    return np.asarray(np.bincount(pairs[0], minlength=count)[observations.corner] >= 2)
+
+
+def triangulate(observations: Observations, model_T_cam: Array, count: int, weights: Array) -> Array:
+    """Corners (count, 3) with the least weighted sum of squared reprojection errors; NaN for those without
+    observations. `model_T_cam` (F, 4, 4) are the frames' poses, `weights` (M,)."""
+    corner, rotation = observations.corner, model_T_cam[observations.frame, :3, :3]
+    rays = np.einsum("mij,mj->mi", rotation, np.column_stack([observations.xy, np.ones(len(corner))]))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    centres = model_T_cam[observations.frame, :3, 3]
+    origin = centres.mean(axis=0)
+    offsets = _sums(across @ (centres - origin)[:, :, None], corner, count, weights)
+    xyz = origin + _solve(_sums(across, corner, count, weights), offsets)
+    for _ in range(_STEPS):
+        at = _linearise(observations, model_T_cam, xyz)
+        transposed = np.swapaxes(at.by_corner, 1, 2)
+        hessian = _sums(transposed @ at.by_corner, corner, count, weights)
+        xyz = xyz - _solve(hessian, _sums(transposed @ at.residual[:, :, None], corner, count, weights))
+    return xyz
+
+
+def measure(
+    corners: Corners,
+    observations: Observations,
+    model_T_cam: Array,
+    covariance: Array,
+    *,
+    least_pixel_sd: float,
+) -> RulerFit:
+    """Triangulate a ruler's corners and fit the ruler to them by a similarity.
+
+    `covariance` (F, 6, 6) of the poses' (rotation, position) errors, NaN where unknown: then only the scatter of the
+    residuals counts. Wrong detections and frames with wrong poses lose their weight in a robust triangulation; least
+    squares of the rest follow, in which a frame weighs less the more its pose may be off by in pixels.
+
+    The standard error is the larger of two: by propagation of the pixels' sigma (at least `least_pixel_sd`) and of the
+    poses' covariances, frames independent of each other; and by the scatter between frames of their share in the scale
+    (Liang and Zeger, Biometrika 73, 1986, with frames as clusters), which sees what no covariance knows of.
+    Raises GeometryError where no part has two corners that two frames see.
+    """
+    count = len(corners.xyz_m)
+    kept = seen_twice(observations, count)
+    robust = np.zeros(len(kept))
+    if kept.any():
+        robust[kept] = _robust_weights(observations.where(kept), model_T_cam, count, least_pixel_sd)
+    inlier = kept & (robust >= _INLIER_WEIGHT)
+    inlier[inlier] = seen_twice(observations.where(inlier), count)
+    inlier[inlier] = _in_parts_with_two(corners, observations.corner[inlier])
+    if not inlier.any():
+        raise GeometryError("no part of the ruler has two corners that two frames see")
+    used = observations.where(inlier)
+    xyz = triangulate(used, model_T_cam, count, np.ones(inlier.sum()))
+    covariance = np.nan_to_num(covariance)
+    at = _linearise(used, model_T_cam, xyz)
+    by_poses = _pose_variance(at, used, covariance)
+    pixel_sd = _pixel_sd(at.residual, used, by_poses, least_pixel_sd)
+    weights = pixel_sd**2 / (pixel_sd**2 + by_poses)
+    xyz = triangulate(used, model_T_cam, count, weights)
+    at = _linearise(used, model_T_cam, xyz)
+    scale, fitted, gradient = _similarity(corners, xyz, _corner_weights(at, used, count, weights))
+    sd = _scale_sd(at, used, covariance, gradient, weights, pixel_sd)
+    residual = np.full((len(kept), 2), np.nan)
+    residual[kept] = _linearise(observations.where(kept), model_T_cam, xyz).residual
+    frames = np.unique(used.frame)
+    centre = np.nanmean(xyz, axis=0)
+    return RulerFit(
+        float(np.log(scale)),
+        sd,
+        xyz,
+        fitted,
+        residual,
+        inlier,
+        frames,
+        _largest_angle(model_T_cam[frames, :3, 3] - centre),
+        pixel_sd,
+        _seen_from_behind(corners, fitted, model_T_cam[frames, :3, 3]),
+        _flatness(corners, xyz),
+    )
+
+
+def _linearise(observations: Observations, model_T_cam: Array, xyz: Array) -> _Linear:
+    pose = model_T_cam[observations.frame]
+    cam_R_model = np.swapaxes(pose[:, :3, :3], 1, 2)
+    arm = xyz[observations.corner] - pose[:, :3, 3]
+    x, y, z = np.moveaxis(np.einsum("mij,mj->mi", cam_R_model, arm), 1, 0)
+    # A point in a camera's plane has no image; far off is where its residual belongs.
+    z = np.where(np.abs(z) < 1e-9, 1e-9, z)
+    projection = np.zeros((len(z), 2, 3))
+    projection[:, 0, 0] = projection[:, 1, 1] = 1 / z
+    projection[:, 0, 2], projection[:, 1, 2] = -x / z**2, -y / z**2
+    by_corner = observations.focal_px[:, None, None] * projection @ cam_R_model
+    residual = observations.focal_px[:, None] * (np.column_stack([x / z, y / z]) - observations.xy)
+    # The camera truly is at exp(rotation) R, t + position: what is observed differs by the opposite of this.
+    by_pose = np.concatenate([-by_corner @ _cross_matrices(arm), by_corner], axis=2)
+    return _Linear(residual, by_corner, by_pose)
+
+
+def _robust_weights(used: Observations, model_T_cam: Array, count: int, least_pixel_sd: float) -> Array:
+    def residuals(xyz: Array) -> Array:
+        return np.asarray(np.linalg.norm(_linearise(used, model_T_cam, xyz).residual, axis=1))
+
+    def fit(weights: Array) -> Array:
+        return triangulate(used, model_T_cam, count, weights)
+
+    floor = 2 * least_pixel_sd
+    _, weights = fit_robust(fit, residuals, len(used.corner), floor=floor, tolerance=_IRLS_TOLERANCE)
+    return weights
+
+
+def _in_parts_with_two(corners: Corners, corner: Indices) -> Mask:
+    """(M,) observations of a part of which two corners or more are observed."""
+    seen = np.unique(corner)
+    return np.asarray(np.bincount(corners.part[seen], minlength=corners.part.max() + 1)[corners.part[corner]] >= 2)
+
+
+def _pose_variance(at: _Linear, used: Observations, covariance: Array) -> Array:
+    """(M,) what a frame's pose may be off by, as variance in an image axis, mean over its corners."""
+    variance = np.einsum("mij,mjk,mik->m", at.by_pose, covariance[used.frame], at.by_pose) / 2
+    mean = np.bincount(used.frame, variance) / np.maximum(np.bincount(used.frame), 1)
+    return np.asarray(mean[used.frame])
+
+
+def _pixel_sd(residual: Array, used: Observations, by_poses: Array, least: float) -> float:
+    """One sigma of an observation in an image axis: what the poses' errors leave of the residuals' scatter."""
+    freedom = residual.size - 3 * len(np.unique(used.corner))
+    return float(np.sqrt(max(np.sum(residual**2) / freedom - by_poses.mean(), least**2)))
+
+
+def _corner_weights(at: _Linear, used: Observations, count: int, weights: Array) -> Array:
+    """(count,) one over the variance of each triangulated corner, up to a factor; 0 where there is none."""
+    hessian = _sums(np.swapaxes(at.by_corner, 1, 2) @ at.by_corner, used.corner, count, weights)
+    seen = np.bincount(used.corner, minlength=count) > 0
+    result = np.zeros(count)
+    result[seen] = 1 / np.trace(np.linalg.inv(_ridged(hessian[seen])), axis1=1, axis2=2)
+    return result
+
+
+def _similarity(corners: Corners, xyz: Array, weights: Array) -> tuple[float, Array, Array]:
+    """The scale that all parts share, nominal corners (K, 3) at each part's best place, and the derivative (K, 3) of
+    the scale's logarithm by the triangulated corners (Umeyama, PAMI 13, 1991, eq. 41 and 42, summed over parts)."""
+    strength, spread = 0.0, 0.0
+    pulls, poses = np.zeros_like(xyz), {}
+    for part in np.unique(corners.part[weights > 0]):
+        rows = (corners.part == part) & (weights > 0)
+        share = weights[rows, None]
+        nominal, measured = corners.xyz_m[rows], xyz[rows]
+        rotation = fit_sim3(measured, nominal, weights[rows], line_ok=True).rotation
+        middle, centre = (share * nominal).sum(0) / share.sum(), (share * measured).sum(0) / share.sum()
+        pulls[rows] = share * ((nominal - middle) @ rotation.T)
+        strength += float(np.sum(pulls[rows] * (measured - centre)))
+        spread += float(np.sum(share * (nominal - middle) ** 2))
+        poses[part] = rotation, middle, centre
+    scale = strength / spread
+    fitted = np.full_like(xyz, np.nan)
+    for part, (rotation, middle, centre) in poses.items():
+        rows = (corners.part == part) & (weights > 0)
+        fitted[rows] = Sim3(scale, rotation, centre - scale * rotation @ middle).points(corners.xyz_m[rows])
+    return scale, fitted, pulls / strength
+
+
+def _scale_sd(
+    at: _Linear, used: Observations, covariance: Array, gradient: Array, weights: Array, pixel_sd: float
+) -> float:
+    hessian = _ridged(_sums(np.swapaxes(at.by_corner, 1, 2) @ at.by_corner, used.corner, len(gradient), weights))
+    seen = np.unique(used.corner)
+    moved = np.zeros_like(gradient)
+    moved[seen] = np.linalg.solve(hessian[seen], gradient[seen, :, None])[:, :, 0]
+    # d log scale = sum of influence . residual, over all observations.
+    influence = -weights[:, None] * np.einsum("mij,mj->mi", at.by_corner, moved[used.corner])
+    by_pose = np.zeros((len(covariance), 6))
+    np.add.at(by_pose, used.frame, np.einsum("mij,mi->mj", at.by_pose, influence))
+    propagated = np.einsum("fi,fij,fj->", by_pose, covariance, by_pose) + pixel_sd**2 * np.sum(influence**2)
+    frames = len(np.unique(used.frame))
+    by_frame = np.bincount(used.frame, np.sum(influence * at.residual, axis=1))
+    scatter = np.sum(by_frame**2) * frames / (frames - 1)
+    return float(np.sqrt(max(propagated, scatter)))
+
+
+def _largest_angle(rays: Array) -> float:
+    unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return float(np.arccos(np.clip(unit @ unit.T, -1, 1)).max())
+
+
+def _seen_from_behind(corners: Corners, fitted: Array, centres: Array) -> bool:
+    """Most of the frames (F, 3) are on the side that the parts' +z points to; a line has no sides."""
+    sides = []
+    for part in np.unique(corners.part):
+        rows = (corners.part == part) & np.isfinite(fitted).all(axis=1)
+        if rows.sum() < 3 or not _is_plane(corners.xyz_m[rows]):
+            continue
+        rotation = fit_sim3(fitted[rows], corners.xyz_m[rows]).rotation
+        sides.append((centres - fitted[rows].mean(axis=0)) @ rotation[:, 2] > 0)
+    return bool(sides) and float(np.mean(np.concatenate(sides))) > 0.5
+
+
+def _flatness(corners: Corners, xyz: Array) -> float:
+    """Root mean square distance from each part's best plane, in the model's units."""
+    squares, count = 0.0, 0
+    for part in np.unique(corners.part):
+        rows = (corners.part == part) & np.isfinite(xyz).all(axis=1)
+        if rows.sum() >= 4 and _is_plane(corners.xyz_m[rows]):
+            squares += float(np.linalg.svd(xyz[rows] - xyz[rows].mean(axis=0), compute_uv=False)[2] ** 2)
+            count += int(rows.sum())
+    return float(np.sqrt(squares / count)) if count else float("nan")
+
+
+def _is_plane(xyz: Array) -> bool:
+    singular = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)
+    return bool(singular[1] > _LINE * singular[0])
+
+
+def _sums(values: Array, index: Indices, count: int, weights: Array) -> Array:
+    """Weighted sums (count, ...) of values (M, ...) with the same index (M,)."""
+    total = np.zeros((count, *values.shape[1:]))
+    np.add.at(total, index, weights.reshape(-1, *[1] * (values.ndim - 1)) * values)
+    return total
+
+
+def _solve(matrices: Array, vectors: Array) -> Array:
+    """(K, 3) solutions of (K, 3, 3), (K, 3, 1); NaN where the matrix is empty."""
+    result = np.full((len(matrices), 3), np.nan)
+    known = np.trace(matrices, axis1=1, axis2=2) > 0
+    result[known] = np.linalg.solve(_ridged(matrices[known]), vectors[known])[:, :, 0]
+    return result
+
+
+def _ridged(matrices: Array) -> Array:
+    trace = np.trace(matrices, axis1=1, axis2=2)
+    return np.asarray(matrices + _RIDGE * trace[:, None, None] * np.eye(3))
+
+
+def _cross_matrices(vectors: Array) -> Array:
+    """(N, 3, 3) with [v]_x w = v x w."""
+    matrices = np.zeros((len(vectors), 3, 3))
+    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -vectors[:, 2], vectors[:, 1], -vectors[:, 0]
+    return np.asarray(matrices - np.swapaxes(matrices, 1, 2))

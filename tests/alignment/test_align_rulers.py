@@ -1,0 +1,431 @@
+"""Rulers from pixels to a verdict: boards that judge the map's scale, set it, or are wrong themselves."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from alignment.examination import examine
+from alignment.ground_truth import Aligned, align
+from alignment.reference import Reference
+from alignment.rulers.detection import detect, explain_absence, held_out_corners, nominal_corners
+from alignment.rulers.measurement import Reading, Sighting, camera_of, find_rulers, read_rulers, undistorted
+from alignment.rulers.settings import CharucoRuler, Ruler, rulers_of
+from alignment.rulers.verdict import describe, rulers_table
+from alignment.settings import AlignSettings
+from alignment.stage import STAGE
+from artefacts import DataRoot, UserError, execute
+from artefacts.schemas import schema
+from artefacts.settings import resolve_settings
+from artefacts.stage import load_manifest
+from artefacts.tables import poses_of, read_table, write_table
+from geometry.poses import Array, inverse, make_pose, transform
+
+BOARD = {
+    "kind": "charuco",
+    "squares_x": 11,
+    "squares_y": 8,
+    "square_mm": 200.0,
+    "marker_mm": 150.0,
+    "dictionary": "DICT_6X6_250",
+}
+LENS = [0.09, -0.12]
+SIZE = (1920, 1440)
+
+
+@pytest.fixture
+def scene(walks):
+    """Two walks, noise-free but for what a phone's VIO drifts by, with whole cameras."""
+    made = walks.make(sessions=2, frames=60, drift_m=0.003)
+    made.frames = made.frames.assign(fy=1400.0, cx=960.0, cy=720.0, distortion=[LENS] * len(made.frames))
+    return made
+
+
+def ruler(**changes) -> Ruler:
+    (made,) = rulers_of([{**BOARD, **changes}])
+    return made
+
+
+def sighted(
+    scene, of: Ruler, *, printed: float = 1.0, mirror: bool = False, near: int = 20, frames: int = 60
+) -> Sighting:
+    """The board 5 m in front of frame `near`, facing it, as the frames of its walk see it. `printed`: its true
+    size as a share of the stated one."""
+    nominal = nominal_corners(of)
+    middle = nominal.xyz_m.mean(axis=0)
+    on_board = (nominal.xyz_m - middle) * [-1 if mirror else 1, 1, 1] * printed
+    map_T_board = scene.true_T_cam[near] @ make_pose(np.eye(3), [0.0, 0.0, 5.0])
+    xyz = transform(map_T_board, on_board)
+    rng = np.random.default_rng(near)
+    rows, corner, pixels = [], [], []
+    for row in range(60 * (near // 60), 60 * (near // 60) + frames):
+        seen = transform(inverse(scene.true_T_cam[row]), xyz)
+        if (seen[:, 2] < 1).any():
+            continue
+        xy, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), *camera_of(scene.frames, row))
+        xy = xy.reshape(-1, 2)
+        # Beyond the image a lens model may turn back.
+        if (np.abs(seen[:, :2]) > 0.75 * seen[:, 2:]).any() or (xy < 0).any() or (xy > SIZE).any():
+            continue
+        rows += [row] * len(xy)
+        corner += range(len(xy))
+        pixels.append(xy + rng.normal(0, 0.2, xy.shape))
+    assert len(pixels) >= min(frames, 3)
+    return Sighting(
+        of, nominal, held_out_corners(of, nominal), np.array(rows), np.array(corner), np.concatenate(pixels)
+    )
+
+
+def read(scene, *sightings: Sighting) -> list[Reading]:
+    settings = AlignSettings()
+    return read_rulers(
+        sightings,
+        scene.frames,
+        scene.images,
+        least_angle=float(np.radians(settings.ruler_min_angle_deg)),
+        largest_sd=settings.ruler_max_sd,
+    )
+
+
+def aligned_by(scene, *sightings: Sighting) -> tuple[Aligned, pd.DataFrame]:
+    readings = read(scene, *sightings)
+    aligned = align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), readings)
+    return aligned, aligned.gate[aligned.gate["check"] == "ruler_scale"].reset_index(drop=True)
+
+
+def stretch_vio(scene, factor: float) -> None:
+    poses = poses_of(scene.frames, "vio_cam")
+    poses[:, :3, 3] *= factor
+    scene.set_vio(poses)
+
+
+def scale_error(scene, aligned: Aligned) -> float:
+    """The map's scale against the truth."""
+    path, true = aligned.map_T_cam[:60, :3, 3], scene.true_T_cam[:60, :3, 3]
+    return float(
+        np.linalg.norm(np.diff(path, axis=0), axis=1).sum() / np.linalg.norm(np.diff(true, axis=0), axis=1).sum() - 1
+    )
+
+
+def test_a_board_agrees_with_a_right_scale(scene) -> None:
+    aligned, checks = aligned_by(scene, sighted(scene, ruler()))
+    assert checks["verdict"].tolist() == ["passed"]
+    assert checks["value"].iloc[0] < checks["limit"].iloc[0] < 0.02
+    assert set(aligned.ground_truth["scale_source"]) == {"vio"}
+
+
+def test_a_wrong_vio_scale_is_named_with_figures(scene) -> None:
+    stretch_vio(scene, 1.05)
+    _, checks = aligned_by(scene, sighted(scene, ruler()))
+    assert checks["verdict"].tolist() == ["failed"] and checks["cause"].iloc[0] == "ruler and map disagree"
+    assert "its squares measure 21" in checks["reason"].iloc[0]
+    assert "200 mm stated (+5." in checks["reason"].iloc[0] or "200 mm stated (+4." in checks["reason"].iloc[0]
+
+
+def test_a_board_sets_the_scale_and_half_of_it_judges(scene) -> None:
+    stretch_vio(scene, 1.015)
+    plain, _ = aligned_by(scene)
+    assert scale_error(scene, plain) == pytest.approx(0.015, abs=0.004)
+    sighting = sighted(scene, ruler(use_for_scale=True))
+    aligned, checks = aligned_by(scene, sighting)
+    assert abs(scale_error(scene, aligned)) < 0.003
+    assert checks["verdict"].tolist() == ["passed"]
+    assert set(aligned.ground_truth["scale_source"]) == {"ruler: charuco"}
+    assert aligned.main.component.scale.sd < 0.004
+    assert sighting.held_out.sum() == 35
+
+
+def test_a_print_of_another_size_sets_no_scale(scene) -> None:
+    aligned, checks = aligned_by(scene, sighted(scene, ruler(use_for_scale=True), printed=0.9))
+    assert checks["verdict"].tolist() == ["failed"]
+    assert "its squares measure 180" in checks["reason"].iloc[0] and "200 mm stated" in checks["reason"].iloc[0]
+    assert set(aligned.ground_truth["scale_source"]) == {"vio"} and abs(scale_error(scene, aligned)) < 0.01
+
+
+def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(scene) -> None:
+    still = AlignSettings(least_step_m=1e6)
+    with pytest.raises(UserError, match="no session moves enough"):
+        align(scene.frames, scene.sfm, scene.jumps, scene.recordings, still, read(scene, sighted(scene, ruler())))
+    readings = read(scene, sighted(scene, ruler(use_for_scale=True)))
+    aligned = align(scene.frames, scene.sfm, scene.jumps, scene.recordings, still, readings)
+    assert abs(scale_error(scene, aligned)) < 0.003
+    assert set(aligned.ground_truth["scale_source"]) == {"ruler: charuco"}
+    assert aligned.sessions["scale"].isna().all()
+
+
+def test_a_mirrored_board_judges_nothing(scene) -> None:
+    aligned, checks = aligned_by(scene, sighted(scene, ruler(use_for_scale=True), mirror=True))
+    assert checks["verdict"].tolist() == ["failed"] and "mirrored" in checks["reason"].iloc[0]
+    assert set(aligned.ground_truth["scale_source"]) == {"vio"}
+
+
+def test_a_board_seen_once_is_undecided(scene) -> None:
+    sighting = sighted(scene, ruler(use_for_scale=True))
+    first = sighting.row == sighting.row[0]
+    once = replace(sighting, row=sighting.row[first], corner=sighting.corner[first], xy_px=sighting.xy_px[first])
+    aligned, checks = aligned_by(scene, once)
+    assert checks["verdict"].tolist() == ["undecided"] and not checks["passed"].any()
+    assert "seen in 1 frame (walk0/" in checks["reason"].iloc[0]
+    assert set(aligned.ground_truth["scale_source"]) == {"vio"}
+
+
+def test_views_from_nearly_one_place_are_undecided(scene, walks) -> None:
+    # The camera of the walk's middle, moved by half a centimetre from frame to frame.
+    for row in range(60):
+        scene.true_T_cam[row] = scene.true_T_cam[20] @ make_pose(np.eye(3), [0.005 * (row - 20), 0.0, 0.0])
+    scene.set_sfm(walks.gauge.poses(scene.true_T_cam))
+    (reading,) = read(scene, sighted(scene, ruler()))
+    assert "degrees apart only" in reading.problem
+
+
+def test_two_rulers_that_disagree_are_both_named(scene) -> None:
+    other = ruler(name="small", dictionary="DICT_5X5_250", use_for_scale=True)
+    aligned, checks = aligned_by(
+        scene, sighted(scene, ruler(use_for_scale=True)), sighted(scene, other, printed=0.98, near=80)
+    )
+    assert checks["verdict"].tolist() == ["failed", "failed"]
+    for reason, name in zip(checks["reason"], ("small", "charuco"), strict=True):
+        assert f"disagrees with ruler {name}" in reason and "mm stated" in reason and "%" in reason
+    assert set(aligned.ground_truth["scale_source"]) == {"vio"}
+
+
+def by_reference(scene, *, metric: bool) -> Reference:
+    scene.frames[[c for c in scene.frames if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    return Reference(scene.true_T_cam, metric=metric, up_known=True, gives_map=True)
+
+
+@pytest.mark.parametrize("printed", [1.0, 0.9])
+def test_a_board_judges_the_scale_of_a_reference_and_never_sets_it(scene, printed: float) -> None:
+    reference = by_reference(scene, metric=True)
+    readings = read(scene, sighted(scene, ruler(use_for_scale=True), printed=printed))
+    found = examine(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), readings, reference)
+    (judged,) = found.rulers
+    assert judged.verdict == ("passed" if printed == 1.0 else "failed") and not judged.used
+    assert found.components[0].scale.source == "reference"
+    text = describe(judged)
+    assert "the map's scale is the reference's; map's scale " in text and "not used for scale" in text
+    assert ("in the map scaled by the reference its squares measure 18" in text) == (printed != 1.0)
+    assert len(rulers_table(found.rulers)) == 3
+
+
+def test_a_board_says_nothing_of_a_reference_without_unit(scene) -> None:
+    reference = by_reference(scene, metric=False)
+    readings = read(scene, sighted(scene, ruler()))
+    aligned = align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), readings, reference)
+    (row,) = aligned.gate[aligned.gate["check"] == "ruler_scale"].to_dict("records")
+    assert row["verdict"] == "undecided" and "the reference's unit, which isn't known" in row["reason"]
+
+
+def test_the_table_has_a_row_a_part(scene) -> None:
+    readings = read(scene, sighted(scene, ruler(use_for_scale=True)))
+    found = examine(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), readings)
+    table = rulers_table(found.rulers)
+    assert table["part"].tolist() == ["all", "used", "held out"] and table["used_for_scale"].all()
+    assert (table["corner_rms_mm"] < 10).all() and (table["reprojection_px"] < 0.5).all()
+    np.testing.assert_allclose(table["scale_error_percent"], 0, atol=0.3)
+
+
+def test_undistortion_inverts_the_lens(scene) -> None:
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(-0.5, 0.5, (100, 2))
+    matrix, distortion = camera_of(scene.frames, 3)
+    pixels, _ = cv2.projectPoints(np.column_stack([xy, np.ones(100)]), np.zeros(3), np.zeros(3), matrix, distortion)
+    found, focal_px = undistorted(scene.frames, np.full(100, 3), pixels.reshape(-1, 2))
+    np.testing.assert_allclose(found, xy, atol=1e-9)
+    assert (focal_px == 1400.0).all()
+
+
+# ------------------------------------------------------------------ images
+
+
+def drawn(of: CharucoRuler, size: tuple[int, int] = (640, 480)) -> tuple[np.ndarray, Array]:
+    """An image of the board in perspective, and where its inner corners are, the first pixel's centre at 0.5."""
+    pixels = 60
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, of.dictionary))
+    board = cv2.aruco.CharucoBoard((of.squares_x, of.squares_y), of.square_mm, of.marker_mm, dictionary)
+    width, height = pixels * of.squares_x, pixels * of.squares_y
+    flat = board.generateImage((width, height))
+    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float32)
+    target = np.array([[90, 80], [560, 110], [520, 420], [120, 380]], dtype=np.float32)
+    homography = cv2.getPerspectiveTransform(corners, target)
+    # warpPerspective counts from the first pixel's centre; sampled finely, then averaged as a sensor does.
+    half, fine = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]), np.diag([4.0, 4.0, 1.0])
+    turned = np.linalg.inv(half) @ fine @ homography @ half
+    image = cv2.warpPerspective(flat, turned, (4 * size[0], 4 * size[1]), borderValue=255)
+    image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    inner = pixels * nominal_corners(of).xyz_m[:, :2] / (1e-3 * of.square_mm)
+    return cv2.GaussianBlur(image, (0, 0), 0.8), cv2.perspectiveTransform(inner[None], homography)[0]
+
+
+def test_corners_are_detected_where_they_are_drawn() -> None:
+    of = ruler(squares_x=7, squares_y=5, dictionary="DICT_4X4_50")
+    image, truth = drawn(of)
+    found = detect(of, image)
+    assert sorted(found.corner) == list(range(24))
+    error = found.xy - truth[found.corner]
+    assert np.abs(error.mean(axis=0)).max() < 0.02, "pixel convention"
+    assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 0.06
+
+
+def test_tags_are_detected_and_an_id_seen_twice_is_not() -> None:
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36H11)
+    image = np.full((480, 640), 255, dtype=np.uint8)
+    for tag, (x, y) in ((3, (50, 60)), (7, (250, 60)), (7, (450, 60)), (11, (250, 280))):
+        image[y : y + 120, x : x + 120] = cv2.aruco.generateImageMarker(dictionary, tag, 120)
+    (tags,) = rulers_of([{"kind": "apriltag", "tag_mm": 100, "ids": [3, 7]}])
+    found = detect(tags, image)
+    assert found.corner.tolist() == [12, 13, 14, 15]
+    np.testing.assert_allclose(found.xy, [[50, 60], [170, 60], [170, 180], [50, 180]], atol=0.6)
+
+
+@pytest.mark.parametrize(
+    ("flip", "changes", "words"),
+    [
+        (True, {}, "mirrored"),
+        (False, {"squares_x": 5, "squares_y": 7}, "squares_x = 7, squares_y = 5"),
+        (False, {"squares_x": 9}, "count the squares"),
+        (False, {"dictionary": "DICT_6X6_250"}, "markers of DICT_4X4_50"),
+    ],
+)
+def test_why_a_board_isnt_detected(flip: bool, changes: dict, words: str, tmp_path: Path) -> None:
+    printed = {"squares_x": 7, "squares_y": 5, "dictionary": "DICT_4X4_50"}
+    image, _ = drawn(ruler(**printed))
+    path = tmp_path / "0.png"
+    cv2.imwrite(str(path), image[:, ::-1] if flip else image)
+    frames = pd.DataFrame({"image": ["0.png"]})
+    (sighting,) = find_rulers([ruler(**{**printed, **changes})], frames, lambda image: tmp_path / image)
+    assert words in sighting.absence and not len(sighting.row)
+    assert explain_absence(ruler(**printed), [tmp_path / "0.png"]) != ""
+
+
+def test_an_image_that_is_gone_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="can't be read"):
+        find_rulers([ruler()], pd.DataFrame({"image": ["gone.jpg"]}), lambda image: tmp_path / image)
+
+
+def test_a_real_board_is_detected(shared_captures: Path) -> None:
+    """calib.io's 8x11 board: every corner in three images of each of two sessions, in the plane to a pixel or so."""
+    paths = [
+        path
+        for folder in sorted((shared_captures / "charuco").iterdir())
+        for path in sorted(folder.glob("frame_*.jpg"))[:3]
+    ]
+    board = ruler(square_mm=22, marker_mm=17, legacy=True)
+    frames = pd.DataFrame({"image": [str(path) for path in paths]})
+    (sighting,) = find_rulers([board], frames, Path)
+    nominal = nominal_corners(board).xyz_m[:, :2]
+    assert len(paths) == 6
+    for row in range(len(paths)):
+        own = sighting.row == row
+        assert own.sum() >= 60
+        at, xy = nominal[sighting.corner[own]], sighting.xy_px[own]
+        homography, _ = cv2.findHomography(at, xy)
+        error = cv2.perspectiveTransform(at[None], homography)[0] - xy
+        assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 1.5
+
+
+# ------------------------------------------------------------------ settings
+
+DISTANCE = {
+    "kind": "distance",
+    "length_m": 1.253,
+    "points": [
+        {"name": name, "observations": [{"frame": f"walk0/{i:06d}", "xy": [10.0, 20.0]} for i in range(2)]}
+        for name in ("left", "right")
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("tables", "words"),
+    [
+        ([{"kind": "yardstick"}], ("'yardstick'", "charuco, apriltag, distance", "number 1")),
+        ([{}], ("needs a kind",)),
+        ([{"kind": "charuco", "square_cm": 2}], ("'square_cm'", "square_mm", "number 1")),
+        ([{k: v for k, v in BOARD.items() if k != "square_mm"}], ("square_mm", "required")),
+        ([{**BOARD, "marker_mm": 220}], ("marker_mm 220 must be less than square_mm 200",)),
+        ([{**BOARD, "dictionary": "DICT_7X8"}], ("DICT_6X6_250",)),
+        ([{**BOARD, "dictionary": "DICT_6X6_50", "squares_x": 14}], ("need 56 markers, DICT_6X6_50 has 50",)),
+        ([BOARD, {**BOARD, "square_mm": 210}], ("two rulers are named 'charuco'", "number 2")),
+        ([BOARD, {**BOARD, "name": "b", "dictionary": "DICT_6X6_50"}], ("'charuco' and 'b'", "another dictionary")),
+        ([{"kind": "apriltag", "tag_mm": 80, "ids": [600]}], ("id 600", "0 to 586")),
+        ([{**DISTANCE, "points": DISTANCE["points"][:1]}], ("points",)),
+        ([{**DISTANCE, "length_m": -1}], ("length_m", "greater than 0")),
+        ({"kind": "charuco"}, ("list of tables", "[[ruler]]")),
+    ],
+)
+def test_what_is_wrong_with_a_ruler_is_said(tables, words: tuple[str, ...]) -> None:
+    with pytest.raises(UserError) as error:
+        rulers_of(tables)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_rulers_come_from_the_scenes_file_and_concern_align_alone(tmp_path: Path) -> None:
+    data = DataRoot(tmp_path)
+    (tmp_path / "scenes").mkdir()
+    path = tmp_path / "scenes" / "Place.toml"
+    seen = 'observations = [{frame = "w/000001", xy = [1, 2]}, {frame = "w/000002", xy = [3, 4.5]}]'
+    points = "".join(f'[[ruler.points]]\nname = "{name}"\n{seen}\n' for name in "ab")
+    tags, distance = '[[ruler]]\nkind = "apriltag"\ntag_mm = 80\n', '[[ruler]]\nkind = "distance"\nlength_m = 2\n'
+    path.write_text(tags + distance + points)
+    settings = resolve_settings(AlignSettings, "align", data, "tiny", "Place", [])
+    assert [r.name for r in settings.rulers] == ["apriltag", "distance"]
+    assert AlignSettings.model_validate(settings.model_dump(mode="json")) == settings
+    assert "ruler" not in data.scene("Place")[0].model_dump_json()
+    path.write_text('[ruler]\nkind = "apriltag"\ntag_mm = 80\n')
+    with pytest.raises(UserError, match="list of tables"):
+        data.scene("Place")
+
+
+def test_a_distances_frame_must_be_there(scene) -> None:
+    (distance,) = rulers_of([DISTANCE])
+    find_rulers([distance], scene.frames, Path)
+    renamed = scene.frames.assign(frame_id=scene.frames["frame_id"] + "x")
+    with pytest.raises(UserError, match="point 'left'"):
+        find_rulers([distance], renamed, Path)
+
+
+# ------------------------------------------------------------------ stage
+
+
+def test_the_stage_with_a_distance_that_sets_the_scale(data: DataRoot, walks) -> None:
+    """Two points 3 m apart, read off in five frames; the map is then as large as they say."""
+    truth = read_table(data.captures("Place") / "true_poses.parquet", schema("simulate", "true_poses"))
+    true_T_cam = poses_of(truth, "map_cam")[:20]
+    folder = data.run("tiny", "Place", "import")
+    frames = read_table(folder / "frames.parquet", schema("import", "frames")).assign(
+        image="grey.png", distortion=[[]] * 40
+    )
+    write_table(folder / "frames.parquet", frames, schema("import", "frames"))
+    cv2.imwrite(str(data.captures("Place") / "grey.png"), np.full((144, 192), 128, dtype=np.uint8))
+    ends = transform(true_T_cam[8], np.array([[-1.5, 0.0, 8.0], [1.5, 0.0, 8.0]]))
+    points = []
+    for name, end in zip(("left", "right"), ends, strict=True):
+        seen = []
+        for row in range(5, 10):
+            x, y, z = transform(inverse(true_T_cam[row]), end)
+            seen.append(f'{{frame = "{frames["frame_id"][row]}", xy = [{1400 * x / z + 960}, {1400 * y / z + 720}]}}')
+        points.append(f'[[ruler.points]]\nname = "{name}"\nobservations = [{", ".join(seen)}]\n')
+    (data.root / "scenes").mkdir()
+    (data.root / "scenes" / "Place.toml").write_text(
+        '[[ruler]]\nname = "wall"\nkind = "distance"\nlength_m = 3.0\nuse_for_scale = true\n' + "".join(points)
+    )
+    out = execute(STAGE, "Place", "tiny", data)
+    table = read_table(out / "rulers.parquet", schema("align", "rulers"))
+    assert table["used_for_scale"].all() and table["verdict"].eq("undecided").all()
+    assert "no corners are left" in table["reason"].iloc[0]
+    assert (out / "rulers.png").read_bytes().startswith(b"\x89PNG")
+    figures = load_manifest(out)["figures"]
+    assert (
+        figures["scale_source"] == "ruler: wall" and figures["checks_undecided"] == 1 and figures["checks_failed"] == 0
+    )
+    gt = read_table(out / "ground_truth.parquet", schema("align", "ground_truth"))
+    assert set(gt["scale_source"]) == {"ruler: wall"}
+    path, true = poses_of(gt, "map_cam")[:20, :3, 3], true_T_cam[:, :3, 3]
+    assert np.ptp(path, axis=0)[[0, 2]].max() > 0
+    ratio = np.linalg.norm(path[-1] - path[0]) / np.linalg.norm(true[-1] - true[0])
+    assert ratio == pytest.approx(1, abs=0.01)

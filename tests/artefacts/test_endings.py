@@ -1,0 +1,160 @@
+"""How a command ends: by a signal, on a full disk, in a folder that can't be written; always with a sentence."""
+
+import errno
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
+from artefacts.child import Report, Task, in_child
+from artefacts.cli import stage_app
+
+WAITING = "waiting"
+
+
+class NoSettings(Settings):
+    pass
+
+
+def wait_in_child(report: Report, flag: Path) -> None:
+    flag.touch()
+    time.sleep(60)
+
+
+def wait(r: StageRun[NoSettings]) -> None:
+    in_child("waiting", r.scratch / "log", "", Task(wait_in_child, (r.data.root / WAITING,)))
+
+
+def fill(r: StageRun[NoSettings]) -> None:
+    with (r.work / "large.bin").open("wb") as file:
+        for _ in range(64):
+            file.write(b"x" * 1024)
+
+
+def open_many(r: StageRun[NoSettings]) -> None:
+    files = []
+    for number in range(100_000):
+        files.append((r.scratch / str(number)).open("w"))
+
+
+def stage(run: Callable[[StageRun[NoSettings]], None]) -> Stage[NoSettings]:
+    return Stage("import", 1, NoSettings, (), run, "", reads_captures=True)
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> DataRoot:
+    walk = tmp_path / "captures" / "place" / "walk"
+    walk.mkdir(parents=True)
+    (walk / "frame.json").write_text("{}")
+    return DataRoot(tmp_path)
+
+
+def start(run: str, data: DataRoot, limits: Callable[[], None] | None = None) -> subprocess.Popen[str]:
+    program = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import test_endings\n"
+        f"test_endings.stage_app(test_endings.stage(test_endings.{run}))("
+        f"['--scene', 'place', '--profile', 'tiny', '--data', {str(data.root)!r}])"
+    )
+    return subprocess.Popen(
+        [sys.executable, "-c", program],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=limits,
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("group", [True, False])
+def test_a_signal_ends_a_stage_with_one_line_and_its_exit_code(
+    data: DataRoot, number: signal.Signals, group: bool
+) -> None:
+    process = start("wait", data)
+    deadline = time.monotonic() + 60
+    while not (data.root / WAITING).exists():
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.02)
+    (os.killpg if group else os.kill)(process.pid, number)
+    out, err = process.communicate(timeout=20)
+    assert process.returncode == 128 + number
+    assert out == "" and err.splitlines() == [
+        "import · place · tiny",
+        f"stopped by {number.name}; the same command resumes from the last checkpoint",
+    ]
+
+
+def limit_size() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (16 * 1024, 16 * 1024))
+
+
+def limit_files() -> None:
+    resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+
+
+@pytest.mark.parametrize(
+    ("run", "limits", "message"),
+    [
+        ("fill", limit_size, "error: a file is larger than allowed here"),
+        ("open_many", limit_files, "error: too many files are open in this process"),
+    ],
+)
+def test_a_limit_of_the_machine_is_a_sentence(
+    data: DataRoot, run: str, limits: Callable[[], None], message: str
+) -> None:
+    process = start(run, data, limits)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert message in err and "where:" in err and "Traceback" not in err
+    assert not data.run("tiny", "place", "import").exists()
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO])
+@pytest.mark.parametrize("where", ["os.fsync", "fcntl.flock", "pyarrow", "pathlib.Path.rename", "pathlib.Path.mkdir"])
+def test_an_error_of_the_disk_anywhere_is_a_sentence(
+    data: DataRoot,
+    number: int,
+    where: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number), str(data.root / "x"))
+
+    def wrapped(r: StageRun[NoSettings]) -> None:
+        try:
+            fail()
+        except OSError as error:  # as libraries do that hide the cause
+            raise RuntimeError("No registered database factory succeeded.") from error
+
+    if where != "pyarrow":
+        monkeypatch.setattr(where, fail)
+    app = stage_app(stage(wrapped if where == "pyarrow" else fill))
+    with pytest.raises(SystemExit) as ended:
+        app(["--scene", "place", "--profile", "tiny", "--data", str(data.root)])
+    said = capsys.readouterr().err
+    assert ended.value.code == 2 and f"where:    {data.root / 'x'}" in said
+    assert ("MiB free" in said) == (number in (errno.ENOSPC, errno.EDQUOT))
+    assert not data.run("tiny", "place", "import").exists()
+
+
+def test_a_library_that_fails_on_a_full_disk_is_blamed_on_the_disk(
+    data: DataRoot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(r: StageRun[NoSettings]) -> None:
+        raise RuntimeError("No registered database factory succeeded.")
+
+    with pytest.raises(RuntimeError):
+        execute(stage(fail), "place", "tiny", data)
+    usage = type("Usage", (), {"free": 3 << 20})
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: usage)
+    with pytest.raises(UserError, match=r"(?s)the disk is full.*3 MiB free; No registered.*resumes") as told:
+        execute(stage(fail), "place", "tiny", data)
+    assert str(data.root) in str(told.value)

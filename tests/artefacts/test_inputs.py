@@ -1,0 +1,244 @@
+"""What a stage reads is held, verified and of one piece; what is damaged is made again without being asked to."""
+
+import errno
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
+from artefacts.locks import locked
+from artefacts.manifests import load_manifest
+
+
+class ExampleSettings(Settings):
+    text: str = "a"
+
+
+Run = Callable[[StageRun[ExampleSettings]], None]
+
+
+def stage(name: str, *needs: str, run: Run | None = None) -> Stage[ExampleSettings]:
+    """A stage that writes two files of what it reads, its settings' text and its checkpoint."""
+
+    def write(r: StageRun[ExampleSettings]) -> None:
+        read = "".join((r.folder(need) / "weights" / "one.bin").read_text() for need in needs)
+        (r.work / "weights").mkdir(exist_ok=True)
+        for number in ("one", "two"):
+            (r.work / "weights" / f"{number}.bin").write_text(f"{read}{name} {r.settings.text}\n")
+
+    return Stage(name, 1, ExampleSettings, needs, run or write, "", reads_captures=not needs)
+
+
+IMPORT, SFM, ALIGN = stage("import"), stage("sfm", "import"), stage("align", "import", "sfm")
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> DataRoot:
+    walk = tmp_path / "captures" / "place" / "walk"
+    walk.mkdir(parents=True)
+    (walk / "frame.json").write_text("{}")
+    (tmp_path / "profiles").mkdir()
+    (tmp_path / "profiles" / "tiny.toml").write_text("")
+    return DataRoot(tmp_path)
+
+
+def run(data: DataRoot, stage: Stage[ExampleSettings], *settings: str) -> Path:
+    return execute(stage, "place", "tiny", data, list(settings))
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*.bin")}
+
+
+def test_an_input_is_not_replaced_while_it_is_read(data: DataRoot) -> None:
+    folder = run(data, IMPORT)
+    before = content(folder)
+
+    def reading(r: StageRun[ExampleSettings]) -> None:
+        with pytest.raises(UserError, match="under way"):
+            run(data, IMPORT, "text=b")
+
+    run(data, stage("sfm", "import", run=reading))
+    assert content(folder) == before
+    run(data, IMPORT, "text=b")
+    assert content(folder) != before
+
+
+def test_results_of_two_imports_never_mix(data: DataRoot) -> None:
+    for each in (IMPORT, SFM, ALIGN):
+        run(data, each)
+    run(data, IMPORT, "text=b")
+    with pytest.raises(
+        UserError, match=r"(?s)sfm of scene place is outdated: import .*make scene=place profile=tiny sfm"
+    ):
+        run(data, ALIGN)
+    run(data, SFM)
+    run(data, ALIGN)
+    run(data, IMPORT, "text=c")
+    with pytest.raises(UserError, match="outdated"):
+        run(data, stage("train", "align"))
+    run(data, IMPORT, "text=b")  # as it was when the others read it
+    run(data, stage("train", "align"))
+
+
+def test_captures_that_change_during_import_are_refused(data: DataRoot) -> None:
+    def change(r: StageRun[ExampleSettings]) -> None:
+        (data.captures("place") / "walk" / "more.json").write_text("{}")
+
+    with pytest.raises(UserError, match="captures changed"):
+        run(data, stage("import", run=change))
+    assert not data.run("tiny", "place", "import").exists()
+    with locked(data.captures("place")), pytest.raises(UserError, match="under way"):
+        run(data, IMPORT)
+
+
+def flip(path: Path) -> None:
+    damaged = bytearray(path.read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    path.write_bytes(damaged)
+
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "one bit": lambda folder: flip(folder / "weights" / "two.bin"),
+    "cut": lambda folder: os.truncate(folder / "weights" / "two.bin", 1),
+    "zeroed": lambda folder: (folder / "weights" / "two.bin").write_bytes(b"\0" * 9),
+    "gone": lambda folder: (folder / "weights" / "two.bin").unlink(),
+    **{
+        f"manifest {text[:9]}": lambda folder, text=text: (folder / "manifest.json").write_text(text)  # type: ignore[misc]
+        for text in (
+            "",
+            "null",
+            "[]",
+            "{}",
+            "3",
+            '{"outputs": 3, "simulated": true}',
+            '{"outputs": {"x": 1}}',
+            "[" * 9999,
+        )
+    },
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_artefact_is_refused_as_input_and_made_again(data: DataRoot, damage: str) -> None:
+    folder = run(data, IMPORT)
+    whole = content(folder)
+    DAMAGES[damage](folder)
+    with pytest.raises(UserError, match=r"isn't as its stage wrote it|manifest of artefact import is damaged") as told:
+        run(data, SFM)
+    assert len(str(told.value).splitlines()) < 8
+    # make compares times: the damaged artefact has to look older than whatever it depends on.
+    assert (folder / "manifest.json").stat().st_mtime == 0
+    run(data, IMPORT)
+    assert content(folder) == whole
+    run(data, SFM)
+
+
+def test_a_recording_that_is_gone_is_made_again(data: DataRoot) -> None:
+    def record(r: StageRun[ExampleSettings]) -> None:
+        (r.work / "recording.rrd").write_text("a view")
+
+    folder = run(data, stage("import", run=record))
+    (folder / "recording.rrd").unlink()
+    run(data, stage("import", run=record))
+    assert (folder / "recording.rrd").is_file()
+
+
+def resumable(kill: bool) -> Stage[ExampleSettings]:
+    """A stage with a checkpoint that has to hold a number; it is killed right after writing it."""
+
+    def count(r: StageRun[ExampleSettings]) -> None:
+        checkpoint = r.scratch / "checkpoint.json"
+        if not checkpoint.exists():
+            checkpoint.write_text("41")
+        if kill:
+            raise KeyboardInterrupt
+        (r.work / "answer.bin").write_text(str(json.loads(checkpoint.read_text()) + 1))
+
+    return stage("import", run=count)
+
+
+@pytest.mark.parametrize("damage", ["", "\0\0", "[]", "4\x001"])
+def test_a_damaged_checkpoint_is_dropped_with_a_line(
+    data: DataRoot, damage: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run(data, resumable(kill=True))
+    (data.run("tiny", "place", ".import.partial") / "scratch" / "checkpoint.json").write_text(damage)
+    folder = run(data, resumable(kill=False))
+    assert (folder / "answer.bin").read_text() == "42"
+    said = capsys.readouterr().err
+    assert said.count("the checkpoints are damaged") == 1 and "Traceback" not in said
+    assert load_manifest(folder)["resumed"] is False
+
+
+def test_a_damaged_key_file_starts_anew(data: DataRoot) -> None:
+    for damage in ("", "null", "[]", '{"key": 3}'):
+        with pytest.raises(KeyboardInterrupt):
+            run(data, resumable(kill=True))
+        (data.run("tiny", "place", ".import.partial") / "key.json").write_text(damage)
+        assert (run(data, resumable(kill=False), f"text=x{len(damage)}") / "answer.bin").read_text() == "42"
+
+
+def test_an_error_of_the_user_or_the_machine_keeps_the_checkpoints(data: DataRoot) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run(data, resumable(kill=True))
+    checkpoint = data.run("tiny", "place", ".import.partial") / "scratch" / "checkpoint.json"
+    errors = [UserError("the capture is wrong"), MemoryError()]
+    errors += [OSError(number, os.strerror(number), "/x") for number in (errno.ENOSPC, errno.EROFS, errno.EMFILE)]
+    for error in errors:
+
+        def fail(r: StageRun[ExampleSettings], error: Exception = error) -> None:
+            raise error
+
+        with pytest.raises((UserError, MemoryError)):
+            run(data, stage("import", run=fail))
+        assert checkpoint.read_text() == "41"
+
+
+def test_a_bug_in_a_fresh_run_is_raised_once(data: DataRoot) -> None:
+    runs = []
+
+    def fail(r: StageRun[ExampleSettings]) -> None:
+        runs.append(1)
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        run(data, stage("import", run=fail))
+    assert len(runs) == 1
+
+
+def test_everything_is_synced_before_it_is_renamed(data: DataRoot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a power cut a file system may have the rename but not the content of what wasn't synced."""
+    synced: set[str] = set()
+    unsynced: list[Path] = []
+    fsync, rename, replace = os.fsync, Path.rename, Path.replace
+
+    def note(descriptor: int) -> None:
+        synced.add(os.path.realpath(f"/proc/self/fd/{descriptor}"))
+        fsync(descriptor)
+
+    def check(source: Path) -> None:
+        files = [source] if source.is_file() else [source, *source.rglob("*")]
+        unsynced.extend(path for path in files if str(path) not in synced)
+
+    def checked_rename(self: Path, target: Path) -> Path:
+        if self.name.endswith(".partial"):
+            check(self)
+        return rename(self, target)
+
+    def checked_replace(self: Path, target: Path) -> Path:
+        check(self)
+        return replace(self, target)
+
+    if not Path("/proc/self/fd").is_dir():
+        pytest.skip("this system has no /proc to name an open file by its number")
+    monkeypatch.setattr(os, "fsync", note)
+    monkeypatch.setattr(Path, "rename", checked_rename)
+    monkeypatch.setattr(Path, "replace", checked_replace)
+    folder = run(data, IMPORT)
+    assert unsynced == []
+    assert str(folder.parent) in synced

@@ -1,0 +1,185 @@
+"""Archives and logs that are made to harm: each its own folder, bounded in bytes, memory and names."""
+
+import json
+import resource
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from capture_writers import WRITERS, make_walk
+
+from artefacts import DataRoot, UserError, execute
+from artefacts.manifests import load_manifest
+from artefacts.schemas import schema
+from artefacts.tables import read_table
+from capture_import.archive import unpack
+from capture_import.capture import Limits
+from capture_import.discovery import find_recordings
+from capture_import.parsing import json_of, lines_of, parsed_bytes
+from capture_import.stage import STAGE
+
+SMALL = Limits(max_archive_bytes=1 << 20)
+
+
+def zipped_walk(archive: Path, frames: int) -> None:
+    folder = archive.with_suffix(".folder")
+    WRITERS["frames_jsonl"].write(folder, make_walk(frames))
+    archive.parent.mkdir(parents=True, exist_ok=True)
+    with zipfile.ZipFile(archive, "w") as content:
+        for path in sorted(folder.rglob("*")):
+            content.write(path, path.relative_to(folder))
+            if path.is_file():
+                path.unlink()
+    for path in sorted(folder.rglob("*"), reverse=True):
+        path.rmdir()
+    folder.rmdir()
+
+
+@pytest.mark.parametrize(
+    ("one", "other"), [("x/y.zip", "x-y.zip"), ("a b.zip", "a_b.zip"), ("x/y.zip", "x/y.r3d"), ("x/é.zip", "x/è.zip")]
+)
+def test_each_archive_has_a_folder_of_its_own(tmp_path: Path, one: str, other: str) -> None:
+    root = tmp_path / "place"
+    zipped_walk(root / one, 4)
+    zipped_walk(root / other, 6)
+    found = find_recordings(root, tmp_path / "unpacked", Limits())
+    assert sorted(len(recording.read(Limits()).frames) for recording in found) == [4, 6]
+    again = find_recordings(root, tmp_path / "unpacked", Limits())
+    assert [recording.path for recording in again] == [recording.path for recording in found]
+
+
+def test_the_same_images_in_train_and_test_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = tmp_path / "captures" / "place"
+    zipped_walk(root / "train.zip", 4)
+    zipped_walk(root / "test.zip", 4)
+    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["sampling=all", "check_convention=false"])
+    frames = read_table(artefact / "frames.parquet", schema("import", "frames"))
+    count = int((frames["split"] == "test").sum())
+    assert count > 0 and load_manifest(artefact)["figures"]["test_images_also_in_train"] == count
+    assert f"warning: {count} of {count} test images are also training images" in " ".join(
+        capsys.readouterr().err.split()
+    )
+
+
+def test_an_archive_that_shrinks_more_than_captures_do_is_refused(tmp_path: Path) -> None:
+    bomb = tmp_path / "bomb.zip"
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as content, content.open("zeros", "w") as member:
+        for _ in range(110):
+            member.write(bytes(1 << 20))
+    with pytest.raises(UserError, match="more bytes than the limit"):
+        unpack(bomb, tmp_path / "unpacked" / "a", Limits())
+
+
+def test_the_archives_of_a_capture_share_one_limit(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        with zipfile.ZipFile(tmp_path / f"{name}.zip", "w") as content:
+            content.writestr("noise", bytes(700_000))
+    unpack(tmp_path / "a.zip", tmp_path / "unpacked" / "a", SMALL)
+    with pytest.raises(UserError, match="more bytes than the limit"):
+        unpack(tmp_path / "b.zip", tmp_path / "unpacked" / "b", SMALL)
+
+
+def test_an_archive_for_which_there_is_no_space_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    archive = tmp_path / "a.zip"
+    with zipfile.ZipFile(archive, "w") as content:
+        content.writestr("zeros", bytes(1 << 20))
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: type("Usage", (), {"free": 200 << 20}))
+    with pytest.raises(UserError, match=r"(?s)too little space.*257 MiB.*200 MiB free"):
+        unpack(archive, tmp_path / "unpacked" / "a", Limits())
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA, zipfile.ZIP_STORED])
+def test_damaged_members_are_a_sentence_in_every_compression(tmp_path: Path, method: int) -> None:
+    archive = tmp_path / "walk.zip"
+    with zipfile.ZipFile(archive, "w", method) as content:
+        content.writestr("log.txt", "".join(f"{i * 7919 % 10007} " for i in range(3000)))
+    whole = archive.read_bytes()
+    refused = 0
+    for at in range(37, min(len(whole), 4000), 61):
+        archive.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
+        try:
+            unpack(archive, tmp_path / f"unpacked{at}" / "walk", Limits())
+        except UserError as error:
+            assert len(str(error)) < 1000
+            refused += 1
+    assert refused > 3
+
+
+def test_a_json_file_is_refused_before_it_takes_the_memory(tmp_path: Path) -> None:
+    log = tmp_path / "log.json"
+    for part, count in (("[]", 8 << 20), ("{}", 3 << 20), ('{"a":""}', 2 << 20)):
+        log.write_text('{"pose_data": [' + f"{part}," * count + "[]]}")
+        with pytest.raises(UserError, match=r"would take about \d+ MiB of memory, more than the limit of 512 MiB"):
+            json_of(log, Limits())
+
+
+@pytest.mark.parametrize(
+    "part", ["[]", "{}", "1.5", "1", '"ab"', '{"key":1.25}', "[1.5,2.5,3.5,4.5]", "[[[]]]", "null"]
+)
+def test_the_memory_of_a_json_text_is_not_underestimated(part: str) -> None:
+    """Held against what this Python's objects take, as `sys.getsizeof` has it."""
+    text = "[" + ",".join([part] * 1000) + "]"
+
+    def size_of(value: object) -> int:
+        inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+        shared = value is None or (isinstance(value, int) and value < 257)
+        return (0 if shared else sys.getsizeof(value)) + sum(map(size_of, inner))
+
+    assert size_of(json.loads(text)) <= parsed_bytes(text)
+
+
+def test_logs_are_read_line_by_line_within_limits(tmp_path: Path) -> None:
+    log = tmp_path / "log.txt"
+    log.write_text("﻿# head\n\nfirst\r\nsecond\n" + "noise\n" * 1000 + "last", encoding="utf-8")
+    kept = lines_of(log, Limits(max_rows=3), lambda line: line != "noise")
+    assert kept == [("log.txt line 3", "first"), ("log.txt line 4", "second"), ("log.txt line 1005", "last")]
+    for limits, found in (
+        (Limits(max_rows=99), "99 rows"),
+        (Limits(max_parsed_bytes=2000), "rows"),
+        (Limits(max_text_bytes=9), "bytes"),
+    ):
+        with pytest.raises(UserError, match=found):
+            lines_of(log, limits)
+    log.write_text("1 " * 600_000)
+    with pytest.raises(UserError, match="line 1 is longer"):
+        lines_of(log, Limits())
+    log.write_bytes(b"a\n\xff\n")
+    with pytest.raises(UserError, match="UTF-8"):
+        lines_of(log, Limits())
+    with pytest.raises(UserError, match="can't be read"):
+        lines_of(tmp_path / "none", Limits())
+
+
+@pytest.mark.parametrize("name", ["x" * 250, "é" * 120, "漢" * 80], ids=["ascii", "two bytes", "three bytes"])
+def test_a_session_of_a_long_name_is_imported(tmp_path: Path, name: str) -> None:
+    root = tmp_path / "captures" / "place"
+    WRITERS["frames_jsonl"].write(root / name, make_walk(4))
+    WRITERS["frames_jsonl"].write(root / (name[:-1] + "z"), make_walk(4))
+    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["images=copy", "check_convention=false"])
+    frames = read_table(artefact / "frames.parquet", schema("import", "frames"))
+    assert frames["session_id"].nunique() == 2
+    assert max(len(session.encode()) for session in frames["session_id"]) <= 120
+
+
+def test_a_bomb_of_brackets_stays_within_a_gibibyte(tmp_path: Path) -> None:
+    archive = tmp_path / "place" / "walk.zip"
+    archive.parent.mkdir()
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as content, content.open("walk.json", "w") as member:
+        member.write(b'{"pose_data":[')
+        for _ in range(90):
+            member.write(b"[]," * (1 << 18))
+        member.write(b"[]]}")
+    program = (
+        "import sys; from pathlib import Path; from capture_import.capture import Limits\n"
+        "from capture_import.discovery import find_recordings\n"
+        "find_recordings(Path(sys.argv[1]), Path(sys.argv[2]), Limits())[0].read(Limits())"
+    )
+    command = [sys.executable, "-c", program, str(archive.parent), str(tmp_path / "unpacked")]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 1 and "UserError" in done.stderr
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    if peak > before:
+        assert peak < (1 << 20 if sys.platform == "linux" else 1 << 30)
