@@ -16,7 +16,7 @@ from alignment.sessions import SessionFit, fit_session, residuals_table, session
 from alignment.settings import AlignSettings
 from alignment.sfm_tables import SfmTables
 from alignment.uncertainty import SharedSd, covariance_in_map, largest_sd, shared_covariance
-from artefacts.tables import dataset_frames, pose_frame, poses_of
+from artefacts.tables import CAMERA_COLUMNS, dataset_frames, pose_frame, poses_of
 from geometry.poses import Array
 from geometry.vio_agreement import PoseSd
 
@@ -149,6 +149,8 @@ def _ground_truth(
     table["gt_uses_vio"] = images["uses_vio"].to_numpy(bool) | bridged
     table["scale_source"] = scale_source
     table["vertical_source"] = vertical_source
+    # Later stages need the cameras that go with these poses, and read no table of SfM.
+    table[[*CAMERA_COLUMNS, "camera_origin"]] = images[[*CAMERA_COLUMNS, "camera_origin"]]
     return pd.concat([table, pose_frame("map_cam", map_T_cam)], axis=1)
 
 

@@ -220,7 +220,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=9,
+    version=10,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

@@ -58,7 +58,10 @@ def log_camera(
     size_m: float = 0.3,
     static: bool = False,
 ) -> None:
-    """A camera frustum at `path`: pose (4, 4) in OpenCV axes, `frame` a row of import.frames."""
+    """A camera frustum at `path`: pose (4, 4) in OpenCV axes, `frame` a row of import.frames or a Camera.
+
+    Frusta are pinholes: an image shown in one has to be free of distortion for what lies before it to fall on it.
+    """
     stream.log(path, rr.Transform3D(translation=world_T_cam[:3, 3], mat3x3=world_T_cam[:3, :3]), static=static)
     stream.log(
         f"{path}/image",

@@ -1,6 +1,7 @@
 """Parquet tables that are checked against their schema on the way out and on the way in."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,8 +11,10 @@ import pyarrow.parquet as pq
 from artefacts.errors import UserError
 from artefacts.files import replace_synced
 from artefacts.schemas import TableSchema
+from geometry.cameras import Camera
 from geometry.poses import Array, pose_from_tq, tq_from_pose
 
+CAMERA_COLUMNS = ["fx", "fy", "cx", "cy", "distortion"]
 _QUATERNION_TOLERANCE = 1e-6
 
 
@@ -83,10 +86,16 @@ def pose_prefixes(schema: TableSchema) -> list[str]:
 
 
 def with_cameras(frames: pd.DataFrame, images: pd.DataFrame) -> pd.DataFrame:
-    """import.frames with the cameras of sfm.images, which go with the poses of SfM and of the ground truth."""
-    columns = ["fx", "fy", "cx", "cy", "distortion"]
-    cameras = images.set_index("frame_id").loc[frames["frame_id"], columns]
-    return frames.assign(**{name: cameras[name].to_numpy() for name in columns})
+    """import.frames with the cameras that go with the poses of SfM and of the ground truth: those of sfm.images, which
+    align.ground_truth has, too."""
+    cameras = images.set_index("frame_id").loc[frames["frame_id"], CAMERA_COLUMNS]
+    return frames.assign(**{name: cameras[name].to_numpy() for name in CAMERA_COLUMNS})
+
+
+def camera_of(frame: Any) -> Camera:
+    """The camera of a row of import.frames."""
+    fx, fy, cx, cy = (float(value) for value in (frame.fx, frame.fy, frame.cx, frame.cy))
+    return Camera(int(frame.width), int(frame.height), fx, fy, cx, cy, tuple(map(float, frame.distortion))[:8])
 
 
 def poses_of(frame: pd.DataFrame, prefix: str) -> Array:

@@ -12,7 +12,9 @@ import rerun.blueprint as rrb
 from artefacts import StageRun
 from artefacts.parallel import in_parallel
 from artefacts.recording import APR, FUSED, GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
-from artefacts.tables import poses_of
+from artefacts.tables import camera_of, poses_of
+from artefacts.undistortion import undistorted_image
+from geometry.cameras import Camera
 from geometry.poses import Array
 from sfm.matching import MatchedPairs
 from sfm.model import Model
@@ -43,10 +45,12 @@ def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model
         _log_pairs(stream, centres, model, matched)
         _log_quality(stream, model, registered)
         shown = _spread(registered, _MOST_IMAGES)
-        images = in_parallel(_shrunk, (r.image_path(image) for image in frames["image"].iloc[shown]))
-        for row, (image, shrink) in zip(shown.tolist(), images, strict=True):
+        cameras = [camera_of(frames.iloc[row]) for row in shown]
+        paths = [r.image_path(image) for image in frames["image"].iloc[shown]]
+        images = in_parallel(lambda item: _undistorted(*item), zip(paths, cameras, strict=True))
+        for row, camera, image in zip(shown.tolist(), cameras, images, strict=True):
             stream.set_time(_TIMELINE, sequence=row)
-            _log_view(stream, image, shrink, frames.iloc[row], model, row, 2 * frustum)
+            _log_view(stream, image, camera, model, row, 2 * frustum)
 
 
 def _blueprint() -> rrb.Blueprint:
@@ -120,29 +124,34 @@ def _log_quality(stream: rr.RecordingStream, model: Model, registered: np.ndarra
         stream.send_columns(f"quality/{name}", times, rr.Scalars.columns(scalars=values[registered].astype(float)))
 
 
-def _shrunk(path: Path) -> tuple[rr.Image | rr.EncodedImage, float]:
-    """An image as it's shown, and how much smaller that is."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB)
+def _small(camera: Camera) -> Camera:
+    """The camera of an image as large as it's shown."""
+    shrink = min(1.0, _IMAGE_SIDE / max(camera.width, camera.height))
+    return camera.resized(round(shrink * camera.width), round(shrink * camera.height))
+
+
+def _shown(camera: Camera) -> Camera:
+    """The camera that is shown: the viewer draws images and what lies before them by pinholes alone."""
+    return replace(_small(camera), distortion=())
+
+
+def _undistorted(path: Path, camera: Camera) -> rr.Image | rr.EncodedImage:
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
     assert image is not None, path
-    shrink = min(1.0, _IMAGE_SIDE / max(image.shape[:2]))
-    return rr.Image(cv2.resize(image, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)).compress(75), shrink
+    small = _small(camera)
+    shrunk = np.asarray(cv2.resize(image, (small.width, small.height), interpolation=cv2.INTER_AREA), np.uint8)
+    return rr.Image(undistorted_image(shrunk, small, _shown(camera))).compress(75)
 
 
 def _log_view(
-    stream: rr.RecordingStream,
-    image: rr.Image | rr.EncodedImage,
-    shrink: float,
-    frame: pd.Series,
-    model: Model,
-    row: int,
-    size: float,
+    stream: rr.RecordingStream, image: rr.Image | rr.EncodedImage, camera: Camera, model: Model, row: int, size: float
 ) -> None:
-    small = frame.copy()
-    small[["fx", "fy", "cx", "cy", "width", "height"]] *= shrink
-    log_camera(stream, "sfm/camera", model.sfm_T_cam[row], small, REJECTED, size)
+    """The moving camera with its image, and where in it a camera without rolling shutter sees the points."""
+    shown = _shown(camera)
+    log_camera(stream, "sfm/camera", model.sfm_T_cam[row], shown, REJECTED, size)
     stream.log("sfm/camera/image", image)
-    seen = model.frame == row
+    seen_px = shown.project(camera.unproject(model.seen_px[model.frame == row]))
     stream.log(
         "sfm/camera/image/seen",
-        rr.Points2D(model.seen_px[seen] * shrink, colors=GROUND_TRUTH, radii=rr.Radius.ui_points(1.5)),
+        rr.Points2D(seen_px, colors=GROUND_TRUTH, radii=rr.Radius.ui_points(1.5)),
     )

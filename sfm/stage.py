@@ -485,7 +485,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=10,
+    version=11,
     settings=SfmSettings,
     needs=("import",),
     run=run,

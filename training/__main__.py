@@ -25,8 +25,14 @@ def export(
     """Write a trained model as ONNX: an RGB image in 0..1 to position and quaternion of map_T_cam."""
     folder = DataRoot(data).run(profile, scene, "train")
     load_verified(folder)
-    export_onnx(folder / "weights" / f"{model}.pt", out)
-    typer.echo(f"{model} of {scene} → {out}")
+    trained = export_onnx(folder / "weights" / f"{model}.pt", out)
+    camera = "as captured"
+    if trained.focal_px is not None:
+        camera = f"of a pinhole with a focal length of {trained.focal_px:.2f} px and its principal point in the middle"
+    typer.echo(
+        f"{model} of {scene} → {out}; it takes the middle {trained.crop} x {trained.crop} px of images {camera}, "
+        f"{trained.resize} px on the shorter side"
+    )
 
 
 if __name__ == "__main__":

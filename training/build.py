@@ -46,6 +46,8 @@ class Trained(NamedTuple):
     scenes: list[str]
     resize: int
     crop: int
+    focal_px: float | None
+    """of the pinhole whose images it sees, principal point in the middle; None: images as captured"""
 
 
 def save_trained(path: Path, name: str, settings: RegressorSettings, trained: Trained) -> None:
@@ -57,6 +59,7 @@ def save_trained(path: Path, name: str, settings: RegressorSettings, trained: Tr
         "scenes": trained.scenes,
         "resize": trained.resize,
         "crop": trained.crop,
+        "focal_px": trained.focal_px,
         "state": {key: tensor.cpu().contiguous() for key, tensor in trained.model.state_dict().items()},
     }
     torch.save(content, path)
@@ -74,4 +77,4 @@ def load_trained(path: Path) -> Trained:
         raise UserError(
             "not a trained model", where=path, expected="a file that the train stage wrote", found=type(error).__name__
         ) from None
-    return Trained(model.eval(), content["scenes"], content["resize"], content["crop"])
+    return Trained(model.eval(), content["scenes"], content["resize"], content["crop"], content["focal_px"])

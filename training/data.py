@@ -14,6 +14,8 @@ from torch import Tensor
 
 from artefacts import UserError
 from artefacts.files import replace_synced
+from artefacts.undistortion import undistorted_image
+from geometry.cameras import Camera, centred_pinhole
 from training.models.regressor import PoseBatch
 
 Image = NDArray[np.uint8]
@@ -45,17 +47,13 @@ class ImageCache:
         return pixels.reshape(*self.shapes[index], 3)
 
     @classmethod
-    def build(cls, folder: Path, paths: Iterable[Path], short_side: int) -> "ImageCache":
-        """Fill `folder`, unless it is there from an earlier run; `shapes.npy` comes last and marks it as whole.
-
-        UserError for an image that isn't there or can't be decoded.
-        """
+    def build(cls, folder: Path, images: Iterable[Image]) -> "ImageCache":
+        """Fill `folder`, unless it is there from an earlier run; `shapes.npy` comes last and marks it as whole."""
         if not (folder / "shapes.npy").exists():
             folder.mkdir(exist_ok=True)
             shapes = []
             with (folder / "pixels.u8").open("wb") as file:
-                for path in paths:
-                    image = read_image(path, short_side)
+                for image in images:
                     shapes.append(image.shape[:2])
                     file.write(image.tobytes())
             partial = folder / "shapes.partial.npy"
@@ -64,18 +62,45 @@ class ImageCache:
         return cls(folder)
 
 
-def read_image(path: Path, short_side: int) -> Image:
-    """An image file as RGB (H, W, 3) whose shorter side has `short_side` pixels, as the sensor has it (a turn in
-    the file's EXIF is left out, since poses and intrinsics are the sensor's)."""
+def read_image(path: Path) -> Image:
+    """An image file as RGB (H, W, 3), as the sensor has it (a turn in the file's EXIF is left out, since poses and
+    intrinsics are the sensor's). UserError where it isn't there or can't be decoded."""
     image = cv2.imread(str(path), cv2.IMREAD_COLOR_BGR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         found = "a file that isn't an image" if path.exists() else "no such file"
         raise UserError("an image can't be read", where=path, found=found, do="import the capture again")
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def small_image(image: Image, short_side: int) -> Image:
+    """The image with `short_side` pixels on its shorter side, as captured otherwise."""
+    return _resized(image, *_small_size(image, short_side))
+
+
+def pinhole_image(image: Image, camera: Camera, short_side: int, focal: float) -> Image:
+    """What the virtual pinhole, whose focal length is `focal` shorter sides, sees where `camera` took the image.
+
+    As large as `small_image` makes it; its principal point is in the middle. Beyond the image its border is repeated.
+    """
+    pinhole = centred_pinhole(*_small_size(image, short_side), focal * short_side)
+    # Half-sized pixels keep sharp what a second interpolation would blur.
+    finer = min(2.0, max(1.0, min(image.shape[:2]) / short_side))
+    size = round(finer * pinhole.width), round(finer * pinhole.height)
+    seen = undistorted_image(_resized(image, *size), camera.resized(*size), pinhole.resized(*size))
+    return _resized(seen, pinhole.width, pinhole.height)
+
+
+def _small_size(image: Image, short_side: int) -> tuple[int, int]:
+    """Width and height."""
     height, width = image.shape[:2]
     scale = short_side / min(height, width)
-    size = (max(short_side, round(width * scale)), max(short_side, round(height * scale)))
-    image = cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+    return max(short_side, round(width * scale)), max(short_side, round(height * scale))
+
+
+def _resized(image: Image, width: int, height: int) -> Image:
+    shrinks = width < image.shape[1]
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    return np.asarray(small, np.uint8)
 
 
 class Turns(NamedTuple):

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from artefacts import UserError
-from training.build import load_trained
+from training.build import Trained, load_trained
 from training.data import normalised
 
 
@@ -21,11 +21,12 @@ class Exported(nn.Module):
         return tuple(self.model(normalised(image_13HW)))
 
 
-def export_onnx(weights: Path, out: Path) -> None:
+def export_onnx(weights: Path, out: Path) -> Trained:
     """Write the model of a weights file as ONNX for one image of its crop size.
 
     Input `image` (1, 3, crop, crop), RGB in 0..1; outputs `position` (1, 3), `quaternion` (1, 4) of map_T_cam and
-    `scene` (1,). UserError where the weights can't be read or the exporter isn't installed.
+    `scene` (1,). The image is the middle of the one that `Trained` describes, which is returned. UserError where the
+    weights can't be read or the exporter isn't installed.
     """
     trained = load_trained(weights)
     image = torch.zeros(1, 3, trained.crop, trained.crop)
@@ -42,3 +43,4 @@ def export_onnx(weights: Path, out: Path) -> None:
         raise UserError("exporting needs more packages", found=error, do="pip install onnx onnxscript") from None
     out.parent.mkdir(parents=True, exist_ok=True)
     program.save(out)  # type: ignore[union-attr]
+    return trained

@@ -9,21 +9,23 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from artefacts import StageRun, UserError
-from artefacts.tables import poses_of
+from artefacts.tables import camera_of, poses_of, with_cameras
 from geometry.poses import tq_from_pose
-from training.data import Frames, ImageCache
+from training.data import Frames, Image, ImageCache, pinhole_image, read_image, small_image
 from training.settings import TrainSettings
 
 
 def read_frames(r: StageRun[TrainSettings]) -> pd.DataFrame:
-    """Every frame of the run's scenes: import.frames with the ground truth of align and its quality class (null where
-    there is none), the scene's name and its index. Held-out frames are marked `val` in every scene."""
+    """Every frame of the run's scenes: import.frames with the ground truth of align, its quality class (null where
+    there is none) and its cameras, the scene's name and its index. Held-out frames are marked `val` in every scene."""
     tables = []
     for index, scene in enumerate(r.leaves):
         frames = r.dataset_frames(scene)
         truth = r.read("align", "ground_truth", scene=scene)
         pose_columns = [c for c in truth.columns if c.startswith("map_cam_")]
-        frames = frames.merge(truth[["frame_id", "quality", *pose_columns]], on="frame_id", how="left", validate="1:1")
+        frames = with_cameras(frames, truth).merge(
+            truth[["frame_id", "quality", *pose_columns]], on="frame_id", how="left", validate="1:1"
+        )
         frames.insert(0, "scene", scene)
         frames.insert(1, "scene_index", index)
         frames["split"] = hold_out(frames, r.settings.val_fraction)
@@ -68,20 +70,43 @@ def check_trainable(frames: pd.DataFrame, where: Path) -> None:
             )
 
 
-def image_paths(r: StageRun[TrainSettings], frames: pd.DataFrame) -> Iterator[Path]:
-    """The frames' image files, in order, with progress."""
-    pairs = zip(frames["image"], frames["scene"], strict=True)
-    for image, scene in r.track(pairs, "reading images", len(frames)):
-        yield r.image_path(image, scene=scene)
+def focal_in_short_sides(frames: pd.DataFrame) -> NDArray[np.float64]:
+    """Each frame's focal length over the shorter side of its image, (N,)."""
+    return frames[["fx", "fy"]].to_numpy(float).mean(axis=1) / frames[["width", "height"]].to_numpy(float).min(axis=1)
 
 
-def as_training_frames(frames: pd.DataFrame, cache: ImageCache) -> Frames:
-    """The table as arrays, row i's image being cache[i]; a frame without ground truth has NaN there."""
-    K = np.zeros((len(frames), 3, 3))
-    scale_N2 = cache.shapes[:, ::-1] / frames[["width", "height"]].to_numpy(float)
-    K[:, [0, 1], [0, 1]] = frames[["fx", "fy"]].to_numpy(float) * scale_N2
-    K[:, [0, 1], [2, 2]] = frames[["cx", "cy"]].to_numpy(float) * scale_N2
-    K[:, 2, 2] = 1
+def virtual_focal(frames: pd.DataFrame) -> float:
+    """The focal length of the virtual pinhole of all frames, in shorter sides: the median of those trained on."""
+    return float(np.median(focal_in_short_sides(frames)[rows_with_truth(frames, "train")]))
+
+
+def small_images(r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float | None) -> Iterator[Image]:
+    """The frames' images, small, in order, with progress: the virtual pinhole's, or without `focal` as captured.
+
+    UserError for an image that isn't there or can't be decoded.
+    """
+    rows = zip(frames["image"], frames["scene"], frames.itertuples(index=False), strict=True)
+    for path, scene, frame in r.track(rows, "reading images", len(frames)):
+        image = read_image(r.image_path(path, scene=scene))
+        if focal is None:
+            yield small_image(image, r.settings.resize)
+        else:
+            yield pinhole_image(image, camera_of(frame), r.settings.resize, focal)
+
+
+def as_training_frames(frames: pd.DataFrame, cache: ImageCache, focal: float | None) -> Frames:
+    """The table as arrays, row i's image being cache[i]; a frame without ground truth has NaN there.
+
+    `focal` is that of the virtual pinhole, None where the images are as captured.
+    """
+    size = cache.shapes[:, ::-1].astype(float)
+    if focal is None:
+        by = size / frames[["width", "height"]].to_numpy(float)
+        focal_px, centre = frames[["fx", "fy"]].to_numpy(float) * by, frames[["cx", "cy"]].to_numpy(float) * by
+    else:
+        focal_px, centre = focal * size.min(axis=1, keepdims=True), size / 2
+    K = np.tile(np.eye(3), (len(frames), 1, 1))
+    K[:, [0, 1], [0, 1]], K[:, [0, 1], [2, 2]] = focal_px, centre
     position, quaternion = np.full((len(frames), 3), np.nan), np.full((len(frames), 4), np.nan)
     map_T_cam: Any = poses_of(frames, "map_cam")
     known = np.isfinite(map_T_cam).all(axis=(1, 2))

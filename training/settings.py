@@ -89,6 +89,11 @@ class TrainSettings(Settings):
     models: tuple[ModelName, ...] = Field(("PN", "MS-T"), min_length=1, description="the regressors to train")
     resize: int = Field(256, ge=32, description="shorter side of the images, pixels")
     crop: int = Field(224, ge=32, description="side of the square that the networks see, pixels")
+    undistort: bool = Field(
+        True,
+        description="turn all images into those of one virtual pinhole, with the median focal length of the training"
+        " frames and its principal point in the middle; otherwise images as captured, each with its lens",
+    )
     val_fraction: float = Field(
         0.1, gt=0, lt=0.5, description="share of each training session held out where import marked none"
     )

@@ -15,7 +15,15 @@ from geometry.metrics import sure_enough
 from training.build import Trained, build, save_trained, settings_of
 from training.data import Frames, ImageCache
 from training.evaluation import errors, mean_pose_errors
-from training.inputs import as_training_frames, check_trainable, image_paths, read_frames, rows_with_truth
+from training.inputs import (
+    as_training_frames,
+    check_trainable,
+    focal_in_short_sides,
+    read_frames,
+    rows_with_truth,
+    small_images,
+    virtual_focal,
+)
 from training.loop import Run, save, take_best, train
 from training.models.regressor import PoseRegressor
 from training.predict import predict
@@ -24,6 +32,7 @@ from training.settings import ModelName, RegressorSettings, TrainSettings
 from training.weights import load_first_weights
 
 _FIRST = "first.pt"
+_NARROW = 1.1
 _TOO_LITTLE = "too little memory needs a smaller batch or crop"
 
 
@@ -33,9 +42,10 @@ def run(r: StageRun[TrainSettings]) -> None:
     check_trainable(frames, r.folder("align", r.leaves[0]))
     torch.set_num_threads(settings.threads)
     device = choose_device(settings.device)
+    focal = choose_camera(r, frames)
     with r.step("images"):
-        cache = ImageCache.build(r.scratch / "images", image_paths(r, frames), settings.resize)
-    data = as_training_frames(frames, cache)
+        cache = ImageCache.build(r.scratch / "images", small_images(r, frames, focal))
+    data = as_training_frames(frames, cache, focal)
     report_mean_pose(r, frames, data)
 
     jobs = [prepare(r, name, data, frames, device) for name in models_of(r)]
@@ -45,7 +55,7 @@ def run(r: StageRun[TrainSettings]) -> None:
     predictions, history, cards = [], [], []
     for job in jobs:
         name = job.run.title
-        card, curve, trained = finish(r, job)
+        card, curve, trained = finish(r, job, None if focal is None else focal * settings.resize)
         with r.step(f"predict {name}"):
             order = r.track(range(len(frames)), f"{name}: predicting")
             found = predict(trained.model, data, trained.scenes, trained.crop, device, order)
@@ -119,13 +129,15 @@ def train_prepared(report: Report, job: Job, threads: int) -> None:
     train(report, job.model(), job.training, job.held_out, job.settings, job.run)
 
 
-def finish(r: StageRun[TrainSettings], job: Job) -> tuple[dict[str, Any], pd.DataFrame, Trained]:
+def finish(
+    r: StageRun[TrainSettings], job: Job, focal_px: float | None
+) -> tuple[dict[str, Any], pd.DataFrame, Trained]:
     """A trained model's card (without inference_ms), its learning curves, and itself with its weights file written."""
     name, settings, run = job.run.title, job.settings, job.run
     model = job.model()
     curve = pd.DataFrame(take_best(model, run.folder))
     model.to(run.device)
-    trained = Trained(model, r.leaves, r.settings.resize, run.crop)
+    trained = Trained(model, r.leaves, r.settings.resize, run.crop, focal_px)
     save_trained(r.work / "weights" / f"{name}.pt", name, settings, trained)
     curve.insert(0, "model", name)
     curve.insert(1, "scenes", pd.Series([r.leaves] * len(curve)))
@@ -139,6 +151,7 @@ def finish(r: StageRun[TrainSettings], job: Job) -> tuple[dict[str, Any], pd.Dat
         "weights": job.origin,
         "resize_px": r.settings.resize,
         "crop_px": r.settings.crop,
+        "focal_px": focal_px,
         "train_frames": len(job.training),
         "val_frames": len(job.held_out),
         "epochs": settings.epochs,
@@ -150,6 +163,21 @@ def finish(r: StageRun[TrainSettings], job: Job) -> tuple[dict[str, Any], pd.Dat
         "train_seconds": float(curve["seconds"].sum()),
     }
     return card, curve, trained
+
+
+def choose_camera(r: StageRun[TrainSettings], frames: pd.DataFrame) -> float | None:
+    """The virtual pinhole's focal length in shorter sides, None for images as captured; says what it can't fill."""
+    if not r.settings.undistort:
+        return None
+    focal = virtual_focal(frames)
+    r.figure("virtual focal length in shorter image sides", focal)
+    narrow = int((focal_in_short_sides(frames) > _NARROW * focal).sum())
+    if narrow:
+        r.say(
+            f"{narrow} of {len(frames)} images have focal lengths over {_NARROW:g} times the virtual camera's, so they "
+            "don't fill its image: their borders are repeated"
+        )
+    return focal
 
 
 def report_mean_pose(r: StageRun[TrainSettings], frames: pd.DataFrame, data: Frames) -> None:
@@ -212,7 +240,7 @@ def describe(run: Run) -> str:
 
 STAGE = Stage(
     name="train",
-    version=3,
+    version=4,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,

@@ -1,16 +1,16 @@
 """Cambridge Landmarks: `seq1/frame00000.jpg`, `dataset_train.txt`, `dataset_test.txt` and `reconstruction.nvm`.
 
 Format: https://www.repository.cam.ac.uk/handle/1810/251342 (position, then the world-to-camera rotation as quaternion
-w x y z; camera axes as ours) and http://ccwu.me/vsfm/doc.html#nvm. The .nvm holds the cameras and no points. Of the
-intrinsics it has one focal length, so fx and fy are averaged and the principal point counts as the image's centre;
-`intrinsics.csv` holds them whole.
+w x y z; camera axes as ours) and http://ccwu.me/vsfm/doc.html#nvm. The .nvm holds the cameras and no points. Its
+readers take the principal point to be the image's centre and none of the distortion that it has a place for, so images
+with distortion are written as those of such a pinhole. Of other images' intrinsics it holds the mean of fx and fy.
 """
 
 from pathlib import Path
 
 import numpy as np
 
-from alignment.export.dataset import Dataset, Images, number, place_image
+from alignment.export.dataset import Dataset, Images, number
 from alignment.export.sequences import sequences
 from geometry.poses import inverse, quaternion_from_matrix
 
@@ -19,7 +19,6 @@ _HEADER = "Visual Landmark Dataset V1\nImageFile, Camera Position [X Y Z W P Q R
 
 def write_cambridge(dataset: Dataset, folder: Path, images: Images) -> list[str]:
     """Write the layout; returns the frames' image paths."""
-    dataset.refuse_distortion("Cambridge Landmarks")
     position = dataset.map_T_cam[:, :3, 3]
     quaternion = quaternion_from_matrix(inverse(dataset.map_T_cam)[:, :3, :3])[:, [3, 0, 1, 2]]
     placed = [""] * len(dataset.frames)
@@ -27,7 +26,7 @@ def write_cambridge(dataset: Dataset, folder: Path, images: Images) -> list[str]
     for index, (test, rows) in enumerate(sequences(dataset), start=1):
         for count, row in enumerate(rows):
             placed[row] = f"seq{index}/frame{count:05d}{dataset.images[row].suffix}"
-            place_image(dataset.images[row], folder / placed[row], images)
+            dataset.images[row].place(folder / placed[row], images)
             values = " ".join(number(v) for v in (*position[row], *quaternion[row]))
             lists[test].append(f"{placed[row]} {values}\n")
     for test, name in ((False, "dataset_train.txt"), (True, "dataset_test.txt")):
@@ -41,7 +40,4 @@ def write_cambridge(dataset: Dataset, folder: Path, images: Images) -> list[str]
     ]
     nvm = "\n".join(["NVM_V3", "", str(len(cameras)), *cameras, "", "0", "", "0", ""])
     (folder / "reconstruction.nvm").write_text(nvm, encoding="ascii")
-    intrinsics = dataset.frames[["width", "height", "fx", "fy", "cx", "cy"]].iloc[order]
-    intrinsics.insert(0, "image", [placed[row] for row in order])
-    intrinsics.to_csv(folder / "intrinsics.csv", index=False)
     return placed

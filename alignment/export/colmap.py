@@ -3,7 +3,9 @@
 Each of SfM's models that nothing visual ties to the others has a folder of its own: `sparse/1`, ...
 
 Format: https://colmap.github.io/format.html (world-to-camera poses, quaternions w first in text; pixel centres at 0.5,
-as ours). The world is the map: metric, +y up.
+as ours). The world is the map: metric, +y up. Cameras are SfM's, a frame's own each, with its lens (OPENCV). What a
+rolling shutter did to observations of points is taken out of them, so they may lie pixels from the images' features;
+the images are as the phone took them.
 """
 
 from pathlib import Path
@@ -11,7 +13,7 @@ from urllib.parse import unquote
 
 import pycolmap
 
-from alignment.export.dataset import Dataset, Images, SfmModel, place_image
+from alignment.export.dataset import Dataset, Images, SfmModel
 from artefacts import UserError
 
 
@@ -25,7 +27,7 @@ def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool =
         own = [name for name, of in zip(ordered, dataset.frames["split"], strict=True) if of == split]
         (folder / f"{split}.txt").write_text("".join(f"{name}\n" for name in own), encoding="utf-8")
     for source, name in zip(dataset.images, ordered, strict=True):
-        place_image(source, folder / "images" / name, images)
+        source.place(folder / "images" / name, images)
     return [f"images/{name}" for name in ordered]
 
 

@@ -12,13 +12,14 @@ import typer
 
 from alignment.export.cambridge import write_cambridge
 from alignment.export.colmap import write_colmap
-from alignment.export.dataset import Dataset, Images, load_dataset
-from alignment.export.nerfstudio import write_nerfstudio
+from alignment.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number
+from alignment.export.nerfstudio import DISTORTION, write_nerfstudio
 from alignment.export.seven_scenes import write_seven_scenes
 from alignment.export.tum import write_tum
 from artefacts import DataRoot, UserError, progress
 from artefacts.cli import DataOption, ProfileOption
 from artefacts.files import fresh_folder, write_json
+from artefacts.tables import CAMERA_COLUMNS
 
 _NOTE = "export.json"
 _FRAMES = "frames.csv"
@@ -31,6 +32,9 @@ WRITERS: dict[str, Callable[[Dataset, Path, Images], list[str]]] = {
     "7scenes": write_seven_scenes,
     "cambridge": write_cambridge,
 }
+# How many coefficients of a lens's distortion a format's cameras hold; any number where it isn't here. Images with more
+# are written without distortion.
+COEFFICIENTS = {"nerfstudio": len(DISTORTION), "7scenes": 0, "cambridge": 0}
 
 
 class FormatOption(StrEnum):
@@ -56,41 +60,53 @@ def export(
     scene: Annotated[str, typer.Option(help="A scene whose ground truth is there.")],
     format_: Annotated[FormatOption, typer.Option("--format", help="The layout to write.")],
     out: Annotated[Path, typer.Option(help="The folder to make.")],
-    images: Annotated[ImagesOption, typer.Option(help="Link to the images, copy them, or leave them out.")] = (
-        ImagesOption.link
-    ),
+    images: Annotated[
+        ImagesOption,
+        typer.Option(
+            help="Link to the images, copy them, or leave them out. Images whose lens distortion a format can't hold "
+            "are written undistorted instead of linked or copied."
+        ),
+    ] = ImagesOption.link,
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier export in that folder.")] = False,
     profile: ProfileOption = "demo",
     data: DataOption = Path("data"),
 ) -> None:
     """Write ground truth as another tool reads it; docs/ground-truth.md says what each format can't hold.
 
-    Frames without ground truth are left out; `frames.csv` lists every frame with its split, quality and image, and
+    Frames without ground truth are left out; `frames.csv` lists every frame with its split, quality, image and camera;
     `export.json` says what the export is.
     """
     name = format_.value
     dataset = load_dataset(DataRoot(data), profile, scene)
     about = {"scene": scene, "profile": profile, "format": name}
-    write_export(dataset, name, out, images.value, about, force=force)
+    undistorted = write_export(dataset, name, out, images.value, about, force=force)
     left = len(dataset.left_out)
     progress.console.print(
         f"{scene} as {name}: {len(dataset.frames)} frames"
         f"{f', {left} without ground truth left out ({_FRAMES} says which)' if left else ''} → {out}",
         markup=False,
     )
+    if undistorted:
+        progress.console.print(
+            f"  {name} has no place for their lens distortion: {undistorted} images undistorted, as those of pinholes"
+            f"{f', written as PNG or as JPEG of quality {JPEG_QUALITY}' if images is not ImagesOption.none else ''}",
+            markup=False,
+        )
     if dataset.simulated:
         progress.console.print("  the captures are simulated, and export.json says so", markup=False)
 
 
 def write_export(
     dataset: Dataset, format_name: str, out: Path, images: Images, about: dict[str, str], *, force: bool
-) -> None:
-    """Write an export to the folder `out`, which appears when it is whole.
+) -> int:
+    """Write an export to the folder `out`, which appears when it is whole; returns how many images were undistorted.
 
     Raises UserError where `out` is there; with `force` an earlier export in it is replaced, nothing else ever is.
     """
     out = out.absolute()
     _refuse_to_overwrite(out, force)
+    if format_name in COEFFICIENTS:
+        dataset = dataset.without_distortion(COEFFICIENTS[format_name])
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with fresh_folder(out) as folder:
@@ -103,6 +119,8 @@ def write_export(
                     **about,
                     "simulated": dataset.simulated,
                     "images": images,
+                    "undistorted_images": dataset.undistorted,
+                    "jpeg_quality": JPEG_QUALITY if dataset.undistorted else None,
                     "frames": len(dataset.frames),
                     "left_out": len(dataset.left_out),
                     "by_split": dataset.frames["split"].value_counts().sort_index().to_dict(),
@@ -110,14 +128,19 @@ def write_export(
                     "map": f"{dataset.world} before any turn that the format asks for",
                 },
             )
+        return dataset.undistorted
     except OSError as error:
         raise UserError("the export can't be written", where=error.filename or out, found=error.strerror) from None
 
 
 def _listed(dataset: Dataset, placed: list[str]) -> pd.DataFrame:
+    """All frames, those that are exported with their images and these images' cameras."""
     columns = ["frame_id", "session_id", "split", "t_ns", "clock", "quality", "reason"]
-    exported = dataset.frames[columns].assign(image=placed)
-    return pd.concat([exported, dataset.left_out[columns].assign(image="")]).sort_values("frame_id")
+    frames = dataset.frames
+    exported = frames[columns].assign(image=placed, **{n: frames[n] for n in ("width", "height", *CAMERA_COLUMNS[:4])})
+    exported["distortion"] = [" ".join(map(number, coefficients)) for coefficients in frames["distortion"]]
+    listed = pd.concat([exported, dataset.left_out[columns].assign(image="")]).sort_values("frame_id")
+    return listed.astype({"width": "Int64", "height": "Int64"})
 
 
 def _refuse_to_overwrite(out: Path, force: bool) -> None:

@@ -1,9 +1,9 @@
 """What is exported: the frames that have ground truth, with their images, and SfM's model brought into the map."""
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -12,12 +12,17 @@ import pandas as pd
 from artefacts import DataRoot, UserError
 from artefacts.manifests import MANIFEST, load_verified
 from artefacts.schemas import schema
-from artefacts.tables import dataset_frames, poses_of, read_table, with_cameras
+from artefacts.tables import CAMERA_COLUMNS, camera_of, dataset_frames, poses_of, read_table, with_cameras
+from artefacts.undistortion import undistorted_image
+from geometry import GeometryError
+from geometry.cameras import Camera, pinhole_within
 from geometry.fits import Sim3
 from geometry.poses import Array
 
 Images = Literal["link", "copy", "none"]
-_CAMERA = ["width", "height", "fx", "fy", "cx", "cy"]
+
+JPEG_QUALITY = 95
+# An estimated lens is never none to the bit.
 _NO_LENS_PX = 0.1
 
 
@@ -31,15 +36,61 @@ class SfmModel:
 
 
 @dataclass(frozen=True)
+class ImageSource:
+    """Where an exported image comes from: its file and, where its lens's distortion is taken out of it, the camera that
+    took it and the pinhole whose image is written."""
+
+    file: Path
+    undistorted: tuple[Camera, Camera] | None = None
+
+    @property
+    def suffix(self) -> str:
+        """The exported file's: an undistorted image is written anew, as PNG where it was one, otherwise as JPEG."""
+        if self.undistorted is None:
+            return self.file.suffix
+        return ".png" if self.file.suffix.lower() == ".png" else ".jpg"
+
+    def place(self, target: Path, images: Images) -> None:
+        """Link or copy the image to `target`; undistorted, or as the PNG that `target` asks for, it's written anew."""
+        if images == "none":
+            return
+        if not self.file.is_file():
+            raise UserError("an image is missing", where=self.file, do="import the scene again")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if self.undistorted is not None or (target.suffix != self.file.suffix and target.suffix == ".png"):
+            self._write(target)
+        elif images == "link":
+            target.symlink_to(self.file.resolve())
+        else:
+            shutil.copyfile(self.file, target)
+
+    def _write(self, target: Path) -> None:
+        # As stored: a viewer's turn isn't applied, since the intrinsics are the sensor's.
+        pixels = cv2.imread(str(self.file), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        if pixels is None:
+            raise UserError("an image can't be decoded", where=self.file, do="import the scene again")
+        if self.undistorted is not None:
+            try:
+                pixels = undistorted_image(np.asarray(pixels, np.uint8), *self.undistorted)
+            except GeometryError as error:
+                raise UserError(
+                    "an image can't be undistorted", where=self.file, found=error, do="import the scene again"
+                ) from None
+        options = [] if target.suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+        if not cv2.imwrite(str(target), pixels, options):
+            raise UserError("an image can't be written", where=target)
+
+
+@dataclass(frozen=True)
 class Dataset:
     """`frames` (N rows) have ground truth, `left_out` have none; both are import.frames with align's quality, reason
-    and component, and the focal lengths that SfM's poses go with. `images` are the N image files, `map_T_cam`
-    (N, 4, 4) their poses, `models` SfM's, largest first."""
+    and component, and the cameras that the poses go with. `images` are the N images, `map_T_cam` (N, 4, 4) their poses,
+    `models` SfM's, largest first."""
 
     frames: pd.DataFrame
     left_out: pd.DataFrame
     map_T_cam: Array
-    images: list[Path]
+    images: list[ImageSource]
     models: list[SfmModel]
     simulated: bool
 
@@ -56,18 +107,37 @@ class Dataset:
         """(N,) for formats that know training and test alone: validation frames are part of the training walks."""
         return (self.frames["split"] == "test").to_numpy()
 
-    def refuse_distortion(self, format_name: str, coefficients: int = 0) -> None:
-        """UserError where a frame has more distortion coefficients than a format can hold; a lens that moves no corner
-        of its image by 0.1 px is none."""
-        cameras = self.frames[[*_CAMERA, "distortion"]].itertuples(index=False)
-        most = max((_coefficients(camera) for camera in cameras if _lens_shift_px(camera) > _NO_LENS_PX), default=0)
-        if most > coefficients:
-            raise UserError(
-                f"{format_name} can't hold the lens distortion of these images",
-                expected=f"{coefficients or 'no'} coefficients",
-                found=most,
-                do="export as colmap",
-            )
+    @property
+    def undistorted(self) -> int:
+        """How many images are written without distortion."""
+        return sum(image.undistorted is not None for image in self.images)
+
+    def without_distortion(self, beyond: int = 0) -> "Dataset":
+        """The dataset for a format that holds `beyond` coefficients of distortion.
+
+        Frames that have more become those of a pinhole of the same image size (`pinhole_within`), images and cameras
+        alike; their poses stay. A lens that moves no corner of its image by 0.1 px is none. UserError where a frame's
+        camera leaves no such pinhole.
+        """
+        images, cameras = list(self.images), [camera_of(frame) for frame in self.frames.itertuples(index=False)]
+        for row, camera in enumerate(cameras):
+            if len(np.trim_zeros(camera.distortion, "b")) <= beyond:
+                continue
+            if _lens_shift_px(camera) <= _NO_LENS_PX:
+                cameras[row] = replace(camera, distortion=())
+                continue
+            try:
+                cameras[row] = pinhole_within(camera)
+            except GeometryError as error:
+                raise UserError(
+                    "an image can't be undistorted",
+                    where=self.frames["frame_id"].iloc[row],
+                    found=error,
+                    do="export as colmap, which holds the distortion, or check what the capture states of its lens",
+                ) from None
+            images[row] = replace(images[row], undistorted=(camera, cameras[row]))
+        columns = {name: [getattr(camera, name) for camera in cameras] for name in CAMERA_COLUMNS}
+        return replace(self, frames=self.frames.assign(**columns), images=images)
 
 
 def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
@@ -99,7 +169,7 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
         on="frame_id",
         validate="one_to_one",
     )
-    frames = with_cameras(frames, images)
+    frames = with_cameras(frames, ground_truth)
     known = (frames["quality"] != "none").to_numpy()
     if not known.any():
         raise UserError("there is nothing to export: no frame has ground truth", where=folders["align"])
@@ -114,7 +184,7 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
         frames[known].reset_index(drop=True),
         frames[~known].reset_index(drop=True),
         map_T_cam,
-        [_image_file(root, profile, scene, image) for image in frames.loc[known, "image"]],
+        [ImageSource(_image_file(root, profile, scene, image)) for image in frames.loc[known, "image"]],
         [
             SfmModel(
                 folders["sfm"] / folder_of[component == index][0],
@@ -127,39 +197,11 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
     )
 
 
-def _coefficients(camera: Any) -> int:
-    return len(np.trim_zeros(np.asarray(camera.distortion, dtype=float), "b"))
-
-
-def _lens_shift_px(camera: Any) -> float:
-    """How far a frame's lens moves the corners of its image, at most."""
-    if not _coefficients(camera):
-        return 0.0
-    k = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
+def _lens_shift_px(camera: Camera) -> float:
+    """How far a camera's lens moves the corners of its image, at most."""
     corners = np.array([[x, y] for x in (0, camera.width) for y in (0, camera.height)], dtype=float)
-    rays = np.column_stack([(corners - k[:2, 2]) / [camera.fx, camera.fy], np.ones(4)])
-    lens = np.zeros(8)
-    lens[: len(camera.distortion)] = camera.distortion
-    seen, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), k, lens)
-    return float(np.linalg.norm(seen[:, 0] - corners, axis=1).max())
-
-
-def place_image(source: Path, target: Path, images: Images) -> None:
-    """Link or copy an image; as the PNG that `target` asks for it is decoded and written anew, its pixels unchanged."""
-    if images == "none":
-        return
-    if not source.is_file():
-        raise UserError("an image is missing", where=source, do="import the scene again")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    if target.suffix != source.suffix and target.suffix == ".png":
-        # As stored: a viewer's turn isn't applied, since the intrinsics are the sensor's.
-        pixels = cv2.imread(str(source), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        if pixels is None or not cv2.imwrite(str(target), pixels):
-            raise UserError("an image can't be turned into a PNG", where=source)
-    elif images == "link":
-        target.symlink_to(source.resolve())
-    else:
-        shutil.copyfile(source, target)
+    ideal = replace(camera, distortion=()).unproject(corners)
+    return float(np.linalg.norm(camera.project(ideal) - corners, axis=1).max())
 
 
 def number(value: float) -> str:

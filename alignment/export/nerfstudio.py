@@ -2,7 +2,8 @@
 
 Format: https://docs.nerf.studio/quickstart/data_conventions.html. `transform_matrix` is camera-to-world with OpenGL's
 camera axes (y up, looking along -z) in a world with +z up; `applied_transform` says how that world came from ours.
-Intrinsics are each frame's own. Splits are in `train_filenames`, `val_filenames` and `test_filenames`.
+Intrinsics are each frame's own, k1 to k3, p1 and p2 with them; images with further coefficients are written as those
+of a pinhole. Splits are in `train_filenames`, `val_filenames` and `test_filenames`.
 """
 
 import json
@@ -11,7 +12,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from alignment.export.dataset import Dataset, Images, place_image
+from alignment.export.dataset import Dataset, Images
 from geometry.poses import ARKIT_CAM_T_CAM, make_pose
 
 # OpenGL's camera axes are ARKit's.
@@ -19,19 +20,18 @@ _OPENGL_CAM_T_CAM = ARKIT_CAM_T_CAM
 # From +y up to +z up: a quarter turn about x.
 _WORLD_T_MAP = make_pose([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], np.zeros(3))
 # OpenCV's order of coefficients.
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 
 
 def write_nerfstudio(dataset: Dataset, folder: Path, images: Images) -> list[str]:
     """Write the layout; returns the frames' image paths."""
-    dataset.refuse_distortion("nerfstudio", len(_DISTORTION))
     world_T_cam = _WORLD_T_MAP @ dataset.map_T_cam @ _OPENGL_CAM_T_CAM
     frames, placed = [], []
     rows = dataset.frames.to_dict("records")
     for row, source, pose in zip(rows, dataset.images, world_T_cam, strict=True):
         placed.append(f"images/{quote(row['frame_id'], safe='/')}{source.suffix}")
-        place_image(source, folder / placed[-1], images)
-        coefficients = [float(k) for k in row["distortion"]] + [0.0] * len(_DISTORTION)
+        source.place(folder / placed[-1], images)
+        coefficients = [float(k) for k in row["distortion"]] + [0.0] * len(DISTORTION)
         frames.append(
             {
                 "file_path": placed[-1],
@@ -41,7 +41,7 @@ def write_nerfstudio(dataset: Dataset, folder: Path, images: Images) -> list[str
                 "cy": row["cy"],
                 "w": row["width"],
                 "h": row["height"],
-                **dict(zip(_DISTORTION, coefficients, strict=False)),
+                **dict(zip(DISTORTION, coefficients, strict=False)),
                 "transform_matrix": pose.tolist(),
             }
         )

@@ -2,21 +2,21 @@
 
 Format: https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes (4x4 camera-to-world, camera axes as
 ours). It has no intrinsics and no depth of ours to hold: each frame's 3x3 matrix lies beside it in
-`.intrinsics.txt`, and there are no depth images. Images are PNG, so JPEGs are decoded and written anew.
+`.intrinsics.txt`, and there are no depth images. It has no distortion either, so images that have some are written as
+those of a pinhole. Images are PNG, so JPEGs are decoded and written anew.
 """
 
 from pathlib import Path
 
 import numpy as np
 
-from alignment.export.dataset import Dataset, Images, number, place_image
+from alignment.export.dataset import Dataset, Images, number
 from alignment.export.sequences import sequences
 from geometry.poses import Array
 
 
 def write_seven_scenes(dataset: Dataset, folder: Path, images: Images) -> list[str]:
     """Write the layout; returns the frames' image paths."""
-    dataset.refuse_distortion("7-Scenes")
     intrinsics = dataset.frames[["fx", "fy", "cx", "cy"]].to_numpy(float)
     placed = [""] * len(dataset.frames)
     splits: dict[bool, list[str]] = {False: [], True: []}
@@ -30,7 +30,7 @@ def write_seven_scenes(dataset: Dataset, folder: Path, images: Images) -> list[s
             matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
             (sequence / f"{stem}.pose.txt").write_text(_rows(dataset.map_T_cam[row]), encoding="ascii")
             (sequence / f"{stem}.intrinsics.txt").write_text(_rows(matrix), encoding="ascii")
-            place_image(dataset.images[row], sequence / f"{stem}.color.png", images)
+            dataset.images[row].place(sequence / f"{stem}.color.png", images)
             placed[row] = f"{sequence.name}/{stem}.color.png"
     for test, name in ((False, "TrainSplit.txt"), (True, "TestSplit.txt")):
         (folder / name).write_text("".join(splits[test]), encoding="ascii")

@@ -1,7 +1,8 @@
 """TUM RGB-D: a folder a session with `groundtruth.txt` (seconds, position, quaternion x y z w) and `rgb.txt`.
 
 Format: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats (camera-to-world, camera axes as ours). Sessions
-have clocks of their own, so each is a sequence of its own. The world is the map: metric, +y up.
+have clocks of their own, so each is a sequence of its own. The world is the map: metric, +y up. Images are as the
+phone took them, as this benchmark's own are: its tools are given intrinsics and distortion apart from a sequence.
 """
 
 from pathlib import Path
@@ -9,7 +10,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from alignment.export.dataset import Dataset, Images, number, place_image
+from alignment.export.dataset import Dataset, Images, number
 from geometry.poses import tq_from_pose
 
 
@@ -26,7 +27,7 @@ def write_tum(dataset: Dataset, folder: Path, images: Images) -> list[str]:
         poses, listed = ["# timestamp tx ty tz qx qy qz qw"], ["# timestamp filename"]
         for row in rows:
             image = f"rgb/{seconds[row]}{dataset.images[row].suffix}"
-            place_image(dataset.images[row], folder / name / image, images)
+            dataset.images[row].place(folder / name / image, images)
             placed[row] = f"{name}/{image}"
             values = " ".join(number(v) for v in (*position[row], *quaternion[row]))
             poses.append(f"{seconds[row]} {values}")

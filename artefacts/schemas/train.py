@@ -66,6 +66,14 @@ TABLES = [
             ),
             Column("resize_px", "int64", "shorter side of the images before cropping", "px"),
             Column("crop_px", "int64", "side of the square that the network sees", "px"),
+            Column(
+                "focal_px",
+                "float64",
+                "of the pinhole, its principal point in the middle, as whose images the network sees all; null: images "
+                "as captured",
+                "px",
+                nullable=True,
+            ),
             Column("train_frames", "int64", "frames trained on"),
             Column("val_frames", "int64", "frames held out to choose the epoch"),
             Column("epochs", "int64", "epochs trained"),
@@ -77,5 +85,6 @@ TABLES = [
             Column("inference_ms", "float64", "median of predictions.inference_ms", "ms"),
             Column("train_seconds", "float64", "wall time of training", "s"),
         ],
+        version="1.1",
     ),
 ]

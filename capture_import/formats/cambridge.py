@@ -5,12 +5,13 @@ Documented at https://www.repository.cam.ac.uk/handle/1810/251342 (readme). What
 - a row is an image's path, the camera's position in metres, and a quaternion w, x, y, z of the world-to-camera
   rotation, with OpenCV's camera axes; poses come from SfM: a reference, not VIO, and nothing says where up is;
 - `reconstruction.nvm` (VisualSFM) has each image's focal length; the centre is in the middle of the image;
-- `intrinsics.csv`, which our own exports write beside, has each image's whole intrinsics and goes before both;
+- `frames.csv`, which our own exports write beside, has each image's whole intrinsics and goes before both;
 - frames have no time; the videos were sampled twice a second.
 
 A folder of images (`seq1`) is one recording; it's wholly for training or for testing.
 """
 
+import csv
 import re
 from pathlib import Path
 from typing import Literal
@@ -25,14 +26,17 @@ from capture_import.parsing import (
     BadRow,
     collect,
     lines_of,
+    number,
     quaternion_pose,
     refuse_unreadable,
     seconds_to_ns,
     split_numbers,
+    whole,
 )
 from geometry.poses import make_pose
 
 _FRAMES_A_SECOND = 2.0
+_CAMERA = ("width", "height", "fx", "fy", "cx", "cy")
 _LISTS: dict[str, Literal["train", "test"]] = {"dataset_train.txt": "train", "dataset_test.txt": "test"}
 
 
@@ -56,7 +60,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             rows += own
             splits |= {split} if own else set()
     focal = _focal_lengths(path.parent / "reconstruction.nvm", path.name, limits)
-    whole = _intrinsics(path.parent / "intrinsics.csv", path.name, limits)
+    cameras = _intrinsics(path.parent / "frames.csv", path.name, limits)
 
     def read_row(source: str, line: str) -> RawFrame:
         name, _, numbers = line.strip().partition(" ")
@@ -77,7 +81,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             t_ns=seconds_to_ns(int(index[1]) / _FRAMES_A_SECOND),
             vio_T_cam=make_pose(cam_R_world.T, values[:3]),
             image=ImageFile(image),
-            intrinsics=whole.get(name) or Intrinsics(f, f, width / 2, height / 2, width, height),
+            intrinsics=cameras.get(name) or Intrinsics(f, f, width / 2, height / 2, width, height),
         )
 
     frames, rejects = collect(rows, session_id, read_row)
@@ -117,22 +121,26 @@ def _intrinsics(file: Path, folder: str, limits: Limits) -> dict[str, Intrinsics
     file."""
     if not file.is_file():
         return {}
-    header, *rows = lines_of(file, limits, lambda line: line.startswith(("image,", f"{folder}/"))) or [("", "")]
-    if header[1].strip() != "image,width,height,fx,fy,cx,cy":
+    lines = lines_of(file, limits, lambda line: line.startswith("frame_id,") or f"{folder}/" in line)
+    rows = csv.DictReader(line for _, line in lines)
+    if not {"image", *_CAMERA, "distortion"} <= set(rows.fieldnames or ()):
         return {}
     found = {}
-    for source, line in rows:
-        name, _, numbers = line.partition(",")
-        try:
-            width, height, *camera = split_numbers(numbers, ",")
-            found[name] = Intrinsics.of(camera, int(width), int(height))
-        except (BadRow, ValueError, OverflowError) as error:
-            raise UserError(
-                "intrinsics.csv can't be read",
-                where=file,
-                expected="image,width,height,fx,fy,cx,cy",
-                found=f"{source}: {error}",
-            ) from None
+    try:
+        for row in rows:
+            if not row["image"]:
+                continue
+            fx, fy, cx, cy = (number(row, name) for name in _CAMERA[2:])
+            lens = tuple(split_numbers(row["distortion"] or ""))
+            found[row["image"]] = Intrinsics(fx, fy, cx, cy, whole(row, "width"), whole(row, "height"), lens)
+    except (BadRow, csv.Error) as error:
+        raise UserError(
+            "an export's cameras can't be read",
+            where=file,
+            expected=f"{', '.join(_CAMERA)} of each image",
+            found=error,
+            do="export the scene again",
+        ) from None
     return found
 
 

@@ -155,6 +155,8 @@ def _make(w: Walks) -> Scene:
             "observations": 500,
             "reprojection_px": 0.8,
             "covariance": [np.diag(sigma**2).ravel().tolist()] * len(table),
+            **{"fx": 1400.0, "fy": 1400.0, "cx": 960.0, "cy": 720.0, "distortion": [[]] * len(table)},
+            "camera_origin": "prior",
         }
     )
     scene = Scene(
@@ -210,11 +212,7 @@ def make_place(walks: Walks, root: DataRoot) -> None:
         root,
         "sfm",
         {
-            "images": filled(
-                scene.images.merge(frames[["frame_id", "fx", "fy", "cx", "cy", "distortion"]], on="frame_id"),
-                "sfm",
-                "images",
-            ),
+            "images": filled(scene.images, "sfm", "images"),
             "intrinsics": scene.intrinsics,
             "pairs": scene.pairs,
             "points": filled(points, "sfm", "points", r=200, model_id="incremental/0"),

@@ -1,7 +1,6 @@
 """Each export read back by the reader of its format, to 1e-6 of the ground truth."""
 
 import json
-import re
 import shutil
 from pathlib import Path
 
@@ -23,8 +22,9 @@ from artefacts.schemas import schema
 from artefacts.tables import pose_frame, poses_of, read_table, with_cameras, write_table
 from capture_import.capture import Limits, RawSession
 from capture_import.discovery import find_recordings
+from geometry.cameras import Camera
 from geometry.fits import Sim3
-from geometry.poses import Array, inverse, make_pose
+from geometry.poses import Array, inverse, make_pose, transform
 
 UNREGISTERED, VALIDATION, TESTED = "walk0/000003", range(5, 8), range(15, 20)
 FRAMES = 39
@@ -57,6 +57,7 @@ def aligned(data_of_module: DataRoot) -> DataRoot:
     # SfM found other focal lengths for one walk.
     scale = np.where(images["frame_id"].str.startswith("walk1/"), 1.01, 1.0)
     images["fx"], images["fy"] = frames["fx"] * scale, frames["fy"] * scale
+    images["distortion"] = [[0.0] * 4] * len(images)
     write_table(folders["sfm"] / "images.parquet", images, schema("sfm", "images"))
     _write_models(data, {"model": "incremental/0"})
     execute(STAGE, "Place", "tiny", data)
@@ -66,7 +67,7 @@ def aligned(data_of_module: DataRoot) -> DataRoot:
 def _write_models(data: DataRoot, model_ids: dict[str, str]) -> None:
     """SfM's models of the frames that have their ids, each in its folder, and the table that says so."""
     images, folder = _images(data), data.run("tiny", "Place", "sfm")
-    frames = _refined(_frames(data), images)
+    frames = with_cameras(_frames(data), images)
     for name, model_id in model_ids.items():
         (folder / name).mkdir(exist_ok=True)
         rows = np.flatnonzero(images["model_id"] == model_id)
@@ -85,17 +86,12 @@ def _images(data: DataRoot) -> pd.DataFrame:
     return read_table(data.run("tiny", "Place", "sfm") / "images.parquet", schema("sfm", "images"))
 
 
-def _refined(frames: pd.DataFrame, images: pd.DataFrame) -> pd.DataFrame:
-    """Import's frames with the cameras that SfM's poses go with."""
-    return with_cameras(frames, images)
-
-
 def _model(frames: pd.DataFrame, sfm_T_cam: Array) -> pycolmap.Reconstruction:
     """A model of these frames and a point a metre or so ahead of each, seen by it and the next one."""
     model = pycolmap.Reconstruction()
     for row, frame in enumerate(frames.itertuples(index=False), start=1):
-        params = [frame.fx, frame.fy, frame.cx, frame.cy]
-        camera = pycolmap.Camera(camera_id=row, model="PINHOLE", width=frame.width, height=frame.height, params=params)
+        params = [frame.fx, frame.fy, frame.cx, frame.cy, *frame.distortion]
+        camera = pycolmap.Camera(camera_id=row, model="OPENCV", width=frame.width, height=frame.height, params=params)
         model.add_camera_with_trivial_rig(camera)
         image = pycolmap.Image(
             name=f"{frame.frame_id}.jpg", keypoints=np.full((2, 2), 100.0), camera_id=row, image_id=row
@@ -108,19 +104,23 @@ def _model(frames: pd.DataFrame, sfm_T_cam: Array) -> pycolmap.Reconstruction:
 
 
 def _export(scene: DataRoot, name: str, *options: str) -> Path:
+    _export_output(scene, name, *options)
+    return scene.root.parent / "out" / name
+
+
+def _export_output(scene: DataRoot, name: str, *options: str) -> str:
+    """What the command prints."""
     out = scene.root.parent / "out" / name
     arguments = ["export", "--scene", "Place", "--profile", "tiny", "--data", str(scene.root), "--format", name]
     done = CliRunner().invoke(app, [*arguments, "--out", str(out), *options], catch_exceptions=False)
     assert done.exit_code == 0, done.output
-    return out
+    return " ".join(done.output.split())
 
 
 def _truth(scene: DataRoot) -> pd.DataFrame:
-    """Ground truth by frame_id, with the intrinsics that its poses go with."""
+    """Ground truth by frame_id."""
     gt = read_table(scene.run("tiny", "Place", "align") / "ground_truth.parquet", schema("align", "ground_truth"))
-    frames = _refined(_frames(scene), _images(scene))
-    known = gt.merge(frames[["frame_id", "fx", "fy", "cx", "cy"]], on="frame_id")
-    return known[known["quality"] != "none"].set_index("frame_id")
+    return gt[gt["quality"] != "none"].set_index("frame_id")
 
 
 def _frame_of(out: Path) -> dict[str, str]:
@@ -144,7 +144,8 @@ def test_colmap_reads_its_model_in_the_map(scene: DataRoot, name: str) -> None:
     found = _poses(model, frame_of)
     for image in model.images.values():
         assert (out / "images" / image.name).is_file()
-        expected = truth.loc[frame_of[f"images/{image.name}"], ["fx", "fy", "cx", "cy"]].to_numpy(float)
+        row = truth.loc[frame_of[f"images/{image.name}"]]
+        expected = [row["fx"], row["fy"], row["cx"], row["cy"], *row["distortion"]]
         np.testing.assert_allclose(model.camera(image.camera_id).params, expected, atol=1e-6)
     _assert_same(scene, found)
     # The points came along: each lies ahead of its first camera, 0.4 SfM units in metres.
@@ -286,17 +287,18 @@ def test_a_map_of_unknown_unit_is_not_exported_as_metres(scene: DataRoot) -> Non
     assert {(s.metric, s.gravity_aligned) for s in _sessions(out)} == {(False, False)}
 
 
-def test_what_two_formats_have_no_place_for_lies_beside(scene: DataRoot) -> None:
+def test_intrinsics_that_a_format_has_no_place_for_lie_beside(scene: DataRoot) -> None:
     truth = _truth(scene)
     out = _export(scene, "7scenes")
     for image, frame_id in _frame_of(out).items():
         k = np.loadtxt(out / image.replace(".color.png", ".intrinsics.txt"))
         assert k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == truth.loc[frame_id, ["fx", "fy", "cx", "cy"]].tolist()
-    out = _export(scene, "cambridge")
-    intrinsics = pd.read_csv(out / "intrinsics.csv").set_index("image")
-    for image, frame_id in _frame_of(out).items():
-        columns = ["fx", "fy", "cx", "cy"]
-        assert intrinsics.loc[image, columns].tolist() == truth.loc[frame_id, columns].tolist()
+    columns = ["fx", "fy", "cx", "cy"]
+    for name in ("tum", "cambridge"):
+        listed = pd.read_csv(_export(scene, name) / "frames.csv").set_index("frame_id")
+        for frame_id, row in truth.iterrows():
+            assert listed.loc[frame_id, columns].tolist() == row[columns].tolist()
+            assert listed.loc[frame_id, ["width", "height"]].tolist() == [1920, 1440]
 
 
 def test_every_format_that_can_be_named_can_be_written() -> None:
@@ -362,22 +364,129 @@ def test_an_export_that_fails_leaves_nothing_behind(scene: DataRoot) -> None:
     assert list((scene.root.parent / "out").iterdir()) == []
 
 
-def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:
-    path = scene.run("tiny", "Place", "sfm") / "images.parquet"
-    images = read_table(path, schema("sfm", "images"))
-    images["distortion"] = [[0.1, 0.0, 0.01, 0.0]] * len(images)
-    write_table(path, images, schema("sfm", "images"))
-    for name in ("7scenes", "cambridge"):
-        with pytest.raises(UserError, match=re.escape("lens distortion")):
-            _export(scene, name)
-    frame = json.loads((_export(scene, "nerfstudio") / "transforms.json").read_text())["frames"][0]
-    assert [frame.get(key) for key in ("k1", "k2", "p1", "p2", "k3")] == [0.1, 0.0, 0.01, 0.0, 0.0]
+LENS = (0.092, -0.125, 0.001, -0.0005)
+SIZE = (320, 240)
+# Where each frame sees dots, at unit focal length, and how far they are away.
+SEEN, DEPTH_M = np.array([(-0.5, -0.36), (0.49, -0.35), (-0.47, 0.37), (0.5, 0.36), (0.02, 0.01)]), 3.0
 
-    # An estimate that moves no pixel is no lens.
-    images["distortion"] = [[1e-5, -1e-6]] * len(images)
-    write_table(path, images, schema("sfm", "images"))
+
+def _give_lens(scene: DataRoot, lens: tuple[float, ...]) -> dict[str, Array]:
+    """Every frame gets a camera with this lens, and an image with dots in it; returns their places in the map."""
+    folder = scene.run("tiny", "Place", "import")
+    write_table(
+        folder / "frames.parquet", _frames(scene).assign(width=SIZE[0], height=SIZE[1]), schema("import", "frames")
+    )
+    path = scene.run("tiny", "Place", "align") / "ground_truth.parquet"
+    gt = read_table(path, schema("align", "ground_truth"))
+    gt = gt.assign(fx=230.0 + 0.1 * np.arange(len(gt)), fy=231.0, cx=161.3, cy=118.4, distortion=[list(lens)] * len(gt))
+    write_table(path, gt, schema("align", "ground_truth"))
+    manifest = json.loads(path.with_name("manifest.json").read_text())
+    path.with_name("manifest.json").write_text(json.dumps(manifest | {"outputs": output_hashes(path.parent)}))
+    x, y = np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1])[:, None] + 0.5
+    points = {}
+    for frame_id, row in _truth(scene).iterrows():
+        camera = Camera(*SIZE, row["fx"], row["fy"], row["cx"], row["cy"], lens)
+        dots = [np.exp(-((x - u) ** 2 + (y - v) ** 2) / 8) for u, v in camera.project(SEEN)]
+        cv2.imwrite(str(_image(scene, str(frame_id))), (230 * np.sum(dots, axis=0)).astype(np.uint8))
+        map_T_cam = poses_of(pd.DataFrame([row]), "map_cam")[0]
+        points[str(frame_id)] = transform(map_T_cam, DEPTH_M * np.column_stack([SEEN, np.ones(len(SEEN))]))
+    return points
+
+
+def _dots_off_px(image: Path, world_T_cam: Array, K: Array, points: Array) -> float:
+    """How far the image's dots are from where a pinhole projects the points, at most."""
+    pixels = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE).astype(float)
+    expected = transform(inverse(world_T_cam), points) @ K.T
+    off = []
+    for u, v in expected[:, :2] / expected[:, 2:]:
+        columns, rows = (np.arange(int(c) - 7, int(c) + 8) for c in (u, v))
+        window = np.maximum(pixels[np.ix_(rows, columns)] - 8, 0)
+        at = np.array([window.sum(0) @ (columns + 0.5), window.sum(1) @ (rows + 0.5)]) / window.sum()
+        off.append(np.linalg.norm(at - [u, v]))
+    return max(off)
+
+
+@pytest.mark.parametrize("name", ["7scenes", "cambridge"])
+def test_formats_without_distortion_get_images_of_pinholes(scene: DataRoot, name: str) -> None:
+    points = _give_lens(scene, LENS)
+    out = _export(scene, name, "--images", "copy")
+    note = json.loads((out / "export.json").read_text())
+    assert (note["undistorted_images"], note["jpeg_quality"]) == (FRAMES, 95)
+    listed = pd.read_csv(out / "frames.csv").set_index("frame_id")
+    frame_of, found = _frame_of(out), {}
+    for session in _sessions(out):
+        for raw in session.frames:
+            image = raw.image.path
+            frame_id = frame_of[image.relative_to(out).as_posix()]
+            found[frame_id] = raw.vio_T_cam
+            camera = raw.intrinsics
+            K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+            if name == "7scenes":
+                K = np.loadtxt(image.with_name(image.name.replace(".color.png", ".intrinsics.txt")))
+            assert listed.loc[frame_id, ["fx", "fy", "cx", "cy"]].tolist() == pytest.approx(
+                K[[0, 1, 0, 1], [0, 1, 2, 2]]
+            )
+            assert _dots_off_px(image, raw.vio_T_cam, K, points[frame_id]) < 0.2
+            captured = _truth(scene).loc[frame_id]
+            K = np.array([[captured["fx"], 0, captured["cx"]], [0, captured["fy"], captured["cy"]], [0, 0, 1]])
+            assert _dots_off_px(_image(scene, frame_id), raw.vio_T_cam, K, points[frame_id]) > 1
+    _assert_same(scene, found)
+
+
+def test_undistorted_images_are_written_where_others_are_linked(scene: DataRoot) -> None:
+    _give_lens(scene, LENS)
+    shown = _export_output(scene, "cambridge")
+    assert f"{FRAMES} images undistorted" in shown and "JPEG of quality 95" in shown
+    image = scene.root.parent / "out" / "cambridge" / "seq1" / "frame00000.jpg"
+    assert not image.is_symlink() and cv2.imread(str(image)).shape == (240, 320, 3)
+    assert "images undistorted" not in _export_output(scene, "tum")
+    linked = next((scene.root.parent / "out" / "tum").rglob("*.jpg"))
+    assert linked.is_symlink()
+
+
+def test_nerfstudio_holds_five_coefficients(scene: DataRoot) -> None:
+    points = _give_lens(scene, LENS)
+    out = _export(scene, "nerfstudio")
+    content = json.loads((out / "transforms.json").read_text())
+    frame = content["frames"][0]
+    assert content["camera_model"] == "OPENCV"
+    assert [frame[key] for key in ("k1", "k2", "p1", "p2", "k3")] == [*LENS, 0.0]
+    assert (out / frame["file_path"]).is_symlink()
+
+    points = _give_lens(scene, (*LENS, 0.02, 0.01, 0.0, 0.0))
+    out = _export(scene, "nerfstudio", "--force")
+    frame_of, truth = _frame_of(out), _truth(scene)
+    for frame in json.loads((out / "transforms.json").read_text())["frames"][:5]:
+        assert not any(frame[key] for key in ("k1", "k2", "p1", "p2", "k3"))
+        K = np.array([[frame["fl_x"], 0, frame["cx"]], [0, frame["fl_y"], frame["cy"]], [0, 0, 1]])
+        frame_id = frame_of[frame["file_path"]]
+        map_T_cam = poses_of(truth.loc[[frame_id]], "map_cam")[0]
+        assert _dots_off_px(out / frame["file_path"], map_T_cam, K, points[frame_id]) < 0.2
+
+
+def test_a_lens_that_moves_no_corner_is_none(scene: DataRoot) -> None:
+    _give_lens(scene, (1e-5, -1e-6, 0.0, 0.0))
     for name in ("7scenes", "cambridge"):
-        _export(scene, name)
+        out = _export(scene, name, "--images", "copy")
+        assert json.loads((out / "export.json").read_text())["undistorted_images"] == 0
+    truth, frame_of, columns = _truth(scene), _frame_of(out), ["fx", "fy", "cx", "cy"]
+    for session in _sessions(out):
+        for raw in session.frames:
+            frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
+            assert raw.image.path.read_bytes() == _image(scene, frame_id).read_bytes()
+            camera = raw.intrinsics
+            assert [camera.fx, camera.fy, camera.cx, camera.cy] == truth.loc[frame_id, columns].tolist()
+            assert (camera.width, camera.height, camera.distortion) == (*SIZE, ())
+
+
+def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:
+    _give_lens(scene, (-300.0, 0.0, 0.0, 0.0))
+    with pytest.raises(UserError, match="can't be undistorted"):
+        _export(scene, "cambridge")
+    _give_lens(scene, LENS)
+    cv2.imwrite(str(_image(scene, "walk0/000000")), np.zeros((12, 16, 3), np.uint8))
+    with pytest.raises(UserError, match="16 x 12"):
+        _export(scene, "cambridge")
 
     folder = scene.run("tiny", "Place", "sfm")
     (folder / "manifest.json").write_text(json.dumps({"outputs": output_hashes(folder), "simulated": True}))

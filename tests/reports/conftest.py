@@ -82,7 +82,9 @@ class MadeUpScene:
             gt_uses_vio=False,
             scale_source="vio",
             component=0,
-        )
+            fx=50.0, fy=50.0, cx=32.0, cy=24.0, distortion=[[0.09, -0.12, 0.0, 0.0]] * len(frames),
+            camera_origin="estimated",
+        )  # fmt: skip
         # One test frame without ground truth: it can't be scored, and must be counted as such.
         lost = truth.index[truth["split"] == "test"][3]
         truth.loc[lost, [c for c in truth if c.startswith("map_cam")]] = np.nan
@@ -286,6 +288,7 @@ class MadeUpScene:
             "weights": "scratch: no internet",
             "resize_px": 256,
             "crop_px": 224,
+            "focal_px": 250.0,
             "epochs": 12,
         }
         base |= {

@@ -11,7 +11,7 @@ import torch
 
 from artefacts.files import write_json
 from artefacts.schemas import schema
-from artefacts.tables import pose_frame, write_table
+from artefacts.tables import CAMERA_COLUMNS, pose_frame, write_table
 from geometry.poses import make_pose, yaw_rotation
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 50.0
@@ -77,6 +77,8 @@ def make_scene(tmp_path: Path) -> Callable[..., Path]:
             gt_uses_vio=False,
             scale_source="vio",
             component=0,
+            camera_origin="stated",
+            **{name: frames[name] for name in CAMERA_COLUMNS},
         )
         # Training that looked at a support frame would miss its image.
         support = frames.iloc[[0]].assign(frame_id="walk/000900", t_ns=1, image="gone.png", support=True)

@@ -2,12 +2,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
 from artefacts import UserError
-from training.data import ImageCache, Jitter, read_image, shift_hue, turned_crop
+from artefacts.tables import pose_frame
+from geometry.cameras import Camera
+from training.data import ImageCache, Jitter, pinhole_image, read_image, shift_hue, small_image, turned_crop
+from training.inputs import as_training_frames, virtual_focal
 
 K = np.array([[80.0, 0, 47.3], [0, 80.0, 36.9], [0, 0, 1]])
 
@@ -35,19 +39,60 @@ def test_images_are_cached_once_and_whole(tmp_path: Path) -> None:
     for i, shape in enumerate([(90, 120, 3), (160, 100, 3)]):
         paths.append(tmp_path / f"{i}.png")
         cv2.imwrite(str(paths[-1]), rng.integers(0, 255, shape, dtype=np.uint8))
-    cache = ImageCache.build(tmp_path / "cache", paths, 45)
+    cache = ImageCache.build(tmp_path / "cache", (small_image(read_image(path), 45) for path in paths))
     assert [cache[0].shape, cache[1].shape] == [(45, 60, 3), (72, 45, 3)]
-    assert np.array_equal(cache[1], read_image(paths[1], 45))
+    assert np.array_equal(cache[1], small_image(read_image(paths[1]), 45))
     paths[0].unlink()
-    assert np.array_equal(ImageCache.build(tmp_path / "cache", paths, 45)[0], cache[0])
+    again = ImageCache.build(tmp_path / "cache", (small_image(read_image(path), 45) for path in paths))
+    assert np.array_equal(again[0], cache[0])
 
 
 def test_an_image_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"gone\.jpg[\s\S]*no such file"):
-        ImageCache.build(tmp_path / "cache", [tmp_path / "gone.jpg"], 32)
+        read_image(tmp_path / "gone.jpg")
     (tmp_path / "text.jpg").write_text("no image")
     with pytest.raises(UserError, match="isn't an image"):
-        ImageCache.build(tmp_path / "cache", [tmp_path / "text.jpg"], 32)
+        read_image(tmp_path / "text.jpg")
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera(320, 240, 240.0, 241.0, 163.0, 117.0, (0.092, -0.125, 0.0, 0.0)),
+        Camera(640, 480, 465.0, 465.0, 315.0, 249.0, (-0.05, 0.02, 0.001, 0.0)),
+        Camera(426, 240, 231.0, 231.0, 210.0, 121.0, ()),
+    ],
+)
+def test_all_cameras_become_one_pinhole(camera: Camera) -> None:
+    """A spot in a known direction lies where the virtual pinhole projects it, by whatever camera it was taken."""
+    x, y = np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5
+    spots = np.array([(-0.45, -0.35), (0.42, -0.3), (0.05, 0.37)])
+    sigma = camera.height / 80
+    dots = [np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * sigma**2)) for u, v in camera.project(spots)]
+    image = np.repeat(255 * np.sum(dots, axis=0)[..., None], 3, axis=2).astype(np.uint8)
+    seen = pinhole_image(image, camera, 96, 0.98)
+    assert seen.shape[0] == 96 and seen.shape == small_image(image, 96).shape
+    grey = seen[..., 0].astype(float)
+    for u, v in spots * 0.98 * 96 + [seen.shape[1] / 2, 48]:
+        columns, rows = (np.arange(int(c) - 5, int(c) + 6) for c in (u, v))
+        window = grey[np.ix_(rows, columns)]
+        at = [window.sum(0) @ (columns + 0.5) / window.sum(), window.sum(1) @ (rows + 0.5) / window.sum()]
+        assert at == pytest.approx([u, v], abs=0.1)
+
+
+def test_frames_of_two_lenses_are_trained_on_as_one_camera(tmp_path: Path) -> None:
+    frames = pd.DataFrame(
+        {"split": "train", "scene_index": 0, "width": [320, 640], "height": [240, 480], "cx": [163.0, 315.0]}
+        | {"cy": [117.0, 249.0], "fx": [240.0, 470.0], "fy": [240.0, 470.0], "distortion": [[0.09, -0.12], []]}
+    )
+    frames = pd.concat([frames, pose_frame("map_cam", np.tile(np.eye(4), (2, 1, 1)))], axis=1)
+    assert virtual_focal(frames) == pytest.approx((240 / 240 + 470 / 480) / 2)
+    cache = ImageCache.build(tmp_path, [np.zeros((72, 96, 3), np.uint8)] * 2)
+    shared = as_training_frames(frames, cache, 0.98).K_N33
+    expected = [[0.98 * 72, 0, 48], [0, 0.98 * 72, 36], [0, 0, 1]]
+    assert np.allclose(shared, [expected, expected], rtol=0, atol=1e-12)
+    captured = as_training_frames(frames, cache, None).K_N33
+    assert captured[0] == pytest.approx(np.array([[72, 0, 48.9], [0, 72, 35.1], [0, 0, 1]]))
 
 
 def test_hue_moves_around_the_colour_circle() -> None:

@@ -9,9 +9,9 @@ import torch
 
 from artefacts import DataRoot, UserError, execute
 from artefacts.manifests import load_manifest
-from artefacts.tables import dataset_frames
+from artefacts.tables import camera_of, dataset_frames
 from training.build import load_trained
-from training.data import normalised, read_image, to_tensor
+from training.data import normalised, pinhole_image, read_image, to_tensor
 from training.export import export_onnx
 from training.stage import STAGE
 
@@ -57,7 +57,11 @@ def test_the_stage_predicts_every_frame_and_says_what_it_trained(make_scene: Mak
     # The weights file alone gives the same poses again, and so does the exported model.
     trained = load_trained(folder / "weights" / "PN.pt")
     mine = predictions[(predictions["model"] == "PN") & (predictions["frame_id"] == "later/000000")]
-    image = to_tensor([read_image(data / "captures/Wall/later-0.png", 40)[4:36, 10:42]], torch.device("cpu"))
+    camera = camera_of(frames.iloc[0])
+    focal = camera.fx / camera.height
+    assert trained.focal_px == cards["focal_px"][0] == pytest.approx(focal * 40)
+    small = pinhole_image(read_image(data / "captures/Wall/later-0.png"), camera, 40, focal)
+    image = to_tensor([small[4:36, 10:42]], torch.device("cpu"))
     position = mine[["map_cam_tx", "map_cam_ty", "map_cam_tz"]].to_numpy()
     with torch.no_grad():
         poses = trained.model(normalised(image))
@@ -67,6 +71,12 @@ def test_the_stage_predicts_every_frame_and_says_what_it_trained(make_scene: Mak
     found = onnxruntime.InferenceSession(tmp_path / "pn.onnx").run(None, {"image": image.numpy()})
     assert np.abs(found[0] - poses.position_B3.numpy()).max() < 1e-5
     assert np.abs(found[1] - poses.quaternion_B4.numpy()).max() < 1e-5
+
+
+def test_images_are_as_captured_where_the_settings_say_so(make_scene: MakeScene) -> None:
+    folder = execute(STAGE, "Wall", "tiny", DataRoot(make_scene()), [*SMALL, "undistort=false", 'models=["PN"]'])
+    assert table(folder, "models")["focal_px"].isna().all()
+    assert load_trained(folder / "weights" / "PN.pt").focal_px is None
 
 
 def test_a_group_shares_one_transformer(make_scene: MakeScene) -> None:

@@ -1,0 +1,56 @@
+"""Cameras with lenses, against COLMAP's, and the pinholes within them."""
+
+import numpy as np
+import pycolmap
+import pytest
+
+from geometry import GeometryError
+from geometry.cameras import Camera, centred_pinhole, pinhole_within
+
+_LENSES = [(0.092, -0.125, 0.0, 0.0), (0.16, -0.40, 0.0, 0.0), (-0.1, 0.02, 0.002, -0.001), (0.1, -0.15, 0, 0, 0.02)]
+_SIZE = (320, 240)
+
+
+def _camera(lens: tuple[float, ...]) -> Camera:
+    return Camera(*_SIZE, 241.0, 242.5, 161.7, 117.2, lens)
+
+
+def test_a_camera_projects_as_colmaps_does() -> None:
+    camera, points = _camera(_LENSES[2]), np.random.default_rng(0).uniform(-0.4, 0.4, (50, 2))
+    theirs = pycolmap.Camera(
+        camera_id=1, model="OPENCV", width=320, height=240, params=[241.0, 242.5, 161.7, 117.2, *_LENSES[2]]
+    )
+    px = camera.project(points)
+    assert np.allclose(px, theirs.img_from_cam(np.column_stack([points, np.ones(50)])), atol=1e-9)
+    assert np.allclose(camera.unproject(px), points, atol=1e-9)
+
+
+@pytest.mark.parametrize("lens", _LENSES)
+def test_a_pinhole_within_has_no_border_and_hardly_any_room_left(lens: tuple[float, ...]) -> None:
+    camera = _camera(lens)
+    pinhole = pinhole_within(camera)
+    edge = np.linspace(0, 1, 50)
+    border = np.concatenate([[(0, t), (1, t), (t, 0), (t, 1)] for t in edge]) * _SIZE
+    inside = camera.project(pinhole.unproject(border))
+    assert (inside > -0.01).all() and (inside < np.array(_SIZE) + 0.01).all()
+    wider = centred_pinhole(*_SIZE, 0.98 * pinhole.fx)
+    outside = camera.project(wider.unproject(border))
+    assert (outside < 0).any() or (outside > _SIZE).any()
+
+
+def test_a_centred_pinhole_is_the_one_within_itself() -> None:
+    pinhole = pinhole_within(centred_pinhole(*_SIZE, 250.0))
+    assert pinhole.fx == pytest.approx(250.0, rel=1e-5)
+
+
+def test_a_resized_camera_projects_to_the_same_share_of_its_image() -> None:
+    camera, points = _camera(_LENSES[0]), np.array([[0.1, 0.2], [-0.4, 0.3]])
+    small = camera.resized(80, 48)
+    assert np.allclose(small.project(points) / [80, 48], camera.project(points) / _SIZE)
+
+
+def test_what_has_no_pinhole_is_said() -> None:
+    with pytest.raises(GeometryError, match="no pinhole"):
+        pinhole_within(_camera((-300.0, 0.0, 0.0, 0.0)))
+    with pytest.raises(GeometryError, match="no pinhole"):
+        pinhole_within(Camera(*_SIZE, 240.0, 240.0, -3.0, 120.0))
