@@ -173,6 +173,9 @@ bench-groundtruth: $(installed) ## Ground truth: accuracy, honesty, speed beside
 	@$(py) -m benchmarks.groundtruth_settings --data build/groundtruth/church
 	@$(py) -m benchmarks.gates
 
+bench-real: $(installed) ## Real captures beside stock COLMAP (docs/results); captures=<folder>: yours, too; stability=1: resampled
+	@$(py) -m benchmarks.real $(if $(captures),--capture "$(captures)") $(if $(stability),--stability)
+
 bench-import: $(installed) ## Import: speed, memory, figures of each format, nerfstudio beside (nerfstudio=<its python>)
 	@$(py) -m benchmarks.import_throughput
 	@$(py) -m benchmarks.import_formats $(if $(wildcard ../shared),--captures ../shared/captures --trajectories ../shared/trajectories)
@@ -203,4 +206,4 @@ help: ## This text
 	@echo "your own captures:  make scene=<name> captures=<folder> all"
 	@echo "one stage's help:   .venv/bin/python -m sfm --help   (capture_import, sfm, alignment, training, fusion, reports)"
 
-.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench bench-fusion bench-trained bench-groundtruth bench-import fuzz-import docs lock help
+.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench bench-fusion bench-trained bench-groundtruth bench-real bench-import fuzz-import docs lock help

@@ -7,7 +7,6 @@ that other work on the machine doesn't count, beside them wall seconds. Simulate
 
 import json
 import os
-import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -33,10 +32,10 @@ from benchmarks.groundtruth_inputs import (
     run_stage,
     sfm_poses,
     simulated,
-    stock_poses,
     true_poses,
 )
 from benchmarks.stages import Cost, measure
+from benchmarks.stock import stock_command, stock_poses
 from geometry.fits import fit_poses, pose_residuals
 from geometry.poses import Array
 from sfm.settings import SfmSettings
@@ -87,10 +86,8 @@ def speed(o: Options) -> list[Figure]:
     ours = _sfm_cost(root)
     folder = o.out / "stock"
     settings = resolve_settings(SfmSettings, "sfm", root, PROFILE, _SCENE, [])
-    command = [sys.executable, "-m", "benchmarks.groundtruth_inputs", _SCENE, str(root.root), str(folder)]
-    stock = _kept_cost(
-        o.out / f"stock_{SFM.version}.json", lambda: measure([*command, settings.model_dump_json()], folder)
-    )
+    command = stock_command(_SCENE, PROFILE, root, folder, settings, "captured")
+    stock = _kept_cost(o.out / f"stock_{SFM.version}.json", lambda: measure(command, folder))
     of = f"{_SCENE}, {len(truth)} frames"
     errors = _error_figures("speed", f"{of}, ours", *sfm_poses(_SCENE, root), truth)
     stock_errors = _error_figures("speed", f"{of}, stock", *stock_poses(folder, len(truth)), truth)

@@ -1,4 +1,4 @@
-"""Inputs of the ground-truth benchmark: simulated scenes, parts of one capture, and COLMAP's stock way as a process."""
+"""Inputs of the ground-truth benchmark: simulated scenes, real captures and parts of one capture, up to import."""
 
 import json
 import shutil
@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pycolmap
 
 from artefacts import DataRoot, UserError
 from artefacts.files import hash_files
@@ -18,10 +17,6 @@ from benchmarks.stages import Cost, measure
 from geometry import GeometryError
 from geometry.fits import fit_sim3, pose_residuals
 from geometry.poses import Array
-from sfm.database import create_database, image_name
-from sfm.features import extract_features
-from sfm.model import load_models
-from sfm.settings import SfmSettings
 
 PROFILE = "demo"
 
@@ -101,46 +96,3 @@ def sfm_poses(scene: str, root: DataRoot) -> tuple[Array, np.ndarray]:
     images = read_table(root.run(PROFILE, scene, "sfm") / "images.parquet", schema("sfm", "images"))
     # pandas counts a missing id as -1.
     return poses_of(images, "sfm_cam"), pd.factorize(images["model_id"])[0]
-
-
-def stock_poses(folder: Path, frames: int) -> tuple[Array, np.ndarray]:
-    """The same of the largest model that `stock` built."""
-    sizes = {path: pycolmap.Reconstruction(path).num_reg_images() for path in folder.glob("[0-9]*")}
-    if not sizes:
-        return np.full((frames, 4, 4), np.nan), np.full(frames, -1)
-    model = load_models([max(sizes, key=lambda path: sizes[path])], frames)
-    return model.sfm_T_cam, model.model
-
-
-def stock(scene: str, root: DataRoot, folder: Path, settings: SfmSettings) -> None:
-    """COLMAP's stock way: our features, every pair matched, incremental mapping, its own options throughout.
-
-    The captured intrinsics are held fixed, as ours are; left free, one image's focal length is a guess.
-    """
-    frames = read_table(root.run(PROFILE, scene, "import") / "frames.parquet", schema("import", "frames"))
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    names = [image_name(i, image) for i, image in zip(frames["frame_id"], frames["image"], strict=True)]
-    for name, image in zip(names, frames["image"], strict=True):
-        link = folder / "images" / name
-        link.parent.mkdir(parents=True, exist_ok=True)
-        link.symlink_to((root.captures(scene) / image).resolve())
-    database = folder / "database.db"
-    create_database(database, frames, names)
-
-    def report(done: int, note: str = "") -> None:
-        print(f"features of {done} of {len(names)} images", file=sys.stderr)
-
-    extract_features(report, database, folder / "images", names, settings)
-    matching = pycolmap.FeatureMatchingOptions()
-    matching.use_gpu = False
-    pycolmap.match_exhaustive(database, matching, device=pycolmap.Device.cpu)
-    options = pycolmap.IncrementalPipelineOptions()
-    options.ba_refine_focal_length = options.ba_refine_extra_params = False
-    options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
-    pycolmap.incremental_mapping(database, folder / "images", folder, options)
-
-
-if __name__ == "__main__":
-    _scene, _root, _folder, _settings = sys.argv[1:]
-    stock(_scene, DataRoot(Path(_root)), Path(_folder), SfmSettings.model_validate_json(_settings))

@@ -5,6 +5,7 @@ in the same run, so that figures from different machines can be held against eac
 decoded every image of the capture on one core meanwhile, and the share of the cores that it kept busy.
 """
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -44,17 +45,24 @@ class Cost:
 
 def measure(command: list[str], folder: Path) -> Cost:
     """Run a command to its end; `folder` is where it writes. UserError when it fails."""
-    start = time.monotonic()
-    process = subprocess.Popen(command)
-    _, status, usage = os.wait4(process.pid, 0)
-    wall = time.monotonic() - start
+    status, cost = run_timed(command, folder)
     if status:
-        raise UserError(
-            "a stage failed", where=" ".join(command), found=f"exit status {os.waitstatus_to_exitcode(status)}"
-        )
+        raise UserError("a stage failed", where=" ".join(command), found=f"exit status {status}")
+    return cost
+
+
+def run_timed(command: list[str], folder: Path, log: Path | None = None) -> tuple[int, Cost]:
+    """Run a command to its end: its exit status and what it cost. `folder` is where it writes; what it prints goes to
+    `log`, where there is one. Processor seconds are the whole process tree's, memory is its largest process's."""
+    start = time.monotonic()
+    with log.open("wb") if log else contextlib.nullcontext() as output:
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT if log else None)
+        _, status, usage = os.wait4(process.pid, 0)
+    wall = time.monotonic() - start
     per_mib = 2**20 if sys.platform == "darwin" else 2**10
     written = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) if folder.exists() else 0
-    return Cost(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / per_mib, written / 2**20)
+    cost = Cost(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / per_mib, written / 2**20)
+    return os.waitstatus_to_exitcode(status), cost
 
 
 def decode_seconds(captures: Path) -> tuple[float, int]:

@@ -9,7 +9,7 @@ from artefacts import Settings
 
 Drawn = Literal["drawn"]
 # "drawn": lens, readout time and focus as measured on phones, another one for each scene and seed.
-_PHONE: float | Drawn = 0.0
+_PHONE: float | Drawn = "drawn"
 
 
 def _between(low: float, high: float) -> BeforeValidator:

@@ -30,10 +30,11 @@ SMALL = [
 ]
 
 
+PINHOLE = ["lens_k1=0", "lens_k2=0", "readout_s=0", "focus_breathing=0"]
 PHONE = ["lens_k1=drawn", "lens_k2=-0.11", "readout_s=drawn", "focus_breathing=0.005"]
 
 
-def run(root: Path, settings: Sequence[str] = (), **more: object) -> Path:
+def run(root: Path, settings: Sequence[str] = PINHOLE, **more: object) -> Path:
     chosen = [*SMALL, *settings]
     return simulate(SCENE, "tiny", DataRoot(root), chosen, processes=int(str(more.pop("processes", 1))), **more)  # type: ignore[arg-type]
 
@@ -45,6 +46,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A pinhole's capture."""
     return run(tmp_path_factory.mktemp("data"))
 
 

@@ -1,0 +1,220 @@
+"""Tables of the real benchmark's results: real.md and real.csv."""
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from benchmarks.real_cases import Result, judge
+from benchmarks.real_figures import OURS, RATIO, STOCK
+from benchmarks.real_stability import Tried, agreeing
+
+_HEADER = """# Real captures
+
+Written by `make bench-real` (`python -m benchmarks.real`), with pictures and `real.csv`, which has every figure; not to
+be edited. Profile demo. Images beyond the dataset's frames are support frames, which SfM alone uses. Stock: COLMAP's
+incremental mapper with its own options on the same images and as many SIFT features, every pair matched, one OPENCV
+camera a session that starts at the median of the logged intrinsics; of several models its largest.
+"""
+
+
+def write_report(folder: Path, results: Sequence[Result], stability: Sequence[Tried]) -> None:
+    """Write real.md and real.csv into the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    sections = [
+        _HEADER,
+        "## Against the figures to reach\n\n" + _table(_target_rows(results)),
+        "## Ground truth\n\n"
+        "Reprojection error: mean over observations, ours / stock. Held out: median Sampson distance of matches that "
+        "took no part.\n\n" + _table(_ground_truth_rows(results)),
+        "## Cameras\n\n± one sigma. Focal scale: times the logged focal lengths.\n\n" + _table(_camera_rows(results)),
+        "## Agreement with VIO\n\n"
+        "Frames of the dataset that both have; each session in each model fitted to VIO, positions by a Sim3, "
+        "rotations by a mean rotation; and all frames that either has. VIO isn't the truth: it drifts, and a model of "
+        "fewer frames has less of that drift to explain. Steps, the motion from frame to frame, show little of it.\n\n"
+        + _table(_agreement_rows(results)),
+        "## Cost\n\n"
+        "Processor seconds of the whole process tree, wall minutes beside; peak memory of the largest process. Ours: "
+        "import + sfm + align.\n\n" + _table(_cost_rows(results)),
+        *([_stability_section(stability)] if stability else []),
+        "## Runs\n\nLoad: processes that were busy on the machine as it began.\n\n" + _table(_run_rows(results)),
+        "## Pictures\n\n" + "\n\n".join(_pictures(folder, results)),
+    ]
+    (folder / "real.md").write_text("\n\n".join(s.strip() for s in sections) + "\n", encoding="utf-8")
+    (folder / "real.csv").write_text(csv_text(results), encoding="utf-8")
+
+
+def csv_text(results: Iterable[Result]) -> str:
+    """One row a figure, and one a case's verdict; where a figure has a target, that and whether it's met."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["case", "way", "subject", "figure", "value", "unit", "target", "met", "revision", "date"])
+    for result in results:
+        run = [result.revision, result.date]
+        writer.writerow([result.case, OURS, "", "verdict", str(result.verdict), "", "", "", *run])
+        targets = {(t.name, t.way): t for t in result.targets}
+        for figure in result.figures:
+            target = targets.get((figure.name, figure.way))
+            judged: list[object] = ["", ""]
+            if target and (target.every_subject or not figure.subject):
+                judged = [str(target), _met(judge([figure], target).met)]
+            row = [result.case, figure.way, figure.subject, figure.name, f"{figure.value:.6g}", figure.unit]
+            writer.writerow([*row, *judged, *run])
+    return text.getvalue()
+
+
+def _met(met: bool) -> str:
+    return "met" if met else "missed"
+
+
+def _target_rows(results: Iterable[Result]) -> Iterable[list[str]]:
+    yield ["case", "figure", "value", "to reach", ""]
+    for result in results:
+        for target in result.targets:
+            judged = judge(result.figures, target)
+            way = "" if target.way == OURS else f", {target.way}"
+            worst = " (worst session)" if target.every_subject else ""
+            value = _number(judged.value, target.unit)
+            met = _met(judged.met) if judged.met else f"**{_met(judged.met)}**"
+            yield [result.case, f"{target.name}{way}{worst}", value, str(target), met]
+
+
+def _ground_truth_rows(results: Iterable[Result]) -> Iterable[list[str]]:
+    yield [
+        *("case", "verdict", "images (of them support)", "registered, ours / stock", "frames with ground truth"),
+        *("A, B, C", "models", "failed checks", "scale ±", "reprojection px", "held out px"),
+    ]
+    for r in results:
+        classes = (
+            ", ".join(_number(r.value(f"class {name}")) for name in "ABC")
+            if r.value("class A or B") is not None
+            else ""
+        )
+        truth, frames = (_number(r.value(name)) for name in ("frames with ground truth", "frames"))
+        registered, errors, models = (
+            f"{_number(r.value(name))} / {_number(r.value(name, STOCK))}"
+            for name in ("images registered", "reprojection error, mean", "models")
+        )
+        failed = f"{_number(r.value('checks failed'))} of {_number(r.value('checks'))}"
+        if r.value("checks") is None:
+            failed = "none were made"
+        yield [
+            *(
+                r.case,
+                str(r.verdict),
+                f"{_number(r.value('images'))} ({_number(r.value('support frames'))})",
+                registered,
+            ),
+            *(f"{truth} of {frames}", classes, models, "; ".join([failed, *r.failed_checks])),
+            *(_number(r.value("scale, one sigma"), "%"), errors, _number(r.value("held-out error, median"))),
+        ]
+
+
+def _camera_rows(results: Iterable[Result]) -> Iterable[list[str]]:
+    yield ["case", "of", "k1", "k2", "readout ms", "focal scale", "stock k1", "stock k2", "stock focal scale"]
+    for r in results:
+        for lens in r.subjects("k1"):
+            yield [r.case, lens, *(_with_sigma(r, name, lens) for name in ("k1", "k2", "readout")), "", "", "", ""]
+        for session in dict.fromkeys([*r.subjects("focal scale"), *r.subjects("k1", STOCK)]):
+            stock = [_fixed(r.value(name, STOCK, session)) for name in ("k1", "k2", "focal scale")]
+            yield [r.case, session, "", "", "", _with_sigma(r, "focal scale", session), *stock]
+
+
+def _with_sigma(result: Result, name: str, subject: str) -> str:
+    value, sigma = result.value(name, OURS, subject), result.value(f"{name}, one sigma", OURS, subject)
+    return _fixed(value) + (f" ± {_fixed(sigma)}" if sigma is not None else "")
+
+
+def _fixed(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}" if abs(value) >= 2 else f"{value:.4f}"
+
+
+def _agreement_rows(results: Iterable[Result]) -> Iterable[list[str]]:
+    name, all_frames = "common frames against VIO", "all frames against VIO"
+    figures = (", position RMS", ", rotation median")
+    yield [
+        *("case", "session", "frames", "position RMS mm: ours", "stock", "ratio"),
+        *("rotation median deg: ours", "stock", "ratio", "step RMS mm: ours", "stock", "ratio"),
+        *("all of ours: frames, mm, deg", "all of stock's"),
+    ]
+    for r in results:
+        for session in dict.fromkeys([*r.subjects(all_frames), *r.subjects(all_frames, STOCK)]):
+            position, rotation, step = (
+                [_number(r.value(f"{name}{figure}", way, session)) for way in (OURS, STOCK, RATIO)]
+                for figure in (*figures, ", step RMS")
+            )
+            every = [
+                [_number(r.value(f"{all_frames}{figure}", way, session)) for figure in ("", *figures)]
+                for way in (OURS, STOCK)
+            ]
+            frames = _number(r.value(name, OURS, session))
+            yield [
+                r.case,
+                session or "all",
+                frames,
+                *position,
+                *rotation,
+                *step,
+                *(", ".join(values) for values in every),
+            ]
+
+
+def _cost_rows(results: Iterable[Result]) -> Iterable[list[str]]:
+    yield [
+        *("case", "import", "sfm", "align", "ours", "stock", "ours / stock: processor", "wall"),
+        *("peak MiB: ours", "stock"),
+    ]
+    for r in results:
+        costs = [_cost(r, OURS, subject) for subject in ("import", "sfm", "align", "")]
+        ratios = [_number(r.value(name, RATIO)) for name in ("processor", "wall")]
+        memory = [_number(r.value("peak memory", way)) for way in (OURS, STOCK)]
+        yield [r.case, *costs, _cost(r, STOCK, ""), *ratios, *memory]
+
+
+def _cost(result: Result, way: str, subject: str) -> str:
+    processor, wall = (result.value(name, way, subject) for name in ("processor", "wall"))
+    return "" if processor is None or wall is None else f"{processor:.0f} s ({wall / 60:.1f} min)"
+
+
+def _run_rows(results: Iterable[Result]) -> Iterable[list[str]]:
+    yield ["case", "capture", "import settings", "seed", "images (sha256)", "revision", "date", "load", "machine"]
+    for r in results:
+        settings = " ".join(f"`{s}`" for s in r.settings) or "default"
+        run = [r.inputs, r.revision, r.date, f"{r.system_load:g}", r.machine]
+        yield [r.case, r.capture, settings, str(r.seed), *run]
+
+
+def _stability_section(stability: Sequence[Tried]) -> str:
+    rows = [["case", "resampling", "images", "verdict", "frames with ground truth", "A, B, C", "agrees with the whole"]]
+    for tried in stability:
+        classes = ", ".join(str(tried.classes[name]) for name in "ABC") if tried.classes else ""
+        same = "" if tried.is_whole else "yes" if tried.agrees else "**no**"
+        truth = "" if tried.with_ground_truth is None else str(tried.with_ground_truth)
+        rows.append([tried.case, tried.resampling, str(tried.images), str(tried.verdict), truth, classes, same])
+    same, count = agreeing(stability)
+    share = f"{same} of {count} resamplings ({100 * same / count:.0f} %) have the whole's verdict; 95 % to reach."
+    explained = (
+        "Images are left out of a copy of the capture, its log of poses stays whole; 1, 2 and 5 Hz are import's "
+        "`rate_hz`, with `min_frames=0`."
+    )
+    return f"## Stability\n\n{explained} {share}\n\n{_table(rows)}"
+
+
+def _pictures(folder: Path, results: Iterable[Result]) -> Iterable[str]:
+    for result in results:
+        name = f"real_{result.case}.png"
+        if (folder / name).is_file():
+            yield f"![{result.case}: plan and residuals to VIO of ours and stock COLMAP]({name})"
+
+
+def _number(value: float | None, unit: str = "") -> str:
+    if value is None:
+        return "none"
+    text = f"{value:.0f}" if abs(value) >= 1000 or value == round(value) else f"{value:.3g}"
+    return f"{text} {unit}".strip()
+
+
+def _table(rows: Iterable[list[str]]) -> str:
+    header, *body = rows
+    lines = [header, ["---"] * len(header), *body]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)

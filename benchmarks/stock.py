@@ -1,0 +1,154 @@
+"""Stock COLMAP on the images of an imported scene, as a process of its own: `python -m benchmarks.stock --help`.
+
+Our SIFT settings, every pair matched, COLMAP's incremental mapping with its own options throughout.
+"""
+
+import shutil
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pandas as pd
+import pycolmap
+import typer
+
+from artefacts import DataRoot
+from artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
+from artefacts.schemas import schema
+from artefacts.tables import read_table
+from geometry.poses import Array
+from sfm.database import Ints, create_database, image_id, image_name
+from sfm.features import extract_features
+from sfm.model import load_models
+from sfm.settings import SfmSettings
+
+CameraChoice = Literal["captured", "opencv"]
+
+MOST_EXHAUSTIVE = 600
+"""Images up to which every pair is matched; 180,000 pairs take half an hour on two cores."""
+
+_SEQUENTIAL_OVERLAP = 10
+
+app = new_app(__doc__ or "")
+
+
+def stock_command(
+    scene: str, profile: str, root: DataRoot, folder: Path, settings: SfmSettings, camera: CameraChoice
+) -> list[str]:
+    """The command that maps an imported scene into `folder` with stock COLMAP; features as `settings` say."""
+    return [
+        *(sys.executable, "-m", "benchmarks.stock", "--scene", scene, "--profile", profile, "--data", str(root.root)),
+        *("--out", str(folder), "--camera", camera, "--settings", settings.model_dump_json()),
+    ]
+
+
+def matcher_name(images: int) -> str:
+    """Which of COLMAP's matchers so many images get."""
+    return "exhaustive" if images <= MOST_EXHAUSTIVE else f"sequential, overlap {_SEQUENTIAL_OVERLAP}"
+
+
+def largest_model(folder: Path) -> Path | None:
+    """The folder of the model with the most images that `main` built; None where there is none."""
+    sizes = {path: pycolmap.Reconstruction(path).num_reg_images() for path in sorted(folder.glob("[0-9]*"))}
+    return max(sizes, key=lambda path: sizes[path], default=None)
+
+
+def stock_poses(folder: Path, frames: int) -> tuple[Array, np.ndarray]:
+    """sfm_T_cam (N, 4, 4) of the largest model, and 0 for each frame that is in it, -1 for others (N,)."""
+    largest = largest_model(folder)
+    if largest is None:
+        return np.full((frames, 4, 4), np.nan), np.full(frames, -1)
+    model = load_models([largest], frames)
+    return model.sfm_T_cam, model.model
+
+
+def session_cameras(frames: pd.DataFrame) -> tuple[list[pycolmap.Camera], Ints]:
+    """An OPENCV camera for each session and image size, without distortion, at the median of the logged intrinsics; and
+    which of them each frame has (N,)."""
+    sizes = frames.groupby(["session_id", "width", "height"], sort=True)
+    cameras = []
+    for number, ((_, width, height), rows) in enumerate(sizes):
+        params = [*rows[["fx", "fy", "cx", "cy"]].median(), 0.0, 0.0, 0.0, 0.0]
+        camera = pycolmap.Camera(
+            camera_id=number + 1, model="OPENCV", width=int(width), height=int(height), params=params
+        )
+        camera.has_prior_focal_length = True
+        cameras.append(camera)
+    return cameras, sizes.ngroup().to_numpy(np.int64)
+
+
+def create_shared_database(path: Path, names: list[str], cameras: list[pycolmap.Camera], camera_of_frame: Ints) -> None:
+    """A COLMAP database with these cameras, and one frame and image for each name with the camera of that index."""
+    with pycolmap.Database.open(path) as database, pycolmap.DatabaseTransaction(database):
+        for camera in cameras:
+            database.write_camera(camera, use_camera_id=True)
+            rig = pycolmap.Rig(rig_id=camera.camera_id)
+            rig.add_ref_sensor(camera.sensor_id)
+            database.write_rig(rig, use_rig_id=True)
+        for row, name in enumerate(names):
+            number, camera_id = image_id(row), cameras[int(camera_of_frame[row])].camera_id
+            image = pycolmap.Image(image_id=number, camera_id=camera_id, name=name)
+            frame = pycolmap.Frame(frame_id=number, rig_id=camera_id)
+            frame.add_data_id(image.data_id)
+            image.frame_id = number
+            database.write_frame(frame, use_frame_id=True)
+            database.write_image(image, use_image_id=True)
+
+
+@app.command()
+def main(
+    scene: SceneOption,
+    out: Annotated[Path, typer.Option(help="Folder for COLMAP's database and models; emptied first.")],
+    settings: Annotated[str, typer.Option(help="Settings of the sfm stage as JSON, for its features.")],
+    profile: ProfileOption = "demo",
+    data: DataOption = Path("data"),
+    camera: Annotated[
+        CameraChoice,
+        typer.Option(
+            help="captured: each image's logged intrinsics, fixed (if free, one image's focal length is a guess); "
+            "opencv: an OPENCV camera a session, started at the logged intrinsics and refined."
+        ),
+    ] = "opencv",
+) -> None:
+    """Map an imported scene with stock COLMAP."""
+    sfm_settings, root = SfmSettings.model_validate_json(settings), DataRoot(data)
+    frames = read_table(root.run(profile, scene, "import") / "frames.parquet", schema("import", "frames"))
+    shutil.rmtree(out, ignore_errors=True)
+    images, database = out / "images", out / "database.db"
+    names = [image_name(i, image) for i, image in zip(frames["frame_id"], frames["image"], strict=True)]
+    for name, image in zip(names, frames["image"], strict=True):
+        inside = image.removeprefix("import:")
+        source = (root.captures(scene) if inside == image else root.run(profile, scene, "import")) / inside
+        (images / name).parent.mkdir(parents=True, exist_ok=True)
+        (images / name).symlink_to(source.resolve())
+    if camera == "captured":
+        create_database(database, frames, names)
+    else:
+        create_shared_database(database, names, *session_cameras(frames))
+
+    def report(done: int, note: str = "") -> None:
+        print(f"features of {done} of {len(names)} images", file=sys.stderr)
+
+    extract_features(report, database, images, names, sfm_settings)
+    _match(database, len(names))
+    options = pycolmap.IncrementalPipelineOptions()
+    if camera == "captured":
+        options.ba_refine_focal_length = options.ba_refine_extra_params = False
+        options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
+    pycolmap.incremental_mapping(database, images, out, options)
+
+
+def _match(database: Path, images: int) -> None:
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.use_gpu = False
+    if images <= MOST_EXHAUSTIVE:
+        pycolmap.match_exhaustive(database, matching, device=pycolmap.Device.cpu)
+        return
+    pairing = pycolmap.SequentialPairingOptions()
+    pairing.overlap = _SEQUENTIAL_OVERLAP
+    pycolmap.match_sequential(database, matching, pairing_options=pairing, device=pycolmap.Device.cpu)
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,212 @@
+"""The real benchmark's comparisons are right where the answer is known, and its tables say what was found."""
+
+import csv
+import io
+
+import numpy as np
+import pandas as pd
+import pycolmap
+import pytest
+from scipy.spatial.transform import Rotation
+
+from benchmarks.real import app
+from benchmarks.real_cases import Result, Target, judge, named_case, standard_cases
+from benchmarks.real_figures import CRASHED, PASSED, RATIO, REFUSED, STOCK, Figure, Verdict, place, verdict_of
+from benchmarks.real_report import csv_text, write_report
+from benchmarks.real_stability import RESAMPLINGS, Tried, agreeing, copy_without, left_out
+from benchmarks.stages import run_timed
+from benchmarks.stock import create_shared_database, session_cameras
+from geometry.fits import Sim3
+from geometry.poses import make_pose
+
+
+def poses(count: int, *, straight: bool = False) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    rotations = Rotation.from_rotvec(rng.normal(0, 0.3, (count, 3))).as_matrix()
+    xyz = np.linspace(0, 5, count)[:, None] * np.array([1.0, 0.1, 0.3])
+    return make_pose(rotations, xyz if straight else xyz + rng.normal(0, 0.5, (count, 3)))
+
+
+def moved(vio_T_cam: np.ndarray, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return Sim3(3.7, Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)).poses(vio_T_cam)
+
+
+@pytest.mark.parametrize("straight", [False, True])
+def test_models_that_agree_have_no_residuals_in_any_gauge(straight):
+    vio_T_cam = poses(20, straight=straight)
+    # A path that is straight but for a millimetre leaves the turn about it to noise, if positions alone decide.
+    vio_T_cam[:, :3, 3] += np.random.default_rng(0).normal(0, 1e-3, (20, 3))
+    sfm_T_cam = np.concatenate([moved(vio_T_cam[:10], 1), moved(vio_T_cam[10:], 2)])
+    group = np.array(["a|0"] * 10 + ["b|1"] * 10, object)
+    placed = place(vio_T_cam, sfm_T_cam, group)
+    assert placed.position_m == pytest.approx(0, abs=1e-9)
+    assert placed.rotation_deg == pytest.approx(0, abs=1e-6)
+    assert placed.xyz_vio == pytest.approx(vio_T_cam[:, :3, 3])
+
+
+def test_rotations_are_compared_where_a_straight_path_leaves_the_turn_about_it_open():
+    vio_T_cam = poses(30, straight=True)
+    rng = np.random.default_rng(1)
+    vio_T_cam[:, :3, 3] += rng.normal(0, 1e-3, (30, 3))
+    sfm_T_cam = vio_T_cam.copy()
+    sfm_T_cam[:, :3, 3] += rng.normal(0, 1e-3, (30, 3))
+    assert np.median(place(vio_T_cam, sfm_T_cam, np.full(30, "a", object)).rotation_deg) < 1e-6
+
+
+def test_a_frame_that_is_off_shows_by_as_much():
+    vio_T_cam = poses(200)
+    sfm_T_cam = vio_T_cam.copy()
+    sfm_T_cam[7, :3, 3] += [0.0, 0.2, 0.0]
+    sfm_T_cam[9, :3, :3] = sfm_T_cam[9, :3, :3] @ Rotation.from_rotvec([0, 0, np.radians(2)]).as_matrix()
+    placed = place(vio_T_cam, sfm_T_cam, np.full(200, "a", object))
+    # The fit takes up a little of it.
+    assert placed.position_m[7] == pytest.approx(0.2, rel=0.05)
+    assert placed.rotation_deg[9] == pytest.approx(2, rel=0.05)
+    assert np.median(placed.position_m) < 0.005
+    assert placed.step_m[7] == pytest.approx(0.2, rel=0.05) and placed.step_deg[10] == pytest.approx(2, rel=0.05)
+    assert np.isnan(placed.step_m[0]) and np.nanmedian(placed.step_m) < 0.005
+
+
+def test_frames_without_a_model_or_vio_and_groups_of_few_are_not_compared():
+    vio_T_cam = poses(20)
+    sfm_T_cam = vio_T_cam.copy()
+    sfm_T_cam[0], vio_T_cam[1] = np.nan, np.nan
+    group = np.array(["a"] * 16 + ["few"] * 3 + [None], object)
+    placed = place(vio_T_cam, sfm_T_cam, group)
+    assert list(np.flatnonzero(np.isfinite(placed.position_m))) == list(range(2, 16))
+
+
+def test_a_target_is_held_against_the_worst_subject():
+    figures = [Figure("rms", 4.0, "mm"), Figure("rms", 6.0, "mm", subject="walk"), Figure("rms", 9.0, "mm", STOCK)]
+    assert judge(figures, Target("rms", 5, "mm")).met
+    worst = judge(figures, Target("rms", 5, "mm", every_subject=True))
+    assert (worst.met, worst.value) == (False, 6.0)
+    assert judge(figures, Target("rms", 4, at_least=True, every_subject=True)).value == 4.0
+    assert judge(figures, Target("rms", 8, way=STOCK)).value == 9.0
+
+
+@pytest.mark.parametrize("figures", [[], [Figure("rms", np.nan)]])
+def test_a_figure_that_is_not_there_misses_its_target(figures):
+    judged = judge(figures, Target("rms", 5))
+    assert (judged.met, judged.value) == (False, None)
+
+
+def test_verdicts():
+    assert verdict_of({"import": 0, "sfm": 0, "align": 0}, {}, []) == Verdict(PASSED)
+    logs = {"import": "", "sfm": "working\nerror: too few frames for a model\n  where:    x\n"}
+    assert verdict_of({"import": 0, "sfm": 2}, logs, []) == Verdict(REFUSED, "sfm", "too few frames for a model")
+    logs = {"import": "", "sfm": "", "align": "error: the SfM model is wrong\n"}
+    refused = verdict_of({"import": 0, "sfm": 0, "align": 2}, logs, ["intrinsics wrong", "broken off"])
+    assert refused == Verdict(REFUSED, "align", "intrinsics wrong")
+    crashed = verdict_of({"import": 1}, {"import": "Traceback\nValueError: no"}, [])
+    assert (crashed.outcome, crashed.cause) == (CRASHED, "ValueError: no")
+
+
+def test_a_failed_command_is_measured_and_its_words_are_kept(tmp_path):
+    status, cost = run_timed(["bash", "-c", "echo error: no >&2; exit 2"], tmp_path, tmp_path / "log")
+    assert status == 2 and cost.wall_s > 0
+    assert (tmp_path / "log").read_text(encoding="utf-8") == "error: no\n"
+
+
+def frames_table(counts: dict[str, int]) -> pd.DataFrame:
+    rows = [
+        {"session_id": session, "t_ns": 10 * i, "image": f"{session}/{i}.jpg"}
+        for session, count in counts.items()
+        for i in range(count)
+    ]
+    return pd.DataFrame(rows).sample(frac=1, random_state=0)
+
+
+def test_resamplings_leave_out_images_session_by_session_in_time():
+    frames = frames_table({"a": 7, "b": 4})
+    keeps = {r.name: r.keep for r in RESAMPLINGS if r.keep is not None}
+    assert left_out(frames, keeps["every 2nd image"]) == {f"{s}.jpg" for s in ("a/1", "a/3", "a/5", "b/1", "b/3")}
+    assert left_out(frames, keeps["every 3rd image"]) == {
+        f"{s}.jpg" for s in ("a/1", "a/2", "a/4", "a/5", "b/1", "b/2")
+    }
+    first, second = (left_out(frames, keeps[f"{half} half"]) for half in ("first", "second"))
+    assert not first & second and first | second == set(frames["image"])
+    assert left_out(frames, keeps["files in another order"]) == set()
+
+
+def test_a_resampled_copy_has_all_but_the_left_out_files_and_the_capture_stays(tmp_path):
+    source = tmp_path / "capture"
+    for i in range(9):
+        path = source / "walk" / f"frame_{i}.jpg"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(str(i), encoding="utf-8")
+        path.with_suffix(".json").write_text("{}", encoding="utf-8")
+    before = {path: path.stat().st_mtime_ns for path in source.rglob("*.*")}
+    copy_without(source, tmp_path / "copy", {"walk/frame_3.jpg"}, order_seed=0)
+    copied = {path.relative_to(tmp_path / "copy").as_posix() for path in (tmp_path / "copy").rglob("*.*")}
+    assert copied == {path.relative_to(source).as_posix() for path in before} - {"walk/frame_3.jpg"}
+    assert {path: path.stat().st_mtime_ns for path in source.rglob("*.*")} == before
+
+
+def result() -> Result:
+    figures = [
+        *(Figure("accepted", 1.0), Figure("images", 30), Figure("checks", 7), Figure("checks failed", 1)),
+        *(Figure("k1", 0.08, subject="phone, 1920x1440"), Figure("k1, one sigma", 0.002, subject="phone, 1920x1440")),
+        *(Figure("k1", 0.09, way=STOCK, subject="walk"), Figure("focal scale", 0.998, subject="walk")),
+        *(Figure("all frames against VIO", 20), Figure("all frames against VIO, position RMS", 4.25, "mm")),
+        *(Figure("processor", 30.0, "s"), Figure("wall", 60.0, "s"), Figure("processor", 0.7, "", RATIO)),
+    ]
+    targets = [Target("accepted", 1, at_least=True), Target("processor", 0.5, way=RATIO), Target("models", 1)]
+    run = ("chair", "chair", ["rate_hz=2"], 0, "0123", "abc", "2026-01-01", "a machine", 0.5)
+    return Result(*run, Verdict(PASSED), ["intrinsics wrong (session_focal, 1)"], figures, targets)
+
+
+def test_a_result_is_read_back_as_it_was(tmp_path):
+    result().save(tmp_path)
+    assert Result.load(tmp_path / "chair.json") == result()
+
+
+def test_the_report_says_met_and_missed_and_its_tables_are_whole(tmp_path):
+    tried = [Tried("chair", "whole", 30, Verdict(PASSED), PASSED, 30, {"A": 1, "B": 2, "C": 27})]
+    tried.append(Tried("chair", "every 3rd image", 10, Verdict(REFUSED, "align", "broken off"), PASSED))
+    write_report(tmp_path, [result()], tried)
+    text = (tmp_path / "real.md").read_text(encoding="utf-8")
+    assert "| chair | accepted | 1 | ≥ 1 | met |" in text
+    assert "| chair | processor, ours / stock | 0.7 | ≤ 0.5 | **missed** |" in text
+    assert "| chair | models | none | ≤ 1 | **missed** |" in text
+    assert "0.0800 ± 0.0020" in text and "0 of 1 resamplings (0 %)" in text
+    for table in text.split("\n\n"):
+        widths = {line.count("|") for line in table.splitlines() if line.startswith("|")}
+        assert len(widths) <= 1
+    rows = list(csv.DictReader(io.StringIO(csv_text([result()]))))
+    assert {row["met"] for row in rows if row["figure"] == "processor" and row["way"] == RATIO} == {"missed"}
+    assert {row["met"] for row in rows if row["figure"] == "wall"} == {""}
+    assert agreeing(tried) == (0, 1)
+
+
+def test_only_captures_that_are_there_are_run(tmp_path, capsys):
+    (tmp_path / "captures" / "charuco" / "walk").mkdir(parents=True)
+    names = [case.name for case in standard_cases(tmp_path / "captures")]
+    assert names == ["charuco", "charuco_walk"]
+    assert named_case(tmp_path / "captures").targets
+    arguments = ["--captures", str(tmp_path / "none"), "--work", str(tmp_path / "w"), "--out", str(tmp_path / "out")]
+    with pytest.raises(SystemExit) as ended:
+        app(arguments)
+    assert ended.value.code == 0 and "left out: no captures" in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(SystemExit) as ended:
+        app([*arguments, "--only", "chair"])
+    assert ended.value.code == 2
+
+
+def test_stock_has_an_opencv_camera_a_session_at_the_median_of_its_log(tmp_path):
+    frames = pd.DataFrame({"session_id": list("aaab"), "width": 640, "height": 480, "fx": [500.0, 501, 509, 600]})
+    frames[["fy", "cx", "cy"]] = [510.0, 320.0, 240.0]
+    cameras, camera_of_frame = session_cameras(frames)
+    assert list(camera_of_frame) == [0, 0, 0, 1]
+    assert [camera.params[0] for camera in cameras] == [501, 600]
+    create_shared_database(
+        tmp_path / "database.db", ["a/0.jpg", "a/1.jpg", "a/2.jpg", "b/0.jpg"], cameras, camera_of_frame
+    )
+    with pycolmap.Database.open(tmp_path / "database.db") as database:
+        images = sorted(database.read_all_images(), key=lambda image: image.name)
+        assert [image.camera_id for image in images] == [1, 1, 1, 2]
+        assert database.num_cameras() == 2 and database.num_frames() == 4
+        assert {camera.model.name for camera in database.read_all_cameras()} == {"OPENCV"}
+        assert all(camera.has_prior_focal_length for camera in database.read_all_cameras())
