@@ -167,7 +167,7 @@ def _found(data: DataRoot, scene: str, case: Case) -> tuple[str, str, str]:
             if backward:
                 return SHUFFLED, stage.name, f"{backward} rows: {_BACKWARD}"
     gate = read_table(data.run(PROFILE, scene, "align") / "gate.parquet", schema("align", "gate"))
-    failed = gate[~gate["passed"]]
+    failed = gate[gate["verdict"] == "failed"]
     # A window that fails costs its frames; a fault is what a scene or a session is told for.
     failed = failed[~failed["check"].str.startswith("window_")]
     if not len(failed):

@@ -234,7 +234,7 @@ def failed_checks(run: Finished) -> list[tuple[str, str, int]]:
     if not run.has_table("align", "gate"):
         return []
     gate = run.table("align", "gate")
-    counts = gate[~gate["passed"]].groupby(["cause", "check"]).size()
+    counts = gate[gate["verdict"] == "failed"].groupby(["cause", "check"]).size()
     rows = [(str(cause), str(check), int(count)) for (cause, check), count in counts.items()]
     return sorted(rows, key=lambda row: (CAUSES.index(row[0]) if row[0] in CAUSES else len(CAUSES), row[1]))
 

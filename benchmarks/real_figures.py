@@ -240,7 +240,7 @@ def ground_truth_figures(run: Finished) -> list[Figure]:
         figures.append(Figure("class A or B", align["quality_A"] + align["quality_B"]))
     if run.has_table("align", "gate"):
         gate = run.table("align", "gate")
-        figures += [Figure("checks", len(gate)), Figure("checks failed", int((~gate["passed"]).sum()))]
+        figures += [Figure("checks", len(gate)), Figure("checks failed", int((gate["verdict"] == "failed").sum()))]
         windows = gate.loc[gate["check"] == "window_position", "value"].max()
         if np.isfinite(windows):
             figures.append(Figure("largest residual to VIO in a window", windows, "m"))

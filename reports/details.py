@@ -163,12 +163,14 @@ def gate(scene: SceneInputs) -> Grid | None:
     """What the gate let through or not, one line a check; None where nothing was checked."""
     rows = []
     for check, of_check in scene.gate.groupby("check", sort=False):
-        failed = of_check[~of_check["passed"]]
-        verdict = "; ".join(dict.fromkeys(failed["reason"])) or "passed"
+        failed, undecided = (of_check[of_check["verdict"] == verdict] for verdict in ("failed", "undecided"))
+        reasons = [*failed["reason"], *("undecided: " + undecided["reason"])]
+        verdict = "; ".join(dict.fromkeys(reasons)) or "passed"
         unit = of_check["unit"].iloc[0]
-        figures = [len(of_check), len(failed), _range(of_check["value"]), _range(of_check["limit"])]
+        limits = of_check["limit"].drop(undecided.index)
+        figures = [len(of_check), len(failed), len(undecided), _range(of_check["value"]), _range(limits)]
         rows.append([check, verdict, unit, *figures])
-    columns = ["check", "verdict", "unit", "checked", "failed", "found", "limit"]
+    columns = ["check", "verdict", "unit", "checked", "failed", "undecided", "found", "limit"]
     caption = "What had to hold before ground truth was given out."
     return _grid(f"gate-{scene.name}", "Gate", caption, columns, rows, 3) if rows else None
 
