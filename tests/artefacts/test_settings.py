@@ -87,7 +87,7 @@ def test_clean_spares_real_captures(tmp_path: Path) -> None:
     real, simulated = tmp_path / "data/captures/real", tmp_path / "data/captures/made"
     for folder in (real, simulated, tmp_path / "data/runs/demo/real", tmp_path / "data/runs/demo/made"):
         folder.mkdir(parents=True)
-    (simulated / "SIMULATED.json").write_text("{}")
+    (simulated / "SIMULATED.json").write_text('{"sessions": {}}')
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     assert artefacts("link-captures", "--scene", "linked", "--folder", str(elsewhere), cwd=tmp_path).returncode == 0
