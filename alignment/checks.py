@@ -23,7 +23,9 @@ OTHER_SCENE = "another scene mixed in"
 BROKEN_OFF = "broken off"
 TOO_FEW = "too few frames registered"
 DISAGREES = "SfM and VIO disagree"
+REFERENCE = "SfM and the reference disagree"
 RULER = "ruler and map disagree"
+DEPTH = "map and depth sensor disagree"
 UNCERTAIN = "uncertain"
 CAUSES = (
     MIRRORED,
@@ -37,7 +39,9 @@ CAUSES = (
     BROKEN_OFF,
     TOO_FEW,
     DISAGREES,
+    REFERENCE,
     RULER,
+    DEPTH,
     UNCERTAIN,
 )
 
@@ -86,6 +90,15 @@ KINDS = {
     "component_vertical": Kind("frames with gravity", "frames", "use a capture format with gravity or phone poses"),
     "map_scale": Kind("standard error of the metric scale", "share", "", "a longer walk, a second session or a ruler"),
     "map_vertical": Kind("standard error of the vertical", "deg", "", "a second session"),
+    "reference_scale": Kind(
+        "standard error of the metric scale by the reference poses",
+        "share",
+        "",
+        "more frames with reference poses, and their unit (reference_is_metric = true in [import] says the metre)",
+    ),
+    "reference_vertical": Kind(
+        "standard error of the vertical by the reference poses", "deg", "", "more frames with reference poses"
+    ),
     "session_focal": Kind(
         "focal length by the images against the captured one",
         "share",
@@ -139,6 +152,25 @@ KINDS = {
         "deg",
         f"capture again with more overlap there, or raise {setting('vio_drift_deg')}",
         "more images there",
+    ),
+    "session_reference": Kind(
+        "frames away from their reference poses",
+        "share",
+        f"correct the data set's poses or intrinsics, {_LEAVE_OUT}, or raise {setting('reference_limit_m')}, "
+        "reference_limit_share or reference_limit_deg",
+    ),
+    "session_depth_scale": Kind(
+        "the depth sensor's depth against the map's",
+        "share",
+        f"measure a length in the scene with a ruler, to tell whether map or sensor is wrong; or raise "
+        f"{setting('depth_scale_limit')}",
+        "more frames with depth, nearer to what they see",
+    ),
+    "session_depth_by_distance": Kind(
+        "the depth sensor's depth against the map's, between near and far points",
+        "share",
+        f"check the captured focal length and lens; or raise {setting('depth_spread_limit')}",
+        "more frames with depth",
     ),
     "session_unsure": Kind(
         "frames that SfM is uncertain of and VIO contradicts",

@@ -4,8 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from alignment.checks import UNCERTAIN, About, Check, check
 from alignment.map_frame import MapScale, Vertical
 from alignment.segments import Segment
+from alignment.settings import AlignSettings
+from geometry.decisions import Status
 from geometry.fits import Sim3, rotation_to_up
 from geometry.poses import Array, heading, inverse, transform
 from geometry.vio_agreement import PoseSd, fit_rigid
@@ -15,9 +18,18 @@ _LEAST_FRAMES = 3
 
 
 @dataclass(frozen=True)
+class Model:
+    """One SfM model's frames in parts of sessions; `pieces` are cut at all VIO jumps."""
+
+    name: str
+    segments: list[Segment]
+    pieces: list[Segment]
+
+
+@dataclass(frozen=True)
 class Component:
     """One SfM model: its frames in parts of sessions (`pieces` are cut at all VIO jumps), its scale and vertical.
-    `vio_scale` is its scale by VIO alone, the same unless a ruler sets the scale."""
+    `vio_scale` is its scale by VIO alone, the same unless a ruler or a reference sets the scale."""
 
     index: int
     model_id: str
@@ -35,6 +47,22 @@ class Component:
     @property
     def frames(self) -> int:
         return sum(int(s.registered.sum()) for s in self.segments)
+
+
+def check_standard_errors(component: Component, settings: AlignSettings) -> list[Check]:
+    """The standard errors of a model's scale and vertical against what they may be: too large a one is not wrong, but
+    leaves it undecided. It says nothing of single frames; the headline and each frame's whole covariance have it."""
+    scale, vertical = component.scale, component.vertical
+    checks = []
+    by = "reference" if scale.reference else "map"
+    for name, sd, limit in (
+        (f"{by}_scale", scale.sd if scale.is_known else np.nan, settings.max_scale_sd),
+        (f"{by}_vertical", float(np.degrees(vertical.sd)), settings.max_vertical_sd_deg),
+    ):
+        status = Status.PASSED if sd <= limit else Status.UNDECIDED
+        about = About(component.frames, component=component.index)
+        checks.append(check(name, sd, None, limit, about, UNCERTAIN, "", status=status))
+    return checks
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from alignment.checks import (
     NO_VERTICAL,
     OTHER_SCENE,
     TOO_FEW,
-    UNCERTAIN,
     About,
     Check,
     check,
@@ -24,9 +23,11 @@ from alignment.checks import (
     setting,
     with_status,
 )
-from alignment.components import BridgeSd, Component, Placed, place_components
+from alignment.components import BridgeSd, Component, Model, Placed, check_standard_errors, place_components
 from alignment.map_frame import common_scale, common_vertical
 from alignment.quality import check_unsure, sfm_covariances
+from alignment.reference import Reference
+from alignment.reference_map import place_on_reference
 from alignment.rulers.measurement import Reading
 from alignment.rulers.verdict import Judged, judge_rulers, scale_by_rulers, unjudged
 from alignment.segments import Segment, cut_segments, frame_components
@@ -43,14 +44,19 @@ from geometry.vio_drift import VioDrift
 NOT_REGISTERED = "SfM didn't register it"
 NOT_COMPARED = "not compared with VIO"
 NOT_METRIC = "the map has no metric scale"
+# What a frame of class A or B is inside of with 95 %: a reference that says otherwise confirms neither.
+_TOLERANCE_M, _TOLERANCE_RAD = 0.25, float(np.radians(2.0))
+NOT_CONFIRMED = "more than 0.25 m or 2 degrees from its reference pose"
+NO_REFERENCE = "no reference pose"
 
 
 @dataclass(frozen=True)
 class Examination:
     """The models that are metric and upright, where each lies in the map, and all checks. Arrays are over the rows of
     the frames table: `registered`, `reason` (why a frame gets no ground truth, empty where it does), `problem` (why one
-    that does is of class C at best), the largest residuals of its windows in metres and radians, NaN in none. `rulers`
-    holds what became of each ruler, `refusal` is why there is no ground truth at all."""
+    that does is of class C at best), the largest residuals of its windows (or those against the reference, where that
+    gives the map) in metres and radians, NaN in none. `rulers` holds what became of each ruler, `refusal` is why there
+    is no ground truth at all."""
 
     components: list[Component]
     placed: list[Placed]
@@ -63,6 +69,7 @@ class Examination:
     worst_rad: np.ndarray
     rulers: list[Judged]
     refusal: UserError | None
+    reference: Reference | None = None
 
     @property
     def used(self) -> np.ndarray:
@@ -88,6 +95,7 @@ class Examination:
             problem=self.problem[wanted],
             worst_m=self.worst_m[wanted],
             worst_rad=self.worst_rad[wanted],
+            reference=None if self.reference is None else self.reference.where(wanted),
         )
 
 
@@ -98,8 +106,9 @@ def examine(
     recordings: dict[str, str],
     settings: AlignSettings,
     readings: Sequence[Reading] = (),
+    reference: Reference | None = None,
 ) -> Examination:
-    """Check SfM's models against VIO and put those that pass into one map.
+    """Check SfM's models against VIO, or a reference where no frame has VIO, and put those that pass into one map.
 
     `frames` and `jumps` are import's tables, `readings` of rulers by SfM's models. Raises UserError where there is
     nothing to compare; why there is no ground truth at all is in `refusal`.
@@ -119,13 +128,18 @@ def examine(
     segments = cut(jump_m=settings.segment_jump_m, jump_deg=settings.segment_jump_deg)
     # Scale and agreement are compared between all jumps, also those that an alignment lives with.
     pieces = cut(jump_m=0.0, jump_deg=0.0)
-    covariance = sfm_covariances(images["covariance"])
+    models = [
+        Model(name, [s for s in segments if s.component == index], [p for p in pieces if p.component == index])
+        for index, name in enumerate(names)
+    ]
     checks, components, windows = _registered_checks(frames, registered, recordings, settings), [], []
+    if reference is not None and reference.gives_map:
+        return _examine_by_reference(frames, models, sfm, settings, readings, reference, checks)
+    covariance = sfm_covariances(images["covariance"])
     rulers: list[Judged] = []
-    for index, name in enumerate(names):
-        own, parts = ([s for s in of if s.component == index] for of in (segments, pieces))
-        measured = [reading for reading in readings if reading.model_id == name]
-        component, results = _component(index, name, own, parts, settings, measured)
+    for index, model in enumerate(models):
+        measured = [reading for reading in readings if reading.model_id == model.name]
+        component, results = _component(index, model, settings, measured)
         checks += results
         if component is None:
             rulers += unjudged(measured)
@@ -163,6 +177,7 @@ def examine(
         worst_rad,
         rulers,
         _refusal(checks, windows, registered, registered & (reason == ""), frames, settings),
+        reference,
     )
 
 
@@ -172,6 +187,40 @@ def _problems(problem: np.ndarray, components: list[Component]) -> np.ndarray:
         for segment in component.segments:
             problem[segment.rows] = NOT_METRIC
     return problem
+
+
+def _examine_by_reference(
+    frames: pd.DataFrame,
+    models: Sequence[Model],
+    sfm: SfmTables,
+    settings: AlignSettings,
+    readings: Sequence[Reading],
+    reference: Reference,
+    registered_checks: list[Check],
+) -> Examination:
+    """The same where the reference gives the map: there are no windows, residuals are those against it."""
+    registered = sfm.images["registered"].to_numpy(bool)
+    placed, results, rulers, worst_m, worst_rad = place_on_reference(models, sfm, settings, readings, reference)
+    components = [p.component for p in placed]
+    checks = [*registered_checks, *results, *(judged.check for judged in rulers)]
+    confirmed = (worst_m <= _TOLERANCE_M) & (worst_rad <= _TOLERANCE_RAD)
+    problem = np.where(np.isfinite(worst_m), np.where(confirmed, "", NOT_CONFIRMED), NO_REFERENCE).astype(object)
+    doubt = doubts(checks, len(frames))
+    reason = refusal_reasons(checks, registered, NOT_REGISTERED)
+    return Examination(
+        components,
+        placed,
+        [],
+        checks,
+        registered,
+        reason,
+        _problems(np.where(doubt == "", problem, doubt), components),
+        worst_m,
+        worst_rad,
+        rulers,
+        _refusal(checks, [], registered, registered & (reason == ""), frames, settings),
+        reference,
+    )
 
 
 def _drift(settings: AlignSettings) -> VioDrift:
@@ -206,16 +255,11 @@ def _registered_checks(
 
 
 def _component(
-    index: int,
-    name: str,
-    segments: list[Segment],
-    pieces: list[Segment],
-    settings: AlignSettings,
-    rulers: Sequence[Reading],
+    index: int, model: Model, settings: AlignSettings, rulers: Sequence[Reading]
 ) -> tuple[Component | None, list[Check]]:
     """A model's scale and vertical, and the checks of them; None where it has no vertical, or no scale and isn't the
     first: no VIO can place it then. The first may keep SfM's unit."""
-    rows = np.concatenate([s.rows[s.registered] for s in segments])
+    rows = np.concatenate([s.rows[s.registered] for s in model.segments])
     about = About(len(rows), component=index)
 
     def refuse(kind: str, cause: str, why: str) -> tuple[None, list[Check]]:
@@ -223,27 +267,18 @@ def _component(
 
     try:
         vio_scale = common_scale(
-            pieces, step_m=settings.step_m, step_sd=settings.step_scale_sd, phone_sd=settings.phone_scale_sd
+            model.pieces, step_m=settings.step_m, step_sd=settings.step_scale_sd, phone_sd=settings.phone_scale_sd
         )
     except GeometryError as error:
         return refuse("component_metric", DISAGREES, f"SfM puts frames in one place that VIO has apart: {error}")
     scale = scale_by_rulers(vio_scale, rulers, settings.ruler_size_limit) or vio_scale
-    vertical = common_vertical(segments, phone_sd=float(np.radians(settings.phone_tilt_sd_deg)))
+    vertical = common_vertical(model.segments, phone_sd=float(np.radians(settings.phone_tilt_sd_deg)))
     if vertical is None:
         return refuse("component_vertical", NO_VERTICAL, "no registered frame has a gravity vector")
     if index and not scale.is_known:
         return refuse("component_metric", BROKEN_OFF, "its part of the model has no scale: VIO hardly moves in it")
-    checks = [_check_sd("map_scale", scale.sd, settings.max_scale_sd, about)]
-    vertical_deg = float(np.degrees(vertical.sd))
-    checks.append(_check_sd("map_vertical", vertical_deg, settings.max_vertical_sd_deg, about))
-    return Component(index, name, segments, pieces, scale, vertical, vio_scale), checks
-
-
-def _check_sd(name: str, sd: float, limit: float, about: About) -> Check:
-    """A standard error against what it may be: too large a one is not wrong, but leaves it undecided. It says nothing
-    of single frames; the headline and each frame's whole covariance have it."""
-    status = Status.PASSED if sd <= limit else Status.UNDECIDED
-    return check(name, sd, None, limit, about, UNCERTAIN, "", status=status)
+    component = Component(index, model.name, model.segments, model.pieces, scale, vertical, vio_scale)
+    return component, check_standard_errors(component, settings)
 
 
 def _place(

@@ -11,6 +11,7 @@ from alignment.components import Placed, bridge_covariance
 from alignment.drift import DriftSamples, drift_table, measure_drift
 from alignment.examination import Examination, examine
 from alignment.quality import judge, sfm_covariances
+from alignment.reference import Reference, agreement_table
 from alignment.rulers.measurement import Reading
 from alignment.sessions import SessionFit, fit_session, residuals_table, sessions_table
 from alignment.settings import AlignSettings
@@ -39,6 +40,7 @@ class Aligned:
     drift: pd.DataFrame
     gate: pd.DataFrame
     residuals: pd.DataFrame
+    reference_agreement: pd.DataFrame
     class_counts: list[str]
     placed: list[Placed]
     map_T_cam: Array
@@ -57,15 +59,16 @@ def align(
     recordings: dict[str, str],
     settings: AlignSettings,
     readings: Sequence[Reading] = (),
+    reference: Reference | None = None,
 ) -> Aligned:
-    """Build the map frame, check the model against VIO, and give out ground truth.
+    """Build the map frame, check the model against VIO or reference poses, and give out ground truth.
 
     `frames` and `jumps` are import's tables; `recordings` names the recording of each session, `readings` what
-    rulers say of SfM's models. Raises UserError where the map can't be built, or where too much of the
-    model fails the gate.
+    rulers say of SfM's models, `reference` the poses that a data set states. Raises UserError where the map can't be
+    built, or where too much of the model fails the gate.
     """
     frames = frames.reset_index(drop=True)
-    found = examine(frames, sfm, jumps, recordings, settings, readings)
+    found = examine(frames, sfm, jumps, recordings, settings, readings, reference)
     if found.refusal:
         raise found.refusal
     return build(frames, sfm.images, found, settings)
@@ -76,11 +79,11 @@ def build(frames: pd.DataFrame, images: pd.DataFrame, found: Examination, settin
     dataset = ~frames["support"].to_numpy(bool)
     found, images, frames = found.where(dataset), images[dataset].reset_index(drop=True), dataset_frames(frames)
     sd = PoseSd(settings.position_sd_m, float(np.radians(settings.rotation_sd_deg)))
-    map_T_cam = np.full((len(frames), 4, 4), np.nan)
+    map_T_cam, component = np.full((len(frames), 4, 4), np.nan), np.full(len(frames), -1)
     sfm_T_cam = poses_of(images, "sfm_cam")
     for placed in found.placed:
         rows = _rows(placed)
-        map_T_cam[rows] = placed.map_S_sfm.poses(sfm_T_cam[rows])
+        map_T_cam[rows], component[rows] = placed.map_S_sfm.poses(sfm_T_cam[rows]), placed.component.index
     # By session, for whoever reads the table; models of one session one after the other.
     order = sorted(
         ((s, p) for p in found.placed for s in p.component.segments),
@@ -97,6 +100,7 @@ def build(frames: pd.DataFrame, images: pd.DataFrame, found: Examination, settin
         _drift(fits),
         gate_table(found.checks),
         residuals_table(fits, frames["frame_id"].to_numpy(str), found.worst_m, np.degrees(found.worst_rad)),
+        agreement_table(frames, map_T_cam, component, found.reference),
         class_counts,
         found.placed,
         map_T_cam,
@@ -129,7 +133,7 @@ def _ground_truth(
     # `own` is what the classes go by: SfM's part, and what a model that VIO ties to the map may be off by in it.
     own, total = np.full((count, 6, 6), np.nan), np.full((count, 6, 6), np.nan)
     component, bridged = np.full(count, -1), np.zeros(count, dtype=bool)
-    scale_source = np.full(count, None, dtype=object)
+    scale_source, vertical_source = np.full(count, None, dtype=object), np.full(count, None, dtype=object)
     sfm_covariance = sfm_covariances(images["covariance"])
     for placed in found.placed:
         rows = _rows(placed)
@@ -138,6 +142,7 @@ def _ground_truth(
             continue
         component[rows] = placed.component.index
         scale_source[rows] = placed.component.scale.source(settings.max_scale_sd)
+        vertical_source[rows] = placed.component.vertical.source
         own[rows] = covariance_in_map(sfm_covariance[rows], placed.map_S_sfm)
         anchor = xyz[rows].mean(axis=0)
         if placed.bridge is not None:
@@ -145,7 +150,7 @@ def _ground_truth(
             own[rows] += bridge_covariance(xyz[rows], placed.bridge)
             anchor = placed.bridge.anchor
         # Where the unit is SfM's, nothing is off in it.
-        scale_sd = placed.component.scale.sd if placed.component.scale.is_known else 0.0
+        scale_sd = placed.component.scale.sd if np.isfinite(placed.component.scale.sd) else 0.0
         shared = SharedSd(scale_sd, placed.component.vertical.sd, camera_sd(frames, settings))
         total[rows] = own[rows] + shared_covariance(map_T_cam[rows], anchor, shared)
     sd_m, sd_rad = largest_sd(own)
@@ -159,6 +164,7 @@ def _ground_truth(
     table["quality"] = np.where(known, [g.quality for g in grades], "none")
     table["reason"] = np.where(known, [g.reason for g in grades], found.reason)
     table["scale_source"] = scale_source
+    table["vertical_source"] = vertical_source
     # Later stages need the cameras that go with these poses, and read no table of SfM.
     table[[*CAMERA_COLUMNS, "camera_origin"]] = images[[*CAMERA_COLUMNS, "camera_origin"]]
     table["gt_uses_vio"] = images["uses_vio"].to_numpy(bool) | bridged

@@ -14,6 +14,10 @@ from geometry.fits import direction_angles, fit_robust, mean_direction
 from geometry.poses import Array
 from geometry.vio_agreement import Scale, recording_scale, robust_mean
 
+# What gave the map its scale or vertical, as align.ground_truth names it; rulers go by their names.
+BY_VIO, BY_GRAVITY, BY_REFERENCE = "vio", "gravity", "reference"
+BY_REFERENCE_UNIT_UNKNOWN, BY_REFERENCE_UP_UNKNOWN = "reference, unit unknown", "reference, up unknown"
+
 # Residuals that nobody minds, where a robust fit stops telling items apart.
 _UP_FLOOR = np.radians(0.2)  # of a frame's vertical against its recording's
 _RECORDING_FLOOR = 4.0  # sigmas, of a recording against the others
@@ -25,25 +29,30 @@ _PARTS = 8
 class MapScale:
     """Metres per SfM unit by all recordings: logarithm, standard error (NaN: not known, the unit stays SfM's), each
     recording's own, and its weight (0 to 1). `rulers` names the rulers that logarithm and standard error are by
-    instead, where there are any."""
+    instead, where there are any; `reference` says that they are by reference poses, BY_REFERENCE or
+    BY_REFERENCE_UNIT_UNKNOWN."""
 
     log: float
     sd: float
     recordings: dict[str, Scale]
     weights: dict[str, float]
     rulers: tuple[str, ...] = ()
+    reference: str = ""
 
     @property
     def is_known(self) -> bool:
         """The map is metric."""
-        return bool(np.isfinite(self.sd))
+        return bool(np.isfinite(self.sd)) and self.reference != BY_REFERENCE_UNIT_UNKNOWN
 
     def source(self, max_sd: float) -> str:
         """What gives it, in the words of the tables; above a standard error of `max_sd` it is called uncertain."""
         if not self.is_known:
-            return "none"
-        by = f"ruler: {', '.join(self.rulers)}" if self.rulers else "vio"
+            return self.reference or "none"
+        by = f"ruler: {', '.join(self.rulers)}" if self.rulers else self.reference or BY_VIO
         return by if self.sd <= max_sd else f"{by}, uncertain"
+
+
+NO_SCALE = MapScale(0.0, float("nan"), {}, {})
 
 
 @dataclass(frozen=True)
@@ -56,11 +65,13 @@ class RecordingVertical:
 
 @dataclass(frozen=True)
 class Vertical:
-    """The map's up (3,) in SfM's axes, sigma of its tilt in radians (per axis), and each recording's own."""
+    """The map's up (3,) in SfM's axes, sigma of its tilt in radians (per axis), and each recording's own. `source`:
+    what gives it, as align.ground_truth names it."""
 
     up_sfm: Array
     sd: float
     recordings: dict[str, RecordingVertical]
+    source: str = BY_GRAVITY
 
 
 def common_scale(segments: list[Segment], *, step_m: float, step_sd: float, phone_sd: float) -> MapScale:
@@ -77,7 +88,7 @@ def common_scale(segments: list[Segment], *, step_m: float, step_sd: float, phon
         if scale is not None:
             found[recording] = scale
     if not found:
-        return MapScale(0.0, float("nan"), {}, {})
+        return NO_SCALE
     logs = np.array([s.log for s in found.values()])
     sds = np.array([np.hypot(s.sd, phone_sd) for s in found.values()])
     mean, robust = robust_mean(logs, sds**-2, sds, _RECORDING_FLOOR)

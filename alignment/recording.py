@@ -15,6 +15,7 @@ from geometry.poses import Array, quaternion_from_matrix, transform
 _QUALITY_COLOURS = {"A": GROUND_TRUTH, "B": (110, 200, 170), "C": NEUTRAL}
 # Sessions in the residuals' two plots; grey, green and orange are taken.
 _SESSION_COLOURS = [(0, 114, 178), (204, 121, 167), (86, 180, 233), (240, 228, 66), (170, 110, 40), (150, 110, 220)]
+_DEPTH_COLOUR = (120, 94, 240)
 # Sessions have clocks of their own; from each one's start their curves lie over each other.
 _TIMELINE = "session_time"
 # Ellipsoids are drawn so many times too large: a centimetre on a walk of 50 m can't be seen.
@@ -25,8 +26,15 @@ _BOUND_95 = 2.7955
 _CAMERA_SHARE, _CAMERA_RANGE_M = 0.04, (0.03, 0.3)
 
 
-def write_recording(r: StageRun[AlignSettings], aligned: Aligned, frames: pd.DataFrame, points: pd.DataFrame) -> None:
-    """Write the stage's recording; `frames` is import's table, `points` SfM's."""
+def write_recording(
+    r: StageRun[AlignSettings],
+    aligned: Aligned,
+    frames: pd.DataFrame,
+    points: pd.DataFrame,
+    depth_clouds: dict[str, Array],
+) -> None:
+    """Write the stage's recording; `frames` is import's table, `points` SfM's, `depth_clouds` points (N, 3) in the map
+    by session."""
     blueprint = rrb.Blueprint(
         rrb.Horizontal(
             rrb.Spatial3DView(origin="map", name="Map: ground truth and VIO"),
@@ -47,6 +55,7 @@ def write_recording(r: StageRun[AlignSettings], aligned: Aligned, frames: pd.Dat
         _log_points(rec, aligned, points)
         _log_frusta(rec, aligned, frames, camera_m)
         _log_ellipsoids(rec, aligned.ground_truth)
+        _log_depth(rec, depth_clouds)
         sessions = sorted({fit.segment.session_id for fit in aligned.fits})
         for fit in aligned.fits:
             colour = _SESSION_COLOURS[sessions.index(fit.segment.session_id) % len(_SESSION_COLOURS)]
@@ -62,6 +71,15 @@ def _log_points(rec: rr.RecordingStream, aligned: Aligned, points: pd.DataFrame)
         xyz = placed.map_S_sfm.points(own[["x", "y", "z"]].to_numpy(float))
         shown = rr.Points3D(xyz, colors=own[["r", "g", "b"]].to_numpy(np.uint8), radii=rr.Radius.ui_points(1.5))
         rec.log(f"map/points/model_{index}", shown, static=True)
+
+
+def _log_depth(rec: rr.RecordingStream, clouds: dict[str, Array]) -> None:
+    """What a depth sensor measured, beside the map's own points."""
+    for session_id, xyz in clouds.items():
+        shown = rr.Points3D(xyz, colors=_DEPTH_COLOUR, radii=rr.Radius.ui_points(1.0))
+        rec.log(f"map/depth/{session_id}", shown, static=True)
+        note = "depth sensor, back-projected from the ground-truth poses for comparison: no points of the map"
+        rec.log(f"map/depth/{session_id}", rr.AnyValues(note=note), static=True)
 
 
 def _log_frusta(rec: rr.RecordingStream, aligned: Aligned, frames: pd.DataFrame, camera_m: float) -> None:

@@ -38,7 +38,7 @@ _OTHERWISE = (DISAGREES, "SfM moves otherwise than VIO in most steps")
 
 
 @dataclass(frozen=True)
-class _Session:
+class Session:
     """A session in a model: its rows of the frames table, and what its checks are about."""
 
     about: About
@@ -56,7 +56,7 @@ def check_sessions(component: Component, sfm: SfmTables, drift: VioDrift, settin
         rows = np.concatenate([s.rows[s.registered] for s in segments])
         if not len(rows):
             continue
-        session = _Session(About(len(rows), session_id, component.index), rows, settings)
+        session = Session(About(len(rows), session_id, component.index), rows, settings)
         diagnosis = diagnose([p.stretch for p in component.pieces if p.session_id == session_id], drift)
         focal = sfm.focal(component.model_id, session_id)
         results = _motion_checks(session, diagnosis, focal, belongs=sfm.belongs(session_id))
@@ -72,10 +72,10 @@ def check_sessions(component: Component, sfm: SfmTables, drift: VioDrift, settin
     return checks
 
 
-def _motion_checks(session: _Session, diagnosis: Diagnosis, focal: Focal | None, *, belongs: bool) -> list[Check]:
+def _motion_checks(session: Session, diagnosis: Diagnosis, focal: Focal | None, *, belongs: bool) -> list[Check]:
     """Checks of a session by itself. `belongs`: pairs of its images, without any model, move as its VIO does, so that
     they do belong to its poses and the model is what is wrong."""
-    checks = [] if focal is None else [_check_focal(session, focal)]
+    checks = [] if focal is None else [check_focal(session, focal)]
     motion = _check_motion(session, diagnosis.motions, belongs=belongs)
     checks.append(motion)
     if motion.status is Status.FAILED and not belongs:
@@ -100,7 +100,7 @@ def _motion_checks(session: _Session, diagnosis: Diagnosis, focal: Focal | None,
     return [*checks, folded]
 
 
-def _check_focal(session: _Session, focal: Focal) -> Check:
+def check_focal(session: Session, focal: Focal) -> Check:
     """What the images say of the captured focal length. Undecided it costs no frame its class: SfM has taken the
     images' focal length, and its standard error is in the frames' covariances."""
     off = focal.scale - 1
@@ -117,7 +117,7 @@ def _check_focal(session: _Session, focal: Focal) -> Check:
     )
 
 
-def _check_motion(session: _Session, motions: MotionAgreement, *, belongs: bool) -> Check:
+def _check_motion(session: Session, motions: MotionAgreement, *, belongs: bool) -> Check:
     """The share of steps that VIO explains; each frame is in about two of them, which hang together."""
     cause, reason = MISTAKES.get("" if belongs else motions.mistake or "", _OTHERWISE)
     # A mirror image that explains clearly more is a fault, however much a walk straight on agrees all the same.
@@ -134,7 +134,7 @@ def _check_motion(session: _Session, motions: MotionAgreement, *, belongs: bool)
     )
 
 
-def _check_turns(session: _Session, gain: float, sd: float, *, is_of_frames: bool) -> Check:
+def _check_turns(session: Session, gain: float, sd: float, *, is_of_frames: bool) -> Check:
     word = "less" if gain < 1 else "more"
     return check(
         "session_turns",
@@ -149,7 +149,7 @@ def _check_turns(session: _Session, gain: float, sd: float, *, is_of_frames: boo
     )
 
 
-def _shared_checks(session: _Session, component: Component, recording: str) -> list[Check]:
+def _shared_checks(session: Session, component: Component, recording: str) -> list[Check]:
     """A session's scale and vertical against the map's; one recording has no other to differ from. Undecided they cost
     no frame its class: they are about what all frames share, and windows hold its poses at the map's scale."""
     checks = []

@@ -78,6 +78,21 @@ class AlignSettings(Settings):
         0.03, gt=0, description="what VIO drifts by there, one sigma: metres over the root of a metre walked"
     )
     bridge_deg_per_sqrt_m: float = Field(0.6, gt=0, description="the same in heading, degrees")
+    reference_limit_m: float = Field(
+        0.1,
+        ge=0,
+        description="gate: a frame may be this far from its reference pose (where that is metric), metres, ...",
+    )
+    reference_limit_share: float = Field(
+        0.01, ge=0, description="... and this share of the extent of the reference's camera positions"
+    )
+    reference_limit_deg: float = Field(3.0, gt=0, description="gate: the same in rotation, degrees")
+    depth_scale_limit: float = Field(
+        0.05, gt=0, description="gate: a depth sensor's median depth may differ from the map's by this share"
+    )
+    depth_spread_limit: float = Field(
+        0.05, gt=0, description="gate: the same share may differ by this between near and far points"
+    )
     least_registered: float = Field(0.5, ge=0, le=1, description="share of frames that SfM must register")
     least_agreeing: float = Field(0.5, ge=0, le=1, description="share of registered frames that must pass the gate")
     common_px: float = Field(

@@ -1,16 +1,21 @@
 """Stage 3: ground truth in a metric, gravity-aligned map, and how VIO drifts from it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 
 from alignment.checks import ANY_SCENE, Check, describe, gate_table
 from alignment.components import Placed
+from alignment.depth import DepthSamples, check_depth, depth_clouds, has_depth, sample_frames
+from alignment.depth import agreement_table as depth_table
 from alignment.drift import ALL
-from alignment.examination import examine
+from alignment.examination import Examination, examine
 from alignment.ground_truth import Aligned, build, camera_sd
-from alignment.map_frame import MapScale
+from alignment.map_frame import BY_REFERENCE_UNIT_UNKNOWN, MapScale
 from alignment.picture import draw_gate
 from alignment.recording import write_recording
+from alignment.reference import Reference, describe_agreement
 from alignment.rulers.measurement import find_rulers, read_rulers
 from alignment.rulers.picture import draw_rulers
 from alignment.rulers.verdict import describe as describe_ruler
@@ -46,8 +51,9 @@ def run(r: StageRun[AlignSettings]) -> None:
     for reading in readings:
         if reading.problem:
             r.say(f"ruler {reading.ruler.name}: undecided: {reading.problem}")
+    reference = Reference.of(frames, r.read("import", "reference"), sessions)
     with r.step("examine"):
-        found = examine(frames, sfm, jumps, recordings, r.settings, readings)
+        found = examine(frames, sfm, jumps, recordings, r.settings, readings, reference)
     with r.step("picture"):
         shown = found.where(~frames["support"].to_numpy(bool))
         draw_gate(r.work / PICTURE, shown, r.scene.name, simulated=r.simulated)
@@ -67,14 +73,40 @@ def run(r: StageRun[AlignSettings]) -> None:
             found=told["found"],
             do=f"look at {r.work / PICTURE}; {str(told['do']).replace(ANY_SCENE, r.scene.name)}",
         )
+    with r.step("depth"):
+        depth, depth_checks = _check_by_depth(r, frames, images, found)
+    found = replace(found, checks=[*found.checks, *depth_checks])
+    r.write("depth_agreement", depth)
     with r.step("align"):
         aligned = build(frames, images, found, r.settings)
     frames = dataset_frames(frames)
-    for table in ("ground_truth", "sessions", "drift", "gate", "residuals"):
+    for table in ("ground_truth", "sessions", "drift", "gate", "residuals", "reference_agreement"):
         r.write(table, getattr(aligned, table))
     _figures(r, frames, aligned, found.checks)
+    clouds = {}
+    if len(depth) and aligned.main.component.scale.is_known:
+        clouds = depth_clouds(frames, aligned.map_T_cam, shown.used, r.image_path)
     with r.step("recording"):
-        write_recording(r, aligned, frames, r.read("sfm", "points"))
+        write_recording(r, aligned, frames, r.read("sfm", "points"), clouds)
+
+
+def _check_by_depth(
+    r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame, found: Examination
+) -> tuple[pd.DataFrame, list[Check]]:
+    """The depth_agreement table, and the checks by it where the map is metric."""
+    if not has_depth(frames):
+        return depth_table(DepthSamples.none(), r.seed), []
+    folders = r.read("sfm", "models").set_index("model_id")["folder"]
+    samples = sample_frames(
+        frames, images, found.used, found.placed, lambda model_id: r.folder("sfm") / folders[model_id], r.image_path
+    )
+    agreement = depth_table(samples, r.seed)
+    if not found.placed[0].component.scale.is_known:
+        return agreement, []
+    checks, lines = check_depth(agreement, r.settings)
+    for line in lines:
+        r.say(line)
+    return agreement, checks
 
 
 def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned, checks: list[Check]) -> None:
@@ -92,6 +124,7 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned,
         "bridged": int(gt["gt_uses_vio"].sum()),
         "metres_per_sfm_unit": main.map_S_sfm.scale,
         "scale_source": scale.source(r.settings.max_scale_sd),
+        "vertical_source": main.component.vertical.source,
         "scale_sd": _or_none(scale.sd),
         "session_scale_spread": _or_none(sessions["scale"].max() - sessions["scale"].min()),
         "vertical_sd_deg": float(np.degrees(main.component.vertical.sd)),
@@ -103,6 +136,9 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned,
         "sim3_rotation_median_deg": _or_none(sessions["sim3_rotation_median_deg"].max()),
         "vio_5m_median_percent": _over_5m(aligned.drift, "median"),
         "vio_5m_max_percent": _over_5m(aligned.drift, "max"),
+        "reference_position_rms_m": _pooled_rms(
+            aligned.reference_agreement["position_rms_m"], aligned.reference_agreement["compared"]
+        ),
         "checks": len(aligned.gate),
         "checks_failed": int((aligned.gate["status"] == Status.FAILED).sum()),
         "checks_undecided": int((aligned.gate["status"] == Status.UNDECIDED).sum()),
@@ -116,6 +152,8 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned,
     for line in aligned.class_counts:
         r.say(f"  {line}")
     r.say(f"map: {_describe_scale(scale, r.settings)}, vertical {_describe_vertical(main, r.settings)}")
+    for line in describe_agreement(aligned.reference_agreement, gt):
+        r.say(line)
     for placed in aligned.placed[1:]:
         if placed.bridge is not None:
             r.say(
@@ -123,22 +161,27 @@ def _figures(r: StageRun[AlignSettings], frames: pd.DataFrame, aligned: Aligned,
                 f"{placed.bridge.gap_m:.1f} m of {placed.bridge.session_id}"
             )
     for fit in aligned.fits:
-        r.say(_describe(fit))
+        if fit.segment.tracked.any():
+            r.say(_describe(fit))
     for line in describe(checks):
         r.say(line.replace(ANY_SCENE, r.scene.name))
 
 
 def _describe_scale(scale: MapScale, settings: AlignSettings) -> str:
+    if scale.reference == BY_REFERENCE_UNIT_UNKNOWN:
+        return f"NO METRIC SCALE: all lengths are in the reference's unit, {np.exp(scale.log):.6g} of it per SfM unit"
     if not scale.is_known:
         return "NO METRIC SCALE, VIO hardly moves: all lengths are in SfM's unit; a longer walk or a ruler gives one"
-    by = scale.source(np.inf) if scale.rulers else f"{len(scale.recordings)} VIO recordings"
+    by = scale.source(np.inf) if scale.rulers or scale.reference else f"{len(scale.recordings)} VIO recordings"
+    if scale.reference:
+        by += " (± of the fit to it; what it is off by itself isn't known)"
     text = f"{np.exp(scale.log):.6g} m per SfM unit ± {100 * scale.sd:.2f} % from {by}"
     return text if scale.sd <= settings.max_scale_sd else f"{text}, UNCERTAIN: above {100 * settings.max_scale_sd:g} %"
 
 
 def _describe_vertical(main: Placed, settings: AlignSettings) -> str:
     sd_deg = float(np.degrees(main.component.vertical.sd))
-    text = f"± {sd_deg:.2f}°"
+    text = f"± {sd_deg:.2f}° from {main.component.vertical.source}"
     return (
         text
         if sd_deg <= settings.max_vertical_sd_deg
@@ -189,7 +232,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=9,
+    version=11,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

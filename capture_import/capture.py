@@ -47,6 +47,24 @@ ImageRef = ImageFile | VideoFrame
 
 
 @dataclass(frozen=True)
+class DepthFile:
+    """A depth image of a frame, and how sure the sensor is of each of its pixels.
+
+    `path` is a 16-bit PNG of one channel: millimetres along the camera's z axis, 0: none. It shows what the frame's
+    image shows, at its own resolution. `confidence` is an 8-bit PNG of the same size: 0, 1, 2 or 0, 127, 255 for low,
+    medium and high.
+    """
+
+    path: Path
+    confidence: Path | None = None
+
+    @classmethod
+    def if_there(cls, path: Path, confidence: Path) -> "DepthFile | None":
+        """The depth image at `path`, with its confidence where that is there; None where there is no depth image."""
+        return cls(path, confidence if confidence.exists() else None) if path.exists() else None
+
+
+@dataclass(frozen=True)
 class Intrinsics:
     """A pinhole camera in pixels, with (0, 0) the outer corner of the first pixel as in COLMAP.
 
@@ -85,6 +103,7 @@ class RawFrame:
     intrinsics: Intrinsics | None = None
     tracking: Tracking = "unknown"
     exposure_s: float | None = None
+    depth: DepthFile | None = None
 
 
 @dataclass(frozen=True)
@@ -102,8 +121,8 @@ class RawSession:
     """One recording, in the order of its log.
 
     `poses_are` says what the poses are: the phone's own odometry, or a reference from elsewhere, as in public data
-    sets, which must never pass for VIO. `gravity_aligned` is False where the world's +y isn't known to be up. `split`
-    is what a public data set says the recording is for.
+    sets, which must never pass for VIO. `gravity_aligned` is False where the world's +y isn't known to be up, `metric`
+    where a reference states no unit. `split` is what a public data set says the recording is for.
     """
 
     session_id: str
@@ -115,5 +134,6 @@ class RawSession:
     rejects: Sequence[Reject] = ()
     poses_are: Literal["vio", "reference"] = "vio"
     gravity_aligned: bool = True
+    metric: bool = True
     split: Literal["train", "test"] | None = None
     notes: Sequence[str] = field(default_factory=tuple)

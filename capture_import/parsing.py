@@ -4,7 +4,7 @@ import json
 import math
 import stat
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -34,6 +34,17 @@ def read_text(path: Path, max_bytes: int) -> str:
         raise BadRow("file isn't UTF-8 text") from None
     except OSError as error:
         raise BadRow(f"file can't be read: {error.strerror}") from None
+
+
+def first_bytes(path: Path, count: int = 1 << 16) -> bytes:
+    """The beginning of a file; nothing where it's no ordinary file or can't be read."""
+    try:
+        if not path.is_file():
+            return b""
+        with path.open("rb") as file:
+            return file.read(count)
+    except OSError:
+        return b""
 
 
 def _refuse_odd_file(path: Path, max_bytes: int) -> None:
@@ -141,26 +152,33 @@ def lines_of(path: Path, limits: Limits, keep: Callable[[str], bool] = bool) -> 
     """
     rows: list[tuple[str, str]] = []
     size = 0
+    for number, line in numbered_lines(path, limits):
+        if not line.strip() or line.startswith("#") or not keep(line):
+            continue
+        rows.append((f"{path.name} line {number}", line))
+        size += sys.getsizeof(line)
+        if len(rows) > limits.max_rows or size > limits.max_parsed_bytes:
+            found = f"more than {limits.max_rows} rows, or {limits.max_parsed_bytes >> 20} MiB of them"
+            raise _unreadable(path, found)
+    return rows
+
+
+def numbered_lines(path: Path, limits: Limits) -> Iterator[tuple[int, str]]:
+    """All lines of a text file, numbered from 1, one in memory at a time. UserError where it can't be read, or where
+    the file or a line is larger than the limits."""
     try:
         _refuse_odd_file(path, limits.max_text_bytes)
         with path.open(encoding="utf-8-sig") as file:
             for number, line in enumerate(iter(lambda: file.readline(_LONGEST_LINE + 1), ""), start=1):
                 if len(line) > _LONGEST_LINE:
                     raise BadRow(f"line {number} is longer than {_LONGEST_LINE} characters")
-                line = line.removesuffix("\n")
-                if not line.strip() or line.startswith("#") or not keep(line):
-                    continue
-                rows.append((f"{path.name} line {number}", line))
-                size += sys.getsizeof(line)
-                if len(rows) > limits.max_rows or size > limits.max_parsed_bytes:
-                    raise BadRow(f"more than {limits.max_rows} rows, or {limits.max_parsed_bytes >> 20} MiB of them")
+                yield number, line.removesuffix("\n")
     except BadRow as error:
         raise _unreadable(path, error) from None
     except UnicodeDecodeError:
         raise _unreadable(path, "file isn't UTF-8 text") from None
     except OSError as error:
         raise _unreadable(path, f"file can't be read: {error.strerror}") from None
-    return rows
 
 
 def json_of(path: Path, limits: Limits) -> dict[str, Any]:

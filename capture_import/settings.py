@@ -47,6 +47,9 @@ class ImportSettings(Settings):
     check_convention: bool = Field(
         True, description="hold poses and intrinsics against matched images, and stop where another convention fits"
     )
+    reference_is_metric: bool = Field(
+        False, description="reference poses whose file states no unit (COLMAP, nerfstudio) are in metres"
+    )
     max_megapixels: float = Field(100.0, gt=0, description="a larger image is refused")
 
     @property

@@ -10,10 +10,11 @@ import pandas as pd
 from artefacts import Stage, StageRun, UserError
 from artefacts.files import write_json
 from artefacts.tables import dataset_frames
-from capture_import.blurring import CascadeDetector
+from capture_import.blurring import CascadeDetector, Detector
 from capture_import.capture import RawFrame, Reject
 from capture_import.clock import NOTICEABLE_S, ClockCheck, check_clock
 from capture_import.convention import SUSPECT, ConventionCheck, check_convention
+from capture_import.depth import place_depths
 from capture_import.discovery import Found, find_recordings
 from capture_import.images import ImageCheck
 from capture_import.intake import Intake, Scan, Session, measures, take_in
@@ -46,8 +47,7 @@ def run(r: StageRun[ImportSettings]) -> None:
         unpacked.mkdir(exist_ok=True)
         found = find_recordings(root, unpacked, r.settings.limits, r.settings.format)
         roots = [root, unpacked.resolve()]
-    intakes = []
-    fits = []
+    intakes, fits = [], []
     for recording in found:
         views = Views(roots, r.settings.limits)
         with r.step("images"):
@@ -70,24 +70,16 @@ def run(r: StageRun[ImportSettings]) -> None:
         for session in sessions:
             selection = used[session.session_id]
             if selection.images:
-                where = Placement(
-                    root=root,
-                    work=r.work,
-                    spooled=_spooled(r, session.recording.session_id),
-                    how=r.settings.images,
-                    quarters=quarters[session.session_id],
-                    to_upright=to_upright[session.session_id],
-                    limits=r.settings.limits,
-                    detect=detect,
-                )
-                places = place_images(selection.images, session.session_id, where)
-                parts.append(frames_table(session, selection, places))
+                turns = (quarters[session.session_id], to_upright[session.session_id])
+                placed, bad = _placed_frames(r, session, selection, turns, detect)
+                parts.append(placed)
+                rejects += bad
         frames = pd.concat(parts, ignore_index=True)
         dataset = dataset_frames(frames)
         split = split_frames(dataset, r.scene.split, r.settings.split_by == "time")
         frames["split"] = nearest_split(frames, dataset.assign(split=split.of_frame))
         frames = frames[frames["split"] != "unused"].reset_index(drop=True)
-        table = sessions_table(sessions, frames)
+        table = sessions_table(sessions, frames, metric=r.settings.reference_is_metric)
         r.write("frames", frames.drop(columns=["recording", "said"]))
         r.write("sessions", table)
         r.write("rejects", rejects_table(rejects))
@@ -106,6 +98,29 @@ def run(r: StageRun[ImportSettings]) -> None:
             left_out = _rejects_of(session, sessions, rejects)
             spooled = _spooled(r, session.recording.session_id)
             log_session(stream, session, by_session[session.session_id], left_out, _image_path(r.work, root), spooled)
+
+
+def _placed_frames(
+    r: StageRun[ImportSettings], session: Session, selection: Selection, turns: tuple[int, int], detect: Detector | None
+) -> tuple[pd.DataFrame, list[Reject]]:
+    """Place a session's kept images and their depth: rows of the frames table, and depth images that can't be used.
+
+    `turns` are the quarter turns that images are turned by, and those that would put gravity down.
+    """
+    quarters, to_upright = turns
+    where = Placement(
+        root=r.captures.resolve(),
+        work=r.work,
+        spooled=_spooled(r, session.recording.session_id),
+        how=r.settings.images,
+        quarters=quarters,
+        to_upright=to_upright,
+        limits=r.settings.limits,
+        detect=detect,
+    )
+    places = place_images(selection.images, session.session_id, where)
+    depths, rejects = place_depths(selection.images, session.session_id, where)
+    return frames_table(session, selection, places, depths), rejects
 
 
 def _rejects_of(session: Session, sessions: Sequence[Session], rejects: Sequence[Reject]) -> list[Reject]:
@@ -290,6 +305,7 @@ def _report(
         "jumps": jumps,
         "jumps_that_split": int(cuts),
         "path_m": float(table["path_m"].sum()),
+        "frames_with_depth": int(frames["depth"].notna().sum()),
         "split": split.how,
         "leak_s": split.leak_s,
     }
@@ -324,7 +340,7 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
 
 STAGE = Stage(
     name="import",
-    version=4,
+    version=6,
     settings=ImportSettings,
     needs=(),
     run=run,

@@ -10,18 +10,21 @@ import pandas as pd
 from artefacts.tables import dataset_frames, pose_frame
 from capture_import.blurring import Kind
 from capture_import.capture import Reject
+from capture_import.depth import PlacedDepth
 from capture_import.health import gravity_of
 from capture_import.intake import Session, path_length
 from capture_import.placing import Placed
 from capture_import.selection import Selection
 
 
-def frames_table(session: Session, used: Selection, places: Sequence[Placed]) -> pd.DataFrame:
+def frames_table(
+    session: Session, used: Selection, places: Sequence[Placed], depths: Sequence[PlacedDepth]
+) -> pd.DataFrame:
     """Rows of `frames`, all but the split; and what the split is made from: the recording's name in `recording`, and
     what a public data set says it's for in `said`."""
     raw = session.recording
     rows = []
-    for image, support, place in zip(used.images, used.support, places, strict=True):
+    for image, support, place, depth in zip(used.images, used.support, places, depths, strict=True):
         camera = image.frame.intrinsics
         assert camera is not None  # health rejects images without
         exposure = image.frame.exposure_s
@@ -46,6 +49,8 @@ def frames_table(session: Session, used: Selection, places: Sequence[Placed]) ->
                 "sharpness": image.check.sharpness,
                 "exposure_s": math.nan if exposure is None else exposure,
                 "support": bool(support),
+                "depth": depth.entry,
+                "depth_confidence": depth.confidence,
             }
         )
     blurred = {
@@ -77,8 +82,9 @@ def reference_table(session: Session, frames: pd.DataFrame) -> pd.DataFrame:
     return pd.concat([keys, pose_frame("map_cam", poses)], axis=1)
 
 
-def sessions_table(sessions: Sequence[Session], frames: pd.DataFrame) -> pd.DataFrame:
-    """One row a session; `frames` is the frames table with its splits."""
+def sessions_table(sessions: Sequence[Session], frames: pd.DataFrame, *, metric: bool) -> pd.DataFrame:
+    """One row a session; `frames` is the frames table with its splits. `metric`: the user says that references without
+    a unit are in metres."""
     rows = []
     for session in sessions:
         used = frames[frames["session_id"] == session.session_id]
@@ -98,6 +104,11 @@ def sessions_table(sessions: Sequence[Session], frames: pd.DataFrame) -> pd.Data
                 "frames": len(dataset),
                 "support_frames": len(used) - len(dataset),
                 "split": _session_split(set(dataset["split"])),
+                "poses_are": session.recording.poses_are,
+                "reference_unit": None
+                if session.recording.poses_are == "vio"
+                else ("m" if metric or session.recording.metric else "unknown"),
+                "up": "+y" if session.recording.gravity_aligned else "unknown",
             }
         )
     return pd.DataFrame(rows)

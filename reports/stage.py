@@ -111,7 +111,7 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
 
 STAGE = Stage(
     name="report",
-    version=3,
+    version=4,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import", "sfm", "align", "train", "fuse"),

@@ -125,7 +125,7 @@ def write_export(
                     "left_out": len(dataset.left_out),
                     "by_split": dataset.frames["split"].value_counts().sort_index().to_dict(),
                     "by_quality": dataset.frames["quality"].value_counts().sort_index().to_dict(),
-                    "map": "metres, +y up before any turn that the format asks for",
+                    "map": f"{dataset.world} before any turn that the format asks for",
                 },
             )
         return dataset.undistorted

@@ -22,6 +22,8 @@ from geometry.poses import Array
 Images = Literal["link", "copy", "none"]
 
 JPEG_QUALITY = 95
+# An estimated lens is never none to the bit.
+_NO_LENS_PX = 0.1
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,14 @@ class Dataset:
     simulated: bool
 
     @property
+    def world(self) -> str:
+        """Unit and axes of the map, in words."""
+        scale, vertical = (str(self.frames[f"{of}_source"].iloc[0]) for of in ("scale", "vertical"))
+        unit = "a reference's unit, which isn't known" if "unknown" in scale else "metres"
+        axes = "a reference's axes, up not known" if "unknown" in vertical else "+y up"
+        return f"{unit}, {axes}"
+
+    @property
     def in_test(self) -> np.ndarray:
         """(N,) for formats that know training and test alone: validation frames are part of the training walks."""
         return (self.frames["split"] == "test").to_numpy()
@@ -106,11 +116,15 @@ class Dataset:
         """The dataset for a format that holds `beyond` coefficients of distortion.
 
         Frames that have more become those of a pinhole of the same image size (`pinhole_within`), images and cameras
-        alike; their poses stay. UserError where a frame's camera leaves no such pinhole.
+        alike; their poses stay. A lens that moves no corner of its image by 0.1 px is none. UserError where a frame's
+        camera leaves no such pinhole.
         """
         images, cameras = list(self.images), [camera_of(frame) for frame in self.frames.itertuples(index=False)]
         for row, camera in enumerate(cameras):
             if len(np.trim_zeros(camera.distortion, "b")) <= beyond:
+                continue
+            if _lens_shift_px(camera) <= _NO_LENS_PX:
+                cameras[row] = replace(camera, distortion=())
                 continue
             try:
                 cameras[row] = pinhole_within(camera)
@@ -151,7 +165,9 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
     ground_truth = read_table(folders["align"] / "ground_truth.parquet", schema("align", "ground_truth"))
     images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
     frames = dataset_frames(read_table(folders["import"] / "frames.parquet", schema("import", "frames"))).merge(
-        ground_truth[["frame_id", "quality", "reason", "component"]], on="frame_id", validate="one_to_one"
+        ground_truth[["frame_id", "quality", "reason", "component", "scale_source", "vertical_source"]],
+        on="frame_id",
+        validate="one_to_one",
     )
     frames = with_cameras(frames, ground_truth)
     known = (frames["quality"] != "none").to_numpy()
@@ -179,6 +195,13 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
         ],
         bool(manifests["align"]["simulated"]),
     )
+
+
+def _lens_shift_px(camera: Camera) -> float:
+    """How far a camera's lens moves the corners of its image, at most."""
+    corners = np.array([[x, y] for x in (0, camera.width) for y in (0, camera.height)], dtype=float)
+    ideal = replace(camera, distortion=()).unproject(corners)
+    return float(np.linalg.norm(camera.project(ideal) - corners, axis=1).max())
 
 
 def number(value: float) -> str:

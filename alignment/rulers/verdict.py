@@ -93,9 +93,9 @@ def describe(judged: Judged) -> str:
     text = (
         f"ruler {name}: {len(fit.frames)} frames, {_corner_count(judged, judged.part)} corners"
         f"{' held out' if judged.part == 'held out' else ''}, views {np.degrees(fit.angle):.0f}° apart, "
-        f"{_by_vio(reading, vio)}"
+        f"{_by_vio(reading, scale, vio)}"
     )
-    if scale.rulers:
+    if scale.rulers or scale.reference:
         text += f"; map's scale {100 * np.expm1(scale.log - reading.log_metres(judged.part)):+.2f} %"
     text += f"; corners {fit.reprojection_px:.2f} px RMS"
     if not isinstance(reading.ruler, DistanceRuler):
@@ -107,10 +107,11 @@ def describe(judged: Judged) -> str:
     return "; ".join(filter(None, [f"{text}: {judged.check.status}", judged.check.reason, *reading.notes]))
 
 
-def _by_vio(reading: Reading, vio: MapScale | None) -> str:
+def _by_vio(reading: Reading, scale: MapScale, vio: MapScale | None) -> str:
     ruler_percent = 100 * _SIGMAS * reading.sd()
     if vio is None or not vio.is_known:
-        return f"95 % bounds ± {ruler_percent:.2f} %; VIO moves too little to give a scale"
+        why = "the map's scale is the reference's" if scale.reference else "VIO moves too little to give a scale"
+        return f"95 % bounds ± {ruler_percent:.2f} %; {why}"
     error_percent = 100 * np.expm1(vio.log - reading.log_metres())
     return (
         f"VIO's scale {error_percent:+.2f} % (95 % bounds: VIO's ± {100 * _SIGMAS * vio.sd:.2f} %, the ruler's "
@@ -127,7 +128,11 @@ def _judge(
     if not why and name in scale.rulers and part == "all":
         why = "it sets the scale, and no corners are left to judge it by"
     if not why and not scale.is_known:
-        why = "the map has no metric scale"
+        why = (
+            "the map is in the reference's unit, which isn't known"
+            if scale.reference
+            else "the map has no metric scale"
+        )
     if why:
         return Judged(reading, component, scale, vio, _undecided(reading, component, why))
     # Corners held out share their board's stated size with those that set the scale.
@@ -184,7 +189,7 @@ def _measured(whose: str, scale: MapScale, reading: Reading, part: str = "all") 
 
 
 def _size_fault(scale: MapScale, reading: Reading, part: str, error: float, sd: float) -> str:
-    by = "VIO" if not scale.rulers else f"ruler {', '.join(scale.rulers)}"
+    by = f"ruler {', '.join(scale.rulers)}" if scale.rulers else "the reference" if scale.reference else "VIO"
     what = _measured("its", scale, reading, part)
     return f"in the map scaled by {by} {what} ({error:+.1%} ± {sd:.1%})"
 

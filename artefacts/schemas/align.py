@@ -44,8 +44,16 @@ TABLES = [
             Column(
                 "scale_source",
                 "string",
-                "what its metric scale is by: vio, or ruler: names; with ', uncertain' where its standard error "
-                "is above max_scale_sd; none: all lengths are in SfM's unit; null without ground truth",
+                "what its metric scale is by: vio, ruler: names, or reference (import.reference, in metres); with "
+                "', uncertain' where its standard error is above max_scale_sd; none: all lengths are in SfM's unit; "
+                "reference, unit unknown: all lengths are in the reference's unit; null without ground truth",
+                nullable=True,
+            ),
+            Column(
+                "vertical_source",
+                "string",
+                "what gave the map its +y: gravity; reference (whose +y is up); or reference, up unknown: the map has "
+                "the reference's axes; null without ground truth",
                 nullable=True,
             ),
             Column("fx", "float64", "focal length, x, that goes with the pose; as calibrated where SfM has none", "px"),
@@ -179,6 +187,59 @@ TABLES = [
             Column("reason", "string", "why, where it failed or is undecided; what else is to be known"),
         ],
         version="2.0",
+    ),
+    TableSchema(
+        "align",
+        "reference_agreement",
+        "How the poses of SfM in the map agree with the poses that a data set states (import.reference), one row a "
+        "session and SfM model; no rows for phone captures.",
+        [
+            _SESSION,
+            _COMPONENT,
+            Column("frames", "int64", "frames of the session"),
+            Column("compared", "int64", "of these, in this model and with a reference pose"),
+            Column(
+                "fit",
+                "string",
+                "what was fitted before: sim3 of the model (the reference gives the map), or the session's reference "
+                "to the map: se3, sim3 where its unit is unknown, none where it can't be",
+            ),
+            Column("unit", "string", "unit of the positions: m, or unknown (the reference's)"),
+            Column("position_rms_m", "float64", "distance between the positions", "m", "map", True),
+            Column("position_median_m", "float64", "distance between the positions", "m", "map", True),
+            Column("position_max_m", "float64", "distance between the positions", "m", "map", True),
+            Column("rotation_median_deg", "float64", "angle between the rotations", "deg", "map", True),
+            Column("rotation_max_deg", "float64", "angle between the rotations", "deg", "map", True),
+            Column("scale", "float64", "reference's unit per metre of the map, by a fit of these frames", "", "", True),
+            Column("scale_sd", "float64", "one sigma of scale, frames taken as independent", "", "", True),
+        ],
+    ),
+    TableSchema(
+        "align",
+        "depth_agreement",
+        "How a phone's depth sensor agrees with the map, at the points of SfM that its frames with ground truth see: "
+        "one row a session, SfM model, distance and confidence; no rows without depth. Depth gives nothing to the map.",
+        [
+            _SESSION,
+            _COMPONENT,
+            Column("near_m", "float64", "depth by the map, from", "m"),
+            Column("far_m", "float64", "depth by the map, below; null: no limit", "m", "", True),
+            Column(
+                "confidence", "int64", "the sensor's: 0 low, 1 medium, 2 high; null: all, or not known", "", "", True
+            ),
+            Column("frames", "int64", "frames that the samples are from"),
+            Column("samples", "int64", "points of SfM, each as often as a frame sees it, away from edges of depth"),
+            Column("median_ratio", "float64", "median of the sensor's depth over the map's"),
+            Column("mad", "float64", "median absolute deviation of that ratio from its median"),
+            Column(
+                "median_ratio_se",
+                "float64",
+                "standard error of the median, drawing whole frames; null for one frame",
+                "",
+                "",
+                True,
+            ),
+        ],
     ),
     TableSchema(
         "align",

@@ -41,8 +41,22 @@ TABLES = [
             Column("support", "bool", "support frame: used by SfM and the checks of its model, not in the dataset"),
             Column("blurred_faces", "int64", "regions blurred as faces; null: none were looked for", nullable=True),
             Column("blurred_plates", "int64", "regions blurred as plates; null: none were looked for", nullable=True),
+            Column(
+                "depth",
+                "string",
+                "depth image that shows what the image shows: path as in `image`; PNG of 16 bits, mm along the "
+                "camera's z axis, 0: none. Null where there is none",
+                nullable=True,
+            ),
+            Column(
+                "depth_confidence",
+                "string",
+                "how sure the sensor is of the depth: path as in `image`; PNG of 8 bits, 0, 1, 2 or 0, 127, 255 for "
+                "low, medium, high. Null where there is none",
+                nullable=True,
+            ),
         ],
-        version="2.0",
+        version="2.1",
     ),
     TableSchema(
         "import",
@@ -61,8 +75,16 @@ TABLES = [
             Column("frames", "int64", "images kept by sampling: frames of the dataset"),
             Column("support_frames", "int64", "images added for SfM alone"),
             Column("split", "string", "train (with val inside), test, mixed, or unused"),
+            Column("poses_are", "string", "vio: the phone's odometry; reference: table `reference`", nullable=True),
+            Column(
+                "reference_unit",
+                "string",
+                "unit of the reference poses: m, or unknown where their file states none; null for VIO",
+                nullable=True,
+            ),
+            Column("up", "string", "up in the world of the poses: +y or unknown", nullable=True),
         ],
-        version="2.0",
+        version="2.1",
     ),
     TableSchema(
         "import",

@@ -27,6 +27,8 @@ _MODULES = (
     "arkit_scenes",
     "seven_scenes",
     "cambridge",
+    "colmap",
+    "nerfstudio",
 )
 
 

@@ -6,14 +6,16 @@ Documented at https://github.com/apple/ARKitScenes (DATA.md). What matters:
 - `lowres_wide.traj`, 10 rows a second: time, axis-angle rotation in radians and translation of the world-to-camera
   transform, with OpenCV's camera axes in a world whose +z is up;
 - `.pincam`: width, height, fx, fy, cx, cy;
-- the trajectory was refined with a laser scan: it's a reference, not the device's own odometry.
+- the trajectory was refined with a laser scan: it's a reference, not the device's own odometry;
+- `lowres_depth/<video>_<seconds>.png`: 16 bits, millimetres, 256x192, and `confidence/`: 0 to 2, of the frames whose
+  images have the same name.
 """
 
 from pathlib import Path
 
 from scipy.spatial.transform import Rotation
 
-from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from capture_import.formats import Format
 from capture_import.joining import join_by_time
 from capture_import.parsing import (
@@ -80,13 +82,14 @@ def _read_image(source: str, files: tuple[Path, Path]) -> RawFrame:
         vio_T_cam=None,
         image=ImageFile(image),
         intrinsics=Intrinsics.of(values[2:], width=int(values[0]), height=int(values[1])),
+        depth=DepthFile.if_there(*(image.parents[1] / kind / image.name for kind in ("lowres_depth", "confidence"))),
     )
 
 
 FORMAT = Format(
     name="arkit_scenes",
     title="ARKitScenes raw",
-    gives="images, reference poses",
+    gives="images, reference poses, depth",
     looks_for="lowres_wide.traj with wide/, vga_wide/ or lowres_wide/",
     documentation="https://github.com/apple/ARKitScenes/blob/main/DATA.md",
     detect=detect,

@@ -5,11 +5,13 @@ Documented at https://www.repository.cam.ac.uk/handle/1810/251342 (readme). What
 - a row is an image's path, the camera's position in metres, and a quaternion w, x, y, z of the world-to-camera
   rotation, with OpenCV's camera axes; poses come from SfM: a reference, not VIO, and nothing says where up is;
 - `reconstruction.nvm` (VisualSFM) has each image's focal length; the centre is in the middle of the image;
+- `frames.csv`, which our own exports write beside, has each image's whole intrinsics and goes before both;
 - frames have no time; the videos were sampled twice a second.
 
 A folder of images (`seq1`) is one recording; it's wholly for training or for testing.
 """
 
+import csv
 import re
 from pathlib import Path
 from typing import Literal
@@ -24,14 +26,17 @@ from capture_import.parsing import (
     BadRow,
     collect,
     lines_of,
+    number,
     quaternion_pose,
     refuse_unreadable,
     seconds_to_ns,
     split_numbers,
+    whole,
 )
 from geometry.poses import make_pose
 
 _FRAMES_A_SECOND = 2.0
+_CAMERA = ("width", "height", "fx", "fy", "cx", "cy")
 _LISTS: dict[str, Literal["train", "test"]] = {"dataset_train.txt": "train", "dataset_test.txt": "test"}
 
 
@@ -55,6 +60,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             rows += own
             splits |= {split} if own else set()
     focal = _focal_lengths(path.parent / "reconstruction.nvm", path.name, limits)
+    cameras = _intrinsics(path.parent / "frames.csv", path.name, limits)
 
     def read_row(source: str, line: str) -> RawFrame:
         name, _, numbers = line.strip().partition(" ")
@@ -75,7 +81,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             t_ns=seconds_to_ns(int(index[1]) / _FRAMES_A_SECOND),
             vio_T_cam=make_pose(cam_R_world.T, values[:3]),
             image=ImageFile(image),
-            intrinsics=Intrinsics(f, f, width / 2, height / 2, width, height),
+            intrinsics=cameras.get(name) or Intrinsics(f, f, width / 2, height / 2, width, height),
         )
 
     frames, rejects = collect(rows, session_id, read_row)
@@ -107,6 +113,34 @@ def _focal_lengths(file: Path, folder: str, limits: Limits) -> dict[str, float]:
         if len(fields) == 11 and fields[0].startswith(f"{folder}/"):
             value = float(fields[1]) if re.fullmatch(r"[0-9.]+(e[+-]?\d+)?", fields[1]) else np.nan
             found[Path(fields[0]).stem] = value
+    return found
+
+
+def _intrinsics(file: Path, folder: str, limits: Limits) -> dict[str, Intrinsics]:
+    """Whole intrinsics by the image's path, of one folder, where our export has written them; none where it's another
+    file."""
+    if not file.is_file():
+        return {}
+    lines = lines_of(file, limits, lambda line: line.startswith("frame_id,") or f"{folder}/" in line)
+    rows = csv.DictReader(line for _, line in lines)
+    if not {"image", *_CAMERA, "distortion"} <= set(rows.fieldnames or ()):
+        return {}
+    found = {}
+    try:
+        for row in rows:
+            if not row["image"]:
+                continue
+            fx, fy, cx, cy = (number(row, name) for name in _CAMERA[2:])
+            lens = tuple(split_numbers(row["distortion"] or ""))
+            found[row["image"]] = Intrinsics(fx, fy, cx, cy, whole(row, "width"), whole(row, "height"), lens)
+    except (BadRow, csv.Error) as error:
+        raise UserError(
+            "an export's cameras can't be read",
+            where=file,
+            expected=f"{', '.join(_CAMERA)} of each image",
+            found=error,
+            do="export the scene again",
+        ) from None
     return found
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from artefacts import UserError
-from capture_import.capture import Clock, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Tracking
+from capture_import.capture import Clock, DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Tracking
 from capture_import.formats import Format
 from capture_import.parsing import (
     BadRow,
@@ -59,6 +59,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             intrinsics=_intrinsics(row) if row.get("image") is not None else None,
             tracking=tracking,
             exposure_s=optional_number(row, "exposure_s"),
+            depth=_depth(path, row) if row.get("depth") is not None else None,
         )
 
     rows = [(source, (i, line)) for i, (source, line) in enumerate(lines[1:])]
@@ -89,6 +90,11 @@ def _header(path: Path, line: str) -> dict[str, Any]:
     return {"device": device, "clock": clock}
 
 
+def _depth(path: Path, row: dict[str, Any]) -> DepthFile:
+    confidence = row.get("depth_confidence")
+    return DepthFile(inside(path, row["depth"]), None if confidence is None else inside(path, confidence))
+
+
 def _intrinsics(row: dict[str, Any]) -> Intrinsics:
     distortion = row.get("distortion", [])
     if not isinstance(distortion, list):
@@ -101,7 +107,7 @@ def _intrinsics(row: dict[str, Any]) -> Intrinsics:
 FORMAT = Format(
     name="frames_jsonl",
     title="frames.jsonl (our own)",
-    gives="images, VIO",
+    gives="images, VIO, depth",
     looks_for="frames.jsonl",
     documentation="docs/captures.md",
     detect=detect,

@@ -5,9 +5,10 @@ matters:
 
 - each frame has `timestamp` (seconds since the phone was started), `transform_matrix` (4x4 in rows, ARKit's camera to
   world, which is what NeRF tools call OpenGL axes), fl_x, fl_y, cx, cy, w, h of its own;
-- `file_path` has no suffix; the frames aren't always in the order of time, as they're written in parallel.
+- `file_path` has no suffix; the frames aren't always in the order of time, as they're written in parallel;
+- `depth_path` isn't read: versions differ in what they write there, and none is documented.
 
-Other transforms.json, whose poses come from SfM and have no time, aren't phone captures and are refused.
+A transforms.json without times has poses from SfM: that's the format `nerfstudio`.
 """
 
 from pathlib import Path
@@ -20,6 +21,7 @@ from capture_import.joining import join_by_time
 from capture_import.parsing import (
     BadRow,
     collect,
+    first_bytes,
     from_arkit,
     inside,
     json_of,
@@ -31,10 +33,12 @@ from capture_import.parsing import (
     whole,
 )
 
+_TIME = b'"timestamp"'
+
 
 def detect(path: Path) -> bool:
-    """A folder with transforms.json and images."""
-    return (path / "transforms.json").is_file() and (path / "images").is_dir()
+    """A folder with images and a transforms.json that has a time in its first bytes."""
+    return (path / "images").is_dir() and _TIME in first_bytes(path / "transforms.json")
 
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
@@ -46,7 +50,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             where=path,
             expected="frames with a timestamp each",
             found="no timestamps" if rows else "no frames",
-            do="poses from SfM aren't VIO; import the phone's own recording",
+            do="poses from SfM aren't VIO: import the phone's own recording, or set import.format to nerfstudio",
         )
 
     def read_row(source: str, row: Any) -> RawFrame:
@@ -77,7 +81,7 @@ FORMAT = Format(
     name="nerf_capture",
     title="NeRFCapture",
     gives="images, VIO",
-    looks_for="transforms.json and images/",
+    looks_for="transforms.json with times, and images/",
     documentation="https://github.com/jc211/NeRFCapture",
     detect=detect,
     read=read,

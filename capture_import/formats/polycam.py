@@ -5,12 +5,14 @@ Documented at https://github.com/PolyCam/polyform (README, "Polycam's data forma
 - a file's name is its time in microseconds;
 - `t_00` .. `t_23`: 3x4, row-major, ARKit's camera to world (y up, z backward);
 - `cameras` are the phone's poses; `corrected_cameras` are optimised afterwards and are no odometry: they aren't read;
-- `images` are as the camera took them, with the little distortion that is left in a phone's images.
+- `images` are as the camera took them, with the little distortion that is left in a phone's images;
+- `depth/<t>.png`: 16 bits, millimetres, of a lower resolution than the image; beyond 5 m it's a guess;
+  `confidence/<t>.png`: 0 (low), 127 (medium) or 255 (high).
 """
 
 from pathlib import Path
 
-from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
 from capture_import.formats import Format
 from capture_import.parsing import (
     BadRow,
@@ -63,13 +65,16 @@ def _read_row(source: str, row: tuple[int, Path, Path]) -> RawFrame:
             width=whole(camera, "width"),
             height=whole(camera, "height"),
         ),
+        depth=DepthFile.if_there(
+            *(file.parents[1] / kind / f"{file.stem}.png" for kind in ("depth", "confidence")),
+        ),
     )
 
 
 FORMAT = Format(
     name="polycam",
     title="Polycam raw",
-    gives="images, VIO",
+    gives="images, VIO, depth",
     looks_for="keyframes/cameras and keyframes/images",
     documentation="https://github.com/PolyCam/polyform",
     detect=detect,

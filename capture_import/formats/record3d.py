@@ -6,7 +6,9 @@ https://github.com/marek-simonik/record3d. What matters:
 - `poses`: one row a frame, qx qy qz qw tx ty tz, ARKit's camera to world (y up, z backward);
 - `K`: 9 numbers, column-major; `perFrameIntrinsicCoeffs`, where there is one, fx fy cx cy a frame, for `w` x `h`;
 - time is `frameTimestamps` in seconds where there is one, else the frame's number over `fps`;
-- images and poses belong together by number; exports are known where one has a few more than the other.
+- images and poses belong together by number; exports are known where one has a few more than the other;
+- `rgbd/<n>.depth` and `.conf` aren't read: they are compressed by LZFSE (float32, metres; 0 to 2), for which Python has
+  no decoder of its own.
 """
 
 from pathlib import Path

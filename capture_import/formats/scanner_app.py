@@ -7,7 +7,9 @@ Documented by the app's maker at https://3dscannerapp.com (export "All Data") an
 - `intrinsics`: 9 numbers, row-major, for the full image and different in each frame, as autofocus moves;
 - `projectionMatrix`: OpenGL's, row-major; with the intrinsics it gives the image size that both are for;
 - `time`: seconds since the phone was started; `exposureDuration`: seconds;
-- poses without a JPEG are sound poses of the odometry between the images.
+- poses without a JPEG are sound poses of the odometry between the images;
+- `depth_XXXXX.png`, on phones with LiDAR: 16 bits, millimetres, 256x192 for the whole image; `conf_XXXXX.png`:
+  ARKit's confidence, 0 (low) to 2 (high). Both by the files of version 1.9.5; its maker documents neither.
 
 Latitude and longitude may be in `info.json` and the frames; they're never read.
 """
@@ -15,7 +17,7 @@ Latitude and longitude may be in `info.json` and the frames; they're never read.
 import re
 from pathlib import Path
 
-from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
 from capture_import.formats import Format
 from capture_import.parsing import (
     BadRow,
@@ -62,7 +64,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
 def _read_frame(source: str, row_file: tuple[Path, int]) -> RawFrame:
     path, index = row_file
     row = parse_json(read_text(path, _MAX_FRAME_BYTES))
-    image = path.with_suffix(".jpg")
+    image, digits = path.with_suffix(".jpg"), path.stem.removeprefix("frame_")
     return RawFrame(
         number=index,
         source=source,
@@ -71,6 +73,7 @@ def _read_frame(source: str, row_file: tuple[Path, int]) -> RawFrame:
         image=ImageFile(image) if image.exists() else None,
         intrinsics=_intrinsics(row),
         exposure_s=optional_number(row, "exposureDuration"),
+        depth=DepthFile.if_there(path.with_name(f"depth_{digits}.png"), path.with_name(f"conf_{digits}.png")),
     )
 
 
@@ -100,7 +103,7 @@ def _device(path: Path) -> str:
 FORMAT = Format(
     name="3d_scanner_app",
     title="3D Scanner App",
-    gives="images, VIO",
+    gives="images, VIO, depth",
     looks_for="frame_XXXXX.json with frame_XXXXX.jpg for some of them",
     documentation="https://3dscannerapp.com",
     detect=detect,

@@ -5,7 +5,9 @@ Documented at https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-s
 - a pose is a 4x4 matrix, camera to world, with OpenCV's camera axes; it comes from KinectFusion: a reference, not VIO,
   and nothing says where up is;
 - frames have no time; the camera took 30 a second;
-- the colour camera wasn't calibrated; its nominal focal length is 525 px with the centre in the middle;
+- the colour camera wasn't calibrated; its nominal focal length is 525 px with the centre in the middle; where
+  `frame-000000.intrinsics.txt` lies beside (a 3x3 matrix; our own export writes it), that is used;
+- `frame-000000.depth.png` is the depth camera's, some centimetres beside the colour camera: it isn't read;
 - `TrainSplit.txt` and `TestSplit.txt` beside the sequences say which is for what.
 """
 
@@ -41,6 +43,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     rows = [(found[index].name, (index, found[index])) for index in sorted(found)]
     frames, rejects = collect(rows, session_id, _read_row)
     refuse_unreadable(path, frames, rejects, "frame-000000.pose.txt with 16 numbers")
+    nominal = any(frame.intrinsics is _CAMERA for frame in frames)
     return RawSession(
         session_id,
         FORMAT.name,
@@ -52,7 +55,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         poses_are="reference",
         gravity_aligned=False,
         split=_split(path),
-        notes=["nominal intrinsics: the colour camera wasn't calibrated"],
+        notes=["nominal intrinsics: the colour camera wasn't calibrated"] if nominal else [],
     )
 
 
@@ -68,8 +71,17 @@ def _read_row(source: str, row: tuple[int, Path]) -> RawFrame:
         t_ns=seconds_to_ns(index / _FRAMES_A_SECOND),
         vio_T_cam=row_major_pose(values),
         image=ImageFile(image) if image.exists() else None,
-        intrinsics=_CAMERA,
+        intrinsics=_camera(file.with_name(f"frame-{index:06d}.intrinsics.txt")),
     )
+
+
+def _camera(file: Path) -> Intrinsics:
+    if not file.exists():
+        return _CAMERA
+    matrix = split_numbers(read_text(file, 1 << 16))
+    if len(matrix) != 9:
+        raise BadRow(f"{file.name} has {len(matrix)} numbers, not 9")
+    return Intrinsics(matrix[0], matrix[4], matrix[2], matrix[5])
 
 
 def _split(path: Path) -> Literal["train", "test"] | None:

@@ -5,7 +5,9 @@ Documented at https://github.com/StrayRobots/scanner/blob/main/docs/format.md. W
 - `odometry.csv` has a header; `timestamp` in seconds since the phone was started, position in metres, quaternion xyzw;
 - camera axes are OpenCV's already (the app turns ARKit's by half a turn about x), the world is ARKit's;
 - video and rows belong together by number; the video's own clock starts a frame early, so it only checks the join;
-- the older generation has one `camera_matrix.csv`, which is the last frame's; the newer logs fx, fy, cx, cy a row.
+- the older generation has one `camera_matrix.csv`, which is the last frame's; the newer logs fx, fy, cx, cy a row;
+- `depth/XXXXXX.png`: 16 bits, millimetres, 256x192; `confidence/XXXXXX.png`: 0, 1 or 2, higher is surer; both by the
+  frame's number. The first generation's depth, `.npy` files, isn't read.
 """
 
 import csv
@@ -15,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from artefacts import UserError
-from capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
+from capture_import.capture import DepthFile, Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from capture_import.formats import Format
 from capture_import.parsing import (
     BadRow,
@@ -62,6 +64,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             vio_T_cam=quaternion_pose([number(row, a) for a in "xyz"], [number(row, f"q{a}") for a in "xyzw"]),
             image=VideoFrame(video, index),
             intrinsics=shared or Intrinsics.of(number(row, name) for name in _PER_FRAME),
+            depth=DepthFile.if_there(*(path / kind / f"{index:06d}.png" for kind in ("depth", "confidence"))),
         )
 
     frames, rejects = collect(rows, session_id, read_row)
@@ -105,7 +108,7 @@ def _check_join(frames: list[RawFrame], rows: int, video_ns: np.ndarray, path: P
 FORMAT = Format(
     name="stray_scanner",
     title="Stray Scanner",
-    gives="video, VIO",
+    gives="video, VIO, depth",
     looks_for="odometry.csv and rgb.mp4",
     documentation="https://github.com/StrayRobots/scanner/blob/main/docs/format.md",
     detect=detect,

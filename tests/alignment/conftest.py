@@ -206,7 +206,12 @@ def make_place(walks: Walks, root: DataRoot) -> None:
     write_artefact(
         root,
         "import",
-        {"frames": frames, "sessions": filled(names, "import", "sessions"), "jumps": jumps},
+        {
+            "frames": frames,
+            "sessions": filled(names, "import", "sessions"),
+            "jumps": jumps,
+            "reference": pd.DataFrame(columns=schema("import", "reference").column_names),
+        },
     )
     points = pd.DataFrame(np.random.default_rng(0).normal(size=(50, 3)), columns=["x", "y", "z"])
     write_artefact(

@@ -10,10 +10,11 @@ import pytest
 
 from alignment.examination import examine
 from alignment.ground_truth import Aligned, align
+from alignment.reference import Reference
 from alignment.rulers.detection import detect, explain_absence, held_out_corners, nominal_corners
 from alignment.rulers.measurement import Reading, Sighting, camera_of, find_rulers, read_rulers, undistorted
 from alignment.rulers.settings import CharucoRuler, Ruler, rulers_of
-from alignment.rulers.verdict import rulers_table
+from alignment.rulers.verdict import describe, rulers_table
 from alignment.settings import AlignSettings
 from alignment.stage import STAGE
 from artefacts import DataRoot, UserError, execute
@@ -191,6 +192,33 @@ def test_two_rulers_that_disagree_are_both_named(scene) -> None:
     for reason, name in zip(checks["reason"], ("small", "charuco"), strict=True):
         assert f"disagrees with ruler {name}" in reason and "mm stated" in reason and "%" in reason
     assert set(aligned.ground_truth["scale_source"]) == {"vio"}
+
+
+def by_reference(scene, *, metric: bool) -> Reference:
+    scene.frames[[c for c in scene.frames if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    return Reference(scene.true_T_cam, metric=metric, up_known=True, gives_map=True)
+
+
+@pytest.mark.parametrize("printed", [1.0, 0.9])
+def test_a_board_judges_the_scale_of_a_reference_and_never_sets_it(scene, printed: float) -> None:
+    reference = by_reference(scene, metric=True)
+    readings = read(scene, sighted(scene, ruler(use_for_scale=True), printed=printed))
+    found = examine(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), readings, reference)
+    (judged,) = found.rulers
+    assert judged.check.status == ("passed" if printed == 1.0 else "failed") and not judged.used
+    assert found.components[0].scale.source(np.inf) == "reference"
+    text = describe(judged)
+    assert "the map's scale is the reference's; map's scale " in text and "not used for scale" in text
+    assert ("in the map scaled by the reference its squares measure 18" in text) == (printed != 1.0)
+    assert len(rulers_table(found.rulers)) == 3
+
+
+def test_a_board_says_nothing_of_a_reference_without_unit(scene) -> None:
+    reference = by_reference(scene, metric=False)
+    readings = read(scene, sighted(scene, ruler()))
+    aligned = align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), readings, reference)
+    (row,) = aligned.gate[aligned.gate["check"] == "ruler_scale"].to_dict("records")
+    assert row["status"] == "undecided" and "the reference's unit, which isn't known" in row["reason"]
 
 
 def test_the_table_has_a_row_a_part(scene) -> None:

@@ -16,6 +16,7 @@ from alignment.__main__ import app
 from alignment.export.command import WRITERS, FormatOption
 from alignment.stage import STAGE
 from artefacts import DataRoot, UserError, execute
+from artefacts.files import write_json
 from artefacts.manifests import output_hashes
 from artefacts.schemas import schema
 from artefacts.tables import pose_frame, poses_of, read_table, with_cameras, write_table
@@ -248,10 +249,42 @@ def test_our_importer_reads_its_data_sets(scene: DataRoot, name: str) -> None:
             found[frame_id] = raw.vio_T_cam
             pixels = cv2.imread(str(raw.image.path))
             assert (pixels == cv2.imread(str(_image(scene, frame_id)))).all()
-            if name == "cambridge":
-                expected = truth.loc[frame_id, ["fx", "fy"]].mean()
-                assert raw.intrinsics.fx == pytest.approx(expected, abs=1e-6)
+            camera, columns = raw.intrinsics, ["fx", "fy", "cx", "cy"]
+            stated = [camera.fx, camera.fy, camera.cx, camera.cy]
+            np.testing.assert_allclose(stated, truth.loc[frame_id, columns].to_numpy(float), atol=1e-6)
     _assert_same(scene, found)
+
+
+@pytest.mark.parametrize("name", ["colmap", "colmap-text", "nerfstudio"])
+def test_our_importer_reads_what_other_tools_read(scene: DataRoot, name: str) -> None:
+    out = _export(scene, name, "--images", "copy")
+    frame_of, truth, found = _frame_of(out), _truth(scene), {}
+    sessions = _sessions(out)
+    # walk0 is partly for testing; a recording is for one thing, or for none by name.
+    assert [(s.session_id, s.split, len(s.frames)) for s in sessions] == [("walk0", None, 19), ("walk1", "test", 20)]
+    for session in sessions:
+        assert not session.rejects and not session.notes
+        assert (session.poses_are, session.metric, session.gravity_aligned) == ("reference", True, True)
+        for raw in session.frames:
+            frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
+            found[frame_id] = raw.vio_T_cam
+            camera, columns = raw.intrinsics, ["fx", "fy", "cx", "cy"]
+            stated = [camera.fx, camera.fy, camera.cx, camera.cy]
+            np.testing.assert_allclose(stated, truth.loc[frame_id, columns].to_numpy(float), atol=1e-6)
+            assert camera.distortion == () and raw.image.path.is_file()
+    _assert_same(scene, found)
+
+
+def test_a_map_of_unknown_unit_is_not_exported_as_metres(scene: DataRoot) -> None:
+    path = scene.run("tiny", "Place", "align") / "ground_truth.parquet"
+    gt = read_table(path, schema("align", "ground_truth"))
+    gt = gt.assign(scale_source="reference, unit unknown", vertical_source="reference, up unknown")
+    write_table(path, gt, schema("align", "ground_truth"))
+    manifest = json.loads((path.parent / "manifest.json").read_text())
+    write_json(path.parent / "manifest.json", manifest | {"outputs": output_hashes(path.parent)})
+    out = _export(scene, "nerfstudio", "--images", "copy")
+    assert json.loads((out / "export.json").read_text())["map"].startswith("a reference's unit, which isn't known")
+    assert {(s.metric, s.gravity_aligned) for s in _sessions(out)} == {(False, False)}
 
 
 def test_intrinsics_that_a_format_has_no_place_for_lie_beside(scene: DataRoot) -> None:
@@ -429,6 +462,21 @@ def test_nerfstudio_holds_five_coefficients(scene: DataRoot) -> None:
         frame_id = frame_of[frame["file_path"]]
         map_T_cam = poses_of(truth.loc[[frame_id]], "map_cam")[0]
         assert _dots_off_px(out / frame["file_path"], map_T_cam, K, points[frame_id]) < 0.2
+
+
+def test_a_lens_that_moves_no_corner_is_none(scene: DataRoot) -> None:
+    _give_lens(scene, (1e-5, -1e-6, 0.0, 0.0))
+    for name in ("7scenes", "cambridge"):
+        out = _export(scene, name, "--images", "copy")
+        assert json.loads((out / "export.json").read_text())["undistorted_images"] == 0
+    truth, frame_of, columns = _truth(scene), _frame_of(out), ["fx", "fy", "cx", "cy"]
+    for session in _sessions(out):
+        for raw in session.frames:
+            frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
+            assert raw.image.path.read_bytes() == _image(scene, frame_id).read_bytes()
+            camera = raw.intrinsics
+            assert [camera.fx, camera.fy, camera.cx, camera.cy] == truth.loc[frame_id, columns].tolist()
+            assert (camera.width, camera.height, camera.distortion) == (*SIZE, ())
 
 
 def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import av
 import cv2
 import numpy as np
+import pycolmap
 from scipy.spatial.transform import Rotation
 
 from geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose, tq_from_pose
@@ -318,6 +319,36 @@ def write_cambridge(folder: Path, walk: Walk) -> None:
     _write(folder.parent, files)
 
 
+def write_colmap(folder: Path, walk: Walk) -> None:
+    """A COLMAP model in binary, written by its own library, over a flat folder of images."""
+    model = pycolmap.Reconstruction()
+    for number, i in enumerate(np.flatnonzero(walk.has_image), start=1):
+        width, height = walk.size
+        camera = pycolmap.Camera(
+            camera_id=number, model="PINHOLE", width=width, height=height, params=walk.camera[i].tolist()
+        )
+        model.add_camera_with_trivial_rig(camera)
+        points = np.full((number % 3, 2), 9.0)
+        image = pycolmap.Image(name=f"{i:06d}.jpg", keypoints=points, camera_id=number, image_id=number)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(inverse(walk.vio_T_cam[i])[:3]))
+    (folder / "sparse" / "0").mkdir(parents=True)
+    model.write_binary(folder / "sparse" / "0")
+    _write(folder, {f"images/{i:06d}.jpg": walk.jpeg(int(i)) for i in np.flatnonzero(walk.has_image)})
+
+
+def write_nerfstudio(folder: Path, walk: Walk) -> None:
+    """nerfstudio: OpenGL camera axes, one size for all frames, their own focal lengths."""
+    frames, files = [], {}
+    for i in np.flatnonzero(walk.has_image):
+        name = f"images/{i:06d}.jpg"
+        camera = dict(zip(("fl_x", "fl_y", "cx", "cy"), walk.camera[i].tolist(), strict=True))
+        frames.append({"file_path": name, "transform_matrix": walk.arkit()[i].tolist(), **camera})
+        files[name] = walk.jpeg(int(i))
+    content = {"camera_model": "OPENCV", "w": walk.size[0], "h": walk.size[1], "frames": frames[::-1]}
+    files["transforms.json"] = json.dumps(content).encode()
+    _write(folder, files)
+
+
 def _write(place: Path, files: dict[str, bytes]) -> None:
     """Write files into a folder, or into a zip archive where `place` has a suffix."""
     if place.suffix in (".r3d", ".zip"):
@@ -358,4 +389,6 @@ WRITERS = {
     "arkit_scenes": Written(write_arkit_scenes),
     "seven_scenes": Written(write_seven_scenes, camera=False, clock=False),
     "cambridge": Written(write_cambridge, camera=False, clock=False),
+    "colmap": Written(write_colmap, clock=False),
+    "nerfstudio": Written(write_nerfstudio, clock=False),
 }

@@ -68,7 +68,7 @@ class MadeUpScene:
             clock="boot", image=frames["frame_id"] + ".jpg", image_sha256="", width=64, height=48, fx=50.0, fy=50.0,
             cx=32.0, cy=24.0, distortion=[[] for _ in range(len(frames))], gravity_x=1.0, gravity_y=0.0, gravity_z=0.0,
             tracking="normal", sharpness=0.5, exposure_s=0.01, blurred_faces=None,
-            blurred_plates=None, support=False,
+            blurred_plates=None, support=False, depth=None, depth_confidence=None,
         )  # fmt: skip
         # A support frame, which SfM didn't register: no figure of the report may count it.
         support = imported.iloc[[0]].assign(frame_id="walk_1/000900", t_ns=SECOND // 2, support=True)
@@ -81,6 +81,7 @@ class MadeUpScene:
             reason="",
             gt_uses_vio=False,
             scale_source="vio",
+            vertical_source="gravity",
             component=0,
             fx=50.0, fy=50.0, cx=32.0, cy=24.0, distortion=[[0.09, -0.12, 0.0, 0.0]] * len(frames),
             camera_origin="estimated",
@@ -209,6 +210,9 @@ class MadeUpScene:
                     "images": n,
                     "frames": n,
                     "support_frames": 0,
+                    "poses_are": "vio",
+                    "reference_unit": None,
+                    "up": "+y",
                     "split": split,
                 }
             )
@@ -270,7 +274,9 @@ class MadeUpScene:
             "status": "failed",
             "reason": "VIO and the model disagree",
         }
-        return pd.DataFrame([row, failed])
+        undecided = failed | {"check": "ruler_scale", "value": None, "limit": 0.03, "status": "undecided"}
+        undecided["reason"] = "board: seen once"
+        return pd.DataFrame([row, failed, undecided])
 
     def _history(self) -> pd.DataFrame:
         rows = []

@@ -148,6 +148,15 @@ def test_the_page_shows_what_a_user_sees(church: tuple[DataRoot, Path]) -> None:
     assert rows[-1] == ["MS-T", "smoother (offline)", "3.0", "4.2", "0.125", "0.750", "–"]
 
 
+def test_checks_that_are_undecided_are_not_counted_as_failed(church: tuple[DataRoot, Path]) -> None:
+    _, folder = church
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    table = page[page.index('id="gate-Church"') :]
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", r) for r in re.findall(r"<tr.*?</tr>", table[: table.index("</table>")])]
+    assert ["window_motion", "failed: VIO and the model disagree", "m", "2", "1", "0", "0.01 to 0.3", "0.1"] in rows
+    assert ["ruler_scale", "undecided: board: seen once", "m", "1", "0", "1", "–", "0.03"] in rows
+
+
 def test_scores_fail_gracefully_where_most_is_missing() -> None:
     mostly_missing = score([0.1, np.nan, np.nan], [1.0, np.nan, np.nan])
     assert np.isnan(mostly_missing.median_m) and mostly_missing.mean_m == pytest.approx(0.1)

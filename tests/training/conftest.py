@@ -65,7 +65,9 @@ def make_scene(tmp_path: Path) -> Callable[..., Path]:
         )
         frames = frames.assign(cx=WIDTH / 2, cy=HEIGHT / 2, distortion=[[]] * len(keys), tracking="normal")
         frames = frames.assign(gravity_x=0.0, gravity_y=1.0, gravity_z=0.0, sharpness=1.0, exposure_s=0.01)
-        frames = frames.assign(blurred_faces=None, blurred_plates=None, support=False)
+        frames = frames.assign(
+            blurred_faces=None, blurred_plates=None, support=False, depth=None, depth_confidence=None
+        )
         truth_T = map_T_cam.copy()
         truth_T[-1] = np.nan  # a frame that SfM didn't register
         truth = pd.concat([keys, pose_frame("map_cam", truth_T)], axis=1).assign(
@@ -76,6 +78,7 @@ def make_scene(tmp_path: Path) -> Callable[..., Path]:
             reason="",
             gt_uses_vio=False,
             scale_source="vio",
+            vertical_source="gravity",
             component=0,
             camera_origin="stated",
             **{name: frames[name] for name in CAMERA_COLUMNS},

@@ -1,0 +1,274 @@
+"""COLMAP: a model (`cameras` and `images`, `.bin` or `.txt`) in `sparse/0/`, `sparse/` or the folder, over `images/`.
+
+Documented at https://colmap.github.io/format.html. What matters:
+
+- a pose is world to camera, a quaternion w, x, y, z and a translation, with our camera axes and pixel centres at 0.5;
+- `images.txt` has two lines an image, the second of which may be empty; the points aren't read;
+- camera models SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are used as stated; images of
+  others are left out;
+- nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
+- where `sparse/` holds several models, each has a world of its own: `sparse/0` is read, of our own exports all;
+- `test.txt`, which our exports write, says which recordings are for testing;
+- frames have no time: they count as a second apart, in the order of their names.
+
+The poses are a reference, not VIO. Each folder of images in `images/` is a recording.
+"""
+
+import os
+import struct
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from artefacts import UserError
+from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from capture_import.formats import Format
+from capture_import.image_folders import data_set_of, is_metric_export, lost_rows, rows_of, split_of
+from capture_import.parsing import (
+    BadRow,
+    collect,
+    inside,
+    lines_of,
+    numbered_lines,
+    quaternion_pose,
+    refuse_unreadable,
+    seconds_to_ns,
+    split_numbers,
+)
+from geometry.poses import inverse
+
+_PLACES = ("sparse/0", "sparse", ".")
+# Name and number of parameters by the binary format's number: COLMAP's src/colmap/sensor/models.h.
+_MODELS = {
+    0: ("SIMPLE_PINHOLE", 3),
+    1: ("PINHOLE", 4),
+    2: ("SIMPLE_RADIAL", 4),
+    3: ("RADIAL", 5),
+    4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8),
+    6: ("FULL_OPENCV", 12),
+    7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12),
+}
+# How many focal lengths a model has, and OpenCV's coefficients (k1, k2, p1, p2, k3, ...) by their places behind.
+_READ = {
+    "SIMPLE_PINHOLE": (1, ()),
+    "PINHOLE": (2, ()),
+    "SIMPLE_RADIAL": (1, (3, None, None, None)),
+    "RADIAL": (1, (3, 4, None, None)),
+    "OPENCV": (2, (4, 5, 6, 7)),
+    "FULL_OPENCV": (2, (4, 5, 6, 7, 8, 9, 10, 11)),
+}
+_LONGEST_NAME = 1 << 12
+
+
+@dataclass(frozen=True)
+class _Camera:
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class _Image:
+    name: str
+    camera: int
+    xyzw: tuple[float, ...]
+    translation: tuple[float, ...]
+
+
+def _model_in(folder: Path) -> bool:
+    return any((folder / f"cameras{s}").is_file() and (folder / f"images{s}").is_file() for s in (".bin", ".txt"))
+
+
+def _is_data_set(path: Path) -> bool:
+    return any(_model_in(path / place) for place in _PLACES)
+
+
+def detect(path: Path) -> bool:
+    """A folder with a model in sparse/0, sparse or itself beside images/, or one of its folders of images."""
+    data_set = data_set_of(path, _is_data_set)
+    return data_set is not None and (data_set / "images").is_dir()
+
+
+def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+    """Read the images of one recording."""
+    data_set = data_set_of(path, _is_data_set) or path
+    ours = is_metric_export(data_set)
+    models = [data_set / place for place in _PLACES if _model_in(data_set / place)][:1]
+    others = sorted(p for p in (data_set / "sparse").glob("*") if _model_in(p) and p not in models)
+    models += others if ours else []
+    listed: dict[str, tuple[_Image, _Camera | None]] = {}
+    for folder in models:
+        cameras, images = _read_model(folder, limits)
+        listed |= {f"{folder.name} {i.name}": (i, cameras.get(i.camera)) for i in images}
+    named = []
+    for source, (image, _) in listed.items():
+        try:
+            named.append((source, inside(data_set / "images", image.name)))
+        except BadRow as error:
+            raise UserError("an image of the model leads elsewhere", where=data_set, found=error) from None
+
+    def read_row(source: str, row: tuple[int, Path]) -> RawFrame:
+        (index, file), (image, camera) = row, listed[source]
+        if camera is None:
+            raise BadRow(f"the model has no camera {image.camera}")
+        cam_T_world = quaternion_pose(image.translation, image.xyzw)
+        if not (np.abs(cam_T_world) < 1e9).all():
+            raise BadRow("pose has a value that isn't finite or is too large")
+        return RawFrame(
+            number=index,
+            source=source,
+            t_ns=seconds_to_ns(index),
+            vio_T_cam=inverse(cam_T_world),
+            image=ImageFile(file),
+            intrinsics=_intrinsics(camera),
+        )
+
+    rows = rows_of(data_set, path, named)
+    frames, rejects = collect([(s, (i, file)) for i, (s, file) in enumerate(rows)], session_id, read_row)
+    refuse_unreadable(path, frames, rejects, "images of the model in this folder")
+    notes = lost_rows(named)
+    if others and not ours:
+        notes.append(f"{len(others)} more models in sparse/ have worlds of their own: not read")
+    return RawSession(
+        session_id,
+        FORMAT.name,
+        "unknown",
+        "frame_index",
+        path,
+        frames,
+        rejects,
+        poses_are="reference",
+        gravity_aligned=ours,
+        metric=ours,
+        split=split_of([file for _, file in rows], _tested(data_set, limits)),
+        notes=notes,
+    )
+
+
+def _tested(data_set: Path, limits: Limits) -> set[Path]:
+    """The images that test.txt lists, which our exports write."""
+    file = data_set / "test.txt"
+    return {data_set / "images" / line for _, line in lines_of(file, limits)} if file.is_file() else set()
+
+
+def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[_Image]]:
+    """Cameras by their number, and images; the binary files where both kinds are there, as COLMAP does."""
+    binary = (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file()
+    suffix = ".bin" if binary else ".txt"
+    cameras, images = folder / f"cameras{suffix}", folder / f"images{suffix}"
+    most = limits.max_rows
+    try:
+        if binary:
+            with cameras.open("rb") as file:
+                by_number = dict(islice(_binary_cameras(file), most + 1))
+            with images.open("rb") as file:
+                listed = list(islice(_binary_images(file), most + 1))
+        else:
+            by_number = dict(_text_cameras([line for _, line in lines_of(cameras, limits)]))
+            listed = list(islice(_text_images(line for _, line in numbered_lines(images, limits)), most + 1))
+        if max(len(by_number), len(listed)) > most:
+            raise BadRow(f"more than {most} cameras or images")
+    except (BadRow, struct.error, UnicodeDecodeError, OSError) as error:
+        raise UserError(
+            "a COLMAP model can't be read",
+            where=folder,
+            expected=f"cameras{suffix} and images{suffix} as COLMAP writes them",
+            found=error,
+            do="write it again with colmap model_converter",
+        ) from None
+    return by_number, listed
+
+
+def _binary_cameras(file: BinaryIO) -> Iterator[tuple[int, _Camera]]:
+    (count,) = _take(file, "<Q")
+    for _ in range(count):
+        number, model, width, height = _take(file, "<IiQQ")
+        if model not in _MODELS:
+            raise BadRow(f"cameras.bin has a camera model of number {model}, whose length isn't known")
+        name, params = _MODELS[model]
+        yield number, _Camera(name, width, height, _take(file, f"<{params}d"))
+
+
+def _binary_images(file: BinaryIO) -> Iterator[_Image]:
+    size = os.fstat(file.fileno()).st_size
+    (count,) = _take(file, "<Q")
+    for _ in range(count):
+        _, qw, qx, qy, qz, tx, ty, tz, camera = _take(file, "<I7dI")
+        name = _name(file)
+        (points,) = _take(file, "<Q")
+        end = file.tell() + 24 * points
+        if end > size:
+            raise BadRow(f"images.bin has {size} bytes, but points of {name[:60]} up to byte {end}")
+        file.seek(end)
+        yield _Image(name, camera, (qx, qy, qz, qw), (tx, ty, tz))
+
+
+def _take(file: BinaryIO, form: str) -> tuple[Any, ...]:
+    return struct.unpack(form, file.read(struct.calcsize(form)))
+
+
+def _name(file: BinaryIO) -> str:
+    name = bytearray()
+    while (character := file.read(1)) != b"\0":
+        if not character or len(name) == _LONGEST_NAME:
+            raise BadRow("images.bin has an image whose name doesn't end")
+        name += character
+    return name.decode()
+
+
+def _text_cameras(lines: Iterable[str]) -> Iterator[tuple[int, _Camera]]:
+    for line in lines:
+        fields = line.split()
+        width, height, *params = split_numbers(" ".join(fields[2:])) if len(fields) > 4 else (0.0, 0.0)
+        if not _is_id(fields[0]) or not (0 < width < 1e6 and 0 < height < 1e6):
+            raise BadRow(f"cameras.txt has a row that isn't CAMERA_ID MODEL WIDTH HEIGHT PARAMS: {line[:60]}")
+        yield int(fields[0]), _Camera(fields[1], int(width), int(height), tuple(params))
+
+
+def _text_images(lines: Iterable[str]) -> Iterator[_Image]:
+    lines = (line for line in lines if not line.startswith("#"))
+    for line in lines:
+        if not line.strip():
+            continue
+        fields = line.split(maxsplit=9)
+        if len(fields) != 10 or not _is_id(fields[8]):
+            raise BadRow(f"images.txt has a row that isn't IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME: {line[:60]}")
+        qw, qx, qy, qz, *translation = split_numbers(" ".join(fields[1:8]))
+        yield _Image(fields[9].strip(), int(fields[8]), (qx, qy, qz, qw), tuple(translation))
+        next(lines, None)  # its points
+
+
+def _is_id(text: str) -> bool:
+    return text.isdecimal() and len(text) < 20
+
+
+def _intrinsics(camera: _Camera) -> Intrinsics:
+    if camera.model not in _READ:
+        raise BadRow(f"camera model {camera.model[:40]} is none of {', '.join(_READ)}")
+    focal, places = _READ[camera.model]
+    length = max([focal + 2, *(p + 1 for p in places if p is not None)])
+    if len(camera.params) != length:
+        raise BadRow(f"camera model {camera.model} has {len(camera.params)} parameters, not {length}")
+    fx, fy, (cx, cy) = camera.params[0], camera.params[focal - 1], camera.params[focal : focal + 2]
+    distortion = tuple(0.0 if place is None else camera.params[place] for place in places)
+    return Intrinsics(fx, fy, cx, cy, camera.width, camera.height, distortion if any(distortion) else ())
+
+
+FORMAT = Format(
+    name="colmap",
+    title="COLMAP model",
+    gives="images, reference poses",
+    looks_for="cameras and images (.bin or .txt) in sparse/0/, beside images/",
+    documentation="https://colmap.github.io/format.html",
+    detect=detect,
+    read=read,
+)

@@ -1,0 +1,158 @@
+"""Maps in the frame of a reference: walks without VIO whose true poses, or wrong ones, are stated."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from alignment.ground_truth import Aligned, align
+from alignment.reference import Reference, describe_agreement
+from alignment.settings import AlignSettings
+from alignment.stage import STAGE
+from artefacts import DataRoot, UserError, execute
+from artefacts.schemas import schema, stage_tables
+from artefacts.stage import load_manifest
+from artefacts.tables import pose_frame, poses_of, read_table, write_table
+from geometry.fits import Sim3
+from geometry.poses import make_pose
+
+WORLD = Sim3(1.0, Rotation.from_euler("xyz", [0.9, -0.2, 1.5]).as_matrix(), np.array([100.0, -20.0, 4.0]))
+
+
+def without_vio(scene):
+    frames = scene.frames.copy()
+    frames[[c for c in frames if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    return replace(scene, frames=frames)
+
+
+def stated(scene, map_T_cam: np.ndarray, **changes) -> Reference:
+    return replace(Reference(map_T_cam, metric=True, up_known=False, gives_map=True), **changes)
+
+
+def run(scene, reference: Reference) -> Aligned:
+    return align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), reference=reference)
+
+
+@pytest.mark.parametrize("unit", [1.0, 7.3])
+def test_the_map_is_the_references_frame(walks, unit: float) -> None:
+    scene = without_vio(walks.make(sfm_m=0.005, sfm_deg=0.02, sessions=2))
+    world = replace(WORLD, scale=unit)
+    reference = stated(scene, world.poses(scene.true_T_cam), metric=unit == 1.0)
+    aligned = run(scene, reference)
+    gt = aligned.ground_truth
+    found = poses_of(gt, "map_cam")
+    np.testing.assert_allclose(found[:, :3, 3], reference.map_T_cam[:, :3, 3], atol=0.03 * unit)
+    np.testing.assert_allclose(found[:, :3, :3], reference.map_T_cam[:, :3, :3], atol=2e-3)
+    assert set(gt["quality"]) <= ({"A", "B"} if unit == 1.0 else {"C"})
+    assert set(gt["scale_source"]) == {"reference" if unit == 1.0 else "reference, unit unknown"}
+    assert set(gt["vertical_source"]) == {"reference, up unknown"}
+    assert not gt["gt_uses_vio"].any()
+    status = aligned.gate.set_index("check")["status"]
+    assert status["reference_scale"] == ("passed" if unit == 1.0 else "undecided")
+    assert status["reference_vertical"] == "passed" and (status["session_reference"] == "passed").all()
+    table = aligned.reference_agreement
+    assert table["compared"].tolist() == [60, 60] and set(table["fit"]) == {"sim3 of the model"}
+    assert (table["position_rms_m"] < 0.012 * unit).all() and (table["rotation_median_deg"] < 0.05).all()
+    np.testing.assert_allclose(table["scale"].astype(float), 1.0, atol=1e-3)
+    text = "\n".join(describe_agreement(table, gt))
+    assert ("states no unit" in text) == (unit != 1.0) and "60 reference poses" in text
+
+
+def test_models_that_nothing_else_ties_lie_where_the_reference_has_them(walks) -> None:
+    scene = without_vio(walks.make(sessions=2))
+    scene.images.loc[scene.frames["session_id"] == "walk1", "model_id"] = "incremental/1"
+    own = (scene.frames["session_id"] == "walk1").to_numpy()
+    sfm_T_cam = poses_of(scene.images, "sfm_cam")
+    sfm_T_cam[own] = Sim3(3.0, WORLD.rotation, WORLD.translation).poses(sfm_T_cam[own])
+    scene.set_sfm(sfm_T_cam)
+    gt = run(scene, stated(scene, WORLD.poses(scene.true_T_cam))).ground_truth
+    np.testing.assert_allclose(poses_of(gt, "map_cam"), WORLD.poses(scene.true_T_cam), atol=1e-6)
+    assert gt["component"].value_counts().to_dict() == {0: 60, 1: 60} and not gt["gt_uses_vio"].any()
+
+
+def test_frames_that_are_elsewhere_get_no_ground_truth(walks) -> None:
+    scene = without_vio(walks.make(sessions=2))
+    reference = WORLD.poses(scene.true_T_cam)
+    reference[10:15, :3, 3] += [0.0, 5.0, 0.0]
+    aligned = run(scene, stated(scene, reference))
+    wrong = aligned.ground_truth["quality"] == "none"
+    assert np.flatnonzero(wrong).tolist() == list(range(10, 15))
+    assert "reference poses disagree" in aligned.ground_truth["reason"][10]
+    assert aligned.gate["status"].eq("passed").all()
+
+
+def test_what_the_reference_does_not_confirm_is_class_c_and_turned_cameras_are_named(walks) -> None:
+    scene = without_vio(walks.make(sessions=2))
+    reference = WORLD.poses(scene.true_T_cam)
+    reference[10:15, :3, 3] += [0.0, 0.3, 0.0]
+    # As by a principal point that is off: each camera turned alike about its own axes.
+    reference = reference @ make_pose(Rotation.from_euler("y", 0.8, degrees=True).as_matrix(), [0, 0, 0])
+    aligned = run(scene, stated(scene, reference))
+    assert np.flatnonzero(aligned.ground_truth["quality"] == "C").tolist() == list(range(10, 15))
+    text = "\n".join(describe_agreement(aligned.reference_agreement, aligned.ground_truth))
+    (degrees, *_) = re.findall(r"turned by ([0-9.]+)° \(median\)", text)
+    assert float(degrees) == pytest.approx(0.8, abs=0.05) and "principal point" in text
+
+
+def test_a_session_in_another_world_is_refused_by_name(walks) -> None:
+    scene = without_vio(walks.make(sessions=3))
+    reference = WORLD.poses(scene.true_T_cam)
+    own = (scene.frames["session_id"] == "walk1").to_numpy()
+    reference[own] = scene.true_T_cam[own]
+    aligned = run(scene, stated(scene, reference))
+    assert set(aligned.ground_truth.loc[own, "quality"]) == {"none"}
+    assert "its world is another one" in aligned.ground_truth.loc[own, "reason"].iloc[0]
+    (failed,) = aligned.gate[aligned.gate["status"] == "failed"].to_dict("records")
+    assert (failed["check"], failed["session_id"]) == ("session_reference", "walk1")
+    assert failed["cause"] == "SfM and the reference disagree"
+
+
+def test_a_reference_that_nothing_agrees_with_is_refused(walks) -> None:
+    scene = without_vio(walks.make(sessions=2))
+    shuffled = WORLD.poses(scene.true_T_cam)[np.random.default_rng(0).permutation(len(scene.frames))]
+    with pytest.raises(UserError, match="SfM and the reference disagree"):
+        run(scene, stated(scene, shuffled))
+    still = np.broadcast_to(np.eye(4), (len(scene.frames), 4, 4))
+    with pytest.raises(UserError, match="can't be put onto the reference") as error:
+        run(scene, stated(scene, still))
+    assert "one place" in str(error.value)
+
+
+@pytest.mark.parametrize("metric", [True, False])
+def test_beside_vio_a_reference_is_compared_and_gives_nothing(walks, metric: bool) -> None:
+    scene = walks.make(sessions=2)
+    plain = run(scene, None)
+    reference = stated(scene, replace(WORLD, scale=1.02).poses(scene.true_T_cam), metric=metric, gives_map=False)
+    beside = run(scene, reference)
+    pd.testing.assert_frame_equal(plain.ground_truth, beside.ground_truth)
+    assert set(beside.ground_truth["scale_source"]) == {"vio"} and not len(plain.reference_agreement)
+    table = beside.reference_agreement
+    np.testing.assert_allclose(table["scale"].astype(float), 1.02, atol=1e-3)
+    assert set(table["fit"]) == {"se3" if metric else "sim3"}
+    # A rigid fit leaves the scale's 2 %.
+    assert (table["position_rms_m"].astype(float) > 0.05).all() == metric
+
+
+def test_the_stage_says_what_gave_scale_and_vertical(data: DataRoot) -> None:
+    folder = data.run("tiny", "Place", "import")
+    frames = read_table(folder / "frames.parquet", schema("import", "frames"))
+    frames[[c for c in frames if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    write_table(folder / "frames.parquet", frames, schema("import", "frames"))
+    truth = read_table(data.captures("Place") / "true_poses.parquet", schema("simulate", "true_poses"))
+    reference = pd.concat(
+        [frames[["frame_id", "session_id", "t_ns"]], pose_frame("map_cam", poses_of(truth, "map_cam"))], axis=1
+    )
+    write_table(folder / "reference.parquet", reference, schema("import", "reference"))
+    sessions = read_table(folder / "sessions.parquet", schema("import", "sessions"))
+    sessions = sessions.assign(poses_are="reference", reference_unit="m", up="+y")
+    write_table(folder / "sessions.parquet", sessions, schema("import", "sessions"))
+    out = execute(STAGE, "Place", "tiny", data)
+    tables = {t.name: read_table(out / f"{t.name}.parquet", t) for t in stage_tables("align")}
+    assert (out / "gate.png").is_file() and (out / "recording.rrd").stat().st_size > 1000
+    figures = load_manifest(out)["figures"]
+    assert (figures["scale_source"], figures["vertical_source"]) == ("reference", "reference")
+    assert figures["with_ground_truth"] == 40 and figures["reference_position_rms_m"] < 0.02
+    assert len(tables["reference_agreement"]) == 2 and not len(tables["residuals"]) and not len(tables["drift"])

@@ -1,0 +1,132 @@
+"""Depth images: found by each format, checked, and kept where images are kept."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from capture_writers import Walk, make_walk, write_frames_jsonl, write_polycam, write_scanner_app, write_stray_scanner
+
+from artefacts import DataRoot, execute
+from capture_import.capture import Limits
+from capture_import.discovery import find_recordings
+from capture_import.stage import STAGE
+
+SHAPE = (12, 16)  # that of the images, 72x96
+
+
+def depth_mm(index: int) -> np.ndarray:
+    return (500 + index + np.arange(SHAPE[0] * SHAPE[1]).reshape(SHAPE)).astype(np.uint16)
+
+
+def write_depth(path: Path, pixels: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), pixels)
+
+
+def scanner_app(folder: Path, walk: Walk, confidence: bool = True) -> None:
+    write_scanner_app(folder, walk)
+    for i in range(len(walk.t_ns)):
+        write_depth(folder / f"depth_{i:05d}.png", depth_mm(i))
+        if confidence:
+            write_depth(folder / f"conf_{i:05d}.png", np.full(SHAPE, i % 3, np.uint8))
+
+
+def stray_scanner(folder: Path, walk: Walk) -> None:
+    write_stray_scanner(folder, walk)
+    for i in range(len(walk.t_ns)):
+        write_depth(folder / "depth" / f"{i:06d}.png", depth_mm(i))
+        write_depth(folder / "confidence" / f"{i:06d}.png", np.full(SHAPE, i % 3, np.uint8))
+
+
+def polycam(folder: Path, walk: Walk) -> None:
+    write_polycam(folder, walk)
+    for i, t_ns in enumerate(walk.t_ns):
+        write_depth(folder / "keyframes" / "depth" / f"{t_ns // 1000}.png", depth_mm(i))
+        write_depth(
+            folder / "keyframes" / "confidence" / f"{t_ns // 1000}.png", np.full(SHAPE, 127 * (i % 3), np.uint8)
+        )
+
+
+def frames_jsonl(folder: Path, walk: Walk) -> None:
+    write_frames_jsonl(folder, walk)
+    rows = (folder / "frames.jsonl").read_text().splitlines()
+    for i in range(len(walk.t_ns)):
+        write_depth(folder / "depth" / f"{i}.png", depth_mm(i))
+        rows[i + 1] = f'{rows[i + 1][:-1]}, "depth": "depth/{i}.png"}}'
+    (folder / "frames.jsonl").write_text("\n".join(rows))
+
+
+@pytest.mark.parametrize("write", [scanner_app, stray_scanner, polycam, frames_jsonl])
+def test_each_frame_has_its_own_depth(tmp_path: Path, write) -> None:
+    walk = make_walk(8)
+    write(tmp_path / "place" / "walk", walk)
+    (found,) = find_recordings(tmp_path / "place", tmp_path / "unpacked", Limits())
+    raw = found.read(Limits())
+    assert len(raw.frames) == 8
+    for index, frame in enumerate(raw.frames):
+        assert (cv2.imread(str(frame.depth.path), cv2.IMREAD_UNCHANGED) == depth_mm(index)).all()
+        if write is not frames_jsonl:
+            levels = cv2.imread(str(frame.depth.confidence), cv2.IMREAD_UNCHANGED)
+            assert set(levels.ravel()) == {(index % 3) * (127 if write is polycam else 1)}
+
+
+def test_the_real_phone_with_lidar_has_depth_of_all_images(shared_captures: Path, tmp_path: Path) -> None:
+    folder = shared_captures / "charuco" / "test-lowres"
+    if not folder.is_dir():
+        pytest.skip("no capture with depth")
+    (found,) = find_recordings(folder, tmp_path, Limits())
+    with_image = [frame for frame in found.read(Limits()).frames if frame.image is not None]
+    assert len(with_image) == 31 and all(frame.depth and frame.depth.confidence for frame in with_image)
+
+
+def run(data: Path, *settings: str) -> tuple[Path, pd.DataFrame, pd.DataFrame]:
+    folder = execute(STAGE, "place", "tiny", DataRoot(data), list(settings))
+    return folder, pd.read_parquet(folder / "frames.parquet"), pd.read_parquet(folder / "rejects.parquet")
+
+
+@pytest.mark.parametrize("images", ["reference", "copy", "link"])
+def test_depth_goes_where_images_go(tmp_path: Path, images: str) -> None:
+    scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(8))
+    folder, frames, rejects = run(tmp_path, f"images={images!r}")
+    assert not len(rejects) and frames["depth"].notna().all() and frames["depth_confidence"].notna().all()
+    for row in frames.itertuples():
+        for entry in (row.depth, row.depth_confidence):
+            assert entry.startswith("import:") == (images != "reference")
+        place = folder if images != "reference" else tmp_path / "captures" / "place"
+        pixels = cv2.imread(str(place / row.depth.removeprefix("import:")), cv2.IMREAD_UNCHANGED)
+        assert (pixels == depth_mm(int(row.frame_id[-6:]))).all()
+
+
+def test_turned_images_have_turned_depth(tmp_path: Path) -> None:
+    walk = make_walk(8)
+    turn = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    walk.vio_T_cam[:] = walk.vio_T_cam @ turn
+    scanner_app(tmp_path / "captures" / "place" / "walk", walk)
+    folder, frames, _ = run(tmp_path, "upright=true")
+    for row in frames.itertuples():
+        pixels = cv2.imread(str(folder / row.depth.removeprefix("import:")), cv2.IMREAD_UNCHANGED)
+        assert pixels.shape[1] / pixels.shape[0] == row.width / row.height
+        assert (pixels == np.rot90(depth_mm(int(row.frame_id[-6:])), -1)).all()
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (lambda p: p.write_bytes(p.read_bytes()[:60]), "can't be decoded"),
+        (lambda p: p.write_bytes(b""), "empty"),
+        (lambda p: cv2.imwrite(str(p), np.zeros(SHAPE, np.uint8)), "1 channels of 8 bits, not 1 of 16"),
+        (lambda p: cv2.imwrite(str(p), np.zeros((16, 12), np.uint16)), "another shape"),
+        (lambda p: (p.unlink(), p.symlink_to("/etc/hostname")), "link out of the capture"),
+    ],
+)
+def test_a_broken_depth_image_costs_the_depth_not_the_frame(tmp_path: Path, damage, reason: str) -> None:
+    walk_folder = tmp_path / "captures" / "place" / "walk"
+    scanner_app(walk_folder, make_walk(8), confidence=False)
+    damage(walk_folder / "depth_00002.png")
+    _, frames, rejects = run(tmp_path)
+    assert len(frames) == 4
+    assert frames.loc[frames["depth"].isna(), "frame_id"].tolist() == ["walk/000002"]
+    assert frames["depth_confidence"].isna().all()
+    assert rejects["source"].tolist() == ["depth_00002.png"] and reason in rejects["reason"][0]

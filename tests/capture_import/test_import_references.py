@@ -1,0 +1,216 @@
+"""COLMAP models and nerfstudio files: reference poses, with the intrinsics that they state."""
+
+import json
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pycolmap
+import pytest
+from capture_writers import make_walk, write_colmap, write_nerf_capture, write_nerfstudio
+from hypothesis import given
+from hypothesis import strategies as st
+
+from artefacts import DataRoot, UserError, execute
+from artefacts.tables import poses_of
+from capture_import.capture import Intrinsics, Limits, RawSession
+from capture_import.discovery import find_recordings
+from capture_import.formats.colmap import _Camera, _intrinsics
+from capture_import.stage import STAGE
+from geometry.poses import inverse
+
+DISTORTED = {
+    "SIMPLE_PINHOLE": [80.0, 48.5, 35.5],
+    "PINHOLE": [80.0, 81.0, 48.5, 35.5],
+    "SIMPLE_RADIAL": [80.0, 48.5, 35.5, 0.09],
+    "RADIAL": [80.0, 48.5, 35.5, 0.09, -0.12],
+    "OPENCV": [80.0, 81.0, 48.5, 35.5, 0.09, -0.12, 0.001, -0.002],
+    "FULL_OPENCV": [80.0, 81.0, 48.5, 35.5, 0.09, -0.12, 0.001, -0.002, 0.03, 0.01, 0.02, -0.01],
+}
+
+
+def read_all(root: Path) -> list[RawSession]:
+    return [found.read(Limits()) for found in find_recordings(root, root.parent / "unpacked", Limits())]
+
+
+def project(camera: Intrinsics, xyz: np.ndarray) -> np.ndarray:
+    """OpenCV's projection of points (N, 3), as its documentation of calib3d has it."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = (*camera.distortion, *[0.0] * (8 - len(camera.distortion)))
+    x, y = (xyz[:, :2] / xyz[:, 2:]).T
+    r2 = x**2 + y**2
+    radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
+    u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
+    v = y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y
+    return np.stack([camera.fx * u + camera.cx, camera.fy * v + camera.cy], axis=1)
+
+
+@pytest.mark.parametrize("model", DISTORTED)
+@pytest.mark.parametrize("text", [False, True])
+def test_cameras_project_as_in_colmap(tmp_path: Path, model: str, text: bool) -> None:
+    write_colmap(tmp_path / "walk", make_walk(4))
+    camera = pycolmap.Camera(camera_id=1, model=model, width=96, height=72, params=DISTORTED[model])
+    folder = tmp_path / "walk" / "sparse" / "0"
+    written = pycolmap.Reconstruction(folder)
+    written.camera(1).model, written.camera(1).params = camera.model, camera.params
+    for file in folder.iterdir():
+        file.unlink()
+    (written.write_text if text else written.write_binary)(folder)
+    (session,) = read_all(tmp_path)
+    found = session.frames[0].intrinsics
+    assert found is not None and (found.width, found.height) == (96, 72)
+    xyz = np.random.default_rng(0).uniform([-0.5, -0.4, 1], [0.5, 0.4, 2], (50, 3))
+    np.testing.assert_allclose(project(found, xyz), camera.img_from_cam(xyz), atol=1e-9)
+
+
+def test_other_camera_models_are_left_out_by_name(tmp_path: Path) -> None:
+    write_colmap(tmp_path / "walk", make_walk(4))
+    folder = tmp_path / "walk" / "sparse" / "0"
+    written = pycolmap.Reconstruction(folder)
+    written.camera(1).model, written.camera(1).params = (
+        pycolmap.CameraModelId.OPENCV_FISHEYE,
+        [80, 80, 48, 36, 0, 0, 0, 0],
+    )
+    written.write_binary(folder)
+    (session,) = read_all(tmp_path)
+    assert len(session.frames) == 1 and len(session.rejects) == 1
+    assert "OPENCV_FISHEYE" in session.rejects[0].reason
+
+
+@pytest.mark.parametrize("suffix", [".bin", ".txt"])
+def test_a_model_beyond_the_limits_is_refused(tmp_path: Path, suffix: str) -> None:
+    write_colmap(tmp_path / "walk", make_walk(8))
+    folder = tmp_path / "walk" / "sparse" / "0"
+    written = pycolmap.Reconstruction(folder)
+    for file in folder.iterdir():
+        file.unlink()
+    (written.write_text if suffix == ".txt" else written.write_binary)(folder)
+    (found,) = find_recordings(tmp_path, tmp_path.parent / "unpacked", Limits())
+    count = len(written.images)
+    assert len(found.read(Limits(max_rows=count)).frames) == count
+    with pytest.raises(UserError, match=f"more than {count - 1} "):
+        found.read(Limits(max_rows=count - 1))
+
+
+def test_points_that_end_beyond_the_file_are_refused(tmp_path: Path) -> None:
+    write_colmap(tmp_path / "walk", make_walk(4))
+    folder = tmp_path / "walk" / "sparse" / "0"
+    written = pycolmap.Reconstruction(folder)
+    for file in folder.iterdir():
+        file.unlink()
+    written.write_binary(folder)
+    images = folder / "images.bin"
+    images.write_bytes(images.read_bytes()[:-1])
+    with pytest.raises(UserError, match="points of"):
+        read_all(tmp_path)
+
+
+def test_a_wrong_number_of_parameters_is_refused() -> None:
+    with pytest.raises(ValueError, match="4 parameters, not 8"):
+        _intrinsics(_Camera("OPENCV", 96, 72, (80.0, 80.0, 48.0, 36.0)))
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_end_in_a_message(data: bytes) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder) / "walk"
+        (root / "images").mkdir(parents=True)
+        (root / "images" / "a.jpg").touch()
+        for name in ("cameras.bin", "images.bin"):
+            (root / name).write_bytes(data)
+        with pytest.raises(UserError):
+            read_all(root.parent)
+
+
+def test_nerfstudio_intrinsics_are_those_stated(tmp_path: Path) -> None:
+    write_nerfstudio(tmp_path / "walk", make_walk(4))
+    file = tmp_path / "walk" / "transforms.json"
+    content = json.loads(file.read_text())
+    content |= {"k1": 0.09, "k2": -0.12, "p1": 0.001, "p2": -0.002}
+    content["frames"][0]["k1"] = 0.08  # frames are written last first
+    file.write_text(json.dumps(content))
+    (session,) = read_all(tmp_path)
+    cameras = [frame.intrinsics for frame in session.frames]
+    assert [camera.distortion for camera in cameras if camera] == [
+        (0.09, -0.12, 0.001, -0.002, 0.0),
+        (0.08, -0.12, 0.001, -0.002, 0.0),
+    ]
+    file.write_text(json.dumps(content | {"camera_model": "OPENCV_FISHEYE"}))
+    with pytest.raises(UserError, match="OPENCV_FISHEYE"):
+        read_all(tmp_path)
+
+
+def test_applied_transform_is_undone(tmp_path: Path) -> None:
+    walk = make_walk(4, every=1)
+    write_nerfstudio(tmp_path / "walk", walk)
+    file = tmp_path / "walk" / "transforms.json"
+    content = json.loads(file.read_text())
+    # As ns-process-data has it: x and y swapped, z mirrored.
+    applied = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
+    for frame in content["frames"]:
+        frame["transform_matrix"] = (applied @ frame["transform_matrix"]).tolist()
+    file.write_text(json.dumps(content | {"applied_transform": applied[:3].tolist()}))
+    (session,) = read_all(tmp_path)
+    np.testing.assert_allclose(np.stack([f.vio_T_cam for f in session.frames]), walk.vio_T_cam, atol=1e-12)
+    file.write_text(json.dumps(content | {"applied_transform": (2 * applied[:3]).tolist()}))
+    with pytest.raises(UserError, match="applied_transform isn't rigid"):
+        read_all(tmp_path)
+
+
+def test_a_file_with_times_is_a_phone_capture_of_its_own(tmp_path: Path) -> None:
+    write_nerf_capture(tmp_path / "walk", make_walk(4))
+    (session,) = read_all(tmp_path)
+    assert (session.format, session.poses_are) == ("nerf_capture", "vio")
+
+
+@pytest.mark.parametrize("write", [write_colmap, write_nerfstudio])
+def test_each_folder_of_images_is_a_recording(tmp_path: Path, write) -> None:
+    root = tmp_path / "scene"
+    write(root, make_walk(8, every=1))
+    for i, name in ((i, f"{i:06d}.jpg") for i in range(8)):
+        (root / "images" / ("a" if i < 5 else "b")).mkdir(exist_ok=True)
+        (root / "images" / name).rename(root / "images" / ("a" if i < 5 else "b") / name)
+    if write is write_nerfstudio:
+        content = json.loads((root / "transforms.json").read_text())
+        for frame in content["frames"]:
+            name = Path(frame["file_path"]).name
+            frame["file_path"] = f"images/{'a' if int(name[:6]) < 5 else 'b'}/{name}"
+        content["test_filenames"] = [f["file_path"] for f in content["frames"] if "/b/" in f["file_path"]]
+        (root / "transforms.json").write_text(json.dumps(content))
+    else:
+        model = pycolmap.Reconstruction(root / "sparse" / "0")
+        for image in model.images.values():
+            image.name = f"{'a' if int(image.name[:6]) < 5 else 'b'}/{image.name}"
+        model.write_binary(root / "sparse" / "0")
+        (root / "test.txt").write_text("".join(f"b/{i:06d}.jpg\n" for i in range(5, 8)))
+    sessions = read_all(tmp_path)
+    assert [(s.session_id, len(s.frames), s.split) for s in sessions] == [("a", 5, "train"), ("b", 3, "test")]
+    (root / "images" / "b").rename(tmp_path / "elsewhere")
+    (session,) = read_all(tmp_path)
+    assert "3 rows name images in folders that aren't there" in session.notes[0]
+
+
+@pytest.mark.parametrize("metric", [False, True])
+def test_a_reference_is_no_vio_and_its_unit_is_stated(tmp_path: Path, metric: bool) -> None:
+    walk = make_walk(8, every=1)
+    write_nerfstudio(tmp_path / "captures" / "place" / "walk", walk)
+    settings = [f"reference_is_metric={str(metric).lower()}"]
+    folder = execute(STAGE, "place", "tiny", DataRoot(tmp_path), settings)
+    sessions = pd.read_parquet(folder / "sessions.parquet")
+    unit = "m" if metric else "unknown"
+    assert sessions[["poses_are", "reference_unit", "up"]].iloc[0].tolist() == ["reference", unit, "unknown"]
+    frames = pd.read_parquet(folder / "frames.parquet")
+    assert frames["vio_cam_tx"].isna().all() and frames["gravity_x"].isna().all()
+    reference = pd.read_parquet(folder / "reference.parquet")
+    np.testing.assert_allclose(poses_of(reference, "map_cam"), walk.vio_T_cam, atol=1e-9)
+    assert not len(pd.read_parquet(folder / "vio.parquet"))
+
+
+def test_a_models_pose_is_world_to_camera(tmp_path: Path) -> None:
+    """By pycolmap, which is another reader of the same file."""
+    write_colmap(tmp_path / "walk", make_walk(6))
+    (session,) = read_all(tmp_path)
+    by_name = {i.name: i for i in pycolmap.Reconstruction(tmp_path / "walk/sparse/0").images.values()}
+    for frame in session.frames:
+        expected = np.vstack([by_name[frame.image.path.name].cam_from_world().matrix(), [0, 0, 0, 1]])
+        np.testing.assert_allclose(inverse(frame.vio_T_cam), expected, atol=1e-9)

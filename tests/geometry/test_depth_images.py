@@ -1,0 +1,51 @@
+"""Depth at places of an image, and medians of ratios, on images whose depth is known."""
+
+import numpy as np
+import pytest
+
+from geometry import GeometryError
+from geometry.depth_images import pixel_rays, ratio_statistics, sample_depth, smooth_pixels
+
+SIZE = (640, 480)
+
+
+def plane(shape: tuple[int, int] = (48, 64)) -> np.ndarray:
+    """Depth that is linear over the image: 1 m at its left border, 1.5 m at its right one."""
+    _, share = pixel_rays(shape, 1)
+    return (1 + 0.5 * share[:, 0]).reshape(shape)
+
+
+def test_depth_is_read_where_the_image_has_it() -> None:
+    xy = np.random.default_rng(0).uniform([10, 10], [630, 470], (200, 2))
+    found, nearest = sample_depth(plane(), xy, SIZE)
+    np.testing.assert_allclose(found, 1 + 0.5 * xy[:, 0] / 640, atol=1e-12)
+    np.testing.assert_array_equal(nearest, np.floor(xy[:, ::-1] / 10))
+
+
+def test_nothing_is_read_at_edges_holes_or_outside() -> None:
+    depth = plane()
+    depth[:, 32:] += 1.0  # an edge between columns 31 and 32
+    depth[20, 10] = 0.0
+    xy = np.array(
+        [[100.0, 100], [318, 100], [325, 100], [345, 100], [95, 195], [115, 205], [135, 205], [-1, 5], [5, 481]]
+    )
+    found, _ = sample_depth(depth, xy, SIZE)
+    assert np.isfinite(found).tolist() == [True, False, False, True, False, False, True, False, False]
+    assert not smooth_pixels(depth)[19:22, 9:12].any()
+
+
+def test_the_standard_error_is_that_of_frames_not_of_points() -> None:
+    """Frames with errors of their own: the error of the median falls with their number alone."""
+    rng = np.random.default_rng(1)
+    medians, stated = [], []
+    for _ in range(60):
+        offset = rng.normal(0, 0.01, 30)
+        frame = np.repeat(np.arange(30), 50)
+        ratio = 1 + offset[frame] + rng.normal(0, 0.002, len(frame))
+        found = ratio_statistics(ratio, frame, rng)
+        medians.append(found.median)
+        stated.append(found.se)
+    assert np.mean(stated) == pytest.approx(np.std(medians), rel=0.35)
+    assert np.isnan(ratio_statistics(ratio[:50], frame[:50], rng).se)
+    with pytest.raises(GeometryError, match="no ratios"):
+        ratio_statistics(np.empty(0), np.empty(0, np.int64), rng)
