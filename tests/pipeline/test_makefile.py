@@ -138,6 +138,8 @@ def test_a_finished_manifest_survives_a_signal(folder: Path, number: signal.Sign
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # Whoever runs the tests in the background may ignore it, and children inherit that.
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     )
     deadline = time.monotonic() + 20
     while not (manifest.is_file() and manifest.read_text()):
