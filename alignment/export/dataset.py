@@ -98,7 +98,10 @@ class Dataset:
     def world(self) -> str:
         """Unit and axes of the map, in words."""
         scale, vertical = (str(self.frames[f"{of}_source"].iloc[0]) for of in ("scale", "vertical"))
-        unit = "a reference's unit, which isn't known" if "unknown" in scale else "metres"
+        if scale == "none":
+            unit = "SfM's unit, as nothing gives a scale"
+        else:
+            unit = "a reference's unit, which isn't known" if "unknown" in scale else "metres"
         axes = "a reference's axes, up not known" if "unknown" in vertical else "+y up"
         return f"{unit}, {axes}"
 
