@@ -179,7 +179,8 @@ def linearize(scene: Scene, cameras: Cameras) -> Linearized:
 @dataclass(frozen=True)
 class System:
     """Normal equations without the points over (10 N + G) unknowns: frames' own, then lenses' k1, k2 and readout, then
-    sessions' log focal factors. `weight` scales rows of observations; `to_points` takes a step back to the points."""
+    sessions' log focal factors; and what takes a step of these back to the points: the inverses of the points' own
+    blocks (P, 3, 3) and their gradient (P, 3)."""
 
     matrix: Array
     gradient: Array

@@ -63,7 +63,6 @@ class Lens:
     prior_coefficients: list[float]
     prior_readout_s: float
     prior_covariance: list[list[float]]
-    pairs: int = 0
     heldout_stated_px: float | None = None
     heldout_px: float | None = None
     stated_is_wrong: bool = False
@@ -150,9 +149,15 @@ def prior_lenses(frames: pd.DataFrame, device_of_session: dict[str, str], settin
 
 
 def with_lenses(frames: pd.DataFrame, calibration: Calibration) -> pd.DataFrame:
-    """The frames table with the distortion of their lenses: four coefficients, or eight where the lens needs them."""
-    coefficients = calibration.coefficients[calibration.lens]
-    return frames.assign(distortion=[row[: 8 if row[4:].any() else 4].tolist() for row in coefficients])
+    """The frames table with the distortion of their lenses."""
+    return frames.assign(
+        distortion=pd.Series(distortion_lists(calibration.coefficients[calibration.lens]), frames.index)
+    )
+
+
+def distortion_lists(coefficients_N8: Array) -> list[list[float]]:
+    """Coefficients as tables have them: four, or eight where the lens needs them."""
+    return [row[: 8 if row[4:].any() else 4].tolist() for row in coefficients_N8]
 
 
 def calibrate(
@@ -256,7 +261,7 @@ def _estimated(given: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: P
         if wrong:
             estimate, estimated_px = unbound, unbound_px
             given = replace(given, prior_covariance=_UNBOUND.tolist())
-    judged: dict[str, Any] = {"pairs": len(matches.a_T_b), "heldout_stated_px": stated_px, "heldout_px": estimated_px}
+    judged: dict[str, Any] = {"heldout_stated_px": stated_px, "heldout_px": estimated_px}
     if estimated_px > stated_px:
         return replace(given, **judged)
     coefficients = [*estimate.parameters[:2].tolist(), *given.coefficients[2:]]

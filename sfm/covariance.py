@@ -24,7 +24,6 @@ from sfm.adjustment import (
     loss_variance,
     normal_equations,
     prior_information,
-    project,
     shared_columns,
     summed,
 )
@@ -87,7 +86,7 @@ def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
     left = inverse[shared_index] @ middle
     position = scene.sfm_T_cam[:, :3, 3]
     poses = _gauge_free_sandwich(inverse[pose_index], middle, position)
-    by_rows, by_cell = coherence(adjusted, blob_P)
+    by_rows, by_cell = coherence(adjusted, linear.residual, blob_P)
     shared = max(by_rows, by_cell) * left @ inverse[:, shared_index]
     return Covariances(by_rows * poses, shared, by_rows, by_cell)
 
@@ -128,15 +127,14 @@ def _forces(linear: Linearized, weight_M: Array, residual_M2: Array, point_M: In
     return np.einsum("mij,mi->mj", by_unknown, pull_M2 - np.einsum("mij,mj->mi", curved, moved_P3[point_M]))
 
 
-def coherence(adjusted: Adjusted, blob_P: Ints) -> tuple[float, float]:
-    """How much more residuals hang together in the rows of a frame that are read out together, and in a part of the
-    image over all frames, than independent ones would: the ratio of the variances of their sums (Kish's design effect),
-    at least 1, less what may be chance. A shutter or focus that isn't modelled shows in the first, a lens in the
-    second.
+def coherence(adjusted: Adjusted, residual_M2: Array, blob_P: Ints) -> tuple[float, float]:
+    """How much more residuals (pixels) hang together in the rows of a frame that are read out together, and in a part
+    of the image over all frames, than independent ones would: the ratio of the variances of their sums (Kish's design
+    effect), at least 1, less what may be chance. A shutter or focus that isn't modelled shows in the first, a lens in
+    the second.
     """
     scene, cameras = adjusted.scene, adjusted.cameras
-    residual = project(scene, cameras) - scene.seen_px
-    residual /= 1 + np.sum(residual**2, axis=1, keepdims=True) / adjusted.loss_px**2
+    residual = residual_M2 / (1 + np.sum(residual_M2**2, axis=1, keepdims=True) / adjusted.loss_px**2)
     # Features of one blob are in the same place with the same error.
     key = scene.frame * (int(blob_P.max(initial=0)) + 1) + blob_P[scene.point]
     _, first = np.unique(key, return_index=True)

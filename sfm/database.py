@@ -95,6 +95,12 @@ def keypoint_counts(path: Path, count: int) -> Ints:
         return np.array([database.num_keypoints_for_image(image_id(row)) for row in range(count)])
 
 
+def have_features(path: Path, count: int) -> bool:
+    """Whether features of all `count` frames have been extracted, be they none."""
+    with pycolmap.Database.open(path) as database:
+        return all(database.exists_keypoints(image_id(row)) for row in range(count))
+
+
 def have_results(path: Path, pairs: Ints) -> NDArray[np.bool_]:
     """Which pairs of rows (P, 2) have been matched and verified, (P,)."""
     with pycolmap.Database.open(path) as database:

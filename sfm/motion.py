@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from artefacts.tables import poses_of
 from geometry.poses import Array
@@ -19,12 +18,11 @@ _LEAST_ANGULAR_SD = 0.005
 @dataclass(frozen=True)
 class Motion:
     """Of N frames, in the camera's axes: angular velocity (N, 3) in rad/s with one sigma (N,), velocity (N, 3) in m/s,
-    0 where VIO has no pose near enough before and after the frame, and whether it has (N,)."""
+    0 where VIO has no pose near enough before and after the frame."""
 
     angular: Array
     angular_sd: Array
     velocity: Array
-    known: NDArray[np.bool_]
 
 
 def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame) -> Motion:
@@ -35,7 +33,6 @@ def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame) -> Motion:
     """
     count = len(frames)
     angular, velocity, sd = np.zeros((count, 3)), np.zeros((count, 3)), np.full(count, _UNKNOWN_ANGULAR_SD)
-    known = np.zeros(count, bool)
     session_N, t_ns = frames["session_id"].to_numpy(str), frames["t_ns"].to_numpy(np.int64)
     vio_T_cam = poses_of(frames, "vio_cam")
     by_session = dict(iter(log.groupby("session_id")))
@@ -49,11 +46,10 @@ def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame) -> Motion:
         near = np.isfinite(rates.angular).all(axis=1)
         if not near.any():
             continue
-        known[rows] = near
         angular[rows[near]], velocity[rows[near]] = rates.angular[near], rates.velocity[near]
         change = rates.angular_change[np.isfinite(rates.angular_change[:, 0])]
         one_sided = near & ~np.isfinite(rates.angular_change[:, 0])
         scatter = float(np.sqrt(np.mean(change**2))) / 2 if len(change) else _UNKNOWN_ANGULAR_SD
         sd[rows[near]] = max(scatter, _LEAST_ANGULAR_SD)
         sd[rows[one_sided]] *= 2
-    return Motion(angular, sd, velocity, known)
+    return Motion(angular, sd, velocity)

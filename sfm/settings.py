@@ -65,7 +65,8 @@ class SfmSettings(Settings):
         None, ge=-0.1, le=0.1, description="rolling shutter, first to last row in seconds; null estimates it"
     )
     refine_cameras: RefineCameras = Field(
-        "auto", description="auto adjusts lens, readout and focal lengths with the model; never leaves them as they are"
+        "auto",
+        description="auto estimates lens, readout and focal lengths; never keeps the stated, or else typical, ones",
     )
     focal_limit: float = Field(
         0.03, gt=0, lt=0.5, description="a session's focal lengths are called wrong where images say so by this share"

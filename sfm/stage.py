@@ -17,7 +17,15 @@ from geometry.vio_drift import VioDrift
 from sfm.adjustment import Adjusted
 from sfm.calibration import Calibration, calibrate, with_lenses, write_calibrated_database
 from sfm.covariance import Covariances, covariances
-from sfm.database import create_database, have_results, image_name, keypoint_counts, read_descriptors, read_pair_results
+from sfm.database import (
+    create_database,
+    have_features,
+    have_results,
+    image_name,
+    keypoint_counts,
+    read_descriptors,
+    read_pair_results,
+)
 from sfm.features import extract_features, features_name
 from sfm.ladder import OTHERWISE, Attempt, climb, outcome_of
 from sfm.mappers import MappingInput
@@ -230,13 +238,18 @@ def _prepare(r: StageRun[SfmSettings]) -> _Scene:
 
 def _features(r: StageRun[SfmSettings], scene: _Scene, settings: SfmSettings) -> Path:
     """The database with the features as they were found, extracted where that hasn't been done."""
-    database = scene.scratch / f"features{features_name(settings)}.db"
+    database = _features_file(scene, settings)
     create_database(database, scene.frames, scene.names)
-    with r.step("features"):
-        task = Task(extract_features, (database, scene.images, scene.names, settings), len(scene.names))
-        in_child("extracting features", scene.log, _TOO_LITTLE, task)
+    if not have_features(database, len(scene.names)):
+        with r.step("features"):
+            task = Task(extract_features, (database, scene.images, scene.names, settings), len(scene.names))
+            in_child("extracting features", scene.log, _TOO_LITTLE, task)
     _require_features(r, keypoint_counts(database, len(scene.names)))
     return database
+
+
+def _features_file(scene: _Scene, settings: SfmSettings) -> Path:
+    return scene.scratch / f"features{features_name(settings)}.db"
 
 
 def _calibrated(r: StageRun[SfmSettings], scene: _Scene) -> _Scene:
@@ -247,9 +260,7 @@ def _calibrated(r: StageRun[SfmSettings], scene: _Scene) -> _Scene:
     if not path.is_file():
         database = _features(r, scene, r.settings)
         with r.step("calibration"):
-            pairs = unique_pairs(
-                np.concatenate([p for name, p in _propose(r.seed, r.settings, scene, database) if name != "retrieval"])
-            )
+            pairs = unique_pairs(np.concatenate([pairs for _, pairs in _propose_by_vio(r.settings, scene)]))
             prior, motion = scene.cameras.calibration, scene.cameras.motion
             arguments = (database, scene.frames, scene.names, pairs, prior, motion, r.settings, r.seed, path)
             in_child("calibrating lenses", scene.log, _TOO_LITTLE, Task(calibrate, arguments, None, ONE_THREAD))
@@ -360,7 +371,8 @@ def _require_features(r: StageRun[SfmSettings], keypoints_N: NDArray[np.int64]) 
         )
 
 
-def _propose(seed: int, s: SfmSettings, scene: _Scene, database: Path) -> list[tuple[str, Pairs]]:
+def _propose_by_vio(s: SfmSettings, scene: _Scene) -> list[tuple[str, Pairs]]:
+    """Pairs within sessions, from the order of the frames and from VIO."""
     frames, vio = scene.frames, scene.vio
     # Support frames lie between the dataset's, and pairs are to reach as far as without them.
     density = len(frames) / max(int((~frames["support"]).sum()), 1)
@@ -376,16 +388,20 @@ def _propose(seed: int, s: SfmSettings, scene: _Scene, database: Path) -> list[t
         s.vio_max_angle_deg,
         round(density * s.vio_pairs),
     )
-    alike = unique_pairs([])
-    if s.retrieval_pairs and len(set(vio.session)) > 1:
-        descriptors = read_descriptors(database, len(frames))
-        described = RETRIEVALS[s.retrieval](descriptors, s.retrieval_words, seed)
-        alike = retrieval_pairs(described, vio.session, s.retrieval_pairs)
     return [
         ("sequence", unique_pairs(np.concatenate([next_one, following[_can_see(s, vio, following)]]))),
         ("vio", near),
-        ("retrieval", alike),
     ]
+
+
+def _propose(seed: int, s: SfmSettings, scene: _Scene, database: Path) -> list[tuple[str, Pairs]]:
+    session = scene.vio.session
+    alike = unique_pairs([])
+    if s.retrieval_pairs and len(set(session)) > 1:
+        descriptors = read_descriptors(database, len(session))
+        described = RETRIEVALS[s.retrieval](descriptors, s.retrieval_words, seed)
+        alike = retrieval_pairs(described, session, s.retrieval_pairs)
+    return [*_propose_by_vio(s, scene), ("retrieval", alike)]
 
 
 def _match(
@@ -460,7 +476,7 @@ def _map(
         return []
     if not folder.is_dir():
         target, vio = _mapping_input(folder), scene.vio
-        features = scene.scratch / f"features{features_name(s)}.db"
+        features = _features_file(scene, s)
         verified = (database, features, target, scene.frames, matched.pairs[matched.verified], s.held_out, r.seed)
         given = MappingInput(target, scene.images, vio.vio_T_cam, vio.session, r.seed)
         arguments = (verified, given, features, scene.cameras, s, folder)

@@ -10,6 +10,7 @@ from artefacts.schemas import schema
 from artefacts.tables import pose_frame
 from geometry.poses import Array
 from sfm.adjustment import Adjusted, Cameras, Ints
+from sfm.calibration import distortion_lists
 from sfm.covariance import Covariances
 from sfm.ladder import Attempt
 from sfm.mapping import BuiltModel, kept_models
@@ -35,8 +36,7 @@ def images_table(
     table = pd.concat([table, pose_frame("sfm_cam", model.sfm_T_cam)], axis=1)
     table[["fx", "fy"]] = cameras.focal
     table[["cx", "cy"]] = cameras.intrinsics[:, 2:]
-    coefficients = cameras.coefficients[cameras.lens]
-    table["distortion"] = [row[: 8 if row[4:].any() else 4].tolist() for row in coefficients]
+    table["distortion"] = distortion_lists(cameras.coefficients[cameras.lens])
     table["readout_s"] = cameras.readout_s[cameras.lens]
     table["uses_vio"] = uses_vio & model.registered
     table["keypoints"] = keypoints_N
