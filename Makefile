@@ -176,6 +176,9 @@ bench-groundtruth: $(installed) ## Ground truth: accuracy, honesty, speed beside
 bench-real: $(installed) ## Real captures beside stock COLMAP (docs/results); captures=<folder>: yours, too; stability=1: resampled
 	@$(py) -m benchmarks.real $(if $(captures),--capture "$(captures)") $(if $(stability),--stability)
 
+bench-cameras: $(installed) ## Simulated phones whose lens, shutter and focus are unknown (docs/results); hours
+	@$(py) -m benchmarks.phone_cameras
+
 bench-import: $(installed) ## Import: speed, memory, figures of each format, nerfstudio beside (nerfstudio=<its python>)
 	@$(py) -m benchmarks.import_throughput
 	@$(py) -m benchmarks.import_formats $(if $(wildcard ../shared),--captures ../shared/captures --trajectories ../shared/trajectories)
@@ -206,4 +209,4 @@ help: ## This text
 	@echo "your own captures:  make scene=<name> captures=<folder> all"
 	@echo "one stage's help:   .venv/bin/python -m sfm --help   (capture_import, sfm, alignment, training, fusion, reports)"
 
-.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench bench-fusion bench-trained bench-groundtruth bench-real bench-import fuzz-import docs lock help
+.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs lock help

@@ -63,9 +63,9 @@ def part_of(scene: str, whole: DataRoot, part: DataRoot, frames: int) -> None:
     (target / MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
 
 
-def true_poses(scene: str, root: DataRoot) -> Array:
+def true_poses(scene: str, root: DataRoot, profile: str = PROFILE) -> Array:
     """The true map_T_cam (N, 4, 4) of the frames of an imported simulated scene."""
-    folder = root.run(PROFILE, scene, "import")
+    folder = root.run(profile, scene, "import")
     frames = read_table(folder / "frames.parquet", schema("import", "frames"))
     sessions = read_table(folder / "sessions.parquet", schema("import", "sessions")).set_index("session_id")
     truth = read_table(root.captures(scene) / "true_poses.parquet", schema("simulate", "true_poses"))

@@ -10,7 +10,7 @@ import pycolmap
 
 from artefacts.tables import poses_of
 from geometry.poses import Array, inverse, make_pose
-from sfm.adjustment import Adjusted, CameraPriors, Cameras, Scene, adjust, loss_variance, project
+from sfm.adjustment import Adjusted, CameraPriors, Cameras, Scene, adjust, loss_variance, marginal_readout, project
 from sfm.calibration import Calibration, prior_lenses
 from sfm.database import Ints, image_id
 from sfm.motion import Motion, motion_by_vio
@@ -18,9 +18,10 @@ from sfm.settings import SfmSettings
 
 # A step between two frames over which VIO tells how long an sfm unit is.
 _LEAST_STEP_M = 0.02
-# By how much a session's logged focal lengths may be off in common, and a frame's; the latter counts as some frames.
+# By how much a session's logged focal lengths may be off in common, and a frame's. What priors say of scatter counts
+# as some frames.
 _LOG_FOCAL_SD = 0.01
-_FOCUS_SD, _FOCUS_FRAMES = 0.002, 5
+_FOCUS_SD, _PRIOR_FRAMES = 0.002, 5
 _FIRST_STEPS, _FIRST_LOSS_WIDENING = 8, 4.0
 _EXACT_SD = 1e-7
 _OUTLIER_SIGMAS = 4.0
@@ -81,8 +82,8 @@ def adjust_model(
     observations.filter_observations_with_negative_depth()
     rows, point_ids, scene, features = _scene_of(model, keypoints)
     if settings.refine_cameras != "never":
-        priors = replace(priors, focus_sd=_focus_sd(adjusted.cameras))
-    adjusted = adjust(scene, adjusted.cameras, priors)
+        priors = replace(priors, focus_sd=_focus_sd(adjusted.cameras), angular_sd=_angular_sd(adjusted))
+    adjusted = marginal_readout(adjust(scene, adjusted.cameras, priors))
     _write_back(model, rows, point_ids, adjusted, features)
     observations.filter_observations_with_negative_depth()
     model.update_point_3d_errors()
@@ -202,7 +203,16 @@ def _focus_sd(cameras: Cameras) -> Array:
     """(S,) how much the focus of each session's frames scatters, shrunk to what is expected."""
     square = np.bincount(cameras.session, cameras.focus**2, minlength=len(cameras.log_focal))
     count = np.bincount(cameras.session, minlength=len(cameras.log_focal))
-    return np.sqrt((_FOCUS_FRAMES * _FOCUS_SD**2 + square) / (_FOCUS_FRAMES + count))
+    return np.sqrt((_PRIOR_FRAMES * _FOCUS_SD**2 + square) / (_PRIOR_FRAMES + count))
+
+
+def _angular_sd(adjusted: Adjusted) -> Array:
+    """(N,) sigmas of VIO's angular velocities, larger where the images of a session say that they are."""
+    cameras, priors = adjusted.cameras, adjusted.priors
+    moved = np.mean((cameras.angular - priors.mean.angular) ** 2, axis=1) / priors.angular_sd**2
+    count = np.bincount(cameras.session)
+    growth = (_PRIOR_FRAMES + np.bincount(cameras.session, moved)) / (_PRIOR_FRAMES + count)
+    return priors.angular_sd * np.sqrt(np.maximum(growth, 1.0))[cameras.session]
 
 
 def _write_back(
