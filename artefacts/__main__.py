@@ -1,4 +1,4 @@
-"""`python -m artefacts`: look at, link and remove what the stages made; the artefact reference."""
+"""`python -m groundwalk.artefacts`: look at, link and remove what the stages made; the artefact reference."""
 
 import os
 import subprocess
@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
-from artefacts.cleaning import clean_scene
-from artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
-from artefacts.errors import UserError
-from artefacts.recording import RECORDING
-from artefacts.reference import reference
-from artefacts.settings import STAGES, DataRoot
+from groundwalk.artefacts.cleaning import clean_scene
+from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.recording import RECORDING
+from groundwalk.artefacts.reference import reference
+from groundwalk.artefacts.settings import STAGES, DataRoot
 
 app = new_app("Look at, link and remove what the stages made.")
 

@@ -1,4 +1,4 @@
-"""The command line that every stage shares: `python -m <stage> --scene … --profile …`."""
+"""The command line that every stage shares: `python -m groundwalk.<stage> --scene … --profile …`."""
 
 import sys
 from pathlib import Path
@@ -6,12 +6,12 @@ from typing import Annotated, Any
 
 import typer
 
-from artefacts.damage import as_user_error
-from artefacts.errors import UserError
-from artefacts.settings import DataRoot, Settings
-from artefacts.signals import Stopped, signals_raise
-from artefacts.stage import Stage, execute
-from artefacts.text import printable
+from groundwalk.artefacts.damage import as_user_error
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.settings import DataRoot, Settings
+from groundwalk.artefacts.signals import Stopped, signals_raise
+from groundwalk.artefacts.stage import Stage, execute
+from groundwalk.artefacts.text import printable
 
 SceneOption = Annotated[str, typer.Option(help="The scene: a folder of data/captures, or one that can be simulated.")]
 ProfileOption = Annotated[str, typer.Option(help="Settings for the whole run: demo, paper or tiny (data/profiles).")]

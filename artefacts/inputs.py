@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from artefacts.errors import UserError
-from artefacts.files import hash_files
-from artefacts.locks import locked
-from artefacts.manifests import MANIFEST, load_manifest, load_verified
-from artefacts.settings import SHIPPED_DATA, STAGES, DataRoot, SceneConfig
-from artefacts.simulated import SIMULATED_MARKER, TRUTH_FILES
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import hash_files, sha256_of
+from groundwalk.artefacts.locks import locked
+from groundwalk.artefacts.manifests import MANIFEST, load_manifest, load_verified
+from groundwalk.artefacts.settings import STAGES, DataRoot, SceneConfig
+from groundwalk.artefacts.simulated import SIMULATED_MARKER, TRUTH_FILES
 
 
 class Reader(Protocol):
@@ -88,8 +88,7 @@ class Inputs:
             self._held.enter_context(locked(folder, shared=True))
             self.hashes[f"{scene}/{stage}"] = load_manifest(folder)["outputs"]
         for name in self.stage.reads_shipped:
-            folder = SHIPPED_DATA / name
-            self.hashes[f"data/{name}"] = hash_files(folder, (path for path in folder.rglob("*") if path.is_file()))
+            self.hashes[f"data/{name}"] = {file: sha256_of(path) for file, path in self.data.files(name).items()}
 
     def _read_captures(self) -> None:
         captures = self.data.captures(self.scene.name)

@@ -5,9 +5,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-from artefacts import recording
-from artefacts.errors import UserError
-from artefacts.files import KEY_FILE, hash_files, read_json
+from groundwalk.artefacts import recording
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import KEY_FILE, hash_files, read_json
 
 MANIFEST = "manifest.json"
 # Not among the hashed outputs: a recording is a view of the tables and never the same twice.

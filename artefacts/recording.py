@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from artefacts.files import replace_synced
-from geometry.poses import Array
+from groundwalk.artefacts.files import replace_synced
+from groundwalk.geometry.poses import Array
 
 RECORDING = "recording.rrd"
 

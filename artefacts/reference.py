@@ -1,6 +1,6 @@
 """docs/artefacts.md, made from the schemas so that it can't fall behind them."""
 
-from artefacts.schemas import Column, all_tables
+from groundwalk.artefacts.schemas import Column, all_tables
 
 _HEAD = """# Artefacts
 

@@ -7,8 +7,9 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from artefacts.errors import UserError
+from groundwalk.artefacts.errors import UserError
 
+# Profiles, scenes and published tables: data/ beside the packages, in the repository as in a wheel (groundwalk/data).
 SHIPPED_DATA = Path(__file__).resolve().parent.parent / "data"
 STAGES = ("import", "sfm", "align", "train", "fuse", "report")
 _SECTIONS = ("simulate", *STAGES)
@@ -65,7 +66,8 @@ def checked_name(kind: Literal["scene", "profile"], name: str) -> str:
 
 
 class DataRoot:
-    """The data folder: captures/, runs/, and the scene and profile files (the shipped ones where it has none)."""
+    """The data folder: captures/, runs/, and the files of profiles/, scenes/ and published/ (the shipped ones where it
+    has none of that name)."""
 
     def __init__(self, root: Path) -> None:
         self.root = root.absolute()
@@ -80,15 +82,16 @@ class DataRoot:
 
     def config_file(self, kind: Literal["profiles", "scenes"], name: str) -> Path | None:
         """data/<kind>/<name>.toml here or as shipped, or None."""
-        for base in (self.root, SHIPPED_DATA):
-            path = base / kind / f"{name}.toml"
-            if path.is_file():
-                return path
-        return None
+        return self.files(kind).get(f"{name}.toml")
+
+    def files(self, folder: str) -> dict[str, Path]:
+        """The files of data/<folder> by name: profiles, scenes or published, each here or as shipped."""
+        bases = (SHIPPED_DATA, self.root)
+        return {p.name: p for base in bases for p in sorted((base / folder).glob("*")) if p.is_file()}
 
     def names(self, kind: Literal["profiles", "scenes"]) -> list[str]:
         """The names of all scene or profile files."""
-        return sorted({p.stem for base in (self.root, SHIPPED_DATA) for p in (base / kind).glob("*.toml")})
+        return sorted(path.stem for path in self.files(kind).values() if path.suffix == ".toml")
 
     def profile(self, name: str) -> dict[str, Any]:
         """A profile's sections; UserError where there is no such profile."""
@@ -152,7 +155,7 @@ def validated(model: type[T], content: dict[str, Any], where: object) -> T:
             where=where,
             found=None if first["type"] == "missing" else repr(first.get("input")),
             expected="one of " + ", ".join(model.model_fields) if first["type"] == "extra_forbidden" else None,
-            do="correct it; `python -m <stage> --help` lists the settings",
+            do="correct it; `python -m groundwalk.<stage> --help` lists the settings",
         ) from None
 
 

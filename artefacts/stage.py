@@ -18,23 +18,24 @@ from typing import Any, Generic, TypeVar
 import pandas as pd
 import rerun as rr
 
-from artefacts import progress, recording
-from artefacts.errors import UserError
-from artefacts.files import (
+from groundwalk import CHECKOUT
+from groundwalk.artefacts import progress, recording
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import (
     finish_interrupted_swap,
     partial_folder,
     swap_in,
     write_json,
 )
-from artefacts.inputs import Inputs, missing_input
-from artefacts.locks import locked
-from artefacts.manifests import MANIFEST, is_whole, load_manifest, output_hashes
-from artefacts.memory import PeakMemory
-from artefacts.resuming import run_resumable
-from artefacts.schemas import schema
-from artefacts.settings import DataRoot, SceneConfig, Settings, resolve_settings
-from artefacts.tables import dataset_frames, read_table, write_table
-from artefacts.text import printable
+from groundwalk.artefacts.inputs import Inputs, missing_input
+from groundwalk.artefacts.locks import locked
+from groundwalk.artefacts.manifests import MANIFEST, is_whole, load_manifest, output_hashes
+from groundwalk.artefacts.memory import PeakMemory
+from groundwalk.artefacts.resuming import run_resumable
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import DataRoot, SceneConfig, Settings, resolve_settings
+from groundwalk.artefacts.tables import dataset_frames, read_table, write_table
+from groundwalk.artefacts.text import printable
 
 S = TypeVar("S", bound=Settings)
 T = TypeVar("T")
@@ -67,7 +68,7 @@ class Stage(Generic[S]):
     run: Callable[["StageRun[S]"], None]
     help: str
     reads_captures: bool = False
-    reads_shipped: tuple[str, ...] = ()  # folders of the repository's data/
+    reads_shipped: tuple[str, ...] = ()  # folders of data/, whose files come with groundwalk
 
 
 @dataclass
@@ -250,11 +251,12 @@ def _version(package: str) -> str:
 
 
 def _git_revision() -> str:
-    here = Path(__file__).resolve().parent
+    if CHECKOUT is None:
+        return "unknown"
     try:
         shown = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=12"],
-            cwd=here,
+            cwd=CHECKOUT,
             capture_output=True,
             text=True,
             check=True,

@@ -8,11 +8,11 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from artefacts.errors import UserError
-from artefacts.files import replace_synced
-from artefacts.schemas import TableSchema
-from geometry.cameras import Camera
-from geometry.poses import Array, pose_from_tq, tq_from_pose
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import replace_synced
+from groundwalk.artefacts.schemas import TableSchema
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.poses import Array, pose_from_tq, tq_from_pose
 
 CAMERA_COLUMNS = ["fx", "fy", "cx", "cy", "distortion"]
 _QUATERNION_TOLERANCE = 1e-6

@@ -25,13 +25,6 @@ import numpy as np
 import pandas as pd
 import typer
 
-from alignment.checks import CAUSES, INTRINSICS, LOOK_ALIKE, MIRRORED, OTHER_SCENE, SHUFFLED, VIO_SCALE
-from alignment.stage import STAGE as ALIGN
-from artefacts import DataRoot, UserError, execute
-from artefacts.cli import new_app
-from artefacts.manifests import load_manifest
-from artefacts.schemas import schema
-from artefacts.tables import poses_of, read_table
 from benchmarks.gates_breaking import (
     Break,
     copy_capture,
@@ -45,12 +38,19 @@ from benchmarks.gates_breaking import (
     with_walk_of,
 )
 from benchmarks.gates_captures import CORRIDOR, Capture, write_capture
-from capture_import.stage import STAGE as IMPORT
-from geometry import GeometryError
-from geometry.fits import Sim3, fit_robust, fit_sim3, fit_yaw
-from geometry.metrics import position_error, rotation_error_deg
-from geometry.poses import Array
-from sfm.stage import STAGE as SFM
+from groundwalk.alignment.checks import CAUSES, INTRINSICS, LOOK_ALIKE, MIRRORED, OTHER_SCENE, SHUFFLED, VIO_SCALE
+from groundwalk.alignment.stage import STAGE as ALIGN
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of, read_table
+from groundwalk.capture_import.stage import STAGE as IMPORT
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import Sim3, fit_robust, fit_sim3, fit_yaw
+from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.stage import STAGE as SFM
 
 PROFILE = "tiny"
 CLEAN = "clean"

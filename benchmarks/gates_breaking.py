@@ -9,8 +9,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from artefacts.simulated import TRUE_POSES
-from geometry.poses import ARKIT_CAM_T_CAM
+from groundwalk.artefacts.simulated import TRUE_POSES
+from groundwalk.geometry.poses import ARKIT_CAM_T_CAM
 
 Break = Callable[[Path], None]
 _INTRINSICS = (0, 4)  # fx and fy in the row-major matrix

@@ -8,19 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.files import write_json
-from artefacts.simulated import SIMULATED_MARKER
-from simulation import details, materials
-from simulation.canvas import Canvas
-from simulation.capture import write_frames
-from simulation.mesh import TexturedMesh, build_mesh
-from simulation.place import Builder, Light
-from simulation.render import Renderer
-from simulation.scenes import SceneryPlan, scenery
-from simulation.session import SessionOutline, plan_session, take
-from simulation.settings import SimulateSettings
-from simulation.simulate import write_truth
-from simulation.walks import Route
+from groundwalk.artefacts.files import write_json
+from groundwalk.artefacts.simulated import SIMULATED_MARKER
+from groundwalk.simulation import details, materials
+from groundwalk.simulation.canvas import Canvas
+from groundwalk.simulation.capture import write_frames
+from groundwalk.simulation.mesh import TexturedMesh, build_mesh
+from groundwalk.simulation.place import Builder, Light
+from groundwalk.simulation.render import Renderer
+from groundwalk.simulation.scenes import SceneryPlan, scenery
+from groundwalk.simulation.session import SessionOutline, plan_session, take
+from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.simulation.simulate import write_truth
+from groundwalk.simulation.walks import Route
 
 CORRIDOR = "Corridor"
 _LENGTH_M, _WIDTH_M, _HEIGHT_M = 44.0, 2.4, 2.6

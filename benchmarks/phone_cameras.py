@@ -24,22 +24,22 @@ import numpy as np
 import pandas as pd
 import typer
 
-from alignment.check_truth import compare_with_bounds, compare_with_truth, shared_sd
-from artefacts import DataRoot, UserError, execute
-from artefacts.cli import new_app
-from artefacts.manifests import load_manifest
-from artefacts.schemas import schema
-from artefacts.settings import resolve_settings
-from artefacts.tables import poses_of, read_table
 from benchmarks.gates import PLACES, SFM_OF_SMALL
 from benchmarks.gates import PROFILE as SMALL
 from benchmarks.gates_captures import Capture, write_capture
 from benchmarks.groundtruth_inputs import PROFILE, errors_after_sim3, simulated, true_poses
 from benchmarks.stages import run_timed
 from benchmarks.stock import stock_command, stock_poses
-from capture_import.stage import STAGE as IMPORT
-from sfm.settings import SfmSettings
-from sfm.stage import STAGE as SFM
+from groundwalk.alignment.check_truth import compare_with_bounds, compare_with_truth, shared_sd
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import resolve_settings
+from groundwalk.artefacts.tables import poses_of, read_table
+from groundwalk.capture_import.stage import STAGE as IMPORT
+from groundwalk.sfm.settings import SfmSettings
+from groundwalk.sfm.stage import STAGE as SFM
 
 app = new_app(__doc__ or "")
 
@@ -100,7 +100,9 @@ def run_phone(phone: Phone, work: Path) -> dict[str, Any]:
     for module in ("sfm", "alignment"):
         folder = root.run(PROFILE, phone.scene, module)
         arguments = ["--scene", phone.scene, "--profile", PROFILE, "--data", str(root.root)]
-        status, cost = run_timed([sys.executable, "-m", module, *arguments], folder, work / f"{module}.log")
+        status, cost = run_timed(
+            [sys.executable, "-m", f"groundwalk.{module}", *arguments], folder, work / f"{module}.log"
+        )
         figures |= {f"{module}_cpu_s": cost.cpu_s, f"{module}_wall_s": cost.wall_s, f"{module}_mib": cost.peak_mib}
         if status:
             return figures | {"refused": (work / f"{module}.log").read_text(encoding="utf-8")[-2000:]}
@@ -125,7 +127,7 @@ def run_walk(number: int, work: Path) -> dict[str, Any]:
     except UserError as error:
         return figures | {"refused": " ".join(str(error).split())}
     arguments = ["--scene", "Case", "--profile", SMALL, "--data", str(data.root)]
-    status, _ = run_timed([sys.executable, "-m", "alignment", *arguments], work, work / "alignment.log")
+    status, _ = run_timed([sys.executable, "-m", "groundwalk.alignment", *arguments], work, work / "alignment.log")
     if status:
         figures |= _cameras("Case", SMALL, data)
         return figures | {"refused": (work / "alignment.log").read_text(encoding="utf-8")[-2000:]}

@@ -4,8 +4,8 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from fusion.localiser import Estimate, Localiser
-from fusion.walks import Walk, known
+from groundwalk.fusion.localiser import Estimate, Localiser
+from groundwalk.fusion.walks import Walk, known
 
 
 class Offline(ABC):

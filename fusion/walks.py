@@ -9,10 +9,10 @@ import pandas as pd
 from numpy.typing import NDArray
 from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 
-from artefacts import UserError
-from artefacts.tables import poses_of
-from geometry.metrics import sure_enough
-from geometry.poses import Array
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.metrics import sure_enough
+from groundwalk.geometry.poses import Array
 
 Flags = NDArray[np.bool_]
 

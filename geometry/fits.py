@@ -10,8 +10,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry import GeometryError
-from geometry.poses import Array, make_pose, rotation_angle, yaw_rotation
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import Array, make_pose, rotation_angle, yaw_rotation
 
 # Below this share of the largest singular value a direction counts as having no extent at all: it's rounding.
 _RANK_TOLERANCE = 1e-10

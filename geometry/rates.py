@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from geometry.poses import Array
+from groundwalk.geometry.poses import Array
 
 _SAME_NS = 1_000_000
 

@@ -3,7 +3,8 @@ length that a session's frames share up to a factor, and a focus that breathes.
 
 Of an observation in image row y the point is seen from where the camera was at tau = (y / height - 1/2) readout after
 the middle row: with angular velocity w and velocity v in the axes of the camera, a point p there is seen along
-exp(-w tau) (p - v tau). The lens is OpenCV's k1, k2 (`geometry.lens`), further coefficients stay as they are stated.
+exp(-w tau) (p - v tau). The lens is OpenCV's k1, k2 (`groundwalk.geometry.lens`), further coefficients stay as
+they are stated.
 
 Unknowns: poses and points; k1, k2 and readout time of each lens; the logarithm of the factor of each session's focal
 lengths; and of each frame what its focal length deviates by from that and its angular velocity. All but poses and
@@ -19,9 +20,9 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, lapack
 from scipy.sparse import bsr_array, coo_array, csr_array
 from scipy.spatial.transform import Rotation
 
-from geometry.lens import distort_with_slope
-from geometry.poses import Array, skew
-from sfm.normal_equations import block_rows, similarities
+from groundwalk.geometry.lens import distort_with_slope
+from groundwalk.geometry.poses import Array, skew
+from groundwalk.sfm.normal_equations import block_rows, similarities
 
 Ints = NDArray[np.int64]
 

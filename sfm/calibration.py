@@ -16,15 +16,15 @@ import pandas as pd
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from artefacts.child import Report
-from geometry.lens import distort, largest_shift, undistort
-from geometry.poses import Array, inverse, make_pose
-from sfm.database import Ints, create_database, image_id
-from sfm.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
-from sfm.matching import match_pairs
-from sfm.motion import Motion
-from sfm.pairs import Pairs
-from sfm.settings import SfmSettings
+from groundwalk.artefacts.child import Report
+from groundwalk.geometry.lens import distort, largest_shift, undistort
+from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.sfm.database import Ints, create_database, image_id
+from groundwalk.sfm.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
+from groundwalk.sfm.matching import match_pairs
+from groundwalk.sfm.motion import Motion
+from groundwalk.sfm.pairs import Pairs
+from groundwalk.sfm.settings import SfmSettings
 
 STATED, ESTIMATED, PRIOR = "stated", "estimated", "prior"
 

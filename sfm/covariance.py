@@ -12,8 +12,8 @@ import numpy as np
 from scipy.linalg import LinAlgError
 from scipy.sparse import csr_array, vstack
 
-from geometry.poses import Array
-from sfm.adjustment import (
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.adjustment import (
     Adjusted,
     Ints,
     Linearized,
@@ -28,7 +28,7 @@ from sfm.adjustment import (
     shared_columns,
     summed,
 )
-from sfm.normal_equations import block_rows, similarities
+from groundwalk.sfm.normal_equations import block_rows, similarities
 
 # The scatter of blobs tells that of the poses where there are some more of them than unknowns.
 _POINTS_PER_UNKNOWN = 2

@@ -9,12 +9,12 @@ from typing import Any
 
 import pycolmap
 
-from artefacts.child import Report
-from sfm.database import read_keypoints
-from sfm.mappers import MAPPERS, MappingInput, continued
-from sfm.mapping_input import write_mapping_input
-from sfm.model_adjustment import CameraLog, adjust_model, save_adjusted
-from sfm.settings import SfmSettings
+from groundwalk.artefacts.child import Report
+from groundwalk.sfm.database import read_keypoints
+from groundwalk.sfm.mappers import MAPPERS, MappingInput, continued
+from groundwalk.sfm.mapping_input import write_mapping_input
+from groundwalk.sfm.model_adjustment import CameraLog, adjust_model, save_adjusted
+from groundwalk.sfm.settings import SfmSettings
 
 _EASIER_MIN_INLIERS = 15
 _BUILT = "built.json"
@@ -23,7 +23,7 @@ _BUILT = "built.json"
 @dataclass(frozen=True)
 class BuiltModel:
     """A model that mapping built: by what, its number there, its size, and, where it was kept, the folder that it's in;
-    beside it `<folder>.npz` has what `sfm.model_adjustment.load_adjusted` reads."""
+    beside it `<folder>.npz` has what `groundwalk.sfm.model_adjustment.load_adjusted` reads."""
 
     mapping: str
     number: int

@@ -1,4 +1,4 @@
-"""A COLMAP model adjusted with cameras as phones have them (`sfm.adjustment`), and the file that keeps the outcome."""
+"""A COLMAP model adjusted with cameras as phones have them (`groundwalk.sfm.adjustment`), and the outcome's file."""
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -8,13 +8,22 @@ import numpy as np
 import pandas as pd
 import pycolmap
 
-from artefacts.tables import poses_of
-from geometry.poses import Array, inverse, make_pose
-from sfm.adjustment import Adjusted, CameraPriors, Cameras, Scene, adjust, loss_variance, marginal_readout, project
-from sfm.calibration import Calibration, prior_lenses
-from sfm.database import Ints, image_id
-from sfm.motion import Motion, motion_by_vio
-from sfm.settings import SfmSettings
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.sfm.adjustment import (
+    Adjusted,
+    CameraPriors,
+    Cameras,
+    Scene,
+    adjust,
+    loss_variance,
+    marginal_readout,
+    project,
+)
+from groundwalk.sfm.calibration import Calibration, prior_lenses
+from groundwalk.sfm.database import Ints, image_id
+from groundwalk.sfm.motion import Motion, motion_by_vio
+from groundwalk.sfm.settings import SfmSettings
 
 # A step between two frames over which VIO tells how long an sfm unit is.
 _LEAST_STEP_M = 0.02

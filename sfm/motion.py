@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from artefacts.tables import poses_of
-from geometry.poses import Array
-from geometry.rates import rates_at
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rates import rates_at
 
 # A rate over a longer time says little of some milliseconds in it.
 _MAX_GAP_S = 0.3

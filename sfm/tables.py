@@ -6,18 +6,18 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from artefacts.schemas import schema
-from artefacts.tables import pose_frame
-from geometry.poses import Array
-from sfm.adjustment import Adjusted, Cameras, Ints
-from sfm.calibration import distortion_lists
-from sfm.covariance import Covariances
-from sfm.ladder import Attempt
-from sfm.mapping import BuiltModel, kept_models
-from sfm.mapping_input import HeldOutCheck
-from sfm.matching import MatchedPairs
-from sfm.model import Model
-from sfm.model_adjustment import CameraLog
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import pose_frame
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.adjustment import Adjusted, Cameras, Ints
+from groundwalk.sfm.calibration import distortion_lists
+from groundwalk.sfm.covariance import Covariances
+from groundwalk.sfm.ladder import Attempt
+from groundwalk.sfm.mapping import BuiltModel, kept_models
+from groundwalk.sfm.mapping_input import HeldOutCheck
+from groundwalk.sfm.matching import MatchedPairs
+from groundwalk.sfm.model import Model
+from groundwalk.sfm.model_adjustment import CameraLog
 
 
 def images_table(

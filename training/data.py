@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from artefacts import UserError
-from artefacts.files import replace_synced
-from artefacts.undistortion import undistorted_image
-from geometry.cameras import Camera, centred_pinhole
-from training.models.regressor import PoseBatch
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.files import replace_synced
+from groundwalk.artefacts.undistortion import undistorted_image
+from groundwalk.geometry.cameras import Camera, centred_pinhole
+from groundwalk.training.models.regressor import PoseBatch
 
 Image = NDArray[np.uint8]
 

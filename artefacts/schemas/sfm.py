@@ -1,6 +1,6 @@
 """The structure-from-motion models: their frames, points and pairs, and what was built and tried on the way to them."""
 
-from artefacts.schemas import Column, TableSchema, pose_columns
+from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _HELD_OUT = [
     Column("heldout_matches", "int64", "verified matches that were left out of mapping and adjustment"),

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from geometry import GeometryError
-from geometry.fits import (
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import (
     Sim3,
     fit_poses,
     fit_robust,
@@ -20,7 +20,7 @@ from geometry.fits import (
     pose_residuals,
     rotation_to_up,
 )
-from geometry.poses import make_pose, transform, yaw_rotation
+from groundwalk.geometry.poses import make_pose, transform, yaw_rotation
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geometry.poses import Array, make_pose
-from geometry.rates import rates_at
+from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.geometry.rates import rates_at
 
 _STEP_NS = 100_000_000
 

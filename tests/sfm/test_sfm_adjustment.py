@@ -7,9 +7,9 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geometry.fits import fit_sim3
-from geometry.poses import Array, inverse
-from sfm.adjustment import (
+from groundwalk.geometry.fits import fit_sim3
+from groundwalk.geometry.poses import Array, inverse
+from groundwalk.sfm.adjustment import (
     Adjusted,
     CameraPriors,
     Cameras,
@@ -21,7 +21,7 @@ from sfm.adjustment import (
     shared_columns,
     with_step,
 )
-from sfm.covariance import covariances
+from groundwalk.sfm.covariance import covariances
 
 _FRAMES, _POINTS, _NOISE_PX = 24, 2500, 0.2
 _LENS, _READOUT_S = (0.092, -0.125), 0.02

@@ -3,11 +3,11 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from artefacts.tables import pose_frame
-from geometry.poses import inverse, make_pose
-from sfm.model import load_models
-from sfm.model_adjustment import CameraLog, adjust_model, camera_log
-from sfm.settings import SfmSettings
+from groundwalk.artefacts.tables import pose_frame
+from groundwalk.geometry.poses import inverse, make_pose
+from groundwalk.sfm.model import load_models
+from groundwalk.sfm.model_adjustment import CameraLog, adjust_model, camera_log
+from groundwalk.sfm.settings import SfmSettings
 
 
 def test_points_behind_a_camera_are_taken_out(tmp_path: Path) -> None:
