@@ -27,10 +27,11 @@ from groundwalk.sfm.settings import SfmSettings
 
 # A step between two frames over which VIO tells how long an sfm unit is.
 _LEAST_STEP_M = 0.02
-# By how much a session's logged focal lengths may be off in common, and a frame's. What priors say of scatter counts
-# as some frames.
+# By how much a session's logged focal lengths may be off in common, and a frame's: phones log their focus, and images
+# that tell it badly would make millimetres of more. What priors say of scatter counts as some frames, so that images
+# that show a focus that isn't logged are believed.
 _LOG_FOCAL_SD = 0.01
-_FOCUS_SD, _PRIOR_FRAMES = 0.002, 5
+_FOCUS_SD, _PRIOR_FRAMES = 0.0003, 5
 _FIRST_STEPS, _FIRST_LOSS_WIDENING = 8, 4.0
 _EXACT_SD = 1e-7
 _OUTLIER_SIGMAS = 4.0
