@@ -31,8 +31,6 @@ from groundwalk.sfm.adjustment import (
 from groundwalk.sfm.normal_equations import block_rows, similarities
 
 # The scatter of blobs tells that of the poses where there are some more of them than unknowns.
-# Images tell the product of readout and angular velocity: by how much VIO's may all be too small, as filters smooth.
-_RATE_SCALE_SD = 0.02
 _POINTS_PER_UNKNOWN = 2
 # Parts of the image in which errors of the cameras' model are alike.
 _BANDS, _COLUMNS = 6, 8
@@ -91,8 +89,6 @@ def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
     poses = _gauge_free_sandwich(inverse[pose_index], middle, position)
     by_rows, by_cell = coherence(adjusted, linear.residual, blob_P)
     shared = max(by_rows, by_cell) * left @ inverse[:, shared_index]
-    readout = 3 * np.arange(len(cameras.readout_s)) + 2
-    shared[readout, readout] += (_RATE_SCALE_SD * cameras.readout_s) ** 2
     return Covariances(by_rows * poses, shared, by_rows, by_cell)
 
 

@@ -20,6 +20,10 @@ from groundwalk.sfm.model import Model
 from groundwalk.sfm.model_adjustment import CameraLog
 
 
+# Images tell the product of readout and angular velocity: by how much VIO's may all be off, as filters smooth them.
+_RATE_SCALE_SD = 0.02
+
+
 def images_table(
     frame_ids: Sequence[str],
     model: Model,
@@ -106,7 +110,7 @@ def camera_tables(
                     "k1_k2_correlation": covariance[k, k + 1] / (sd[k] * sd[k + 1]),
                     "k1_focal_correlation": with_focal[0].mean(),
                     "readout_s": cameras.readout_s[number],
-                    "readout_sd_s": sd[k + 2],
+                    "readout_sd_s": np.hypot(sd[k + 2], _RATE_SCALE_SD * cameras.readout_s[number]),
                     "stated_k1": lens.stated[0],
                     "stated_k2": lens.stated[1],
                     "origin": lens.origin,
