@@ -19,7 +19,6 @@ from groundwalk.sfm.matching import MatchedPairs
 from groundwalk.sfm.model import Model
 from groundwalk.sfm.model_adjustment import CameraLog
 
-
 # Images tell the product of readout and angular velocity: by how much VIO's may all be off, as filters smooth them.
 _RATE_SCALE_SD = 0.02
 
