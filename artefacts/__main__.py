@@ -11,7 +11,8 @@ import typer
 from groundwalk.artefacts.cleaning import clean_scene
 from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.recording import RECORDING
+from groundwalk.artefacts.files import RECORDING
+from groundwalk.artefacts.hints import run_command
 from groundwalk.artefacts.reference import reference
 from groundwalk.artefacts.settings import STAGES, DataRoot
 
@@ -31,7 +32,7 @@ def view(
     found = [str(path) for path in recordings if path.is_file()]
     if not found:
         where = root.run(profile, scene)
-        raise UserError("there is no recording to view", where=where, do=f"make scene={scene} profile={profile} all")
+        raise UserError("there is no recording to view", where=where, do=run_command(scene, profile, STAGES[-1]))
     command = [str(Path(sys.executable).with_name("rerun")), *found]
     if web:
         command += ["--web-viewer", "--bind", "127.0.0.1"]

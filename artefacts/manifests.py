@@ -5,13 +5,13 @@ import os
 from pathlib import Path
 from typing import Any
 
-from groundwalk.artefacts import recording
 from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import KEY_FILE, hash_files, read_json
+from groundwalk.artefacts.files import KEY_FILE, RECORDING, hash_files, read_json
+from groundwalk.artefacts.hints import run_command
 
 MANIFEST = "manifest.json"
 # Not among the hashed outputs: a recording is a view of the tables and never the same twice.
-UNHASHED = (MANIFEST, recording.RECORDING, KEY_FILE)
+UNHASHED = (MANIFEST, RECORDING, KEY_FILE)
 
 
 def load_manifest(folder: Path) -> dict[str, Any]:
@@ -75,12 +75,12 @@ def is_whole(folder: Path, key: str) -> bool:
         load_verified(folder)
     except UserError:
         return False
-    return not manifest.get("recorded") or (folder / recording.RECORDING).is_file()
+    return not manifest.get("recorded") or (folder / RECORDING).is_file()
 
 
 def _again(folder: Path) -> str:
     profile, scene, stage = folder.parts[-3:]
-    return f"make scene={scene} profile={profile} {stage}, which makes it anew"
+    return f"{run_command(scene, profile, stage)}, which makes it anew"
 
 
 def make_again(folder: Path) -> None:

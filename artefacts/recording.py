@@ -11,8 +11,6 @@ import rerun as rr
 from groundwalk.artefacts.files import replace_synced
 from groundwalk.geometry.poses import Array
 
-RECORDING = "recording.rrd"
-
 # One meaning, one colour, in recordings and in figures alike (Okabe-Ito, told apart by colour-blind readers).
 GROUND_TRUTH = (0, 158, 115)
 VIO = (230, 159, 0)

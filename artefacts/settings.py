@@ -93,6 +93,11 @@ class DataRoot:
         """The names of all scene or profile files."""
         return sorted(path.stem for path in self.files(kind).values() if path.suffix == ".toml")
 
+    def scenes(self) -> list[str]:
+        """The names of all scenes and groups of scenes: those with a file, and the folders of captures/."""
+        folders = {path.name for path in (self.root / "captures").glob("*") if path.is_dir()}
+        return sorted({*self.names("scenes"), *(name for name in folders if re.fullmatch(_NAME, name))})
+
     def profile(self, name: str) -> dict[str, Any]:
         """A profile's sections; UserError where there is no such profile."""
         path = self.config_file("profiles", checked_name("profile", name))

@@ -22,6 +22,7 @@ from groundwalk import CHECKOUT
 from groundwalk.artefacts import progress, recording
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import (
+    RECORDING,
     finish_interrupted_swap,
     partial_folder,
     swap_in,
@@ -163,7 +164,7 @@ class StageRun(Generic[S]):
     def recording(self, blueprint: object) -> Iterator[rr.RecordingStream]:
         """The stage's recording.rrd, with its blueprint."""
         name = f"{self.profile}/{self.scene.name}"
-        with recording.open_recording(self.work / recording.RECORDING, self.stage.name, name, blueprint) as stream:
+        with recording.open_recording(self.work / RECORDING, self.stage.name, name, blueprint) as stream:
             yield stream
 
 
@@ -219,7 +220,7 @@ def execute(
         elapsed = time.monotonic() - start
         inputs.refuse_changed()
         shutil.rmtree(work / _SCRATCH, ignore_errors=True)
-        recorded = (work / recording.RECORDING).is_file()
+        recorded = (work / RECORDING).is_file()
         circumstances = _circumstances(run, elapsed, resumed, memory)
         manifest = {"key": key, **parts, **circumstances, "recorded": recorded, "outputs": output_hashes(work)}
         write_json(work / MANIFEST, manifest)

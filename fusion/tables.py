@@ -11,9 +11,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.files import fresh_folder, write_json
+from groundwalk.artefacts.files import RECORDING, fresh_folder, write_json
 from groundwalk.artefacts.progress import console
-from groundwalk.artefacts.recording import RECORDING, open_recording
+from groundwalk.artefacts.recording import open_recording
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
 from groundwalk.artefacts.tables import dataset_frames, write_table
