@@ -17,12 +17,7 @@ UNHASHED = (MANIFEST, RECORDING, KEY_FILE)
 def load_manifest(folder: Path) -> dict[str, Any]:
     """The manifest of a finished artefact; UserError where it can't be read or isn't one."""
     content = read_json(folder / MANIFEST)
-    outputs = content.get("outputs")
-    if (
-        not isinstance(outputs, dict)
-        or not all(isinstance(digest, str) for digest in outputs.values())
-        or not isinstance(content.get("simulated"), bool)
-    ):
+    if not is_manifest(content):
         make_again(folder)
         raise UserError(
             f"the manifest of artefact {folder.name} is damaged",
@@ -31,6 +26,16 @@ def load_manifest(folder: Path) -> dict[str, Any]:
             do=_again(folder),
         )
     return content
+
+
+def is_manifest(content: dict[str, Any]) -> bool:
+    """Whether the content of a manifest file has what every manifest has."""
+    outputs = content.get("outputs")
+    return (
+        isinstance(outputs, dict)
+        and all(isinstance(digest, str) for digest in outputs.values())
+        and isinstance(content.get("simulated"), bool)
+    )
 
 
 def output_hashes(folder: Path) -> dict[str, str]:

@@ -54,9 +54,14 @@ class SceneConfig(Settings):
 T = TypeVar("T", bound=Settings)
 
 
+def is_name(text: str) -> bool:
+    """Whether a scene or profile can have this name: it's one folder's name everywhere."""
+    return re.fullmatch(_NAME, text) is not None
+
+
 def checked_name(kind: Literal["scene", "profile"], name: str) -> str:
     """`name`, fit to be one folder's name everywhere; UserError otherwise. Every path with a name in it passes here."""
-    if not re.fullmatch(_NAME, name):
+    if not is_name(name):
         raise UserError(
             f"this can't be the name of a {kind}",
             found=repr(name if len(name) <= 100 else name[:97] + "...") + f" ({len(name)} characters)",
@@ -96,7 +101,7 @@ class DataRoot:
     def scenes(self) -> list[str]:
         """The names of all scenes and groups of scenes: those with a file, and the folders of captures/."""
         folders = {path.name for path in (self.root / "captures").glob("*") if path.is_dir()}
-        return sorted({*self.names("scenes"), *(name for name in folders if re.fullmatch(_NAME, name))})
+        return sorted({*self.names("scenes"), *filter(is_name, folders)})
 
     def profile(self, name: str) -> dict[str, Any]:
         """A profile's sections; UserError where there is no such profile."""

@@ -28,6 +28,7 @@ from groundwalk.artefacts.files import (
     swap_in,
     write_json,
 )
+from groundwalk.artefacts.images import image_file
 from groundwalk.artefacts.inputs import Inputs, missing_input
 from groundwalk.artefacts.locks import locked
 from groundwalk.artefacts.manifests import MANIFEST, is_whole, load_manifest, output_hashes
@@ -133,9 +134,7 @@ class StageRun(Generic[S]):
         """The absolute path of a `frames.image` entry: relative to the capture folder, or to the import artefact
         where import copied the image (`import:` in front)."""
         name = scene or self.scene.name
-        if image.startswith("import:"):
-            return self.data.run(self.profile, name, "import") / image.removeprefix("import:")
-        return self.data.captures(name) / image
+        return image_file(image, self.data.captures(name), self.data.run(self.profile, name, "import"))
 
     def write(self, table: str, frame: pd.DataFrame) -> None:
         """Write one of the stage's tables, checked against its schema."""

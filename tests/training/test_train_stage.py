@@ -8,10 +8,11 @@ import pytest
 import torch
 
 from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.images import read_image
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.artefacts.tables import camera_of, dataset_frames
 from groundwalk.training.build import load_trained
-from groundwalk.training.data import normalised, pinhole_image, read_image, to_tensor
+from groundwalk.training.data import normalised, pinhole_image, to_tensor
 from groundwalk.training.export import export_onnx
 from groundwalk.training.stage import STAGE
 
