@@ -1,4 +1,4 @@
-"""The command line that every stage shares: `python -m groundwalk.<stage> --scene … --profile …`."""
+"""The command line that every stage shares: `groundwalk <stage> --scene … --profile …`."""
 
 import sys
 from collections.abc import Callable

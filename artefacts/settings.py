@@ -165,7 +165,7 @@ def validated(model: type[T], content: dict[str, Any], where: object) -> T:
             where=where,
             found=None if first["type"] == "missing" else repr(first.get("input")),
             expected="one of " + ", ".join(model.model_fields) if first["type"] == "extra_forbidden" else None,
-            do="correct it; `python -m groundwalk.<stage> --help` lists the settings",
+            do="correct it; `groundwalk <stage> --help` lists the settings",
         ) from None
 
 

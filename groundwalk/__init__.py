@@ -37,7 +37,7 @@ def open(scene_or_folder: str | PathLike[str], *, profile: str = "demo", data: s
     """Open what the stages wrote for a scene.
 
     A str that can be a scene's name is one, in data/runs/<profile>; anything else (a `Path`, "./Church") is a run's
-    folder, whose images are looked for beside it, or in `data` where the folder isn't <data>/runs/<profile>/<scene>.
+    folder. Its images are looked for in <data>/captures, which is that of the folder <data>/runs/<profile>/<scene>.
 
     Raises UserError for a run that isn't there, that no stage has finished, or a folder that is something else.
     """

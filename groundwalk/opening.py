@@ -15,26 +15,26 @@ from groundwalk.run import Run, not_finished
 def open_run(scene_or_folder: str | os.PathLike[str], profile: str, data: Path) -> Run:
     """See `groundwalk.open`."""
     if isinstance(scene_or_folder, str) and is_name(scene_or_folder):
-        scene, root = scene_or_folder, DataRoot(data)
-        folder = root.run(profile, scene)
+        root = DataRoot(data)
+        folder = root.run(profile, scene_or_folder)
         if not folder.is_dir():
-            raise _no_run(root, profile, scene)
-        return _run(folder, root.captures(scene), scene, profile)
+            raise _no_run(root, profile, scene_or_folder)
+        return _run(folder, root)
     folder = Path(os.path.abspath(scene_or_folder))  # noqa: PTH100, as Path.resolve would follow links out of data/runs
     if not folder.is_dir():
         raise UserError("there is no run", where=folder, expected="a folder data/runs/<profile>/<scene>")
-    in_data = folder.parent.parent.name == "runs"
-    captures = (folder.parents[2] if in_data else data.absolute()) / "captures" / folder.name
-    return _run(folder, captures if captures.is_dir() else None, folder.name, folder.parent.name)
+    return _run(folder, DataRoot(folder.parents[2] if folder.parent.parent.name == "runs" else data))
 
 
-def _run(folder: Path, captures: Path | None, scene: str, profile: str) -> Run:
+def _run(folder: Path, data: DataRoot) -> Run:
     manifests = _manifests(folder)
     if not manifests:
         if any(folder.glob(".*.partial")):
-            raise not_finished(folder, STAGES[0], scene, profile)
+            raise not_finished(folder, STAGES[0], folder.name, folder.parent.name)
         raise _foreign(folder)
-    return Run(folder, captures, manifests, _outdated(folder, manifests))
+    scene = str(next(iter(manifests.values()))["scene"].get("name"))
+    captures = data.captures(scene)
+    return Run(folder, captures if captures.is_dir() else None, manifests, _outdated(folder, manifests))
 
 
 def _manifests(folder: Path) -> dict[str, dict[str, Any]]:
@@ -45,7 +45,7 @@ def _manifests(folder: Path) -> dict[str, dict[str, Any]]:
         if not file.is_file():
             continue
         content = read_json(file)
-        if not (is_manifest(content) and content.get("stage") == stage and isinstance(content.get("scene"), dict)):
+        if not _is_of(content, stage):
             raise UserError(
                 "a stage's manifest is damaged, or of another program",
                 where=file,
@@ -56,8 +56,14 @@ def _manifests(folder: Path) -> dict[str, dict[str, Any]]:
     return manifests
 
 
+def _is_of(content: dict[str, Any], stage: str) -> bool:
+    types = {"profile": str, "scene": dict, "inputs": dict}
+    has_types = all(isinstance(content.get(name), type_) for name, type_ in types.items())
+    return is_manifest(content) and has_types and content.get("stage") == stage
+
+
 def _outdated(folder: Path, manifests: dict[str, dict[str, Any]]) -> dict[str, str]:
-    """Stage -> an input that isn't any more what the stage, or one that it was made from, read."""
+    """Stage -> the first input that isn't any more what the stage, or one that it was made from, read."""
     outdated: dict[str, str] = {}
     for stage, manifest in manifests.items():
         for source, hashes in manifest.get("inputs", {}).items():
@@ -67,9 +73,9 @@ def _outdated(folder: Path, manifests: dict[str, dict[str, Any]]) -> dict[str, s
             own = scene == manifest["scene"].get("name")
             now = manifests.get(needed) if own else read_json(folder.parent / scene / needed / MANIFEST)
             if own and needed in outdated:
-                outdated[stage] = outdated[needed]
+                outdated.setdefault(stage, outdated[needed])
             elif now and now.get("outputs") != hashes:
-                outdated[stage] = f"{needed} of scene {scene}"
+                outdated.setdefault(stage, f"{needed} of scene {scene}")
     return outdated
 
 

@@ -15,6 +15,7 @@ from groundwalk.artefacts.files import partial_folder, read_json, sha256_of
 from groundwalk.artefacts.hints import run_command
 from groundwalk.artefacts.images import Image, image_file, read_image
 from groundwalk.artefacts.manifests import MANIFEST
+from groundwalk.artefacts.reference import column_lines
 from groundwalk.artefacts.schemas import TableSchema, schema
 from groundwalk.artefacts.settings import STAGES
 from groundwalk.artefacts.tables import dataset_frames, poses_of, read_table
@@ -32,28 +33,19 @@ def _with_columns(stage: str, table: str) -> Callable[[F], F]:
 
     def documented(function: F) -> F:
         of = schema(stage, table)
-        lines = [f"Columns of {stage}.{table} {of.version}:", "", *(_described(of))]
+        lines = [f"Columns of {stage}.{table} {of.version}:", "", *column_lines(of)]
         function.__doc__ = "\n".join([function.__doc__ or "", "", *(f"        {line}".rstrip() for line in lines)])
         return function
 
     return documented
 
 
-def _described(table: TableSchema) -> list[str]:
-    return [
-        f"{c.name}: {c.dtype}"
-        + "".join(f", {text}" for text in (c.unit and f"[{c.unit}]", c.frame and f"frame {c.frame}") if text)
-        + f"{' or null' if c.nullable else ''}; {c.meaning}"
-        for c in table.columns
-    ]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """What the finished stages of a scene's run wrote; `groundwalk.open` makes it.
 
-    Lengths are in metres and angles in degrees in every table, times in nanoseconds; each property's docstring, and
-    `columns(stage, table)`, says the unit of each column. A DataFrame is the caller's to change.
+    Lengths are in metres, angles in degrees and capture times in nanoseconds unless a column says otherwise; each
+    property's docstring, and `columns(stage, table)`, gives the unit of each. A DataFrame is the caller's to change.
 
     `folder` is the run's, `captures` its scene's capture folder (None where that isn't known), `manifests` those of the
     finished stages, in order; `outdated` names, for each stage made from inputs that were replaced since, one of them.
@@ -219,7 +211,7 @@ class Run:
         raise not_finished(self.folder, stage, self.scene, self.profile)
 
     def _refuse_replaced(self, stage: str) -> None:
-        if read_json(self.folder / stage / MANIFEST).get("key") != self.manifests[stage].get("key"):
+        if read_json(self.folder / stage / MANIFEST).get("outputs") != self.manifests[stage]["outputs"]:
             raise UserError(
                 f"stage {stage} was run again after this run was opened", where=self.folder / stage, do="open it again"
             )
