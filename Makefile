@@ -214,6 +214,6 @@ help: ## This text
 		printf 'profile %-8s %s\n' "$$(basename $$file .toml):" "$$(sed -n 's/^description = "\(.*\)"/\1/p' $$file)"; done
 	@echo
 	@echo "your own captures:  make scene=<name> captures=<folder> all"
-	@echo "one stage's help:   .venv/bin/python -m groundwalk.sfm --help   (or capture_import, alignment, training, fusion, reports)"
+	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
 .PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check types test test-slow bench bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs lock help

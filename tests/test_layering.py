@@ -41,6 +41,17 @@ def test_package_imports_only_what_its_layer_may(package: str) -> None:
         assert not crossing, f"{path.relative_to(ROOT)} imports {', '.join(sorted(crossing))}"
 
 
+# What users of groundwalk call: above all packages.
+FACE = {path.stem for path in (ROOT / "groundwalk").glob("*.py")} - {"__init__"} | {"open", "Run", "pose_array"}
+
+
+@pytest.mark.parametrize("package", sorted(ALLOWED))
+def test_package_imports_nothing_of_the_command_or_the_reader(package: str) -> None:
+    for path in (ROOT / package).rglob("*.py"):
+        names = {module.split(".")[1] for module in imported(path) if module.startswith("groundwalk.")}
+        assert not names & FACE, f"{path.relative_to(ROOT)} imports {', '.join(sorted(names & FACE))} of groundwalk"
+
+
 def test_geometry_is_pure() -> None:
     for path in (ROOT / "geometry").rglob("*.py"):
         roots = {module.split(".")[0] for module in imported(path)}

@@ -18,6 +18,7 @@ import groundwalk
 from groundwalk import UserError
 from groundwalk.artefacts.schemas import schema
 
+ROOT = Path(__file__).resolve().parents[2]
 Make = Callable[..., MadeUpRun]
 PROPERTIES = {
     "frames": ("import", "frames"),
@@ -259,3 +260,18 @@ def test_a_group_names_its_scenes(make_run: Make) -> None:
     made.run("import", "sfm", "align")
     with pytest.raises(UserError, match="outdated: import of scene place"):
         _ = groundwalk.open("two", profile="tiny", data=made.data.root).predictions
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/python.md"])
+def test_the_documented_lines_run(page: str, make_run: Make, capsys: pytest.CaptureFixture[str]) -> None:
+    made = make_run()
+    _, _, block = (ROOT / page).read_text(encoding="utf-8").partition("```python\nimport groundwalk\n")
+    block = "import groundwalk\n" + block.partition("```")[0]
+    assert 3 <= len([line for line in block.splitlines() if line]) <= 5
+    opened = f'open("place", profile="tiny", data={str(made.data.root)!r})'
+    assert 'open("Church")' in block
+    names: dict[str, object] = {}
+    exec(block.replace('open("Church")', opened), names)
+    assert "real captures" in capsys.readouterr().out
+    if "image" in names:
+        assert names["image"].shape == (24, 32, 3) and names["sample"]["frame_id"] == "walk-0/000000"  # type: ignore[attr-defined, index]
