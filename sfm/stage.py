@@ -512,7 +512,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=11,
+    version=12,
     settings=SfmSettings,
     needs=("import",),
     run=run,
