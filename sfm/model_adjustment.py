@@ -100,6 +100,14 @@ def adjust_model(
     return replace(adjusted, scene=_scene_of(model, keypoints)[2]), rows
 
 
+def with_lenses_of(log: CameraLog, adjusted: Adjusted, rows: Ints) -> CameraLog:
+    """The log with the lenses of an adjusted model, whose frames are `rows` (R,), as a prior for further models."""
+    calibration, cameras = log.calibration, adjusted.cameras
+    for number, lens in enumerate(np.unique(calibration.lens[rows]).tolist()):
+        calibration = calibration.near(lens, cameras.coefficients[number], cameras.readout_s[number])
+    return replace(log, calibration=calibration)
+
+
 def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cameras:
     """The cameras of all N frames, each with a lens and a session of its own, as adjusted with their models; as
     calibrated where a frame is in none."""
