@@ -48,6 +48,7 @@ from groundwalk.sfm.pairs import (
     within_vio_limits,
 )
 from groundwalk.sfm.recording import write_recording
+from groundwalk.sfm.residuals import draw_residuals, pattern_of, residual_patterns
 from groundwalk.sfm.retrieval import RETRIEVALS, retrieval_pairs
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.sfm.tables import (
@@ -60,6 +61,7 @@ from groundwalk.sfm.tables import (
 )
 from groundwalk.sfm.two_views import compare_pairs
 
+RESIDUALS_PICTURE = "residuals.png"
 _FEWEST_FRAMES = 3
 _FEWEST_COMPARED = 8
 _UNTRACKED = ("limited", "lost")
@@ -116,6 +118,9 @@ def run(r: StageRun[SfmSettings]) -> None:
     lenses, intrinsics = camera_tables(scene.cameras, kept, parts, estimates)
     r.write("lenses", lenses)
     r.write("intrinsics", intrinsics)
+    residuals = _residuals(r, scene, kept, parts)
+    r.write("residuals", residuals)
+    draw_residuals(r.work / RESIDUALS_PICTURE, residuals)
     r.write("attempts", attempts_table(attempts, taken))
     r.write("pairs", pairs_table(frame_ids, mapped.matched))
     r.write("points", points_table(model, kept))
@@ -168,6 +173,24 @@ def _tell(
     )
     if disagree:
         r.say(f"{disagree} verified pairs were kept out, as VIO moved otherwise (table pairs)")
+
+
+def _residuals(
+    r: StageRun[SfmSettings], scene: _Scene, kept: list[BuiltModel], parts: list[tuple[Adjusted, NDArray[np.int64]]]
+) -> pd.DataFrame:
+    """Table residuals of all models; a line for each lens whose residuals show a pattern."""
+    tables = []
+    for one, (adjusted, rows) in zip(kept, parts, strict=True):
+        calibration = scene.cameras.calibration
+        lens_ids = [calibration.lenses[k].lens_id for k in np.unique(calibration.lens[rows])]
+        tables.append(residual_patterns(one.model_id, lens_ids, adjusted))
+        for lens_id, residuals in tables[-1].groupby("lens_id", sort=True):
+            if pattern := pattern_of(residuals):
+                r.say(
+                    f"model {one.model_id}, lens of {lens_id}: residuals look like a {pattern[0]} that isn't modelled "
+                    f"({pattern[1]:.2f} px, {RESIDUALS_PICTURE})"
+                )
+    return pd.concat(tables, ignore_index=True)
 
 
 def _say_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: pd.DataFrame) -> None:

@@ -93,6 +93,26 @@ TABLES = [
     ),
     TableSchema(
         "sfm",
+        "residuals",
+        "What the residuals of each model and lens look like; a picture of it is residuals.png.",
+        [
+            Column("model_id", "string", "the model: models.model_id"),
+            Column("lens_id", "string", "the lens: lenses.lens_id"),
+            Column(
+                "pattern",
+                "string",
+                "radius: mean residual away from the principal point; row: shift that a frame's observations there "
+                "have in common, RMS over frames",
+            ),
+            Column("band_from", "float64", "where the band begins: radius in focal lengths, row in image heights"),
+            Column("band_to", "float64", "where it ends"),
+            Column("observations", "int64", "features in it"),
+            Column("residual_px", "float64", "the residual; below 0 for row: less than by chance", "px"),
+            Column("residual_sd_px", "float64", "its standard error", "px"),
+        ],
+    ),
+    TableSchema(
+        "sfm",
         "models",
         "Every model that mapping built in the attempt that was taken, in the order in which it did.",
         [
