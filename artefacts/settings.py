@@ -3,7 +3,7 @@
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -22,6 +22,9 @@ class Settings(BaseModel):
     """Base of every stage's settings: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    renamed: ClassVar[dict[str, str]] = {}
+    """Retired names of settings, and what each is called now."""
 
 
 class SplitRules(Settings):
@@ -154,6 +157,10 @@ def resolve_settings(model: type[T], section: str, data: DataRoot, profile: str,
 
 def validated(model: type[T], content: dict[str, Any], where: object) -> T:
     """`content` as a settings model; UserError naming each key that doesn't fit."""
+    retired = next((key for key in content if key in model.renamed), None)
+    if retired is not None:
+        new = model.renamed[retired]
+        raise UserError(f"setting {retired!r} was renamed to {new!r}", where=where, do=f"write {new} instead")
     try:
         return model.model_validate(content)
     except ValidationError as error:
@@ -164,9 +171,16 @@ def validated(model: type[T], content: dict[str, Any], where: object) -> T:
             f"setting {key!r}: {first['msg']}",
             where=where,
             found=None if first["type"] == "missing" else repr(first.get("input")),
-            expected="one of " + ", ".join(model.model_fields) if first["type"] == "extra_forbidden" else None,
+            expected=_known_beside(model, first),
             do="correct it; `groundwalk <stage> --help` lists the settings",
         ) from None
+
+
+def _known_beside(model: type[Settings], error: Any) -> str | None:
+    """What may stand where a key is that there isn't; None for another error, or in a section of a section."""
+    if error["type"] != "extra_forbidden" or len(error["loc"]) > 1:
+        return None
+    return "one of " + ", ".join(model.model_fields)
 
 
 def _parse_value(text: str) -> Any:
