@@ -4,6 +4,7 @@ import pandas as pd
 
 from groundwalk.artefacts import Stage, StageRun
 from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines, stacked
+from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.record import blueprint, record
 
 
@@ -23,6 +24,8 @@ def run(r: StageRun[FuseSettings]) -> None:
         r.write(name, table)
     for name, count in results.counts.items():
         r.figure(name, count)
+    for error in results.left_out:
+        r.figure(f"left out: {error.what}", f"{error.details['where']}: {error.reason}")
     with r.step("recording"), r.recording(blueprint(results.fused, results.gates)) as stream:
         record(stream, results.fused, results.gates)
     for line in report_lines(results):
@@ -41,9 +44,10 @@ def _predictions(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:
 
 STAGE = Stage(
     name="fuse",
-    version=6,
+    version=7,
     settings=FuseSettings,
     needs=("import", "align", "train"),
     run=run,
     help="Fuse the regressors' predictions with odometry, and measure every method against the ground truth.",
+    plugins=lambda settings: METHODS.versions(settings.methods),
 )
