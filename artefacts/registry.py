@@ -157,14 +157,19 @@ class Registry(Mapping[str, E], Generic[E]):
             do="correct the name, or install the package that brings it",
         )
 
+    def known(self, entry_id: str) -> str:
+        """The id itself, for settings; raises as `find` does."""
+        self.find(entry_id)
+        return entry_id
+
     @contextlib.contextmanager
     def guard(self, entry_id: str) -> Iterator[None]:
-        """Turns what another package's entry raises into a PluginError; groundwalk's own errors stay as they are."""
+        """Turns what another package's entry raises into a PluginError. UserErrors, which say what the user's data or
+        settings have, stay as they are, and so do all errors of groundwalk's own entries."""
         try:
             yield
         except Exception as error:
-            source = self.source(entry_id)
-            if source.is_builtin or isinstance(error, PluginError):
+            if self.source(entry_id).is_builtin or isinstance(error, UserError):
                 raise
             raise self.failure(entry_id, _in_words(error)) from error
 
