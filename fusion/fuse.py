@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.tables import pose_frame
-from groundwalk.fusion.localiser import Estimate, Localiser, is_rigid
+from groundwalk.fusion.localiser import Estimate, Stepping, is_rigid
 from groundwalk.fusion.offline import Offline, stepped
 from groundwalk.fusion.walks import Walk, known
 from groundwalk.geometry.metrics import position_error, rotation_error_deg
@@ -41,7 +41,7 @@ class Fused:
     live_map_T_cam: Array
 
 
-def fuse(run: Run, walk: Walk, localiser: Localiser | Offline) -> Fused:
+def fuse(run: Run, walk: Walk, localiser: Stepping | Offline) -> Fused:
     """Feed a walk to a fresh localiser, or to one that has been reset, or let an offline method see the whole of it."""
     estimates = localiser.estimates(walk) if isinstance(localiser, Offline) else stepped(localiser, walk)
     _check(estimates, walk)
@@ -73,7 +73,7 @@ def _check(estimates: list[Estimate], walk: Walk) -> None:
         raise ValueError("not all of its map_T_cam are rigid transforms")
 
 
-def fuse_all(run: Run, walks: Iterable[Walk], make: Callable[[], Localiser | Offline]) -> list[Fused]:
+def fuse_all(run: Run, walks: Iterable[Walk], make: Callable[[], Stepping | Offline]) -> list[Fused]:
     """Each walk with a localiser of its own: nothing is carried across a session's border."""
     return [fuse(run, walk, make()) for walk in walks]
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from groundwalk.artefacts.registry import Colour, Entry, Registry, callable_faults, colour_faults
 from groundwalk.artefacts.settings import validated
 from groundwalk.fusion.error_map import ErrorMap
-from groundwalk.fusion.localiser import Localiser, MethodOptions
+from groundwalk.fusion.localiser import MethodOptions, Stepping
 from groundwalk.fusion.offline import Offline
 
 
@@ -15,7 +15,7 @@ from groundwalk.fusion.offline import Offline
 class Method(Entry):
     """How to make a method: `make(options)`; `options` is the settings model, whose values every result records.
 
-    make: a fresh `Localiser` (anything with its `step`), or an `Offline` where causal is false.
+    make: a fresh one with a `step` as `Localiser` has it, or an `Offline` where causal is false.
     colour: of its poses in recordings. shown: recordings show it at first; others are switched on in the viewer.
     fuses: it uses odometry; the one that doesn't is the raw regressor, which the others are held against.
     learns: `make(options, error_map)` takes an `ErrorMap` of the regressor in the scene, where there is one.
@@ -27,7 +27,7 @@ class Method(Entry):
     noun: ClassVar[str] = "fusion method"
 
     colour: Colour
-    make: Callable[..., Localiser | Offline] = field(repr=False)
+    make: Callable[..., Stepping | Offline] = field(repr=False)
     options: type[MethodOptions]
     causal: bool
     gives_covariance: bool
@@ -35,7 +35,7 @@ class Method(Entry):
     learns: bool = False
     shown: bool = False
 
-    def localiser(self, options: MethodOptions, error_map: ErrorMap | None = None) -> Localiser | Offline:
+    def localiser(self, options: MethodOptions, error_map: ErrorMap | None = None) -> Stepping | Offline:
         """A fresh one. `error_map` is what held-out frames say of the regressor; most methods have no use for it."""
         return self.make(options, error_map) if self.learns else self.make(options)
 

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from groundwalk.fusion.localiser import Estimate, Localiser
+from groundwalk.fusion.localiser import Estimate, Stepping
 from groundwalk.fusion.walks import Walk, known
 
 
@@ -16,7 +16,7 @@ class Offline(ABC):
         """One estimate a frame of the walk."""
 
 
-def stepped(localiser: Localiser, walk: Walk) -> list[Estimate]:
+def stepped(localiser: Stepping, walk: Walk) -> list[Estimate]:
     """What a localiser says to a walk's frames, one after the other, as on a device."""
     has_vio, has_apr = known(walk.vio_T_cam), known(walk.map_T_cam_apr)
     has_gravity = np.asarray(np.isfinite(walk.gravity).all(axis=1))

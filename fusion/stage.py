@@ -15,6 +15,7 @@ def run(r: StageRun[FuseSettings]) -> None:
             r.dataset_frames(leaf),
             r.read("align", "ground_truth", scene=leaf),
             _predictions(r, leaf),
+            _trained(r, leaf),
         )
         for leaf in r.leaves
     ]
@@ -40,6 +41,13 @@ def _predictions(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:
     shared = r.read("train", "predictions")
     shared = shared[shared["scene"] == leaf]
     return stacked([shared, own[~own["model"].isin(shared["model"])]])
+
+
+def _trained(r: StageRun[FuseSettings], leaf: str) -> frozenset[str]:
+    """The models of a scene's predictions that were trained here, not imported."""
+    group = r.scene.is_group and "train" in r.scene.stages
+    cards = stacked([r.read("train", "models", scene=leaf), *([r.read("train", "models")] if group else [])])
+    return frozenset(cards.loc[cards["file"] != "", "model"])
 
 
 STAGE = Stage(
