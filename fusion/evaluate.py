@@ -38,8 +38,8 @@ class FuseSettings(Settings):
 
 @dataclass(frozen=True)
 class Inputs:
-    """One scene's frames, ground truth and predictions; `trained` are the models whose predictions the train stage made,
-    so that the order of their quaternions is known."""
+    """One scene's frames, ground truth and predictions; `trained` are the models whose predictions the train stage
+    made, so that the order of their quaternions is known."""
 
     scene: str
     frames: pd.DataFrame

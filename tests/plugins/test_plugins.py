@@ -39,7 +39,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [installed(name, tmp_path_factory.mktemp("packages") / name) for name in ("example", "broken")]
 
 
-def room() -> ModuleType:
+def sfm_tests() -> ModuleType:
     """The textured room that SfM's tests photograph."""
     spec = importlib.util.spec_from_file_location("sfm_room", HERE.parent / "sfm" / "conftest.py")
     assert spec is not None and spec.loader is not None
@@ -50,9 +50,9 @@ def room() -> ModuleType:
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data folder with two walks in the example package's capture format; one row of them is spoilt."""
-    made, folder = room(), tmp_path_factory.mktemp("data")
+    made, folder = sfm_tests(), tmp_path_factory.mktemp("data")
     textures = [made._texture(np.linalg.norm(u), np.linalg.norm(v), seed) for seed, (_, u, v) in enumerate(made._WALLS)]
     vio_T_room = make_pose(np.diag([-1.0, 1.0, -1.0]), [5.0, 0.0, 1.0])
     for session, (count, height_m, distance_m) in {"train": (14, 1.5, 2.6), "test": (10, 1.2, 2.2)}.items():
@@ -96,6 +96,9 @@ environment = "indoor"
 train = ["train"]
 test = ["test"]
 
+[sfm]
+retries = false
+
 [train]
 models = ["mean_colour"]
 
@@ -112,10 +115,23 @@ predictions = 2
 """
 
 
-def test_a_package_runs_from_import_to_report(packages: list[Path], data: Path) -> None:
-    configure(data, EXAMPLE)
-    said = {stage: run(packages[:1], data, stage) for stage in STAGES}
-    assert "warning" not in "".join(said.values())
+@pytest.fixture(scope="module")
+def finished(packages: list[Path], room: Path) -> tuple[Path, dict[str, str]]:
+    """The data folder after all stages with the working package alone, and what each stage said."""
+    configure(room, EXAMPLE)
+    return room, {stage: run(packages[:1], room, stage) for stage in STAGES}
+
+
+@pytest.fixture
+def data(finished: tuple[Path, dict[str, str]], tmp_path: Path) -> Path:
+    """A copy of that data folder."""
+    return shutil.copytree(finished[0], tmp_path / "data", symlinks=True)
+
+
+def test_a_package_runs_from_import_to_report(
+    packages: list[Path], data: Path, finished: tuple[Path, dict[str, str]]
+) -> None:
+    assert "warning" not in "".join(finished[1].values())
 
     sessions, rejects = table(data, "import", "sessions"), table(data, "import", "rejects")
     assert set(sessions["format"]) == {"walk_csv"}
@@ -152,7 +168,6 @@ def test_a_package_runs_from_import_to_report(packages: list[Path], data: Path) 
 
 
 def test_a_broken_package_is_named_and_the_rest_goes_on(packages: list[Path], data: Path) -> None:
-    """After the test above, whose artefacts it takes."""
     train = 'models = ["mean_colour", "wrong_shape", "no_capability", "fails_in_training"]'
     methods = 'methods = ["apr", "keep_first", "wrong_covariance"]'
     text = EXAMPLE.replace('models = ["mean_colour"]', train).replace('methods = ["apr", "keep_first"]', methods)
@@ -181,6 +196,24 @@ def test_a_broken_package_is_named_and_the_rest_goes_on(packages: list[Path], da
     assert set(table(data, "fuse", "methods")["method"]) == {"apr", "keep_first"}
     figures = json.loads((data / "runs/tiny/Room/train/manifest.json").read_text())["figures"]
     assert len([name for name in figures if name.startswith("left out: ")]) == 3
+
+
+def test_predictions_from_elsewhere_take_part_to_the_end(data: Path) -> None:
+    """Without any package: the true poses, half a metre off, as a regressor called mine."""
+    truth = table(data, "align", "ground_truth")
+    mine = truth[["frame_id", *(c for c in truth if c.startswith("map_cam_"))]].dropna().assign(model="mine")
+    (data / "predictions").mkdir()
+    mine.assign(map_cam_tx=mine["map_cam_tx"] + 0.5).to_parquet(data / "predictions" / "mine.parquet")
+    configure(data, EXAMPLE.split("[train]")[0] + '[train]\nmodels = []\npredictions = "predictions/mine.parquet"\n')
+    for stage in STAGES[3:]:
+        run([], data, stage)
+    assert set(table(data, "train", "predictions")["model"]) == {"mine"}
+    errors = table(data, "fuse", "errors")
+    assert len(set(errors["method"])) == 9
+    assert errors["apr_position_m"].to_numpy() == pytest.approx(np.full(len(errors), 0.5))
+    page = (data / "runs/tiny/Room/report/page.html").read_text()
+    assert "mine+VIO, median" in page and "predictions imported from mine.parquet" in page
+    assert (data / "runs/tiny/Room/train/recording.rrd").stat().st_size > 1000
 
 
 def test_an_exporter_that_fails_leaves_nothing(packages: list[Path], data: Path) -> None:
