@@ -231,3 +231,13 @@ def test_settings_of_a_package_that_is_not_installed(data: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 2 and "there is no regressor 'mean_colour'" in done.stderr
     assert "install the package that brings it" in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("file", sorted(HERE.glob("example/**/*.*")), ids=lambda file: file.name)
+def test_the_guides_show_the_files_as_they_are(file: Path) -> None:
+    if file.suffix not in (".py", ".toml") or file.name == "__init__.py":
+        pytest.skip("not shown")
+    language = {".py": "python", ".toml": "toml"}[file.suffix]
+    shown = f"`{file.relative_to(ROOT)}`:\n\n```{language}\n{file.read_text()}```\n"
+    guides = [page.name for page in (ROOT / "docs" / "how-to").glob("*.md") if shown in page.read_text()]
+    assert len(guides) == 1, f"no guide shows {file.relative_to(ROOT)} as it is"
