@@ -163,6 +163,9 @@ def validated(model: type[T], content: dict[str, Any], where: object) -> T:
         raise UserError(f"setting {retired!r} was renamed to {new!r}", where=where, do=f"write {new} instead")
     try:
         return model.model_validate(content)
+    except UserError as error:  # about a value that names something, as an entry of a registry
+        error.details["where"] = error.details["where"] or where
+        raise
     except ValidationError as error:
         # A key that there isn't says most: its right name may be what is missing.
         first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
@@ -171,16 +174,9 @@ def validated(model: type[T], content: dict[str, Any], where: object) -> T:
             f"setting {key!r}: {first['msg']}",
             where=where,
             found=None if first["type"] == "missing" else repr(first.get("input")),
-            expected=_known_beside(model, first),
+            expected="one of " + ", ".join(model.model_fields) if first["type"] == "extra_forbidden" else None,
             do="correct it; `groundwalk <stage> --help` lists the settings",
         ) from None
-
-
-def _known_beside(model: type[Settings], error: Any) -> str | None:
-    """What may stand where a key is that there isn't; None for another error, or in a section of a section."""
-    if error["type"] != "extra_forbidden" or len(error["loc"]) > 1:
-        return None
-    return "one of " + ", ".join(model.model_fields)
 
 
 def _parse_value(text: str) -> Any:

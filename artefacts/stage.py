@@ -206,10 +206,8 @@ def execute(
             "settings": settings.model_dump(mode="json"),
             "seed": seed,
             "inputs": inputs.hashes,
+            **({"plugins": plugins} if (plugins := dict(stage.plugins(settings))) else {}),
         }
-        plugins = dict(stage.plugins(settings))
-        if plugins:
-            parts["plugins"] = plugins
         key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
         title = f"{stage.name} · {scene_name} · {profile}"
         if not force and is_whole(final, key):

@@ -1,10 +1,11 @@
 """Settings of the training stage."""
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
-from pydantic import Field, SerializeAsAny, ValidationInfo, create_model, field_validator, model_validator
+from pydantic import Field, SerializeAsAny, ValidationInfo, field_validator, model_validator
 
 from groundwalk.artefacts import Settings
+from groundwalk.artefacts.settings import validated
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.regressors import REGRESSORS
 
@@ -63,11 +64,8 @@ class TrainSettings(Settings):
             if name not in REGRESSORS.problems:
                 REGRESSORS.find(name)
         usable = [name for name in REGRESSORS if name in models or name in sections]
-        fields: Any = {name: (REGRESSORS[name].settings, REGRESSORS[name].settings()) for name in usable}
-        checked = create_model("Sections", __base__=Settings, **fields).model_validate(
-            {name: sections[name] for name in usable if name in sections}
-        )
-        return {name: getattr(checked, name) for name in usable if name in models}
+        checked = {name: _section(name, sections.get(name, {})) for name in usable}
+        return {name: settings for name, settings in checked.items() if name in models}
 
     @model_validator(mode="after")
     def _fits(self) -> "TrainSettings":
@@ -76,3 +74,11 @@ class TrainSettings(Settings):
         if not self.models and not self.predictions:
             raise ValueError("neither models nor predictions name a regressor")
         return self
+
+
+def _section(name: str, content: object) -> RegressorSettings:
+    if isinstance(content, RegressorSettings):
+        return content
+    if not isinstance(content, dict):
+        raise ValueError(f"{name} is {content!r}, not a section of settings")
+    return validated(REGRESSORS[name].settings, content, f"[train.regressors.{name}]")

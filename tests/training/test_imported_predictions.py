@@ -129,6 +129,17 @@ def test_retired_names_say_what_they_are_called_now(make_scene: MakeScene) -> No
         run(data)
 
 
+def test_a_section_with_a_wrong_key_names_itself(make_scene: MakeScene) -> None:
+    data = make_scene()
+    message = r"setting 'epoch'[\s\S]*\[train\.regressors\.PN\][\s\S]*one of epochs, batch"
+    with pytest.raises(UserError, match=message):
+        run(data, "regressors.PN.epoch=1")
+    with pytest.raises(UserError, match=r"there is no regressor 'XY'[\s\S]*\[train\] of profile tiny[\s\S]*PN, MS-T"):
+        run(data, "regressors.XY.epochs=1")
+    with pytest.raises(UserError, match="PN is 3, not a section"):
+        run(data, "regressors.PN=3")
+
+
 def test_nothing_to_predict_with(make_scene: MakeScene) -> None:
     with pytest.raises(UserError, match="neither models nor predictions"):
         execute(STAGE, "Wall", "tiny", DataRoot(make_scene()), ["models=[]"])
