@@ -298,7 +298,7 @@ def _recordings(folder: Path) -> dict[Path, tuple[str, NDArray[np.int64], Array]
         session = form.read(path, path.stem, Limits())
         posed = [(f.t_ns, f.vio_T_cam) for f in session.frames if f.vio_T_cam is not None]
         t_ns, first = np.unique([t for t, _ in posed], return_index=True)
-        found[path] = (f"{form.name}/{path.stem}", t_ns.astype(np.int64), np.array([posed[i][1] for i in first]))
+        found[path] = (f"{form.id}/{path.stem}", t_ns.astype(np.int64), np.array([posed[i][1] for i in first]))
     return found
 
 
