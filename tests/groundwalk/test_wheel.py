@@ -35,7 +35,9 @@ def site_packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     venv.create(folder / "environment", symlinks=True)
     python = folder / "environment" / "bin" / "python"
     (wheel,) = folder.glob("groundwalk-*.whl")
-    subprocess.run([*pip, "--python", python, "install", "--quiet", "--no-deps", wheel], check=True)
+    # An editable installation leaves its metadata in the tree, which PYTHONPATH names: pip would find it installed.
+    install = [*pip, "--python", python, "install", "--quiet", "--no-deps", wheel]
+    subprocess.run(install, check=True, env=without_python_path())
     (found,) = (folder / "environment").glob("lib/python*/site-packages")
     return found
 
