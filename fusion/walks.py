@@ -37,6 +37,8 @@ class Walk:
 
     frame_id (N,) str, t_ns (N,) int64, gravity (N, 3) unit vectors in camera axes, and the poses (N, 4, 4).
     quality (N,) str: class of the ground truth, None where no class is stated; None instead of the array for all so.
+    apr_covariance (N, 6, 6): of the predictions' errors in the map frame, rotation (rad) then translation (m), NaN where
+    a prediction brings none; None instead of the array where none does.
     """
 
     scene: str
@@ -49,6 +51,7 @@ class Walk:
     map_T_cam_apr: Array
     map_T_cam: Array  # ground truth
     quality: NDArray[np.object_] | None = None
+    apr_covariance: Array | None = None
 
     def __len__(self) -> int:
         return len(self.t_ns)

@@ -1,0 +1,92 @@
+"""The alignment of odometry with the map from kept predictions: solved anew, robustly, with each new one.
+
+The estimate is the joint fit of fusion/alignment_chain.py to all keyframes, with what each prediction counts (Student's
+t, fusion/robust.py) and the covariance of their errors (fusion/prediction_noise.py) fitted along: a prediction that
+later ones contradict loses its say in hindsight. Each new prediction starts from the last solution, so that few
+iterations do.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion import robust
+from fusion.alignment_chain import UNKNOWN, Chain, Solution, applied, errors, solve
+from fusion.keyframes import Keyframes
+from fusion.prediction_noise import Prior, scatter
+from geometry.poses import Array
+
+DIMENSIONS = 6
+
+
+@dataclass(frozen=True)
+class Model:
+    """What the fit assumes.
+
+    prior: of the covariance of normalised errors. dof: degrees of freedom of Student's t. independent: what one
+    prediction counts of an independent one, as neighbours are wrong alike. apart_m: motion after which two predictions
+    are half as good as two independent ones of that kind.
+    """
+
+    prior: Prior
+    dof: float
+    independent: float
+    apart_m: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What an iteration found beside the keyframes' states.
+
+    covariance (6, 6): of normalised errors. squared (N,): each keyframe's squared error in its units. counted (N,): what
+    it says that its neighbour doesn't. weights (N,): what Student's t lets it count. gradient (N, 4), information
+    (N, 4, 4), solution: the predictions' terms, and the step.
+    """
+
+    covariance: Array
+    squared: Array
+    counted: Array
+    weights: Array
+    gradient: Array
+    information: Array
+    solution: Solution
+
+
+def chain_of(keyframes: Keyframes, distrust: float = 1.0) -> Chain:
+    """Odometry's part of the problem, its variances `distrust` times the usual ones."""
+    vio, segment = keyframes.column("vio"), keyframes.column("segment")
+    step, precision = np.zeros((len(vio), 3)), np.zeros((len(vio), 4))
+    step[1:] = vio[1:] - vio[:-1]
+    precision[1:] = (segment[1:] == segment[:-1])[:, None] / (distrust * keyframes.column("drift")[1:])
+    return Chain(step, precision)
+
+
+def counted(along: Array, apart_m: float) -> Array:
+    """How much of a prediction each says that isn't its neighbour's, (N,): those made standing still are one."""
+    found = np.ones(len(along))
+    gap = np.diff(along)
+    found[1:] = gap / (gap + apart_m)
+    return found
+
+
+def iterate(keyframes: Keyframes, model: Model, covariance: Array, distrust: float = 1.0) -> Fit:
+    """One iteration: weights and covariance from the errors as they are, then one step of the keyframes' states."""
+    state, measured = keyframes.column("state"), keyframes.column("measured")
+    whitening = keyframes.column("whitening").reshape(-1, DIMENSIONS, DIMENSIONS)
+    position, yaw = state[:, :3], state[:, 3]
+    found = errors(position, yaw, measured[:, :3], measured[:, 3], measured[:, 4:])
+    normalised = (whitening @ found[:, :, None])[:, :, 0]
+    share = counted(keyframes.column("along"), model.apart_m)
+    squared = np.einsum("ni,ni->n", normalised @ np.linalg.inv(covariance), normalised)
+    covariance = scatter(model.prior, normalised, share, robust.weights(squared, DIMENSIONS, model.dof))
+    precision = np.linalg.inv(covariance)
+    weighted = normalised @ precision
+    squared = np.einsum("ni,ni->n", weighted, normalised)
+    weights = robust.weights(squared, DIMENSIONS, model.dof)
+    unknown = whitening[:, :, UNKNOWN]
+    transposed = (model.independent * share * weights)[:, None, None] * unknown.transpose(0, 2, 1)
+    information = transposed @ (precision @ unknown)
+    gradient = (transposed @ weighted[:, :, None])[:, :, 0]
+    solution = solve(chain_of(keyframes, distrust), position, yaw, information, gradient)
+    state[:, :3], state[:, 3] = applied(position, yaw, solution.increments)
+    return Fit(covariance, squared, share, weights, gradient, information, solution)
