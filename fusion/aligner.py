@@ -25,13 +25,15 @@ class Model:
 
     prior: of the covariance of normalised errors. dof: degrees of freedom of Student's t. independent: what one
     prediction counts of an independent one, as neighbours are wrong alike. apart_m: motion after which two predictions
-    are half as good as two independent ones of that kind.
+    are half as good as two independent ones of that kind. shared: share of their position covariance that a
+    walk's predictions have in common.
     """
 
     prior: Prior
     dof: float
     independent: float
     apart_m: float
+    shared: float
 
 
 @dataclass(frozen=True)

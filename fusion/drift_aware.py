@@ -50,6 +50,9 @@ class DriftAwareOptions(OdometryOptions):
     independent: float = Field(
         0.3, gt=0, le=1, description="what a prediction counts of an independent one: neighbours are wrong alike"
     )
+    shared: float = Field(
+        0.2, ge=0, lt=1, description="share of their position variance that a walk's predictions have in common: bounds"
+    )
     apart_m: float = Field(0.05, gt=0, description="motion after which two predictions are half independent")
     turn_length_m: float = Field(1.0, ge=0, description="motion that a turn by one radian counts as")
     keyframes: int = Field(100, ge=8, description="predictions kept as evidence")
@@ -62,7 +65,7 @@ class DriftAwareOptions(OdometryOptions):
     drift_deg_s: float = Field(0.05, gt=0, description="odometry's yaw drift over one second, one sigma")
     rivals: bool = Field(True, description="try other alignments: odometry may have lost its frame")
     recent: int = Field(10, ge=2, description="newest predictions that judge other alignments")
-    evidence: float = Field(0.3, gt=0, le=1, description="how much a prediction counts in judging other alignments")
+    evidence: float = Field(0.7, gt=0, le=1, description="how much a prediction counts in judging other alignments")
     loss: float = Field(5e-4, gt=0, lt=0.5, description="probability that odometry loses its frame unnoticed, a frame")
     tilt_sd_deg: float = Field(0.3, gt=0, description="odometry's gravity error an axis")
 
@@ -180,16 +183,17 @@ class DriftAware(Localiser):
     def _fit(self) -> dict[str, float]:
         """Fit all keyframes anew, and change to another alignment where one has won; returns signals."""
         fit = self._iterated()
-        self._doubted = False
+        usual = float(np.median(fit.squared))
+        self._doubted = bool(fit.squared[-_SURPRISES:].min() > _SURPRISING * usual)
         gain = -np.inf
-        if self.options.rivals and len(self._keyframes) > 1 and fit.squared[-1] > np.median(fit.squared):
+        if self.options.rivals and len(self._keyframes) > 1 and fit.squared[-1] > usual:
             rival = self._rival(fit)
             if rival is not None:
                 gain = rival.gain
                 if rival.gain > 0:
                     self._follow(rival)
                     fit = self._iterated()
-                self._doubted = rival.gain > -_DOUBT
+                self._doubted |= rival.gain > -_DOUBT
         self._bound = alignment_covariance(self._keyframes, fit, self._model, len(self._keyframes) - 1)
         signals = {"surprise": float(fit.squared[-1]), "weight": float(fit.weights[-1])}
         if np.isfinite(gain):
@@ -217,7 +221,7 @@ class DriftAware(Localiser):
     @property
     def _model(self) -> Model:
         o = self.options
-        return Model(self._prior, o.degrees_of_freedom, o.independent, o.apart_m)
+        return Model(self._prior, o.degrees_of_freedom, o.independent, o.apart_m, o.shared)
 
     def _iterated(self) -> Fit:
         for _ in range(self.options.iterations):
@@ -325,4 +329,6 @@ class DriftAware(Localiser):
 
 
 _SETTLING = 20
+# So many predictions in a row that are this much farther off (in the square) than usual: something is wrong.
+_SURPRISES, _SURPRISING = 4, 8.0
 _DOUBT = 3.0  # nats by which a rival may be behind and the alignment still be doubted

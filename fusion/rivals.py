@@ -18,6 +18,10 @@ from geometry.poses import Array
 # Volume of the places and headings that a phone may turn up at: m, m, m up, rad.
 _ANYWHERE = 40.0 * 40.0 * 3.0 * 2 * np.pi
 _DIMENSIONS = 6
+# Odds below exp(_SIGN) against a loss of odometry's frame: it jumped, or was gone.
+_SIGN = 1.0
+_WITHOUT_SIGN = 0.35
+_BACK = 3.0  # log odds against an earlier alignment's holding again
 
 
 class Rival(NamedTuple):
@@ -42,60 +46,94 @@ def best_rival(
     first = max(len(keyframes) - recent, int(np.argmax(segment == segment[-1])))
     count = len(keyframes) - first
     begins_anew = first == 0 or segment[first - 1] != segment[-1]
-    yaw, shift, of = _alignments(keyframes, first)
-    position = _carried(yaw, shift, keyframes.column("vio")[first:])
-    costs = robust.costs(_squared(keyframes, covariance, position, yaw, first), _DIMENSIONS, dof)
-    now = robust.costs(squared, _DIMENSIONS, dof)
-    newest = np.arange(len(of), len(yaw))
-    # A keyframe fits the alignment that it names itself: it is taken to fit as they usually do.
-    costs[newest, np.arange(count)] = np.median(now)
-    better = counted[first:] * (now[first:] - costs)
-    gains = np.cumsum(better[:, ::-1], axis=1)[:, ::-1] - rare[first:]
-    gains[newest] -= np.log(_ANYWHERE) + _log_density(keyframes, covariance)
-    gains[newest] = np.where(np.tri(count, dtype=bool), gains[newest], -np.inf)
+    measured, vio = keyframes.column("measured")[first:], keyframes.column("vio")[first:]
+    judged = _Judged(measured, vio, keyframes.column("whitening")[first:], np.linalg.inv(covariance), dof)
+    now = robust.costs(squared[first:], _DIMENSIONS, dof)
+    share = counted[first:]
+
+    def better(costs: Array) -> Array:
+        """By how much alignments (K, N) explain what came from each keyframe on better than the one in force."""
+        return np.asarray(np.cumsum((share * (now - costs))[:, ::-1], axis=1)[:, ::-1])
+
+    # Predictions may be wrong in a row, and all alike, so that they look like a lost frame: where odometry gave no sign
+    # of one they count less. An alignment that held before needs no sign.
+    sign = rare[first:] < _SIGN
+    new_share, new_rare = np.where(sign, 1.0, _WITHOUT_SIGN), rare[first:]
+
+    def gained(costs: Array) -> Array:
+        return np.asarray(new_share * better(costs) - new_rare)
+
+    yaw, shift = measured[:, 3], measured[:, :3] - _turned(measured[:, 3], vio)
+    # Alignments that single predictions name are as uncertain as those: errors under them are twice as large.
+    named = judged.squared(yaw, shift) / 2
+    usual = np.median(robust.costs(squared, _DIMENSIONS, dof))
+    costs = robust.costs(named, _DIMENSIONS, dof)
+    costs[np.arange(count), np.arange(count)] = usual
+    best = np.argmax(np.where(np.tri(count, dtype=bool), gained(costs), -np.inf), axis=0)
+    # For each keyframe that may have begun it: the mean of what was named since, weighed under the best of them.
+    weight = np.triu(share * robust.weights(named[best], _DIMENSIONS, dof))
+    weight /= weight.sum(axis=1, keepdims=True)
+    yaw = np.angle(weight @ np.exp(1j * yaw))
+    shift = weight @ measured[:, :3] - _turned(yaw, weight @ vio)
+    gains = np.diag(gained(robust.costs(judged.squared(yaw, shift), _DIMENSIONS, dof))).copy()
+    gains -= np.log(_ANYWHERE) + _log_density(keyframes, covariance)
     if begins_anew:
-        gains[newest, 0] = -np.inf
-    which, begin = np.unravel_index(int(np.argmax(gains)), gains.shape)
-    if not np.isfinite(gains[which, begin]):
-        return None
-    state = np.column_stack([position[which, begin:], np.full(count - begin, yaw[which])])
-    return Rival(first + int(begin), state, float(gains[which, begin]), of[which] if which < len(of) else None)
+        gains[0] = -np.inf
+    begin = int(np.argmax(gains))
+    rival = None
+    if np.isfinite(gains[begin]):
+        rival = Rival(first + begin, _states(yaw[begin], shift[begin], vio[begin:]), float(gains[begin]), None)
+    old_yaw, old_shift, segments = _earlier(keyframes)
+    if segments:
+        gains = better(robust.costs(judged.squared(old_yaw, old_shift), _DIMENSIONS, dof)) - np.minimum(new_rare, _BACK)
+        which, begin = (int(i) for i in np.unravel_index(int(np.argmax(gains)), gains.shape))
+        if rival is None or gains[which, begin] > rival.gain:
+            state = _states(old_yaw[which], old_shift[which], vio[begin:])
+            rival = Rival(first + begin, state, float(gains[which, begin]), segments[which])
+    return rival
 
 
-def _alignments(keyframes: Keyframes, first: int) -> tuple[Array, Array, list[float]]:
-    """Yaw (K,) and shift (K, 3) of map_T_vio that earlier segments had last, and that keyframes from `first` on name;
-    and those segments."""
-    segment, state, measured = (keyframes.column(name) for name in ("segment", "state", "measured"))
-    earlier = [float(s) for s in np.unique(segment) if s != segment[-1]]
-    last = [int(np.flatnonzero(segment == s)[-1]) for s in earlier]
-    yaw = np.concatenate([state[last, 3], measured[first:, 3]])
-    at = np.concatenate([state[last, :3], measured[first:, :3]])
-    vio = keyframes.column("vio")
-    return yaw, at - _turned(yaw, np.concatenate([vio[last], vio[first:]])), earlier
+class _Judged(NamedTuple):
+    """Keyframes that judge alignments: what they measured (N, 6), odometry (N, 3), their whitening (N, 36), and the
+    inverse of the normalised errors' covariance."""
+
+    measured: Array
+    vio: Array
+    whitening: Array
+    precision: Array
+    dof: float
+
+    def squared(self, yaw: Array, shift: Array) -> Array:
+        """Squared errors (K, N) under alignments of yaw (K,) and shift (K, 3)."""
+        alignments, count = len(yaw), len(self.vio)
+        position = shift[:, None] + _turned(yaw[:, None], self.vio[None])
+        measured = np.tile(self.measured, (alignments, 1))
+        found = errors(
+            position.reshape(-1, 3), np.repeat(yaw, count), measured[:, :3], measured[:, 3], measured[:, 4:]
+        ).reshape(alignments, count, _DIMENSIONS)
+        whitening = self.whitening.reshape(-1, _DIMENSIONS, _DIMENSIONS)
+        normalised = (whitening @ found[..., None])[..., 0]
+        return np.asarray(((normalised @ self.precision) * normalised).sum(axis=-1))
+
+
+def _states(yaw: float, shift: Array, vio: Array) -> Array:
+    """Map positions and yaw (N, 4) of odometry's positions (N, 3) under an alignment."""
+    return np.column_stack([shift + _turned(np.full(len(vio), yaw), vio), np.full(len(vio), yaw)])
+
+
+def _earlier(keyframes: Keyframes) -> tuple[Array, Array, list[float]]:
+    """Yaw (K,) and shift (K, 3) of map_T_vio that earlier segments had last, and those segments."""
+    segment, state = keyframes.column("segment"), keyframes.column("state")
+    segments = [float(s) for s in np.unique(segment) if s != segment[-1]]
+    last = [int(np.flatnonzero(segment == s)[-1]) for s in segments]
+    yaw = state[last, 3]
+    return yaw, state[last, :3] - _turned(yaw, keyframes.column("vio")[last]), segments
 
 
 def _turned(yaw: Array, points: Array) -> Array:
     c, s = np.cos(yaw), np.sin(yaw)
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     return np.stack([c * x + s * z, y + 0 * c, c * z - s * x], axis=-1)
-
-
-def _carried(yaw: Array, shift: Array, vio: Array) -> Array:
-    """Map positions (K, N, 3) of odometry's (N, 3) under each of K alignments."""
-    return shift[:, None] + _turned(yaw[:, None], vio[None])
-
-
-def _squared(keyframes: Keyframes, covariance: Array, position: Array, yaw: Array, first: int) -> Array:
-    """Squared errors (K, N) of the keyframes from `first` on under K alignments. Those are as uncertain as a prediction,
-    so errors under them are twice as large in the square."""
-    alignments, count = position.shape[:2]
-    measured = np.tile(keyframes.column("measured")[first:], (alignments, 1))
-    found = errors(
-        position.reshape(-1, 3), np.repeat(yaw, count), measured[:, :3], measured[:, 3], measured[:, 4:]
-    ).reshape(alignments, count, 6)
-    whitening = keyframes.column("whitening")[first:].reshape(-1, 6, 6)
-    normalised = np.einsum("nij,knj->kni", whitening, found)
-    return np.einsum("kni,kni->kn", normalised @ np.linalg.inv(covariance), normalised) / 2
 
 
 def _log_density(keyframes: Keyframes, covariance: Array) -> float:
