@@ -54,8 +54,8 @@ class Fit:
     solution: Solution
 
 
-def chain_of(keyframes: Keyframes, distrust: float = 1.0) -> Chain:
-    """Odometry's part of the problem, its variances `distrust` times the usual ones."""
+def chain_of(keyframes: Keyframes, distrust: Array) -> Chain:
+    """Odometry's part of the problem, its variances `distrust` (4,) times the usual ones."""
     vio, segment = keyframes.column("vio"), keyframes.column("segment")
     step, precision = np.zeros((len(vio), 3)), np.zeros((len(vio), 4))
     step[1:] = vio[1:] - vio[:-1]
@@ -71,8 +71,9 @@ def counted(along: Array, apart_m: float) -> Array:
     return found
 
 
-def iterate(keyframes: Keyframes, model: Model, covariance: Array, distrust: float = 1.0) -> Fit:
-    """One iteration: weights and covariance from the errors as they are, then one step of the keyframes' states."""
+def iterate(keyframes: Keyframes, model: Model, covariance: Array, distrust: Array) -> Fit:
+    """One iteration: weights and covariance from the errors as they are, then one step of the keyframes' states. `distrust` (4,)
+    multiplies the variances of odometry's drift."""
     state, measured = keyframes.column("state"), keyframes.column("measured")
     whitening = keyframes.column("whitening").reshape(-1, DIMENSIONS, DIMENSIONS)
     position, yaw = state[:, :3], state[:, 3]

@@ -18,6 +18,7 @@ from fusion.error_map import ErrorMap
 from fusion.keyframes import Keyframes
 from fusion.localiser import Estimate, Localiser, State, Status, array, plain
 from fusion.odometry import OdometryOptions
+from fusion.odometry_quality import drift_factors
 from fusion.prediction_noise import (
     Prior,
     side_turn_correlation,
@@ -63,6 +64,7 @@ class DriftAwareOptions(OdometryOptions):
     drift_height_m: float = Field(0.015, gt=0, description="the same, of height")
     drift_deg_m: float = Field(0.5, gt=0, description="odometry's yaw drift over one metre, one sigma")
     drift_deg_s: float = Field(0.05, gt=0, description="odometry's yaw drift over one second, one sigma")
+    distrust: bool = Field(True, description="learn how much more than usual odometry drifts")
     rivals: bool = Field(True, description="try other alignments: odometry may have lost its frame")
     recent: int = Field(10, ge=2, description="newest predictions that judge other alignments")
     evidence: float = Field(0.7, gt=0, le=1, description="how much a prediction counts in judging other alignments")
@@ -98,6 +100,7 @@ class DriftAware(Localiser):
         self._last: Fit | None = None
         self._bound: Array | None = None  # covariance (4, 4) of the newest keyframe's x, y, z and yaw, in map axes
         self._vio: tuple[int, Array] | None = None
+        self._distrust = np.ones(4)  # factors of odometry's drift variances: x, y, z, yaw
         self._along_m = 0.0
         self._drift = np.zeros(4)  # variances since the newest keyframe
         self._segment = 0
@@ -182,6 +185,8 @@ class DriftAware(Localiser):
 
     def _fit(self) -> dict[str, float]:
         """Fit all keyframes anew, and change to another alignment where one has won; returns signals."""
+        if self.options.distrust:
+            self._distrust = drift_factors(self._keyframes)
         fit = self._iterated()
         usual = float(np.median(fit.squared))
         self._doubted = bool(fit.squared[-_SURPRISES:].min() > _SURPRISING * usual)
@@ -225,7 +230,7 @@ class DriftAware(Localiser):
 
     def _iterated(self) -> Fit:
         for _ in range(self.options.iterations):
-            fit = iterate(self._keyframes, self._model, self._covariance)
+            fit = iterate(self._keyframes, self._model, self._covariance, self._distrust)
             self._covariance = fit.covariance
         self._last = fit
         return fit
@@ -278,7 +283,7 @@ class DriftAware(Localiser):
         moved = map_R_vio @ (vio_T_cam[:3, 3] - self._keyframes.column("vio")[keyframe])
         F = np.eye(4)
         F[0, 3], F[2, 3] = moved[2], -moved[0]
-        bound = F @ bound @ F.T + np.diag(self._drift if keyframe == -1 else np.zeros(4))
+        bound = F @ bound @ F.T + np.diag(self._distrust * self._drift if keyframe == -1 else np.zeros(4))
         covariance = np.zeros((6, 6))
         covariance[0, 0] = covariance[2, 2] = radians(self.options.tilt_sd_deg) ** 2
         covariance[1, 1] = bound[3, 3]
@@ -313,6 +318,7 @@ class DriftAware(Localiser):
             "vio": None if self._vio is None else [self._vio[0], plain(self._vio[1])],
             "along_m": self._along_m,
             "drift": plain(self._drift),
+            "distrust": plain(self._distrust),
             "segment": self._segment,
             "watched": self._watched,
             "doubted": self._doubted,
@@ -322,7 +328,7 @@ class DriftAware(Localiser):
         self._forget()
         self._keyframes.restore(state["keyframes"])
         self._covariance, self._drift = np.array(state["covariance"]), np.array(state["drift"])
-        self._bound = array(state["bound"])
+        self._bound, self._distrust = array(state["bound"]), np.array(state["distrust"])
         self._vio = None if state["vio"] is None else (state["vio"][0], np.array(state["vio"][1]))
         self._along_m, self._segment = state["along_m"], state["segment"]
         self._watched, self._doubted = state["watched"], state["doubted"]
