@@ -80,11 +80,11 @@ def iterate(keyframes: Keyframes, model: Model, covariance: Array, distrust: Arr
     found = errors(position, yaw, measured[:, :3], measured[:, 3], measured[:, 4:])
     normalised = (whitening @ found[:, :, None])[:, :, 0]
     share = counted(keyframes.column("along"), model.apart_m)
-    squared = np.einsum("ni,ni->n", normalised @ np.linalg.inv(covariance), normalised)
+    squared = ((normalised @ np.linalg.inv(covariance)) * normalised).sum(axis=1)
     covariance = scatter(model.prior, normalised, share, robust.weights(squared, DIMENSIONS, model.dof))
     precision = np.linalg.inv(covariance)
     weighted = normalised @ precision
-    squared = np.einsum("ni,ni->n", weighted, normalised)
+    squared = (weighted * normalised).sum(axis=1)
     weights = robust.weights(squared, DIMENSIONS, model.dof)
     unknown = whitening[:, :, UNKNOWN]
     transposed = (model.independent * share * weights)[:, None, None] * unknown.transpose(0, 2, 1)

@@ -41,12 +41,19 @@ class Solution(NamedTuple):
     increments: Array
     factor: Array
 
-    def covariance_columns(self, index: int) -> Array:
-        """Covariances (N, 4, 4) of every keyframe's increments with those of one."""
+    def covariance(self, index: int) -> Array:
+        """Covariance (4, 4) of one keyframe's increments."""
         count = len(self.increments)
+        if index == count - 1:
+            # Nothing comes after it: its block of the factor is all that its covariance hangs on.
+            block = np.zeros((4, 4))
+            for column in range(4):
+                block[column:, column] = self.factor[: 4 - column, 4 * index + column]
+            inverse = np.linalg.inv(block)
+            return np.asarray(inverse.T @ inverse)
         unit = np.zeros((4 * count, 4))
         unit[4 * index : 4 * index + 4] = np.eye(4)
-        return np.asarray(dpbtrs(self.factor, unit, lower=1)[0]).reshape(count, 4, 4)
+        return np.asarray(dpbtrs(self.factor, unit, lower=1)[0])[4 * index : 4 * index + 4]
 
 
 def errors(position: Array, yaw: Array, measured_position: Array, measured_yaw: Array, tilt: Array) -> Array:
@@ -84,15 +91,16 @@ def solve(chain: Chain, position: Array, yaw: Array, information: Array, gradien
         turned = yaw[1:] - yaw[:-1]
         # The steps between positions, turned back by the yaw before; e is what odometry's leave of them, and yaw's.
         dx, dz = c * moved[:, 0] - s * moved[:, 2], s * moved[:, 0] + c * moved[:, 2]
-        e = np.stack([dx, moved[:, 1], dz, turned], axis=1)
+        e = np.empty((count - 1, 4))
+        e[:, 0], e[:, 1], e[:, 2], e[:, 3] = dx, moved[:, 1], dz, turned
         e[:, :3] -= chain.step[1:]
         weighted = q * e
         horizontal = q[:, 0]
         # A yaw before turns the step: d(step)/d(yaw) = (dz, 0, -dx), and turns the increments after it.
         bent_x, bent_z = horizontal * dz, -horizontal * dx
-        for k in range(4):
-            diagonal[1:, k, k] += q[:, k]
-            diagonal[:-1, k, k] += q[:, k]
+        own = blocks.reshape(count, -1)[:, :16:5]  # a view of the diagonal blocks' diagonals
+        own[1:] += q
+        own[:-1] += q
         diagonal[:-1, 0, 3] += bent_x
         diagonal[:-1, 3, 0] += bent_x
         diagonal[:-1, 2, 3] += bent_z
@@ -122,7 +130,9 @@ def applied(position: Array, yaw: Array, increments: Array) -> tuple[Array, Arra
     """Position (N, 3) and yaw (N,) after increments (N, 4)."""
     c, s = np.cos(yaw), np.sin(yaw)
     x, y, z, turn = increments.T
-    return position + np.stack([c * x + s * z, y, c * z - s * x], axis=1), yaw + turn
+    moved = np.empty((len(yaw), 3))
+    moved[:, 0], moved[:, 1], moved[:, 2] = c * x + s * z, y, c * z - s * x
+    return position + moved, yaw + turn
 
 
 def _banded(blocks: Array) -> Array:

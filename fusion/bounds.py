@@ -5,20 +5,26 @@ are wrong alike. It doesn't know that a regressor may misplace a whole walk the 
 error, a share of its covariance, is added: no number of predictions takes it away.
 """
 
+from math import cos, sin
+
 import numpy as np
 
 from fusion.aligner import Fit, Model
 from fusion.alignment_chain import UNKNOWN
 from fusion.keyframes import Keyframes
-from geometry.poses import Array, yaw_rotation
+from geometry.poses import Array
 
 
 def alignment_covariance(keyframes: Keyframes, fit: Fit, model: Model, index: int) -> Array:
     """Covariance (4, 4) of the `index`th keyframe's x, y, z and yaw, in map axes."""
-    found = fit.solution.covariance_columns(index)[index]
+    found = fit.solution.covariance(index)
     back = np.linalg.inv(keyframes.column("whitening")[index].reshape(6, 6))[UNKNOWN]
-    found = found.copy()
     found[:3, :3] += model.shared * (back @ fit.covariance @ back.T)[:3, :3]
-    turn = np.eye(4)
-    turn[:3, :3] = yaw_rotation(keyframes.column("state")[index, 3])
-    return np.asarray(turn @ found @ turn.T)
+    return turned(found, keyframes.column("state")[index, 3])
+
+
+def turned(covariance: Array, yaw: float) -> Array:
+    """A covariance (4, 4) of x, y, z and yaw in axes turned forth by a yaw (rad)."""
+    c, s = cos(yaw), sin(yaw)
+    turn = np.array([[c, 0.0, s, 0.0], [0.0, 1.0, 0.0, 0.0], [-s, 0.0, c, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    return np.asarray(turn @ covariance @ turn.T)

@@ -10,7 +10,6 @@ from math import acos, atan2, cos, radians, sin, sqrt
 
 import numpy as np
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from fusion.aligner import Fit, Model, iterate
 from fusion.bounds import alignment_covariance
@@ -26,6 +25,7 @@ from fusion.prediction_noise import (
     whitening,
     whitening_of_covariance,
 )
+from fusion.robust import middle
 from fusion.rivals import Rival, best_rival
 from geometry.poses import Array, make_pose, yaw_rotation
 
@@ -57,7 +57,7 @@ class DriftAwareOptions(OdometryOptions):
     apart_m: float = Field(0.05, gt=0, description="motion after which two predictions are half independent")
     turn_length_m: float = Field(1.0, ge=0, description="motion that a turn by one radian counts as")
     keyframes: int = Field(100, ge=8, description="predictions kept as evidence")
-    iterations: int = Field(2, ge=1, description="iterations of the fit with each prediction")
+    iterations: int = Field(2, ge=1, description="iterations with each prediction while few are kept, later one")
     error_map: bool = Field(True, description="use what held-out frames tell of the regressor's errors")
     covariances: bool = Field(True, description="use the covariances that predictions bring")
     drift_m: float = Field(0.03, gt=0, description="odometry's drift over one metre, one sigma, as a random walk")
@@ -104,6 +104,7 @@ class DriftAware(Localiser):
         self._along_m = 0.0
         self._drift = np.zeros(4)  # variances since the newest keyframe
         self._segment = 0
+        self._count = 0  # predictions taken in
         self._watched = False  # odometry has jumped, or was gone, since the newest keyframe
         self._doubted = False  # another alignment explains the newest predictions nearly as well
 
@@ -145,9 +146,7 @@ class DriftAware(Localiser):
 
     def _take(self, t_ns: int, vio_T_cam: Array, map_T_cam_apr: Array) -> None:
         """Keep a prediction as the newest keyframe."""
-        rotation = map_T_cam_apr[:3, :3] @ vio_T_cam[:3, :3].T
-        yaw = atan2(rotation[0, 2] - rotation[2, 0], rotation[0, 0] + rotation[2, 2])
-        lean = Rotation.from_matrix(rotation @ yaw_rotation(-yaw)).as_rotvec()
+        yaw, lean = _yaw_and_lean(map_T_cam_apr[:3, :3] @ vio_T_cam[:3, :3].T)
         position = map_T_cam_apr[:3, 3]
         sizes = self._usual_sizes
         if self._error_map is not None:
@@ -163,7 +162,7 @@ class DriftAware(Localiser):
         loss = 0.5 if self._watched else self.options.loss
         self._keyframes.add(
             whitening=normalised,
-            measured=[*position, yaw, lean[0], lean[2]],
+            measured=[*position, yaw, *lean],
             vio=vio_T_cam[:3, 3],
             drift=self._drift + _LEAST_DRIFT,
             state=state,
@@ -173,6 +172,7 @@ class DriftAware(Localiser):
             rare=np.log((1 - loss) / loss),
         )
         self._drift, self._watched = np.zeros(4), False
+        self._count += 1
 
     def _carried(self, vio_T_cam: Array, keyframe: int = -1) -> Array:
         """Position and yaw (4,) of a camera: a keyframe's, by default the newest's, moved on by odometry."""
@@ -185,13 +185,16 @@ class DriftAware(Localiser):
 
     def _fit(self) -> dict[str, float]:
         """Fit all keyframes anew, and change to another alignment where one has won; returns signals."""
-        if self.options.distrust:
-            self._distrust = drift_factors(self._keyframes)
-        fit = self._iterated()
-        usual = float(np.median(fit.squared))
+        keyframes = self._keyframes
+        if self.options.distrust and self._count % _EVERY == 0:
+            self._distrust = drift_factors(keyframes)
+        # While there are few, each new one changes much.
+        for _ in range(self.options.iterations if 2 * len(keyframes) <= self.options.keyframes else 1):
+            fit = self._iterated()
+        usual = middle(fit.squared)
         self._doubted = bool(fit.squared[-_SURPRISES:].min() > _SURPRISING * usual)
         gain = -np.inf
-        if self.options.rivals and len(self._keyframes) > 1 and fit.squared[-1] > usual:
+        if self.options.rivals and len(keyframes) > 1 and fit.squared[-1] > _WORTH_A_LOOK * usual:
             rival = self._rival(fit)
             if rival is not None:
                 gain = rival.gain
@@ -229,10 +232,8 @@ class DriftAware(Localiser):
         return Model(self._prior, o.degrees_of_freedom, o.independent, o.apart_m, o.shared)
 
     def _iterated(self) -> Fit:
-        for _ in range(self.options.iterations):
-            fit = iterate(self._keyframes, self._model, self._covariance, self._distrust)
-            self._covariance = fit.covariance
-        self._last = fit
+        fit = iterate(self._keyframes, self._model, self._covariance, self._distrust)
+        self._covariance, self._last = fit.covariance, fit
         return fit
 
     def _rival(self, fit: Fit) -> Rival | None:
@@ -277,10 +278,11 @@ class DriftAware(Localiser):
     ) -> Estimate:
         """The pose that odometry gives when a keyframe's alignment, of covariance `bound` (4, 4), carries it."""
         x, y, z, yaw = self._carried(vio_T_cam, keyframe)
-        map_R_vio = yaw_rotation(yaw)
-        map_T_cam = make_pose(map_R_vio @ vio_T_cam[:3, :3], np.array([x, y, z]))
-        map_T_vio = make_pose(map_R_vio, map_T_cam[:3, 3] - map_R_vio @ vio_T_cam[:3, 3])
-        moved = map_R_vio @ (vio_T_cam[:3, 3] - self._keyframes.column("vio")[keyframe])
+        c, s = cos(yaw), sin(yaw)
+        map_T_vio = np.array([[c, 0.0, s, x], [0.0, 1.0, 0.0, y], [-s, 0.0, c, z], [0.0, 0.0, 0.0, 1.0]])
+        map_T_vio[:3, 3] -= map_T_vio[:3, :3] @ vio_T_cam[:3, 3]
+        map_T_cam = map_T_vio @ vio_T_cam
+        moved = map_T_vio[:3, :3] @ (vio_T_cam[:3, 3] - self._keyframes.column("vio")[keyframe])
         F = np.eye(4)
         F[0, 3], F[2, 3] = moved[2], -moved[0]
         bound = F @ bound @ F.T + np.diag(self._distrust * self._drift if keyframe == -1 else np.zeros(4))
@@ -320,6 +322,7 @@ class DriftAware(Localiser):
             "drift": plain(self._drift),
             "distrust": plain(self._distrust),
             "segment": self._segment,
+            "count": self._count,
             "watched": self._watched,
             "doubted": self._doubted,
         }
@@ -330,11 +333,26 @@ class DriftAware(Localiser):
         self._covariance, self._drift = np.array(state["covariance"]), np.array(state["drift"])
         self._bound, self._distrust = array(state["bound"]), np.array(state["distrust"])
         self._vio = None if state["vio"] is None else (state["vio"][0], np.array(state["vio"][1]))
-        self._along_m, self._segment = state["along_m"], state["segment"]
+        self._along_m, self._segment, self._count = state["along_m"], state["segment"], state["count"]
         self._watched, self._doubted = state["watched"], state["doubted"]
 
 
 _SETTLING = 20
+_EVERY = 4  # predictions, after which odometry's quality is looked at again
+_WORTH_A_LOOK = 2.0  # squared error, over the usual one, of a prediction that may be of another alignment
 # So many predictions in a row that are this much farther off (in the square) than usual: something is wrong.
 _SURPRISES, _SURPRISING = 4, 8.0
 _DOUBT = 3.0  # nats by which a rival may be behind and the alignment still be doubted
+
+
+def _yaw_and_lean(rotation: Array) -> tuple[float, tuple[float, float]]:
+    """The yaw (rad) nearest to a rotation (3, 3), and the rest of it: what is turned about x and z after the yaw."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    yaw = atan2(c - g, a + i)
+    # rest = rotation @ yaw_rotation(-yaw) has no yaw left; its axis lies in the horizontal plane.
+    cosine, sine = cos(yaw), sin(yaw)
+    x, z = h - (f * cosine - d * sine), (d * cosine + f * sine) - b
+    length = sqrt(x * x + z * z)
+    angle = atan2(length, a * cosine + c * sine + e + i * cosine - g * sine - 1)
+    scale = angle / length if length > 1e-12 else 0.5
+    return yaw, (x * scale, z * scale)

@@ -8,6 +8,7 @@ they stray over a long way more than over a quarter of it, beyond what wrong pre
 import numpy as np
 
 from fusion.keyframes import Keyframes
+from fusion.robust import middle
 from geometry.poses import Array
 
 _LAGS = (8, 16, 32)  # keyframes apart; compared with a quarter as many
@@ -22,7 +23,7 @@ _MEDIANS = np.array([1.386, 0.455])
 def drift_factors(keyframes: Keyframes) -> Array:
     """Factors (4,), 1 or more, of the usual variances of drift in x, y, z and yaw."""
     along = keyframes.column("along")
-    usable = [k for k in _LAGS if len(keyframes) >= 2 * k and np.median(along[k:] - along[:-k]) >= _LONG_M]
+    usable = [k for k in _LAGS if len(keyframes) >= 2 * k and middle(along[k:] - along[:-k]) >= _LONG_M]
     if not usable:
         return np.ones(4)
     lag = usable[0]
@@ -46,5 +47,5 @@ def _strayed(keyframes: Keyframes, lag: int) -> tuple[Array, Array]:
     turned = (measured[lag:, 3] - measured[:-lag, 3] + np.pi) % (2 * np.pi) - np.pi
     # A yaw that drifts on the way bends it, too: by a third of its variance for a random walk, over two axes.
     bent = added[:, 3] * (way[:, 0] ** 2 + way[:, 2] ** 2) / 6
-    found = np.array([np.median(x * x + z * z), np.median(turned * turned)])
-    return found, np.array([np.median(added[:, 0] + bent), np.median(added[:, 3])])
+    found = np.array([middle(x * x + z * z), middle(turned * turned)])
+    return found, np.array([middle(added[:, 0] + bent), middle(added[:, 3])])

@@ -19,8 +19,8 @@ from fusion.error_map import Expected
 from geometry.poses import Array
 
 _SIX = np.arange(6)
-# A relative floor that keeps the learnt covariance regular: nobody's errors are a hundredth of what was expected.
-_LEAST = 1e-4
+# A relative floor that keeps the learnt covariance regular: nobody's errors are a thousandth of what was expected.
+_LEAST = 1e-6
 
 
 class Prior(NamedTuple):
@@ -60,8 +60,7 @@ def whitening_of_covariance(covariance: Array, map_R_cam: Array, vio_R_cam: Arra
     """B (6, 6) from the covariance (6, 6) that a prediction brings: map axes, rotation (rad) before position."""
     turn = np.kron(np.eye(2), map_R_cam)
     factor = np.linalg.cholesky(turn.T @ covariance @ turn)
-    back = np.zeros((6, 6))
-    back[:3, :3] = back[3:, 3:] = vio_R_cam.T
+    back = np.kron(np.eye(2), vio_R_cam.T)
     return np.linalg.solve(factor, back)
 
 

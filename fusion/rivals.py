@@ -66,7 +66,7 @@ def best_rival(
     yaw, shift = measured[:, 3], measured[:, :3] - _turned(measured[:, 3], vio)
     # Alignments that single predictions name are as uncertain as those: errors under them are twice as large.
     named = judged.squared(yaw, shift) / 2
-    usual = np.median(robust.costs(squared, _DIMENSIONS, dof))
+    usual = robust.costs(np.array([robust.middle(squared)]), _DIMENSIONS, dof)[0]
     costs = robust.costs(named, _DIMENSIONS, dof)
     costs[np.arange(count), np.arange(count)] = usual
     best = np.argmax(np.where(np.tri(count, dtype=bool), gained(costs), -np.inf), axis=0)
@@ -124,6 +124,8 @@ def _states(yaw: float, shift: Array, vio: Array) -> Array:
 def _earlier(keyframes: Keyframes) -> tuple[Array, Array, list[float]]:
     """Yaw (K,) and shift (K, 3) of map_T_vio that earlier segments had last, and those segments."""
     segment, state = keyframes.column("segment"), keyframes.column("state")
+    if segment[0] == segment[-1]:
+        return np.zeros(0), np.zeros((0, 3)), []
     segments = [float(s) for s in np.unique(segment) if s != segment[-1]]
     last = [int(np.flatnonzero(segment == s)[-1]) for s in segments]
     yaw = state[last, 3]
@@ -132,8 +134,10 @@ def _earlier(keyframes: Keyframes) -> tuple[Array, Array, list[float]]:
 
 def _turned(yaw: Array, points: Array) -> Array:
     c, s = np.cos(yaw), np.sin(yaw)
-    x, y, z = points[..., 0], points[..., 1], points[..., 2]
-    return np.stack([c * x + s * z, y + 0 * c, c * z - s * x], axis=-1)
+    x, z = points[..., 0], points[..., 2]
+    found = np.empty((*np.broadcast_shapes(c.shape, x.shape), 3))
+    found[..., 0], found[..., 1], found[..., 2] = c * x + s * z, points[..., 1], c * z - s * x
+    return found
 
 
 def _log_density(keyframes: Keyframes, covariance: Array) -> float:
