@@ -71,9 +71,19 @@ def counted(along: Array, apart_m: float) -> Array:
     return found
 
 
-def iterate(keyframes: Keyframes, model: Model, covariance: Array, distrust: Array) -> Fit:
+def innovation(keyframes: Keyframes, covariance: Array, known: Array) -> float:
+    """Squared length of the newest prediction's error, for a state of covariance `known` (4, 4) before it."""
+    state, measured = keyframes.column("state")[-1:], keyframes.column("measured")[-1:]
+    whitening = keyframes.column("whitening")[-1].reshape(DIMENSIONS, DIMENSIONS)
+    found = whitening @ errors(state[:, :3], state[:, 3], measured[:, :3], measured[:, 3], measured[:, 4:])[0]
+    unknown = whitening[:, UNKNOWN]
+    return float(found @ np.linalg.solve(covariance + unknown @ known @ unknown.T, found))
+
+
+def iterate(keyframes: Keyframes, model: Model, covariance: Array, distrust: Array, newest: float | None = None) -> Fit:
     """One iteration: weights and covariance from the errors as they are, then one step of the keyframes' states. `distrust` (4,)
-    multiplies the variances of odometry's drift."""
+    multiplies the variances of odometry's drift. `newest` stands in for the newest keyframe's squared error in its
+    weight: what odometry may have drifted meanwhile is no error of the prediction."""
     state, measured = keyframes.column("state"), keyframes.column("measured")
     whitening = keyframes.column("whitening").reshape(-1, DIMENSIONS, DIMENSIONS)
     position, yaw = state[:, :3], state[:, 3]
@@ -85,7 +95,8 @@ def iterate(keyframes: Keyframes, model: Model, covariance: Array, distrust: Arr
     precision = np.linalg.inv(covariance)
     weighted = normalised @ precision
     squared = (weighted * normalised).sum(axis=1)
-    weights = robust.weights(squared, DIMENSIONS, model.dof)
+    judged = squared if newest is None else np.append(squared[:-1], newest)
+    weights = robust.weights(judged, DIMENSIONS, model.dof)
     unknown = whitening[:, :, UNKNOWN]
     transposed = (model.independent * share * weights)[:, None, None] * unknown.transpose(0, 2, 1)
     information = transposed @ (precision @ unknown)

@@ -11,7 +11,7 @@ from math import acos, atan2, cos, radians, sin, sqrt
 import numpy as np
 from pydantic import Field
 
-from fusion.aligner import Fit, Model, iterate
+from fusion.aligner import Fit, Model, innovation, iterate
 from fusion.bounds import alignment_covariance
 from fusion.error_map import ErrorMap
 from fusion.keyframes import Keyframes
@@ -25,8 +25,8 @@ from fusion.prediction_noise import (
     whitening,
     whitening_of_covariance,
 )
-from fusion.robust import middle
 from fusion.rivals import Rival, best_rival
+from fusion.robust import middle
 from geometry.poses import Array, make_pose, yaw_rotation
 
 # Standing still drifts a little too: what a second adds to the variances, of what a metre does.
@@ -44,7 +44,10 @@ class DriftAwareOptions(OdometryOptions):
         10.0, gt=0, description="the same where sizes are known: from held-out frames or a prediction's own covariance"
     )
     side_turn: float = Field(
-        0.6, ge=0, lt=1, description="assumed correlation of errors to the side with yaw errors, and of height with pitch"
+        0.6,
+        ge=0,
+        lt=1,
+        description="assumed correlation of errors to the side with yaw errors, and of height with pitch",
     )
     side_turn_count: float = Field(20.0, gt=0, description="predictions that this correlation counts as")
     degrees_of_freedom: float = Field(0.3, gt=0, description="of Student's t: how heavy the tails of errors are")
@@ -98,6 +101,7 @@ class DriftAware(Localiser):
         self._keyframes = Keyframes(None if self._keep_all else self.options.keyframes)
         self._covariance = self._prior.shape.copy()  # of normalised errors
         self._last: Fit | None = None
+        self._known: Array | None = None  # the fit's own covariance of the newest keyframe's state
         self._bound: Array | None = None  # covariance (4, 4) of the newest keyframe's x, y, z and yaw, in map axes
         self._vio: tuple[int, Array] | None = None
         self._distrust = np.ones(4)  # factors of odometry's drift variances: x, y, z, yaw
@@ -188,9 +192,11 @@ class DriftAware(Localiser):
         keyframes = self._keyframes
         if self.options.distrust and self._count % _EVERY == 0:
             self._distrust = drift_factors(keyframes)
+        newest = None if self._known is None else self._innovation(self._known)
         # While there are few, each new one changes much.
         for _ in range(self.options.iterations if 2 * len(keyframes) <= self.options.keyframes else 1):
-            fit = self._iterated()
+            fit = self._iterated(newest)
+            newest = None
         usual = middle(fit.squared)
         self._doubted = bool(fit.squared[-_SURPRISES:].min() > _SURPRISING * usual)
         gain = -np.inf
@@ -202,7 +208,8 @@ class DriftAware(Localiser):
                     self._follow(rival)
                     fit = self._iterated()
                 self._doubted |= rival.gain > -_DOUBT
-        self._bound = alignment_covariance(self._keyframes, fit, self._model, len(self._keyframes) - 1)
+        self._known = fit.solution.covariance(len(keyframes) - 1)
+        self._bound = alignment_covariance(keyframes, fit, self._model, len(keyframes) - 1)
         signals = {"surprise": float(fit.squared[-1]), "weight": float(fit.weights[-1])}
         if np.isfinite(gain):
             signals["rival_gain"] = gain
@@ -231,8 +238,17 @@ class DriftAware(Localiser):
         o = self.options
         return Model(self._prior, o.degrees_of_freedom, o.independent, o.apart_m, o.shared)
 
-    def _iterated(self) -> Fit:
-        fit = iterate(self._keyframes, self._model, self._covariance, self._distrust)
+    def _innovation(self, known: Array) -> float:
+        """Squared error of the newest prediction, with what was known and has drifted since the one before."""
+        keyframes = self._keyframes
+        way = keyframes.column("vio")[-1] - keyframes.column("vio")[-2]
+        F = np.eye(4)
+        F[0, 3], F[2, 3] = way[2], -way[0]
+        known = F @ known @ F.T + np.diag(self._distrust * keyframes.column("drift")[-1])
+        return innovation(keyframes, self._covariance, known)
+
+    def _iterated(self, newest: float | None = None) -> Fit:
+        fit = iterate(self._keyframes, self._model, self._covariance, self._distrust, newest)
         self._covariance, self._last = fit.covariance, fit
         return fit
 
@@ -303,9 +319,7 @@ class DriftAware(Localiser):
         if self._error_map is not None:
             expected = self._error_map.expected(pose[:3, 3], pose[:3, 2])
             size = sizes_expected(expected)
-            pose = make_pose(
-                yaw_rotation(-expected.error[0]) @ pose[:3, :3], pose[:3, 3] - expected.error[1:]
-            )
+            pose = make_pose(yaw_rotation(-expected.error[0]) @ pose[:3, :3], pose[:3, 3] - expected.error[1:])
         sd = size * np.sqrt(self._covariance.diagonal())
         turn = np.kron(np.eye(2), pose[:3, :3])
         return Estimate(pose, Status.PREDICTED, turn @ np.diag(sd**2) @ turn.T, reasons=("no_odometry",))
@@ -316,6 +330,7 @@ class DriftAware(Localiser):
         return {
             "keyframes": self._keyframes.save(),
             "covariance": plain(self._covariance),
+            "known": plain(self._known),
             "bound": plain(self._bound),
             "vio": None if self._vio is None else [self._vio[0], plain(self._vio[1])],
             "along_m": self._along_m,
@@ -331,7 +346,8 @@ class DriftAware(Localiser):
         self._forget()
         self._keyframes.restore(state["keyframes"])
         self._covariance, self._drift = np.array(state["covariance"]), np.array(state["drift"])
-        self._bound, self._distrust = array(state["bound"]), np.array(state["distrust"])
+        self._known, self._bound = array(state["known"]), array(state["bound"])
+        self._distrust = np.array(state["distrust"])
         self._vio = None if state["vio"] is None else (state["vio"][0], np.array(state["vio"][1]))
         self._along_m, self._segment, self._count = state["along_m"], state["segment"], state["count"]
         self._watched, self._doubted = state["watched"], state["doubted"]
