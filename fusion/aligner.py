@@ -17,6 +17,7 @@ from fusion.prediction_noise import Prior, scatter
 from geometry.poses import Array
 
 DIMENSIONS = 6
+_LEAST = 1e-3  # of what a prediction counts, so that each is bound to something
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ class Model:
 class Fit:
     """What an iteration found beside the keyframes' states.
 
-    covariance (6, 6): of normalised errors. squared (N,): each keyframe's squared error in its units. counted (N,): what
-    it says that its neighbour doesn't. weights (N,): what Student's t lets it count. gradient (N, 4), information
+    covariance (6, 6): of normalised errors. squared (N,): each keyframe's squared error in its units. counted (N,):
+    what it says that its neighbour doesn't. weights (N,): what Student's t lets it count. gradient (N, 4), information
     (N, 4, 4), solution: the predictions' terms, and the step.
     """
 
@@ -67,7 +68,7 @@ def counted(along: Array, apart_m: float) -> Array:
     """How much of a prediction each says that isn't its neighbour's, (N,): those made standing still are one."""
     found = np.ones(len(along))
     gap = np.diff(along)
-    found[1:] = gap / (gap + apart_m)
+    found[1:] = np.maximum(gap / (gap + apart_m), _LEAST)
     return found
 
 
@@ -81,9 +82,11 @@ def innovation(keyframes: Keyframes, covariance: Array, known: Array) -> float:
 
 
 def iterate(keyframes: Keyframes, model: Model, covariance: Array, distrust: Array, newest: float | None = None) -> Fit:
-    """One iteration: weights and covariance from the errors as they are, then one step of the keyframes' states. `distrust` (4,)
-    multiplies the variances of odometry's drift. `newest` stands in for the newest keyframe's squared error in its
-    weight: what odometry may have drifted meanwhile is no error of the prediction."""
+    """One iteration: weights and covariance from the errors as they are, then one step of the keyframes' states.
+
+    `distrust` (4,) multiplies the variances of odometry's drift. `newest` stands in for the newest keyframe's squared
+    error in its weight: what odometry may have drifted meanwhile is no error of the prediction.
+    """
     state, measured = keyframes.column("state"), keyframes.column("measured")
     whitening = keyframes.column("whitening").reshape(-1, DIMENSIONS, DIMENSIONS)
     position, yaw = state[:, :3], state[:, 3]

@@ -1,16 +1,15 @@
 """The drifting alignment as a chain: least squares over the camera's map poses at all keyframes at once.
 
-Odometry and map share their vertical, so what is unknown at keyframe i is the camera's map position c_i (3,) and the yaw
-of map_R_vio, theta_i. Two kinds of terms bind them:
+Odometry and map share their vertical, so what is unknown at keyframe i is the camera's map position c_i (3,) and the
+yaw of map_R_vio, theta_i. Two kinds of terms bind them:
 
-- odometry's drift is a random walk: theta_i - theta_(i-1) and c_i - c_(i-1) - R(theta_(i-1)) (v_i - v_(i-1)) are zero up
-  to variances that grow with the way between them (v: odometry's position);
-- a prediction is the pose up to an error, normalised and in camera axes (fusion/prediction_noise.py):
-  r_i = B_i [rotation error, position error], both in the map's axes turned back by theta_i.
+- odometry's drift is a random walk: theta_i - theta_(i-1) and c_i - c_(i-1) - R(theta_(i-1)) (v_i - v_(i-1)) are zero
+  up to variances that grow with the way between them (v: odometry's position);
+- a prediction is the pose up to an error, normalised and in camera axes (fusion/prediction_noise.py): r_i = B_i
+  [rotation error, position error], both in the map's axes turned back by theta_i.
 
-Increments are in those turned axes, too: (x, y, z, yaw), shape (N, 4). There the Jacobians of predictions hang on no yaw,
-and each term touches two neighbours at most: the normal equations are banded, and a step costs O(N).
-"""
+Increments are in those turned axes, too: (x, y, z, yaw), shape (N, 4). There the Jacobians of predictions hang on no
+yaw, and each term touches two neighbours at most: the normal equations are banded, and a step costs O(N)."""
 
 from typing import NamedTuple
 
@@ -28,8 +27,8 @@ _ROWS = 4 + 4 + 3  # of the blocks below: diagonal, subdiagonal, and zeros to re
 
 
 class Chain(NamedTuple):
-    """What odometry says: `step` (N, 3) is v_i - v_(i-1), `precision` (N, 4) of x, y, z and yaw from the keyframe before
-    (horizontal ones equal); row 0 and rows of precision 0 are bound to nothing before them."""
+    """What odometry says: `step` (N, 3) is v_i - v_(i-1), `precision` (N, 4) of x, y, z and yaw from the keyframe
+    before (horizontal ones equal); row 0 and rows of precision 0 are bound to nothing before them."""
 
     step: Array
     precision: Array
@@ -59,8 +58,8 @@ class Solution(NamedTuple):
 def errors(position: Array, yaw: Array, measured_position: Array, measured_yaw: Array, tilt: Array) -> Array:
     """Errors of predictions (N, 6), rotation (rad) before position, in map axes turned back by the yaw.
 
-    position (N, 3) and yaw (N,): the chain's; measured_yaw (N,): that of the predicted rotation against odometry's; tilt
-    (N, 2): the rest of that rotation, about the map's x and z. What is 2 pi apart is the same yaw.
+    position (N, 3) and yaw (N,): the chain's; measured_yaw (N,): that of the predicted rotation against odometry's;
+    tilt (N, 2): the rest of that rotation, about the map's x and z. What is 2 pi apart is the same yaw.
     """
     c, s = np.cos(yaw), np.sin(yaw)
     apart = measured_position - position

@@ -1,9 +1,8 @@
 """How far off the fitted alignment may be.
 
-The fit's own covariance knows of noise that averages out, of drift, and, by what a prediction counts, of neighbours that
-are wrong alike. It doesn't know that a regressor may misplace a whole walk the same way. That part of a prediction's position
-error, a share of its covariance, is added: no number of predictions takes it away.
-"""
+The fit's own covariance knows of noise that averages out, of drift, and, by what a prediction counts, of neighbours
+that are wrong alike. It doesn't know that a regressor may misplace a whole walk the same way. That part of a
+prediction's position error, a share of its covariance, is added: no number of predictions takes it away."""
 
 from math import cos, sin
 

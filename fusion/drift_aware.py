@@ -1,10 +1,10 @@
-"""Method `drift_aware`: the alignment as a slowly drifting state, fitted to all the evidence that is kept, again and again.
+"""Method `drift_aware`: the alignment as a slowly drifting state, fitted to all the evidence that is kept, again and
+again.
 
-Odometry and map are both gravity-aligned, so odometry drifts in yaw and position only. Predictions are kept as keyframes
-(fusion/keyframes.py); with each new one the alignment's whole course is fitted to all of them anew (fusion/aligner.py), so
-that what a prediction counts is decided in hindsight. Where the newest ones are explained better by another alignment,
-odometry has lost its frame, or found it again (fusion/rivals.py).
-"""
+Odometry and map are both gravity-aligned, so odometry drifts in yaw and position only. Predictions are kept as
+keyframes (fusion/keyframes.py); with each new one the alignment's whole course is fitted to all of them anew
+(fusion/aligner.py), so that what a prediction counts is decided in hindsight. Where the newest ones are explained
+better by another alignment, odometry has lost its frame, or found it again (fusion/rivals.py)."""
 
 from math import acos, atan2, cos, radians, sin, sqrt
 

@@ -1,9 +1,8 @@
 """Predictions kept as evidence, in bounded memory: a table of keyframes that is thinned where it is densest.
 
-A keyframe is a prediction with what odometry said of the way to it. When the table is full, the one that says least goes:
-whose neighbours are nearest to each other in motion, for the time that has passed since. So the newest are kept as they
-came, older ones ever farther apart.
-"""
+A keyframe is a prediction with what odometry said of the way to it. When the table is full, the one that says least
+goes: whose neighbours are nearest to each other in motion, for the time that has passed since. So the newest are kept
+as they came, older ones ever farther apart."""
 
 from collections.abc import Sequence
 from typing import Any

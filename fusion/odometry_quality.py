@@ -1,8 +1,8 @@
 """How much worse than usual odometry drifts, from predictions alone.
 
 Predictions that are wrong alike at a place look like drift for a while, but not for long: how far they stray from
-odometry levels off with the way between two of them, while drift goes on growing. So what counts as drift is by how much
-they stray over a long way more than over a quarter of it, beyond what wrong predictions and chance make of that.
+odometry levels off with the way between two of them, while drift goes on growing. So what counts as drift is by how
+much they stray over a long way more than over a quarter of it, beyond what wrong predictions and chance make of that.
 """
 
 import numpy as np
@@ -27,9 +27,9 @@ def drift_factors(keyframes: Keyframes) -> Array:
     if not usable:
         return np.ones(4)
     lag = usable[0]
-    (near, near_usual), (far, far_usual) = _strayed(keyframes, lag // 4), _strayed(keyframes, lag)
+    (near, _), (far, usual) = _strayed(keyframes, lag // 4), _strayed(keyframes, lag)
     growth = (far - _WITHOUT_DRIFT * near) / (1 - _WITHOUT_DRIFT / 4) / _MEDIANS
-    position, yaw = np.clip(growth / (far_usual), 1.0, _MOST).tolist()
+    position, yaw = np.clip(growth / usual, 1.0, _MOST).tolist()
     return np.array([position, position, position, yaw])
 
 

@@ -27,12 +27,12 @@ def steps(localiser: Localiser, walk: Walk) -> Iterator[Estimate]:
     has_vio, has_apr = known(walk.vio_T_cam), known(walk.map_T_cam_apr)
     has_gravity = np.asarray(np.isfinite(walk.gravity).all(axis=1))
     covariances = walk.apr_covariance
-    has_covariance = np.zeros(len(walk), dtype=bool) if covariances is None else np.isfinite(covariances).all((1, 2))
+    has_covariance = None if covariances is None else known(covariances)
     for i in range(len(walk)):
         yield localiser.step(
             int(walk.t_ns[i]),
             walk.vio_T_cam[i] if has_vio[i] else None,
             walk.map_T_cam_apr[i] if has_apr[i] else None,
             walk.gravity[i] if has_gravity[i] else None,
-            covariances[i] if covariances is not None and has_covariance[i] else None,
+            covariances[i] if covariances is not None and has_covariance is not None and has_covariance[i] else None,
         )

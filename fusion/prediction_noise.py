@@ -1,15 +1,14 @@
 """How wrong a regressor's predictions are: their errors' covariance in camera axes, learnt from the walk itself.
 
-A step to the side and a turn move an image nearly alike, and a step up and a nod: a regressor takes one for the other.
-In camera axes its errors in x come with errors about y of the other sign, and errors in y with errors about x. Odometry
-knows gravity, so the error about the horizontal axes is known of each prediction whatever the alignment is, and once the
-yaw is known well, so is the rest: knowing how the errors go together, most of a position error can be told from the
-rotation's.
+A step to the side and a turn move an image nearly alike, and a step up and a nod: a regressor takes one for the
+other. In camera axes its errors in x come with errors about y of the other sign, and errors in y with errors about x.
+Odometry knows gravity, so the error about the horizontal axes is known of each prediction whatever the alignment is,
+and once the yaw is known well, so is the rest: knowing how the errors go together, most of a position error can be
+told from the rotation's.
 
-Errors are six numbers, rotation (rad) before position (m), in camera axes. Each prediction's is divided by the size that
-was expected of it beforehand. What is left has one covariance, learnt as a t distribution's scatter matrix by
-expectation and maximisation.
-"""
+Errors are six numbers, rotation (rad) before position (m), in camera axes. Each prediction's is divided by the size
+that was expected of it beforehand. What is left has one covariance, learnt as a t distribution's scatter matrix by
+expectation and maximisation."""
 
 from typing import NamedTuple
 

@@ -1,10 +1,10 @@
 """Other alignments that could be the right one by now: odometry may have lost its frame, or found it again.
 
-After odometry has lost its frame, the newest predictions agree on an alignment that isn't the one in force. Each of the
-newest keyframes names an alignment, and each earlier segment has its last one. A rival is one of them from some keyframe
-on: it gains what it explains the predictions since better than the alignment in force does, less how rarely odometry
-loses its frame there, and, for an alignment that was never in force, less how little was known of it beforehand.
-"""
+After odometry has lost its frame, the newest predictions agree on an alignment that isn't the one in force. Each of
+the newest keyframes names an alignment, and each earlier segment has its last one. A rival is one of them from some
+keyframe on: it gains what it explains the predictions since better than the alignment in force does, less how rarely
+odometry loses its frame there, and, for an alignment that was never in force, less how little was known of it
+beforehand."""
 
 from typing import NamedTuple
 
@@ -47,7 +47,9 @@ def best_rival(
     count = len(keyframes) - first
     begins_anew = first == 0 or segment[first - 1] != segment[-1]
     measured, vio = keyframes.column("measured")[first:], keyframes.column("vio")[first:]
-    judged = _Judged(measured, vio, keyframes.column("whitening")[first:], np.linalg.inv(covariance), dof)
+    judged = _Judged(
+        measured, vio, keyframes.column("whitening")[first:], np.asarray(np.linalg.inv(covariance), dtype=float)
+    )
     now = robust.costs(squared[first:], _DIMENSIONS, dof)
     share = counted[first:]
 
@@ -101,7 +103,6 @@ class _Judged(NamedTuple):
     vio: Array
     whitening: Array
     precision: Array
-    dof: float
 
     def squared(self, yaw: Array, shift: Array) -> Array:
         """Squared errors (K, N) under alignments of yaw (K,) and shift (K, 3)."""

@@ -41,7 +41,7 @@ def _predictions(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:
 
 STAGE = Stage(
     name="fuse",
-    version=6,
+    version=7,
     settings=FuseSettings,
     needs=("import", "align", "train"),
     run=run,

@@ -1,5 +1,7 @@
-"""The fit of `drift_aware` as it is defined, slow and literal: scipy's least squares over all predictions, in turns with
-what each counts and how their errors go together. It shares no code with fusion/."""
+"""The fit of `drift_aware` as it is defined, slow and literal: scipy's least squares over all predictions, in turns
+with what each counts and how their errors go together. It shares no code with fusion/."""
+
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -63,7 +65,7 @@ def _weight(error, covariance, o):
 
 def _shares(vio, o):
     found = [1.0]
-    for a, b in zip(vio[:-1], vio[1:], strict=True):
+    for a, b in pairwise(vio):
         gap = np.linalg.norm(b[:3, 3] - a[:3, 3])
         gap += o.turn_length_m * np.linalg.norm(Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec())
         found.append(gap / (gap + o.apart_m))

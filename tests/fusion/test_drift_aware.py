@@ -182,7 +182,7 @@ def test_after_a_jump_it_is_lost_until_the_predictions_have_said_where():
 
 
 def test_a_minute_of_one_wrong_place_is_left_again():
-    """Predictions of another place for a minute, that move as odometry does; afterwards the old alignment holds again."""
+    """Predictions of another place for a minute, that move as odometry does; then the old alignment holds again."""
     for seed in range(3):
         t_ns, truth, vio, apr = upright_walk(seed, 180, noise_m=0.2, noise_deg=2.0, outliers=0.05)
         apr = apr.copy()
