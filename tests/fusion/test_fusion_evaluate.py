@@ -16,6 +16,7 @@ from artefacts.tables import poses_of, read_table
 from fusion.__main__ import app
 from fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines
 from fusion.tables import Files, evaluate_files
+from fusion.walks import evaluated
 
 SEEDS = [1, 2, 3]
 
@@ -181,6 +182,19 @@ def test_quaternions_of_other_lengths_are_counted_and_taken_for_their_direction(
     assert results.counts["prediction_quaternions_not_of_unit_length"] == predicted
     assert plain.counts["prediction_quaternions_not_of_unit_length"] == 0
     pd.testing.assert_frame_equal(results.tables["summary"], plain.tables["summary"])
+
+
+def test_covariances_that_predictions_bring_reach_the_walk_and_wrong_ones_are_counted():
+    frames, truth, predictions = tables([1])
+    stated = [np.eye(6).ravel().tolist() for _ in range(len(predictions))]
+    stated[3], stated[4], stated[5] = None, (-np.eye(6)).ravel().tolist(), [1.0, 2.0]
+    found = evaluated("Hall", frames, truth, predictions.assign(covariance=stated), ["test"])
+    (walk,) = found.walks
+    there = np.isfinite(walk.apr_covariance).all(axis=(1, 2))
+    assert list(np.flatnonzero(~there)) == [3, 4, 5] and np.array_equal(walk.apr_covariance[0], np.eye(6))
+    assert found.prediction_counts["prediction_covariances_not_positive_definite"] == 2
+    (plain,) = evaluated("Hall", frames, truth, predictions.assign(covariance=None), ["test"]).walks
+    assert plain.apr_covariance is None
 
 
 def test_frames_without_odometry_are_counted():
