@@ -44,7 +44,7 @@ class DriftAwareOptions(OdometryOptions):
         10.0, gt=0, description="the same where sizes are known: from held-out frames or a prediction's own covariance"
     )
     side_turn: float = Field(
-        0.6,
+        0.7,
         ge=0,
         lt=1,
         description="assumed correlation of errors to the side with yaw errors, and of height with pitch",
@@ -59,7 +59,7 @@ class DriftAwareOptions(OdometryOptions):
     )
     apart_m: float = Field(0.05, gt=0, description="motion after which two predictions are half independent")
     turn_length_m: float = Field(1.0, ge=0, description="motion that a turn by one radian counts as")
-    keyframes: int = Field(100, ge=8, description="predictions kept as evidence")
+    keyframes: int = Field(64, ge=8, description="predictions kept as evidence")
     iterations: int = Field(2, ge=1, description="iterations with each prediction while few are kept, later one")
     error_map: bool = Field(True, description="use what held-out frames tell of the regressor's errors")
     covariances: bool = Field(True, description="use the covariances that predictions bring")
@@ -354,7 +354,7 @@ class DriftAware(Localiser):
 
 
 _SETTLING = 20
-_EVERY = 4  # predictions, after which odometry's quality is looked at again
+_EVERY = 5  # predictions, after which odometry's quality is looked at again
 _WORTH_A_LOOK = 2.0  # squared error, over the usual one, of a prediction that may be of another alignment
 # So many predictions in a row that are this much farther off (in the square) than usual: something is wrong.
 _SURPRISES, _SURPRISING = 4, 8.0

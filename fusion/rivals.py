@@ -21,6 +21,7 @@ _DIMENSIONS = 6
 # Odds below exp(_SIGN) against a loss of odometry's frame: it jumped, or was gone.
 _SIGN = 1.0
 _WITHOUT_SIGN = 0.35
+_HOPELESS = 5.0  # nats behind, where a rival needn't be worked out
 _BACK = 3.0  # log odds against an earlier alignment's holding again
 
 
@@ -37,7 +38,7 @@ class Rival(NamedTuple):
 def best_rival(
     keyframes: Keyframes, covariance: Array, squared: Array, dof: float, recent: int, counted: Array
 ) -> Rival | None:
-    """The rival that gains most; None where a segment has just begun and there is no earlier one.
+    """The rival that gains most; None where none can win, or a segment has just begun and there is no earlier one.
 
     covariance (6, 6) and squared (N,): of the keyframes' errors as they are. recent: how many keyframes judge. counted
     (N,): what each counts in that, as neighbours are wrong alike.
@@ -65,10 +66,14 @@ def best_rival(
     def gained(costs: Array) -> Array:
         return np.asarray(new_share * better(costs) - new_rare)
 
+    usual = float(robust.costs(np.array([robust.middle(squared)]), _DIMENSIONS, dof)[0])
+    newness = np.log(_ANYWHERE) + _log_density(keyframes, covariance)
+    # Even one that explains every prediction well couldn't win: most often there is nothing to look at.
+    if segment[0] == segment[-1] and gained(np.full((1, count), usual / 2)).max() < newness - _HOPELESS:
+        return None
     yaw, shift = measured[:, 3], measured[:, :3] - _turned(measured[:, 3], vio)
     # Alignments that single predictions name are as uncertain as those: errors under them are twice as large.
     named = judged.squared(yaw, shift) / 2
-    usual = robust.costs(np.array([robust.middle(squared)]), _DIMENSIONS, dof)[0]
     costs = robust.costs(named, _DIMENSIONS, dof)
     costs[np.arange(count), np.arange(count)] = usual
     best = np.argmax(np.where(np.tri(count, dtype=bool), gained(costs), -np.inf), axis=0)
@@ -78,7 +83,7 @@ def best_rival(
     yaw = np.angle(weight @ np.exp(1j * yaw))
     shift = weight @ measured[:, :3] - _turned(yaw, weight @ vio)
     gains = np.diag(gained(robust.costs(judged.squared(yaw, shift), _DIMENSIONS, dof))).copy()
-    gains -= np.log(_ANYWHERE) + _log_density(keyframes, covariance)
+    gains -= newness
     if begins_anew:
         gains[0] = -np.inf
     begin = int(np.argmax(gains))
