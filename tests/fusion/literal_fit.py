@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 
-def literal_fit(vio, apr, drift, o, turns=60):
+def literal_fit(vio, apr, drift, o, turns=40):
     """The last poses' alignment: (N, 4) map position and yaw at each frame.
 
     vio, apr: poses (N, 4, 4). drift: variances (N, 4) of x, y, z, yaw on the way to each frame. o: options.
