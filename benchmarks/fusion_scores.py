@@ -38,9 +38,11 @@ class Variant:
 
 
 def ablations(options: MethodOptions) -> list[Variant]:
-    """Ours without one ingredient each: a switch turned off, or no heavy tails."""
+    """Ours without one ingredient each: a switch turned off, odometry never distrusted, or no heavy tails."""
     values = options.model_dump()
     off: dict[str, dict[str, Any]] = {name: {name: False} for name, value in values.items() if value is True}
+    if len(values.get("distrust", [])) > 1:
+        off["distrust"] = {"distrust": [1.0]}
     if "degrees_of_freedom" in values:
         off["heavy tails"] = {"degrees_of_freedom": 1e6}
     return [

@@ -1,4 +1,4 @@
-"""The pieces of `drift_aware`'s fit, each alone, and the whole beside its slow, literal definition."""
+"""The pieces of `hindsight`'s fit, each alone, and the whole beside its slow, literal definition."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from upright_walks import upright_walk
 from fusion import robust
 from fusion.aligner import counted
 from fusion.alignment_chain import Chain, applied, errors, solve
-from fusion.drift_aware import DriftAware, DriftAwareOptions
+from fusion.hindsight import Hindsight, HindsightOptions
 from fusion.keyframes import Keyframes
 from fusion.odometry_quality import drift_factors
 from fusion.prediction_noise import Prior, scatter, side_turn_correlation, whitening, whitening_of_covariance
@@ -144,8 +144,8 @@ def test_predictions_made_standing_still_count_as_one():
 @pytest.mark.parametrize("seed", range(2))
 def test_the_fit_is_what_it_is_defined_to_be(seed):
     t_ns, _, vio, apr = upright_walk(seed, 9)
-    options = DriftAwareOptions(rivals=False, distrust=False)
-    fast = DriftAware(options)
+    options = HindsightOptions(rivals=False, distrust=False)
+    fast = Hindsight(options)
     for t, v, a in zip(t_ns, vio, apr, strict=True):
         fast.step(int(t), v, a)
     for _ in range(10):
