@@ -13,22 +13,22 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
-from artefacts import DataRoot
-from artefacts.schemas import schema
-from artefacts.settings import SplitRules
-from artefacts.tables import dataset_frames, read_table
-from capture_import.capture import Limits
-from capture_import.formats import formats
-from capture_import.health import find_jumps, gravity_of
-from capture_import.splits import split_frames
-from fusion.error_map import ErrorMap
-from fusion.evaluate import FuseSettings, Inputs, learnt
-from fusion.walks import Walk, evaluated, known
-from geometry.metrics import step_lengths
-from geometry.poses import Array, heading, interpolate, inverse, make_pose, relative, yaw_rotation
-from simulation.apr_errors import apr_seeds, read_apr_models, simulate_apr
-from simulation.pose_walks import pose_walks
-from simulation.vio import FITTED, VioModel, simulate_vio
+from groundwalk.artefacts import DataRoot
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import SplitRules
+from groundwalk.artefacts.tables import dataset_frames, read_table
+from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.formats import formats
+from groundwalk.capture_import.health import find_jumps, gravity_of
+from groundwalk.capture_import.splits import split_frames
+from groundwalk.fusion.error_map import ErrorMap
+from groundwalk.fusion.evaluate import FuseSettings, Inputs, learnt
+from groundwalk.fusion.walks import Walk, evaluated, known
+from groundwalk.geometry.metrics import step_lengths
+from groundwalk.geometry.poses import Array, heading, interpolate, inverse, make_pose, relative, yaw_rotation
+from groundwalk.simulation.apr_errors import apr_seeds, read_apr_models, simulate_apr
+from groundwalk.simulation.pose_walks import pose_walks
+from groundwalk.simulation.vio import FITTED, VioModel, simulate_vio
 
 SIMULATED, RECORDED, MEASURED, TRAINED = "simulated", "recorded", "measured", "trained"
 KIDNAPPED, BETTER_APR = "kidnapped", "better APR"

@@ -19,13 +19,13 @@ import pandas as pd
 import typer
 from numpy.typing import NDArray
 
-from artefacts import UserError
-from artefacts.cli import new_app
 from benchmarks import fusion_scores as scores
 from benchmarks.fusion_inputs import Case, Track, drifting_odometry, predicted_walk
-from fusion.methods import METHODS, resolve_options
-from geometry.fits import rotation_to_up
-from geometry.poses import Array, make_pose, pose_from_tq
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.cli import new_app
+from groundwalk.fusion.methods import METHODS, resolve_options
+from groundwalk.geometry.fits import rotation_to_up
+from groundwalk.geometry.poses import Array, make_pose, pose_from_tq
 
 REAL = "real"
 DEVELOPMENT = ("chess", "fire", "office", "KingsCollege")

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion import robust
-from fusion.alignment_chain import UNKNOWN, Chain, Solution, applied, errors, solve
-from fusion.keyframes import Keyframes
-from fusion.prediction_noise import Prior, scatter
-from geometry.poses import Array
+from groundwalk.fusion import robust
+from groundwalk.fusion.alignment_chain import UNKNOWN, Chain, Solution, applied, errors, solve
+from groundwalk.fusion.keyframes import Keyframes
+from groundwalk.fusion.prediction_noise import Prior, scatter
+from groundwalk.geometry.poses import Array
 
 DIMENSIONS = 6
 _LEAST = 1e-3  # of what a prediction counts, so that each is bound to something

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
-from geometry import GeometryError
-from geometry.poses import Array
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import Array
 
 # Of the six numbers of an error: those that the unknowns (x, y, z, yaw) change.
 UNKNOWN = [3, 4, 5, 1]

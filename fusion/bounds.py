@@ -8,10 +8,10 @@ from math import cos, sin
 
 import numpy as np
 
-from fusion.aligner import Fit, Model
-from fusion.alignment_chain import UNKNOWN
-from fusion.keyframes import Keyframes
-from geometry.poses import Array
+from groundwalk.fusion.aligner import Fit, Model
+from groundwalk.fusion.alignment_chain import UNKNOWN
+from groundwalk.fusion.keyframes import Keyframes
+from groundwalk.geometry.poses import Array
 
 
 def alignment_covariance(keyframes: Keyframes, fit: Fit, model: Model, index: int) -> Array:

@@ -11,23 +11,23 @@ from math import acos, atan2, cos, radians, sin, sqrt
 import numpy as np
 from pydantic import Field
 
-from fusion.aligner import Fit, Model, innovation, iterate
-from fusion.bounds import alignment_covariance
-from fusion.error_map import ErrorMap
-from fusion.keyframes import Keyframes
-from fusion.localiser import Estimate, Localiser, State, Status, array, plain
-from fusion.odometry import OdometryOptions
-from fusion.odometry_quality import drift_factors
-from fusion.prediction_noise import (
+from groundwalk.fusion.aligner import Fit, Model, innovation, iterate
+from groundwalk.fusion.bounds import alignment_covariance
+from groundwalk.fusion.error_map import ErrorMap
+from groundwalk.fusion.keyframes import Keyframes
+from groundwalk.fusion.localiser import Estimate, Localiser, State, Status, array, plain
+from groundwalk.fusion.odometry import OdometryOptions
+from groundwalk.fusion.odometry_quality import drift_factors
+from groundwalk.fusion.prediction_noise import (
     Prior,
     side_turn_correlation,
     sizes_expected,
     whitening,
     whitening_of_covariance,
 )
-from fusion.rivals import Rival, best_rival
-from fusion.robust import middle
-from geometry.poses import Array, make_pose, yaw_rotation
+from groundwalk.fusion.rivals import Rival, best_rival
+from groundwalk.fusion.robust import middle
+from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 
 # Standing still drifts a little too: what a second adds to the variances, of what a metre does.
 _STANDING = 0.05

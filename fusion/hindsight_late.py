@@ -5,11 +5,11 @@ It is the same fit. Later predictions re-weigh earlier ones, and the alignment a
 
 from pydantic import Field
 
-from fusion.hindsight import Hindsight, HindsightOptions
-from fusion.error_map import ErrorMap
-from fusion.localiser import Estimate
-from fusion.offline import Offline, steps
-from fusion.walks import Walk, known
+from groundwalk.fusion.error_map import ErrorMap
+from groundwalk.fusion.hindsight import Hindsight, HindsightOptions
+from groundwalk.fusion.localiser import Estimate
+from groundwalk.fusion.offline import Offline, steps
+from groundwalk.fusion.walks import Walk, known
 
 
 class LateHindsightOptions(HindsightOptions):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.poses import Array
+from groundwalk.geometry.poses import Array
 
 # Columns of the table, by what they hold.
 _WIDTHS = {

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts import Settings
-from geometry import GeometryError
-from geometry.poses import Array, rigidity_error
+from groundwalk.artefacts import Settings
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import Array, rigidity_error
 
 _RIGID = 1e-4
 

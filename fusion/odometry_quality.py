@@ -7,9 +7,9 @@ much they stray over a long way more than over a quarter of it, beyond what wron
 
 import numpy as np
 
-from fusion.keyframes import Keyframes
-from fusion.robust import middle
-from geometry.poses import Array
+from groundwalk.fusion.keyframes import Keyframes
+from groundwalk.fusion.robust import middle
+from groundwalk.geometry.poses import Array
 
 _LAGS = (8, 16, 32)  # keyframes apart; compared with a quarter as many
 _LONG_M = 12.0  # motion over which predictions are no longer wrong alike, turns counted in

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fusion.localiser import Estimate, Localiser
-from fusion.walks import Walk, known
+from groundwalk.fusion.localiser import Estimate, Localiser
+from groundwalk.fusion.walks import Walk, known
 
 
 class Offline(ABC):

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.error_map import Expected
-from geometry.poses import Array
+from groundwalk.fusion.error_map import Expected
+from groundwalk.geometry.poses import Array
 
 _SIX = np.arange(6)
 # A relative floor that keeps the learnt covariance regular: nobody's errors are a thousandth of what was expected.

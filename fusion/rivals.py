@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion import robust
-from fusion.alignment_chain import UNKNOWN, errors
-from fusion.keyframes import Keyframes
-from geometry.poses import Array
+from groundwalk.fusion import robust
+from groundwalk.fusion.alignment_chain import UNKNOWN, errors
+from groundwalk.fusion.keyframes import Keyframes
+from groundwalk.geometry.poses import Array
 
 # Volume of the places and headings that a phone may turn up at: m, m, m up, rad.
 _ANYWHERE = 40.0 * 40.0 * 3.0 * 2 * np.pi

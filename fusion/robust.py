@@ -7,7 +7,7 @@ grows with the logarithm of the error, so that neither the share of outliers nor
 
 import numpy as np
 
-from geometry.poses import Array
+from groundwalk.geometry.poses import Array
 
 
 def weights(squared: Array, dimensions: int, dof: float) -> Array:

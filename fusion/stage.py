@@ -2,9 +2,9 @@
 
 import pandas as pd
 
-from artefacts import Stage, StageRun
-from fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines, stacked
-from fusion.record import blueprint, record
+from groundwalk.artefacts import Stage, StageRun
+from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines, stacked
+from groundwalk.fusion.record import blueprint, record
 
 
 def run(r: StageRun[FuseSettings]) -> None:

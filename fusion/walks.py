@@ -9,11 +9,11 @@ import pandas as pd
 from numpy.typing import NDArray
 from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 
-from artefacts import UserError
-from artefacts.tables import poses_of
-from fusion.localiser import is_covariance
-from geometry.metrics import sure_enough
-from geometry.poses import Array
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.fusion.localiser import is_covariance
+from groundwalk.geometry.metrics import sure_enough
+from groundwalk.geometry.poses import Array
 
 Flags = NDArray[np.bool_]
 

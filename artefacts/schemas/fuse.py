@@ -1,6 +1,6 @@
 """What the fuse stage writes: what each method said about each frame, how wrong it was, and the figures."""
 
-from artefacts.schemas import Column, TableSchema, pose_columns
+from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _METHOD = Column("method", "string", "fusion method's id: apr (the raw regressor), mobilearloc, ...")
 _OPTIONS = Column("options", "string", "the method's options, JSON")
@@ -149,7 +149,7 @@ TABLES = [
         "fuse",
         "error_maps",
         "What was learnt of each regressor's errors from held-out frames of training walks: a row a frame, and the "
-        "fitted numbers in each row. `fusion.error_map.ErrorMap.from_table` reads it, for an app to ship.",
+        "fitted numbers in each row. `groundwalk.fusion.error_map.ErrorMap.from_table` reads it, for an app to ship.",
         [
             _SCENE,
             _MODEL,

@@ -8,15 +8,15 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_t
 from upright_walks import upright_walk
 
-from fusion import robust
-from fusion.aligner import counted
-from fusion.alignment_chain import Chain, applied, errors, solve
-from fusion.hindsight import Hindsight, HindsightOptions
-from fusion.keyframes import Keyframes
-from fusion.odometry_quality import drift_factors
-from fusion.prediction_noise import Prior, scatter, side_turn_correlation, whitening, whitening_of_covariance
-from geometry import GeometryError
-from geometry.poses import yaw_rotation
+from groundwalk.fusion import robust
+from groundwalk.fusion.aligner import counted
+from groundwalk.fusion.alignment_chain import Chain, applied, errors, solve
+from groundwalk.fusion.hindsight import Hindsight, HindsightOptions
+from groundwalk.fusion.keyframes import Keyframes
+from groundwalk.fusion.odometry_quality import drift_factors
+from groundwalk.fusion.prediction_noise import Prior, scatter, side_turn_correlation, whitening, whitening_of_covariance
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import yaw_rotation
 
 
 def test_costs_are_those_of_students_t():

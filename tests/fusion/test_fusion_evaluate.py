@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 from tables import tables
 from typer.testing import CliRunner
 
-from artefacts import UserError
-from artefacts.schemas import schema
-from artefacts.tables import poses_of, read_table
-from fusion.__main__ import app
-from fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines
-from fusion.tables import Files, evaluate_files
-from fusion.walks import evaluated
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of, read_table
+from groundwalk.fusion.__main__ import app
+from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines
+from groundwalk.fusion.tables import Files, evaluate_files
+from groundwalk.fusion.walks import evaluated
 
 SEEDS = [1, 2, 3]
 
@@ -455,7 +455,7 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path, monkeypa
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr("fusion.tables.record", fail)
+        patched.setattr("groundwalk.fusion.tables.record", fail)
         with pytest.raises(UserError, match="can't be written"):
             write(files, out, force=True)
     assert (out / "stale.parquet").exists() and len(list(tmp_path.iterdir())) == 6

@@ -9,12 +9,12 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from upright_walks import as_walk, upright_walk
 
-from fusion.hindsight import Hindsight, HindsightOptions
-from fusion.error_map import ErrorMap
-from fusion.mobilearloc import MobileARLoc
-from fusion.hindsight_late import LateHindsight, LateHindsightOptions
-from geometry.metrics import position_error, rotation_error_deg
-from geometry.poses import interpolate, make_pose, yaw_rotation
+from groundwalk.fusion.error_map import ErrorMap
+from groundwalk.fusion.hindsight import Hindsight, HindsightOptions
+from groundwalk.fusion.hindsight_late import LateHindsight, LateHindsightOptions
+from groundwalk.fusion.mobilearloc import MobileARLoc
+from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.geometry.poses import interpolate, make_pose, yaw_rotation
 
 
 def answers(localiser, t_ns, vio, apr):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from artefacts import UserError
 from benchmarks.real_predictions import read_poses, real_cases
-from geometry.metrics import position_error
-from geometry.poses import heading, make_pose, relative, yaw_rotation
+from groundwalk.artefacts import UserError
+from groundwalk.geometry.metrics import position_error
+from groundwalk.geometry.poses import heading, make_pose, relative, yaw_rotation
 
 
 def written(folder, frames=12):
