@@ -75,7 +75,7 @@ link := link-captures
 endif
 endif
 link-captures: | $(installed)
-	@$(py) -m artefacts link-captures --scene "$$scene" --folder "$$captures"
+	@$(py) -m groundwalk.artefacts link-captures --scene "$$scene" --folder "$$captures"
 
 # A scene without a file depends on the folder, which changes when a file of it is taken away.
 settings := data/profiles/$(profile).toml $(or $(wildcard data/scenes/$(scene).toml),data/scenes)
@@ -90,7 +90,7 @@ simulated := $(capture)/SIMULATED.json
 endif
 endif
 $(capture)/SIMULATED.json: $(settings) | $(installed)
-	@$(py) -m simulation $(arguments)
+	@$(py) -m groundwalk.simulation $(arguments)
 
 simulate: $(capture)/SIMULATED.json ## Simulate the scene's captures, where it has none
 
@@ -105,13 +105,13 @@ ifeq ($(members),)
 changed := $(shell find -L "$(capture)" -newer "$(run)/import/manifest.json" -print -quit 2>/dev/null)
 all: $(run)/report/manifest.json ## Everything: import, sfm, align, train, fuse, report
 $(run)/import/manifest.json: $(settings) $(simulated) $(if $(changed)$(link),FORCE) | $(installed) $(link)
-	@$(py) -m capture_import $(arguments)
+	@$(py) -m groundwalk.capture_import $(arguments)
 $(run)/sfm/manifest.json: $(run)/import/manifest.json $(settings)
-	@$(py) -m sfm $(arguments)
+	@$(py) -m groundwalk.sfm $(arguments)
 $(run)/align/manifest.json: $(run)/sfm/manifest.json $(settings)
-	@$(py) -m alignment $(arguments)
+	@$(py) -m groundwalk.alignment $(arguments)
 $(run)/train/manifest.json: $(run)/align/manifest.json $(settings)
-	@$(py) -m training $(arguments)
+	@$(py) -m groundwalk.training $(arguments)
 else
 all:
 	@for member in $(members); do $(MAKE) --no-print-directory scene=$$member all; done
@@ -119,12 +119,12 @@ all:
 group-report: $(run)/report/manifest.json
 member_manifests := $(foreach member,$(members),data/runs/$(profile)/$(member)/report/manifest.json)
 $(run)/train/manifest.json: $(member_manifests) $(settings)
-	@$(py) -m training $(arguments)
+	@$(py) -m groundwalk.training $(arguments)
 endif
 $(run)/fuse/manifest.json: $(run)/train/manifest.json $(settings)
-	@$(py) -m fusion $(arguments)
+	@$(py) -m groundwalk.fusion $(arguments)
 $(run)/report/manifest.json: $(run)/fuse/manifest.json $(settings) $(wildcard data/published/*)
-	@$(py) -m reports $(arguments)
+	@$(py) -m groundwalk.reports $(arguments)
 	@echo "Look at $(run)/report/page.html, or: make scene=$(scene) profile=$(profile) view"
 
 import: $(run)/import/manifest.json ## Stage 1: any capture -> checked frames
@@ -141,17 +141,24 @@ paper: ## All six scenes in the paper profile (profile=tiny: a rehearsal), then 
 	done
 
 view: | $(installed) ## Open the scene's recordings in the Rerun viewer (web=1: in a browser)
-	@$(py) -m artefacts view $(arguments) $(if $(web),--web)
+	@$(py) -m groundwalk.artefacts view $(arguments) $(if $(web),--web)
 
 clean: | $(installed) ## Remove the scene's artefacts of this profile and its simulated captures; never a real capture
-	@$(py) -m artefacts clean $(arguments)
+	@$(py) -m groundwalk.artefacts clean $(arguments)
 
 # ---------------------------------------------------------------- development
 check: $(installed) ## Lint, format, types, layering
 	@.venv/bin/ruff check --quiet .
 	@.venv/bin/ruff format --quiet --check .
-	@.venv/bin/mypy --no-error-summary
+	@$(MAKE) --no-print-directory types
 	@$(py) -m pytest --quiet tests/test_layering.py
+
+# mypy doesn't follow the path that groundwalk's __init__ sets, so that it gets links laid out as a wheel is.
+types: ## Types alone, of whatever is installed in .venv
+	@rm -rf build/types && mkdir -p build/types/groundwalk
+	@ln -s $(addprefix ../../../,$(wildcard groundwalk/*.py) $(filter-out benchmarks groundwalk,\
+		$(patsubst %/__init__.py,%,$(wildcard */__init__.py)))) build/types/groundwalk
+	@cd build/types && ../../.venv/bin/mypy --config-file ../../pyproject.toml --cache-dir ../../.mypy_cache --no-error-summary
 
 test: $(installed) check ## Checks and tests, under ten minutes on two cores
 	@$(py) -m pytest -n 2 -m "not slow"
@@ -176,6 +183,9 @@ bench-groundtruth: $(installed) ## Ground truth: accuracy, honesty, speed beside
 bench-real: $(installed) ## Real captures beside stock COLMAP (docs/results); captures=<folder>: yours, too; stability=1: resampled
 	@$(py) -m benchmarks.real $(if $(captures),--capture "$(captures)") $(if $(stability),--stability)
 
+bench-cameras: $(installed) ## Simulated phones whose lens, shutter and focus are unknown (docs/results); hours
+	@$(py) -m benchmarks.phone_cameras
+
 bench-import: $(installed) ## Import: speed, memory, figures of each format, nerfstudio beside (nerfstudio=<its python>)
 	@$(py) -m benchmarks.import_throughput
 	@$(py) -m benchmarks.import_formats $(if $(wildcard ../shared),--captures ../shared/captures --trajectories ../shared/trajectories)
@@ -186,7 +196,7 @@ fuzz-import: $(installed) ## Fuzz the capture formats for some seconds (seconds=
 	@$(py) -m benchmarks.import_fuzz "$$seconds"
 
 docs: $(installed) ## Write docs/artefacts.md from the table schemas
-	@$(py) -m artefacts docs > docs/artefacts.md
+	@$(py) -m groundwalk.artefacts docs > docs/artefacts.md
 
 lock: ## Resolve the dependencies again into constraints.txt (needs uv)
 	uv pip compile --universal --extra dev --python-version 3.11 --no-annotate --upgrade pyproject.toml -o constraints.txt
@@ -204,6 +214,6 @@ help: ## This text
 		printf 'profile %-8s %s\n' "$$(basename $$file .toml):" "$$(sed -n 's/^description = "\(.*\)"/\1/p' $$file)"; done
 	@echo
 	@echo "your own captures:  make scene=<name> captures=<folder> all"
-	@echo "one stage's help:   .venv/bin/python -m sfm --help   (capture_import, sfm, alignment, training, fusion, reports)"
+	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
-.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check test test-slow bench bench-fusion bench-trained bench-groundtruth bench-real bench-import fuzz-import docs lock help
+.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check types test test-slow bench bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs lock help

@@ -1,9 +1,9 @@
-"""python -m alignment"""
+"""`python -m groundwalk.alignment`: the align stage, its check on simulated scenes, and export."""
 
-from alignment.check_truth import check_truth
-from alignment.export.command import export
-from alignment.stage import STAGE
-from artefacts.cli import stage_app
+from groundwalk.alignment.check_truth import check_truth
+from groundwalk.alignment.export.command import export
+from groundwalk.alignment.stage import STAGE
+from groundwalk.artefacts.cli import stage_app
 
 app = stage_app(STAGE)
 app.command("check-truth")(check_truth)

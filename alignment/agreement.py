@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from alignment.checks import DISAGREES, About, Check, check
-from alignment.components import Component
-from alignment.segments import Segment
-from alignment.settings import AlignSettings
-from geometry.decisions import SIGMAS, beyond, within
-from geometry.fits import Sim3
-from geometry.poses import Array
-from geometry.vio_agreement import PoseSd, WindowResiduals, compare_windows
-from geometry.vio_drift import VioDrift
+from groundwalk.alignment.checks import DISAGREES, About, Check, check
+from groundwalk.alignment.components import Component
+from groundwalk.alignment.segments import Segment
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.geometry.decisions import SIGMAS, beyond, within
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.vio_agreement import PoseSd, WindowResiduals, compare_windows
+from groundwalk.geometry.vio_drift import VioDrift
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""`python -m alignment check-truth`: a simulated scene's ground truth against the poses that the simulator knows.
+"""`python -m groundwalk.alignment check-truth`: a simulated scene's ground truth against the simulator's poses.
 
 A check for people and benchmarks: no stage reads the true poses.
 """
@@ -15,16 +15,16 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from alignment.uncertainty import SharedSd, shared_covariance
-from artefacts import UserError
-from artefacts.cli import DataOption, ProfileOption
-from artefacts.manifests import load_manifest
-from artefacts.schemas import schema
-from artefacts.settings import DataRoot
-from artefacts.tables import poses_of, read_table
-from geometry import GeometryError
-from geometry.fits import fit_sim3, fit_yaw, pose_residuals
-from geometry.poses import Array
+from groundwalk.alignment.uncertainty import SharedSd, shared_covariance
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.cli import DataOption, ProfileOption
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import DataRoot
+from groundwalk.artefacts.tables import poses_of, read_table
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import fit_sim3, fit_yaw, pose_residuals
+from groundwalk.geometry.poses import Array
 
 # 95 % of a chi square with 3 degrees of freedom.
 _BOUND = float(chi2.ppf(0.95, 3))

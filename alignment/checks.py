@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from artefacts.schemas import schema
-from geometry import motion_agreement
-from geometry.decisions import Status, decide
-from geometry.motion_agreement import MISTAKES
+from groundwalk.artefacts.schemas import schema
+from groundwalk.geometry import motion_agreement
+from groundwalk.geometry.decisions import Status, decide
+from groundwalk.geometry.motion_agreement import MISTAKES
 
 # What a failed check means, in the words of align.gate's column `cause`; the first of those found names the run.
 MIRRORED = MISTAKES[motion_agreement.MIRRORED][0]

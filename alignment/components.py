@@ -4,15 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alignment.checks import UNCERTAIN, About, Check, check
-from alignment.map_frame import MapScale, Vertical
-from alignment.segments import Segment
-from alignment.settings import AlignSettings
-from geometry.decisions import Status
-from geometry.fits import Sim3, rotation_to_up
-from geometry.poses import Array, heading, inverse, transform
-from geometry.vio_agreement import PoseSd, fit_rigid
-from geometry.vio_drift import VioDrift
+from groundwalk.alignment.checks import UNCERTAIN, About, Check, check
+from groundwalk.alignment.map_frame import MapScale, Vertical
+from groundwalk.alignment.segments import Segment
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.geometry.decisions import Status
+from groundwalk.geometry.fits import Sim3, rotation_to_up
+from groundwalk.geometry.poses import Array, heading, inverse, transform
+from groundwalk.geometry.vio_agreement import PoseSd, fit_rigid
+from groundwalk.geometry.vio_drift import VioDrift
 
 _LEAST_FRAMES = 3
 

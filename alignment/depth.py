@@ -15,15 +15,15 @@ import numpy as np
 import pandas as pd
 import pycolmap
 
-from alignment.checks import DEPTH, About, Check, check
-from alignment.components import Placed
-from alignment.settings import AlignSettings
-from artefacts import UserError
-from artefacts.schemas import schema
-from artefacts.tables import poses_of
-from geometry.decisions import Status
-from geometry.depth_images import pixel_rays, ratio_statistics, sample_depth, smooth_pixels
-from geometry.poses import Array, inverse, transform
+from groundwalk.alignment.checks import DEPTH, About, Check, check
+from groundwalk.alignment.components import Placed
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.decisions import Status
+from groundwalk.geometry.depth_images import pixel_rays, ratio_statistics, sample_depth, smooth_pixels
+from groundwalk.geometry.poses import Array, inverse, transform
 
 # The sensor of phones reaches 5 m: beyond, its depth is a guess of the phone's.
 REACH_M = 5.0

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from artefacts.schemas import schema
-from geometry import GeometryError
-from geometry.fits import fit_se3, fit_sim3, fit_yaw
-from geometry.poses import Array, heading, inverse, relative, rotation_angle, transform
+from groundwalk.artefacts.schemas import schema
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import fit_se3, fit_sim3, fit_yaw
+from groundwalk.geometry.poses import Array, heading, inverse, relative, rotation_angle, transform
 
 DISTANCES_M = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 # Of a walk that is shorter than all of these.

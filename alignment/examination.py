@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from alignment.agreement import Window, check_window, compare_component, worst_by_frame
-from alignment.checks import (
+from groundwalk.alignment.agreement import Window, check_window, compare_component, worst_by_frame
+from groundwalk.alignment.checks import (
     BROKEN_OFF,
     DISAGREES,
     NO_VERTICAL,
@@ -23,23 +23,23 @@ from alignment.checks import (
     setting,
     with_status,
 )
-from alignment.components import BridgeSd, Component, Model, Placed, check_standard_errors, place_components
-from alignment.map_frame import common_scale, common_vertical
-from alignment.quality import check_unsure, sfm_covariances
-from alignment.reference import Reference
-from alignment.reference_map import place_on_reference
-from alignment.rulers.measurement import Reading
-from alignment.rulers.verdict import Judged, judge_rulers, scale_by_rulers, unjudged
-from alignment.segments import Segment, cut_segments, frame_components
-from alignment.session_checks import check_sessions
-from alignment.settings import AlignSettings
-from alignment.sfm_tables import SfmTables
-from alignment.uncertainty import covariance_in_map, largest_sd
-from artefacts import UserError
-from geometry import GeometryError
-from geometry.decisions import Status
-from geometry.vio_agreement import PoseSd
-from geometry.vio_drift import VioDrift
+from groundwalk.alignment.components import BridgeSd, Component, Model, Placed, check_standard_errors, place_components
+from groundwalk.alignment.map_frame import common_scale, common_vertical
+from groundwalk.alignment.quality import check_unsure, sfm_covariances
+from groundwalk.alignment.reference import Reference
+from groundwalk.alignment.reference_map import place_on_reference
+from groundwalk.alignment.rulers.measurement import Reading
+from groundwalk.alignment.rulers.verdict import Judged, judge_rulers, scale_by_rulers, unjudged
+from groundwalk.alignment.segments import Segment, cut_segments, frame_components
+from groundwalk.alignment.session_checks import check_sessions
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.sfm_tables import SfmTables
+from groundwalk.alignment.uncertainty import covariance_in_map, largest_sd
+from groundwalk.artefacts import UserError
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.decisions import Status
+from groundwalk.geometry.vio_agreement import PoseSd
+from groundwalk.geometry.vio_drift import VioDrift
 
 NOT_REGISTERED = "SfM didn't register it"
 NOT_COMPARED = "not compared with VIO"

@@ -6,26 +6,26 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from alignment.checks import gate_table
-from alignment.components import Placed, bridge_covariance
-from alignment.drift import DriftSamples, drift_table, measure_drift
-from alignment.examination import Examination, examine
-from alignment.quality import judge, sfm_covariances
-from alignment.reference import Reference, agreement_table
-from alignment.rulers.measurement import Reading
-from alignment.sessions import SessionFit, fit_session, residuals_table, sessions_table
-from alignment.settings import AlignSettings
-from alignment.sfm_tables import SfmTables
-from alignment.uncertainty import (
+from groundwalk.alignment.checks import gate_table
+from groundwalk.alignment.components import Placed, bridge_covariance
+from groundwalk.alignment.drift import DriftSamples, drift_table, measure_drift
+from groundwalk.alignment.examination import Examination, examine
+from groundwalk.alignment.quality import judge, sfm_covariances
+from groundwalk.alignment.reference import Reference, agreement_table
+from groundwalk.alignment.rulers.measurement import Reading
+from groundwalk.alignment.sessions import SessionFit, fit_session, residuals_table, sessions_table
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.sfm_tables import SfmTables
+from groundwalk.alignment.uncertainty import (
     SharedSd,
     count_grades,
     covariance_in_map,
     largest_sd,
     shared_covariance,
 )
-from artefacts.tables import CAMERA_COLUMNS, dataset_frames, pose_frame, poses_of
-from geometry.poses import Array
-from geometry.vio_agreement import PoseSd
+from groundwalk.artefacts.tables import CAMERA_COLUMNS, dataset_frames, pose_frame, poses_of
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.vio_agreement import PoseSd
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from alignment.checks import describe, main_failure
-from alignment.components import Component
-from alignment.examination import Examination
-from alignment.segments import Segment
-from artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
-from geometry.poses import transform
-from geometry.vio_agreement import PoseSd, fit_rigid
+from groundwalk.alignment.checks import describe, main_failure
+from groundwalk.alignment.components import Component
+from groundwalk.alignment.examination import Examination
+from groundwalk.alignment.segments import Segment
+from groundwalk.artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
+from groundwalk.geometry.poses import transform
+from groundwalk.geometry.vio_agreement import PoseSd, fit_rigid
 
 _MOST_SESSIONS = 8
 _INCHES = 3.2

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from alignment.checks import DISAGREES, About, Check, check
-from alignment.components import Component
-from alignment.segments import Segment
-from alignment.settings import AlignSettings
-from alignment.uncertainty import Grade, Measures, covariance_in_map, grade, largest_sd
-from geometry.fits import Sim3
-from geometry.poses import Array, relative
+from groundwalk.alignment.checks import DISAGREES, About, Check, check
+from groundwalk.alignment.components import Component
+from groundwalk.alignment.segments import Segment
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.uncertainty import Grade, Measures, covariance_in_map, grade, largest_sd
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array, relative
 
 
 def judge(

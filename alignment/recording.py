@@ -5,12 +5,12 @@ import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 
-from alignment.ground_truth import Aligned
-from alignment.sessions import SessionFit
-from alignment.settings import AlignSettings
-from artefacts import StageRun
-from artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
-from geometry.poses import Array, quaternion_from_matrix, transform
+from groundwalk.alignment.ground_truth import Aligned
+from groundwalk.alignment.sessions import SessionFit
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.artefacts import StageRun
+from groundwalk.artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
+from groundwalk.geometry.poses import Array, quaternion_from_matrix, transform
 
 _QUALITY_COLOURS = {"A": GROUND_TRUTH, "B": (110, 200, 170), "C": NEUTRAL}
 # Sessions in the residuals' two plots; grey, green and orange are taken.

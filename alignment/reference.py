@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from alignment.checks import REFERENCE, About, Check, check
-from alignment.components import Component, Model, Placed
-from alignment.map_frame import (
+from groundwalk.alignment.checks import REFERENCE, About, Check, check
+from groundwalk.alignment.components import Component, Model, Placed
+from groundwalk.alignment.map_frame import (
     BY_REFERENCE,
     BY_REFERENCE_UNIT_UNKNOWN,
     BY_REFERENCE_UP_UNKNOWN,
@@ -16,14 +16,14 @@ from alignment.map_frame import (
     MapScale,
     Vertical,
 )
-from alignment.settings import AlignSettings
-from artefacts.schemas import schema
-from artefacts.tables import poses_of
-from geometry import GeometryError
-from geometry.decisions import Status
-from geometry.fits import pose_residuals
-from geometry.pose_similarity import PoseSimilarity, fit_similar_poses
-from geometry.poses import Array
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.decisions import Status
+from groundwalk.geometry.fits import pose_residuals
+from groundwalk.geometry.pose_similarity import PoseSimilarity, fit_similar_poses
+from groundwalk.geometry.poses import Array
 
 # Real references, by depth or other SfM, agree with SfM's rotations to some tenths of a degree.
 _NOTICEABLE_DEG = 0.5

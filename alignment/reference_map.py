@@ -5,17 +5,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from alignment.checks import BROKEN_OFF, About, Check, check
-from alignment.components import Model, Placed, check_standard_errors
-from alignment.reference import Reference, check_session_references, fit_component
-from alignment.rulers.measurement import Reading
-from alignment.rulers.verdict import Judged, judge_rulers, unjudged
-from alignment.session_checks import Session, check_focal
-from alignment.settings import AlignSettings
-from alignment.sfm_tables import SfmTables
-from artefacts import UserError
-from geometry import GeometryError
-from geometry.poses import Array
+from groundwalk.alignment.checks import BROKEN_OFF, About, Check, check
+from groundwalk.alignment.components import Model, Placed, check_standard_errors
+from groundwalk.alignment.reference import Reference, check_session_references, fit_component
+from groundwalk.alignment.rulers.measurement import Reading
+from groundwalk.alignment.rulers.verdict import Judged, judge_rulers, unjudged
+from groundwalk.alignment.session_checks import Session, check_focal
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.sfm_tables import SfmTables
+from groundwalk.artefacts import UserError
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import Array
 
 
 class ReferenceMap(NamedTuple):

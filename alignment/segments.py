@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from artefacts.tables import poses_of
-from geometry.poses import Array
-from geometry.vio_agreement import Stretch
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.vio_agreement import Stretch
 
 UNTRACKED = ("limited", "lost")
 

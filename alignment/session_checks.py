@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from alignment.checks import (
+from groundwalk.alignment.checks import (
     DISAGREES,
     INTRINSICS,
     LOOK_ALIKE,
@@ -19,14 +19,14 @@ from alignment.checks import (
     Check,
     check,
 )
-from alignment.components import Component
-from alignment.settings import AlignSettings
-from alignment.sfm_tables import Focal, SfmTables
-from geometry.decisions import Status, share_sd
-from geometry.diagnosis import Diagnosis, diagnose
-from geometry.fits import direction_angles
-from geometry.motion_agreement import MISTAKES, MotionAgreement
-from geometry.vio_drift import VioDrift
+from groundwalk.alignment.components import Component
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.sfm_tables import Focal, SfmTables
+from groundwalk.geometry.decisions import Status, share_sd
+from groundwalk.geometry.diagnosis import Diagnosis, diagnose
+from groundwalk.geometry.fits import direction_angles
+from groundwalk.geometry.motion_agreement import MISTAKES, MotionAgreement
+from groundwalk.geometry.vio_drift import VioDrift
 
 # Faults that leave no part of a model right: which of two places is it, and how far does one focal length bend all?
 _OF_THE_WHOLE = {

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from alignment.components import Placed
-from alignment.segments import Segment
-from artefacts.schemas import schema
-from artefacts.tables import pose_frame
-from geometry import GeometryError
-from geometry.fits import direction_angles, fit_poses, fit_sim3, pose_residuals
-from geometry.poses import Array
-from geometry.vio_agreement import PoseSd, fit_rigid
+from groundwalk.alignment.components import Placed
+from groundwalk.alignment.segments import Segment
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import pose_frame
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import direction_angles, fit_poses, fit_sim3, pose_residuals
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.vio_agreement import PoseSd, fit_rigid
 
 # A rigid fit of fewer poses has nothing left to show a residual with.
 _LEAST_FRAMES = 3

@@ -4,11 +4,11 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
-from alignment.rulers.settings import Ruler, rulers_of
-from alignment.uncertainty import QualityLimits
-from artefacts import Settings
-from geometry.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT
-from geometry.vio_agreement import POSE_SD, STEP_M, STEP_SCALE_SD, WINDOW_M
+from groundwalk.alignment.rulers.settings import Ruler, rulers_of
+from groundwalk.alignment.uncertainty import QualityLimits
+from groundwalk.artefacts import Settings
+from groundwalk.geometry.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT
+from groundwalk.geometry.vio_agreement import POSE_SD, STEP_M, STEP_SCALE_SD, WINDOW_M
 
 
 class QualitySettings(Settings):

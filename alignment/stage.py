@@ -5,28 +5,28 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from alignment.checks import ANY_SCENE, Check, describe, gate_table
-from alignment.components import Placed
-from alignment.depth import DepthSamples, check_depth, depth_clouds, has_depth, sample_frames
-from alignment.depth import agreement_table as depth_table
-from alignment.drift import ALL
-from alignment.examination import Examination, examine
-from alignment.ground_truth import Aligned, build, camera_sd
-from alignment.map_frame import BY_REFERENCE_UNIT_UNKNOWN, MapScale
-from alignment.picture import draw_gate
-from alignment.recording import write_recording
-from alignment.reference import Reference, describe_agreement
-from alignment.rulers.measurement import find_rulers, read_rulers
-from alignment.rulers.picture import draw_rulers
-from alignment.rulers.verdict import describe as describe_ruler
-from alignment.rulers.verdict import rulers_table
-from alignment.sessions import SessionFit
-from alignment.settings import AlignSettings
-from alignment.sfm_tables import SfmTables
-from artefacts import Stage, StageRun, UserError
-from artefacts.tables import dataset_frames, with_cameras
-from geometry.decisions import Status
-from geometry.poses import Array
+from groundwalk.alignment.checks import ANY_SCENE, Check, describe, gate_table
+from groundwalk.alignment.components import Placed
+from groundwalk.alignment.depth import DepthSamples, check_depth, depth_clouds, has_depth, sample_frames
+from groundwalk.alignment.depth import agreement_table as depth_table
+from groundwalk.alignment.drift import ALL
+from groundwalk.alignment.examination import Examination, examine
+from groundwalk.alignment.ground_truth import Aligned, build, camera_sd
+from groundwalk.alignment.map_frame import BY_REFERENCE_UNIT_UNKNOWN, MapScale
+from groundwalk.alignment.picture import draw_gate
+from groundwalk.alignment.recording import write_recording
+from groundwalk.alignment.reference import Reference, describe_agreement
+from groundwalk.alignment.rulers.measurement import find_rulers, read_rulers
+from groundwalk.alignment.rulers.picture import draw_rulers
+from groundwalk.alignment.rulers.verdict import describe as describe_ruler
+from groundwalk.alignment.rulers.verdict import rulers_table
+from groundwalk.alignment.sessions import SessionFit
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.sfm_tables import SfmTables
+from groundwalk.artefacts import Stage, StageRun, UserError
+from groundwalk.artefacts.tables import dataset_frames, with_cameras
+from groundwalk.geometry.decisions import Status
+from groundwalk.geometry.poses import Array
 
 PICTURE, RULERS_PICTURE = "gate.png", "rulers.png"
 

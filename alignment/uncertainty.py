@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geometry.fits import Sim3
-from geometry.poses import Array
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from artefacts.errors import UserError
-    from artefacts.settings import DataRoot, SceneConfig, Settings
-    from artefacts.stage import Stage, StageRun, execute
+    from groundwalk.artefacts.errors import UserError
+    from groundwalk.artefacts.settings import DataRoot, SceneConfig, Settings
+    from groundwalk.artefacts.stage import Stage, StageRun, execute
 
 __all__ = ["DataRoot", "SceneConfig", "Settings", "Stage", "StageRun", "UserError", "execute"]
 

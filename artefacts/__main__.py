@@ -1,4 +1,4 @@
-"""`python -m artefacts`: look at, link and remove what the stages made; the artefact reference."""
+"""`python -m groundwalk.artefacts`: look at, link and remove what the stages made; the artefact reference."""
 
 import os
 import subprocess
@@ -8,12 +8,13 @@ from typing import Annotated
 
 import typer
 
-from artefacts.cleaning import clean_scene
-from artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
-from artefacts.errors import UserError
-from artefacts.recording import RECORDING
-from artefacts.reference import reference
-from artefacts.settings import STAGES, DataRoot
+from groundwalk.artefacts.cleaning import clean_scene
+from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import RECORDING
+from groundwalk.artefacts.hints import run_command
+from groundwalk.artefacts.reference import reference
+from groundwalk.artefacts.settings import STAGES, DataRoot
 
 app = new_app("Look at, link and remove what the stages made.")
 
@@ -31,7 +32,7 @@ def view(
     found = [str(path) for path in recordings if path.is_file()]
     if not found:
         where = root.run(profile, scene)
-        raise UserError("there is no recording to view", where=where, do=f"make scene={scene} profile={profile} all")
+        raise UserError("there is no recording to view", where=where, do=run_command(scene, profile, STAGES[-1]))
     command = [str(Path(sys.executable).with_name("rerun")), *found]
     if web:
         command += ["--web-viewer", "--bind", "127.0.0.1"]

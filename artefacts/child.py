@@ -12,9 +12,9 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Protocol
 
-from artefacts.errors import UserError
-from artefacts.progress import Reporter
-from artefacts.signals import signals_held
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.progress import Reporter
+from groundwalk.artefacts.signals import signals_held
 
 _TAIL_LINES = 15
 

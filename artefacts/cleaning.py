@@ -7,11 +7,11 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from artefacts.files import KEY_FILE, old_folder, partial_folder, read_json
-from artefacts.locks import lock_file, locked
-from artefacts.manifests import MANIFEST, UNHASHED
-from artefacts.settings import STAGES, DataRoot
-from artefacts.simulated import SIMULATED_MARKER, simulated_files
+from groundwalk.artefacts.files import KEY_FILE, old_folder, partial_folder, read_json
+from groundwalk.artefacts.locks import lock_file, locked
+from groundwalk.artefacts.manifests import MANIFEST, UNHASHED
+from groundwalk.artefacts.settings import STAGES, DataRoot
+from groundwalk.artefacts.simulated import SIMULATED_MARKER, simulated_files
 
 
 @dataclass

@@ -1,20 +1,46 @@
-"""The command line that every stage shares: `python -m <stage> --scene … --profile …`."""
+"""The command line that every stage shares: `groundwalk <stage> --scene … --profile …`."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from artefacts.damage import as_user_error
-from artefacts.errors import UserError
-from artefacts.settings import DataRoot, Settings
-from artefacts.signals import Stopped, signals_raise
-from artefacts.stage import Stage, execute
-from artefacts.text import printable
+from groundwalk.artefacts.damage import as_user_error
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.settings import DataRoot, Settings
+from groundwalk.artefacts.signals import Stopped, signals_raise
+from groundwalk.artefacts.text import printable
 
-SceneOption = Annotated[str, typer.Option(help="The scene: a folder of data/captures, or one that can be simulated.")]
-ProfileOption = Annotated[str, typer.Option(help="Settings for the whole run: demo, paper or tiny (data/profiles).")]
+if TYPE_CHECKING:
+    from groundwalk.artefacts.stage import Stage
+
+
+def _complete_scene(context: typer.Context) -> list[str]:
+    return _data_of(context).scenes()
+
+
+def _complete_profile(context: typer.Context) -> list[str]:
+    return _data_of(context).names("profiles")
+
+
+def _data_of(context: typer.Context) -> DataRoot:
+    return DataRoot(Path(context.params.get("data") or "data"))
+
+
+SceneOption = Annotated[
+    str,
+    typer.Option(
+        help="The scene: a folder of data/captures, or one that can be simulated.", autocompletion=_complete_scene
+    ),
+]
+ProfileOption = Annotated[
+    str,
+    typer.Option(
+        help="Settings for the whole run: demo, paper or tiny (data/profiles).", autocompletion=_complete_profile
+    ),
+]
 DataOption = Annotated[Path, typer.Option(help="The data folder, with captures/ and runs/.")]
 SetOption = Annotated[
     list[str] | None,
@@ -41,16 +67,28 @@ class App(typer.Typer):
             sys.exit(2)
 
 
-def new_app(help_text: str) -> App:
+def new_app(help_text: str, **options: Any) -> App:
     """An empty application; subcommands are added by its caller."""
-    return App(help=help_text, add_completion=False, rich_markup_mode="markdown", pretty_exceptions_enable=False)
+    options = {"add_completion": False, **options}
+    return App(help=help_text, rich_markup_mode="markdown", pretty_exceptions_enable=False, **options)
 
 
-def stage_app(stage: Stage[Any]) -> App:
+def stage_app(stage: "Stage[Any]") -> App:
     """The command line of a stage: without a subcommand it runs the stage."""
-    app = new_app(f"{stage.help}\n\n{settings_help(stage.name, stage.settings)}")
+    app = new_app(stage_help(stage))
+    app.callback(invoke_without_command=True)(stage_command(stage.name, lambda: stage))
+    return app
 
-    @app.callback(invoke_without_command=True)
+
+def stage_help(stage: "Stage[Any]") -> str:
+    """What a stage does, and its settings, as Markdown."""
+    return f"{stage.help}\n\n{settings_help(stage.name, stage.settings)}"
+
+
+def stage_command(name: str, load: "Callable[[], Stage[Any]]") -> Callable[..., None]:
+    """The function behind a stage's command line; `load` gives the stage when it is run, as its libraries take seconds
+    to import."""
+
     def main(
         context: typer.Context,
         scene: SceneOption = "",
@@ -65,11 +103,13 @@ def stage_app(stage: Stage[Any]) -> App:
         if not scene:
             raise UserError(
                 "no scene was named",
-                do=f"add --scene <name>, for example --scene Church (stage {stage.name})",
+                do=f"add --scene <name>, for example --scene Church (stage {name})",
             )
-        execute(stage, scene, profile, DataRoot(data), set_, seed, force)
+        from groundwalk.artefacts.stage import execute
 
-    return app
+        execute(load(), scene, profile, DataRoot(data), set_, seed, force)
+
+    return main
 
 
 def settings_help(section: str, model: type[Settings]) -> str:

@@ -6,8 +6,8 @@ import shutil
 import signal
 from pathlib import Path
 
-from artefacts.child import ProcessDied
-from artefacts.errors import UserError
+from groundwalk.artefacts.child import ProcessDied
+from groundwalk.artefacts.errors import UserError
 
 _MACHINE = {
     errno.ENOSPC: "the disk is full",

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 KEY_FILE = "key.json"
+RECORDING = "recording.rrd"
 
 
 def replace_synced(partial: Path, path: Path) -> None:

@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from artefacts.errors import UserError
-from artefacts.files import hash_files
-from artefacts.locks import locked
-from artefacts.manifests import MANIFEST, load_manifest, load_verified
-from artefacts.settings import SHIPPED_DATA, STAGES, DataRoot, SceneConfig
-from artefacts.simulated import SIMULATED_MARKER, TRUTH_FILES
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import hash_files, sha256_of
+from groundwalk.artefacts.hints import link_command, run_command
+from groundwalk.artefacts.locks import locked
+from groundwalk.artefacts.manifests import MANIFEST, load_manifest, load_verified
+from groundwalk.artefacts.settings import STAGES, DataRoot, SceneConfig
+from groundwalk.artefacts.simulated import SIMULATED_MARKER, TRUTH_FILES
 
 
 class Reader(Protocol):
@@ -88,8 +89,7 @@ class Inputs:
             self._held.enter_context(locked(folder, shared=True))
             self.hashes[f"{scene}/{stage}"] = load_manifest(folder)["outputs"]
         for name in self.stage.reads_shipped:
-            folder = SHIPPED_DATA / name
-            self.hashes[f"data/{name}"] = hash_files(folder, (path for path in folder.rglob("*") if path.is_file()))
+            self.hashes[f"data/{name}"] = {file: sha256_of(path) for file, path in self.data.files(name).items()}
 
     def _read_captures(self) -> None:
         captures = self.data.captures(self.scene.name)
@@ -102,7 +102,7 @@ class Inputs:
                 where=captures,
                 expected="a folder of phone captures",
                 found="nothing",
-                do=f"make scene={self.scene.name} captures=<your folder> all",
+                do=link_command(self.scene.name),
             )
         hashes = hash_files(captures, [captures / name for name in self._captures])
         digest = hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
@@ -133,7 +133,7 @@ class Inputs:
                     f"artefact {stage} of scene {scene} is outdated: {its_stage} of scene {its_scene} has been made "
                     "anew since",
                     where=self.data.run(self.profile, scene, stage),
-                    do=f"make scene={scene} profile={self.profile} {stage}",
+                    do=run_command(scene, self.profile, stage),
                 )
             self._refuse_outdated(its_scene, its_stage, made_from)
 
@@ -143,7 +143,7 @@ def missing_input(stage: str, folder: Path, scene: str, profile: str) -> UserErr
     return UserError(
         f"stage {stage} of scene {scene} hasn't been run",
         where=folder,
-        do=f"make scene={scene} profile={profile} {stage}",
+        do=run_command(scene, profile, stage),
     )
 
 

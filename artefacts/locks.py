@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from artefacts.errors import UserError
+from groundwalk.artefacts.errors import UserError
 
 
 def lock_file(folder: Path) -> Path:

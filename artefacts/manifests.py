@@ -5,24 +5,19 @@ import os
 from pathlib import Path
 from typing import Any
 
-from artefacts import recording
-from artefacts.errors import UserError
-from artefacts.files import KEY_FILE, hash_files, read_json
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import KEY_FILE, RECORDING, hash_files, read_json
+from groundwalk.artefacts.hints import run_command
 
 MANIFEST = "manifest.json"
 # Not among the hashed outputs: a recording is a view of the tables and never the same twice.
-UNHASHED = (MANIFEST, recording.RECORDING, KEY_FILE)
+UNHASHED = (MANIFEST, RECORDING, KEY_FILE)
 
 
 def load_manifest(folder: Path) -> dict[str, Any]:
     """The manifest of a finished artefact; UserError where it can't be read or isn't one."""
     content = read_json(folder / MANIFEST)
-    outputs = content.get("outputs")
-    if (
-        not isinstance(outputs, dict)
-        or not all(isinstance(digest, str) for digest in outputs.values())
-        or not isinstance(content.get("simulated"), bool)
-    ):
+    if not is_manifest(content):
         make_again(folder)
         raise UserError(
             f"the manifest of artefact {folder.name} is damaged",
@@ -31,6 +26,16 @@ def load_manifest(folder: Path) -> dict[str, Any]:
             do=_again(folder),
         )
     return content
+
+
+def is_manifest(content: dict[str, Any]) -> bool:
+    """Whether the content of a manifest file has what every manifest has."""
+    outputs = content.get("outputs")
+    return (
+        isinstance(outputs, dict)
+        and all(isinstance(digest, str) for digest in outputs.values())
+        and isinstance(content.get("simulated"), bool)
+    )
 
 
 def output_hashes(folder: Path) -> dict[str, str]:
@@ -75,12 +80,12 @@ def is_whole(folder: Path, key: str) -> bool:
         load_verified(folder)
     except UserError:
         return False
-    return not manifest.get("recorded") or (folder / recording.RECORDING).is_file()
+    return not manifest.get("recorded") or (folder / RECORDING).is_file()
 
 
 def _again(folder: Path) -> str:
     profile, scene, stage = folder.parts[-3:]
-    return f"make scene={scene} profile={profile} {stage}, which makes it anew"
+    return f"{run_command(scene, profile, stage)}, which makes it anew"
 
 
 def make_again(folder: Path) -> None:

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import cv2
 
-from artefacts.cores import usable_cores
+from groundwalk.artefacts.cores import usable_cores
 
 T = TypeVar("T")
 R = TypeVar("R")

@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from artefacts.files import replace_synced
-from geometry.poses import Array
-
-RECORDING = "recording.rrd"
+from groundwalk.artefacts.files import replace_synced
+from groundwalk.geometry.poses import Array
 
 # One meaning, one colour, in recordings and in figures alike (Okabe-Ito, told apart by colour-blind readers).
 GROUND_TRUTH = (0, 158, 115)

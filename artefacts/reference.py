@@ -1,6 +1,6 @@
 """docs/artefacts.md, made from the schemas so that it can't fall behind them."""
 
-from artefacts.schemas import Column, all_tables
+from groundwalk.artefacts.schemas import Column, TableSchema, all_tables
 
 _HEAD = """# Artefacts
 
@@ -30,6 +30,16 @@ def reference() -> str:
     return "".join(parts)
 
 
+def column_lines(table: TableSchema) -> list[str]:
+    """A table's columns as plain text, one line a column or pose group: `name: type [unit, frame]: meaning`."""
+    lines = []
+    for column, name in _grouped(table.columns):
+        unit, meaning, null = _cells(column, name)
+        where = ", ".join(filter(None, (unit, column.frame and f"frame {column.frame}")))
+        lines.append(f"{name.strip('`')}: {column.dtype}{null}{f' [{where}]' if where else ''}: {meaning}")
+    return lines
+
+
 def _grouped(columns: list[Column]) -> list[tuple[Column, str]]:
     """Columns with the name to show: a pose group is one row."""
     prefixes = {c.name.removesuffix("_qw") for c in columns if c.name.endswith("_qw")}
@@ -43,8 +53,13 @@ def _grouped(columns: list[Column]) -> list[tuple[Column, str]]:
     return shown
 
 
+def _cells(column: Column, name: str) -> tuple[str, str, str]:
+    """Unit, meaning, and what says that it may be null."""
+    is_group = name.endswith("_*`")
+    meaning = column.meaning.removesuffix(": position, x") if is_group else column.meaning
+    return "m, unit quaternion" if is_group else column.unit, meaning, " or null" if column.nullable else ""
+
+
 def _row(column: Column, name: str) -> str:
-    meaning = column.meaning.removesuffix(": position, x") if name.endswith("_*`") else column.meaning
-    unit = "m, unit quaternion" if name.endswith("_*`") else column.unit
-    null = " or null" if column.nullable else ""
+    unit, meaning, null = _cells(column, name)
     return f"| {name} | {column.dtype}{null} | {unit} | {column.frame} | {meaning} |\n"

@@ -4,9 +4,9 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from artefacts import progress
-from artefacts.damage import as_user_error, may_be_damage
-from artefacts.files import KEY_FILE, read_json, write_json
+from groundwalk.artefacts import progress
+from groundwalk.artefacts.damage import as_user_error, may_be_damage
+from groundwalk.artefacts.files import KEY_FILE, read_json, write_json
 
 
 def run_resumable(work: Path, key: str, title: str, force: bool, attempt: Callable[[], None]) -> bool:

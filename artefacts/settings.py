@@ -7,8 +7,9 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from artefacts.errors import UserError
+from groundwalk.artefacts.errors import UserError
 
+# Profiles, scenes and published tables: data/ beside the packages, in the repository as in a wheel (groundwalk/data).
 SHIPPED_DATA = Path(__file__).resolve().parent.parent / "data"
 STAGES = ("import", "sfm", "align", "train", "fuse", "report")
 _SECTIONS = ("simulate", *STAGES)
@@ -53,9 +54,14 @@ class SceneConfig(Settings):
 T = TypeVar("T", bound=Settings)
 
 
+def is_name(text: str) -> bool:
+    """Whether a scene or profile can have this name: it's one folder's name everywhere."""
+    return re.fullmatch(_NAME, text) is not None
+
+
 def checked_name(kind: Literal["scene", "profile"], name: str) -> str:
     """`name`, fit to be one folder's name everywhere; UserError otherwise. Every path with a name in it passes here."""
-    if not re.fullmatch(_NAME, name):
+    if not is_name(name):
         raise UserError(
             f"this can't be the name of a {kind}",
             found=repr(name if len(name) <= 100 else name[:97] + "...") + f" ({len(name)} characters)",
@@ -65,7 +71,8 @@ def checked_name(kind: Literal["scene", "profile"], name: str) -> str:
 
 
 class DataRoot:
-    """The data folder: captures/, runs/, and the scene and profile files (the shipped ones where it has none)."""
+    """The data folder: captures/, runs/, and the files of profiles/, scenes/ and published/ (the shipped ones where it
+    has none of that name)."""
 
     def __init__(self, root: Path) -> None:
         self.root = root.absolute()
@@ -80,15 +87,21 @@ class DataRoot:
 
     def config_file(self, kind: Literal["profiles", "scenes"], name: str) -> Path | None:
         """data/<kind>/<name>.toml here or as shipped, or None."""
-        for base in (self.root, SHIPPED_DATA):
-            path = base / kind / f"{name}.toml"
-            if path.is_file():
-                return path
-        return None
+        return self.files(kind).get(f"{name}.toml")
+
+    def files(self, folder: str) -> dict[str, Path]:
+        """The files of data/<folder> by name: profiles, scenes or published, each here or as shipped."""
+        bases = (SHIPPED_DATA, self.root)
+        return {p.name: p for base in bases for p in sorted((base / folder).glob("*")) if p.is_file()}
 
     def names(self, kind: Literal["profiles", "scenes"]) -> list[str]:
         """The names of all scene or profile files."""
-        return sorted({p.stem for base in (self.root, SHIPPED_DATA) for p in (base / kind).glob("*.toml")})
+        return sorted(path.stem for path in self.files(kind).values() if path.suffix == ".toml")
+
+    def scenes(self) -> list[str]:
+        """The names of all scenes and groups of scenes: those with a file, and the folders of captures/."""
+        folders = {path.name for path in (self.root / "captures").glob("*") if path.is_dir()}
+        return sorted({*self.names("scenes"), *filter(is_name, folders)})
 
     def profile(self, name: str) -> dict[str, Any]:
         """A profile's sections; UserError where there is no such profile."""
@@ -152,7 +165,7 @@ def validated(model: type[T], content: dict[str, Any], where: object) -> T:
             where=where,
             found=None if first["type"] == "missing" else repr(first.get("input")),
             expected="one of " + ", ".join(model.model_fields) if first["type"] == "extra_forbidden" else None,
-            do="correct it; `python -m <stage> --help` lists the settings",
+            do="correct it; `groundwalk <stage> --help` lists the settings",
         ) from None
 
 

@@ -18,23 +18,26 @@ from typing import Any, Generic, TypeVar
 import pandas as pd
 import rerun as rr
 
-from artefacts import progress, recording
-from artefacts.errors import UserError
-from artefacts.files import (
+from groundwalk import CHECKOUT
+from groundwalk.artefacts import progress, recording
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import (
+    RECORDING,
     finish_interrupted_swap,
     partial_folder,
     swap_in,
     write_json,
 )
-from artefacts.inputs import Inputs, missing_input
-from artefacts.locks import locked
-from artefacts.manifests import MANIFEST, is_whole, load_manifest, output_hashes
-from artefacts.memory import PeakMemory
-from artefacts.resuming import run_resumable
-from artefacts.schemas import schema
-from artefacts.settings import DataRoot, SceneConfig, Settings, resolve_settings
-from artefacts.tables import dataset_frames, read_table, write_table
-from artefacts.text import printable
+from groundwalk.artefacts.images import image_file
+from groundwalk.artefacts.inputs import Inputs, missing_input
+from groundwalk.artefacts.locks import locked
+from groundwalk.artefacts.manifests import MANIFEST, is_whole, load_manifest, output_hashes
+from groundwalk.artefacts.memory import PeakMemory
+from groundwalk.artefacts.resuming import run_resumable
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import DataRoot, SceneConfig, Settings, resolve_settings
+from groundwalk.artefacts.tables import dataset_frames, read_table, write_table
+from groundwalk.artefacts.text import printable
 
 S = TypeVar("S", bound=Settings)
 T = TypeVar("T")
@@ -67,7 +70,7 @@ class Stage(Generic[S]):
     run: Callable[["StageRun[S]"], None]
     help: str
     reads_captures: bool = False
-    reads_shipped: tuple[str, ...] = ()  # folders of the repository's data/
+    reads_shipped: tuple[str, ...] = ()  # folders of data/, whose files come with groundwalk
 
 
 @dataclass
@@ -131,9 +134,7 @@ class StageRun(Generic[S]):
         """The absolute path of a `frames.image` entry: relative to the capture folder, or to the import artefact
         where import copied the image (`import:` in front)."""
         name = scene or self.scene.name
-        if image.startswith("import:"):
-            return self.data.run(self.profile, name, "import") / image.removeprefix("import:")
-        return self.data.captures(name) / image
+        return image_file(image, self.data.captures(name), self.data.run(self.profile, name, "import"))
 
     def write(self, table: str, frame: pd.DataFrame) -> None:
         """Write one of the stage's tables, checked against its schema."""
@@ -162,7 +163,7 @@ class StageRun(Generic[S]):
     def recording(self, blueprint: object) -> Iterator[rr.RecordingStream]:
         """The stage's recording.rrd, with its blueprint."""
         name = f"{self.profile}/{self.scene.name}"
-        with recording.open_recording(self.work / recording.RECORDING, self.stage.name, name, blueprint) as stream:
+        with recording.open_recording(self.work / RECORDING, self.stage.name, name, blueprint) as stream:
             yield stream
 
 
@@ -218,7 +219,7 @@ def execute(
         elapsed = time.monotonic() - start
         inputs.refuse_changed()
         shutil.rmtree(work / _SCRATCH, ignore_errors=True)
-        recorded = (work / recording.RECORDING).is_file()
+        recorded = (work / RECORDING).is_file()
         circumstances = _circumstances(run, elapsed, resumed, memory)
         manifest = {"key": key, **parts, **circumstances, "recorded": recorded, "outputs": output_hashes(work)}
         write_json(work / MANIFEST, manifest)
@@ -250,11 +251,12 @@ def _version(package: str) -> str:
 
 
 def _git_revision() -> str:
-    here = Path(__file__).resolve().parent
+    if CHECKOUT is None:
+        return "unknown"
     try:
         shown = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=12"],
-            cwd=here,
+            cwd=CHECKOUT,
             capture_output=True,
             text=True,
             check=True,

@@ -8,11 +8,11 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from artefacts.errors import UserError
-from artefacts.files import replace_synced
-from artefacts.schemas import TableSchema
-from geometry.cameras import Camera
-from geometry.poses import Array, pose_from_tq, tq_from_pose
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import replace_synced
+from groundwalk.artefacts.schemas import TableSchema
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.poses import Array, pose_from_tq, tq_from_pose
 
 CAMERA_COLUMNS = ["fx", "fy", "cx", "cy", "distortion"]
 _QUATERNION_TOLERANCE = 1e-6
@@ -46,8 +46,12 @@ def write_table(path: Path, frame: pd.DataFrame, schema: TableSchema) -> None:
     replace_synced(partial, path)
 
 
-def read_table(path: Path, schema: TableSchema) -> pd.DataFrame:
-    """Read a table; UserError where the file is missing, unreadable, another table, or of another major version."""
+def read_table(path: Path, schema: TableSchema, *, older_is_complete: bool = False) -> pd.DataFrame:
+    """Read a table; UserError where the file is missing, unreadable, another table, or of another major version.
+
+    A column that may be null, and that the file doesn't have, is null throughout. With `older_is_complete` so is any
+    that an older minor version didn't have; otherwise it's a UserError, as stages rely on it.
+    """
     name = f"{schema.stage}.{schema.name}"
     if not path.is_file():
         raise UserError(f"table {name} isn't there", where=path, do=f"run the {schema.stage} stage first")
@@ -57,6 +61,9 @@ def read_table(path: Path, schema: TableSchema) -> pd.DataFrame:
         raise UserError(f"table {name} can't be read", where=path, found=error, expected="a Parquet file") from error
     metadata = {k.decode(): v.decode() for k, v in (table.schema.metadata or {}).items()}
     version = metadata.get("groundwalk.version", "none")
+    written = metadata.get("groundwalk.table", "none")
+    if written != name:
+        raise UserError("a file holds another table", where=path, expected=name, found=written)
     if version.split(".")[0] != schema.version.split(".")[0]:
         raise UserError(
             f"table {name} has another version of its schema",
@@ -66,12 +73,16 @@ def read_table(path: Path, schema: TableSchema) -> pd.DataFrame:
             do=f"run the {schema.stage} stage again",
         )
     missing = [c.name for c in schema.columns if not c.nullable and c.name not in table.column_names]
-    if missing:
+    if missing and not (older_is_complete and _minor(version) < _minor(schema.version)):
         raise UserError(f"table {name} lacks columns", where=path, found=f"no {', '.join(missing)}")
-    # A nullable column that an older minor version didn't have is null throughout.
     known = [c for c in schema.column_names if c in table.column_names]
     frame: pd.DataFrame = table.select(known).to_pandas().reindex(columns=schema.column_names)
     return frame
+
+
+def _minor(version: str) -> int:
+    minor = version.partition(".")[2]
+    return int(minor) if minor.isdecimal() else 0
 
 
 def dataset_frames(frames: pd.DataFrame) -> pd.DataFrame:

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry import GeometryError
-from geometry.cameras import Camera
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.cameras import Camera
 
 
 def undistorted_image(image: NDArray[np.uint8], camera: Camera, pinhole: Camera) -> NDArray[np.uint8]:

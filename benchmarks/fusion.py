@@ -30,24 +30,24 @@ import numpy as np
 import pandas as pd
 import typer
 
-from artefacts import DataRoot, UserError
-from artefacts.cli import SetOption, new_app
-from artefacts.progress import track
-from artefacts.settings import SHIPPED_DATA, resolve_settings
 from benchmarks import fusion_inputs as inputs
 from benchmarks import fusion_scores as scores
 from benchmarks.fusion_inputs import Case
 from benchmarks.fusion_scores import OURS, RAW, RULE, UNTAUGHT, Target, Variant, markdown
-from fusion.decide import RuleWalk
-from fusion.evaluate import FuseSettings, resolved
-from fusion.methods import method
-from fusion.mobilearloc import MobileARLocOptions
-from fusion.offline import stepped
-from fusion.sweep import grid, sweep
-from fusion.walks import Walk
-from geometry.poses import Array
-from simulation.fit_apr_errors import REGRESSORS
-from simulation.scenes import NAMES
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.cli import SetOption, new_app
+from groundwalk.artefacts.progress import track
+from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
+from groundwalk.fusion.decide import RuleWalk
+from groundwalk.fusion.evaluate import FuseSettings, resolved
+from groundwalk.fusion.methods import method
+from groundwalk.fusion.mobilearloc import MobileARLocOptions
+from groundwalk.fusion.offline import stepped
+from groundwalk.fusion.sweep import grid, sweep
+from groundwalk.fusion.walks import Walk
+from groundwalk.geometry.poses import Array
+from groundwalk.simulation.fit_apr_errors import REGRESSORS
+from groundwalk.simulation.scenes import NAMES
 
 KINDS = (inputs.SIMULATED, inputs.RECORDED, inputs.MEASURED, inputs.TRAINED, *inputs.BAD_ODOMETRY, inputs.KIDNAPPED)
 _COMPARED = (inputs.SIMULATED, inputs.RECORDED, inputs.TRAINED)

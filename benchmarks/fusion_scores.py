@@ -10,15 +10,15 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from artefacts.settings import SHIPPED_DATA
 from benchmarks.fusion_inputs import SIMULATED, Case
-from fusion.evaluate import stacked
-from fusion.fuse import Fused, Run, error_rows, fuse, options_json
-from fusion.localiser import MethodOptions
-from fusion.methods import METHODS, method, resolve_options
-from fusion.summary import session_figures, summarise
-from fusion.walks import known
-from geometry.poses import Array
+from groundwalk.artefacts.settings import SHIPPED_DATA
+from groundwalk.fusion.evaluate import stacked
+from groundwalk.fusion.fuse import Fused, Run, error_rows, fuse, options_json
+from groundwalk.fusion.localiser import MethodOptions
+from groundwalk.fusion.methods import METHODS, method, resolve_options
+from groundwalk.fusion.summary import session_figures, summarise
+from groundwalk.fusion.walks import known
+from groundwalk.geometry.poses import Array
 
 RAW, RULE, OURS = "apr", "mobilearloc", "drift_aware"
 UNTAUGHT = f"{OURS} without error_map"

@@ -10,9 +10,9 @@ from typing import Annotated
 
 import typer
 
-from artefacts import DataRoot, UserError
-from artefacts.cli import new_app
 from benchmarks.groundtruth_inputs import run_stage, simulated
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.cli import new_app
 
 FOLDER = Path("build/trained")
 # Settings of simulation and of training. In a room, telling a step aside from a turn takes more epochs.

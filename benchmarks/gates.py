@@ -1,6 +1,7 @@
 """Does the gate catch what is broken, and name it? `python -m benchmarks.gates --out build/gates`
 
-Thirty broken inputs, five of each kind, and thirty clean ones, all small simulated captures, go through import, sfm and
+Thirty broken inputs, five of each kind, ten captures that state a wrong distortion, ten short walks (0.5 to 3 m), whose
+scale must be within its 95 % bounds, and thirty clean ones, all small simulated captures, go through import, sfm and
 align as a user would run them. Caught is what any of the three refuses or what align's gate tells; the name must be
 right. A clean one must come out without a failed check of the scene or a session. Wrong is a pose more than 25 cm or 2
 degrees from the truth after a fit of origin and heading, which are free; scale and vertical are the map's own. `given`
@@ -24,16 +25,11 @@ import numpy as np
 import pandas as pd
 import typer
 
-from alignment.checks import CAUSES, INTRINSICS, LOOK_ALIKE, MIRRORED, OTHER_SCENE, SHUFFLED, VIO_SCALE
-from alignment.stage import STAGE as ALIGN
-from artefacts import DataRoot, UserError, execute
-from artefacts.cli import new_app
-from artefacts.schemas import schema
-from artefacts.tables import poses_of, read_table
 from benchmarks.gates_breaking import (
     Break,
     copy_capture,
     focal_scaled,
+    lens_stated,
     mirrored,
     pictures_shuffled,
     times_shuffled,
@@ -42,24 +38,38 @@ from benchmarks.gates_breaking import (
     with_walk_of,
 )
 from benchmarks.gates_captures import CORRIDOR, Capture, write_capture
-from capture_import.stage import STAGE as IMPORT
-from geometry import GeometryError
-from geometry.fits import Sim3, fit_robust, fit_sim3, fit_yaw
-from geometry.metrics import position_error, rotation_error_deg
-from geometry.poses import Array
-from sfm.stage import STAGE as SFM
+from groundwalk.alignment.checks import CAUSES, INTRINSICS, LOOK_ALIKE, MIRRORED, OTHER_SCENE, SHUFFLED, VIO_SCALE
+from groundwalk.alignment.stage import STAGE as ALIGN
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of, read_table
+from groundwalk.capture_import.stage import STAGE as IMPORT
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import Sim3, fit_robust, fit_sim3, fit_yaw
+from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.stage import STAGE as SFM
 
 PROFILE = "tiny"
 CLEAN = "clean"
+SHORT = "clean, scale within its bounds"
 NOTHING = "nothing"
-_SFM = ["max_features=800", "sequence_pairs=3", "vio_pairs=4", "retrieval_pairs=4", "transitive_pairs=2"]
+LENS = "stated distortion wrong"
+SFM_OF_SMALL = ["max_features=800", "sequence_pairs=3", "vio_pairs=4", "retrieval_pairs=4", "transitive_pairs=2"]
 # What keeps a corridor's look-alike stretches apart, switched off: every pair of frames is tried, and a model that
 # moves otherwise than VIO isn't tried again in other ways, so that the gate gets it.
 _ALL_PAIRS = ["sequence_pairs=40", "vio_max_distance_m=1000", "vio_max_angle_deg=180", "vio_pairs=0", "retries=false"]
 _WALKS = ["walk-1", "walk-2", "walk-3"]
-_PLACES = ("Office", "Stairs", "Square", "Bar", "Atrium", "Church")
+PLACES = ("Office", "Stairs", "Square", "Bar", "Atrium", "Church")
 _BACKWARD = "time goes backward"
 _WRONG_M, _WRONG_DEG = 0.25, 2.0
+_BOUND = 1.96
+# Lenses that an app may state instead of the simulated phones' (k1 0.05 to 0.12, k2 -0.2 to -0.05): none at all, other
+# signs (the inverse's), another lens, or one in other units.
+_WRONG_LENSES = [(-0.09, 0.14), (0.3, -0.1), (-0.25, 0.06), (0.0, 0.3), (0.25, -0.4), (-0.12, 0.0), (0.2, 0.1)]
+_WRONG_LENSES += [(0.03, 0.35), (-0.3, 0.1), (0.35, -0.6)]
 
 app = new_app(__doc__ or "")
 
@@ -90,6 +100,8 @@ class Labels:
     lost: int = 0
     lost_right: int = 0
     worst_m: float | None = None
+    scale_error: float | None = None
+    scale_sd: float | None = None
 
 
 @dataclass(frozen=True)
@@ -106,13 +118,16 @@ class Outcome:
 
     @property
     def right(self) -> bool:
+        if self.expected == SHORT:
+            error, sd = self.labels.scale_error, self.labels.scale_sd
+            return self.found == NOTHING and error is not None and sd is not None and abs(error) <= _BOUND * sd
         return self.found == self.expected or (self.expected == CLEAN and self.found == NOTHING)
 
 
 def cases() -> Iterator[Case]:
-    """All sixty; the first of each kind first, so that a slice sees every kind."""
+    """All eighty; the first of each kind first, so that a slice sees every kind."""
     for k in range(5):
-        place, next_place = _PLACES[k], _PLACES[(k + 1) % 5]
+        place, next_place = PLACES[k], PLACES[(k + 1) % 5]
         base = Capture(place, 1)
         one = _WALKS[k % 3]
         yield Case(f"another scene {k + 1}", OTHER_SCENE, base, other=Capture(next_place, 1))
@@ -125,7 +140,13 @@ def cases() -> Iterator[Case]:
         shuffle = pictures_shuffled if k % 2 == 0 else times_shuffled
         walks = [_WALKS, _WALKS, [one], [one], _WALKS][k]
         yield Case(f"shuffled {k + 1}", SHUFFLED, base, shuffle(walks, k))
-        for clean in _PLACES:
+        for number in (2 * k, 2 * k + 1):
+            stated = lens_stated(*_WRONG_LENSES[number])
+            yield Case(f"stated lens {number + 1}", LENS, Capture(PLACES[number % 6], 1 + number // 6), stated)
+            length_m = (0.5, 0.8, 1.0, 1.5, 2.0, 3.0)[number % 6]
+            short = Capture(PLACES[(number + number // 6) % 6], 20 + number, 1, length_m)
+            yield Case(f"short {number + 1}", SHORT, short)
+        for clean in PLACES:
             yield Case(f"clean {clean} {k + 1}", CLEAN, Capture(clean, k + 1))
 
 
@@ -147,7 +168,7 @@ def run_case(case: Case, captures: Path) -> Outcome:
 
 
 def _rendered(captures: Path, capture: Capture) -> Path:
-    folder = captures / f"{capture.place}-{capture.seed}-{capture.walks}"
+    folder = captures / capture.name
     if not folder.is_dir():
         write_capture(folder, capture)
     return folder
@@ -155,7 +176,7 @@ def _rendered(captures: Path, capture: Capture) -> Path:
 
 def _found(data: DataRoot, scene: str, case: Case) -> tuple[str, str, str]:
     """The fault that the pipeline tells first, the stage that does, and in which words."""
-    for stage, settings in ((IMPORT, []), (SFM, [*_SFM, *case.sfm]), (ALIGN, [])):
+    for stage, settings in ((IMPORT, []), (SFM, [*SFM_OF_SMALL, *case.sfm]), (ALIGN, [])):
         try:
             execute(stage, scene, PROFILE, data, settings)
         except UserError as error:
@@ -166,6 +187,10 @@ def _found(data: DataRoot, scene: str, case: Case) -> tuple[str, str, str]:
             backward = int(rejects["reason"].str.contains(_BACKWARD).sum())
             if backward:
                 return SHUFFLED, stage.name, f"{backward} rows: {_BACKWARD}"
+    lenses = read_table(data.run(PROFILE, scene, "sfm") / "lenses.parquet", schema("sfm", "lenses"))
+    if lenses["stated_is_wrong"].any():
+        lens = lenses[lenses["stated_is_wrong"]].iloc[0]
+        return LENS, "sfm", f"stated {lens['stated_k1']:g}, {lens['stated_k2']:g}; {lens['k1']:.3f}, {lens['k2']:.3f}"
     gate = read_table(data.run(PROFILE, scene, "align") / "gate.parquet", schema("align", "gate"))
     failed = gate[gate["status"] == "failed"]
     # A window that fails costs its frames; a fault is what a scene or a session is told for.
@@ -208,6 +233,10 @@ def _labels(data: DataRoot, scene: str) -> Labels:
         own = registered & (images["model_id"] == model).to_numpy()
         _, in_model[own] = _errors(true_T_cam[own], poses_of(images, "sfm_cam")[own], fit_sim3)
     lost = registered & ~given
+    figures = load_manifest(data.run(PROFILE, scene, "align"))["figures"]
+    scale_error = None
+    if given.sum() >= 3 and np.isfinite(true_T_cam[given]).all():
+        scale_error = 1 / fit_sim3(true_T_cam[given, :3, 3], poses_of(gt, "map_cam")[given, :3, 3]).scale - 1
     return Labels(
         frames=len(gt),
         registered=int(registered.sum()),
@@ -218,6 +247,8 @@ def _labels(data: DataRoot, scene: str) -> Labels:
         lost=int(lost.sum()),
         lost_right=int((lost & ~in_model).sum()),
         worst_m=float(metres[given].max()) if given.any() and np.isfinite(metres[given]).all() else None,
+        scale_error=scale_error,
+        scale_sd=figures["scale_sd"],
     )
 
 
@@ -287,7 +318,7 @@ def _outcome(path: Path) -> Outcome:
 
 
 def _table(outcomes: list[Outcome], wanted: int) -> str:
-    columns = ["given", "wrong", "given A, B", "wrong A, B", "lost", "lost, right", "worst, m"]
+    columns = ["given", "wrong", "given A, B", "wrong A, B", "lost", "lost, right", "worst, m", "scale error ± sd, %"]
     lines = [
         "Simulated captures.",
         "",
@@ -298,16 +329,20 @@ def _table(outcomes: list[Outcome], wanted: int) -> str:
         n = o.labels
         worst = "" if n.worst_m is None else f"{n.worst_m:.3f}"
         counts = [n.frames, n.given, n.wrong, n.given_ab, n.wrong_ab, n.lost, n.lost_right]
-        cells = [o.case, o.expected, o.found, o.stage, "yes" if o.right else "**no**", *counts, worst]
+        scale = "" if n.scale_error is None else f"{100 * n.scale_error:+.2f}"
+        scale += "" if n.scale_sd is None else f" ± {100 * n.scale_sd:.2f}"
+        cells = [o.case, o.expected, o.found, o.stage, "yes" if o.right else "**no**", *counts, worst, scale]
         lines.append(f"| {' | '.join(map(str, cells))} |")
-    broken = [o for o in outcomes if o.expected != CLEAN]
+    short = [o for o in outcomes if o.expected == SHORT]
+    broken = [o for o in outcomes if o.expected not in (CLEAN, SHORT)]
     clean = [o for o in outcomes if o.expected == CLEAN]
     caught = sum(o.found != NOTHING for o in broken)
     lost, registered = (sum(getattr(o.labels, name) for o in clean) for name in ("lost", "registered"))
     lines += [
         "",
         f"{len(outcomes)} of {wanted} cases run. Broken: {caught} of {len(broken)} caught, "
-        f"{sum(o.right for o in broken)} named rightly; {_given_out(broken)}. Clean: "
+        f"{sum(o.right for o in broken)} named rightly; {_given_out(broken)}. Short: {sum(o.right for o in short)} of "
+        f"{len(short)} accepted with their scale within its bounds; {_given_out(short)}. Clean: "
         f"{sum(not o.right for o in clean)} of {len(clean)} refused; {_given_out(clean)}; "
         f"{lost} of {registered} registered frames have none, "
         f"{sum(o.labels.lost_right for o in clean)} of them placed rightly by SfM.",

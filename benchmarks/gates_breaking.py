@@ -9,7 +9,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from artefacts.simulated import TRUE_POSES
+from groundwalk.artefacts.simulated import TRUE_POSES
+from groundwalk.geometry.poses import ARKIT_CAM_T_CAM
 
 Break = Callable[[Path], None]
 _INTRINSICS = (0, 4)  # fx and fy in the row-major matrix
@@ -90,6 +91,34 @@ def times_shuffled(walks: list[str], seed: int) -> Break:
                 path.write_text(json.dumps(frame | {"time": time}))
 
     return apply
+
+
+def lens_stated(k1: float, k2: float) -> Break:
+    """All walks as `frames.jsonl` whose app states this distortion."""
+
+    def apply(folder: Path) -> None:
+        for walk in sorted(path for path in folder.iterdir() if path.is_dir()):
+            lines = [{"groundwalk": "frames", "version": 1, "device": "simulated phone", "clock": "boot"}]
+            for path in sorted(walk.glob("frame_*.json")):
+                lines.append(_line(json.loads(path.read_text()), path.with_suffix(".jpg"), (k1, k2)))
+                path.unlink()
+            (walk / "info.json").unlink()
+            text = "".join(json.dumps(line) + "\n" for line in lines)
+            (walk / "frames.jsonl").write_text(text, encoding="utf-8")
+
+    return apply
+
+
+def _line(frame: dict[str, Any], image: Path, distortion: tuple[float, float]) -> dict[str, Any]:
+    """A frame of the app 3D Scanner App as a line of frames.jsonl."""
+    pose = np.array(frame["cameraPoseARFrame"]).reshape(4, 4) @ ARKIT_CAM_T_CAM
+    line: dict[str, Any] = {"t_ns": round(frame["time"] * 1e9), "vio_T_cam": pose.ravel().tolist()}
+    if image.is_file():
+        matrix = np.array(frame["intrinsics"]).reshape(3, 3)
+        height, width = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE).shape
+        line |= {"image": image.name, "width": width, "height": height, "distortion": [*distortion, 0.0, 0.0]}
+        line |= dict(zip(("fx", "fy", "cx", "cy"), matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), strict=True))
+    return line
 
 
 def with_walk_of(other: Path, walk: str) -> Break:

@@ -8,19 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.files import write_json
-from artefacts.simulated import SIMULATED_MARKER
-from simulation import details, materials
-from simulation.canvas import Canvas
-from simulation.capture import write_frames
-from simulation.mesh import TexturedMesh, build_mesh
-from simulation.place import Builder, Light
-from simulation.render import Renderer
-from simulation.scenes import SceneryPlan, scenery
-from simulation.session import SessionOutline, plan_session, take
-from simulation.settings import SimulateSettings
-from simulation.simulate import write_truth
-from simulation.walks import Route
+from groundwalk.artefacts.files import write_json
+from groundwalk.artefacts.simulated import SIMULATED_MARKER
+from groundwalk.simulation import details, materials
+from groundwalk.simulation.canvas import Canvas
+from groundwalk.simulation.capture import write_frames
+from groundwalk.simulation.mesh import TexturedMesh, build_mesh
+from groundwalk.simulation.place import Builder, Light
+from groundwalk.simulation.render import Renderer
+from groundwalk.simulation.scenes import SceneryPlan, scenery
+from groundwalk.simulation.session import SessionOutline, plan_session, take
+from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.simulation.simulate import write_truth
+from groundwalk.simulation.walks import Route
 
 CORRIDOR = "Corridor"
 _LENGTH_M, _WIDTH_M, _HEIGHT_M = 44.0, 2.4, 2.6
@@ -32,16 +32,26 @@ _OTHER_WALK_S = 20
 
 @dataclass(frozen=True)
 class Capture:
-    """Which capture: a place, a seed, and how many walks."""
+    """Which capture: a place, a seed, how many walks, and how long one is where it is short and slow, metres."""
 
     place: str
     seed: int
     walks: int = 3
+    length_m: float | None = None
+
+    @property
+    def name(self) -> str:
+        """The folder's name."""
+        short = "" if self.length_m is None else f"-{self.length_m:g}m"
+        return f"{self.place}-{self.seed}-{self.walks}{short}"
 
 
 def write_capture(folder: Path, capture: Capture) -> None:
     """Render a capture into `folder`, which must not be there, with its true poses beside it."""
     plan = _corridor(capture.seed) if capture.place == CORRIDOR else scenery(capture.place, capture.seed)
+    if capture.length_m is not None:
+        speed_mps = capture.length_m / _seconds(capture)
+        plan = SceneryPlan(plan.place, replace(plan.route, speed_mps=speed_mps, spread_m=0.1, far_glances=0.0))
     work = folder.with_name(f".{folder.name}.partial")
     work.mkdir(parents=True, exist_ok=True)
     settings = _SETTINGS
@@ -69,13 +79,17 @@ def _outlines(capture: Capture) -> list[SessionOutline]:
     """Walks over the same stretch, side by side, begun a step apart, hours after each other."""
     rng = np.random.default_rng([capture.seed, zlib.crc32(capture.place.encode())])
     start = 0.0 if capture.place == CORRIDOR else float(rng.uniform())
-    seconds = _WALK_S.get(capture.place, _OTHER_WALK_S)
+    seconds = _seconds(capture)
     sides = np.linspace(-0.7, 0.7, capture.walks) if capture.walks > 1 else [0.0]
     boots = 20_000 + np.cumsum(rng.uniform(5_000, 20_000, capture.walks))
     return [
         SessionOutline(f"walk-{k + 1}", seconds, float(side), start + 0.01 * k, float(boot))
         for k, (side, boot) in enumerate(zip(sides, boots, strict=True))
     ]
+
+
+def _seconds(capture: Capture) -> int:
+    return _WALK_S.get(capture.place, _OTHER_WALK_S)
 
 
 def _corridor(seed: int) -> SceneryPlan:

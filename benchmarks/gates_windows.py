@@ -11,17 +11,17 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from alignment.agreement import compare
-from alignment.map_frame import common_scale, common_vertical
-from alignment.segments import Segment
-from alignment.settings import AlignSettings
-from artefacts.cli import new_app
-from geometry.fits import Sim3, direction_angles
-from geometry.poses import Array, make_pose
-from geometry.vio_agreement import PoseSd
-from geometry.vio_drift import VioDrift
-from simulation.pose_walks import PoseWalk, pose_walks
-from simulation.vio import FITTED, simulate_vio
+from groundwalk.alignment.agreement import compare
+from groundwalk.alignment.map_frame import common_scale, common_vertical
+from groundwalk.alignment.segments import Segment
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.artefacts.cli import new_app
+from groundwalk.geometry.fits import Sim3, direction_angles
+from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.geometry.vio_agreement import PoseSd
+from groundwalk.geometry.vio_drift import VioDrift
+from groundwalk.simulation.pose_walks import PoseWalk, pose_walks
+from groundwalk.simulation.vio import FITTED, simulate_vio
 
 _UP = np.array([0.0, 1.0, 0.0])
 _SFM_SD_M = 0.006

@@ -16,14 +16,6 @@ import numpy as np
 import pandas as pd
 import typer
 
-from alignment.check_truth import Target, compare_with_bounds, compare_with_truth, shared_sd
-from artefacts import DataRoot, UserError
-from artefacts.cli import new_app
-from artefacts.manifests import load_manifest
-from artefacts.progress import console
-from artefacts.schemas import schema
-from artefacts.settings import resolve_settings
-from artefacts.tables import poses_of, read_table
 from benchmarks.groundtruth_inputs import (
     PROFILE,
     errors_after_sim3,
@@ -36,11 +28,19 @@ from benchmarks.groundtruth_inputs import (
 )
 from benchmarks.stages import Cost, measure
 from benchmarks.stock import stock_command, stock_poses
-from geometry.fits import fit_poses, pose_residuals
-from geometry.poses import Array
-from sfm.settings import SfmSettings
-from sfm.stage import STAGE as SFM
-from simulation.scenes import NAMES
+from groundwalk.alignment.check_truth import Target, compare_with_bounds, compare_with_truth, shared_sd
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.artefacts.progress import console
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import resolve_settings
+from groundwalk.artefacts.tables import poses_of, read_table
+from groundwalk.geometry.fits import fit_poses, pose_residuals
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.settings import SfmSettings
+from groundwalk.sfm.stage import STAGE as SFM
+from groundwalk.simulation.scenes import NAMES
 
 _SCENE = "Church"
 _WINDOW_M = 5.0

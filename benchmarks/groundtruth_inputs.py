@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from artefacts import DataRoot, UserError
-from artefacts.files import hash_files
-from artefacts.manifests import MANIFEST
-from artefacts.schemas import schema
-from artefacts.tables import poses_of, read_table, write_table
 from benchmarks.stages import Cost, measure
-from geometry import GeometryError
-from geometry.fits import fit_sim3, pose_residuals
-from geometry.poses import Array
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.files import hash_files
+from groundwalk.artefacts.manifests import MANIFEST
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of, read_table, write_table
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import fit_sim3, pose_residuals
+from groundwalk.geometry.poses import Array
 
 PROFILE = "demo"
 
@@ -25,7 +25,7 @@ def run_stage(module: str, scene: str, root: DataRoot, *settings: str, anew: boo
     """Run a stage of a scene as a process of its own, `anew` even if it's up to date; what it cost."""
     sets = [word for setting in settings for word in ("--set", setting)]
     arguments = ["--scene", scene, "--profile", PROFILE, "--data", str(root.root), *sets, *["--force"] * anew]
-    return measure([sys.executable, "-m", module, *arguments], root.run(PROFILE, scene, module))
+    return measure([sys.executable, "-m", f"groundwalk.{module}", *arguments], root.run(PROFILE, scene, module))
 
 
 def simulated(scene: str, root: DataRoot, *settings: str) -> None:
@@ -63,9 +63,9 @@ def part_of(scene: str, whole: DataRoot, part: DataRoot, frames: int) -> None:
     (target / MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
 
 
-def true_poses(scene: str, root: DataRoot) -> Array:
+def true_poses(scene: str, root: DataRoot, profile: str = PROFILE) -> Array:
     """The true map_T_cam (N, 4, 4) of the frames of an imported simulated scene."""
-    folder = root.run(PROFILE, scene, "import")
+    folder = root.run(profile, scene, "import")
     frames = read_table(folder / "frames.parquet", schema("import", "frames"))
     sessions = read_table(folder / "sessions.parquet", schema("import", "sessions")).set_index("session_id")
     truth = read_table(root.captures(scene) / "true_poses.parquet", schema("simulate", "true_poses"))

@@ -15,24 +15,24 @@ import pandas as pd
 import pycolmap
 import typer
 
-from artefacts import DataRoot, UserError
-from artefacts.cli import ProfileOption, SceneOption, new_app
-from artefacts.schemas import schema
-from artefacts.settings import resolve_settings
-from artefacts.tables import poses_of, read_table
 from benchmarks.groundtruth_inputs import errors_after_sim3, true_poses
-from geometry.poses import Array
-from sfm.database import create_database, image_name, read_descriptors
-from sfm.features import extract_features
-from sfm.mappers import MappingInput
-from sfm.mapping import build_models, kept_models, read_built
-from sfm.mapping_input import write_mapping_input
-from sfm.matching import match_pairs
-from sfm.model import load_models
-from sfm.model_adjustment import camera_log
-from sfm.pairs import Pairs, sequence_pairs, unique_pairs, view_overlap
-from sfm.retrieval import RETRIEVALS, retrieval_pairs
-from sfm.settings import SfmSettings
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.cli import ProfileOption, SceneOption, new_app
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import resolve_settings
+from groundwalk.artefacts.tables import poses_of, read_table
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.database import create_database, image_name, read_descriptors
+from groundwalk.sfm.features import extract_features
+from groundwalk.sfm.mappers import MappingInput
+from groundwalk.sfm.mapping import build_models, kept_models, read_built
+from groundwalk.sfm.mapping_input import write_mapping_input
+from groundwalk.sfm.matching import match_pairs
+from groundwalk.sfm.model import load_models
+from groundwalk.sfm.model_adjustment import camera_log
+from groundwalk.sfm.pairs import Pairs, sequence_pairs, unique_pairs, view_overlap
+from groundwalk.sfm.retrieval import RETRIEVALS, retrieval_pairs
+from groundwalk.sfm.settings import SfmSettings
 
 _REACH_M = 12.0
 _OVERLAP = 0.5

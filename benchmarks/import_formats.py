@@ -16,19 +16,19 @@ import cv2
 import numpy as np
 import typer
 
-from artefacts.cli import new_app
-from artefacts.progress import track
 from benchmarks.import_scene import rendered_walk
-from capture_import.capture import Intrinsics, Limits
-from capture_import.clock import check_clock
-from capture_import.convention import CONVENTIONS, MatchedPair, check_convention, judge, matched_pairs
-from capture_import.discovery import Found, find_recordings
-from capture_import.formats import formats
-from capture_import.images import decode_gray, sharpness
-from capture_import.intake import Intake, Session, measures, scan_all, take_in
-from capture_import.settings import ImportSettings
-from capture_import.views import Views
-from geometry.poses import relative, rotation_angle
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.progress import track
+from groundwalk.capture_import.capture import Intrinsics, Limits
+from groundwalk.capture_import.clock import check_clock
+from groundwalk.capture_import.convention import CONVENTIONS, MatchedPair, check_convention, judge, matched_pairs
+from groundwalk.capture_import.discovery import Found, find_recordings
+from groundwalk.capture_import.formats import formats
+from groundwalk.capture_import.images import decode_gray, sharpness
+from groundwalk.capture_import.intake import Intake, Session, measures, scan_all, take_in
+from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.capture_import.views import Views
+from groundwalk.geometry.poses import relative, rotation_angle
 
 # isort: split
 from capture_mutations import mutate

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from artefacts import UserError
+from groundwalk.artefacts import UserError
 
 try:
     import atheris
@@ -23,7 +23,7 @@ except ImportError:
 
 with atheris.instrument_imports(include=["capture_import"]):
     import benchmarks.import_captures  # noqa: F401  (puts the tests' writers on the path)
-    from capture_import.formats import formats
+    from groundwalk.capture_import.formats import formats
 
     # isort: split
     from capture_writers import WRITERS, make_walk

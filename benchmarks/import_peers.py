@@ -21,10 +21,10 @@ import pandas as pd
 import typer
 
 import benchmarks.import_captures  # noqa: F401  (puts the tests' writers on the path)
-from artefacts import DataRoot, UserError
-from artefacts.cli import new_app
-from artefacts.tables import poses_of
-from geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, relative, rotation_angle
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, relative, rotation_angle
 
 # isort: split
 from capture_writers import HEIGHT, WIDTH, WRITERS, Walk, image, make_walk
@@ -74,7 +74,7 @@ def ours(capture: Path, data: DataRoot, scene: str) -> Result:
     data.captures(scene).parent.mkdir(parents=True, exist_ok=True)
     data.captures(scene).symlink_to(capture)
     options = ["--profile", "tiny", "--data", str(data.root), "--set", "sampling='all'"]
-    seconds = _run([sys.executable, "-m", "capture_import", "--scene", scene, *options])
+    seconds = _run([sys.executable, "-m", "groundwalk.capture_import", "--scene", scene, *options])
     frames = pd.read_parquet(data.run("tiny", scene, "import") / "frames.parquet")
     images = [cv2.imread(str(data.captures(scene) / name)) for name in frames["image"]]
     return Result(

@@ -5,7 +5,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import benchmarks.import_captures  # noqa: F401  (puts the tests' writers on the path)
-from geometry.poses import Array, make_pose
+from groundwalk.geometry.poses import Array, make_pose
 
 # isort: split
 from capture_writers import Walk

@@ -22,14 +22,14 @@ import cv2
 import simplejpeg
 import typer
 
-from artefacts import DataRoot, execute
-from artefacts.cli import new_app
-from artefacts.cores import usable_cores
-from artefacts.manifests import load_manifest
 from benchmarks.import_captures import write_images, write_video
 from benchmarks.stages import measure
-from capture_import.images import WORKING_LONG_SIDE, decode_gray
-from capture_import.stage import STAGE
+from groundwalk.artefacts import DataRoot, execute
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.cores import usable_cores
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.capture_import.images import WORKING_LONG_SIDE, decode_gray
+from groundwalk.capture_import.stage import STAGE
 
 app = new_app(__doc__ or "")
 
@@ -106,7 +106,17 @@ def throughput(captures: Path, count: int, video: bool, rounds: int, data: DataR
 
 def peak_mib(data: DataRoot, scene: str) -> float:
     """Peak memory of an import as its own process."""
-    command = [sys.executable, "-m", "capture_import", "--scene", scene, "--profile", "tiny", "--data", str(data.root)]
+    command = [
+        sys.executable,
+        "-m",
+        "groundwalk.capture_import",
+        "--scene",
+        scene,
+        "--profile",
+        "tiny",
+        "--data",
+        str(data.root),
+    ]
     command += ["--set", "min_frames=0"]  # the same rule of sampling for short captures
     return measure(command, data.run("tiny", scene, "import")).peak_mib
 

@@ -11,11 +11,11 @@ from typing import Annotated
 
 import typer
 
-from artefacts import UserError
-from artefacts.cli import new_app
 from benchmarks.real_cases import Case, Result, judge, named_case, run_case, standard_cases
 from benchmarks.real_report import write_report
 from benchmarks.real_stability import load, save, stability_of
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.cli import new_app
 
 app = new_app(__doc__ or "")
 

@@ -13,12 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from alignment.checks import CAUSES
-from artefacts import DataRoot, UserError
-from artefacts.schemas import schema
-from artefacts.settings import resolve_settings
-from artefacts.stage import load_manifest
-from artefacts.tables import read_table
 from benchmarks.real_figures import (
     CRASHED,
     OURS,
@@ -35,7 +29,13 @@ from benchmarks.real_figures import (
 from benchmarks.real_plots import draw_case
 from benchmarks.stages import Cost, run_timed
 from benchmarks.stock import stock_command
-from sfm.settings import SfmSettings
+from groundwalk.alignment.checks import CAUSES
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import resolve_settings
+from groundwalk.artefacts.stage import load_manifest
+from groundwalk.artefacts.tables import read_table
+from groundwalk.sfm.settings import SfmSettings
 
 PROFILE = "demo"
 

@@ -10,22 +10,22 @@ import pycolmap
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from artefacts import DataRoot
-from artefacts.schemas import schema
-from artefacts.stage import MANIFEST, load_manifest
-from artefacts.tables import poses_of, read_table
 from benchmarks.stages import Cost
 from benchmarks.stock import largest_model, matcher_name
-from geometry import GeometryError
-from geometry.fits import fit_sim3, pose_residuals
-from geometry.metrics import relative_error
-from geometry.poses import Array, rotation_angle
-from sfm.database import image_id
-from sfm.model import load_models
+from groundwalk.artefacts import DataRoot
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.stage import MANIFEST, load_manifest
+from groundwalk.artefacts.tables import poses_of, read_table
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import fit_sim3, pose_residuals
+from groundwalk.geometry.metrics import relative_error
+from groundwalk.geometry.poses import Array, rotation_angle
+from groundwalk.sfm.database import image_id
+from groundwalk.sfm.model import load_models
 
 OURS, STOCK, RATIO = "ours", "stock", "ours / stock"
 PASSED, REFUSED, CRASHED = "passed", "refused", "crashed"
-STAGES = {"import": "capture_import", "sfm": "sfm", "align": "alignment"}
+STAGES = {"import": "groundwalk.capture_import", "sfm": "groundwalk.sfm", "align": "groundwalk.alignment"}
 _FEWEST_COMPARED = 5
 # A UserError ends a command with this.
 _REFUSAL = 2

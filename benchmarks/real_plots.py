@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from artefacts.recording import GROUND_TRUTH, NEUTRAL, VIO
 from benchmarks.real_figures import Paths, Placed, placed_alone
+from groundwalk.artefacts.recording import GROUND_TRUTH, NEUTRAL, VIO
 
 _INCHES = 3.0
 _COLOURS = {name: tuple(c / 255 for c in colour) for name, colour in (

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from artefacts import DataRoot
 from benchmarks.real_cases import PROFILE, Case, run_stages
 from benchmarks.real_figures import PASSED, Finished, Verdict
+from groundwalk.artefacts import DataRoot
 
 WHOLE = "whole"
 _ALL = ('sampling="all"',)

@@ -18,16 +18,16 @@ from typing import Annotated
 import cv2
 import typer
 
-from artefacts import DataRoot, UserError
-from artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
 
 MODULES = {
-    "import": "capture_import",
-    "sfm": "sfm",
-    "align": "alignment",
-    "train": "training",
-    "fuse": "fusion",
-    "report": "reports",
+    "import": "groundwalk.capture_import",
+    "sfm": "groundwalk.sfm",
+    "align": "groundwalk.alignment",
+    "train": "groundwalk.training",
+    "fuse": "groundwalk.fusion",
+    "report": "groundwalk.reports",
 }
 
 app = new_app(__doc__ or "")
@@ -93,7 +93,7 @@ def main(
         if given.is_dir():
             captures.symlink_to(given.resolve(), target_is_directory=True)
         else:
-            costs["simulate"] = measure([sys.executable, "-m", "simulation", *arguments], captures)
+            costs["simulate"] = measure([sys.executable, "-m", "groundwalk.simulation", *arguments], captures)
         for stage, module in MODULES.items():
             command = [sys.executable, "-m", module, *arguments]
             costs[stage] = measure(command, root.run(profile, scene, stage))

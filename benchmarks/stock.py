@@ -13,15 +13,15 @@ import pandas as pd
 import pycolmap
 import typer
 
-from artefacts import DataRoot
-from artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
-from artefacts.schemas import schema
-from artefacts.tables import read_table
-from geometry.poses import Array
-from sfm.database import Ints, create_database, image_id, image_name
-from sfm.features import extract_features
-from sfm.model import load_models
-from sfm.settings import SfmSettings
+from groundwalk.artefacts import DataRoot
+from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import read_table
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.database import Ints, create_database, image_id, image_name
+from groundwalk.sfm.features import extract_features
+from groundwalk.sfm.model import load_models
+from groundwalk.sfm.settings import SfmSettings
 
 CameraChoice = Literal["captured", "opencv"]
 

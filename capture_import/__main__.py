@@ -1,8 +1,8 @@
-"""`python -m capture_import`: the import stage, and a look at captures without importing."""
+"""`python -m groundwalk.capture_import`: the import stage, and a look at captures without importing."""
 
-from artefacts.cli import stage_app
-from capture_import.commands import add_commands
-from capture_import.stage import STAGE
+from groundwalk.artefacts.cli import stage_app
+from groundwalk.capture_import.commands import add_commands
+from groundwalk.capture_import.stage import STAGE
 
 app = stage_app(STAGE)
 add_commands(app)

@@ -8,10 +8,10 @@ import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
 
-from artefacts import UserError
-from artefacts.damage import as_user_error
-from artefacts.files import sync_tree
-from capture_import.capture import Limits
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.damage import as_user_error
+from groundwalk.artefacts.files import sync_tree
+from groundwalk.capture_import.capture import Limits
 
 SUFFIXES = (".zip", ".r3d")
 _CHUNK = 1 << 20

@@ -16,9 +16,9 @@ import cv2.data
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts import UserError
-from capture_import.images import shrunk
-from capture_import.upright import turned_pixels
+from groundwalk.artefacts import UserError
+from groundwalk.capture_import.images import shrunk
+from groundwalk.capture_import.upright import turned_pixels
 
 Kind = Literal["face", "plate"]
 

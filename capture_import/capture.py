@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from geometry.poses import Array
+from groundwalk.geometry.poses import Array
 
 Tracking = Literal["normal", "limited", "lost", "unknown"]
 Clock = Literal["boot", "unix", "video", "frame_index"]

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from capture_import.capture import RawFrame
-from capture_import.images import Gray
-from capture_import.intake import Session
-from capture_import.scan import LoadGray
-from geometry.poses import Array, interpolate, relative
+from groundwalk.capture_import.capture import RawFrame
+from groundwalk.capture_import.images import Gray
+from groundwalk.capture_import.intake import Session
+from groundwalk.capture_import.scan import LoadGray
+from groundwalk.geometry.poses import Array, interpolate, relative
 
 CLOCK_LONG_SIDE = 192
 _MOST_IMAGES = 240

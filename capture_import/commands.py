@@ -7,10 +7,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from artefacts.cli import App
-from artefacts.text import printable
-from capture_import.formats import formats
-from capture_import.inspection import inspect_capture
+from groundwalk.artefacts.cli import App
+from groundwalk.artefacts.text import printable
+from groundwalk.capture_import.formats import formats
+from groundwalk.capture_import.inspection import inspect_capture
 
 
 def add_commands(app: App) -> None:

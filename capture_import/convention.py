@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.parallel import in_parallel
-from capture_import.capture import RawFrame
-from capture_import.intake import Image, Session
-from capture_import.scan import LoadGray
-from geometry.epipolar import sampson_px
-from geometry.poses import (
+from groundwalk.artefacts.parallel import in_parallel
+from groundwalk.capture_import.capture import RawFrame
+from groundwalk.capture_import.intake import Image, Session
+from groundwalk.capture_import.scan import LoadGray
+from groundwalk.geometry.epipolar import sampson_px
+from groundwalk.geometry.poses import (
     ARKIT_CAM_T_CAM,
     Array,
     inverse,

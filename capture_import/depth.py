@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts import UserError
-from artefacts.parallel import in_parallel
-from capture_import.capture import Reject
-from capture_import.images import BadImage, image_size
-from capture_import.intake import Image
-from capture_import.placing import Placement
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.parallel import in_parallel
+from groundwalk.capture_import.capture import Reject
+from groundwalk.capture_import.images import BadImage, image_size
+from groundwalk.capture_import.intake import Image
+from groundwalk.capture_import.placing import Placement
 
 # Depth images are small; a larger file isn't one.
 _MAX_BYTES = 1 << 26

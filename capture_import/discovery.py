@@ -6,10 +6,10 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from artefacts import UserError
-from capture_import.archive import SUFFIXES, unpack
-from capture_import.capture import Limits, RawSession
-from capture_import.formats import Format, formats
+from groundwalk.artefacts import UserError
+from groundwalk.capture_import.archive import SUFFIXES, unpack
+from groundwalk.capture_import.capture import Limits, RawSession
+from groundwalk.capture_import.formats import Format, formats
 
 _DEEPEST = 5
 _LONGEST_ID_BYTES = 120

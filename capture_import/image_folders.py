@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from capture_import.parsing import BadRow, parse_json, read_text
+from groundwalk.capture_import.parsing import BadRow, parse_json, read_text
 
 _SUFFIXES = (".jpg", ".jpeg", ".png")
 # How far below images/ a recording's folder may lie.

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from artefacts.progress import track
-from capture_import.clock import check_clock
-from capture_import.convention import SUSPECT, ConventionCheck, check_convention
-from capture_import.discovery import Found, find_recordings
-from capture_import.intake import Intake, measures, path_length, take_in
-from capture_import.selection import select
-from capture_import.settings import ImportSettings
-from capture_import.tables import printable
-from capture_import.views import Views
+from groundwalk.artefacts.progress import track
+from groundwalk.capture_import.clock import check_clock
+from groundwalk.capture_import.convention import SUSPECT, ConventionCheck, check_convention
+from groundwalk.capture_import.discovery import Found, find_recordings
+from groundwalk.capture_import.intake import Intake, measures, path_length, take_in
+from groundwalk.capture_import.selection import select
+from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.capture_import.tables import printable
+from groundwalk.capture_import.views import Views
 
 
 def inspect_capture(path: Path, format_name: str = "auto") -> Iterator[str]:

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from capture_import.capture import Limits, RawFrame, RawSession, Reject
-from capture_import.health import Jump, check_session, find_jumps, size_fault
-from capture_import.images import ImageCheck
-from capture_import.scan import Look, scan_images
-from capture_import.settings import ImportSettings
-from geometry.poses import Array
+from groundwalk.capture_import.capture import Limits, RawFrame, RawSession, Reject
+from groundwalk.capture_import.health import Jump, check_session, find_jumps, size_fault
+from groundwalk.capture_import.images import ImageCheck
+from groundwalk.capture_import.scan import Look, scan_images
+from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.geometry.poses import Array
 
 Scan = Callable[[list[RawFrame]], Iterable[ImageCheck | str]]
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from capture_import.capture import RawFrame
+from groundwalk.capture_import.capture import RawFrame
 
 # Clocks that were written with microseconds agree to this.
 _SAME_NS = 1_000_000

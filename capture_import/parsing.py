@@ -10,10 +10,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from artefacts import UserError
-from capture_import.capture import Limits, RawFrame, Reject
-from geometry import GeometryError
-from geometry.poses import Array, pose_from_tq
+from groundwalk.artefacts import UserError
+from groundwalk.capture_import.capture import Limits, RawFrame, Reject
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import Array, pose_from_tq
 
 Row = TypeVar("Row")
 

@@ -11,15 +11,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts import UserError
-from artefacts.parallel import in_parallel
-from capture_import.blurring import Detector, Kind, blur_people
-from capture_import.capture import ImageFile, Limits, VideoFrame
-from capture_import.images import decode_rgb, encode_jpeg, without_metadata
-from capture_import.intake import Image
-from capture_import.spool import spooled_path
-from capture_import.upright import turned_pixels
-from capture_import.video import decode, rgb_pixels
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.parallel import in_parallel
+from groundwalk.capture_import.blurring import Detector, Kind, blur_people
+from groundwalk.capture_import.capture import ImageFile, Limits, VideoFrame
+from groundwalk.capture_import.images import decode_rgb, encode_jpeg, without_metadata
+from groundwalk.capture_import.intake import Image
+from groundwalk.capture_import.spool import spooled_path
+from groundwalk.capture_import.upright import turned_pixels
+from groundwalk.capture_import.video import decode, rgb_pixels
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,16 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from artefacts.parallel import in_parallel
-from artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, set_time
-from artefacts.tables import dataset_frames
-from capture_import.capture import Reject
-from capture_import.images import image_size
-from capture_import.intake import Session
-from capture_import.spool import thumbnail_path
-from capture_import.tables import printable
-from capture_import.thumbnails import MOST, spread, thumbnail_of
-from geometry.poses import Array, transform
+from groundwalk.artefacts.parallel import in_parallel
+from groundwalk.artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, set_time
+from groundwalk.artefacts.tables import dataset_frames
+from groundwalk.capture_import.capture import Reject
+from groundwalk.capture_import.images import image_size
+from groundwalk.capture_import.intake import Session
+from groundwalk.capture_import.spool import thumbnail_path
+from groundwalk.capture_import.tables import printable
+from groundwalk.capture_import.thumbnails import MOST, spread, thumbnail_of
+from groundwalk.geometry.poses import Array, transform
 
 _TRACKING_COLOURS = {"normal": VIO, "unknown": VIO, "limited": REJECTED, "lost": NEUTRAL}
 # Enough to see each place; more would make the recording of a long walk slow to open.

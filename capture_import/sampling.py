@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.poses import Array, relative, rotation_angle
+from groundwalk.geometry.poses import Array, relative, rotation_angle
 
 Sampling = Literal["rate", "motion", "all"]
 

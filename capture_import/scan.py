@@ -9,10 +9,18 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts.parallel import in_parallel
-from capture_import.capture import ImageFile, Limits, RawFrame, VideoFrame
-from capture_import.images import WORKING_LONG_SIDE, BadImage, Gray, ImageCheck, check_image, decode_gray, sharpness
-from capture_import.video import decode, gray_pixels
+from groundwalk.artefacts.parallel import in_parallel
+from groundwalk.capture_import.capture import ImageFile, Limits, RawFrame, VideoFrame
+from groundwalk.capture_import.images import (
+    WORKING_LONG_SIDE,
+    BadImage,
+    Gray,
+    ImageCheck,
+    check_image,
+    decode_gray,
+    sharpness,
+)
+from groundwalk.capture_import.video import decode, gray_pixels
 
 # A sound JPEG or PNG has fewer bytes than this a pixel, and a header with metadata.
 _BYTES_A_PIXEL = 4

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from capture_import.capture import RawFrame
-from capture_import.intake import Image, Session
-from capture_import.sampling import (
+from groundwalk.capture_import.capture import RawFrame
+from groundwalk.capture_import.intake import Image, Session
+from groundwalk.capture_import.sampling import (
     motion_candidates,
     rate_candidates,
     sample_motion,
@@ -18,8 +18,8 @@ from capture_import.sampling import (
     support_cells,
     travelled_steps,
 )
-from capture_import.settings import ImportSettings
-from geometry.poses import Array
+from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.geometry.poses import Array
 
 # Sampling this much denser than its settings that still keeps too few images can't be helped by being denser.
 _DENSEST = 2.0**12

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from artefacts import UserError
-from artefacts.settings import SplitRules
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.settings import SplitRules
 
 # Frames of one walk this close in time show the same place from the same side: testing on one after training on the
 # other measures memory.

@@ -11,13 +11,13 @@ from pathlib import Path
 import av
 import numpy as np
 
-from capture_import.capture import RawFrame, VideoFrame
-from capture_import.images import encode_jpeg
-from capture_import.scan import Look
-from capture_import.selection import cells_of, windows_of
-from capture_import.settings import ImportSettings
-from capture_import.thumbnails import encode_thumbnail, spread
-from capture_import.video import rgb_pixels
+from groundwalk.capture_import.capture import RawFrame, VideoFrame
+from groundwalk.capture_import.images import encode_jpeg
+from groundwalk.capture_import.scan import Look
+from groundwalk.capture_import.selection import cells_of, windows_of
+from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.capture_import.thumbnails import encode_thumbnail, spread
+from groundwalk.capture_import.video import rgb_pixels
 
 # Files of larger groups aren't decoded in colour, as only one of them is needed.
 _FEW = 3

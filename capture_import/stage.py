@@ -7,25 +7,25 @@ from pathlib import Path
 
 import pandas as pd
 
-from artefacts import Stage, StageRun, UserError
-from artefacts.files import write_json
-from artefacts.tables import dataset_frames
-from capture_import.blurring import CascadeDetector, Detector
-from capture_import.capture import RawFrame, Reject
-from capture_import.clock import NOTICEABLE_S, ClockCheck, check_clock
-from capture_import.convention import SUSPECT, ConventionCheck, check_convention
-from capture_import.depth import place_depths
-from capture_import.discovery import Found, find_recordings
-from capture_import.images import ImageCheck
-from capture_import.intake import Intake, Scan, Session, measures, take_in
-from capture_import.placing import Placement, place_images
-from capture_import.recording import blueprint, log_session
-from capture_import.scan import Look
-from capture_import.selection import Selection, density_for, select
-from capture_import.settings import ImportSettings
-from capture_import.splits import LEAK_S, Split, nearest_split, split_frames
-from capture_import.spool import Spool
-from capture_import.tables import (
+from groundwalk.artefacts import Stage, StageRun, UserError
+from groundwalk.artefacts.files import write_json
+from groundwalk.artefacts.tables import dataset_frames
+from groundwalk.capture_import.blurring import CascadeDetector, Detector
+from groundwalk.capture_import.capture import RawFrame, Reject
+from groundwalk.capture_import.clock import NOTICEABLE_S, ClockCheck, check_clock
+from groundwalk.capture_import.convention import SUSPECT, ConventionCheck, check_convention
+from groundwalk.capture_import.depth import place_depths
+from groundwalk.capture_import.discovery import Found, find_recordings
+from groundwalk.capture_import.images import ImageCheck
+from groundwalk.capture_import.intake import Intake, Scan, Session, measures, take_in
+from groundwalk.capture_import.placing import Placement, place_images
+from groundwalk.capture_import.recording import blueprint, log_session
+from groundwalk.capture_import.scan import Look
+from groundwalk.capture_import.selection import Selection, density_for, select
+from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.capture_import.splits import LEAK_S, Split, nearest_split, split_frames
+from groundwalk.capture_import.spool import Spool
+from groundwalk.capture_import.tables import (
     frames_table,
     jumps_table,
     printable,
@@ -34,8 +34,8 @@ from capture_import.tables import (
     sessions_table,
     vio_table,
 )
-from capture_import.upright import quarters_to_upright, turned
-from capture_import.views import Views
+from groundwalk.capture_import.upright import quarters_to_upright, turned
+from groundwalk.capture_import.views import Views
 
 
 def run(r: StageRun[ImportSettings]) -> None:
@@ -255,7 +255,7 @@ def _refuse_empty(sessions: Sequence[Session], rejects: Sequence[Reject], root: 
         where=root,
         found=f"{poses} sound poses; {reasons}",
         expected="images with intrinsics and poses",
-        do=f"python -m capture_import inspect {root}",
+        do=f"python -m groundwalk.capture_import inspect {root}",
     )
 
 

@@ -7,14 +7,14 @@ from typing import get_args
 import numpy as np
 import pandas as pd
 
-from artefacts.tables import dataset_frames, pose_frame
-from capture_import.blurring import Kind
-from capture_import.capture import Reject
-from capture_import.depth import PlacedDepth
-from capture_import.health import gravity_of
-from capture_import.intake import Session, path_length
-from capture_import.placing import Placed
-from capture_import.selection import Selection
+from groundwalk.artefacts.tables import dataset_frames, pose_frame
+from groundwalk.capture_import.blurring import Kind
+from groundwalk.capture_import.capture import Reject
+from groundwalk.capture_import.depth import PlacedDepth
+from groundwalk.capture_import.health import gravity_of
+from groundwalk.capture_import.intake import Session, path_length
+from groundwalk.capture_import.placing import Placed
+from groundwalk.capture_import.selection import Selection
 
 
 def frames_table(

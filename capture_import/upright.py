@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from capture_import.capture import Intrinsics, RawFrame
-from capture_import.health import gravity_of
-from capture_import.intake import Image, Session
-from geometry.poses import Array, inverse, make_pose
+from groundwalk.capture_import.capture import Intrinsics, RawFrame
+from groundwalk.capture_import.health import gravity_of
+from groundwalk.capture_import.intake import Image, Session
+from groundwalk.geometry.poses import Array, inverse, make_pose
 
 # A quarter turn clockwise: what was right is down, what was down is left.
 _CLOCKWISE: Array = make_pose([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0, 0, 0])

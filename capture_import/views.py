@@ -8,11 +8,11 @@ import heapq
 from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 
-from capture_import.capture import Limits, RawFrame
-from capture_import.clock import CLOCK_LONG_SIDE, dense_stretch
-from capture_import.convention import CONVENTION_LONG_SIDE, parallax_pairs
-from capture_import.images import Gray, shrunk
-from capture_import.scan import Look, load_gray, scan_images
+from groundwalk.capture_import.capture import Limits, RawFrame
+from groundwalk.capture_import.clock import CLOCK_LONG_SIDE, dense_stretch
+from groundwalk.capture_import.convention import CONVENTION_LONG_SIDE, parallax_pairs
+from groundwalk.capture_import.images import Gray, shrunk
+from groundwalk.capture_import.scan import Look, load_gray, scan_images
 
 
 class Views:

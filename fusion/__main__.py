@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from artefacts.cli import SetOption, stage_app
-from fusion.stage import STAGE
-from fusion.tables import Files, evaluate_files, sweep_files
+from groundwalk.artefacts.cli import SetOption, stage_app
+from groundwalk.fusion.stage import STAGE
+from groundwalk.fusion.tables import Files, evaluate_files, sweep_files
 
 app = stage_app(STAGE)
 TableOption = Annotated[Path, typer.Option(help="Parquet; docs/fusion.md has the columns.")]

@@ -1,7 +1,7 @@
 """Method `apr`: the raw regressor, which every other method is held against."""
 
-from fusion.localiser import Estimate, Localiser, MethodOptions, Status
-from geometry.poses import Array
+from groundwalk.fusion.localiser import Estimate, Localiser, MethodOptions, Status
+from groundwalk.geometry.poses import Array
 
 
 class AprOptions(MethodOptions):

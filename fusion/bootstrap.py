@@ -11,10 +11,10 @@ from math import comb
 import numpy as np
 import pandas as pd
 
-from fusion.summary import RUN, score_columns, subsets
-from fusion.walks import Flags
-from geometry.metrics import ACCURACY_LEVELS
-from geometry.poses import Array
+from groundwalk.fusion.summary import RUN, score_columns, subsets
+from groundwalk.fusion.walks import Flags
+from groundwalk.geometry.metrics import ACCURACY_LEVELS
+from groundwalk.geometry.poses import Array
 
 DRAWS = 1000
 CONFIDENCE = 0.95

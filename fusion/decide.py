@@ -11,13 +11,21 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.localiser import Status, is_rigid
-from fusion.mobilearloc import MobileARLocOptions, Rule, Verdict, averages_aligned, has_closed_form, reference, scores
-from fusion.odometry import have_jumped
-from fusion.pair_check import are_consecutive, are_consistent, length_errors, pair_errors
-from fusion.walks import Walk, known
-from geometry import GeometryError
-from geometry.poses import Array, tq_from_pose
+from groundwalk.fusion.localiser import Status, is_rigid
+from groundwalk.fusion.mobilearloc import (
+    MobileARLocOptions,
+    Rule,
+    Verdict,
+    averages_aligned,
+    has_closed_form,
+    reference,
+    scores,
+)
+from groundwalk.fusion.odometry import have_jumped
+from groundwalk.fusion.pair_check import are_consecutive, are_consistent, length_errors, pair_errors
+from groundwalk.fusion.walks import Walk, known
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import Array, tq_from_pose
 
 _STATUS = np.array([str(s) for s in Status], dtype=object)
 _CODE = {status: code for code, status in enumerate(Status)}

@@ -20,10 +20,10 @@ from math import acos, atan2, cos, exp, lgamma, log, pi, radians, sin, sqrt
 import numpy as np
 from pydantic import Field
 
-from fusion.error_map import ErrorMap, Expected
-from fusion.localiser import Estimate, Localiser, State, Status, plain
-from fusion.odometry import OdometryOptions
-from geometry.poses import Array
+from groundwalk.fusion.error_map import ErrorMap, Expected
+from groundwalk.fusion.localiser import Estimate, Localiser, State, Status, plain
+from groundwalk.fusion.odometry import OdometryOptions
+from groundwalk.geometry.poses import Array
 
 # The state of each filter: yaw of map_R_vio and the camera's map position, then the regressor's bias in these four,
 # in units of its local standard deviation.

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 from scipy.special import polygamma, psi
 
-from geometry.poses import Array
+from groundwalk.geometry.poses import Array
 
 LEAST_FRAMES = 60
 """With fewer held-out frames there is no map: a few walks' worst views would stand for the whole place."""

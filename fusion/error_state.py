@@ -12,9 +12,9 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from fusion.localiser import Estimate, State, Status, array, plain
-from fusion.odometry import OdometryLocaliser, OdometryOptions, raw
-from geometry.poses import Array, inverse, relative, skew
+from groundwalk.fusion.localiser import Estimate, State, Status, array, plain
+from groundwalk.fusion.odometry import OdometryLocaliser, OdometryOptions, raw
+from groundwalk.geometry.poses import Array, inverse, relative, skew
 
 
 class ErrorStateOptions(OdometryOptions):

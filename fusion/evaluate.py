@@ -9,17 +9,17 @@ from typing import Any
 import pandas as pd
 from pydantic import Field
 
-from artefacts import Settings
-from fusion.bootstrap import intervals
-from fusion.error_map import ErrorMap
-from fusion.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_rows, signal_rows
-from fusion.localiser import MethodOptions
-from fusion.methods import METHODS, method, resolve_options
-from fusion.mobilearloc import MobileARLocOptions
-from fusion.quaternion_order import refuse_scalar_first
-from fusion.summary import session_figures, summarise
-from fusion.sweep import around, sweep
-from fusion.walks import Evaluated, Walk, check_frames, check_predictions, evaluated, poses_for
+from groundwalk.artefacts import Settings
+from groundwalk.fusion.bootstrap import intervals
+from groundwalk.fusion.error_map import ErrorMap
+from groundwalk.fusion.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_rows, signal_rows
+from groundwalk.fusion.localiser import MethodOptions
+from groundwalk.fusion.methods import METHODS, method, resolve_options
+from groundwalk.fusion.mobilearloc import MobileARLocOptions
+from groundwalk.fusion.quaternion_order import refuse_scalar_first
+from groundwalk.fusion.summary import session_figures, summarise
+from groundwalk.fusion.sweep import around, sweep
+from groundwalk.fusion.walks import Evaluated, Walk, check_frames, check_predictions, evaluated, poses_for
 
 
 class FuseSettings(Settings):

@@ -8,12 +8,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from artefacts.tables import pose_frame
-from fusion.localiser import Estimate, Localiser
-from fusion.offline import Offline, stepped
-from fusion.walks import Walk, known
-from geometry.metrics import position_error, rotation_error_deg
-from geometry.poses import Array
+from groundwalk.artefacts.tables import pose_frame
+from groundwalk.fusion.localiser import Estimate, Localiser
+from groundwalk.fusion.offline import Offline, stepped
+from groundwalk.fusion.walks import Walk, known
+from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.geometry.poses import Array
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.localiser import Estimate, State, Status, array, plain
-from fusion.odometry import OdometryLocaliser, raw
-from fusion.pair_check import PairOptions, are_consecutive, are_consistent, pair_errors
-from geometry.poses import Array, inverse
+from groundwalk.fusion.localiser import Estimate, State, Status, array, plain
+from groundwalk.fusion.odometry import OdometryLocaliser, raw
+from groundwalk.fusion.pair_check import PairOptions, are_consecutive, are_consistent, pair_errors
+from groundwalk.geometry.poses import Array, inverse
 
 
 class LastGoodOptions(PairOptions):

@@ -4,20 +4,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from artefacts import UserError
-from artefacts.settings import validated
-from fusion.apr import Apr, AprOptions
-from fusion.drift_aware import DriftAware, DriftAwareOptions
-from fusion.error_map import ErrorMap
-from fusion.error_state import ErrorState, ErrorStateOptions
-from fusion.last_good import LastGood, LastGoodOptions
-from fusion.localiser import Localiser, MethodOptions
-from fusion.mobilearloc import MobileARLoc, MobileARLocOptions
-from fusion.offline import Offline
-from fusion.pose_graph import PoseGraph, PoseGraphOptions
-from fusion.smoother import Smoother, SmootherOptions
-from fusion.vio_oracle import VioOracle, VioOracleOptions
-from fusion.window import Window, WindowOptions
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.settings import validated
+from groundwalk.fusion.apr import Apr, AprOptions
+from groundwalk.fusion.drift_aware import DriftAware, DriftAwareOptions
+from groundwalk.fusion.error_map import ErrorMap
+from groundwalk.fusion.error_state import ErrorState, ErrorStateOptions
+from groundwalk.fusion.last_good import LastGood, LastGoodOptions
+from groundwalk.fusion.localiser import Localiser, MethodOptions
+from groundwalk.fusion.mobilearloc import MobileARLoc, MobileARLocOptions
+from groundwalk.fusion.offline import Offline
+from groundwalk.fusion.pose_graph import PoseGraph, PoseGraphOptions
+from groundwalk.fusion.smoother import Smoother, SmootherOptions
+from groundwalk.fusion.vio_oracle import VioOracle, VioOracleOptions
+from groundwalk.fusion.window import Window, WindowOptions
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from fusion.localiser import Estimate, Localiser, State, Status, array, plain
-from fusion.odometry import have_jumped
-from fusion.pair_check import PairOptions, are_consecutive, are_consistent, pair_errors
-from geometry.averages import fermat_points, geometric_median, karcher_mean, quaternion_mean
-from geometry.poses import Array, inverse, pose_from_tq, tq_from_pose
+from groundwalk.fusion.localiser import Estimate, Localiser, State, Status, array, plain
+from groundwalk.fusion.odometry import have_jumped
+from groundwalk.fusion.pair_check import PairOptions, are_consecutive, are_consistent, pair_errors
+from groundwalk.geometry.averages import fermat_points, geometric_median, karcher_mean, quaternion_mean
+from groundwalk.geometry.poses import Array, inverse, pose_from_tq, tq_from_pose
 
 _AT_ORIGIN_M = 1e-12
 

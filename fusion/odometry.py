@@ -5,8 +5,8 @@ from abc import abstractmethod
 import numpy as np
 from pydantic import Field
 
-from fusion.localiser import Estimate, Localiser, MethodOptions, State, Status, plain
-from geometry.poses import Array
+from groundwalk.fusion.localiser import Estimate, Localiser, MethodOptions, State, Status, plain
+from groundwalk.geometry.poses import Array
 
 
 class OdometryOptions(MethodOptions):

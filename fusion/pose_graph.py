@@ -10,10 +10,10 @@ from math import radians
 import numpy as np
 from pydantic import Field
 
-from fusion.localiser import Estimate, State, Status, array, plain
-from fusion.odometry import OdometryLocaliser, OdometryOptions, raw
-from geometry.pose_graph import smooth_chain
-from geometry.poses import Array, inverse, relative
+from groundwalk.fusion.localiser import Estimate, State, Status, array, plain
+from groundwalk.fusion.odometry import OdometryLocaliser, OdometryOptions, raw
+from groundwalk.geometry.pose_graph import smooth_chain
+from groundwalk.geometry.poses import Array, inverse, relative
 
 
 class PoseGraphOptions(OdometryOptions):

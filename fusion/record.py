@@ -8,13 +8,13 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from artefacts import recording as colours
-from artefacts.recording import TIMELINE, UP_AXIS, log_path
-from fusion.fuse import Fused, pose_errors
-from fusion.localiser import Status
-from fusion.methods import METHODS
-from fusion.walks import known
-from geometry.poses import Array, quaternion_from_matrix
+from groundwalk.artefacts import recording as colours
+from groundwalk.artefacts.recording import TIMELINE, UP_AXIS, log_path
+from groundwalk.fusion.fuse import Fused, pose_errors
+from groundwalk.fusion.localiser import Status
+from groundwalk.fusion.methods import METHODS
+from groundwalk.fusion.walks import known
+from groundwalk.geometry.poses import Array, quaternion_from_matrix
 
 FRAME_TIMELINE = "frame"  # sessions one after the other, however far apart their clocks
 

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.drift_aware import DriftAware, DriftAwareOptions
-from fusion.error_map import ErrorMap, Expected
-from fusion.localiser import Estimate, Status
-from fusion.offline import Offline, stepped
-from fusion.walks import Walk
-from geometry.poses import Array
+from groundwalk.fusion.drift_aware import DriftAware, DriftAwareOptions
+from groundwalk.fusion.error_map import ErrorMap, Expected
+from groundwalk.fusion.localiser import Estimate, Status
+from groundwalk.fusion.offline import Offline, stepped
+from groundwalk.fusion.walks import Walk
+from groundwalk.geometry.poses import Array
 
 # Information of the prior that both passes hold: the bias has unit variance, the alignment is unknown.
 _PRIOR = np.diag([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])

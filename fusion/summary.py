@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from fusion.fuse import Fused, pose_errors
-from fusion.methods import METHODS
-from fusion.walks import Flags, known
-from geometry.metrics import accuracy_shares, relative_error, sure_enough
-from geometry.poses import Array
+from groundwalk.fusion.fuse import Fused, pose_errors
+from groundwalk.fusion.methods import METHODS
+from groundwalk.fusion.walks import Flags, known
+from groundwalk.geometry.metrics import accuracy_shares, relative_error, sure_enough
+from groundwalk.geometry.poses import Array
 
 RUN = ["method", "options", "model", "scene"]
 _OFFLINE = [name for name, method in METHODS.items() if not method.causal]

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fusion.decide import Decisions, RuleWalk
-from fusion.fuse import pose_errors
-from fusion.localiser import Status
-from fusion.mobilearloc import MobileARLocOptions
-from fusion.summary import figures
-from fusion.walks import Flags, Walk, known
-from geometry.poses import Array
+from groundwalk.fusion.decide import Decisions, RuleWalk
+from groundwalk.fusion.fuse import pose_errors
+from groundwalk.fusion.localiser import Status
+from groundwalk.fusion.mobilearloc import MobileARLocOptions
+from groundwalk.fusion.summary import figures
+from groundwalk.fusion.walks import Flags, Walk, known
+from groundwalk.geometry.poses import Array
 
 # The paper's values are among them.
 VALUES: dict[str, tuple[float, ...]] = {

@@ -1,4 +1,4 @@
-"""`python -m fusion evaluate` and `sweep`: on three Parquet tables from anywhere."""
+"""`python -m groundwalk.fusion evaluate` and `sweep`: on three Parquet tables from anywhere."""
 
 import contextlib
 import hashlib
@@ -10,18 +10,18 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from artefacts import DataRoot, UserError
-from artefacts.files import fresh_folder, write_json
-from artefacts.progress import console
-from artefacts.recording import RECORDING, open_recording
-from artefacts.schemas import schema
-from artefacts.settings import SHIPPED_DATA, resolve_settings
-from artefacts.tables import dataset_frames, write_table
-from fusion.evaluate import FuseSettings, Inputs, evaluate, joined_walks, report_lines, resolved
-from fusion.mobilearloc import MobileARLocOptions
-from fusion.record import blueprint, record
-from fusion.sweep import around, grid, sweep
-from fusion.sweep_figure import write_sweep_figure
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.files import RECORDING, fresh_folder, write_json
+from groundwalk.artefacts.progress import console
+from groundwalk.artefacts.recording import open_recording
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
+from groundwalk.artefacts.tables import dataset_frames, write_table
+from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate, joined_walks, report_lines, resolved
+from groundwalk.fusion.mobilearloc import MobileARLocOptions
+from groundwalk.fusion.record import blueprint, record
+from groundwalk.fusion.sweep import around, grid, sweep
+from groundwalk.fusion.sweep_figure import write_sweep_figure
 
 _NOTE = "evaluation.json"
 

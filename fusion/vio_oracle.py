@@ -9,12 +9,12 @@ from math import radians
 import numpy as np
 from pydantic import Field
 
-from fusion.localiser import Estimate, Status
-from fusion.odometry import OdometryOptions, have_jumped
-from fusion.offline import Offline
-from fusion.walks import Walk, known
-from geometry.fits import fit_poses
-from geometry.poses import Array
+from groundwalk.fusion.localiser import Estimate, Status
+from groundwalk.fusion.odometry import OdometryOptions, have_jumped
+from groundwalk.fusion.offline import Offline
+from groundwalk.fusion.walks import Walk, known
+from groundwalk.geometry.fits import fit_poses
+from groundwalk.geometry.poses import Array
 
 
 class VioOracleOptions(OdometryOptions):

@@ -5,10 +5,10 @@ from collections import deque
 import numpy as np
 from pydantic import Field
 
-from fusion.localiser import Estimate, State, Status, array, plain
-from fusion.odometry import OdometryLocaliser, OdometryOptions, raw
-from geometry.fits import fit_poses, fit_robust, pose_residuals
-from geometry.poses import Array
+from groundwalk.fusion.localiser import Estimate, State, Status, array, plain
+from groundwalk.fusion.odometry import OdometryLocaliser, OdometryOptions, raw
+from groundwalk.geometry.fits import fit_poses, fit_robust, pose_residuals
+from groundwalk.geometry.poses import Array
 
 _TOLERANCE = 1e-3  # of the weights; the alignment is a centimetre's matter at best
 

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from geometry import GeometryError
-from geometry.poses import Array, canonical_quaternion
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import Array, canonical_quaternion
 
 _MAX_ITERATIONS = 10_000
 

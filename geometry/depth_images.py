@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
-from geometry import GeometryError
-from geometry.poses import Array
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import Array
 
 # Where the pixels around differ by more than this share, an edge is near and interpolation would mix two surfaces.
 _EDGE_SHARE = 0.05

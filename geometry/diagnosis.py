@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.motion_agreement import LEAST_STEP_M, LEAST_TURN, MotionAgreement, compare_motions
-from geometry.poses import Array, relative, rotation_angle
-from geometry.vio_agreement import Stretch, path_m
-from geometry.vio_drift import VioDrift
+from groundwalk.geometry.motion_agreement import LEAST_STEP_M, LEAST_TURN, MotionAgreement, compare_motions
+from groundwalk.geometry.poses import Array, relative, rotation_angle
+from groundwalk.geometry.vio_agreement import Stretch, path_m
+from groundwalk.geometry.vio_drift import VioDrift
 
 TURN_GAIN_LIMIT = 0.03
 """A model may turn by this share more or less than VIO; a wrong focal length makes it do so."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from geometry.poses import Array, skew
+from groundwalk.geometry.poses import Array, skew
 
 
 def sampson_px(a_T_b: Array, ray_a: Array, ray_b: Array, focal_a: Array, focal_b: Array) -> Array:

@@ -10,8 +10,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry import GeometryError
-from geometry.poses import Array, make_pose, rotation_angle, yaw_rotation
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import Array, make_pose, rotation_angle, yaw_rotation
 
 # Below this share of the largest singular value a direction counts as having no extent at all: it's rounding.
 _RANK_TOLERANCE = 1e-10
@@ -120,6 +120,23 @@ def fit_poses(
     cross += np.einsum("n,nij,nkj->ik", w, b[:, :3, :3], a[:, :3, :3]) / (2 * rotation_sd**2)
     rotation = _best_yaw(cross)[0] if yaw_only else _best_rotation(cross)[0]
     return make_pose(rotation, mean_a - rotation @ mean_b)
+
+
+def sim3_between(a_T_cam: ArrayLike, b_T_cam: ArrayLike) -> Sim3:
+    """The a_S_b that turns camera poses (N, 4, 4) of b into those of a, where one similarity relates all of them.
+
+    The camera rotations give the rotation, so that paths may be straight. GeometryError where all positions are the
+    same, as nothing gives the scale then.
+    """
+    a, b = np.asarray(a_T_cam, dtype=float), np.asarray(b_T_cam, dtype=float)
+    xyz_a, xyz_b, _ = _checked(a[:, :3, 3], b[:, :3, 3], None, 1)
+    mean_a, mean_b = xyz_a.mean(axis=0), xyz_b.mean(axis=0)
+    spread_a, spread_b = np.linalg.norm(xyz_a - mean_a), np.linalg.norm(xyz_b - mean_b)
+    if spread_b**2 <= len(b) * _rounding(xyz_b, xyz_b):
+        raise GeometryError(f"{len(a)} poses at one position don't determine a scale")
+    rotation = _best_rotation(np.einsum("nij,nkj->ik", b[:, :3, :3], a[:, :3, :3]))[0]
+    scale = float(spread_a / spread_b)
+    return Sim3(scale, rotation, mean_a - scale * rotation @ mean_b)
 
 
 def pose_residuals(a_T_cam: ArrayLike, b_T_cam: ArrayLike, a_T_b: ArrayLike) -> tuple[Array, Array]:

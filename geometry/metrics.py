@@ -7,7 +7,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geometry.poses import Array, inverse, quaternion_angle, relative, rotation_angle, tq_from_pose
+from groundwalk.geometry.poses import Array, inverse, quaternion_angle, relative, rotation_angle, tq_from_pose
 
 # (metres, degrees): high, medium and low accuracy.
 ACCURACY_LEVELS = {"high": (0.25, 2.0), "medium": (0.5, 5.0), "low": (5.0, 10.0)}

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from geometry.fits import fit_robust
-from geometry.poses import Array, rotation_angle
+from groundwalk.geometry.fits import fit_robust
+from groundwalk.geometry.poses import Array, rotation_angle
 
 # Pairs that turn or move less tell nothing.
 LEAST_TURN = np.radians(4.0)

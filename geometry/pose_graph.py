@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from geometry.poses import Array, inverse, relative, skew
+from groundwalk.geometry.poses import Array, inverse, relative, skew
 
 _MAX_ITERATIONS = 20
 _TOLERANCE = 1e-7

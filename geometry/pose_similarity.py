@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry import GeometryError
-from geometry.fits import Sim3, fit_poses, fit_robust, fit_sim3, pose_residuals
-from geometry.poses import Array
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import Sim3, fit_poses, fit_robust, fit_sim3, pose_residuals
+from groundwalk.geometry.poses import Array
 
 # In the fit, positions weigh as if they were off by this share of the cameras' extent and rotations by this angle: free
 # of units, a straight path gets its roll from the rotations, and elsewhere cameras that are all turned alike, as by a

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from geometry import GeometryError
+from groundwalk.geometry import GeometryError
 
 Array = NDArray[np.float64]
 

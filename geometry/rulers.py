@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry import GeometryError
-from geometry.fits import Sim3, fit_robust, fit_sim3
-from geometry.poses import Array
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import Sim3, fit_robust, fit_sim3
+from groundwalk.geometry.poses import Array
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]

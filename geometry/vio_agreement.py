@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry import GeometryError
-from geometry.decisions import beyond, within
-from geometry.fits import ROBUST_TOLERANCE, fit_poses, fit_robust, pose_residuals
-from geometry.poses import Array, relative
-from geometry.vio_drift import VioDrift
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.decisions import beyond, within
+from groundwalk.geometry.fits import ROBUST_TOLERANCE, fit_poses, fit_robust, pose_residuals
+from groundwalk.geometry.poses import Array, relative
+from groundwalk.geometry.vio_drift import VioDrift
 
 WINDOW_M = 10.0
 """Short windows suffer from noise of single positions, long ones from bending by VIO's drift."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.poses import Array
+from groundwalk.geometry.poses import Array
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
-"""`python -m reports`."""
+"""`python -m groundwalk.reports`."""
 
-from artefacts.cli import stage_app
-from reports.stage import STAGE
+from groundwalk.artefacts.cli import stage_app
+from groundwalk.reports.stage import STAGE
 
 app = stage_app(STAGE)
 

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from reports.grids import EMPTY, OURS, PUBLISHED
-from reports.inputs import SceneInputs
-from reports.published import SUBSETS, PrintedTables
-from reports.statistics import PAPER_METHOD, scene_scores
+from groundwalk.reports.grids import EMPTY, OURS, PUBLISHED
+from groundwalk.reports.inputs import SceneInputs
+from groundwalk.reports.published import SUBSETS, PrintedTables
+from groundwalk.reports.statistics import PAPER_METHOD, scene_scores
 
 TABLE_I, TABLE_II, TABLE_III, TABLE_IV = "I", "II", "III", "IV"
 AVERAGE = "average"

@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pandas as pd
 
-from geometry.metrics import ACCURACY_LEVELS
-from reports.published import SUBSETS, PrintedTables
+from groundwalk.geometry.metrics import ACCURACY_LEVELS
+from groundwalk.reports.published import SUBSETS, PrintedTables
 
 Interval = tuple[float, float]
 AGREES, DISAGREES, CAUTION = "agrees", "disagrees", "caution"

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from artefacts.progress import format_seconds
-from geometry.metrics import SURE_CLASSES
-from reports.cells import number
-from reports.checks import AGREES
-from reports.grids import EMPTY, OURS, Block, Grid, Row
-from reports.inputs import SceneInputs
-from reports.statistics import PAPER_METHOD
+from groundwalk.artefacts.progress import format_seconds
+from groundwalk.geometry.metrics import SURE_CLASSES
+from groundwalk.reports.cells import number
+from groundwalk.reports.checks import AGREES
+from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row
+from groundwalk.reports.inputs import SceneInputs
+from groundwalk.reports.statistics import PAPER_METHOD
 
 
 def _grid(key: str, title: str, caption: str, columns: list[str], rows: list[list[Any]], labels: int = 1) -> Grid:

@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from artefacts.tables import poses_of
-from geometry.poses import Array
-from reports import style
-from reports.inputs import SceneInputs
-from reports.statistics import paper_errors
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.poses import Array
+from groundwalk.reports import style
+from groundwalk.reports.inputs import SceneInputs
+from groundwalk.reports.statistics import paper_errors
 
 _NS = 1e-9
 

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from artefacts import StageRun
-from artefacts.tables import poses_of
-from geometry.metrics import sure_enough
+from groundwalk.artefacts import StageRun
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.metrics import sure_enough
 
 # Fewer training frames than this, and a regressor's accuracy says nothing about regressors.
 ENOUGH_TRAINING_FRAMES = 100

@@ -10,9 +10,9 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from artefacts import UserError
-from reports.grids import Grid, html_table
-from reports.inputs import SceneInputs
+from groundwalk.artefacts import UserError
+from groundwalk.reports.grids import Grid, html_table
+from groundwalk.reports.inputs import SceneInputs
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _THUMBNAIL_PX = 300

@@ -1,14 +1,15 @@
 """The paper's printed numbers, from data/published/, in the shape that our own tables have too."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
-from artefacts import UserError
-from artefacts.settings import SHIPPED_DATA
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.settings import SHIPPED_DATA
 
-PUBLISHED = SHIPPED_DATA / "published"
+PUBLISHED = DataRoot(SHIPPED_DATA).files("published")
 SUBSETS = ("rp", "opt", "rp+opt")
 _LEVEL_COLUMNS = {
     "high_pct_0.25m_2deg": "high",
@@ -37,28 +38,33 @@ class PrintedTables:
     levels: pd.DataFrame
 
 
-def load_published(folder: Path = PUBLISHED) -> PrintedTables:
-    """The paper's Tables I to III. UserError where a file is missing or isn't what it should be."""
-    dataset = _read(folder / "table1_dataset.csv", ["environment", "scene", "train_images", "test_images", "extent_m"])
+def load_published(files: Mapping[str, Path] = PUBLISHED) -> PrintedTables:
+    """The paper's Tables I to III, from files by name. UserError where a file is missing or isn't what it should be."""
+    dataset = _read(files, "table1_dataset.csv", ["environment", "scene", "train_images", "test_images", "extent_m"])
     errors = _read(
-        folder / "table2_pose_errors.csv",
+        files,
+        "table2_pose_errors.csv",
         ["environment", "scene", "subset", "method", "statistic", "translation_m", "rotation_deg"],
     )
-    levels = _read(folder / "table3_accuracy_levels.csv", ["environment", "scene", "subset", "method", *_LEVEL_COLUMNS])
+    levels = _read(files, "table3_accuracy_levels.csv", ["environment", "scene", "subset", "method", *_LEVEL_COLUMNS])
     return PrintedTables(
         "published", dataset, _split_method(errors), _split_method(levels.rename(columns=_LEVEL_COLUMNS))
     )
 
 
-def load_claims(folder: Path = PUBLISHED) -> pd.DataFrame:
-    """What the paper's text says about its tables, one claim a row (README.md in `folder` has the columns)."""
+def load_claims(files: Mapping[str, Path] = PUBLISHED) -> pd.DataFrame:
+    """What the paper's text says about its tables, one claim a row (README.md beside it has the columns)."""
     return _read(
-        folder / "claims.csv",
+        files,
+        "claims.csv",
         ["claim", "section", "says", "kind", "environment", "scenes", "subset", "model", "statistic", "quantity"],
     )
 
 
-def _read(path: Path, columns: list[str]) -> pd.DataFrame:
+def _read(files: Mapping[str, Path], name: str, columns: list[str]) -> pd.DataFrame:
+    path = files.get(name)
+    if path is None:
+        raise UserError("a file of published numbers isn't there", where=f"data/published/{name}")
     try:
         frame = pd.read_csv(path)
     except (OSError, ValueError) as error:

@@ -4,11 +4,11 @@ import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 
-from artefacts import recording
-from artefacts.tables import poses_of
-from reports.grids import Grid, markdown
-from reports.inputs import SceneInputs
-from reports.statistics import paper_errors
+from groundwalk.artefacts import recording
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.reports.grids import Grid, markdown
+from groundwalk.reports.inputs import SceneInputs
+from groundwalk.reports.statistics import paper_errors
 
 
 def blueprint(scenes: list[SceneInputs], grids: list[Grid]) -> rrb.Blueprint:

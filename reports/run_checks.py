@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from reports.checks import AGREES, CAUTION, DISAGREES, Finding
-from reports.inputs import LEAK_S, SceneInputs
+from groundwalk.reports.checks import AGREES, CAUTION, DISAGREES, Finding
+from groundwalk.reports.inputs import LEAK_S, SceneInputs
 
 
 def run_findings(scene: SceneInputs) -> Iterator[Finding]:

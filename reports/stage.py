@@ -5,16 +5,16 @@ from pathlib import Path
 import pandas as pd
 from pydantic import Field
 
-from artefacts import Settings, Stage, StageRun
-from reports import cells, details, page, style
-from reports.checks import AGREES, as_table, check_tables
-from reports.figures import scene_figures
-from reports.grids import OURS, Grid, html_table, latex, markdown
-from reports.inputs import SceneInputs, read_scene
-from reports.published import load_claims, load_published
-from reports.record import blueprint, record
-from reports.run_checks import run_findings
-from reports.tables import Tables
+from groundwalk.artefacts import Settings, Stage, StageRun
+from groundwalk.reports import cells, details, page, style
+from groundwalk.reports.checks import AGREES, as_table, check_tables
+from groundwalk.reports.figures import scene_figures
+from groundwalk.reports.grids import OURS, Grid, html_table, latex, markdown
+from groundwalk.reports.inputs import SceneInputs, read_scene
+from groundwalk.reports.published import load_claims, load_published
+from groundwalk.reports.record import blueprint, record
+from groundwalk.reports.run_checks import run_findings
+from groundwalk.reports.tables import Tables
 
 
 class ReportSettings(Settings):
@@ -25,7 +25,8 @@ class ReportSettings(Settings):
 
 def run(r: StageRun[ReportSettings]) -> None:
     scenes = [read_scene(r, leaf) for leaf in r.leaves]
-    published = load_published()
+    files = r.data.files("published")
+    published = load_published(files)
     with r.step("tables"):
         ours = cells.our_cells(scenes)
         parts = [ours, cells.published_cells(published, scenes)] if r.settings.published else [ours]
@@ -34,7 +35,7 @@ def run(r: StageRun[ReportSettings]) -> None:
         of_run = as_table([finding for scene in scenes for finding in run_findings(scene)], OURS)
         checked = [of_run, check_tables(cells.printed_tables(ours))]
         if r.settings.published:
-            checked.append(check_tables(published, load_claims()))
+            checked.append(check_tables(published, load_claims(files)))
         findings = pd.concat(checked, ignore_index=True)
         _write_tables(r.work / "tables", grids)
     r.write("cells", all_cells)

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from artefacts import UserError
-from geometry.metrics import accuracy_shares, sure_enough
-from reports.published import SUBSETS
+from groundwalk.artefacts import UserError
+from groundwalk.geometry.metrics import accuracy_shares, sure_enough
+from groundwalk.reports.published import SUBSETS
 
 PAPER_METHOD = "mobilearloc"
 _STATUSES = {"rp": ["reliable"], "opt": ["optimised"], "rp+opt": ["reliable", "optimised"]}

@@ -12,7 +12,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from artefacts import recording
+from groundwalk.artefacts import recording
 
 
 def _hex(rgb: tuple[int, int, int]) -> str:

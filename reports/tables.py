@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import pandas as pd
 
-from reports.cells import AVERAGE, LEVELS, TABLE_I, TABLE_II, TABLE_III, TABLE_IV, column_name
-from reports.grids import EMPTY, OURS, PUBLISHED, Block, Grid, Row
-from reports.inputs import SceneInputs
-from reports.statistics import PAPER_METHOD
+from groundwalk.reports.cells import AVERAGE, LEVELS, TABLE_I, TABLE_II, TABLE_III, TABLE_IV, column_name
+from groundwalk.reports.grids import EMPTY, OURS, PUBLISHED, Block, Grid, Row
+from groundwalk.reports.inputs import SceneInputs
+from groundwalk.reports.statistics import PAPER_METHOD
 
 SUBSET_TITLES = {
     "rp": "Only reliable predictions",

@@ -1,7 +1,7 @@
-"""`python -m sfm --help`."""
+"""`python -m groundwalk.sfm --help`."""
 
-from artefacts.cli import stage_app
-from sfm.stage import STAGE
+from groundwalk.artefacts.cli import stage_app
+from groundwalk.sfm.stage import STAGE
 
 app = stage_app(STAGE)
 

@@ -3,7 +3,8 @@ length that a session's frames share up to a factor, and a focus that breathes.
 
 Of an observation in image row y the point is seen from where the camera was at tau = (y / height - 1/2) readout after
 the middle row: with angular velocity w and velocity v in the axes of the camera, a point p there is seen along
-exp(-w tau) (p - v tau). The lens is OpenCV's k1, k2 (`geometry.lens`), further coefficients stay as they are stated.
+exp(-w tau) (p - v tau). The lens is OpenCV's k1, k2 (`groundwalk.geometry.lens`), further coefficients stay as
+they are stated.
 
 Unknowns: poses and points; k1, k2 and readout time of each lens; the logarithm of the factor of each session's focal
 lengths; and of each frame what its focal length deviates by from that and its angular velocity. All but poses and
@@ -15,13 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, lapack
 from scipy.sparse import bsr_array, coo_array, csr_array
 from scipy.spatial.transform import Rotation
 
-from geometry.lens import distort_with_slope
-from geometry.poses import Array, skew
-from sfm.normal_equations import block_rows, similarities
+from groundwalk.geometry.lens import distort_with_slope
+from groundwalk.geometry.poses import Array, skew
+from groundwalk.sfm.normal_equations import block_rows, similarities
 
 Ints = NDArray[np.int64]
 
@@ -32,6 +33,7 @@ _SIGMA_OF_MEDIAN = 1.4826
 _LOSS_WIDTH = 2.385  # of sigma (Zhang, "Parameter estimation techniques", 1997)
 _NARROWEST_LOSS_PX = 0.05
 _STEPS = 15
+_NO_READOUT_S = 1e-6
 _SETTLED = 1e-4  # relative change of the cost
 # How long a focus stays as it is, and the share of its variance that is each frame's alone.
 _FOCUS_LAG_S, _FOCUS_NOISE = 5.0, 1e-3
@@ -361,6 +363,46 @@ def adjust(
         if before - cost < _SETTLED * before:
             break
     return Adjusted(scene, cameras, priors, loss_px / loss_widening)
+
+
+def marginal_readout(adjusted: Adjusted) -> Adjusted:
+    """The adjusted scene with readout times whose bias is taken out, and all else moved along with them.
+
+    A frame's angular velocity w times the readout r is what its rows show. Where both are adjusted together, a larger r
+    makes each of its w less costly, as many times as there are frames, and r comes out too large by some per cent: the
+    maximum of the posterior of all unknowns isn't where r alone is most likely (Neyman and Scott, Econometrica 16,
+    1948). What is missing is the determinant of the information of the rest, whose derivative by log r is the number of
+    angular velocities that images rather than VIO tell; this is one Newton step towards the maximum with it (Laplace).
+    """
+    scene, cameras, priors = adjusted.scene, adjusted.cameras, adjusted.priors
+    linear = linearize(scene, cameras)
+    weight = 1 / (1 + np.sum(linear.residual**2, axis=1) / adjusted.loss_px**2)
+    variance = loss_variance(adjusted.loss_px)
+    information = prior_information(cameras, priors)
+    system = normal_equations(scene, cameras, linear, weight)
+    matrix = add_information(system.matrix, variance * information)
+    hold_gauge(matrix, scene.sfm_T_cam[:, :3, 3])
+    inverse = inverse_of(matrix)
+    angular = np.diag(inverse)[: _LOCAL * len(cameras.t_s)].reshape(-1, _LOCAL)[:, _ANGULAR]
+    by_images = 3 - variance * angular.sum(axis=1) / priors.angular_sd**2
+    pull = np.zeros(len(matrix))
+    readout = _LOCAL * len(cameras.t_s) + _LENS * np.arange(len(cameras.readout_s)) + 2
+    known = np.abs(cameras.readout_s) > _NO_READOUT_S
+    pull[readout[known]] = variance * np.bincount(cameras.lens, by_images)[known] / cameras.readout_s[known]
+    step = -inverse @ pull
+    still = replace(linear, residual=np.zeros_like(linear.residual))
+    at_rest = replace(system, point_gradient=np.zeros_like(system.point_gradient))
+    moved = with_step(scene, cameras, step, _point_step(scene, cameras, still, weight, at_rest, step))
+    return replace(adjusted, scene=moved[0], cameras=moved[1])
+
+
+def inverse_of(matrix: Array) -> Array:
+    """The inverse of a positive definite matrix, which is overwritten; LinAlgError where it is singular."""
+    triangle = cholesky(matrix, lower=True, overwrite_a=True)
+    lower, info = lapack.dpotri(triangle, lower=True, overwrite_c=True)
+    if info:
+        raise LinAlgError("the reduced camera system is singular")
+    return np.tril(lower) + np.tril(lower, -1).T
 
 
 def add_information(matrix: Array, information: csr_array) -> Array:

@@ -16,15 +16,15 @@ import pandas as pd
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from artefacts.child import Report
-from geometry.lens import distort, largest_shift, undistort
-from geometry.poses import Array, inverse, make_pose
-from sfm.database import Ints, create_database, image_id
-from sfm.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
-from sfm.matching import match_pairs
-from sfm.motion import Motion
-from sfm.pairs import Pairs
-from sfm.settings import SfmSettings
+from groundwalk.artefacts.child import Report
+from groundwalk.geometry.lens import distort, largest_shift, undistort
+from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.sfm.database import Ints, create_database, image_id
+from groundwalk.sfm.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
+from groundwalk.sfm.matching import match_pairs
+from groundwalk.sfm.motion import Motion
+from groundwalk.sfm.pairs import Pairs
+from groundwalk.sfm.settings import SfmSettings
 
 STATED, ESTIMATED, PRIOR = "stated", "estimated", "prior"
 
@@ -33,6 +33,7 @@ _PHONE = np.array([0.08, -0.12])
 _PHONE_COVARIANCE = np.array([[0.05**2, -0.8 * 0.05 * 0.08], [-0.8 * 0.05 * 0.08, 0.08**2]])
 # What a capture states is meant to be right.
 _STATED_SD = np.array([0.005, 0.01])
+_SAME_LENS_SD = np.array([*_STATED_SD, 0.002])
 _READOUT_SD_S = 0.02
 _UNBOUND = np.diag([0.1**2, 0.2**2, _READOUT_SD_S**2])
 _MOST_PAIRS = 160
@@ -91,6 +92,18 @@ class Calibration:
         partial = path.with_name(path.name + ".partial")
         partial.write_text(json.dumps(content), encoding="utf-8")
         partial.replace(path)
+
+    def near(self, lens: int, coefficients_8: Array, readout_s: float) -> "Calibration":
+        """The same with a prior around what a lens came out as with a model, for further models of its frames."""
+        before = self.lenses[lens]
+        sd = np.minimum(np.sqrt(np.diag(before.prior_covariance)), _SAME_LENS_SD)
+        known = replace(
+            before,
+            prior_coefficients=coefficients_8.tolist(),
+            prior_readout_s=float(readout_s),
+            prior_covariance=np.diag(sd**2).tolist(),
+        )
+        return replace(self, lenses=[known if k == lens else other for k, other in enumerate(self.lenses)])
 
     @classmethod
     def load(cls, path: Path) -> "Calibration":

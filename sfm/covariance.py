@@ -9,16 +9,17 @@ with priors, as in the adjustment, and their uncertainty is part of the poses'.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, lapack
+from scipy.linalg import LinAlgError
 from scipy.sparse import csr_array, vstack
 
-from geometry.poses import Array
-from sfm.adjustment import (
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.adjustment import (
     Adjusted,
     Ints,
     Linearized,
     add_information,
     hold_gauge,
+    inverse_of,
     linearize,
     local_unknowns,
     loss_variance,
@@ -27,7 +28,7 @@ from sfm.adjustment import (
     shared_columns,
     summed,
 )
-from sfm.normal_equations import block_rows, similarities
+from groundwalk.sfm.normal_equations import block_rows, similarities
 
 # The scatter of blobs tells that of the poses where there are some more of them than unknowns.
 _POINTS_PER_UNKNOWN = 2
@@ -75,7 +76,7 @@ def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
     matrix = add_information(system.matrix, variance * information)
     hold_gauge(matrix, scene.sfm_T_cam[:, :3, 3])
     try:
-        inverse = _inverse(matrix)
+        inverse = inverse_of(matrix)
     except LinAlgError:
         return None
     fitted = np.sqrt(2 * seen_by / np.maximum(2 * seen_by - 3, 1))[scene.point]
@@ -89,15 +90,6 @@ def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
     by_rows, by_cell = coherence(adjusted, linear.residual, blob_P)
     shared = max(by_rows, by_cell) * left @ inverse[:, shared_index]
     return Covariances(by_rows * poses, shared, by_rows, by_cell)
-
-
-def _inverse(matrix: Array) -> Array:
-    """The inverse of a positive definite matrix, which is overwritten."""
-    triangle = cholesky(matrix, lower=True, overwrite_a=True)
-    lower, info = lapack.dpotri(triangle, lower=True, overwrite_c=True)
-    if info:
-        raise LinAlgError("the reduced camera system is singular")
-    return np.tril(lower) + np.tril(lower, -1).T
 
 
 def _rows_of_unknowns(force_M14: Array, adjusted: Adjusted, blob_M: Ints, blobs: int) -> csr_array:

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from artefacts.child import Report
-from sfm.networks import options_of_network
-from sfm.settings import SfmSettings
+from groundwalk.artefacts.child import Report
+from groundwalk.sfm.networks import options_of_network
+from groundwalk.sfm.settings import SfmSettings
 
 # COLMAP starts anew for each chunk, and cores wait for its last image; progress is told at its end.
 _AT_ONCE = (8, 64)

@@ -10,9 +10,9 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from geometry.fits import fit_yaw
-from geometry.poses import Array, inverse, transform, yaw_rotation
-from sfm.database import image_id
+from groundwalk.geometry.fits import fit_yaw
+from groundwalk.geometry.poses import Array, inverse, transform, yaw_rotation
+from groundwalk.sfm.database import image_id
 
 Ints = NDArray[np.int64]
 

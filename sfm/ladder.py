@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from sfm.settings import SfmSettings
+from groundwalk.sfm.settings import SfmSettings
 
 TAKEN = "taken"
 TOO_FEW = "too few frames registered"

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.lens import undistort
-from geometry.poses import Array, skew
+from groundwalk.geometry.lens import undistort
+from groundwalk.geometry.poses import Array, skew
 
 Ints = NDArray[np.int64]
 

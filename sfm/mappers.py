@@ -9,9 +9,9 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from geometry.poses import Array
-from sfm.from_vio import map_from_vio
-from sfm.settings import MapperName
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.from_vio import map_from_vio
+from groundwalk.sfm.settings import MapperName
 
 SMALLEST_MODEL = 3
 _LEAF_IMAGES = 200

@@ -9,12 +9,12 @@ from typing import Any
 
 import pycolmap
 
-from artefacts.child import Report
-from sfm.database import read_keypoints
-from sfm.mappers import MAPPERS, MappingInput, continued
-from sfm.mapping_input import write_mapping_input
-from sfm.model_adjustment import CameraLog, adjust_model, save_adjusted
-from sfm.settings import SfmSettings
+from groundwalk.artefacts.child import Report
+from groundwalk.sfm.database import read_keypoints
+from groundwalk.sfm.mappers import MAPPERS, MappingInput, continued
+from groundwalk.sfm.mapping_input import write_mapping_input
+from groundwalk.sfm.model_adjustment import CameraLog, adjust_model, save_adjusted, with_lenses_of
+from groundwalk.sfm.settings import SfmSettings
 
 _EASIER_MIN_INLIERS = 15
 _BUILT = "built.json"
@@ -23,7 +23,7 @@ _BUILT = "built.json"
 @dataclass(frozen=True)
 class BuiltModel:
     """A model that mapping built: by what, its number there, its size, and, where it was kept, the folder that it's in;
-    beside it `<folder>.npz` has what `sfm.model_adjustment.load_adjusted` reads."""
+    beside it `<folder>.npz` has what `groundwalk.sfm.model_adjustment.load_adjusted` reads."""
 
     mapping: str
     number: int
@@ -62,7 +62,8 @@ def build_models(
     lacks images, a second mapping goes on from it with a lower bar for registering one. The largest of all is kept, and
     of the others those that have `component_frames` or more frames that no larger one has; a frame stays in the largest
     that has it. Each is adjusted once more as a whole, with the cameras as phones have them and robustly: a few per
-    cent of wrong observations would otherwise weigh more than all right ones.
+    cent of wrong observations would otherwise weigh more than all right ones. The largest comes first, and the others
+    take its lenses as they came out for a prior.
     """
     work = output.with_name(output.name + ".partial")
     shutil.rmtree(work, ignore_errors=True)
@@ -99,6 +100,7 @@ def build_models(
             model.deregister_frame(other)
         taken |= own
         adjusted, rows = adjust_model(model, keypoints, log, settings)
+        log = with_lenses_of(log, adjusted, rows)
         save_adjusted(work / f"{name}.npz", adjusted, rows)
         model.extract_colors_for_all_images(given.images)
         model.write_binary(folder(name))

@@ -9,13 +9,13 @@ import pycolmap
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.epipolar import sampson_px
-from geometry.lens import undistort
-from geometry.poses import Array, make_pose, relative
-from sfm.adjustment import Cameras
-from sfm.database import Ints, create_database, image_id, image_name, read_keypoints
-from sfm.held_out import choose_held_out
-from sfm.pairs import Pairs
+from groundwalk.geometry.epipolar import sampson_px
+from groundwalk.geometry.lens import undistort
+from groundwalk.geometry.poses import Array, make_pose, relative
+from groundwalk.sfm.adjustment import Cameras
+from groundwalk.sfm.database import Ints, create_database, image_id, image_name, read_keypoints
+from groundwalk.sfm.held_out import choose_held_out
+from groundwalk.sfm.pairs import Pairs
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,15 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from artefacts.child import Report
-from artefacts.cores import usable_cores
-from sfm.database import have_results, image_id
-from sfm.features import extraction_options
-from sfm.nearest import mutual_matches
-from sfm.networks import cannot_run, model_files, options_of_network
-from sfm.odometry import Comparison
-from sfm.pairs import Pairs
-from sfm.settings import SfmSettings
+from groundwalk.artefacts.child import Report
+from groundwalk.artefacts.cores import usable_cores
+from groundwalk.sfm.database import have_results, image_id
+from groundwalk.sfm.features import extraction_options
+from groundwalk.sfm.nearest import mutual_matches
+from groundwalk.sfm.networks import cannot_run, model_files, options_of_network
+from groundwalk.sfm.odometry import Comparison
+from groundwalk.sfm.pairs import Pairs
+from groundwalk.sfm.settings import SfmSettings
 
 _CHUNK = 128  # a bound on the descriptors in memory, and what a killed run matches again
 _TRIED_PX = 64

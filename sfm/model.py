@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from geometry.poses import Array, inverse, make_pose
-from sfm.adjustment import Scene
-from sfm.database import image_id
+from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.sfm.adjustment import Scene
+from groundwalk.sfm.database import image_id
 
 Ints = NDArray[np.int64]
 

@@ -1,4 +1,4 @@
-"""A COLMAP model adjusted with cameras as phones have them (`sfm.adjustment`), and the file that keeps the outcome."""
+"""A COLMAP model adjusted with cameras as phones have them (`groundwalk.sfm.adjustment`), and the outcome's file."""
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -8,19 +8,30 @@ import numpy as np
 import pandas as pd
 import pycolmap
 
-from artefacts.tables import poses_of
-from geometry.poses import Array, inverse, make_pose
-from sfm.adjustment import Adjusted, CameraPriors, Cameras, Scene, adjust, loss_variance, project
-from sfm.calibration import Calibration, prior_lenses
-from sfm.database import Ints, image_id
-from sfm.motion import Motion, motion_by_vio
-from sfm.settings import SfmSettings
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.sfm.adjustment import (
+    Adjusted,
+    CameraPriors,
+    Cameras,
+    Scene,
+    adjust,
+    loss_variance,
+    marginal_readout,
+    project,
+)
+from groundwalk.sfm.calibration import Calibration, prior_lenses
+from groundwalk.sfm.database import Ints, image_id
+from groundwalk.sfm.motion import Motion, motion_by_vio
+from groundwalk.sfm.settings import SfmSettings
 
 # A step between two frames over which VIO tells how long an sfm unit is.
 _LEAST_STEP_M = 0.02
-# By how much a session's logged focal lengths may be off in common, and a frame's; the latter counts as some frames.
+# By how much a session's logged focal lengths may be off in common, and a frame's: phones log their focus, and images
+# that tell it badly would make millimetres of more. What priors say of scatter counts as some frames, so that images
+# that show a focus that isn't logged are believed.
 _LOG_FOCAL_SD = 0.01
-_FOCUS_SD, _FOCUS_FRAMES = 0.002, 5
+_FOCUS_SD, _PRIOR_FRAMES = 0.0003, 5
 _FIRST_STEPS, _FIRST_LOSS_WIDENING = 8, 4.0
 _EXACT_SD = 1e-7
 _OUTLIER_SIGMAS = 4.0
@@ -81,12 +92,20 @@ def adjust_model(
     observations.filter_observations_with_negative_depth()
     rows, point_ids, scene, features = _scene_of(model, keypoints)
     if settings.refine_cameras != "never":
-        priors = replace(priors, focus_sd=_focus_sd(adjusted.cameras))
-    adjusted = adjust(scene, adjusted.cameras, priors)
+        priors = replace(priors, focus_sd=_focus_sd(adjusted.cameras), angular_sd=_angular_sd(adjusted))
+    adjusted = marginal_readout(adjust(scene, adjusted.cameras, priors))
     _write_back(model, rows, point_ids, adjusted, features)
     observations.filter_observations_with_negative_depth()
     model.update_point_3d_errors()
     return replace(adjusted, scene=_scene_of(model, keypoints)[2]), rows
+
+
+def with_lenses_of(log: CameraLog, adjusted: Adjusted, rows: Ints) -> CameraLog:
+    """The log with the lenses of an adjusted model, whose frames are `rows` (R,), as a prior for further models."""
+    calibration, cameras = log.calibration, adjusted.cameras
+    for number, lens in enumerate(np.unique(calibration.lens[rows]).tolist()):
+        calibration = calibration.near(lens, cameras.coefficients[number], cameras.readout_s[number])
+    return replace(log, calibration=calibration)
 
 
 def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cameras:
@@ -202,7 +221,16 @@ def _focus_sd(cameras: Cameras) -> Array:
     """(S,) how much the focus of each session's frames scatters, shrunk to what is expected."""
     square = np.bincount(cameras.session, cameras.focus**2, minlength=len(cameras.log_focal))
     count = np.bincount(cameras.session, minlength=len(cameras.log_focal))
-    return np.sqrt((_FOCUS_FRAMES * _FOCUS_SD**2 + square) / (_FOCUS_FRAMES + count))
+    return np.sqrt((_PRIOR_FRAMES * _FOCUS_SD**2 + square) / (_PRIOR_FRAMES + count))
+
+
+def _angular_sd(adjusted: Adjusted) -> Array:
+    """(N,) sigmas of VIO's angular velocities, larger where the images of a session say that they are."""
+    cameras, priors = adjusted.cameras, adjusted.priors
+    moved = np.mean((cameras.angular - priors.mean.angular) ** 2, axis=1) / priors.angular_sd**2
+    count = np.bincount(cameras.session)
+    growth = (_PRIOR_FRAMES + np.bincount(cameras.session, moved)) / (_PRIOR_FRAMES + count)
+    return priors.angular_sd * np.sqrt(np.maximum(growth, 1.0))[cameras.session]
 
 
 def _write_back(

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry import GeometryError
-from geometry.decisions import Status, decide
-from geometry.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT, diagnose
-from geometry.fits import Sim3
-from geometry.poses import Array
-from geometry.vio_agreement import (
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.decisions import Status, decide
+from groundwalk.geometry.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT, diagnose
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.vio_agreement import (
     POSE_SD,
     STEP_M,
     STEP_SCALE_SD,
@@ -25,8 +25,8 @@ from geometry.vio_agreement import (
     compare_windows,
     recording_scale,
 )
-from geometry.vio_drift import VioDrift
-from sfm.odometry import Odometry
+from groundwalk.geometry.vio_drift import VioDrift
+from groundwalk.sfm.odometry import Odometry
 
 # Millimetres are nothing against the limits, which are a decimetre and more: a few rounds of each fit will do.
 _TOLERANCE = 0.05

@@ -5,8 +5,8 @@ from typing import Any
 
 import pycolmap
 
-from artefacts import UserError
-from sfm.settings import SfmSettings
+from groundwalk.artefacts import UserError
+from groundwalk.sfm.settings import SfmSettings
 
 _DO = "install a pycolmap that was built with ONNX (COLMAP's ONNX_ENABLED), or set {setting}"
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import bsr_array
 
-from geometry.poses import Array, skew
+from groundwalk.geometry.poses import Array, skew
 
 
 def block_rows(

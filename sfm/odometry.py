@@ -10,9 +10,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.poses import Array, rotation_angle
-from geometry.vio_drift import VioDrift
-from sfm.pairs import Pairs
+from groundwalk.geometry.poses import Array, rotation_angle
+from groundwalk.geometry.vio_drift import VioDrift
+from groundwalk.sfm.pairs import Pairs
 
 # Below this median angle between the rays of a pair's points the images hardly tell the direction of motion.
 _LEAST_TRIANGULATION = np.radians(3.0)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from geometry.poses import Array
+from groundwalk.geometry.poses import Array
 
 Pairs = NDArray[np.int64]
 

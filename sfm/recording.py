@@ -9,16 +9,26 @@ import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 
-from artefacts import StageRun
-from artefacts.parallel import in_parallel
-from artefacts.recording import APR, FUSED, GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
-from artefacts.tables import camera_of, poses_of
-from artefacts.undistortion import undistorted_image
-from geometry.cameras import Camera
-from geometry.poses import Array
-from sfm.matching import MatchedPairs
-from sfm.model import Model
-from sfm.settings import SfmSettings
+from groundwalk.artefacts import StageRun
+from groundwalk.artefacts.parallel import in_parallel
+from groundwalk.artefacts.recording import (
+    APR,
+    FUSED,
+    GROUND_TRUTH,
+    NEUTRAL,
+    REJECTED,
+    UP_AXIS,
+    VIO,
+    log_camera,
+    log_path,
+)
+from groundwalk.artefacts.tables import camera_of, poses_of
+from groundwalk.artefacts.undistortion import undistorted_image
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.matching import MatchedPairs
+from groundwalk.sfm.model import Model
+from groundwalk.sfm.settings import SfmSettings
 
 _TIMELINE = "frame"
 _MOST_FRUSTA = 200

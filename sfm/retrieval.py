@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sfm.database import Descriptors
-from sfm.pairs import Pairs, unique_pairs
-from sfm.settings import RetrievalName
+from groundwalk.sfm.database import Descriptors
+from groundwalk.sfm.pairs import Pairs, unique_pairs
+from groundwalk.sfm.settings import RetrievalName
 
 Floats = NDArray[np.float32]
 

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from artefacts import Settings
+from groundwalk.artefacts import Settings
 
 MapperName = Literal["incremental", "global", "hierarchical", "vio"]
 FeatureName = Literal["sift", "aliked"]

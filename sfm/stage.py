@@ -8,16 +8,16 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from artefacts import Stage, StageRun, UserError
-from artefacts.child import Task, in_child
-from artefacts.tables import poses_of, with_cameras
-from geometry.motion_agreement import compare_motions
-from geometry.poses import Array, relative
-from geometry.vio_drift import VioDrift
-from sfm.adjustment import Adjusted
-from sfm.calibration import Calibration, calibrate, with_lenses, write_calibrated_database
-from sfm.covariance import Covariances, covariances
-from sfm.database import (
+from groundwalk.artefacts import Stage, StageRun, UserError
+from groundwalk.artefacts.child import Task, in_child
+from groundwalk.artefacts.tables import poses_of, with_cameras
+from groundwalk.geometry.motion_agreement import compare_motions
+from groundwalk.geometry.poses import Array, relative
+from groundwalk.geometry.vio_drift import VioDrift
+from groundwalk.sfm.adjustment import Adjusted
+from groundwalk.sfm.calibration import Calibration, calibrate, with_lenses, write_calibrated_database
+from groundwalk.sfm.covariance import Covariances, covariances
+from groundwalk.sfm.database import (
     create_database,
     have_features,
     have_results,
@@ -26,18 +26,18 @@ from sfm.database import (
     read_descriptors,
     read_pair_results,
 )
-from sfm.features import extract_features, features_name
-from sfm.ladder import OTHERWISE, Attempt, climb, outcome_of
-from sfm.mappers import MappingInput
-from sfm.mapping import BuiltModel, kept_models, map_verified, read_built
-from sfm.mapping_input import HeldOutCheck, held_out_check, read_matches
-from sfm.matching import ONE_THREAD, MatchedPairs, match_pairs, try_networks
-from sfm.model import Model, blobs_of, load_models
-from sfm.model_adjustment import CameraLog, camera_log, cameras_of_frames, load_adjusted
-from sfm.model_check import check_models
-from sfm.networks import model_files, require_model_files
-from sfm.odometry import Odometry, PairLimits, drift_between, nothing_compared, odometry
-from sfm.pairs import (
+from groundwalk.sfm.features import extract_features, features_name
+from groundwalk.sfm.ladder import OTHERWISE, Attempt, climb, outcome_of
+from groundwalk.sfm.mappers import MappingInput
+from groundwalk.sfm.mapping import BuiltModel, kept_models, map_verified, read_built
+from groundwalk.sfm.mapping_input import HeldOutCheck, held_out_check, read_matches
+from groundwalk.sfm.matching import ONE_THREAD, MatchedPairs, match_pairs, try_networks
+from groundwalk.sfm.model import Model, blobs_of, load_models
+from groundwalk.sfm.model_adjustment import CameraLog, camera_log, cameras_of_frames, load_adjusted
+from groundwalk.sfm.model_check import check_models
+from groundwalk.sfm.networks import model_files, require_model_files
+from groundwalk.sfm.odometry import Odometry, PairLimits, drift_between, nothing_compared, odometry
+from groundwalk.sfm.pairs import (
     Pairs,
     first_origins,
     sequence_pairs,
@@ -47,10 +47,11 @@ from sfm.pairs import (
     vio_pairs,
     within_vio_limits,
 )
-from sfm.recording import write_recording
-from sfm.retrieval import RETRIEVALS, retrieval_pairs
-from sfm.settings import SfmSettings
-from sfm.tables import (
+from groundwalk.sfm.recording import write_recording
+from groundwalk.sfm.residuals import draw_residuals, pattern_of, residual_patterns
+from groundwalk.sfm.retrieval import RETRIEVALS, retrieval_pairs
+from groundwalk.sfm.settings import SfmSettings
+from groundwalk.sfm.tables import (
     attempts_table,
     camera_tables,
     images_table,
@@ -58,8 +59,9 @@ from sfm.tables import (
     pairs_table,
     points_table,
 )
-from sfm.two_views import compare_pairs
+from groundwalk.sfm.two_views import compare_pairs
 
+RESIDUALS_PICTURE = "residuals.png"
 _FEWEST_FRAMES = 3
 _FEWEST_COMPARED = 8
 _UNTRACKED = ("limited", "lost")
@@ -116,6 +118,9 @@ def run(r: StageRun[SfmSettings]) -> None:
     lenses, intrinsics = camera_tables(scene.cameras, kept, parts, estimates)
     r.write("lenses", lenses)
     r.write("intrinsics", intrinsics)
+    residuals = _residuals(r, scene, kept, parts)
+    r.write("residuals", residuals)
+    draw_residuals(r.work / RESIDUALS_PICTURE, residuals)
     r.write("attempts", attempts_table(attempts, taken))
     r.write("pairs", pairs_table(frame_ids, mapped.matched))
     r.write("points", points_table(model, kept))
@@ -168,6 +173,24 @@ def _tell(
     )
     if disagree:
         r.say(f"{disagree} verified pairs were kept out, as VIO moved otherwise (table pairs)")
+
+
+def _residuals(
+    r: StageRun[SfmSettings], scene: _Scene, kept: list[BuiltModel], parts: list[tuple[Adjusted, NDArray[np.int64]]]
+) -> pd.DataFrame:
+    """Table residuals of all models; a line for each lens whose residuals show a pattern."""
+    tables = []
+    for one, (adjusted, rows) in zip(kept, parts, strict=True):
+        calibration = scene.cameras.calibration
+        lens_ids = [calibration.lenses[k].lens_id for k in np.unique(calibration.lens[rows])]
+        tables.append(residual_patterns(one.model_id, lens_ids, adjusted))
+        for lens_id, residuals in tables[-1].groupby("lens_id", sort=True):
+            if pattern := pattern_of(residuals):
+                r.say(
+                    f"model {one.model_id}, lens of {lens_id}: residuals look like a {pattern[0]} that isn't modelled "
+                    f"({pattern[1]:.2f} px, {RESIDUALS_PICTURE})"
+                )
+    return pd.concat(tables, ignore_index=True)
 
 
 def _say_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: pd.DataFrame) -> None:
@@ -512,7 +535,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=11,
+    version=12,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -6,18 +6,21 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from artefacts.schemas import schema
-from artefacts.tables import pose_frame
-from geometry.poses import Array
-from sfm.adjustment import Adjusted, Cameras, Ints
-from sfm.calibration import distortion_lists
-from sfm.covariance import Covariances
-from sfm.ladder import Attempt
-from sfm.mapping import BuiltModel, kept_models
-from sfm.mapping_input import HeldOutCheck
-from sfm.matching import MatchedPairs
-from sfm.model import Model
-from sfm.model_adjustment import CameraLog
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import pose_frame
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.adjustment import Adjusted, Cameras, Ints
+from groundwalk.sfm.calibration import distortion_lists
+from groundwalk.sfm.covariance import Covariances
+from groundwalk.sfm.ladder import Attempt
+from groundwalk.sfm.mapping import BuiltModel, kept_models
+from groundwalk.sfm.mapping_input import HeldOutCheck
+from groundwalk.sfm.matching import MatchedPairs
+from groundwalk.sfm.model import Model
+from groundwalk.sfm.model_adjustment import CameraLog
+
+# Images tell the product of readout and angular velocity: by how much VIO's may all be off, as filters smooth them.
+_RATE_SCALE_SD = 0.02
 
 
 def images_table(
@@ -106,7 +109,7 @@ def camera_tables(
                     "k1_k2_correlation": covariance[k, k + 1] / (sd[k] * sd[k + 1]),
                     "k1_focal_correlation": with_focal[0].mean(),
                     "readout_s": cameras.readout_s[number],
-                    "readout_sd_s": sd[k + 2],
+                    "readout_sd_s": np.hypot(sd[k + 2], _RATE_SCALE_SD * cameras.readout_s[number]),
                     "stated_k1": lens.stated[0],
                     "stated_k2": lens.stated[1],
                     "origin": lens.origin,

@@ -7,11 +7,11 @@ import pycolmap
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from geometry.epipolar import sampson_px
-from geometry.poses import Array, inverse, make_pose, relative
-from sfm.database import image_id
-from sfm.odometry import Comparison, Odometry, PairLimits, compare_with_vio
-from sfm.pairs import Pairs
+from groundwalk.geometry.epipolar import sampson_px
+from groundwalk.geometry.poses import Array, inverse, make_pose, relative
+from groundwalk.sfm.database import image_id
+from groundwalk.sfm.odometry import Comparison, Odometry, PairLimits, compare_with_vio
+from groundwalk.sfm.pairs import Pairs
 
 # COLMAP's own bound for a match that fits, px, and the share of a pair's matches that a pose explains as well.
 _ERROR_PX = 4.0

@@ -1,4 +1,4 @@
-"""`python -m simulation --scene …`: simulated captures for a scene that has none."""
+"""`python -m groundwalk.simulation --scene …`: simulated captures for a scene that has none."""
 
 import os
 from pathlib import Path
@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
-from artefacts.cli import DataOption, ProfileOption, SceneOption, SetOption, new_app, settings_help
-from artefacts.settings import DataRoot
-from simulation.scenes import NAMES
-from simulation.settings import SimulateSettings
-from simulation.simulate import simulate
+from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, SetOption, new_app, settings_help
+from groundwalk.artefacts.settings import DataRoot
+from groundwalk.simulation.scenes import NAMES
+from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.simulation.simulate import simulate
 
 _HELP = (
     f"Simulate captures of {', '.join(NAMES)} into data/captures: procedural places, hand-held walks, rendered images, "

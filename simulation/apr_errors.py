@@ -5,8 +5,8 @@ error, which changes smoothly as the camera moves and turns. Beside this bias th
 with some frames far worse than others. How large both are differs over the map by an order of magnitude: some places
 are hard.
 
-Sizes are matched to published errors, scene by scene (`python -m simulation.fit_apr_errors`); the fields of `AprModel`
-with a default are what no publication says. Nothing here was measured on a regressor of ours.
+Sizes are matched to published errors, scene by scene (`python -m groundwalk.simulation.fit_apr_errors`); the fields of
+`AprModel` with a default are what no publication says. Nothing here was measured on a regressor of ours.
 """
 
 import tomllib
@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from artefacts import UserError
-from geometry import GeometryError
-from geometry.poses import Array, make_pose
+from groundwalk.artefacts import UserError
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import Array, make_pose
 
 FIT_FILE = Path(__file__).with_name("apr_errors.toml")
 
@@ -151,7 +151,7 @@ def _fields(where: Array, count: int, seed: list[int]) -> Array:
 
 
 def read_apr_models(path: Path = FIT_FILE) -> dict[tuple[str, str], AprModel]:
-    """Models by (scene, regressor), as `python -m simulation.fit_apr_errors` wrote them."""
+    """Models by (scene, regressor), as `python -m groundwalk.simulation.fit_apr_errors` wrote them."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, tomllib.TOMLDecodeError) as error:

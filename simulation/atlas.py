@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts import UserError
+from groundwalk.artefacts import UserError
 
 LEVELS = 6
 _GUTTER = 1 << (LEVELS - 1)  # one texel of the coarsest level: neighbours never bleed into a picture

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from simulation.lens import Lens
-from simulation.place import Vec
-from simulation.render import Rendering, View
-from simulation.settings import Drawn, SimulateSettings
+from groundwalk.simulation.lens import Lens
+from groundwalk.simulation.place import Vec
+from groundwalk.simulation.render import Rendering, View
+from groundwalk.simulation.settings import Drawn, SimulateSettings
 
 FOCAL = 1447.65 / 1920  # of the image width: a phone's wide camera, 4:3
 _CENTRE = (967.5 / 1920, 692.5 / 1920)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from artefacts.simulated import FRAME
-from geometry.poses import ARKIT_CAM_T_CAM, inverse, rotation_angle
-from simulation.place import Vec
+from groundwalk.artefacts.simulated import FRAME
+from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, inverse, rotation_angle
+from groundwalk.simulation.place import Vec
 
 
 @dataclass(frozen=True)

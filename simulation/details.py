@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from simulation.canvas import Bgr, Canvas, vary
+from groundwalk.simulation.canvas import Bgr, Canvas, vary
 
 _SYLLABLES = [
     "ba",

@@ -18,10 +18,10 @@ from scipy.linalg import cho_solve
 from scipy.optimize import brentq, minimize
 from scipy.stats import chi2
 
-from geometry.fits import fit_sim3
-from geometry.poses import Array, relative
-from simulation.recordings import SteadyLog, TagWalk, TruthPair
-from simulation.vio import wander_variance
+from groundwalk.geometry.fits import fit_sim3
+from groundwalk.geometry.poses import Array, relative
+from groundwalk.simulation.recordings import SteadyLog, TagWalk, TruthPair
+from groundwalk.simulation.vio import wander_variance
 
 # Between tags closer than this, where the tags are seen matters more than the drift.
 _LEAST_SEGMENT_M = 4.0

@@ -11,11 +11,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from geometry.poses import Array
-from simulation.drift_fit import closures, heading_changes
-from simulation.recordings import TagWalk
-from simulation.rewalk import rewalk
-from simulation.vio import VioModel
+from groundwalk.geometry.poses import Array
+from groundwalk.simulation.drift_fit import closures, heading_changes
+from groundwalk.simulation.recordings import TagWalk
+from groundwalk.simulation.rewalk import rewalk
+from groundwalk.simulation.vio import VioModel
 
 _REPEATS = 60
 _BINS_M = np.array([0, 20, 50, 80, 120, 180, 250, 400])

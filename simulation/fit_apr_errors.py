@@ -1,4 +1,4 @@
-"""`python -m simulation.fit_apr_errors`: matches the model of regressors' errors to the published rows PN and MS-T.
+"""`python -m groundwalk.simulation.fit_apr_errors`: matches the model of regressors' errors to published PN and MS-T.
 
 For each scene and regressor the sizes are fitted to Tables II and III: mean and median errors and the accuracy levels
 of the raw predictions, over all frames and over the frames that the paper's rule replaced, and the share of frames that
@@ -16,14 +16,14 @@ import typer
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from artefacts.cli import new_app
-from artefacts.progress import track
-from artefacts.settings import SHIPPED_DATA
-from geometry.metrics import ACCURACY_LEVELS, step_lengths
-from geometry.poses import Array
-from simulation.apr_errors import FIT_FILE, AprModel, StandardErrors, apr_errors, apr_seeds, standard_errors
-from simulation.pose_walks import pose_walks
-from simulation.scenes import NAMES
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.progress import track
+from groundwalk.artefacts.settings import SHIPPED_DATA
+from groundwalk.geometry.metrics import ACCURACY_LEVELS, step_lengths
+from groundwalk.geometry.poses import Array
+from groundwalk.simulation.apr_errors import FIT_FILE, AprModel, StandardErrors, apr_errors, apr_seeds, standard_errors
+from groundwalk.simulation.pose_walks import pose_walks
+from groundwalk.simulation.scenes import NAMES
 
 REGRESSORS = ("PN", "MS-T")
 _STEP = 0.1  # of the fit's numbers, to see which way is better
@@ -31,8 +31,8 @@ PAIR_M, PAIR_DEG = 0.4, 4.0  # the paper's d_th and o_th
 
 _LEVEL_COLUMNS = ["high_pct_0.25m_2deg", "medium_pct_0.5m_5deg", "low_pct_5m_10deg"]
 _HEADER = (
-    "# Written by `python -m simulation.fit_apr_errors`: regressors' errors for simulation/apr_errors.py, matched to\n"
-    "# published tables. Nothing here was measured.\n"
+    "# Written by `python -m groundwalk.simulation.fit_apr_errors`: regressors' errors for\n"
+    "# simulation/apr_errors.py, matched to published tables. Nothing here was measured.\n"
 )
 _FITTED = [f for f in fields(AprModel) if f.default is MISSING]
 # Where the search begins; sizes begin at the published medians, and lengths short and long.

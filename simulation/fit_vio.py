@@ -1,4 +1,4 @@
-"""`python -m simulation.fit_vio --trajectories … --out …`: measures phone odometry's drift on real recordings."""
+"""`python -m groundwalk.simulation.fit_vio --trajectories … --out …`: measures phone odometry's drift on recordings."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -10,8 +10,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from artefacts.cli import new_app
-from simulation.drift_fit import (
+from groundwalk.artefacts.cli import new_app
+from groundwalk.simulation.drift_fit import (
     JUMP_MIN_M,
     Estimate,
     TruthCheck,
@@ -23,16 +23,18 @@ from simulation.drift_fit import (
     fit_yaw_drift,
     rate,
 )
-from simulation.drift_plots import write_plots
-from simulation.recordings import Recordings, read_recordings
-from simulation.vio import FIT_FILE, VioModel, read_model
+from groundwalk.simulation.drift_plots import write_plots
+from groundwalk.simulation.recordings import Recordings, read_recordings
+from groundwalk.simulation.vio import FIT_FILE, VioModel, read_model
 
 RPE_1M_M = 0.02
 """ARKit's relative pose error over about 1 s or 1 m of walking: Kim et al., Sensors 22(24), 9873, 2022."""
 
 _TAG_WALKS = "5 ARKit walks past AprilTags (Invisible Map)"
 _STEADY = "2 ARKit logs at 60 Hz (ARKit Data Logger)"
-_HEADER = "# Written by `python -m simulation.fit_vio`; docs/vio-drift.md says how each number was measured.\n"
+_HEADER = (
+    "# Written by `python -m groundwalk.simulation.fit_vio`; docs/vio-drift.md says how each number was measured.\n"
+)
 
 
 @dataclass(frozen=True)

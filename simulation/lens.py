@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.place import Vec
+from groundwalk.simulation.place import Vec
 
 F32 = NDArray[np.float32]
 _NODES = 1 << 16

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.place import Light, Quad, Vec
-from simulation.raycast import Caster
+from groundwalk.simulation.place import Light, Quad, Vec
+from groundwalk.simulation.raycast import Caster
 
 SPACING_M = 0.15  # between light samples; pictures are finer
 _SKY_RAYS = 24

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from simulation.canvas import Bgr, Canvas, Field
+from groundwalk.simulation.canvas import Bgr, Canvas, Field
 
 Material = Callable[[Canvas], None]
 _FINE = (0.006, 0.011, 0.02, 0.04, 0.09, 0.2)

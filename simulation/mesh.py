@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation import atlas
-from simulation.canvas import Canvas
-from simulation.lighting import brightness, light_on_quad
-from simulation.place import Crown, Place, Quad, Vec
-from simulation.raycast import Caster
+from groundwalk.simulation import atlas
+from groundwalk.simulation.canvas import Canvas
+from groundwalk.simulation.lighting import brightness, light_on_quad
+from groundwalk.simulation.place import Crown, Place, Quad, Vec
+from groundwalk.simulation.raycast import Caster
 
 _ARRAYS = "mesh.npz"
 _ATLAS = "atlas.npy"

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.canvas import Bgr, Canvas
-from simulation.materials import Material, foliage, plain, wood
+from groundwalk.simulation.canvas import Bgr, Canvas
+from groundwalk.simulation.materials import Material, foliage, plain, wood
 
 Vec = NDArray[np.float64]
 Xz = tuple[float, float]

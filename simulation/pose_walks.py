@@ -7,14 +7,14 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts import DataRoot
-from artefacts.settings import SHIPPED_DATA, resolve_settings
-from geometry.poses import Array, inverse
-from simulation.scenes import scenery
-from simulation.session import outline
-from simulation.settings import SimulateSettings
-from simulation.vio import start_frame
-from simulation.walks import plan_walk
+from groundwalk.artefacts import DataRoot
+from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
+from groundwalk.geometry.poses import Array, inverse
+from groundwalk.simulation.scenes import scenery
+from groundwalk.simulation.session import outline
+from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.simulation.vio import start_frame
+from groundwalk.simulation.walks import plan_walk
 
 
 @dataclass(frozen=True, eq=False)

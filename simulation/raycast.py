@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts import UserError
+from groundwalk.artefacts import UserError
 
 NOTHING = -1
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from artefacts import UserError
-from geometry.poses import ARKIT_CAM_T_CAM, Array
+from groundwalk.artefacts import UserError
+from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array
 
 TAG_WALKS = "invisible_map_arkit/benchmarking/datasets"
 STEADY_LOGS = "arkit_data_logger/Visualization"

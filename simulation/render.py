@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation import atlas
-from simulation.lens import PINHOLE, Lens
-from simulation.mesh import TexturedMesh
-from simulation.place import Vec
-from simulation.raycast import NOTHING, Caster, Hits
-from simulation.shutter import Shutter, turned
+from groundwalk.simulation import atlas
+from groundwalk.simulation.lens import PINHOLE, Lens
+from groundwalk.simulation.mesh import TexturedMesh
+from groundwalk.simulation.place import Vec
+from groundwalk.simulation.raycast import NOTHING, Caster, Hits
+from groundwalk.simulation.shutter import Shutter, turned
 
 F32 = NDArray[np.float32]
 _MAX_TAPS = 8

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.poses import Array
-from simulation.recordings import TagWalk
-from simulation.vio import VioModel, simulate_vio
+from groundwalk.geometry.poses import Array
+from groundwalk.simulation.recordings import TagWalk
+from groundwalk.simulation.vio import VioModel, simulate_vio
 
 _STEP_M = 0.5
 _SPEED_M_PER_S = 0.75

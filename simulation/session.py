@@ -8,17 +8,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from geometry.poses import inverse
-from simulation import camera
-from simulation.camera import Exposure, Phone
-from simulation.capture import FRAME, SessionFrames
-from simulation.place import Vec
-from simulation.render import Renderer, Sky, View
-from simulation.scenes import SceneryPlan
-from simulation.settings import SimulateSettings
-from simulation.shutter import row_times, shutter
-from simulation.vio import simulate_vio
-from simulation.walks import Walk, plan_walk
+from groundwalk.geometry.poses import inverse
+from groundwalk.simulation import camera
+from groundwalk.simulation.camera import Exposure, Phone
+from groundwalk.simulation.capture import FRAME, SessionFrames
+from groundwalk.simulation.place import Vec
+from groundwalk.simulation.render import Renderer, Sky, View
+from groundwalk.simulation.scenes import SceneryPlan
+from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.simulation.shutter import row_times, shutter
+from groundwalk.simulation.vio import simulate_vio
+from groundwalk.simulation.walks import Walk, plan_walk
 
 _METER_PX = (32, 24)  # the picture auto exposure looks at
 _METER_STEP_S = 0.5

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from artefacts import Settings
+from groundwalk.artefacts import Settings
 
 Drawn = Literal["drawn"]
 # "drawn": lens, readout time and focus as measured on phones, another one for each scene and seed.

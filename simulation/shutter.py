@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.poses import inverse, quaternion_from_matrix
-from simulation.place import Vec
+from groundwalk.geometry.poses import inverse, quaternion_from_matrix
+from groundwalk.simulation.place import Vec
 
 F32 = NDArray[np.float32]
 _ROWS = (-0.5, -0.25, 0.25, 0.5)  # of the height, from the middle row

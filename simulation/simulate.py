@@ -12,22 +12,22 @@ from typing import Any
 import cv2
 import pandas as pd
 
-from artefacts import DataRoot, UserError
-from artefacts.files import partial_folder, read_json, swap_in, write_json
-from artefacts.locks import locked
-from artefacts.progress import console, track
-from artefacts.resuming import run_resumable
-from artefacts.schemas import schema
-from artefacts.settings import resolve_settings
-from artefacts.signals import signals_held
-from artefacts.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES, simulated_files
-from artefacts.tables import pose_frame, write_table
-from simulation.capture import write_frames
-from simulation.mesh import TexturedMesh, build_mesh, is_saved
-from simulation.render import Renderer
-from simulation.scenes import NAMES, scenery
-from simulation.session import Session, Shot, outline, plan_session, take
-from simulation.settings import SimulateSettings
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.files import partial_folder, read_json, swap_in, write_json
+from groundwalk.artefacts.locks import locked
+from groundwalk.artefacts.progress import console, track
+from groundwalk.artefacts.resuming import run_resumable
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import resolve_settings
+from groundwalk.artefacts.signals import signals_held
+from groundwalk.artefacts.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES, simulated_files
+from groundwalk.artefacts.tables import pose_frame, write_table
+from groundwalk.simulation.capture import write_frames
+from groundwalk.simulation.mesh import TexturedMesh, build_mesh, is_saved
+from groundwalk.simulation.render import Renderer
+from groundwalk.simulation.scenes import NAMES, scenery
+from groundwalk.simulation.session import Session, Shot, outline, plan_session, take
+from groundwalk.simulation.settings import SimulateSettings
 
 VERSION = 2  # goes up when the same settings give other captures
 _MESH = "mesh"

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
-from geometry.poses import make_pose
-from simulation.camera import wander
-from simulation.place import UP, Place, Vec
+from groundwalk.geometry.poses import make_pose
+from groundwalk.simulation.camera import wander
+from groundwalk.simulation.place import UP, Place, Vec
 
 SPEED_LIMIT_MPS = 1.4
 MARGIN_M = 0.35  # kept from everything solid

@@ -1,5 +1,9 @@
 """Fixtures that every test package may use."""
 
+import os
+import sys
+from collections.abc import Sequence
+from importlib.abc import MetaPathFinder
 from pathlib import Path
 
 import pytest
@@ -11,7 +15,23 @@ settings.register_profile("steady", derandomize=True, deadline=None)
 settings.register_profile("search", deadline=None)
 settings.load_profile("steady")
 
-SHARED = Path(__file__).resolve().parents[2] / "shared"
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT.parent / "shared"
+# Commands that tests start, in whatever folder, run this tree, which need not be the one that is installed.
+os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+
+
+class OneName(MetaPathFinder):
+    """Refuses `sfm` for `groundwalk.sfm`: with the root on the path, both would load, as two modules."""
+
+    packages = frozenset(path.parent.name for path in ROOT.glob("*/__init__.py")) - {"benchmarks", "groundwalk"}
+
+    def find_spec(self, fullname: str, path: Sequence[str] | None, target: object = None) -> None:
+        if fullname.split(".")[0] in self.packages:
+            raise ImportError(f"{fullname} is imported as groundwalk.{fullname}, its one name")
+
+
+sys.meta_path.insert(0, OneName())
 
 
 def _shared(name: str) -> Path:

@@ -1,6 +1,8 @@
-"""A stage imports geometry, artefacts and itself, never another stage; geometry touches no files."""
+"""A stage imports geometry, artefacts and itself, never another stage; geometry touches no files; each module has one
+import name."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -14,14 +16,20 @@ OURS = STAGES | {"geometry", "artefacts"}
 
 
 def imported(path: Path) -> set[str]:
-    """Top-level names of the modules that a file imports."""
-    names = set()
+    """The modules that a file imports, with the names that it imports from groundwalk itself."""
+    modules = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            names |= {alias.name.split(".")[0] for alias in node.names}
+            modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            names.add(node.module.split(".")[0])
-    return names
+            whole = node.module == "groundwalk"
+            modules |= {f"groundwalk.{alias.name}" for alias in node.names} if whole else {node.module}
+    return modules
+
+
+def packages_of_ours(path: Path) -> set[str]:
+    """The packages of groundwalk that a file imports, without `groundwalk.` in front."""
+    return {module.split(".")[1] for module in imported(path) if module.startswith("groundwalk.")} & OURS
 
 
 @pytest.mark.parametrize("package", sorted(ALLOWED))
@@ -29,11 +37,63 @@ def test_package_imports_only_what_its_layer_may(package: str) -> None:
     files = list((ROOT / package).rglob("*.py"))
     assert files
     for path in files:
-        crossing = (imported(path) & OURS) - ALLOWED[package]
+        crossing = packages_of_ours(path) - ALLOWED[package]
         assert not crossing, f"{path.relative_to(ROOT)} imports {', '.join(sorted(crossing))}"
+
+
+# What users of groundwalk call: above all packages.
+FACE = {path.stem for path in (ROOT / "groundwalk").glob("*.py")} - {"__init__"} | {"open", "Run", "pose_array"}
+
+
+@pytest.mark.parametrize("package", sorted(ALLOWED))
+def test_package_imports_nothing_of_the_command_or_the_reader(package: str) -> None:
+    for path in (ROOT / package).rglob("*.py"):
+        names = {module.split(".")[1] for module in imported(path) if module.startswith("groundwalk.")}
+        assert not names & FACE, f"{path.relative_to(ROOT)} imports {', '.join(sorted(names & FACE))} of groundwalk"
 
 
 def test_geometry_is_pure() -> None:
     for path in (ROOT / "geometry").rglob("*.py"):
-        io = imported(path) & {"pathlib", "os", "io", "json", "pandas", "pyarrow", "rerun", "cv2", "open3d", "torch"}
+        roots = {module.split(".")[0] for module in imported(path)}
+        io = roots & {"pathlib", "os", "io", "json", "pandas", "pyarrow", "rerun", "cv2", "open3d", "torch"}
         assert not io, f"{path.relative_to(ROOT)} imports {', '.join(sorted(io))}"
+
+
+ANY_OF_OURS = f"(?:{'|'.join(sorted(OURS))})\\b"
+BARE = [
+    # A command: python -m ..., or the same as a list of arguments.
+    re.compile(rf"""-m[\s"',]+{ANY_OF_OURS}(?!/)"""),
+    # An import, also in a program that a string holds.
+    re.compile(rf"""(?:^|;|\\n|["'])\s*from\s+{ANY_OF_OURS}[.\w]*\s+import\b""", re.MULTILINE),
+    re.compile(rf"""(?:^|;|\\n|["'])\s*import\s+(?:[.\w]+,\s*)*{ANY_OF_OURS}\s*(?:$|[.,;])""", re.MULTILINE),
+    re.compile(rf"""import_module\(f?["']{ANY_OF_OURS}"""),
+]
+
+
+def test_each_package_is_named_groundwalk() -> None:
+    """Under another name a module would be loaded twice, or be another installation's."""
+    paths = [path for folder in (*OURS, "groundwalk", "benchmarks", "tests") for path in (ROOT / folder).rglob("*.py")]
+    assert len(paths) > 200
+    for path in (*paths, *ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "Makefile"):
+        text = path.read_text(encoding="utf-8")
+        found = [match.group().strip() for bare in BARE for match in bare.finditer(text)]
+        assert not found, f"{path.relative_to(ROOT)}: {found[0]}: the package's name is groundwalk.<package>"
+
+
+@pytest.mark.parametrize(
+    ("text", "is_bare"),
+    [
+        ("python -m PACKAGE --help", True),
+        ('run([sys.executable, "-m", "PACKAGE"])', True),
+        ("import PACKAGE", True),
+        ('"import sys, PACKAGE.pairs"', True),
+        ("    from PACKAGE.pairs import pairs", True),
+        ('"a = 1\\nfrom PACKAGE import b"', True),
+        ('import_module(f"PACKAGE.{name}")', True),
+        ("from groundwalk.PACKAGE.pairs import pairs", False),
+        ("python -m groundwalk.PACKAGE", False),
+        ("frames are from PACKAGE frames", False),
+    ],
+)
+def test_bare_names_are_seen(text: str, is_bare: bool) -> None:
+    assert any(bare.search(text.replace("PACKAGE", "sfm")) for bare in BARE) == is_bare

@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
-from artefacts import DataRoot
-from artefacts.cli import DataOption, ProfileOption, SceneOption, stage_app
-from artefacts.manifests import load_verified
-from training.export import export_onnx
-from training.stage import STAGE
+from groundwalk.artefacts import DataRoot
+from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, stage_app
+from groundwalk.artefacts.manifests import load_verified
+from groundwalk.training.export import export_onnx
+from groundwalk.training.stage import STAGE
 
 app = stage_app(STAGE)
 

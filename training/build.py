@@ -6,11 +6,17 @@ from typing import Any, NamedTuple
 
 import torch
 
-from artefacts import UserError
-from training.models.ms_transformer import MSTransformer
-from training.models.posenet import PoseNet
-from training.models.regressor import PoseRegressor
-from training.settings import ModelName, MSTransformerSettings, PoseNetSettings, RegressorSettings, TrainSettings
+from groundwalk.artefacts import UserError
+from groundwalk.training.models.ms_transformer import MSTransformer
+from groundwalk.training.models.posenet import PoseNet
+from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.settings import (
+    ModelName,
+    MSTransformerSettings,
+    PoseNetSettings,
+    RegressorSettings,
+    TrainSettings,
+)
 
 
 def settings_of(name: ModelName, settings: TrainSettings) -> RegressorSettings:

@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from artefacts import UserError
-from artefacts.files import replace_synced
-from artefacts.undistortion import undistorted_image
-from geometry.cameras import Camera, centred_pinhole
-from training.models.regressor import PoseBatch
-
-Image = NDArray[np.uint8]
+from groundwalk.artefacts.files import replace_synced
+from groundwalk.artefacts.images import Image
+from groundwalk.artefacts.undistortion import undistorted_image
+from groundwalk.geometry.cameras import Camera, centred_pinhole
+from groundwalk.training.models.regressor import PoseBatch
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
@@ -60,16 +58,6 @@ class ImageCache:
             np.save(partial, np.array(shapes, dtype=np.int64).reshape(-1, 2))
             replace_synced(partial, folder / "shapes.npy")
         return cls(folder)
-
-
-def read_image(path: Path) -> Image:
-    """An image file as RGB (H, W, 3), as the sensor has it (a turn in the file's EXIF is left out, since poses and
-    intrinsics are the sensor's). UserError where it isn't there or can't be decoded."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR_BGR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
-        found = "a file that isn't an image" if path.exists() else "no such file"
-        raise UserError("an image can't be read", where=path, found=found, do="import the capture again")
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def small_image(image: Image, short_side: int) -> Image:

@@ -4,10 +4,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from geometry.averages import quaternion_mean
-from geometry.poses import quaternion_angle
-from training.data import Frames
-from training.models.regressor import PoseRegressor
+from groundwalk.geometry.averages import quaternion_mean
+from groundwalk.geometry.poses import quaternion_angle
+from groundwalk.training.data import Frames
+from groundwalk.training.models.regressor import PoseRegressor
 
 _BATCH = 64
 

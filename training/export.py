@@ -5,9 +5,9 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from artefacts import UserError
-from training.build import Trained, load_trained
-from training.data import normalised
+from groundwalk.artefacts import UserError
+from groundwalk.training.build import Trained, load_trained
+from groundwalk.training.data import normalised
 
 
 class Exported(nn.Module):

@@ -8,11 +8,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from artefacts import StageRun, UserError
-from artefacts.tables import camera_of, poses_of, with_cameras
-from geometry.poses import tq_from_pose
-from training.data import Frames, Image, ImageCache, pinhole_image, read_image, small_image
-from training.settings import TrainSettings
+from groundwalk.artefacts import StageRun, UserError
+from groundwalk.artefacts.images import Image, read_image
+from groundwalk.artefacts.tables import camera_of, poses_of, with_cameras
+from groundwalk.geometry.poses import tq_from_pose
+from groundwalk.training.data import Frames, ImageCache, pinhole_image, small_image
+from groundwalk.training.settings import TrainSettings
 
 
 def read_frames(r: StageRun[TrainSettings]) -> pd.DataFrame:

@@ -13,13 +13,13 @@ import torch
 from numpy.typing import NDArray
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
-from artefacts import UserError
-from artefacts.child import Report
-from artefacts.files import replace_synced
-from training.data import Frames, Jitter, Turns, normalised
-from training.evaluation import pose_errors
-from training.models.regressor import PoseRegressor
-from training.settings import RegressorSettings
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.child import Report
+from groundwalk.artefacts.files import replace_synced
+from groundwalk.training.data import Frames, Jitter, Turns, normalised
+from groundwalk.training.evaluation import pose_errors
+from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.settings import RegressorSettings
 
 CHECKPOINT = "checkpoint.pt"
 _SCORED_EPOCHS = 5

@@ -8,10 +8,10 @@ import pandas as pd
 import torch
 from numpy.typing import NDArray
 
-from artefacts.tables import pose_frame
-from geometry.poses import pose_from_tq
-from training.data import Frames
-from training.models.regressor import PoseRegressor
+from groundwalk.artefacts.tables import pose_frame
+from groundwalk.geometry.poses import pose_from_tq
+from groundwalk.training.data import Frames
+from groundwalk.training.models.regressor import PoseRegressor
 
 _WARM_UP = 5  # runs before timing: the first ones choose kernels and allocate
 

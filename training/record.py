@@ -6,11 +6,11 @@ import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 
-from artefacts import recording as colours
-from artefacts.recording import TIMELINE, UP_AXIS, log_camera, log_path
-from artefacts.tables import poses_of
-from geometry.metrics import position_error, rotation_error_deg
-from training.data import ImageCache
+from groundwalk.artefacts import recording as colours
+from groundwalk.artefacts.recording import TIMELINE, UP_AXIS, log_camera, log_path
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.training.data import ImageCache
 
 EPOCHS = "epoch"
 FRAMES = "frame"  # sessions one after the other, however far apart their clocks

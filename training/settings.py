@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from artefacts import Settings
+from groundwalk.artefacts import Settings
 
 ModelName = Literal["PN", "MS-T"]
 

@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 import torch
 
-from artefacts import Stage, StageRun, UserError
-from artefacts.child import Report, Task, in_children
-from geometry.metrics import sure_enough
-from training.build import Trained, build, save_trained, settings_of
-from training.data import Frames, ImageCache
-from training.evaluation import errors, mean_pose_errors
-from training.inputs import (
+from groundwalk.artefacts import Stage, StageRun, UserError
+from groundwalk.artefacts.child import Report, Task, in_children
+from groundwalk.geometry.metrics import sure_enough
+from groundwalk.training.build import Trained, build, save_trained, settings_of
+from groundwalk.training.data import Frames, ImageCache
+from groundwalk.training.evaluation import errors, mean_pose_errors
+from groundwalk.training.inputs import (
     as_training_frames,
     check_trainable,
     focal_in_short_sides,
@@ -24,12 +24,12 @@ from training.inputs import (
     small_images,
     virtual_focal,
 )
-from training.loop import Run, save, take_best, train
-from training.models.regressor import PoseRegressor
-from training.predict import predict
-from training.record import blueprint, record
-from training.settings import ModelName, RegressorSettings, TrainSettings
-from training.weights import load_first_weights
+from groundwalk.training.loop import Run, save, take_best, train
+from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.predict import predict
+from groundwalk.training.record import blueprint, record
+from groundwalk.training.settings import ModelName, RegressorSettings, TrainSettings
+from groundwalk.training.weights import load_first_weights
 
 _FIRST = "first.pt"
 _NARROW = 1.1

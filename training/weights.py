@@ -12,8 +12,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from artefacts import UserError
-from training.models.regressor import PoseRegressor
+from groundwalk.artefacts import UserError
+from groundwalk.training.models.regressor import PoseRegressor
 
 _ANSWER_WITHIN_S = 5.0
 _CLASSIFIERS = ("fc.",)  # part of ImageNet's ResNet-34, not of PN's

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from alignment.export.dataset import Dataset, Images, number
-from alignment.export.sequences import sequences
-from geometry.poses import inverse, quaternion_from_matrix
+from groundwalk.alignment.export.dataset import Dataset, Images, number
+from groundwalk.alignment.export.sequences import sequences
+from groundwalk.geometry.poses import inverse, quaternion_from_matrix
 
 _HEADER = "Visual Landmark Dataset V1\nImageFile, Camera Position [X Y Z W P Q R]\n\n"
 

@@ -1,4 +1,4 @@
-"""`python -m alignment export`: ground truth in the layout of another tool or data set."""
+"""`python -m groundwalk.alignment export`: ground truth in the layout of another tool or data set."""
 
 import json
 from collections.abc import Callable
@@ -10,16 +10,16 @@ from typing import Annotated
 import pandas as pd
 import typer
 
-from alignment.export.cambridge import write_cambridge
-from alignment.export.colmap import write_colmap
-from alignment.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number
-from alignment.export.nerfstudio import DISTORTION, write_nerfstudio
-from alignment.export.seven_scenes import write_seven_scenes
-from alignment.export.tum import write_tum
-from artefacts import DataRoot, UserError, progress
-from artefacts.cli import DataOption, ProfileOption
-from artefacts.files import fresh_folder, write_json
-from artefacts.tables import CAMERA_COLUMNS
+from groundwalk.alignment.export.cambridge import write_cambridge
+from groundwalk.alignment.export.colmap import write_colmap
+from groundwalk.alignment.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number
+from groundwalk.alignment.export.nerfstudio import DISTORTION, write_nerfstudio
+from groundwalk.alignment.export.seven_scenes import write_seven_scenes
+from groundwalk.alignment.export.tum import write_tum
+from groundwalk.artefacts import DataRoot, UserError, progress
+from groundwalk.artefacts.cli import DataOption, ProfileOption
+from groundwalk.artefacts.files import fresh_folder, write_json
+from groundwalk.artefacts.tables import CAMERA_COLUMNS
 
 _NOTE = "export.json"
 _FRAMES = "frames.csv"

@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from artefacts import DataRoot, UserError
-from artefacts.manifests import MANIFEST, load_verified
-from artefacts.schemas import schema
-from artefacts.tables import CAMERA_COLUMNS, camera_of, dataset_frames, poses_of, read_table, with_cameras
-from artefacts.undistortion import undistorted_image
-from geometry import GeometryError
-from geometry.cameras import Camera, pinhole_within
-from geometry.fits import Sim3
-from geometry.poses import Array
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.manifests import MANIFEST, load_verified
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import CAMERA_COLUMNS, camera_of, dataset_frames, poses_of, read_table, with_cameras
+from groundwalk.artefacts.undistortion import undistorted_image
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.cameras import Camera, pinhole_within
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array
 
 Images = Literal["link", "copy", "none"]
 

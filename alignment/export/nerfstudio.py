@@ -12,8 +12,8 @@ from urllib.parse import quote
 
 import numpy as np
 
-from alignment.export.dataset import Dataset, Images
-from geometry.poses import ARKIT_CAM_T_CAM, make_pose
+from groundwalk.alignment.export.dataset import Dataset, Images
+from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, make_pose
 
 # OpenGL's camera axes are ARKit's.
 _OPENGL_CAM_T_CAM = ARKIT_CAM_T_CAM

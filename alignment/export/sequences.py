@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from alignment.export.dataset import Dataset
+from groundwalk.alignment.export.dataset import Dataset
 
 
 def sequences(dataset: Dataset) -> list[tuple[bool, np.ndarray]]:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from alignment.export.dataset import Dataset, Images, number
-from alignment.export.sequences import sequences
-from geometry.poses import Array
+from groundwalk.alignment.export.dataset import Dataset, Images, number
+from groundwalk.alignment.export.sequences import sequences
+from groundwalk.geometry.poses import Array
 
 
 def write_seven_scenes(dataset: Dataset, folder: Path, images: Images) -> list[str]:

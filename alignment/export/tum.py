@@ -10,8 +10,8 @@ from urllib.parse import quote
 
 import numpy as np
 
-from alignment.export.dataset import Dataset, Images, number
-from geometry.poses import tq_from_pose
+from groundwalk.alignment.export.dataset import Dataset, Images, number
+from groundwalk.geometry.poses import tq_from_pose
 
 
 def write_tum(dataset: Dataset, folder: Path, images: Images) -> list[str]:

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alignment.rulers.settings import DICTIONARIES, AprilTagRuler, CharucoRuler, dictionary
-from artefacts import UserError
-from artefacts.parallel import in_parallel
-from geometry.poses import Array
-from geometry.rulers import Corners
+from groundwalk.alignment.rulers.settings import DICTIONARIES, AprilTagRuler, CharucoRuler, dictionary
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.parallel import in_parallel
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rulers import Corners
 
 Grey = NDArray[np.uint8]
 BoardRuler = CharucoRuler | AprilTagRuler

@@ -8,15 +8,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from alignment.quality import sfm_covariances
-from alignment.rulers.detection import detect_all, explain_absence, held_out_corners, nominal_corners
-from alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler, Ruler
-from artefacts import UserError
-from artefacts.tables import poses_of
-from geometry import GeometryError
-from geometry.lens import distort, undistort
-from geometry.poses import Array
-from geometry.rulers import Corners, Observations, RulerFit, measure
+from groundwalk.alignment.quality import sfm_covariances
+from groundwalk.alignment.rulers.detection import detect_all, explain_absence, held_out_corners, nominal_corners
+from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler, Ruler
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.lens import distort, undistort
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rulers import Corners, Observations, RulerFit, measure
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]

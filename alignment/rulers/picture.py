@@ -10,13 +10,13 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from alignment.rulers.detection import read_grey
-from alignment.rulers.measurement import Reading, camera_of, kind_of
-from alignment.rulers.verdict import Judged, describe
-from artefacts.tables import poses_of
-from geometry.fits import fit_sim3
-from geometry.poses import Array, inverse, transform
-from geometry.rulers import RulerFit
+from groundwalk.alignment.rulers.detection import read_grey
+from groundwalk.alignment.rulers.measurement import Reading, camera_of, kind_of
+from groundwalk.alignment.rulers.verdict import Judged, describe
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.fits import fit_sim3
+from groundwalk.geometry.poses import Array, inverse, transform
+from groundwalk.geometry.rulers import RulerFit
 
 _MOST_RULERS = 6
 _INCHES = 4.5

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from alignment.checks import RULER, About, Check, check
-from alignment.map_frame import MapScale
-from alignment.rulers.measurement import Reading
-from alignment.rulers.settings import DistanceRuler
-from artefacts.schemas import schema
-from geometry.decisions import Status, decide
+from groundwalk.alignment.checks import RULER, About, Check, check
+from groundwalk.alignment.map_frame import MapScale
+from groundwalk.alignment.rulers.measurement import Reading
+from groundwalk.alignment.rulers.settings import DistanceRuler
+from groundwalk.artefacts.schemas import schema
+from groundwalk.geometry.decisions import Status, decide
 
 # Bounds of 95 %.
 _SIGMAS = 1.96

@@ -10,7 +10,7 @@ from typing import Literal
 
 import pyarrow as pa
 
-from artefacts.errors import UserError
+from groundwalk.artefacts.errors import UserError
 
 DType = Literal["float64", "int64", "bool", "string", "list<float64>", "list<string>"]
 
@@ -85,7 +85,7 @@ class TableSchema:
 
 def stage_tables(stage: str) -> list[TableSchema]:
     """The schemas of one stage's tables."""
-    tables: list[TableSchema] = import_module(f"artefacts.schemas.{_MODULES[stage]}").TABLES
+    tables: list[TableSchema] = import_module(f"groundwalk.artefacts.schemas.{_MODULES[stage]}").TABLES
     return tables
 
 

@@ -1,6 +1,6 @@
 """What the align stage writes: the ground truth, how VIO compares with it, and what was checked."""
 
-from artefacts.schemas import Column, TableSchema, pose_columns
+from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _SESSION = Column("session_id", "string", "capture session")
 _SEGMENT = Column("segment", "int64", "part of the session between two VIO jumps, from 0")

@@ -1,6 +1,6 @@
 """Frames of a capture with the phone's own poses, and everything that was left out."""
 
-from artefacts.schemas import Column, TableSchema, pose_columns
+from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _SESSION = Column("session_id", "string", "recording; a part of one where VIO jumped (`walk`, `walk.part2`)")
 _TIME = Column("t_ns", "int64", "time on the session's clock", "ns")
@@ -65,7 +65,7 @@ TABLES = [
         [
             _SESSION,
             Column("recording", "string", "the recording that the session is, or is a part of"),
-            Column("format", "string", "capture format, as `python -m capture_import formats` lists it"),
+            Column("format", "string", "capture format, as `python -m groundwalk.capture_import formats` lists it"),
             Column("device", "string", "phone, as far as the capture says"),
             Column("clock", "string", "what t_ns counts from"),
             Column("duration_s", "float64", "time from the first to the last pose", "s"),

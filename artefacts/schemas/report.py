@@ -1,6 +1,6 @@
 """What the report stage writes: every number of its tables with where it comes from, and what was checked."""
 
-from artefacts.schemas import Column, TableSchema
+from groundwalk.artefacts.schemas import Column, TableSchema
 
 _SOURCE = Column("source", "string", "ours (computed in this run) or published (printed in the paper)")
 

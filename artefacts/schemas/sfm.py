@@ -1,6 +1,6 @@
 """The structure-from-motion models: their frames, points and pairs, and what was built and tried on the way to them."""
 
-from artefacts.schemas import Column, TableSchema, pose_columns
+from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _HELD_OUT = [
     Column("heldout_matches", "int64", "verified matches that were left out of mapping and adjustment"),
@@ -90,6 +90,26 @@ TABLES = [
             Column("angular_sd", "float64", "one sigma of a frame's angular velocity by VIO", "rad/s"),
         ],
         version="2.0",
+    ),
+    TableSchema(
+        "sfm",
+        "residuals",
+        "What the residuals of each model and lens look like; a picture of it is residuals.png.",
+        [
+            Column("model_id", "string", "the model: models.model_id"),
+            Column("lens_id", "string", "the lens: lenses.lens_id"),
+            Column(
+                "pattern",
+                "string",
+                "radius: mean residual away from the principal point; row: shift that a frame's observations there "
+                "have in common, RMS over frames",
+            ),
+            Column("band_from", "float64", "where the band begins: radius in focal lengths, row in image heights"),
+            Column("band_to", "float64", "where it ends"),
+            Column("observations", "int64", "features in it"),
+            Column("residual_px", "float64", "the residual; below 0 for row: less than by chance", "px"),
+            Column("residual_sd_px", "float64", "its standard error", "px"),
+        ],
     ),
     TableSchema(
         "sfm",

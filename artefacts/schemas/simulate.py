@@ -1,6 +1,6 @@
 """What the simulator writes beside its captures. Only checks and benchmarks read it, never a stage."""
 
-from artefacts.schemas import Column, TableSchema, pose_columns
+from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 TABLES = [
     TableSchema(

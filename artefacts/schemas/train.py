@@ -1,6 +1,6 @@
 """What the train stage writes: the regressors' poses, how they learned, and what they are."""
 
-from artefacts.schemas import Column, TableSchema, pose_columns
+from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _MODEL = Column("model", "string", "PN or MS-T")
 _SCENES = Column("scenes", "list<string>", "the scenes that the model was trained on, in the order of its queries")

@@ -9,7 +9,7 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
-from capture_import.capture import Limits, RawSession
+from groundwalk.capture_import.capture import Limits, RawSession
 
 _MODULES = (
     "scanner_app",
@@ -53,4 +53,4 @@ class Format:
 @cache
 def formats() -> tuple[Format, ...]:
     """All formats, in the order in which they are listed."""
-    return tuple(import_module(f"capture_import.formats.{module}").FORMAT for module in _MODULES)
+    return tuple(import_module(f"groundwalk.capture_import.formats.{module}").FORMAT for module in _MODULES)

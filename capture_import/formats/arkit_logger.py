@@ -6,9 +6,9 @@ Documented at https://github.com/PyojinKim/ARKit-Data-Logger (README, "Output Fo
 
 from pathlib import Path
 
-from capture_import.capture import Limits, RawFrame, RawSession
-from capture_import.formats import Format
-from capture_import.parsing import (
+from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     from_arkit,

@@ -15,10 +15,10 @@ from pathlib import Path
 
 from scipy.spatial.transform import Rotation
 
-from capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
-from capture_import.formats import Format
-from capture_import.joining import join_by_time
-from capture_import.parsing import (
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.joining import join_by_time
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     lines_of,
@@ -28,7 +28,7 @@ from capture_import.parsing import (
     split_numbers,
     to_number,
 )
-from geometry.poses import inverse, make_pose
+from groundwalk.geometry.poses import inverse, make_pose
 
 # The best images that were downloaded.
 _IMAGES = ("wide", "vga_wide", "lowres_wide")

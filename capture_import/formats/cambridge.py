@@ -18,11 +18,11 @@ from typing import Literal
 
 import numpy as np
 
-from artefacts import UserError
-from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
-from capture_import.formats import Format
-from capture_import.images import BadImage, image_size
-from capture_import.parsing import (
+from groundwalk.artefacts import UserError
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.images import BadImage, image_size
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     lines_of,
@@ -33,7 +33,7 @@ from capture_import.parsing import (
     split_numbers,
     whole,
 )
-from geometry.poses import make_pose
+from groundwalk.geometry.poses import make_pose
 
 _FRAMES_A_SECOND = 2.0
 _CAMERA = ("width", "height", "fx", "fy", "cx", "cy")

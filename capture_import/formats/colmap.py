@@ -24,11 +24,11 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from artefacts import UserError
-from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
-from capture_import.formats import Format
-from capture_import.image_folders import data_set_of, is_metric_export, lost_rows, rows_of, split_of
-from capture_import.parsing import (
+from groundwalk.artefacts import UserError
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_folders import data_set_of, is_metric_export, lost_rows, rows_of, split_of
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     inside,
@@ -39,7 +39,7 @@ from capture_import.parsing import (
     seconds_to_ns,
     split_numbers,
 )
-from geometry.poses import inverse
+from groundwalk.geometry.poses import inverse
 
 _PLACES = ("sparse/0", "sparse", ".")
 # Name and number of parameters by the binary format's number: COLMAP's src/colmap/sensor/models.h.

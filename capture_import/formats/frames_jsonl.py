@@ -10,10 +10,19 @@ The first line says what the recording is, each other line is one instant:
 from pathlib import Path
 from typing import Any, get_args
 
-from artefacts import UserError
-from capture_import.capture import Clock, DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Tracking
-from capture_import.formats import Format
-from capture_import.parsing import (
+from groundwalk.artefacts import UserError
+from groundwalk.capture_import.capture import (
+    Clock,
+    DepthFile,
+    ImageFile,
+    Intrinsics,
+    Limits,
+    RawFrame,
+    RawSession,
+    Tracking,
+)
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     inside,

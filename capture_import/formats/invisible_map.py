@@ -8,10 +8,10 @@ z backward). `location_data` holds coordinates of the earth and is never read.
 from pathlib import Path
 from typing import Any
 
-from artefacts import UserError
-from capture_import.capture import Limits, RawFrame, RawSession
-from capture_import.formats import Format
-from capture_import.parsing import (
+from groundwalk.artefacts import UserError
+from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     from_arkit,

@@ -12,10 +12,10 @@ Documented at https://github.com/Varvrar/ios_logger (README, "Dataset format"). 
 
 from pathlib import Path
 
-from capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
-from capture_import.formats import Format
-from capture_import.joining import join_by_time
-from capture_import.parsing import (
+from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.joining import join_by_time
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     from_arkit,
@@ -25,7 +25,7 @@ from capture_import.parsing import (
     seconds_to_ns,
     split_numbers,
 )
-from capture_import.video import require_row_per_frame
+from groundwalk.capture_import.video import require_row_per_frame
 
 
 def detect(path: Path) -> bool:

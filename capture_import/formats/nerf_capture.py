@@ -14,11 +14,11 @@ A transforms.json without times has poses from SfM: that's the format `nerfstudi
 from pathlib import Path
 from typing import Any
 
-from artefacts import UserError
-from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
-from capture_import.formats import Format
-from capture_import.joining import join_by_time
-from capture_import.parsing import (
+from groundwalk.artefacts import UserError
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.joining import join_by_time
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     first_bytes,

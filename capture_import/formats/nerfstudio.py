@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from artefacts import UserError
-from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
-from capture_import.formats import Format
-from capture_import.image_folders import data_set_of, is_metric_export, lost_rows, rows_of, split_of
-from capture_import.parsing import (
+from groundwalk.artefacts import UserError
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_folders import data_set_of, is_metric_export, lost_rows, rows_of, split_of
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     first_bytes,
@@ -37,7 +37,7 @@ from capture_import.parsing import (
     seconds_to_ns,
     whole,
 )
-from geometry.poses import Array, inverse, rigidity_error
+from groundwalk.geometry.poses import Array, inverse, rigidity_error
 
 _FILE = "transforms.json"
 _MODELS = ("OPENCV", "PINHOLE")

@@ -12,9 +12,9 @@ Documented at https://github.com/PolyCam/polyform (README, "Polycam's data forma
 
 from pathlib import Path
 
-from capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
-from capture_import.formats import Format
-from capture_import.parsing import (
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     from_arkit,

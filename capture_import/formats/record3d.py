@@ -14,10 +14,10 @@ https://github.com/marek-simonik/record3d. What matters:
 from pathlib import Path
 from typing import Any
 
-from artefacts import UserError
-from capture_import.capture import Clock, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
-from capture_import.formats import Format
-from capture_import.parsing import (
+from groundwalk.artefacts import UserError
+from groundwalk.capture_import.capture import Clock, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     from_arkit,

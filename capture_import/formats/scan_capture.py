@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, Tracking, VideoFrame
-from capture_import.formats import Format
-from capture_import.joining import join_by_time
-from capture_import.parsing import (
+from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, Tracking, VideoFrame
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.joining import join_by_time
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     from_arkit,
@@ -30,7 +30,7 @@ from capture_import.parsing import (
     seconds_to_ns,
     to_number,
 )
-from capture_import.video import frame_times
+from groundwalk.capture_import.video import frame_times
 
 
 def detect(path: Path) -> bool:

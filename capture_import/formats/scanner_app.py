@@ -17,9 +17,9 @@ Latitude and longitude may be in `info.json` and the frames; they're never read.
 import re
 from pathlib import Path
 
-from capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
-from capture_import.formats import Format
-from capture_import.parsing import (
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     from_arkit,

@@ -15,9 +15,9 @@ import re
 from pathlib import Path
 from typing import Literal
 
-from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
-from capture_import.formats import Format
-from capture_import.parsing import (
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     read_text,

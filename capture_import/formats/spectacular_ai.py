@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from artefacts import UserError
-from capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, Tracking, VideoFrame
-from capture_import.formats import Format
-from capture_import.joining import join_by_time
-from capture_import.parsing import (
+from groundwalk.artefacts import UserError
+from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, Tracking, VideoFrame
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.joining import join_by_time
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     json_of,
@@ -32,8 +32,8 @@ from capture_import.parsing import (
     row_major_pose,
     seconds_to_ns,
 )
-from capture_import.video import require_row_per_frame
-from geometry.poses import Array, inverse, rigidity_error
+from groundwalk.capture_import.video import require_row_per_frame
+from groundwalk.geometry.poses import Array, inverse, rigidity_error
 
 # A world with +z up, seen with +y up.
 _YUP_T_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from artefacts import UserError
-from capture_import.capture import DepthFile, Intrinsics, Limits, RawFrame, RawSession, VideoFrame
-from capture_import.formats import Format
-from capture_import.parsing import (
+from groundwalk.artefacts import UserError
+from groundwalk.capture_import.capture import DepthFile, Intrinsics, Limits, RawFrame, RawSession, VideoFrame
+from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     lines_of,
@@ -31,7 +31,7 @@ from capture_import.parsing import (
     split_numbers,
     whole,
 )
-from capture_import.video import frame_times
+from groundwalk.capture_import.video import frame_times
 
 _COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 _PER_FRAME = ("fx", "fy", "cx", "cy")

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from importlib import import_module
 
-from artefacts import UserError
-from simulation.place import Place
-from simulation.walks import Route
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.hints import link_command
+from groundwalk.simulation.place import Place
+from groundwalk.simulation.walks import Route
 
 NAMES = ("Square", "Church", "Bar", "Stairs", "Office", "Atrium")
 
@@ -24,7 +25,7 @@ def scenery(name: str, seed: int) -> SceneryPlan:
         raise UserError(
             f"scene {name} can't be simulated",
             expected=f"one of {', '.join(NAMES)}",
-            do=f"make scene={name} captures=<folder> all, for captures of your own",
+            do=f"{link_command(name)}, for captures of your own",
         )
-    module = import_module(f"simulation.scenes.{name.lower()}")
+    module = import_module(f"groundwalk.simulation.scenes.{name.lower()}")
     return SceneryPlan(module.build(seed), module.ROUTE)

@@ -1,12 +1,12 @@
 """Atrium: a high hall with columns, galleries, a reception, plants and glass, 30 by 50 m."""
 
-from simulation import details, materials
-from simulation.canvas import Canvas
-from simulation.place import Builder, Light, Place
-from simulation.scenes import indoor_parts as parts
-from simulation.scenes.indoor_parts import Hung
-from simulation.scenes.parts import BRICK_DARK, BRICK_YELLOW, SANDSTONE, planter
-from simulation.walks import Route
+from groundwalk.simulation import details, materials
+from groundwalk.simulation.canvas import Canvas
+from groundwalk.simulation.place import Builder, Light, Place
+from groundwalk.simulation.scenes import indoor_parts as parts
+from groundwalk.simulation.scenes.indoor_parts import Hung
+from groundwalk.simulation.scenes.parts import BRICK_DARK, BRICK_YELLOW, SANDSTONE, planter
+from groundwalk.simulation.walks import Route
 
 EXTENT_M = (30.0, 50.0)
 _HEIGHT_M = 11.0

@@ -1,11 +1,11 @@
 """Bar: bars and shops around a block of houses, with terraces, umbrellas and parked vans, 55 by 35 m."""
 
-from simulation import details, materials
-from simulation.canvas import Bgr, Canvas
-from simulation.place import Builder, Light, Place, Xz
-from simulation.scenes import parts
-from simulation.scenes.parts import Facade
-from simulation.walks import Route
+from groundwalk.simulation import details, materials
+from groundwalk.simulation.canvas import Bgr, Canvas
+from groundwalk.simulation.place import Builder, Light, Place, Xz
+from groundwalk.simulation.scenes import parts
+from groundwalk.simulation.scenes.parts import Facade
+from groundwalk.simulation.walks import Route
 
 EXTENT_M = (55.0, 35.0)
 _BLOCK = (11.0, 4.5)  # half sizes of the houses in the middle

@@ -2,12 +2,12 @@
 
 import math
 
-from simulation import details, materials
-from simulation.canvas import Canvas
-from simulation.place import Builder, Light, Place
-from simulation.scenes import parts
-from simulation.scenes.parts import Facade
-from simulation.walks import Route
+from groundwalk.simulation import details, materials
+from groundwalk.simulation.canvas import Canvas
+from groundwalk.simulation.place import Builder, Light, Place
+from groundwalk.simulation.scenes import parts
+from groundwalk.simulation.scenes.parts import Facade
+from groundwalk.simulation.walks import Route
 
 EXTENT_M = (50.0, 40.0)
 _EAVES_M = 8.0

@@ -1,11 +1,11 @@
 """Office: a furnished room with shelves, desks, a window and a glass partition, 7.5 by 4 m."""
 
-from simulation import details, materials
-from simulation.canvas import Canvas
-from simulation.place import Builder, Light, Place
-from simulation.scenes import indoor_parts as parts
-from simulation.scenes.indoor_parts import Hung
-from simulation.walks import Route
+from groundwalk.simulation import details, materials
+from groundwalk.simulation.canvas import Canvas
+from groundwalk.simulation.place import Builder, Light, Place
+from groundwalk.simulation.scenes import indoor_parts as parts
+from groundwalk.simulation.scenes.indoor_parts import Hung
+from groundwalk.simulation.walks import Route
 
 EXTENT_M = (7.5, 4.0)
 _CEILING_M = 2.8

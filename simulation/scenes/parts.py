@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from simulation import details, materials
-from simulation.canvas import Bgr, Canvas, vary
-from simulation.materials import Material
-from simulation.place import Builder, Xz
+from groundwalk.simulation import details, materials
+from groundwalk.simulation.canvas import Bgr, Canvas, vary
+from groundwalk.simulation.materials import Material
+from groundwalk.simulation.place import Builder, Xz
 
 BRICK_RED = materials.masonry(
     0.075, 0.22, [(62, 74, 150), (70, 84, 168), (58, 66, 128), (80, 98, 170)], (160, 168, 172)

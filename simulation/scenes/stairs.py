@@ -1,12 +1,12 @@
 """Stairs: two flights with landings around a glass screen, 5.5 by 4.5 m and 6 m high."""
 
-from simulation import details, materials
-from simulation.canvas import Canvas
-from simulation.place import Builder, Light, Place
-from simulation.scenes import indoor_parts as parts
-from simulation.scenes.indoor_parts import Hung
-from simulation.scenes.parts import BRICK_RED, BRICK_YELLOW
-from simulation.walks import Route
+from groundwalk.simulation import details, materials
+from groundwalk.simulation.canvas import Canvas
+from groundwalk.simulation.place import Builder, Light, Place
+from groundwalk.simulation.scenes import indoor_parts as parts
+from groundwalk.simulation.scenes.indoor_parts import Hung
+from groundwalk.simulation.scenes.parts import BRICK_RED, BRICK_YELLOW
+from groundwalk.simulation.walks import Route
 
 EXTENT_M = (5.5, 4.5)
 HEIGHT_M = 6.0

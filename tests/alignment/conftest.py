@@ -8,14 +8,14 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from alignment.sfm_tables import SfmTables
-from alignment.uncertainty import covariance_in_map
-from artefacts import DataRoot
-from artefacts.files import write_json
-from artefacts.schemas import schema
-from artefacts.tables import pose_frame, poses_of, write_table
-from geometry.fits import Sim3
-from geometry.poses import make_pose, yaw_rotation
+from groundwalk.alignment.sfm_tables import SfmTables
+from groundwalk.alignment.uncertainty import covariance_in_map
+from groundwalk.artefacts import DataRoot
+from groundwalk.artefacts.files import write_json
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import pose_frame, poses_of, write_table
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import make_pose, yaw_rotation
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_gate import NOISE, mirror, of_walk, shuffle, turn_otherwise
 
-from alignment.checks import ANY_SCENE, KINDS, Check, with_status
-from alignment.examination import Examination, examine
-from alignment.settings import AlignSettings
-from artefacts.tables import poses_of
-from geometry.decisions import Status
-from geometry.poses import make_pose
+from groundwalk.alignment.checks import ANY_SCENE, KINDS, Check, with_status
+from groundwalk.alignment.examination import Examination, examine
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.decisions import Status
+from groundwalk.geometry.poses import make_pose
 
 _LOOSE = {"lower": 0.0, "raise": 1e3}
 

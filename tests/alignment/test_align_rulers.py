@@ -8,21 +8,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from alignment.examination import examine
-from alignment.ground_truth import Aligned, align
-from alignment.reference import Reference
-from alignment.rulers.detection import detect, explain_absence, held_out_corners, nominal_corners
-from alignment.rulers.measurement import Reading, Sighting, camera_of, find_rulers, read_rulers, undistorted
-from alignment.rulers.settings import CharucoRuler, Ruler, rulers_of
-from alignment.rulers.verdict import describe, rulers_table
-from alignment.settings import AlignSettings
-from alignment.stage import STAGE
-from artefacts import DataRoot, UserError, execute
-from artefacts.schemas import schema
-from artefacts.settings import resolve_settings
-from artefacts.stage import load_manifest
-from artefacts.tables import poses_of, read_table, write_table
-from geometry.poses import Array, inverse, make_pose, transform
+from groundwalk.alignment.examination import examine
+from groundwalk.alignment.ground_truth import Aligned, align
+from groundwalk.alignment.reference import Reference
+from groundwalk.alignment.rulers.detection import detect, explain_absence, held_out_corners, nominal_corners
+from groundwalk.alignment.rulers.measurement import Reading, Sighting, camera_of, find_rulers, read_rulers, undistorted
+from groundwalk.alignment.rulers.settings import CharucoRuler, Ruler, rulers_of
+from groundwalk.alignment.rulers.verdict import describe, rulers_table
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.stage import STAGE
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import resolve_settings
+from groundwalk.artefacts.stage import load_manifest
+from groundwalk.artefacts.tables import poses_of, read_table, write_table
+from groundwalk.geometry.poses import Array, inverse, make_pose, transform
 
 BOARD = {
     "kind": "charuco",

@@ -12,16 +12,16 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from typer.testing import CliRunner
 
-from alignment.__main__ import app
-from alignment.check_truth import compare_with_bounds, compare_with_truth
-from alignment.stage import STAGE
-from alignment.uncertainty import SharedSd, shared_covariance
-from artefacts import DataRoot, UserError, execute
-from artefacts.manifests import load_manifest
-from artefacts.recording import GROUND_TRUTH, VIO
-from artefacts.schemas import schema, stage_tables
-from artefacts.tables import read_table, write_table
-from geometry.poses import make_pose, yaw_rotation
+from groundwalk.alignment.__main__ import app
+from groundwalk.alignment.check_truth import compare_with_bounds, compare_with_truth
+from groundwalk.alignment.stage import STAGE
+from groundwalk.alignment.uncertainty import SharedSd, shared_covariance
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.artefacts.recording import GROUND_TRUTH, VIO
+from groundwalk.artefacts.schemas import schema, stage_tables
+from groundwalk.artefacts.tables import read_table, write_table
+from groundwalk.geometry.poses import make_pose, yaw_rotation
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from alignment.checks import with_status
-from alignment.components import Component, Placed
-from alignment.depth import (
+from groundwalk.alignment.checks import with_status
+from groundwalk.alignment.components import Component, Placed
+from groundwalk.alignment.depth import (
     DepthSamples,
     agreement_table,
     check_depth,
@@ -21,13 +21,13 @@ from alignment.depth import (
     read_depth,
     sample_frames,
 )
-from alignment.map_frame import NO_SCALE, MapScale, Vertical
-from alignment.settings import AlignSettings
-from artefacts.schemas import schema
-from artefacts.tables import pose_frame, write_table
-from geometry.decisions import Status
-from geometry.fits import Sim3
-from geometry.poses import Array, inverse, make_pose, transform
+from groundwalk.alignment.map_frame import NO_SCALE, MapScale, Vertical
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import pose_frame, write_table
+from groundwalk.geometry.decisions import Status
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array, inverse, make_pose, transform
 
 COUNT, SIZE, SHAPE = 12, (640, 480), (96, 128)
 K = np.array([[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]])

@@ -6,9 +6,9 @@ from evo.core import metrics as evo_metrics
 from evo.core.trajectory import PosePath3D
 from scipy.spatial.transform import Rotation
 
-from alignment.drift import DriftSamples, distance_pairs, drift_table, measure_drift, second_pairs
-from geometry.metrics import rpe_roe
-from geometry.poses import make_pose, yaw_rotation
+from groundwalk.alignment.drift import DriftSamples, distance_pairs, drift_table, measure_drift, second_pairs
+from groundwalk.geometry.metrics import rpe_roe
+from groundwalk.geometry.poses import make_pose, yaw_rotation
 
 
 @pytest.fixture

@@ -12,19 +12,19 @@ import pytest
 from evo.tools import file_interface
 from typer.testing import CliRunner
 
-from alignment.__main__ import app
-from alignment.export.command import WRITERS, FormatOption
-from alignment.stage import STAGE
-from artefacts import DataRoot, UserError, execute
-from artefacts.files import write_json
-from artefacts.manifests import output_hashes
-from artefacts.schemas import schema
-from artefacts.tables import pose_frame, poses_of, read_table, with_cameras, write_table
-from capture_import.capture import Limits, RawSession
-from capture_import.discovery import find_recordings
-from geometry.cameras import Camera
-from geometry.fits import Sim3
-from geometry.poses import Array, inverse, make_pose, transform
+from groundwalk.alignment.__main__ import app
+from groundwalk.alignment.export.command import WRITERS, FormatOption
+from groundwalk.alignment.stage import STAGE
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.files import write_json
+from groundwalk.artefacts.manifests import output_hashes
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import pose_frame, poses_of, read_table, with_cameras, write_table
+from groundwalk.capture_import.capture import Limits, RawSession
+from groundwalk.capture_import.discovery import find_recordings
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array, inverse, make_pose, transform
 
 UNREGISTERED, VALIDATION, TESTED = "walk0/000003", range(5, 8), range(15, 20)
 FRAMES = 39

@@ -7,15 +7,15 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from alignment import checks
-from alignment.checks import main_failure
-from alignment.examination import Examination, examine
-from alignment.picture import draw_gate
-from alignment.settings import AlignSettings
-from artefacts.schemas import schema
-from artefacts.tables import poses_of
-from geometry.decisions import Status
-from geometry.poses import make_pose
+from groundwalk.alignment import checks
+from groundwalk.alignment.checks import main_failure
+from groundwalk.alignment.examination import Examination, examine
+from groundwalk.alignment.picture import draw_gate
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.decisions import Status
+from groundwalk.geometry.poses import make_pose
 
 FRAMES = 30
 NOISE = {"frames": FRAMES, "sfm_m": 0.01, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1, "phone_scale": 0.002}

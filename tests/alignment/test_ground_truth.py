@@ -5,13 +5,13 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from alignment.ground_truth import Aligned, align
-from alignment.settings import AlignSettings
-from artefacts import UserError
-from artefacts.tables import poses_of
-from geometry.fits import Sim3, fit_sim3
-from geometry.metrics import position_error, rotation_error_deg
-from geometry.poses import make_pose
+from groundwalk.alignment.ground_truth import Aligned, align
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.fits import Sim3, fit_sim3
+from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.geometry.poses import make_pose
 
 # About what phones do: a centimetre of model noise, VIO off by 0.3 % and 0.2 degrees a session, drifting meanwhile.
 PHONES = {

@@ -8,16 +8,16 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from alignment.ground_truth import Aligned, align
-from alignment.reference import Reference, describe_agreement
-from alignment.settings import AlignSettings
-from alignment.stage import STAGE
-from artefacts import DataRoot, UserError, execute
-from artefacts.schemas import schema, stage_tables
-from artefacts.stage import load_manifest
-from artefacts.tables import pose_frame, poses_of, read_table, write_table
-from geometry.fits import Sim3
-from geometry.poses import make_pose
+from groundwalk.alignment.ground_truth import Aligned, align
+from groundwalk.alignment.reference import Reference, describe_agreement
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.stage import STAGE
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.schemas import schema, stage_tables
+from groundwalk.artefacts.stage import load_manifest
+from groundwalk.artefacts.tables import pose_frame, poses_of, read_table, write_table
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import make_pose
 
 WORLD = Sim3(1.0, Rotation.from_euler("xyz", [0.9, -0.2, 1.5]).as_matrix(), np.array([100.0, -20.0, 4.0]))
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from alignment.checks import with_status
-from alignment.examination import examine
-from alignment.ground_truth import align
-from alignment.sessions import fit_session
-from alignment.settings import AlignSettings
-from geometry.decisions import Status
-from geometry.poses import make_pose
-from geometry.vio_agreement import POSE_SD
+from groundwalk.alignment.checks import with_status
+from groundwalk.alignment.examination import examine
+from groundwalk.alignment.ground_truth import align
+from groundwalk.alignment.sessions import fit_session
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.geometry.decisions import Status
+from groundwalk.geometry.poses import make_pose
+from groundwalk.geometry.vio_agreement import POSE_SD
 
 # What ARKit is like over a metre: a centimetre for the root of a metre, a millimetre of jitter, 1 % of scale.
 TABLE = {"sfm_m": 0.001, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1, "jitter_m": 0.001, "phone_scale": 0.01}

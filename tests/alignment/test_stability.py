@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from test_gate import of_walk, shuffle, turn_otherwise
 
-from alignment.checks import with_status
-from alignment.examination import examine
-from alignment.settings import AlignSettings
-from artefacts.tables import poses_of
-from geometry.decisions import Status
+from groundwalk.alignment.checks import with_status
+from groundwalk.alignment.examination import examine
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.decisions import Status
 
 FRAMES = 48
 NOISE = {"frames": FRAMES, "speed_m": 0.5, "sfm_m": 0.005, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1}

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from alignment.settings import AlignSettings
-from alignment.uncertainty import (
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.uncertainty import (
     Measures,
     SharedSd,
     count_grades,
@@ -13,8 +13,8 @@ from alignment.uncertainty import (
     largest_sd,
     shared_covariance,
 )
-from geometry.fits import Sim3
-from geometry.poses import make_pose
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import make_pose
 
 
 def errors(estimated: np.ndarray, true: np.ndarray) -> np.ndarray:

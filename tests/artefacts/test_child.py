@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from artefacts import UserError
-from artefacts.child import Report, Task, in_child, in_children
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.child import Report, Task, in_child, in_children
 
 
 def _double(report: Report, value: int) -> int:
@@ -90,7 +90,7 @@ def test_the_child_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
 
 def test_what_children_run_loads_without_the_viewers_library() -> None:
     """It takes a second, and a stage starts several children."""
-    command = "import sys, artefacts, sfm.features, sfm.matching, sfm.mapping; assert 'rerun' not in sys.modules"
+    command = "import sys; from groundwalk.sfm import features, mapping, matching; assert 'rerun' not in sys.modules"
     subprocess.run([sys.executable, "-c", command], check=True)
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from artefacts import DataRoot, UserError
-from artefacts.cleaning import clean_scene
-from artefacts.locks import locked
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.cleaning import clean_scene
+from groundwalk.artefacts.locks import locked
 
 HOSTILE_NAMES = [
     "",
@@ -104,7 +104,7 @@ def test_command_lines_check_both_names(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     module, *arguments = command.split()
-    app = import_module(f"{module}.__main__").app
+    app = import_module(f"groundwalk.{module}.__main__").app
     if "export" in arguments:
         arguments += ["--format", "tum", "--out", "x"]
     for profile, scene in (("../captures", "Church"), ("", "Church"), ("tiny", "../Church")):

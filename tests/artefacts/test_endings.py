@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
-from artefacts.child import Report, Task, in_child
-from artefacts.cli import stage_app
+from groundwalk.artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
+from groundwalk.artefacts.child import Report, Task, in_child
+from groundwalk.artefacts.cli import stage_app
 
 WAITING = "waiting"
 

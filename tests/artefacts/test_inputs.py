@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
-from artefacts.locks import locked
-from artefacts.manifests import load_manifest
+from groundwalk.artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
+from groundwalk.artefacts.locks import locked
+from groundwalk.artefacts.manifests import load_manifest
 
 
 class ExampleSettings(Settings):

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from artefacts.child import Report, Task, in_children
-from artefacts.memory import PeakMemory
+from groundwalk.artefacts.child import Report, Task, in_children
+from groundwalk.artefacts.memory import PeakMemory
 
 _MIB = 2**20
 

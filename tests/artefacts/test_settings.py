@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from pydantic import Field
 
-from artefacts import DataRoot, Settings, UserError
-from artefacts.cli import settings_help
-from artefacts.settings import resolve_settings
+from groundwalk.artefacts import DataRoot, Settings, UserError
+from groundwalk.artefacts.cli import settings_help
+from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
 
 
 class Inner(Settings):
@@ -74,13 +74,23 @@ def test_every_shipped_profile_and_scene_is_valid() -> None:
     assert data.leaves(data.scene("indoor")[0]) == ["Stairs", "Office", "Atrium"]
 
 
+def test_a_file_of_the_data_folder_stands_before_the_shipped_one(tmp_path: Path) -> None:
+    (tmp_path / "published").mkdir()
+    (tmp_path / "published" / "claims.csv").write_text("")
+    files, shipped = DataRoot(tmp_path).files("published"), DataRoot(SHIPPED_DATA).files("published")
+    assert files == shipped | {"claims.csv": tmp_path / "published" / "claims.csv"}
+    assert "table1_dataset.csv" in shipped and shipped["claims.csv"].is_file()
+
+
 def test_help_lists_each_setting() -> None:
     text = settings_help("sfm", Example)
     assert "`features` (default 100): how many" in text
 
 
 def artefacts(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "artefacts", *arguments], capture_output=True, text=True, cwd=cwd)
+    return subprocess.run(
+        [sys.executable, "-m", "groundwalk.artefacts", *arguments], capture_output=True, text=True, cwd=cwd
+    )
 
 
 def test_user_errors_are_short(tmp_path: Path) -> None:

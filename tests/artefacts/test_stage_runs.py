@@ -9,10 +9,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
-from artefacts.manifests import load_manifest
-from artefacts.tables import pose_frame
-from geometry.poses import make_pose
+from groundwalk.artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.artefacts.tables import pose_frame
+from groundwalk.geometry.poses import make_pose
 
 # The stage below stands in for any; it writes the one table that no real stage owns.
 PROGRAM = """
@@ -20,7 +20,7 @@ import os, signal, sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from test_stage_runs import STAGE, execute, DataRoot
-import artefacts.stage as stage_module
+import groundwalk.artefacts.stage as stage_module
 
 die_at = sys.argv[2]
 def die(place):

@@ -8,11 +8,11 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from artefacts import UserError
-from artefacts.reference import reference
-from artefacts.schemas import Column, TableSchema, all_tables, pose_columns
-from artefacts.tables import pose_frame, poses_of, read_table, write_table
-from geometry.poses import make_pose
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.reference import reference
+from groundwalk.artefacts.schemas import Column, TableSchema, all_tables, pose_columns
+from groundwalk.artefacts.tables import pose_frame, poses_of, read_table, write_table
+from groundwalk.geometry.poses import make_pose
 
 SCHEMA = TableSchema(
     "sfm",

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from artefacts import UserError
-from artefacts.cli import new_app
-from artefacts.text import printable
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.text import printable
 
 
 def test_terminal_codes_are_escaped_and_text_stays() -> None:

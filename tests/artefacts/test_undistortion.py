@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from artefacts.undistortion import undistorted_image
-from geometry import GeometryError
-from geometry.cameras import Camera, centred_pinhole, pinhole_within
+from groundwalk.artefacts.undistortion import undistorted_image
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.cameras import Camera, centred_pinhole, pinhole_within
 
 _LENSES = [(0.092, -0.125, 0.0, 0.0), (0.16, -0.40, 0.0, 0.0), (-0.1, 0.02, 0.002, -0.001), (0.1, -0.15, 0, 0, 0.02)]
 _SIZE = (320, 240)

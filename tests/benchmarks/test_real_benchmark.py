@@ -16,8 +16,8 @@ from benchmarks.real_report import csv_text, write_report
 from benchmarks.real_stability import RESAMPLINGS, Tried, agreeing, copy_without, left_out
 from benchmarks.stages import run_timed
 from benchmarks.stock import create_shared_database, session_cameras
-from geometry.fits import Sim3
-from geometry.poses import make_pose
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import make_pose
 
 
 def poses(count: int, *, straight: bool = False) -> np.ndarray:

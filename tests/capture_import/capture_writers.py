@@ -12,7 +12,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose, tq_from_pose
+from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose, tq_from_pose
 
 WIDTH, HEIGHT = 96, 72
 

@@ -9,16 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from artefacts import UserError
-from artefacts.settings import SplitRules
-from capture_import.capture import RawFrame, RawSession
-from capture_import.images import ImageCheck
-from capture_import.intake import Image, Session
-from capture_import.sampling import sample_motion, sample_rate, sample_support, support_cells
-from capture_import.selection import density_for, select
-from capture_import.settings import ImportSettings
-from capture_import.splits import LEAK_S, leak_seconds, split_frames
-from geometry.poses import make_pose, relative, rotation_angle
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.settings import SplitRules
+from groundwalk.capture_import.capture import RawFrame, RawSession
+from groundwalk.capture_import.images import ImageCheck
+from groundwalk.capture_import.intake import Image, Session
+from groundwalk.capture_import.sampling import sample_motion, sample_rate, sample_support, support_cells
+from groundwalk.capture_import.selection import density_for, select
+from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.capture_import.splits import LEAK_S, leak_seconds, split_frames
+from groundwalk.geometry.poses import make_pose, relative, rotation_angle
 
 
 def frames_of(**recordings: np.ndarray) -> pd.DataFrame:

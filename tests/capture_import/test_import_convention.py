@@ -8,17 +8,17 @@ import cv2
 import numpy as np
 import pytest
 
-from artefacts import DataRoot, UserError, execute
-from capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
-from capture_import.clock import check_clock
-from capture_import.convention import CONVENTIONS, check_convention
-from capture_import.discovery import find_recordings
-from capture_import.images import check_image
-from capture_import.intake import Image, Session, scan_all, take_in
-from capture_import.settings import ImportSettings
-from capture_import.stage import STAGE
-from capture_import.views import Views
-from geometry.poses import Array, interpolate, make_pose
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.clock import check_clock
+from groundwalk.capture_import.convention import CONVENTIONS, check_convention
+from groundwalk.capture_import.discovery import find_recordings
+from groundwalk.capture_import.images import check_image
+from groundwalk.capture_import.intake import Image, Session, scan_all, take_in
+from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.capture_import.stage import STAGE
+from groundwalk.capture_import.views import Views
+from groundwalk.geometry.poses import Array, interpolate, make_pose
 
 # What undoes a mistake, where it isn't the mistake itself.
 UNDONE_BY = {

@@ -8,10 +8,10 @@ import pandas as pd
 import pytest
 from capture_writers import Walk, make_walk, write_frames_jsonl, write_polycam, write_scanner_app, write_stray_scanner
 
-from artefacts import DataRoot, execute
-from capture_import.capture import Limits
-from capture_import.discovery import find_recordings
-from capture_import.stage import STAGE
+from groundwalk.artefacts import DataRoot, execute
+from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.discovery import find_recordings
+from groundwalk.capture_import.stage import STAGE
 
 SHAPE = (12, 16)  # that of the images, 72x96
 

@@ -19,15 +19,15 @@ from capture_writers import (
     write_video,
 )
 
-from artefacts import DataRoot, UserError, execute
-from capture_import.capture import Limits
-from capture_import.discovery import Found, find_recordings
-from capture_import.formats import formats
-from capture_import.images import decode_rgb
-from capture_import.intake import Intake, scan_all, take_in
-from capture_import.settings import ImportSettings
-from capture_import.stage import STAGE
-from geometry.poses import relative, rotation_angle
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.discovery import Found, find_recordings
+from groundwalk.capture_import.formats import formats
+from groundwalk.capture_import.images import decode_rgb
+from groundwalk.capture_import.intake import Intake, scan_all, take_in
+from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.capture_import.stage import STAGE
+from groundwalk.geometry.poses import relative, rotation_angle
 
 
 def find_one(root: Path) -> Found:

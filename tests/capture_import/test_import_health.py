@@ -11,10 +11,10 @@ from capture_writers import image, make_walk
 from hypothesis import given
 from hypothesis import strategies as st
 
-from capture_import.capture import RawFrame, RawSession
-from capture_import.health import check_session, find_jumps, gravity_of
-from capture_import.images import BadImage, check_image, sharpness
-from geometry.poses import Array, make_pose, nearest_rotation, rotation_angle, yaw_rotation
+from groundwalk.capture_import.capture import RawFrame, RawSession
+from groundwalk.capture_import.health import check_session, find_jumps, gravity_of
+from groundwalk.capture_import.images import BadImage, check_image, sharpness
+from groundwalk.geometry.poses import Array, make_pose, nearest_rotation, rotation_angle, yaw_rotation
 
 
 def session_of(t_ns: np.ndarray, poses: list[Array | None]) -> RawSession:

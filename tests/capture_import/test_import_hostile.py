@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 from capture_writers import WRITERS, make_walk
 
-from artefacts import DataRoot, UserError, execute
-from artefacts.manifests import load_manifest
-from artefacts.schemas import schema
-from artefacts.tables import read_table
-from capture_import.archive import unpack
-from capture_import.capture import Limits
-from capture_import.discovery import find_recordings
-from capture_import.parsing import json_of, lines_of, parsed_bytes
-from capture_import.stage import STAGE
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import read_table
+from groundwalk.capture_import.archive import unpack
+from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.discovery import find_recordings
+from groundwalk.capture_import.parsing import json_of, lines_of, parsed_bytes
+from groundwalk.capture_import.stage import STAGE
 
 SMALL = Limits(max_archive_bytes=1 << 20)
 
@@ -172,8 +172,8 @@ def test_a_bomb_of_brackets_stays_within_a_gibibyte(tmp_path: Path) -> None:
             member.write(b"[]," * (1 << 18))
         member.write(b"[]]}")
     program = (
-        "import sys; from pathlib import Path; from capture_import.capture import Limits\n"
-        "from capture_import.discovery import find_recordings\n"
+        "import sys; from pathlib import Path; from groundwalk.capture_import.capture import Limits\n"
+        "from groundwalk.capture_import.discovery import find_recordings\n"
         "find_recordings(Path(sys.argv[1]), Path(sys.argv[2]), Limits())[0].read(Limits())"
     )
     command = [sys.executable, "-c", program, str(archive.parent), str(tmp_path / "unpacked")]

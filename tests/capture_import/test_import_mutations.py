@@ -13,14 +13,14 @@ import pytest
 from capture_mutations import mutate
 from capture_writers import WRITERS, make_walk
 
-from artefacts import UserError
-from capture_import.archive import unpack
-from capture_import.capture import Limits
-from capture_import.discovery import find_recordings
-from capture_import.intake import scan_all, take_in
-from capture_import.settings import ImportSettings
-from capture_import.tables import rejects_table
-from geometry.poses import rigidity_error
+from groundwalk.artefacts import UserError
+from groundwalk.capture_import.archive import unpack
+from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.discovery import find_recordings
+from groundwalk.capture_import.intake import scan_all, take_in
+from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.capture_import.tables import rejects_table
+from groundwalk.geometry.poses import rigidity_error
 
 SECONDS = 20
 LINES = 40

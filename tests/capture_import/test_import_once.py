@@ -8,19 +8,19 @@ import pytest
 from capture_writers import make_walk, write_scanner_app, write_stray_scanner
 from rerun.chunk import RrdReader
 
-from artefacts import DataRoot, execute
-from artefacts.manifests import load_manifest
-from capture_import import recording, views
-from capture_import.capture import Limits, RawFrame
-from capture_import.clock import CLOCK_LONG_SIDE, dense_stretch
-from capture_import.convention import CONVENTION_LONG_SIDE, parallax_pairs
-from capture_import.discovery import find_recordings
-from capture_import.images import decode_gray
-from capture_import.scan import Look, scan_images
-from capture_import.spool import Spool, thumbnail_path
-from capture_import.stage import STAGE
-from capture_import.thumbnails import MOST, spread, thumbnail_of
-from capture_import.views import Views
+from groundwalk.artefacts import DataRoot, execute
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.capture_import import recording, views
+from groundwalk.capture_import.capture import Limits, RawFrame
+from groundwalk.capture_import.clock import CLOCK_LONG_SIDE, dense_stretch
+from groundwalk.capture_import.convention import CONVENTION_LONG_SIDE, parallax_pairs
+from groundwalk.capture_import.discovery import find_recordings
+from groundwalk.capture_import.images import decode_gray
+from groundwalk.capture_import.scan import Look, scan_images
+from groundwalk.capture_import.spool import Spool, thumbnail_path
+from groundwalk.capture_import.stage import STAGE
+from groundwalk.capture_import.thumbnails import MOST, spread, thumbnail_of
+from groundwalk.capture_import.views import Views
 
 
 def frames_of(folder: Path) -> list[RawFrame]:

@@ -12,12 +12,12 @@ import pandas as pd
 import pytest
 from capture_writers import HEIGHT, WIDTH, image, jpeg, make_walk, write_scanner_app, write_stray_scanner
 
-from artefacts import DataRoot, UserError, execute
-from artefacts.manifests import load_manifest
-from capture_import import stage as import_stage
-from capture_import.blurring import CascadeDetector, Region, blur_people
-from capture_import.images import decode_rgb, without_metadata
-from capture_import.stage import STAGE
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.capture_import import stage as import_stage
+from groundwalk.capture_import.blurring import CascadeDetector, Region, blur_people
+from groundwalk.capture_import.images import decode_rgb, without_metadata
+from groundwalk.capture_import.stage import STAGE
 
 PLACE = b"48.123456N 11.654321E"
 

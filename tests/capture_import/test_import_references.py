@@ -12,13 +12,13 @@ from capture_writers import make_walk, write_colmap, write_nerf_capture, write_n
 from hypothesis import given
 from hypothesis import strategies as st
 
-from artefacts import DataRoot, UserError, execute
-from artefacts.tables import poses_of
-from capture_import.capture import Intrinsics, Limits, RawSession
-from capture_import.discovery import find_recordings
-from capture_import.formats.colmap import _Camera, _intrinsics
-from capture_import.stage import STAGE
-from geometry.poses import inverse
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.capture_import.capture import Intrinsics, Limits, RawSession
+from groundwalk.capture_import.discovery import find_recordings
+from groundwalk.capture_import.formats.colmap import _Camera, _intrinsics
+from groundwalk.capture_import.stage import STAGE
+from groundwalk.geometry.poses import inverse
 
 DISTORTED = {
     "SIMPLE_PINHOLE": [80.0, 48.5, 35.5],

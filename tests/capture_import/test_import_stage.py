@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 from capture_writers import HEIGHT, WIDTH, make_walk, write_frames_jsonl, write_scanner_app
 
-from artefacts import DataRoot, UserError, execute
-from artefacts.tables import poses_of
-from capture_import.inspection import inspect_capture
-from capture_import.stage import STAGE
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.capture_import.inspection import inspect_capture
+from groundwalk.capture_import.stage import STAGE
 
 
 def run_import(data: Path, scene: str, *settings: str) -> dict[str, pd.DataFrame]:

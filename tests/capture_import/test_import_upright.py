@@ -8,11 +8,11 @@ import pandas as pd
 import pytest
 from capture_writers import HEIGHT, WIDTH, image, make_walk, write_scanner_app
 
-from artefacts import DataRoot, execute
-from artefacts.tables import poses_of
-from capture_import.images import decode_rgb
-from capture_import.stage import STAGE
-from geometry.poses import inverse, make_pose, transform
+from groundwalk.artefacts import DataRoot, execute
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.capture_import.images import decode_rgb
+from groundwalk.capture_import.stage import STAGE
+from groundwalk.geometry.poses import inverse, make_pose, transform
 
 
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3])

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from capture_writers import HEIGHT, WIDTH, image, make_walk, video_frame, write_stray_scanner
 
-from artefacts import DataRoot, UserError, execute
-from artefacts.manifests import load_manifest
-from capture_import import placing
-from capture_import.capture import Limits
-from capture_import.spool import Spool
-from capture_import.stage import STAGE
-from capture_import.video import decode, frame_times, gray_pixels, require_row_per_frame, rgb_pixels
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.capture_import import placing
+from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.spool import Spool
+from groundwalk.capture_import.stage import STAGE
+from groundwalk.capture_import.video import decode, frame_times, gray_pixels, require_row_per_frame, rgb_pixels
 
 
 def write_long_video(path: Path, count: int, rate_hz: int = 10) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geometry.poses import Array, make_pose
+from groundwalk.geometry.poses import Array, make_pose
 
 
 @dataclass

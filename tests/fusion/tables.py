@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from random_walks import random_walk
 
-from artefacts.tables import pose_frame
+from groundwalk.artefacts.tables import pose_frame
 
 
 def tables(seeds: list[int], models: tuple[str, ...] = ("PN",), frames: int = 40):

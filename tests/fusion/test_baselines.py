@@ -11,19 +11,19 @@ from scipy.spatial.transform import Rotation
 from test_mobilearloc import literal_frames
 from upright_walks import as_walk, upright_walk
 
-from fusion.error_state import ErrorState, ErrorStateOptions
-from fusion.last_good import LastGood, LastGoodOptions
-from fusion.localiser import Status
-from fusion.methods import METHODS
-from fusion.offline import Offline, stepped
-from fusion.pose_graph import PoseGraph, PoseGraphOptions
-from fusion.smoother import Smoother
-from fusion.vio_oracle import VioOracle
-from fusion.window import Window, WindowOptions
-from geometry.fits import pose_residuals
-from geometry.metrics import position_error, rotation_error_deg
-from geometry.pose_graph import smooth_chain
-from geometry.poses import inverse, make_pose, relative, yaw_rotation
+from groundwalk.fusion.error_state import ErrorState, ErrorStateOptions
+from groundwalk.fusion.last_good import LastGood, LastGoodOptions
+from groundwalk.fusion.localiser import Status
+from groundwalk.fusion.methods import METHODS
+from groundwalk.fusion.offline import Offline, stepped
+from groundwalk.fusion.pose_graph import PoseGraph, PoseGraphOptions
+from groundwalk.fusion.smoother import Smoother
+from groundwalk.fusion.vio_oracle import VioOracle
+from groundwalk.fusion.window import Window, WindowOptions
+from groundwalk.geometry.fits import pose_residuals
+from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.geometry.pose_graph import smooth_chain
+from groundwalk.geometry.poses import inverse, make_pose, relative, yaw_rotation
 
 BASELINES = ["last_good", "window30", "pose_graph", "error_state"]
 

@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from upright_walks import upright_walk
 
-from fusion.drift_aware import DriftAware, DriftAwareOptions
-from fusion.error_map import ErrorMap
-from fusion.mobilearloc import MobileARLoc
-from geometry.metrics import position_error, rotation_error_deg
-from geometry.poses import interpolate, make_pose, yaw_rotation
+from groundwalk.fusion.drift_aware import DriftAware, DriftAwareOptions
+from groundwalk.fusion.error_map import ErrorMap
+from groundwalk.fusion.mobilearloc import MobileARLoc
+from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.geometry.poses import interpolate, make_pose, yaw_rotation
 
 
 def answers(localiser, t_ns, vio, apr):

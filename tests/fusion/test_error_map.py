@@ -6,8 +6,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from fusion.error_map import LEAST_FRAMES, ErrorMap, errors_of
-from geometry.poses import make_pose, yaw_rotation
+from groundwalk.fusion.error_map import LEAST_FRAMES, ErrorMap, errors_of
+from groundwalk.geometry.poses import make_pose, yaw_rotation
 
 
 def walk(seed, frames=150, noise=0.1):

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 from tables import tables
 
-from fusion.bootstrap import DRAWS, intervals
-from fusion.evaluate import FuseSettings, Inputs, evaluate
+from groundwalk.fusion.bootstrap import DRAWS, intervals
+from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate
 
 METHODS = ["apr", "mobilearloc"]
 

@@ -5,9 +5,9 @@ from pathlib import Path
 from rerun.chunk import RrdReader
 from tables import tables
 
-from artefacts.recording import open_recording
-from fusion.evaluate import FuseSettings, Inputs, evaluate
-from fusion.record import blueprint, record
+from groundwalk.artefacts.recording import open_recording
+from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate
+from groundwalk.fusion.record import blueprint, record
 
 
 def rows_of(path: Path) -> dict[str, int]:

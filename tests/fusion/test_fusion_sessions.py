@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from upright_walks import as_walk
 
-from fusion.fuse import Fused, Run
-from fusion.summary import session_figures
-from geometry.poses import Array, make_pose, yaw_rotation
+from groundwalk.fusion.fuse import Fused, Run
+from groundwalk.fusion.summary import session_figures
+from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 
 SECOND = 10**9
 

@@ -6,10 +6,10 @@ import pandas as pd
 import pytest
 from tables import tables
 
-from artefacts import DataRoot, StageRun
-from artefacts.schemas import schema
-from artefacts.tables import read_table
-from fusion.stage import STAGE, FuseSettings
+from groundwalk.artefacts import DataRoot, StageRun
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import read_table
+from groundwalk.fusion.stage import STAGE, FuseSettings
 
 
 class Inputs(StageRun):

@@ -4,12 +4,12 @@ import pytest
 from tables import tables
 from typer.testing import CliRunner
 
-from artefacts.schemas import schema
-from artefacts.tables import read_table
-from fusion.__main__ import app
-from fusion.evaluate import FuseSettings, Inputs, evaluate, joined_walks
-from fusion.mobilearloc import MobileARLocOptions
-from fusion.sweep import VALUES, around, grid, sweep
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import read_table
+from groundwalk.fusion.__main__ import app
+from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate, joined_walks
+from groundwalk.fusion.mobilearloc import MobileARLocOptions
+from groundwalk.fusion.sweep import VALUES, around, grid, sweep
 
 INPUTS = Inputs("Place", *tables([1, 2, 3, 4], ("PN", "MS-T")))
 WALKS = {("Place", model): joined.walks for model, joined in joined_walks(INPUTS, ["test"])}

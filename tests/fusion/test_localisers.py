@@ -8,10 +8,10 @@ import pytest
 from random_walks import random_walk
 from upright_walks import upright_walk
 
-from fusion.localiser import Localiser
-from fusion.methods import METHODS
-from geometry.metrics import position_error
-from geometry.poses import interpolate
+from groundwalk.fusion.localiser import Localiser
+from groundwalk.fusion.methods import METHODS
+from groundwalk.geometry.metrics import position_error
+from groundwalk.geometry.poses import interpolate
 
 CAUSAL = [name for name, method in METHODS.items() if method.causal]
 RATE = 60

@@ -8,10 +8,10 @@ from literal_rule import Frame, label_walk
 from random_walks import RandomWalk, random_walk
 from scipy.spatial.transform import Rotation
 
-from fusion.localiser import Status
-from fusion.mobilearloc import MobileARLoc, MobileARLocOptions, reference, similarity
-from geometry import GeometryError
-from geometry.poses import make_pose, tq_from_pose
+from groundwalk.fusion.localiser import Status
+from groundwalk.fusion.mobilearloc import MobileARLoc, MobileARLocOptions, reference, similarity
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import make_pose, tq_from_pose
 
 # Each option's other readings, for the random choice below.
 READINGS = {

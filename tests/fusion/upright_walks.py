@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fusion.walks import Walk
-from geometry.poses import Array, make_pose, yaw_rotation
+from groundwalk.fusion.walks import Walk
+from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 
 
 def upright_walk(seed: int, frames: int = 200, noise_m: float = 0.5, noise_deg: float = 3.0, outliers: float = 0.2):

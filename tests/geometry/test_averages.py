@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from geometry import GeometryError
-from geometry.averages import fermat_points, geometric_median, karcher_mean, quaternion_mean
-from geometry.poses import quaternion_angle
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.averages import fermat_points, geometric_median, karcher_mean, quaternion_mean
+from groundwalk.geometry.poses import quaternion_angle
 
 seeds = st.integers(0, 2**32 - 1)
 

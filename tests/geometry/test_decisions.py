@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta
 
-from geometry.decisions import Status, beyond, decide, share_sd, within
+from groundwalk.geometry.decisions import Status, beyond, decide, share_sd, within
 
 _SIZE = st.floats(0, 100)
 

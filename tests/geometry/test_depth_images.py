@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from geometry import GeometryError
-from geometry.depth_images import pixel_rays, ratio_statistics, sample_depth, smooth_pixels
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.depth_images import pixel_rays, ratio_statistics, sample_depth, smooth_pixels
 
 SIZE = (640, 480)
 

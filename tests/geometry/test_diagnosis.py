@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geometry.diagnosis import FOLDED_LIMIT, diagnose
-from geometry.poses import Array, make_pose
-from geometry.vio_agreement import Stretch
-from geometry.vio_drift import VioDrift
+from groundwalk.geometry.diagnosis import FOLDED_LIMIT, diagnose
+from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.geometry.vio_agreement import Stretch
+from groundwalk.geometry.vio_drift import VioDrift
 
 DRIFT = VioDrift.in_degrees(0.1, 0.03, 3.0, 2.5)
 

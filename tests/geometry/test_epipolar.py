@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from geometry.epipolar import sampson_px
-from geometry.poses import Array, inverse, make_pose, transform
+from groundwalk.geometry.epipolar import sampson_px
+from groundwalk.geometry.poses import Array, inverse, make_pose, transform
 
 _MATCHES = 40
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from geometry import GeometryError
-from geometry.fits import (
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import (
     Sim3,
     fit_poses,
     fit_robust,
@@ -19,8 +19,9 @@ from geometry.fits import (
     mean_direction,
     pose_residuals,
     rotation_to_up,
+    sim3_between,
 )
-from geometry.poses import make_pose, transform, yaw_rotation
+from groundwalk.geometry.poses import make_pose, transform, yaw_rotation
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -173,3 +174,16 @@ def test_other_undetermined_fits_are_refused() -> None:
         mean_direction([[0, 1, 0], [0, -1, 0]])
     with pytest.raises(GeometryError):
         rotation_to_up([0, 0, 0])
+
+
+def test_a_similarity_between_poses_is_found_again_also_along_a_line() -> None:
+    rng = np.random.default_rng(0)
+    a_S_b = Sim3(2.5, Rotation.random(rng=rng).as_matrix(), rng.normal(size=3))
+    for xyz in (rng.normal(size=(6, 3)), np.outer(np.arange(2.0), [1, 2, 3])):
+        b_T_cam = make_pose(Rotation.random(len(xyz), rng).as_matrix(), xyz)
+        found = sim3_between(a_S_b.poses(b_T_cam), b_T_cam)
+        assert found.scale == pytest.approx(a_S_b.scale)
+        np.testing.assert_allclose(found.points(xyz), a_S_b.points(xyz), atol=1e-12)
+        np.testing.assert_allclose(found.rotation, a_S_b.rotation, atol=1e-12)
+    with pytest.raises(GeometryError, match="3 poses at one position"):
+        sim3_between(*[np.tile(make_pose(np.eye(3), [1e3, 2, 3]), (3, 1, 1))] * 2)

@@ -5,7 +5,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from geometry.lens import distort, largest_shift, undistort
+from groundwalk.geometry.lens import distort, largest_shift, undistort
 
 _LENSES = [
     [0.092, -0.125],

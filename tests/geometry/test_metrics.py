@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from alignment.settings import AlignSettings
-from geometry.metrics import (
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.geometry.metrics import (
     ACCURACY_LEVELS,
     accuracy_shares,
     position_error,
@@ -19,7 +19,7 @@ from geometry.metrics import (
     rpe_roe,
     sure_enough,
 )
-from geometry.poses import make_pose
+from groundwalk.geometry.poses import make_pose
 
 seeds = st.integers(0, 2**32 - 1)
 

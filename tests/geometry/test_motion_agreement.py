@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geometry.motion_agreement import MIRRORED, UNRELATED, UPSIDE_DOWN, compare_motions
-from geometry.poses import make_pose, relative
+from groundwalk.geometry.motion_agreement import MIRRORED, UNRELATED, UPSIDE_DOWN, compare_motions
+from groundwalk.geometry.poses import make_pose, relative
 
 
 def walk(rng: np.random.Generator, count: int = 60) -> np.ndarray:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geometry import GeometryError
-from geometry.fits import Sim3
-from geometry.pose_similarity import fit_similar_poses
-from geometry.poses import make_pose
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.pose_similarity import fit_similar_poses
+from groundwalk.geometry.poses import make_pose
 
 GAUGE = Sim3(2.7, Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix(), np.array([3.0, -70.0, 1.0]))
 

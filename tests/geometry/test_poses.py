@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from geometry import GeometryError
-from geometry.poses import (
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import (
     ARKIT_CAM_T_CAM,
     canonical_quaternion,
     heading,

@@ -1,10 +1,11 @@
 """Rates of a camera against motions whose rates are known."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
-from geometry.poses import Array, make_pose
-from geometry.rates import rates_at
+from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.geometry.rates import rates_at
 
 _STEP_NS = 100_000_000
 
@@ -16,30 +17,50 @@ def _turning(t_s: Array) -> Array:
     return make_pose(rotation, np.stack([0.5 * t_s**2, 0 * t_s, t_s], axis=1))
 
 
+def _sway(t_s: Array) -> tuple[Array, Array, Array]:
+    """A camera that nods and sways at 2 Hz as it is carried: poses (N, 4, 4), angular velocity and velocity (N, 3)."""
+    phase = 4 * np.pi * t_s
+    rotation = Rotation.from_rotvec(np.outer(0.02 * np.sin(phase), [1.0, 0, 0])).as_matrix()
+    poses = make_pose(rotation, np.outer(0.03 * np.cos(phase), [1.0, 0, 0]) + np.outer(t_s, [0, 0, 1.0]))
+    angular = np.outer(0.02 * 4 * np.pi * np.cos(phase), [1.0, 0, 0])
+    velocity = np.outer(-0.03 * 4 * np.pi * np.sin(phase), [1.0, 0, 0]) + np.array([0, 0, 1.0])
+    return poses, angular, np.einsum("nji,nj->ni", rotation, velocity)
+
+
+def test_rates_of_steps_are_not_smoothed_away() -> None:
+    log_ns = np.arange(100) * _STEP_NS
+    t_ns = log_ns[20:80]
+    _, angular, velocity = _sway(t_ns * 1e-9)
+    rates = rates_at(t_ns, log_ns, _sway(log_ns * 1e-9)[0], 0.3)
+    slope = np.sum(rates.angular * angular) / np.sum(angular**2)
+    assert slope == pytest.approx(1, abs=0.03)
+    of_neighbours = rates.angular - rates.angular_difference
+    assert np.sum(of_neighbours * angular) / np.sum(angular**2) < 0.8
+    assert np.abs(rates.velocity - velocity).max() < 0.02
+
+
+def test_difference_says_how_far_rates_may_be_off() -> None:
+    log_ns, t_ns = np.arange(100) * _STEP_NS, np.arange(200, 800) * (_STEP_NS // 10)
+    rates = rates_at(t_ns, log_ns, _sway(log_ns * 1e-9)[0], 0.3)
+    error = rates.angular - _sway(t_ns * 1e-9)[1]
+    assert 0.2 < np.sqrt(np.mean(error**2)) / np.sqrt(np.mean((rates.angular_difference / 2) ** 2)) < 1
+
+
 def test_rates_are_those_of_a_motion_with_constant_acceleration() -> None:
     log_ns = np.arange(20) * _STEP_NS
-    t_ns = np.array([450_000_000, 700_000_000, 1_234_000_000])
-    t_s = t_ns * 1e-9
+    t_s = np.array([0.45, 0.7, 1.234])
     poses = _turning(t_s)
-    rates = rates_at(t_ns, poses, log_ns, _turning(log_ns * 1e-9), 0.3)
-    assert np.allclose(rates.angular, np.outer(0.3 + 0.4 * t_s, [0.0, 0.6, 0.8]), atol=1e-9)
+    rates = rates_at(np.round(t_s * 1e9).astype(np.int64), log_ns, _turning(log_ns * 1e-9), 0.3)
+    assert np.allclose(rates.angular, np.outer(0.3 + 0.4 * t_s, [0.0, 0.6, 0.8]), atol=2e-3)
     velocity = np.stack([t_s, 0 * t_s, np.ones_like(t_s)], axis=1)
-    assert np.allclose(rates.velocity, np.einsum("nji,nj->ni", poses[:, :3, :3], velocity), atol=1e-9)
+    assert np.allclose(rates.velocity, np.einsum("nji,nj->ni", poses[:, :3, :3], velocity), atol=2e-3)
 
 
-def test_change_says_how_much_the_rate_changes_around_the_moment() -> None:
-    log_ns = np.arange(20) * _STEP_NS
-    t_ns = log_ns[5:6]
-    rates = rates_at(t_ns, _turning(t_ns * 1e-9), log_ns, _turning(log_ns * 1e-9), 0.3)
-    # From the middle of the step before to the middle of the step after lie 0.1 s.
-    assert np.allclose(rates.angular_change, [[0.0, 0.6 * 0.04, 0.8 * 0.04]], atol=1e-9)
-
-
-def test_rates_at_the_ends_come_from_one_side_and_there_are_none_in_gaps() -> None:
-    log_ns = np.array([0, 1, 2, 12, 13, 14]) * _STEP_NS
-    t_ns = np.array([0, 1, 7, 13, 14]) * _STEP_NS
-    rates = rates_at(t_ns, _turning(t_ns * 1e-9), log_ns, _turning(log_ns * 1e-9), 0.3)
-    assert np.isfinite(rates.angular[:, 0]).tolist() == [True, True, False, True, True]
-    assert np.isfinite(rates.angular_change[:, 0]).tolist() == [False, True, False, True, False]
+def test_there_are_no_rates_in_gaps_and_no_difference_at_the_ends() -> None:
+    log_ns = np.array([0, 1, 2, 12, 13, 14, 30]) * _STEP_NS
+    t_ns = np.array([0, 1, 7, 13, 14, 30, 31]) * _STEP_NS
+    rates = rates_at(t_ns, log_ns, _turning(log_ns * 1e-9), 0.3)
+    assert np.isfinite(rates.angular[:, 0]).tolist() == [True, True, False, True, True, False, False]
+    assert np.isfinite(rates.angular_difference[:, 0]).tolist() == [False, True, False, True, False, False, False]
     # From 0 to 0.1 s the camera turns by 0.032 rad.
-    assert np.allclose(rates.angular[0], [0.0, 0.6 * 0.32, 0.8 * 0.32], atol=1e-9)
+    assert np.allclose(rates.angular[0], [0.0, 0.6 * 0.32, 0.8 * 0.32], atol=0.02)

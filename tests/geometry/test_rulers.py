@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geometry import GeometryError
-from geometry.fits import Sim3
-from geometry.poses import inverse, make_pose, transform
-from geometry.rulers import Corners, Observations, RulerFit, measure, triangulate
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import inverse, make_pose, transform
+from groundwalk.geometry.rulers import Corners, Observations, RulerFit, measure, triangulate
 
 FOCAL_PX = 1400.0
 SQUARE_M = 0.022

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from geometry import GeometryError
-from geometry.fits import Sim3
-from geometry.poses import Array, make_pose, yaw_rotation
-from geometry.vio_agreement import POSE_SD, Stretch, compare_windows, path_m, path_windows, recording_scale
-from geometry.vio_drift import VioDrift
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
+from groundwalk.geometry.vio_agreement import POSE_SD, Stretch, compare_windows, path_m, path_windows, recording_scale
+from groundwalk.geometry.vio_drift import VioDrift
 
 _DRIFT = VioDrift.in_degrees(0.1, 0.03, 3.0, 2.5)
 _SCALE = {"step_m": 1.0, "step_sd": 0.03}

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PYTHON = """#!/bin/bash
 printf '%s\\0' "$@" >> arguments
 while [ $# -gt 0 ]; do
-  case $1 in --scene) scene=$2;; --profile) profile=$2;; capture_import) stage=import;; esac
+  case $1 in --scene) scene=$2;; --profile) profile=$2;; groundwalk.capture_import) stage=import;; esac
   shift
 done
 if [ -n "${stage:-}" ]; then
@@ -98,7 +98,7 @@ def test_an_empty_profile_and_a_group_with_a_hostile_member_are_refused(folder: 
 def test_a_captures_folder_may_have_any_name(folder: Path, name: str) -> None:
     done = make(folder, "scene=own", f"captures={name}", "import")
     assert done.returncode == 0, done.stderr
-    assert arguments_of(folder)[:6] == ["-m", "artefacts", "link-captures", "--scene", "own", "--folder"]
+    assert arguments_of(folder)[:6] == ["-m", "groundwalk.artefacts", "link-captures", "--scene", "own", "--folder"]
     assert arguments_of(folder)[6] == name
     assert not (folder / "f").exists()
 
@@ -125,7 +125,7 @@ def test_a_second_make_does_nothing_and_other_captures_are_looked_at(folder: Pat
     assert make(folder, *variables).returncode == 0
     assert not (folder / "arguments").exists()
     make(folder, "scene=own", "captures=other", "import")
-    assert "link-captures" in arguments_of(folder) and "capture_import" in arguments_of(folder)
+    assert "link-captures" in arguments_of(folder) and "groundwalk.capture_import" in arguments_of(folder)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -44,7 +44,7 @@ def finished(data: Path) -> Callable[[str], dict[str, dict]]:
 
     @cache
     def finish(scene: str) -> dict[str, dict]:
-        run("simulation", scene, data)
+        run("groundwalk.simulation", scene, data)
         return run_all(scene, data)
 
     return finish
@@ -73,7 +73,7 @@ def test_a_group_trains_one_model_for_its_scenes(data: Path, finished: Callable[
     (data / "scenes" / "two.toml").write_text(
         'environment = "outdoor"\nmembers = ["Church", "Square"]\nstages = ["train", "fuse", "report"]\n'
     )
-    for module in ("training", "fusion", "reports"):
+    for module in ("groundwalk.training", "groundwalk.fusion", "groundwalk.reports"):
         run(module, "two", data)
     predictions = pd.read_parquet(data / "runs/tiny/two/train/predictions.parquet")
     assert set(predictions.model) == {"MS-T"}

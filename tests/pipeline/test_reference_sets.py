@@ -5,14 +5,14 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from alignment.__main__ import app as alignment_app
-from alignment.stage import STAGE as ALIGN
-from artefacts import DataRoot, execute
-from artefacts.tables import poses_of
-from capture_import.stage import STAGE as IMPORT
-from geometry.fits import fit_sim3, pose_residuals
-from sfm.stage import STAGE as SFM
-from simulation.__main__ import app as simulation_app
+from groundwalk.alignment.__main__ import app as alignment_app
+from groundwalk.alignment.stage import STAGE as ALIGN
+from groundwalk.artefacts import DataRoot, execute
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.capture_import.stage import STAGE as IMPORT
+from groundwalk.geometry.fits import fit_sim3, pose_residuals
+from groundwalk.sfm.stage import STAGE as SFM
+from groundwalk.simulation.__main__ import app as simulation_app
 
 pytestmark = pytest.mark.slow
 SCENE = "Church"

@@ -10,12 +10,12 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from artefacts.files import hash_files, write_json
-from artefacts.schemas import schema, stage_tables
-from artefacts.settings import DataRoot
-from artefacts.tables import pose_frame, read_table, write_table
-from geometry.metrics import position_error, rotation_error_deg
-from geometry.poses import Array, make_pose, yaw_rotation
+from groundwalk.artefacts.files import hash_files, write_json
+from groundwalk.artefacts.schemas import schema, stage_tables
+from groundwalk.artefacts.settings import DataRoot
+from groundwalk.artefacts.tables import pose_frame, read_table, write_table
+from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 
 SECOND = 1_000_000_000
 MODELS = ("PN", "MS-T")

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 from conftest import MODELS, MadeUpScene
 
-from reports.figures import confidence, sensitivity
+from groundwalk.reports.figures import confidence, sensitivity
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reports.checks import AGREES, CAUTION, DISAGREES, check_tables, decimals, meets, percent, rounded, whole
-from reports.published import SUBSETS, PrintedTables, load_claims, load_published
+from groundwalk.reports.checks import AGREES, CAUTION, DISAGREES, check_tables, decimals, meets, percent, rounded, whole
+from groundwalk.reports.published import SUBSETS, PrintedTables, load_claims, load_published
 
 # Everything that the published tables get wrong, as (rule, scene, subset, column) -> (by the rule, printed).
 TABLE_FAULTS = {

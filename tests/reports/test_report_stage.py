@@ -9,18 +9,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from artefacts import UserError
-from artefacts.files import write_json
-from artefacts.manifests import load_manifest, output_hashes
-from artefacts.schemas import schema
-from artefacts.settings import DataRoot
-from artefacts.stage import execute
-from artefacts.tables import read_table, write_table
-from reports.checks import AGREES
-from reports.grids import Block, Grid, Row, latex, latex_text, markdown
-from reports.published import load_published
-from reports.stage import STAGE
-from reports.statistics import score
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.files import write_json
+from groundwalk.artefacts.manifests import load_manifest, output_hashes
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import DataRoot
+from groundwalk.artefacts.stage import execute
+from groundwalk.artefacts.tables import read_table, write_table
+from groundwalk.reports.checks import AGREES
+from groundwalk.reports.grids import Block, Grid, Row, latex, latex_text, markdown
+from groundwalk.reports.published import load_published
+from groundwalk.reports.stage import STAGE
+from groundwalk.reports.statistics import score
 
 MakeRun = Callable[..., DataRoot]
 

@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from artefacts import DataRoot
-from artefacts.files import hash_files
-from artefacts.schemas import schema
-from artefacts.tables import pose_frame, write_table
-from geometry.poses import Array, inverse, make_pose
+from groundwalk.artefacts import DataRoot
+from groundwalk.artefacts.files import hash_files
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import pose_frame, write_table
+from groundwalk.geometry.poses import Array, inverse, make_pose
 
 SIZE_PX = (320, 240)
 FOCAL_PX = 260.0

@@ -1,15 +1,16 @@
 """Bundle adjustment with lens, rolling shutter and focus: derivatives, recovery, honest sigmas."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geometry.fits import fit_sim3
-from geometry.poses import Array, inverse
-from sfm.adjustment import (
+from groundwalk.geometry.fits import fit_sim3
+from groundwalk.geometry.poses import Array, inverse
+from groundwalk.sfm.adjustment import (
     Adjusted,
     CameraPriors,
     Cameras,
@@ -21,7 +22,8 @@ from sfm.adjustment import (
     shared_columns,
     with_step,
 )
-from sfm.covariance import covariances
+from groundwalk.sfm.covariance import covariances
+from groundwalk.sfm.residuals import LENS, SHUTTER, draw_residuals, pattern_of, residual_patterns
 
 _FRAMES, _POINTS, _NOISE_PX = 24, 2500, 0.2
 _LENS, _READOUT_S = (0.092, -0.125), 0.02
@@ -171,3 +173,22 @@ def _position_error_m(scene: Scene, truth: Scene) -> float:
     centre: Array = scene.sfm_T_cam[:, :3, 3]
     placed = fit_sim3(truth.sfm_T_cam[:, :3, 3], centre).poses(scene.sfm_T_cam)
     return float(np.median(np.linalg.norm(placed[:, :3, 3] - truth.sfm_T_cam[:, :3, 3], axis=1)))
+
+
+@pytest.mark.parametrize("left_out", [None, LENS, SHUTTER])
+def test_residuals_look_like_what_is_not_modelled(left_out: str | None, tmp_path: Path) -> None:
+    adjusted, _, _ = _adjusted(2)
+    mean, priors = adjusted.cameras, adjusted.priors
+    if left_out == LENS:
+        mean = replace(mean, coefficients=np.zeros((1, 8)))
+        priors = replace(priors, lens_covariance=np.diag([1e-14, 1e-14, 4e-4])[None])
+    elif left_out == SHUTTER:
+        mean = replace(mean, readout_s=np.zeros(1))
+        priors = replace(priors, lens_covariance=np.diag([2.5e-3, 6.4e-3, 1e-14])[None])
+    if left_out:
+        adjusted = adjust(adjusted.scene, mean, replace(priors, mean=mean))
+    residuals = residual_patterns("model", ["lens"], adjusted)
+    pattern = pattern_of(residuals)
+    assert (pattern and pattern[0]) == left_out
+    draw_residuals(tmp_path / "residuals.png", residuals)
+    assert (tmp_path / "residuals.png").stat().st_size > 5000

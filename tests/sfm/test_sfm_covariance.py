@@ -7,10 +7,10 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geometry.poses import Array, inverse, make_pose
-from sfm.adjustment import Adjusted, CameraPriors, Cameras, Scene
-from sfm.covariance import covariances
-from sfm.model import blobs_of
+from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.sfm.adjustment import Adjusted, CameraPriors, Cameras, Scene
+from groundwalk.sfm.covariance import covariances
+from groundwalk.sfm.model import blobs_of
 
 _FRAMES, _POINTS, _RUNS = 8, 300, 25
 _NOISE_PX = 0.7

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from geometry.poses import Array, inverse, make_pose, transform, yaw_rotation
-from sfm.from_vio import join_sessions
+from groundwalk.geometry.poses import Array, inverse, make_pose, transform, yaw_rotation
+from groundwalk.sfm.from_vio import join_sessions
 
 _POINTS = 60
 

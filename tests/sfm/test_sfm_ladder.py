@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from sfm.ladder import MISSING, NO_MODEL, OTHERWISE, TAKEN, TOO_FEW, Attempt, climb, ladder, outcome_of
-from sfm.settings import SfmSettings
+from groundwalk.sfm.ladder import MISSING, NO_MODEL, OTHERWISE, TAKEN, TOO_FEW, Attempt, climb, ladder, outcome_of
+from groundwalk.sfm.settings import SfmSettings
 
 _FRAMES = 100
 

@@ -3,24 +3,21 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from artefacts.tables import pose_frame
-from geometry.poses import inverse, make_pose
-from sfm.model import load_models
-from sfm.model_adjustment import CameraLog, adjust_model, camera_log
-from sfm.settings import SfmSettings
+from groundwalk.artefacts.tables import pose_frame
+from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.sfm.model import load_models
+from groundwalk.sfm.model_adjustment import CameraLog, adjust_model, camera_log, with_lenses_of
+from groundwalk.sfm.settings import SfmSettings
 
 
 def test_points_behind_a_camera_are_taken_out(tmp_path: Path) -> None:
-    pycolmap.set_random_seed(0)
-    options = pycolmap.SyntheticDatasetOptions(num_rigs=6, num_cameras_per_rig=1, num_frames_per_rig=1, num_points3D=60)
-    model = pycolmap.synthesize_dataset(options)
+    model = _model()
     behind, image_id = next((p, t.image_id) for p, point in model.points3D.items() for t in point.track.elements)
     centre = model.image(image_id).projection_center()
     model.point3D(behind).xyz = 2 * centre - model.point3D(behind).xyz
 
     model.write_binary(tmp_path)
-    keypoints = [np.array([p.xy for p in model.image(row + 1).points2D]) for row in range(6)]
-    adjusted, rows = adjust_model(model, keypoints, _log(model), SfmSettings(refine_cameras="never"))
+    adjusted, rows = adjust_model(model, _keypoints(model), _log(model), SfmSettings(refine_cameras="never"))
 
     model.write_binary(tmp_path)
     left = load_models([tmp_path], 6)
@@ -29,7 +26,28 @@ def test_points_behind_a_camera_are_taken_out(tmp_path: Path) -> None:
     assert left.registered.all() and len(left.xyz) >= 59
 
 
-def _log(model: pycolmap.Reconstruction) -> CameraLog:
+def test_further_models_start_from_the_lens_of_the_largest() -> None:
+    model, settings = _model(), SfmSettings()
+    log = _log(model, settings)
+    adjusted, rows = adjust_model(model, _keypoints(model), log, settings)
+    (before,), (after,) = log.calibration.lenses, with_lenses_of(log, adjusted, rows).calibration.lenses
+    assert after.prior_coefficients == adjusted.cameras.coefficients[0].tolist() != before.prior_coefficients
+    assert after.prior_readout_s == adjusted.cameras.readout_s[0]
+    assert (np.diag(after.prior_covariance) < np.diag(before.prior_covariance)).all()
+    assert (after.coefficients, after.stated) == (before.coefficients, before.stated)
+
+
+def _model() -> pycolmap.Reconstruction:
+    pycolmap.set_random_seed(0)
+    options = pycolmap.SyntheticDatasetOptions(num_rigs=6, num_cameras_per_rig=1, num_frames_per_rig=1, num_points3D=60)
+    return pycolmap.synthesize_dataset(options)
+
+
+def _keypoints(model: pycolmap.Reconstruction) -> list[Array]:
+    return [np.array([p.xy for p in model.image(row + 1).points2D]) for row in range(6)]
+
+
+def _log(model: pycolmap.Reconstruction, settings: SfmSettings | None = None) -> CameraLog:
     """The model's cameras as a phone would log them, and its poses as odometry."""
     cam_T_sfm = np.stack([model.image(row + 1).cam_from_world().matrix() for row in range(6)])
     poses = inverse(make_pose(cam_T_sfm[:, :, :3], cam_T_sfm[:, :, 3]))
@@ -39,4 +57,4 @@ def _log(model: pycolmap.Reconstruction) -> CameraLog:
     frames = frames.assign(fx=focal, fy=focal, cx=cameras[0].width / 2, cy=cameras[0].height / 2)
     frames = frames.assign(width=cameras[0].width, height=cameras[0].height, distortion=[[0.0] * 4] * 6)
     log = frames[["session_id", "t_ns", *pose_frame("vio_cam", poses).columns]]
-    return camera_log(frames, {"walk": "phone"}, log, SfmSettings(lens="stated"))
+    return camera_log(frames, {"walk": "phone"}, log, settings or SfmSettings(lens="stated"))

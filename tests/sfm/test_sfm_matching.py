@@ -8,10 +8,10 @@ import numpy as np
 import pycolmap
 from conftest import Room
 
-from sfm.database import create_database, have_results, image_id, image_name, read_pair_results
-from sfm.features import extract_features
-from sfm.matching import match_pairs, verification_options
-from sfm.settings import SfmSettings
+from groundwalk.sfm.database import create_database, have_results, image_id, image_name, read_pair_results
+from groundwalk.sfm.features import extract_features
+from groundwalk.sfm.matching import match_pairs, verification_options
+from groundwalk.sfm.settings import SfmSettings
 
 SETTINGS = SfmSettings(first_octave=-1, max_features=400)
 SEED = 3

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geometry.fits import Sim3
-from geometry.poses import Array, make_pose, yaw_rotation
-from geometry.vio_drift import VioDrift
-from sfm.model_check import ModelCheck, check_models
-from sfm.odometry import odometry
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
+from groundwalk.geometry.vio_drift import VioDrift
+from groundwalk.sfm.model_check import ModelCheck, check_models
+from groundwalk.sfm.odometry import odometry
 
 _DRIFT = VioDrift.in_degrees(0.1, 0.03, 3.0, 2.5)
 _GAUGE = Sim3(0.37, Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix(), np.array([3.0, -7.0, 1.0]))

@@ -8,14 +8,14 @@ import pycolmap
 import pytest
 from conftest import Room
 
-from artefacts import UserError, execute
-from sfm.database import create_database, image_id, read_descriptors
-from sfm.features import extract_features, extraction_options, features_name
-from sfm.matching import match_pairs, matching_options
-from sfm.networks import require_model_files
-from sfm.retrieval import vlad
-from sfm.settings import SfmSettings
-from sfm.stage import STAGE
+from groundwalk.artefacts import UserError, execute
+from groundwalk.sfm.database import create_database, image_id, read_descriptors
+from groundwalk.sfm.features import extract_features, extraction_options, features_name
+from groundwalk.sfm.matching import match_pairs, matching_options
+from groundwalk.sfm.networks import require_model_files
+from groundwalk.sfm.retrieval import vlad
+from groundwalk.sfm.settings import SfmSettings
+from groundwalk.sfm.stage import STAGE
 
 _MODELS = {"aliked_model": "a.onnx", "aliked_lightglue_model": "b.onnx", "sift_lightglue_model": "c.onnx"}
 ALIKED = SfmSettings(features="aliked", max_features=700, max_image_size=900, **_MODELS)

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from geometry.poses import Array, make_pose, relative, yaw_rotation
-from geometry.vio_drift import VioDrift
-from sfm.odometry import Odometry, PairLimits, compare_with_vio, drift_between, odometry
+from groundwalk.geometry.poses import Array, make_pose, relative, yaw_rotation
+from groundwalk.geometry.vio_drift import VioDrift
+from groundwalk.sfm.odometry import Odometry, PairLimits, compare_with_vio, drift_between, odometry
 
 _LIMITS = PairLimits(
     VioDrift.in_degrees(0.1, 0.03, 3.0, 2.5), gravity_rad=float(np.radians(5.0)), direction_rad=float(np.radians(15.0))

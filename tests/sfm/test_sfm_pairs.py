@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geometry.poses import Array, make_pose, yaw_rotation
-from sfm.pairs import (
+from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
+from groundwalk.sfm.pairs import (
     first_origins,
     sequence_pairs,
     strongest_pairs,

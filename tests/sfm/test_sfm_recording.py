@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from geometry.cameras import Camera
-from sfm.recording import _log_view, _undistorted
+from groundwalk.geometry.cameras import Camera
+from groundwalk.sfm.recording import _log_view, _undistorted
 
 _CAMERA = Camera(960, 720, 724.0, 725.0, 484.0, 346.0, (0.092, -0.125, 0.001, 0.0))
 

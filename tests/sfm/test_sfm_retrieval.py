@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sfm.retrieval import RETRIEVALS, pca_vlad, retrieval_pairs, vlad
+from groundwalk.sfm.retrieval import RETRIEVALS, pca_vlad, retrieval_pairs, vlad
 
 _LANDMARKS, _SEEN, _FRAMES = 600, 120, 30
 

@@ -16,11 +16,11 @@ import pycolmap
 import pytest
 from conftest import Room, make_look_alike_rooms, make_room
 
-from artefacts import UserError, execute
-from artefacts.tables import poses_of
-from geometry.fits import fit_sim3
-from geometry.poses import rotation_angle
-from sfm.stage import STAGE
+from groundwalk.artefacts import UserError, execute
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.fits import fit_sim3
+from groundwalk.geometry.poses import rotation_angle
+from groundwalk.sfm.stage import STAGE
 
 _SETTINGS = ["sequence_pairs=3", "vio_pairs=2", "retrieval_pairs=3", "retrieval_words=16"]
 _TABLES = ["images", "models", "attempts", "pairs", "points"]
@@ -129,7 +129,8 @@ def test_a_stage_killed_anywhere_ends_in_the_same_tables(room: Room, tmp_path: P
     scratch = room.data.run("tiny", "room", ".sfm.partial") / "scratch"
     program = tmp_path / "run.py"
     program.write_text(
-        "from pathlib import Path\nfrom artefacts import DataRoot, execute\nfrom sfm.stage import STAGE\n"
+        "from pathlib import Path\nfrom groundwalk.artefacts import DataRoot, execute\n"
+        "from groundwalk.sfm.stage import STAGE\n"
         f"if __name__ == '__main__':\n"
         f"    execute(STAGE, 'room', 'tiny', DataRoot(Path({str(room.data.root)!r})), {_SETTINGS})\n"
     )

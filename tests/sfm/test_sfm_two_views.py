@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from geometry.poses import Array, make_pose, rotation_angle
-from sfm.two_views import pose_near
+from groundwalk.geometry.poses import Array, make_pose, rotation_angle
+from groundwalk.sfm.two_views import pose_near
 
 _FOCAL_PX = 500.0
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from geometry import GeometryError
-from geometry.metrics import position_error, rotation_error_deg
-from geometry.poses import make_pose, yaw_rotation
-from simulation.apr_errors import AprModel, read_apr_models, simulate_apr
-from simulation.fit_apr_errors import REGRESSORS, Walks, published
-from simulation.scenes import NAMES
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.geometry.poses import make_pose, yaw_rotation
+from groundwalk.simulation.apr_errors import AprModel, read_apr_models, simulate_apr
+from groundwalk.simulation.fit_apr_errors import REGRESSORS, Walks, published
+from groundwalk.simulation.scenes import NAMES
 
 MODEL = AprModel(
     position_m=0.5,

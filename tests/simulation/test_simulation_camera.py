@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from geometry.poses import make_pose
-from simulation.camera import Exposure, auto_exposure, expose, intrinsics
-from simulation.render import Rendering, View
+from groundwalk.geometry.poses import make_pose
+from groundwalk.simulation.camera import Exposure, auto_exposure, expose, intrinsics
+from groundwalk.simulation.render import Rendering, View
 
 VIEW = View(make_pose(np.eye(3), np.zeros(3)), 240.0, 240.0, 160.0, 120.0, 320, 240)
 PLAIN = (1.0, 1.0, 1.0)

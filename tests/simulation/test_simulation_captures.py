@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from artefacts import DataRoot, UserError
-from artefacts.schemas import schema
-from artefacts.tables import poses_of, read_table
-from geometry.poses import ARKIT_CAM_T_CAM, relative, rotation_angle
-from simulation import simulate as module
-from simulation.simulate import simulate
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of, read_table
+from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, relative, rotation_angle
+from groundwalk.simulation import simulate as module
+from groundwalk.simulation.simulate import simulate
 
 SCENE = "Office"
 SMALL = [

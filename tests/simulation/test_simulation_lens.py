@@ -10,18 +10,18 @@ import numpy as np
 import pycolmap
 import pytest
 
-from geometry.poses import interpolate, inverse, transform
-from simulation.camera import FOCAL, draw_phone, focus_breathing
-from simulation.canvas import Canvas
-from simulation.lens import Lens
-from simulation.mesh import build_mesh
-from simulation.place import Builder, Light
-from simulation.render import Renderer, Sky
-from simulation.scenes import SceneryPlan, scenery
-from simulation.session import Session, SessionOutline, plan_session, take
-from simulation.settings import SimulateSettings
-from simulation.shutter import row_times, shutter, turned
-from simulation.walks import Route, plan_walk
+from groundwalk.geometry.poses import interpolate, inverse, transform
+from groundwalk.simulation.camera import FOCAL, draw_phone, focus_breathing
+from groundwalk.simulation.canvas import Canvas
+from groundwalk.simulation.lens import Lens
+from groundwalk.simulation.mesh import build_mesh
+from groundwalk.simulation.place import Builder, Light
+from groundwalk.simulation.render import Renderer, Sky
+from groundwalk.simulation.scenes import SceneryPlan, scenery
+from groundwalk.simulation.session import Session, SessionOutline, plan_session, take
+from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.simulation.shutter import row_times, shutter, turned
+from groundwalk.simulation.walks import Route, plan_walk
 
 LENSES = [Lens(0.092, -0.125), Lens(0.05, -0.20), Lens(0.12, -0.05), Lens(0.16, -0.40), Lens(-0.2, 0.05)]
 WIDTH, HEIGHT = 640, 480

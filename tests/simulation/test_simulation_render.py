@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from geometry.poses import inverse, make_pose, transform
-from simulation.canvas import Canvas
-from simulation.mesh import build_mesh
-from simulation.place import Builder, Light
-from simulation.render import Renderer, Sky, View
+from groundwalk.geometry.poses import inverse, make_pose, transform
+from groundwalk.simulation.canvas import Canvas
+from groundwalk.simulation.mesh import build_mesh
+from groundwalk.simulation.place import Builder, Light
+from groundwalk.simulation.render import Renderer, Sky, View
 
 FLAT = Light(ambient=1.0, sun=None)
 SPOTS = [(0.6, 0.5), (1.1, 1.9), (2.0, 1.2), (2.9, 0.4), (3.4, 2.2), (1.7, 2.6)]

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulation.scenes import NAMES, scenery
-from simulation.session import outline
-from simulation.settings import SimulateSettings
-from simulation.walks import MARGIN_M, SPEED_LIMIT_MPS, Walk, plan_walk
+from groundwalk.simulation.scenes import NAMES, scenery
+from groundwalk.simulation.session import outline
+from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.simulation.walks import MARGIN_M, SPEED_LIMIT_MPS, Walk, plan_walk
 
 SWAY_M = 0.06  # gait moves the camera off the walked line by no more
 

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from geometry import GeometryError
-from geometry.poses import Array, inverse, make_pose, relative, rotation_angle, yaw_rotation
-from simulation.drift_fit import Estimate, fit_height, fit_position, fit_steady, fit_yaw_drift, rate
-from simulation.fit_vio import fit, to_toml
-from simulation.recordings import SteadyLog, TagWalk, read_recordings
-from simulation.rewalk import rewalk
-from simulation.vio import (
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import Array, inverse, make_pose, relative, rotation_angle, yaw_rotation
+from groundwalk.simulation.drift_fit import Estimate, fit_height, fit_position, fit_steady, fit_yaw_drift, rate
+from groundwalk.simulation.fit_vio import fit, to_toml
+from groundwalk.simulation.recordings import SteadyLog, TagWalk, read_recordings
+from groundwalk.simulation.rewalk import rewalk
+from groundwalk.simulation.vio import (
     EXACT,
     FIT_FILE,
     FITTED,

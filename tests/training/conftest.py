@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 import torch
 
-from artefacts.files import write_json
-from artefacts.schemas import schema
-from artefacts.tables import CAMERA_COLUMNS, pose_frame, write_table
-from geometry.poses import make_pose, yaw_rotation
+from groundwalk.artefacts.files import write_json
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import CAMERA_COLUMNS, pose_frame, write_table
+from groundwalk.geometry.poses import make_pose, yaw_rotation
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 50.0
 

@@ -7,11 +7,12 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from artefacts import UserError
-from artefacts.tables import pose_frame
-from geometry.cameras import Camera
-from training.data import ImageCache, Jitter, pinhole_image, read_image, shift_hue, small_image, turned_crop
-from training.inputs import as_training_frames, virtual_focal
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.images import read_image
+from groundwalk.artefacts.tables import pose_frame
+from groundwalk.geometry.cameras import Camera
+from groundwalk.training.data import ImageCache, Jitter, pinhole_image, shift_hue, small_image, turned_crop
+from groundwalk.training.inputs import as_training_frames, virtual_focal
 
 K = np.array([[80.0, 0, 47.3], [0, 80.0, 36.9], [0, 0, 1]])
 

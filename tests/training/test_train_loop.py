@@ -5,15 +5,15 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from artefacts import UserError
-from training import loop
-from training.data import Frames, ImageCache
-from training.evaluation import mean_pose_errors, pose_errors
-from training.loop import Run, epoch_batches, held_out_score, learning_rate, take_best, train
-from training.models.posenet import PoseNet
-from training.models.regressor import PoseBatch, PoseRegressor
-from training.rotations import exp_quaternion
-from training.settings import PoseNetSettings
+from groundwalk.artefacts import UserError
+from groundwalk.training import loop
+from groundwalk.training.data import Frames, ImageCache
+from groundwalk.training.evaluation import mean_pose_errors, pose_errors
+from groundwalk.training.loop import Run, epoch_batches, held_out_score, learning_rate, take_best, train
+from groundwalk.training.models.posenet import PoseNet
+from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.rotations import exp_quaternion
+from groundwalk.training.settings import PoseNetSettings
 
 CPU = torch.device("cpu")
 

@@ -2,11 +2,11 @@ import pytest
 import torch
 from torch import nn
 
-from training.models.efficientnet import EfficientNetB0
-from training.models.ms_transformer import MSTransformer
-from training.models.posenet import PoseNet
-from training.models.regressor import PoseBatch, PoseRegressor
-from training.models.resnet import ResNet34
+from groundwalk.training.models.efficientnet import EfficientNetB0
+from groundwalk.training.models.ms_transformer import MSTransformer
+from groundwalk.training.models.posenet import PoseNet
+from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.models.resnet import ResNet34
 
 
 def some_poses(count: int, scenes: int = 1) -> PoseBatch:

@@ -7,13 +7,14 @@ import pandas as pd
 import pytest
 import torch
 
-from artefacts import DataRoot, UserError, execute
-from artefacts.manifests import load_manifest
-from artefacts.tables import camera_of, dataset_frames
-from training.build import load_trained
-from training.data import normalised, pinhole_image, read_image, to_tensor
-from training.export import export_onnx
-from training.stage import STAGE
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.images import read_image
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.artefacts.tables import camera_of, dataset_frames
+from groundwalk.training.build import load_trained
+from groundwalk.training.data import normalised, pinhole_image, to_tensor
+from groundwalk.training.export import export_onnx
+from groundwalk.training.stage import STAGE
 
 SMALL = [
     "resize=40",

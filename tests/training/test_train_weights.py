@@ -3,12 +3,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from artefacts import UserError
-from training import weights
-from training.models.ms_transformer import MSTransformer
-from training.models.posenet import PoseNet
-from training.models.resnet import ResNet34
-from training.weights import load_first_weights
+from groundwalk.artefacts import UserError
+from groundwalk.training import weights
+from groundwalk.training.models.ms_transformer import MSTransformer
+from groundwalk.training.models.posenet import PoseNet
+from groundwalk.training.models.resnet import ResNet34
+from groundwalk.training.weights import load_first_weights
 
 
 def test_a_state_dict_of_torchvision_fills_the_backbone(tmp_path: Path) -> None:

@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor, nn
 
-from training.models.efficientnet import REDUCTION_8_CHANNELS, REDUCTION_16_CHANNELS, EfficientNetB0
-from training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.models.efficientnet import REDUCTION_8_CHANNELS, REDUCTION_16_CHANNELS, EfficientNetB0
+from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
 
 WIDTH = 256
 HEADS = 8

@@ -3,9 +3,9 @@
 import torch
 from torch import Tensor, nn
 
-from training.models.regressor import PoseBatch, PoseRegressor
-from training.models.resnet import FEATURES, ResNet34
-from training.rotations import exp_quaternion, log_quaternion
+from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.models.resnet import FEATURES, ResNet34
+from groundwalk.training.rotations import exp_quaternion, log_quaternion
 
 HIDDEN = 2048
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from training.rotations import canonical, conjugate, multiply
+from groundwalk.training.rotations import canonical, conjugate, multiply
 
 
 class PoseBatch(NamedTuple):

@@ -1,0 +1,372 @@
+"""Ground truth of simulated phones whose lens, shutter and focus nobody states: `python -m benchmarks.phone_cameras`.
+
+Grid: scenes of the demo's size with lenses, readout times and focus breathing as measured on phones, against the truth;
+one of them beside stock COLMAP on the same images (every pair matched, one OPENCV camera a session). Walks: small
+captures (320x240, three walks), a lens and readout time drawn for each, to count how often the stated uncertainties
+hold. Each case is kept as `<work>/<part>/<case>.json` when it is done, and the same command goes on with the rest; its
+captures and runs are deleted. Writes docs/results/phone-cameras.md and .csv.
+"""
+
+import csv
+import json
+import os
+import platform
+import shutil
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+import typer
+
+from benchmarks.gates import PLACES, SFM_OF_SMALL
+from benchmarks.gates import PROFILE as SMALL
+from benchmarks.gates_captures import Capture, write_capture
+from benchmarks.groundtruth_inputs import PROFILE, errors_after_sim3, simulated, true_poses
+from benchmarks.stages import run_timed
+from benchmarks.stock import stock_command, stock_poses
+from groundwalk.alignment.check_truth import compare_with_bounds, compare_with_truth, shared_sd
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import resolve_settings
+from groundwalk.artefacts.tables import poses_of, read_table
+from groundwalk.capture_import.stage import STAGE as IMPORT
+from groundwalk.sfm.settings import SfmSettings
+from groundwalk.sfm.stage import STAGE as SFM
+
+app = new_app(__doc__ or "")
+
+SETTINGS = {"k1": "lens_k1", "k2": "lens_k2", "readout_s": "readout_s", "breathing": "focus_breathing"}
+
+
+@dataclass(frozen=True)
+class Phone:
+    """A scene of the demo and the camera that walks through it."""
+
+    scene: str
+    k1: float
+    k2: float
+    readout_s: float
+    breathing: float
+    beside_stock: bool = False
+
+    @property
+    def name(self) -> str:
+        return f"{self.scene}_{self.k1:g}_{self.k2:g}_{1000 * self.readout_s:g}ms_{100 * self.breathing:g}%"
+
+
+GRID = [
+    Phone("Church", 0.075, -0.16, 0.013, 0.0, beside_stock=True),
+    Phone("Office", 0.092, -0.125, 0.03, 0.005),
+    Phone("Church", 0.0, 0.0, 0.0, 0.0),
+    Phone("Office", 0.16, -0.40, 0.01, 0.005),
+    Phone("Church", 0.092, -0.125, 0.02, 0.005),
+    Phone("Office", 0.0, 0.0, 0.02, 0.0),
+    Phone("Church", 0.16, -0.40, 0.03, 0.0),
+    Phone("Office", 0.05, -0.05, 0.0, 0.005),
+    Phone("Church", 0.12, -0.20, 0.0, 0.005),
+    Phone("Office", 0.12, -0.20, 0.02, 0.0),
+    Phone("Church", 0.05, -0.05, 0.01, 0.005),
+    Phone("Office", 0.075, -0.16, 0.013, 0.0),
+]
+# What a case of the grid must keep: the largest, or from least to most.
+_LIMITS: dict[str, tuple[str, float, float]] = {
+    "frames with ground truth": ("%", 100.0, 100.0),
+    "position error, median": ("cm", 0.0, 0.6),
+    "position error, 95th percentile": ("cm", 0.0, 1.5),
+    "rotation error, median": ("deg", 0.0, 0.03),
+    **{
+        f"{what} within 95 % bounds, {part}": ("%", 85.0, 99.0 if part == "SfM's part" else 100.0)
+        for what in ("position", "rotation")
+        for part in ("SfM's part", "whole")
+    },
+}
+
+
+def run_phone(phone: Phone, work: Path) -> dict[str, Any]:
+    """The figures of one case of the grid."""
+    root = DataRoot(work / "data")
+    shutil.rmtree(root.root, ignore_errors=True)
+    settings = [f"{name}={getattr(phone, field)}" for field, name in SETTINGS.items()]
+    simulated(phone.scene, root, *settings)
+    figures: dict[str, Any] = {}
+    for module in ("sfm", "alignment"):
+        folder = root.run(PROFILE, phone.scene, module)
+        arguments = ["--scene", phone.scene, "--profile", PROFILE, "--data", str(root.root)]
+        status, cost = run_timed(
+            [sys.executable, "-m", f"groundwalk.{module}", *arguments], folder, work / f"{module}.log"
+        )
+        figures |= {f"{module}_cpu_s": cost.cpu_s, f"{module}_wall_s": cost.wall_s, f"{module}_mib": cost.peak_mib}
+        if status:
+            return figures | {"refused": (work / f"{module}.log").read_text(encoding="utf-8")[-2000:]}
+    figures |= _against_truth(phone.scene, PROFILE, root)
+    if phone.beside_stock:
+        figures |= _stock(phone, root, work / "stock", figures)
+    shutil.rmtree(root.root)
+    return figures
+
+
+def run_walk(number: int, work: Path) -> dict[str, Any]:
+    """The figures of one small capture whose phone is drawn by its number."""
+    capture = Capture(PLACES[number % len(PLACES)], 100 + number)
+    data = DataRoot(work / "data")
+    shutil.rmtree(data.root, ignore_errors=True)
+    data.captures("Case").parent.mkdir(parents=True)
+    write_capture(data.captures("Case"), capture)
+    figures: dict[str, Any] = {"place": capture.place}
+    try:
+        execute(IMPORT, "Case", SMALL, data, [])
+        execute(SFM, "Case", SMALL, data, SFM_OF_SMALL)
+    except UserError as error:
+        return figures | {"refused": " ".join(str(error).split())}
+    arguments = ["--scene", "Case", "--profile", SMALL, "--data", str(data.root)]
+    status, _ = run_timed([sys.executable, "-m", "groundwalk.alignment", *arguments], work, work / "alignment.log")
+    if status:
+        figures |= _cameras("Case", SMALL, data)
+        return figures | {"refused": (work / "alignment.log").read_text(encoding="utf-8")[-2000:]}
+    figures |= _against_truth("Case", SMALL, data)
+    shutil.rmtree(data.root)
+    return figures
+
+
+def _against_truth(scene: str, profile: str, root: DataRoot) -> dict[str, Any]:
+    """Errors and coverage of a scene's ground truth, and the cameras that were estimated beside the true ones."""
+    folder = root.run(profile, scene, "align")
+    gt = read_table(folder / "ground_truth.parquet", schema("align", "ground_truth"))
+    known = (gt["quality"] != "none").to_numpy()
+    truth, map_T_cam = true_poses(scene, root, profile)[known], poses_of(gt, "map_cam")[known]
+    targets = compare_with_truth(map_T_cam, truth, len(gt))
+    stated = gt.loc[known, "covariance"]
+    sure = (stated.notna() & (gt.loc[known, "component"] == 0)).to_numpy()
+    if sure.any() and load_manifest(folder)["figures"]["scale_sd"] is not None:
+        covariance = np.stack(list(stated[sure])).reshape(-1, 6, 6)
+        shared = shared_sd(load_manifest(folder)["figures"])
+        targets += compare_with_bounds(map_T_cam[sure], truth[sure], covariance, shared)
+    classes = gt["quality"].value_counts()
+    return {
+        "frames": len(gt),
+        **{f"class_{name}": int(classes.get(name, 0)) for name in "ABC"},
+        **{target.name: target.found for target in targets},
+        **_cameras(scene, profile, root),
+    }
+
+
+def _cameras(scene: str, profile: str, root: DataRoot) -> dict[str, Any]:
+    """k1, k2, readout time and focal length by the largest model, with their sigmas, and the true ones."""
+    sfm, imported = root.run(profile, scene, "sfm"), root.run(profile, scene, "import")
+    images = read_table(sfm / "images.parquet", schema("sfm", "images"))
+    frames = read_table(imported / "frames.parquet", schema("import", "frames"))
+    sessions = read_table(imported / "sessions.parquet", schema("import", "sessions")).set_index("session_id")
+    cameras = read_table(root.captures(scene) / "true_cameras.parquet", schema("simulate", "true_cameras"))
+    keys = pd.DataFrame({"session_id": frames["session_id"].map(sessions["recording"]), "t_ns": frames["t_ns"]})
+    true = keys.merge(cameras, on=["session_id", "t_ns"], how="left", validate="many_to_one")
+    lens = read_table(sfm / "lenses.parquet", schema("sfm", "lenses")).sort_values("frames").iloc[-1]
+    registered = images["registered"].to_numpy()
+    focal_error = images["fx"].to_numpy()[registered] / true["fx"].to_numpy()[registered] - 1
+    figures: dict[str, Any] = {
+        "revision": load_manifest(sfm)["git_revision"],
+        "registered": int(registered.sum()),
+        "focal_error": float(np.median(focal_error)),
+    }
+    for name in ("k1", "k2", "readout_s"):
+        sd = lens["readout_sd_s" if name == "readout_s" else f"{name}_sd"]
+        figures |= {f"{name}": float(lens[name]), f"{name}_sd": float(sd), f"true_{name}": float(true[name].iloc[0])}
+    return figures
+
+
+def _stock(phone: Phone, root: DataRoot, folder: Path, ours: dict[str, Any]) -> dict[str, Any]:
+    """Errors and costs of stock COLMAP on the images of a case, beside `ours`."""
+    settings = resolve_settings(SfmSettings, "sfm", root, PROFILE, phone.scene, [])
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    command = stock_command(phone.scene, PROFILE, root, folder, settings, "opencv")
+    status, cost = run_timed(command, folder, folder / "log.txt")
+    if status:
+        raise UserError("stock COLMAP failed", where=folder / "log.txt", found=f"exit status {status}")
+    truth = true_poses(phone.scene, root)
+    metres, degrees = errors_after_sim3(*stock_poses(folder, len(truth)), truth)
+    shutil.rmtree(folder)
+    return {
+        "stock_registered": len(metres),
+        "stock position error, median": 100 * float(np.median(metres)),
+        "stock position error, 95th percentile": 100 * float(np.percentile(metres, 95)),
+        "stock rotation error, median": float(np.median(degrees)),
+        "stock_cpu_s": cost.cpu_s,
+        "stock_wall_s": cost.wall_s,
+    }
+
+
+def _run_parts(parts: list[str], walks: int, seconds: float, work: Path) -> None:
+    """Run the cases that have no result yet."""
+    start = time.monotonic()
+    cases = [("grid", phone.name, phone) for phone in GRID if "grid" in parts]
+    cases += [("walks", f"{number:02}", number) for number in range(walks) if "walks" in parts]
+    for part, name, case in cases:
+        path = work / part / f"{name}.json"
+        if path.is_file() or (seconds and time.monotonic() - start > seconds):
+            continue
+        folder = work / part / name
+        folder.mkdir(parents=True, exist_ok=True)
+        begun = time.monotonic()
+        figures = run_phone(case, folder) if isinstance(case, Phone) else run_walk(case, folder)
+        run = {"date": f"{datetime.now(UTC):%Y-%m-%d}", "load": os.getloadavg()[0]}
+        path.write_text(json.dumps(figures | run, indent=1) + "\n", encoding="utf-8")
+        shutil.rmtree(folder)
+        print(f"{part} {name}: {time.monotonic() - begun:.0f} s", flush=True)
+
+
+def _rows(work: Path, part: str) -> list[dict[str, Any]]:
+    paths = sorted((work / part).glob("*.json"))
+    return [{"case": path.stem, **json.loads(path.read_text(encoding="utf-8"))} for path in paths]
+
+
+def _grid_table(rows: list[dict[str, Any]]) -> Iterable[list[str]]:
+    yield [
+        *("case", "ground truth of", "A, B, C", "position cm: median, p95", "rotation deg"),
+        *("inside 95 % bounds, position: SfM's part, whole", "rotation: SfM's part, whole", "missed", "k1", "k2"),
+        *("readout ms", "sfm s (processor)", "sfm MiB"),
+    ]
+    for row in rows:
+        if "refused" in row:
+            yield [row["case"], "refused", *[""] * 11]
+            continue
+        inside = [
+            [f"{row[f'{what} within 95 % bounds, {part}']:.1f}" for part in ("SfM's part", "whole")]
+            for what in ("position", "rotation")
+        ]
+        yield [
+            row["case"],
+            f"{row['class_A'] + row['class_B'] + row['class_C']} of {row['frames']}",
+            f"{row['class_A']}, {row['class_B']}, {row['class_C']}",
+            f"{row['position error, median']:.2f}, {row['position error, 95th percentile']:.2f}",
+            f"{row['rotation error, median']:.3f}",
+            ", ".join(inside[0]),
+            ", ".join(inside[1]),
+            ", ".join(_missed(row)),
+            *(_estimate(row, name) for name in ("k1", "k2", "readout_s")),
+            f"{row['sfm_wall_s']:.0f} ({row['sfm_cpu_s']:.0f})",
+            f"{row['sfm_mib']:.0f}",
+        ]
+
+
+def _missed(row: dict[str, Any]) -> list[str]:
+    """The figures of a case that aren't between their limits."""
+    return [name for name, (_, least, most) in _LIMITS.items() if name in row and not least <= row[name] <= most]
+
+
+def _estimate(row: dict[str, Any], name: str) -> str:
+    scale, digits = (1000.0, 2) if name == "readout_s" else (1.0, 4)
+    value, sd, true = (scale * row[column] for column in (name, f"{name}_sd", f"true_{name}"))
+    return f"{value:.{digits}f} ± {sd:.{digits}f} ({true:.{digits}f})"
+
+
+def _stock_table(rows: list[dict[str, Any]]) -> Iterable[list[str]]:
+    yield ["case", "figure", "ours", "stock", "ours / stock", "to reach"]
+    for row in (row for row in rows if "stock_cpu_s" in row):
+        for name in list(_LIMITS)[1:4]:
+            yield [row["case"], f"{name}, {_LIMITS[name][0]}", *_ratio(row[name], row[f"stock {name}"]), "≤ 0.5"]
+        for name, label in (("wall_s", "seconds"), ("cpu_s", "processor seconds")):
+            yield [row["case"], label, *_ratio(row[f"sfm_{name}"], row[f"stock_{name}"]), "≤ 0.25"]
+
+
+def _ratio(ours: float, stock: float) -> list[str]:
+    return [f"{ours:.3g}", f"{stock:.3g}", f"{ours / stock:.2f}"]
+
+
+def _walks_table(rows: list[dict[str, Any]]) -> Iterable[list[str]]:
+    estimated = [row for row in rows if "k1" in row]
+    given = [row for row in rows if "refused" not in row]
+    yield ["figure", "value", "to reach"]
+    yield ["captures", str(len(rows)), ""]
+    yield ["refused", str(len(rows) - len(given)), ""]
+    for name in ("k1", "k2", "readout_s"):
+        inside = [abs(row[name] - row[f"true_{name}"]) <= 1.96 * row[f"{name}_sd"] for row in estimated]
+        yield [f"{name} inside its 95 % bounds", f"{sum(inside)} of {len(inside)}", "85 to 99 %"]
+        error = np.array([row[name] - row[f"true_{name}"] for row in estimated])
+        yield [f"{name} error, RMS", f"{np.sqrt(np.mean(error**2)):.5f}", ""]
+    focal = 100 * np.abs([row["focal_error"] for row in estimated])
+    yield [
+        "focal length error, median, 95th percentile, %",
+        f"{np.median(focal):.2f}, {np.percentile(focal, 95):.2f}",
+        "≤ 0.3",
+    ]
+    p95_cm = np.array([row["position error, 95th percentile"] for row in given])
+    yield [
+        "ground truth p95, cm: median of captures, captures over 2 cm",
+        f"{np.median(p95_cm):.2f}, {int((p95_cm > 2).sum())} of {len(p95_cm)}",
+        "≤ 2",
+    ]
+    for name in (name for name in _LIMITS if "bounds" in name):
+        frames = np.array([row["frames"] for row in given if name in row])
+        inside_share = np.array([row[name] for row in given if name in row])
+        yield [name, f"{np.average(inside_share, weights=frames):.1f} %", "85 to 99 %"]
+
+
+def _markdown(rows: Iterable[list[str]]) -> str:
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([lines[0], "|---" * (lines[0].count(" | ") + 1) + "|", *lines[1:]])
+
+
+def _write(work: Path, out: Path) -> bool:
+    """Write the tables of all cases that ran; whether all figures of the grid are met."""
+    grid, walks = _rows(work, "grid"), _rows(work, "walks")
+    runs = grid + walks
+    revisions, dates = (sorted({str(row.get(name)) for row in runs}) for name in ("revision", "date"))
+    loads = [f"{row['load']:.1f}" for row in grid]
+    sections = [
+        "# Simulated phones: lens, rolling shutter and focus unknown",
+        "Written by `make bench-cameras` (`python -m benchmarks.phone_cameras`), not to be edited; `phone-cameras.csv` "
+        "has every figure. All simulated. The app states a pinhole; sfm estimates the rest.",
+        f"Machine: {platform.machine()}, {os.cpu_count()} cores. Revisions: {', '.join(revisions)}; dates: "
+        f"{', '.join(dates)}; load as a case of the grid ended: {', '.join(loads)}.",
+    ]
+    if grid:
+        limits = "; ".join(f"{name} {low:g} to {high:g} {unit}" for name, (unit, low, high) in _LIMITS.items())
+        sections += [
+            "## Grid",
+            "Named by scene, k1, k2, readout and focus breathing (share of the focal length); profile demo, seed 0. "
+            f"Estimates ± one sigma (true). To reach: {limits}.",
+            _markdown(_grid_table(grid)),
+            "## Beside stock COLMAP",
+            "The same images; stock matches every pair and has one OPENCV camera a session.",
+            _markdown(_stock_table(grid)),
+        ]
+    if walks:
+        sections += ["## Small captures", _markdown(_walks_table(walks))]
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "phone-cameras.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+    with (out / "phone-cameras.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["part", "case", "figure", "value"])
+        for part, rows in (("grid", grid), ("walks", walks)):
+            writer.writerows([part, row["case"], name, row[name]] for row in rows for name in row if name != "case")
+    return not any("refused" in row or _missed(row) for row in grid)
+
+
+@app.command()
+def main(
+    parts: Annotated[list[str] | None, typer.Option("--only", help="Only this part: grid or walks.")] = None,
+    walks: Annotated[int, typer.Option(help="How many small captures.")] = 60,
+    seconds: Annotated[float, typer.Option(help="Start no further case after this long; 0: no end.")] = 0.0,
+    work: Annotated[Path, typer.Option(help="Results of the cases that ran, which aren't run again.")] = Path(
+        "build/cameras"
+    ),
+    out: Annotated[Path, typer.Option(help="Folder for the tables.")] = Path("docs/results"),
+) -> None:
+    """Run the cases that are left and write the tables; exits with 1 where a figure is missed."""
+    _run_parts(parts or ["grid", "walks"], walks, seconds, work)
+    met = _write(work, out)
+    print((out / "phone-cameras.md").read_text(encoding="utf-8"))
+    if not met:
+        raise typer.Exit(1)
+
+
+if __name__ == "__main__":
+    app()

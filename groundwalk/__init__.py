@@ -1,0 +1,56 @@
+"""Visual-localisation datasets from phone captures.
+
+`groundwalk.open("Church")` reads a run; docs/python.md describes what it gives.
+
+The packages lie at the top of the repository (`sfm/`, `fusion/`, ...) and have one name each, `groundwalk.sfm`,
+`groundwalk.fusion`, ...: a wheel puts them into `groundwalk/`, and in a checkout they are found beside it.
+"""
+
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from groundwalk.artefacts.errors import UserError
+    from groundwalk.run import Run, pose_array, rigid_transforms
+
+__all__ = ["CHECKOUT", "Run", "UserError", "open", "pose_array", "rigid_transforms"]
+
+
+def _checkout() -> Path | None:
+    root = Path(__file__).resolve().parent.parent
+    try:
+        lines = (root / "pyproject.toml").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return None
+    return root if 'name = "groundwalk"' in lines else None
+
+
+CHECKOUT = _checkout()
+"""The repository's folder; None where groundwalk was installed from a wheel."""
+if CHECKOUT is not None:
+    __path__.append(str(CHECKOUT))
+
+
+def open(scene_or_folder: str | PathLike[str], *, profile: str = "demo", data: str | PathLike[str] = "data") -> "Run":
+    """Open what the stages wrote for a scene.
+
+    A str that can be a scene's name is one, in data/runs/<profile>; anything else (a `Path`, "./Church") is a run's
+    folder. Its images are looked for in <data>/captures, which is that of the folder <data>/runs/<profile>/<scene>.
+
+    Raises UserError for a run that isn't there, that no stage has finished, or a folder that is something else.
+    """
+    from groundwalk.opening import open_run
+
+    return open_run(scene_or_folder, profile, Path(data))
+
+
+_MODULES = {"Run": "run", "UserError": "artefacts.errors", "pose_array": "run", "rigid_transforms": "run"}
+
+
+def __getattr__(name: str) -> Any:
+    """Each name is loaded when it's asked for, as pandas takes longer to load than most commands take to run."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -1,0 +1,137 @@
+"""The command `groundwalk`: every command line of the packages under one name.
+
+The table below says where each command is; its module, with the libraries that it needs, is imported when it is run.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import version
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from groundwalk.artefacts.cli import new_app, stage_command, stage_help
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command: its name, one line of help, and where it is.
+
+    `module`, in groundwalk, has a typer application `app`, of which this is the subcommand `subcommand`, or the only
+    command; or it has a pipeline stage `STAGE`, where `is_stage`.
+    """
+
+    name: str
+    help: str
+    module: str
+    subcommand: str | None = None
+    is_stage: bool = False
+
+    def load(self, *, for_completion: bool = False) -> Any:
+        """The command itself. For completion a stage is left out: all stages have the same options."""
+        if not self.is_stage:
+            command: Any = get_command(import_module(f"groundwalk.{self.module}").app)
+            return command.commands[self.subcommand] if self.subcommand else command
+        app = new_app("")
+        help_text = None if for_completion else stage_help(self._stage())
+        app.command(self.name, help=help_text)(stage_command(self.name, self._stage))
+        return get_command(app)
+
+    def _stage(self) -> Any:
+        return import_module(f"groundwalk.{self.module}").STAGE
+
+
+def _stage(name: str, package: str, help_text: str) -> Command:
+    return Command(name, help_text, f"{package}.stage", is_stage=True)
+
+
+COMMANDS = {
+    "Whole scenes": [
+        Command("run", "Run all stages of a scene in order, as far as needed.", "commands", "run"),
+        Command("scenes", "List scenes, profiles and finished stages.", "commands", "scenes"),
+        Command(
+            "link-captures",
+            "Use a folder of phone captures as a scene.",
+            "artefacts.__main__",
+            "link-captures",
+        ),
+        Command("simulate", "Simulate captures of a scene that has none.", "simulation.__main__"),
+        Command("view", "Open a scene's recordings in the Rerun viewer.", "artefacts.__main__", "view"),
+        Command("clean", "Remove a scene's results and simulated captures.", "artefacts.__main__", "clean"),
+    ],
+    "Stages": [
+        _stage("import", "capture_import", "Import phone captures as checked frames with VIO poses."),
+        _stage("sfm", "sfm", "Structure from motion with COLMAP."),
+        _stage("align", "alignment", "Make metric, gravity-aligned ground truth; measure VIO drift."),
+        _stage("train", "training", "Train absolute pose regressors; predict every frame's pose."),
+        _stage("fuse", "fusion", "Fuse predictions with VIO; measure pose errors."),
+        _stage("report", "reports", "Make tables, figures and one page."),
+    ],
+    "Captures, exports and checks": [
+        Command("inspect", "Show what a capture holds, without import.", "capture_import.__main__", "inspect"),
+        Command("formats", "List the capture formats.", "capture_import.__main__", "formats"),
+        Command("export", "Write ground truth for COLMAP and other tools.", "alignment.__main__", "export"),
+        Command("export-model", "Write a trained regressor as ONNX.", "training.__main__", "export"),
+        Command("evaluate", "Fuse predictions from Parquet files; measure errors.", "fusion.__main__", "evaluate"),
+        Command("sweep", "Try other thresholds of the MobileARLoc rule.", "fusion.__main__", "sweep"),
+        Command(
+            "check-truth",
+            "Compare a simulated scene's ground truth with its true poses.",
+            "alignment.__main__",
+            "check-truth",
+        ),
+        Command("docs", "Print the reference of all tables.", "artefacts.__main__", "docs"),
+    ],
+}
+
+
+def all_commands() -> Iterator[Command]:
+    """Every command, in the order of --help."""
+    for commands in COMMANDS.values():
+        yield from commands
+
+
+class _LoadedWhenRun(TyperGroup):
+    """A group whose commands are names and help lines until one is resolved."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        name, command, rest = super().resolve_command(ctx, args)
+        found = next((c for c in all_commands() if c.name == name), None)
+        return name, found.load(for_completion=ctx.resilient_parsing) if found else command, rest
+
+
+app = new_app(
+    "Visual-localisation datasets from phone captures: frames, SfM, ground truth, regressors, fusion, report.",
+    cls=_LoadedWhenRun,
+    add_completion=True,
+    no_args_is_help=True,
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"groundwalk {version('groundwalk')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _groundwalk(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+def _list_command(command: Command, panel: str) -> None:
+    @app.command(command.name, help=command.help, rich_help_panel=panel)
+    def listed() -> None:
+        raise AssertionError("replaced by the loaded command in resolve_command")
+
+
+for _panel, _commands in COMMANDS.items():
+    for _command in _commands:
+        _list_command(_command, _panel)

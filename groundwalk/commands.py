@@ -1,0 +1,85 @@
+"""The commands that aren't one package's: `run` and `scenes`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from groundwalk.artefacts import progress
+from groundwalk.artefacts.__main__ import link_captures
+from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
+from groundwalk.artefacts.files import read_json
+from groundwalk.artefacts.inputs import capture_files
+from groundwalk.artefacts.manifests import MANIFEST
+from groundwalk.artefacts.settings import STAGES, DataRoot
+from groundwalk.artefacts.simulated import SIMULATED_MARKER
+from groundwalk.pipeline import run_steps, steps
+
+app = new_app("Whole scenes.")
+CapturesOption = Annotated[
+    Path | None,
+    typer.Option(help="A folder of phone captures that the scene is to use; it is linked, not copied."),
+]
+UntilOption = Annotated[str, typer.Option(help="The last stage to run.", autocompletion=lambda: list(STAGES))]
+
+
+@app.command()
+def run(
+    scene: SceneOption,
+    profile: ProfileOption = "demo",
+    captures: CapturesOption = None,
+    until: UntilOption = STAGES[-1],
+    data: DataOption = Path("data"),
+) -> None:
+    """Run all stages of a scene, or of each scene of a group and then of the group.
+
+    A stage that is up to date is skipped. A scene that can be simulated, and has no captures, is simulated first.
+    """
+    root = DataRoot(data)
+    if captures is not None:
+        link_captures(scene, captures, data)
+    run_steps(steps(root, profile, scene, until), profile, root)
+    page = root.run(profile, scene, "report") / "page.html"
+    if until == STAGES[-1]:
+        progress.console.print(f"Look at {page}, or: groundwalk view --scene {scene} --profile {profile}", markup=False)
+
+
+@app.command()
+def scenes(data: DataOption = Path("data")) -> None:
+    """List profiles, and scenes with their captures and the stages that are finished."""
+    root = DataRoot(data)
+    console = Console(highlight=False)
+    profiles = root.names("profiles")
+    table = Table("profile", "", box=None, pad_edge=False)
+    for name in profiles:
+        table.add_row(name, str(root.profile(name).get("description", "")))
+    console.print(table)
+    console.print()
+    table = Table("scene", "captures", "finished stages", box=None, pad_edge=False)
+    for name in root.scenes():
+        table.add_row(name, _captures(root, name), "; ".join(_finished(root, name)))
+    console.print(table)
+
+
+def _captures(data: DataRoot, scene: str) -> str:
+    config = data.scene(scene)[0]
+    if config.is_group:
+        return f"those of {', '.join(config.members)}"
+    folder = data.captures(scene)
+    if marker := read_json(folder / SIMULATED_MARKER):
+        return f"simulated, profile {marker.get('profile', 'unknown')}"
+    if capture_files(folder):
+        return "real"
+    return "none, can be simulated" if config.can_simulate else "none"
+
+
+def _finished(data: DataRoot, scene: str) -> list[str]:
+    """`<profile>: <stages>` of each profile that the scene was run with."""
+    found = []
+    for folder in sorted((data.root / "runs").glob(f"*/{scene}")):
+        stages = [stage for stage in STAGES if (folder / stage / MANIFEST).is_file()]
+        if stages:
+            found.append(f"{folder.parent.name}: {', '.join(stages)}")
+    return found

@@ -1,0 +1,109 @@
+"""Finding a scene's run, and telling it from what isn't one."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import read_json
+from groundwalk.artefacts.hints import run_command
+from groundwalk.artefacts.manifests import MANIFEST, is_manifest
+from groundwalk.artefacts.settings import STAGES, DataRoot, is_name
+from groundwalk.run import Run, not_finished
+
+
+def open_run(scene_or_folder: str | os.PathLike[str], profile: str, data: Path) -> Run:
+    """See `groundwalk.open`."""
+    if isinstance(scene_or_folder, str) and is_name(scene_or_folder):
+        root = DataRoot(data)
+        folder = root.run(profile, scene_or_folder)
+        if not folder.is_dir():
+            raise _no_run(root, profile, scene_or_folder)
+        return _run(folder, root)
+    folder = Path(os.path.abspath(scene_or_folder))  # noqa: PTH100, as Path.resolve would follow links out of data/runs
+    if not folder.is_dir():
+        raise UserError("there is no run", where=folder, expected="a folder data/runs/<profile>/<scene>")
+    return _run(folder, DataRoot(folder.parents[2] if folder.parent.parent.name == "runs" else data))
+
+
+def _run(folder: Path, data: DataRoot) -> Run:
+    manifests = _manifests(folder)
+    if not manifests:
+        if any(folder.glob(".*.partial")):
+            raise not_finished(folder, STAGES[0], folder.name, folder.parent.name)
+        raise _foreign(folder)
+    scene = str(next(iter(manifests.values()))["scene"].get("name"))
+    captures = data.captures(scene)
+    return Run(folder, captures if captures.is_dir() else None, manifests, _outdated(folder, manifests))
+
+
+def _manifests(folder: Path) -> dict[str, dict[str, Any]]:
+    """The manifests of the finished stages, in order; UserError for one that is damaged."""
+    manifests = {}
+    for stage in STAGES:
+        file = folder / stage / MANIFEST
+        if not file.is_file():
+            continue
+        content = read_json(file)
+        if not _is_of(content, stage):
+            raise UserError(
+                "a stage's manifest is damaged, or of another program",
+                where=file,
+                expected=f"a JSON object that the stage {stage} wrote",
+                do=run_command(folder.name, folder.parent.name, stage) + ", where the folder is a run of groundwalk",
+            )
+        manifests[stage] = content
+    return manifests
+
+
+def _is_of(content: dict[str, Any], stage: str) -> bool:
+    types = {"profile": str, "scene": dict, "inputs": dict}
+    has_types = all(isinstance(content.get(name), type_) for name, type_ in types.items())
+    return is_manifest(content) and has_types and content.get("stage") == stage
+
+
+def _outdated(folder: Path, manifests: dict[str, dict[str, Any]]) -> dict[str, str]:
+    """Stage -> the first input that isn't any more what the stage, or one that it was made from, read."""
+    outdated: dict[str, str] = {}
+    for stage, manifest in manifests.items():
+        for source, hashes in manifest.get("inputs", {}).items():
+            scene, _, needed = source.partition("/")
+            if needed not in STAGES:
+                continue
+            own = scene == manifest["scene"].get("name")
+            now = manifests.get(needed) if own else read_json(folder.parent / scene / needed / MANIFEST)
+            if own and needed in outdated:
+                outdated.setdefault(stage, outdated[needed])
+            elif now and now.get("outputs") != hashes:
+                outdated.setdefault(stage, f"{needed} of scene {scene}")
+    return outdated
+
+
+def _no_run(data: DataRoot, profile: str, scene: str) -> UserError:
+    runs = data.root / "runs"
+    of_scene = sorted(path.parent.name for path in runs.glob(f"*/{scene}"))
+    scenes = sorted(path.name for path in (runs / profile).glob("*") if is_name(path.name))
+    if of_scene:
+        there = f"runs of it in profile {', '.join(of_scene)}"
+    else:
+        there = f"runs of {', '.join(scenes)} in profile {profile}" if scenes else f"no run of profile {profile}"
+    return UserError(
+        f"scene {scene} has no run of profile {profile}",
+        where=runs,
+        found=there,
+        do=f"{run_command(scene, profile, STAGES[-1])}; or name another data folder with data=...",
+    )
+
+
+def _foreign(folder: Path) -> UserError:
+    if is_manifest(read_json(folder / MANIFEST)):
+        return UserError(
+            "this is the folder of one stage", where=folder, do=f"open its run: groundwalk.open({str(folder.parent)!r})"
+        )
+    there = sorted(path.name for path in folder.iterdir())
+    return UserError(
+        "this isn't the folder of a run",
+        where=folder,
+        expected=f"a folder for each stage, {', '.join(STAGES)}, with its {MANIFEST}",
+        found=", ".join(there[:5]) + (f" and {len(there) - 5} more" if len(there) > 5 else "") if there else "nothing",
+    )

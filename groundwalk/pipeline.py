@@ -1,0 +1,71 @@
+"""A scene from captures to report: which commands it takes, and running them in order."""
+
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import read_json
+from groundwalk.artefacts.inputs import capture_files
+from groundwalk.artefacts.settings import STAGES, DataRoot
+from groundwalk.artefacts.signals import Stopped, signals_held
+from groundwalk.artefacts.simulated import SIMULATED_MARKER
+
+
+@dataclass(frozen=True)
+class Step:
+    """One command of a scene: a stage, or `simulate`."""
+
+    command: str
+    scene: str
+
+
+def steps(data: DataRoot, profile: str, scene: str, until: str = STAGES[-1]) -> list[Step]:
+    """The commands that make a scene up to the stage `until`, in order; of a group of scenes its members' first.
+
+    Each does nothing where it is up to date. UserError for a scene, profile or stage that there isn't.
+    """
+    if until not in STAGES:
+        raise UserError(f"there is no stage {until!r}", expected=f"one of {', '.join(STAGES)}")
+    data.profile(profile)
+    config = data.scene(scene)[0]
+    wanted = STAGES[: STAGES.index(until) + 1]
+    if config.is_group:
+        members = [step for member in config.members for step in steps(data, profile, member, until)]
+        return [*dict.fromkeys(members), *(Step(stage, scene) for stage in wanted if stage in config.stages)]
+    simulated = config.can_simulate and _may_simulate(data.captures(scene), profile)
+    return [Step(command, scene) for command in (*(["simulate"] if simulated else []), *wanted)]
+
+
+def _may_simulate(captures: Path, profile: str) -> bool:
+    """Whether no captures are there but those that were simulated for this profile. Those that were simulated for
+    another profile are used as they are, as profiles share captures."""
+    marker = read_json(captures / SIMULATED_MARKER)
+    return marker.get("profile") == profile if marker else not capture_files(captures)
+
+
+def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
+    """Run the commands, each in a process of its own, so that one stage's libraries and memory aren't the next one's.
+
+    Exits with the status of the first command that fails, which has said why. UserError where a signal ended one.
+    """
+    for step in commands:
+        arguments = ["--scene", step.scene, "--profile", profile, "--data", str(data.root)]
+        with signals_held():
+            process = subprocess.Popen([sys.executable, "-m", "groundwalk", step.command, *arguments])
+        try:
+            status = process.wait()
+        except Stopped as stopped:
+            process.terminate()
+            process.wait()
+            sys.exit(stopped.exit_code)
+        if status < 0:
+            raise UserError(
+                f"{step.command} of scene {step.scene} was ended by {signal.Signals(-status).name}",
+                do="see that enough memory is free (SIGKILL often means that none was), then run the same command "
+                "again: it resumes from the last checkpoint",
+            )
+        if status:
+            sys.exit(status)

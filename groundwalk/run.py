@@ -1,0 +1,260 @@
+"""Reading a scene's run: its tables as DataFrames, images as arrays, poses as matrices."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import RigidTransform
+
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import partial_folder, read_json, sha256_of
+from groundwalk.artefacts.hints import run_command
+from groundwalk.artefacts.images import Image, image_file, read_image
+from groundwalk.artefacts.manifests import MANIFEST
+from groundwalk.artefacts.reference import column_lines
+from groundwalk.artefacts.schemas import TableSchema, schema
+from groundwalk.artefacts.settings import STAGES
+from groundwalk.artefacts.tables import dataset_frames, poses_of, read_table
+from groundwalk.geometry.fits import sim3_between
+from groundwalk.geometry.poses import Array
+
+if TYPE_CHECKING:
+    from groundwalk.torch_dataset import TorchDataset, Transform
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _with_columns(stage: str, table: str) -> Callable[[F], F]:
+    """Adds a table's columns, with type, unit, frame and meaning, to a docstring."""
+
+    def documented(function: F) -> F:
+        of = schema(stage, table)
+        lines = [f"Columns of {stage}.{table} {of.version}:", "", *column_lines(of)]
+        function.__doc__ = "\n".join([function.__doc__ or "", "", *(f"        {line}".rstrip() for line in lines)])
+        return function
+
+    return documented
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run:
+    """What the finished stages of a scene's run wrote; `groundwalk.open` makes it.
+
+    Lengths are in metres, angles in degrees and capture times in nanoseconds unless a column says otherwise; each
+    property's docstring, and `columns(stage, table)`, gives the unit of each. A DataFrame is the caller's to change.
+
+    `folder` is the run's, `captures` its scene's capture folder (None where that isn't known), `manifests` those of the
+    finished stages, in order; `outdated` names, for each stage made from inputs that were replaced since, one of them.
+    """
+
+    folder: Path
+    captures: Path | None
+    manifests: dict[str, dict[str, Any]]
+    outdated: dict[str, str]
+    _tables: dict[tuple[str, str], pd.DataFrame] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        kind = "simulated, " if self.simulated else ""
+        return f"Run({self.scene!r}, profile {self.profile!r}, {kind}finished: {', '.join(self.manifests)})"
+
+    @property
+    def _manifest(self) -> dict[str, Any]:
+        return next(iter(self.manifests.values()))
+
+    @property
+    def scene(self) -> str:
+        """The scene's name."""
+        return str(self._manifest["scene"]["name"])
+
+    @property
+    def profile(self) -> str:
+        """The profile that the scene was run with."""
+        return str(self._manifest["profile"])
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the captures are simulated: then no error says anything about a real place."""
+        return bool(self._manifest["simulated"])
+
+    @property
+    @_with_columns("import", "frames")
+    def frames(self) -> pd.DataFrame:
+        """Frames of the dataset, one row each, with camera and VIO pose; without the support frames of SfM, which
+        `table("import", "frames")` has, too.
+        """
+        return dataset_frames(self.table("import", "frames"))
+
+    @property
+    @_with_columns("align", "ground_truth")
+    def ground_truth(self) -> pd.DataFrame:
+        """Ground truth, one row a frame: poses map_T_cam with covariance and quality class."""
+        return self.table("align", "ground_truth")
+
+    @property
+    @_with_columns("train", "predictions")
+    def predictions(self) -> pd.DataFrame:
+        """The regressors' poses, one row a frame and model."""
+        return self.table("train", "predictions")
+
+    @property
+    @_with_columns("fuse", "poses")
+    def poses(self) -> pd.DataFrame:
+        """Poses after fusion with VIO, one row a frame, method and model."""
+        return self.table("fuse", "poses")
+
+    @property
+    @_with_columns("fuse", "errors")
+    def errors(self) -> pd.DataFrame:
+        """Errors of `poses` and `predictions` against the ground truth, one row a frame, method and model."""
+        return self.table("fuse", "errors")
+
+    @property
+    @_with_columns("sfm", "points")
+    def points(self) -> pd.DataFrame:
+        """The points of SfM in the map: x, y, z in metres, +y up (where the map has scale and vertical, see
+        scale_source and vertical_source of `ground_truth`). Models that aren't in the map are left out;
+        `table("sfm", "points")` has all, in SfM's unit.
+        """
+        images, points = self.table("sfm", "images"), self.table("sfm", "points")
+        images = images.merge(self.ground_truth, on="frame_id", suffixes=("_sfm", ""), validate="1:1")
+        images = images[images["map_cam_tx"].notna() & images["sfm_cam_tx"].notna()]
+        placed = []
+        for model_id, its_images in images.groupby("model_id"):
+            map_S_sfm = sim3_between(poses_of(its_images, "map_cam"), poses_of(its_images, "sfm_cam"))
+            its_points = points[points["model_id"] == model_id].copy()
+            its_points[["x", "y", "z"]] = map_S_sfm.points(its_points[["x", "y", "z"]].to_numpy(float))
+            placed.append(its_points)
+        return pd.concat(placed or [points[:0]], ignore_index=True)
+
+    def table(self, stage: str, table: str) -> pd.DataFrame:
+        """Any table; docs/artefacts.md lists them.
+
+        A column that an older version of the table didn't have is null. UserError where the stage isn't finished, was
+        made from inputs that were replaced since, or was run again after this run was opened, and for a table of
+        another major version.
+        """
+        of = _schema(stage, table)
+        if (stage, table) not in self._tables:
+            self._check(stage)
+            frame = read_table(self.folder / stage / f"{table}.parquet", of, older_is_complete=True)
+            self._refuse_replaced(stage)
+            self._tables[stage, table] = frame
+        return self._tables[stage, table].copy()
+
+    def columns(self, stage: str, table: str) -> pd.DataFrame:
+        """A table's columns, one row each: name, dtype, unit, frame, meaning, nullable."""
+        names = ("name", "dtype", "unit", "frame", "meaning", "nullable")
+        return pd.DataFrame([{n: getattr(c, n) for n in names} for c in _schema(stage, table).columns])
+
+    def image(self, frame_id: str) -> Image:
+        """A frame's image as captured: RGB (H, W, 3), uint8, with the lens's distortion, as the sensor delivers it
+        (landscape). UserError where there is no such frame, or its file is gone or isn't the one that was imported.
+        """
+        if frame_id not in self._images:
+            raise UserError(f"there is no frame {frame_id!r} in scene {self.scene}", expected="a frame_id of `frames`")
+        image, sha256 = self._images[frame_id]
+        if self.captures is None and not image.startswith("import:"):
+            raise UserError(
+                f"the captures of scene {self.scene} aren't beside its run",
+                where=self.folder,
+                do="name the data folder that has them: groundwalk.open(folder, data=...)",
+            )
+        path = image_file(image, self.captures or Path(), self.folder / "import")
+        if path.is_file() and sha256_of(path) != sha256:
+            raise UserError(
+                f"the image of frame {frame_id} isn't the one that was imported: its sha256 differs",
+                where=path,
+                do=run_command(self.scene, self.profile, "import"),
+            )
+        return read_image(path)
+
+    def torch_dataset(self, split: str | None = "train", transform: "Transform | None" = None) -> "TorchDataset":
+        """The frames of a split (train, val, test; None: all) with ground truth, as a torch.utils.data.Dataset; see
+        `groundwalk.torch_dataset.TorchDataset` for what an item is.
+        """
+        from groundwalk.torch_dataset import TorchDataset
+
+        return TorchDataset(self, split, transform)
+
+    def summary(self) -> str:
+        """What the run holds and how accurate it is, in a few lines for people."""
+        from groundwalk.summary import summary
+
+        return summary(self)
+
+    @cached_property
+    def _images(self) -> dict[str, tuple[str, str]]:
+        """frame_id -> the image's entry and sha256."""
+        frames = self.table("import", "frames")
+        return dict(zip(frames["frame_id"], zip(frames["image"], frames["image_sha256"], strict=True), strict=True))
+
+    def _check(self, stage: str) -> None:
+        """UserError where a stage's tables aren't there, or don't belong to those that are."""
+        if stage in self.outdated:
+            raise UserError(
+                f"stage {stage} of scene {self.scene} is outdated: {self.outdated[stage]} was run again since",
+                where=self.folder / stage,
+                do=run_command(self.scene, self.profile, stage),
+            )
+        if stage in self.manifests:
+            return
+        config = self._manifest["scene"]
+        if config.get("members") and stage not in config.get("stages", []):
+            raise UserError(
+                f"{self.scene} is a group of scenes and has no stage {stage}",
+                expected=f"one of {', '.join(config['stages'])}, or one of its scenes: {', '.join(config['members'])}",
+            )
+        raise not_finished(self.folder, stage, self.scene, self.profile)
+
+    def _refuse_replaced(self, stage: str) -> None:
+        if read_json(self.folder / stage / MANIFEST).get("outputs") != self.manifests[stage]["outputs"]:
+            raise UserError(
+                f"stage {stage} was run again after this run was opened", where=self.folder / stage, do="open it again"
+            )
+
+
+def not_finished(folder: Path, stage: str, scene: str, profile: str) -> UserError:
+    """The error for a stage that was never run, or not to its end."""
+    begun = partial_folder(folder / stage).is_dir()
+    return UserError(
+        f"stage {stage} of scene {scene} {'has begun but not finished' if begun else 'has not been run'}",
+        where=folder / stage,
+        do=run_command(scene, profile, stage),
+    )
+
+
+def pose_array(table: pd.DataFrame, group: str = "map_cam") -> Array:
+    """A pose group of a table as matrices (N, 4, 4), float64, one a row: `map_cam` is map_T_cam, which takes camera
+    coordinates (OpenCV: x right, y down, z forward) to the map (metres, +y up). A row without a pose is NaN.
+
+    Raises UserError where the table has no such group.
+    """
+    groups = [name.removesuffix("_qw") for name in table.columns if str(name).endswith("_qw")]
+    if group not in groups:
+        raise UserError(f"the table has no poses {group!r}", expected=f"one of {', '.join(groups) or 'none'}")
+    return poses_of(table, group)
+
+
+def rigid_transforms(table: pd.DataFrame, group: str = "map_cam") -> RigidTransform:
+    """A pose group of a table as scipy's RigidTransform of N poses; see `pose_array`.
+
+    Raises UserError where the table has no such group, or a row without a pose, which a RigidTransform can't hold.
+    """
+    poses = pose_array(table, group)
+    missing = int(np.isnan(poses).any(axis=(1, 2)).sum())
+    if missing:
+        raise UserError(
+            f"{missing} of {len(poses)} rows have no pose {group!r}",
+            do=f'leave them out: table.dropna(subset=["{group}_tx"])',
+        )
+    return RigidTransform.from_matrix(poses)
+
+
+def _schema(stage: str, table: str) -> TableSchema:
+    if stage not in STAGES:
+        raise UserError(f"there is no stage {stage!r}", expected=f"one of {', '.join(STAGES)}")
+    return schema(stage, table)

@@ -1,0 +1,67 @@
+"""A run in a few lines for people."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from groundwalk.artefacts.settings import STAGES
+from groundwalk.run import Run
+
+
+def summary(run: Run) -> str:
+    """The lines of `Run.summary`, each with its subject in front."""
+    captures = "SIMULATED captures" if run.simulated else "real captures"
+    rows = [("scene", f"{run.scene}, profile {run.profile}, {captures}"), ("stages", ", ".join(_states(run)))]
+    usable = {stage for stage in run.manifests if stage not in run.outdated}
+    if "import" in usable:
+        rows += _frames(run)
+    if "align" in usable:
+        rows += _ground_truth(run.ground_truth)
+    if "fuse" in usable:
+        rows += _errors(run.table("fuse", "summary"))
+    width = max(len(subject) for subject, _ in rows) + 2
+    return "\n".join(f"{subject:<{width}}{text}" for subject, text in rows)
+
+
+def _states(run: Run) -> Iterator[str]:
+    for stage in run.manifests:
+        yield f"{stage} (outdated: {run.outdated[stage]} was run again since)" if stage in run.outdated else stage
+    expected = run.manifests[next(iter(run.manifests))]["scene"].get("stages") or STAGES
+    missing = [stage for stage in expected if stage not in run.manifests]
+    if missing:
+        yield f"not finished: {', '.join(missing)}"
+
+
+def _frames(run: Run) -> Iterator[tuple[str, str]]:
+    sessions, splits = run.table("import", "sessions"), run.frames["split"].value_counts()
+    yield (
+        "sessions",
+        f"{len(sessions)}, {sessions['duration_s'].sum():.0f} s, {sessions['path_m'].sum():.0f} m of VIO path",
+    )
+    counts = ", ".join(f"{splits[split]} {split}" for split in ("train", "val", "test") if split in splits)
+    yield "frames", f"{splits.sum()}: {counts}"
+
+
+def _ground_truth(truth: pd.DataFrame) -> Iterator[tuple[str, str]]:
+    classes = truth["quality"].value_counts()
+    shown = ", ".join(f"{name} {classes[name]}" for name in ("A", "B", "C") if name in classes)
+    with_pose = truth[truth["map_cam_tx"].notna()]
+    text = f"{len(with_pose)} of {len(truth)} frames{f' ({shown})' if shown else ''}"
+    for what, column in (("scale", "scale_source"), ("vertical", "vertical_source")):
+        sources = with_pose[column].dropna().unique()
+        text += f"; {what} by {', '.join(sources)}" if len(sources) else ""
+    yield "ground truth", text
+
+
+def _errors(table: pd.DataFrame) -> Iterator[tuple[str, str]]:
+    """One line a method, model and scene: medians over all test frames, where a frame without a pose is infinitely
+    wrong."""
+    several = len(table["scene"].unique()) > 1
+    rows: Any = table[(table["subset"] == "all") & (table["scored"] == "method")].itertuples(index=False)
+    for row in rows:
+        medians = [(float(row.position_median_m), "{:.2f} m"), (float(row.rotation_median_deg), "{:.1f} deg")]
+        shown = ", ".join("infinite" if np.isnan(value) else pattern.format(value) for value, pattern in medians)
+        subject = f"{row.method}, {row.model}" + (f", {row.scene}" if several else "")
+        yield subject, f"median {shown}; {row.answered} of {row.frames} test frames have a pose"

@@ -1,0 +1,118 @@
+"""What the residuals of an adjusted model look like: by image radius and by row, and what that says.
+
+A lens that isn't modelled leaves residuals that point away from the principal point or to it, alike in all frames; a
+rolling shutter leaves rows of a frame that are shifted together, otherwise in each frame. (A focal length that breathes
+is hardly seen so: cameras move to and fro, and what is left depends on the points' depth.)
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.adjustment import Adjusted, Ints, linearize, summed
+
+LENS, SHUTTER = "lens", "rolling shutter or stabilised video"
+_BY_RADIUS, _BY_ROW = "radius", "row"
+_CAUSE = {_BY_RADIUS: LENS, _BY_ROW: SHUTTER}
+_BANDS = 10
+_MIN_OBSERVATIONS = 30
+# A pattern is one from so many pixels on, if it is so many sigmas, too.
+_PATTERN_PX, _PATTERN_SIGMAS = 0.1, 4.0
+
+
+def residual_patterns(model_id: str, lens_ids: list[str], adjusted: Adjusted) -> pd.DataFrame:
+    """Table sfm.residuals of a model, whose lenses have these names."""
+    scene, cameras = adjusted.scene, adjusted.cameras
+    residual = linearize(scene, cameras).residual
+    residual /= np.sqrt(1 + np.sum(residual**2, axis=1, keepdims=True) / adjusted.loss_px**2)
+    frame = scene.frame
+    offset = (scene.seen_px - cameras.intrinsics[frame, 2:]) / cameras.focal[frame]
+    radius = np.linalg.norm(offset, axis=1)
+    outward = np.sum(residual * offset, axis=1) / np.maximum(radius, 1e-9)
+    row = np.clip(scene.seen_px[:, 1] / cameras.height[frame], 0, 1 - 1e-9)
+    rows = []
+    for lens, lens_id in enumerate(lens_ids):
+        mine = np.flatnonzero(cameras.lens[frame] == lens)
+        reach = float(radius[mine].max(initial=1e-9)) * (1 + 1e-9)
+        by_radius = _banded(radius[mine] / reach)
+        by_row = _banded(row[mine])
+        for pattern, extent, band, (value, sd) in (
+            (_BY_RADIUS, reach, by_radius, _means(outward[mine], by_radius)),
+            (_BY_ROW, 1.0, by_row, _of_frames(residual[mine], frame[mine], by_row)),
+        ):
+            count = np.bincount(band, minlength=len(value))
+            for k in np.flatnonzero(count >= _MIN_OBSERVATIONS):
+                span = extent / len(value)
+                limits = {"band_from": k * span, "band_to": (k + 1) * span}
+                shown = {"observations": int(count[k]), "residual_px": value[k], "residual_sd_px": sd[k]}
+                rows.append({"model_id": model_id, "lens_id": lens_id, "pattern": pattern} | limits | shown)
+    return pd.DataFrame(rows)
+
+
+def pattern_of(residuals: pd.DataFrame) -> tuple[str, float] | None:
+    """What the residuals of one lens look like (LENS or SHUTTER), and how large that is, pixels; None where
+    they show no pattern."""
+    sizes = residuals["residual_px"].abs()
+    clear = residuals[(sizes > _PATTERN_PX) & (sizes > _PATTERN_SIGMAS * residuals["residual_sd_px"])]
+    if not len(clear):
+        return None
+    worst = int(np.argmax(clear["residual_px"].abs().to_numpy()))
+    return _CAUSE[str(clear["pattern"].iloc[worst])], float(clear["residual_px"].abs().iloc[worst])
+
+
+def draw_residuals(path: Path, residuals: pd.DataFrame) -> None:
+    """A picture: residuals by radius and by row, a line for each lens of each model."""
+    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    panels = {_BY_RADIUS: "outward, mean (px)", _BY_ROW: "shared by a frame's rows (px)"}
+    for axes, (pattern, label) in zip(figure.subplots(1, 2), panels.items(), strict=True):
+        of_pattern = residuals[residuals["pattern"] == pattern]
+        for (model, lens), of_lens in of_pattern.groupby(["model_id", "lens_id"], sort=True):
+            middle = (of_lens["band_from"] + of_lens["band_to"]) / 2
+            axes.errorbar(
+                middle, of_lens["residual_px"], of_lens["residual_sd_px"], capsize=2, label=f"{model}: {lens}"
+            )
+        axes.axhline(0, color="grey", linewidth=0.5)
+        axes.set_ylabel(label)
+        axes.set_xlabel("radius, focal lengths" if pattern == _BY_RADIUS else "row, of the image's height")
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, -_PATTERN_PX), max(high, _PATTERN_PX))
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", fontsize=6)
+    figure.suptitle("Residuals of the adjusted models", fontsize=10)
+    figure.savefig(path, dpi=110)
+
+
+def _banded(share_M: Array) -> Ints:
+    return np.minimum((share_M * _BANDS).astype(np.int64), _BANDS - 1)
+
+
+def _means(value_M: Array, band_M: Ints) -> tuple[Array, Array]:
+    """Mean of each band and its standard error."""
+    count = np.maximum(np.bincount(band_M, minlength=_BANDS), 1)
+    mean = np.bincount(band_M, value_M, minlength=_BANDS) / count
+    square = np.bincount(band_M, (value_M - mean[band_M]) ** 2, minlength=_BANDS) / count
+    return mean, np.sqrt(square / count)
+
+
+def _of_frames(value_M2: Array, frame_M: Ints, band_M: Ints) -> tuple[Array, Array]:
+    """How far the observations of a frame in each band are shifted together, beyond what chance shifts them by: root
+    mean square over frames and its standard error."""
+    bands = int(band_M.max(initial=0)) + 1
+    frames = int(frame_M.max(initial=0)) + 1
+    group = frame_M * bands + band_M
+    count = np.bincount(group, minlength=frames * bands)
+    total = summed(value_M2, group, frames * bands)
+    square = np.bincount(group, np.sum(value_M2**2, axis=1), minlength=frames * bands)
+    several = count > 1
+    # The products of all pairs of a frame's observations: 0 on average where they have nothing to do with each other.
+    pairs = np.where(several, count * (count - 1), 1)
+    product = ((np.sum(total**2, axis=1) - square) / pairs).reshape(frames, bands)
+    weight = np.where(several, count, 0).reshape(frames, bands).astype(float)
+    sums = np.maximum(weight.sum(axis=0), 1)
+    mean = (weight * product).sum(axis=0) / sums
+    spread = np.sqrt(((weight * (product - mean)) ** 2).sum(axis=0)) / sums
+    size = np.sign(mean) * np.sqrt(np.abs(mean))
+    return size, spread / (2 * np.maximum(np.abs(size), np.sqrt(np.maximum(spread, 1e-12)) / 2))

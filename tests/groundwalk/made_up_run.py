@@ -1,0 +1,106 @@
+"""A run of two walks in a made-up scene, written by the stages' machinery from made-up tables."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from groundwalk.artefacts import DataRoot, Settings, Stage, StageRun, execute
+from groundwalk.artefacts.files import sha256_of
+from groundwalk.artefacts.schemas import schema, stage_tables
+from groundwalk.artefacts.tables import pose_frame, pose_prefixes
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array
+
+FRAMES = 12
+LOST = 5  # the row that has no ground truth
+NEEDS = {
+    "import": (),
+    "sfm": ("import",),
+    "align": ("import", "sfm"),
+    "train": ("import", "align"),
+    "fuse": ("import", "align", "train"),
+}
+DEFAULTS = {"float64": 0.0, "int64": 0, "bool": False, "string": "", "list<float64>": [], "list<string>": []}
+
+
+def filled(stage: str, table: str, count: int, **columns: object) -> pd.DataFrame:
+    """A table of its schema: null where that may be, zero or nothing elsewhere, but for the columns given."""
+    of = schema(stage, table)
+    values = {c.name: [None if c.nullable else DEFAULTS[c.dtype]] * count for c in of.columns}
+    values |= {f"{prefix}_qw": [1.0] * count for prefix in pose_prefixes(of)}
+    return pd.DataFrame(values, dtype=object).assign(**columns)  # type: ignore[arg-type]
+
+
+@dataclass
+class MadeUpRun:
+    """The run of scene `place` in profile tiny, and what its tables were made from. `suffix` makes other tables."""
+
+    data: DataRoot
+    map_T_cam: Array
+    map_S_sfm: Sim3
+    points: Array
+    pictures: list[np.ndarray] = field(default_factory=list)
+    suffix: str = ""
+
+    @property
+    def folder(self) -> Path:
+        return self.data.run("tiny", "place")
+
+    def run(self, *stages: str) -> None:
+        """Run stages, all unless named."""
+        for name in stages or NEEDS:
+            stage = Stage(name, 1, Settings, NEEDS[name], self._write, "", reads_captures=name == "import")
+            execute(stage, "place", "tiny", self.data, force=True)
+
+    def _write(self, r: StageRun[Settings]) -> None:
+        tables = getattr(self, f"_{r.stage.name}")()
+        for table in stage_tables(r.stage.name):
+            r.write(table.name, tables.get(table.name, filled(table.stage, table.name, 0)))
+
+    @property
+    def _keys(self) -> dict[str, list[object]]:
+        ids = [f"walk-{i // 6}{self.suffix}/{i:06d}" for i in range(FRAMES)]
+        splits = ["train", "train", "train", "val", "val", "train"] + ["test"] * 6
+        return {
+            "frame_id": ids,
+            "session_id": [name.partition("/")[0] for name in ids],
+            "split": splits,
+            "t_ns": list(range(FRAMES)),
+        }
+
+    def _import(self) -> dict[str, pd.DataFrame]:
+        images = [f"{i}.png" for i in range(FRAMES)]
+        hashes = [sha256_of(self.data.captures("place") / name) for name in images]
+        camera = {"width": 32, "height": 24, "fx": 30.0, "fy": 30.0, "cx": 16.0, "cy": 12.0}
+        frames = filled("import", "frames", FRAMES, **self._keys, image=images, image_sha256=hashes, **camera)
+        support = frames.iloc[[0]].assign(frame_id="walk-0/000900", support=True)
+        sessions = filled("import", "sessions", 2, session_id=["walk-0", "walk-1"], duration_s=60.0, path_m=40.0)
+        return {"frames": pd.concat([frames, support], ignore_index=True), "sessions": sessions}
+
+    def _sfm(self) -> dict[str, pd.DataFrame]:
+        poses = pose_frame("sfm_cam", self.map_S_sfm.inverse().poses(self.map_T_cam))
+        images = filled("sfm", "images", FRAMES, frame_id=self._keys["frame_id"], model_id="m", **poses)
+        xyz = dict(zip("xyz", self.map_S_sfm.inverse().points(self.points).T, strict=True))
+        model_ids = ["m"] * (len(self.points) - 1) + ["not in the map"]
+        return {"images": images, "points": filled("sfm", "points", len(self.points), model_id=model_ids, **xyz)}
+
+    def _align(self) -> dict[str, pd.DataFrame]:
+        poses = self.map_T_cam.copy()
+        poses[LOST] = np.nan
+        truth = filled("align", "ground_truth", FRAMES, **self._keys, **pose_frame("map_cam", poses), quality="A")
+        truth = truth.assign(fx=31.0, fy=31.0, cx=16.0, cy=12.0, distortion=[[0.1, -0.2]] * FRAMES)
+        truth.loc[LOST, "quality"] = "none"
+        return {"ground_truth": truth.assign(scale_source="vio", vertical_source="gravity")}
+
+    def _train(self) -> dict[str, pd.DataFrame]:
+        predicted = pose_frame("map_cam", self.map_T_cam)
+        return {"predictions": filled("train", "predictions", FRAMES, **self._keys, **predicted, model="PN")}
+
+    def _fuse(self) -> dict[str, pd.DataFrame]:
+        poses = filled("fuse", "poses", FRAMES, **self._keys, method="apr", model="PN")
+        errors = filled("fuse", "errors", FRAMES, **self._keys, method="apr", model="PN", position_m=0.5)
+        answers = {"position_median_m": [0.5, np.nan], "rotation_median_deg": [2.0, np.nan], "answered": [6, 2]}
+        summary = filled("fuse", "summary", 2, method=["apr", "rule"], model="PN", subset="all", frames=6, **answers)
+        return {"poses": poses, "errors": errors, "summary": summary.assign(scored="method")}

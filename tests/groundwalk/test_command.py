@@ -1,0 +1,213 @@
+"""The command `groundwalk`: every command line of the packages, none of their libraries until one is run."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.settings import STAGES
+from groundwalk.cli import all_commands
+from groundwalk.pipeline import Step, run_steps, steps
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAVY = {"cv2", "numpy", "open3d", "pandas", "pyarrow", "pycolmap", "rerun", "scipy", "torch", "pydantic"}
+PROGRAM = """
+import sys
+from groundwalk.cli import app
+try:
+    app({arguments!r}, prog_name="groundwalk")
+finally:
+    print("loaded:", *sys.modules)
+"""
+
+
+def groundwalk(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "groundwalk", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, env={**os.environ, "COLUMNS": "200", **environment})
+
+
+def loaded_by(*arguments: str, **environment: str) -> tuple[str, set[str]]:
+    """What a command prints, and the libraries that it loads."""
+    command = [sys.executable, "-c", PROGRAM.format(arguments=list(arguments))]
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, **environment})
+    printed, _, modules = done.stdout.partition("loaded: ")
+    assert modules, done.stderr
+    return printed, {name.split(".")[0] for name in modules.split()}
+
+
+def complete(line: str, cursor: int) -> tuple[str, set[str]]:
+    return loaded_by(_GROUNDWALK_COMPLETE="complete_bash", COMP_WORDS=line, COMP_CWORD=str(cursor))
+
+
+def options(command: Any) -> dict[str, Any]:
+    return {name: (p.default, p.help) for p in command.params for name in getattr(p, "opts", [])}
+
+
+@pytest.fixture(scope="module")
+def packages() -> dict[str, Any]:
+    """The applications of the packages' own command lines, by package."""
+    paths = [path for path in ROOT.glob("*/__main__.py") if path.parent.name != "groundwalk"]
+    assert len(paths) == 8
+    return {p.parent.name: get_command(import_module(f"groundwalk.{p.parent.name}.__main__").app) for p in paths}
+
+
+def test_help_lists_every_command_and_loads_no_library() -> None:
+    printed, libraries = loaded_by("--help")
+    for command in all_commands():
+        assert f" {command.name} " in printed and command.help in printed
+    assert not libraries & (HEAVY - {"pydantic"})
+
+
+def test_each_package_s_command_is_one_of_groundwalk_s(packages: dict[str, Any]) -> None:
+    """The same command objects' options, under names that `groundwalk --help` lists."""
+    modules = {(command.module, command.subcommand): command for command in all_commands()}
+    of_stages = 0
+    for package, application in packages.items():
+        for name, command in getattr(application, "commands", {}).items():
+            assert options(modules[f"{package}.__main__", name].load()) == options(command)
+        if f"{package}.stage" in {module for module, _ in modules}:
+            stage = modules[f"{package}.stage", None]
+            assert options(stage.load()) == options(application) == options(stage.load(for_completion=True))
+            assert stage.load().help == application.help
+            of_stages += 1
+    assert of_stages == len(STAGES)
+    assert options(modules["simulation.__main__", None].load()) == options(packages["simulation"])
+
+
+def test_a_stage_s_command_has_its_package_s_name_for_it() -> None:
+    stages = [command for command in all_commands() if command.is_stage]
+    assert tuple(command.name for command in stages) == STAGES
+    assert all(command._stage().name == command.name for command in stages)
+
+
+@pytest.mark.parametrize(
+    ("line", "cursor", "expected"),
+    [
+        ("groundwalk s", 1, ["scenes", "simulate", "sfm", "sweep"]),
+        ("groundwalk sfm --scene C", 3, ["Church"]),
+        ("groundwalk train --profile ", 3, ["demo", "paper", "tiny"]),
+        ("groundwalk align --fo", 2, ["--force"]),
+    ],
+)
+def test_completion_knows_commands_options_scenes_and_profiles(line: str, cursor: int, expected: list[str]) -> None:
+    printed, libraries = complete(line, cursor)
+    assert printed.split() == expected
+    assert not libraries & (HEAVY - {"pydantic"})
+
+
+def test_what_only_touches_files_loads_no_stage_s_library(tmp_path: Path) -> None:
+    _, libraries = loaded_by("scenes", "--data", str(tmp_path))
+    assert not libraries & {"cv2", "open3d", "pandas", "pycolmap", "rerun", "torch"}
+
+
+def test_errors_are_those_of_the_packages(tmp_path: Path) -> None:
+    done = groundwalk("sfm", "--data", tmp_path)
+    assert done.returncode == 2 and "error: no scene was named" in done.stderr
+    done = groundwalk("view", "--scene", "place", "--data", tmp_path)
+    assert done.returncode == 2 and "there is no recording to view" in done.stderr and "Traceback" not in done.stderr
+    done = groundwalk("algin")
+    assert done.returncode == 2 and "Did you mean 'align'" in done.stderr
+    assert groundwalk("--version").stdout.startswith("groundwalk 0.")
+    assert "Usage: groundwalk [OPTIONS]" in groundwalk().stdout + groundwalk().stderr
+
+
+def test_scenes_lists_profiles_captures_and_stages(tmp_path: Path) -> None:
+    (tmp_path / "captures" / "Own" / "walk").mkdir(parents=True)
+    (tmp_path / "captures" / "Own" / "walk" / "0.jpg").touch()
+    (tmp_path / "captures" / "no name").mkdir()
+    stage = tmp_path / "runs" / "tiny" / "Own" / "import"
+    stage.mkdir(parents=True)
+    (stage / "manifest.json").write_text("{}")
+    lines = {line.split()[0]: line for line in groundwalk("scenes", "--data", tmp_path).stdout.splitlines() if line}
+    assert "a first look" in lines["demo"]
+    assert "real" in lines["Own"] and "tiny: import" in lines["Own"]
+    assert "none, can be simulated" in lines["Church"]
+    assert "those of Square, Church, Bar" in lines["outdoor"]
+    assert "no" not in lines
+
+
+def with_captures(data: DataRoot, scene: str, marker: str | None = None) -> None:
+    folder = data.captures(scene)
+    folder.mkdir(parents=True)
+    (folder / "0.jpg").touch()
+    if marker:
+        (folder / "SIMULATED.json").write_text(marker)
+
+
+def test_a_scene_takes_all_stages_and_is_simulated_where_it_may_be(tmp_path: Path) -> None:
+    data = DataRoot(tmp_path)
+    assert steps(data, "tiny", "Library") == [Step(stage, "Library") for stage in STAGES]
+    assert steps(data, "tiny", "Church")[:2] == [Step("simulate", "Church"), Step("import", "Church")]
+    assert [s.command for s in steps(data, "tiny", "Church", "sfm")] == ["simulate", "import", "sfm"]
+    with_captures(data, "Church", '{"profile": "tiny"}')
+    assert steps(data, "tiny", "Church")[0].command == "simulate"
+    assert steps(data, "demo", "Church")[0].command == "import"
+    with_captures(data, "Square")
+    assert steps(data, "tiny", "Square")[0].command == "import"
+
+
+def test_a_group_s_scenes_come_before_it(tmp_path: Path) -> None:
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "scenes" / "two.toml").write_text('members = ["a", "b"]\nstages = ["train", "fuse"]\n')
+    (tmp_path / "scenes" / "more.toml").write_text('members = ["two", "b"]\nstages = ["fuse"]\n')
+    data = DataRoot(tmp_path)
+    expected = [Step(stage, scene) for scene in "ab" for stage in STAGES]
+    expected += [Step("train", "two"), Step("fuse", "two"), Step("fuse", "more")]
+    assert steps(data, "tiny", "more") == expected
+    assert steps(data, "tiny", "two", "align") == [Step(s, scene) for scene in "ab" for s in STAGES[:3]]
+
+
+def test_what_there_is_not_is_said_before_anything_runs(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"no stage 'mapping'[\s\S]*import, sfm"):
+        steps(DataRoot(tmp_path), "tiny", "Church", "mapping")
+    with pytest.raises(UserError, match="no profile 'large'"):
+        steps(DataRoot(tmp_path), "large", "Church")
+
+
+def test_the_first_step_that_fails_ends_a_run(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    data = DataRoot(tmp_path)
+    (tmp_path / "runs" / "tiny" / "other").mkdir(parents=True)
+    with pytest.raises(SystemExit) as ended:
+        run_steps([Step("clean", "place"), Step("view", "place"), Step("clean", "other")], "tiny", data)
+    assert ended.value.code == 2 and "no recording to view" in capfd.readouterr().err
+    assert (tmp_path / "runs" / "tiny" / "other").is_dir()  # a clean would have removed it
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_run_with_its_stage(tmp_path: Path, number: signal.Signals) -> None:
+    """Also where only the command itself gets it, as from a job scheduler."""
+    command = [sys.executable, "-m", "groundwalk", "run", "--scene", "Church", "--profile", "tiny"]
+    process = subprocess.Popen(
+        [*command, "--data", str(tmp_path)],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # Whoever runs the tests in the background may ignore it, and children inherit that.
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
+    )
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "captures" / ".Church.partial" / "key.json").is_file():
+        assert time.monotonic() < deadline and process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(number)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 128 + number
+    assert said.count("the same command resumes") == 1 and "Traceback" not in said
+    with pytest.raises(ProcessLookupError):  # nothing of it is left
+        os.killpg(process.pid, 0)
+    assert not (tmp_path / "captures" / "Church").exists()
+
+
+def test_the_table_has_one_line_of_help_a_command() -> None:
+    names = [command.name for command in all_commands()]
+    assert len(names) == len(set(names))
+    assert all(c.help.endswith(".") and len(c.help) < 64 for c in all_commands())
+    assert {"run", "view", "inspect", "export", "clean", "simulate", *STAGES} <= set(names)

@@ -1,0 +1,277 @@
+"""groundwalk.open: a run's tables, images, poses and points as they were written, and what isn't a run is refused."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import torch
+from made_up_run import FRAMES, LOST, MadeUpRun
+
+import groundwalk
+from groundwalk import UserError
+from groundwalk.artefacts.schemas import schema
+
+ROOT = Path(__file__).resolve().parents[2]
+Make = Callable[..., MadeUpRun]
+PROPERTIES = {
+    "frames": ("import", "frames"),
+    "ground_truth": ("align", "ground_truth"),
+    "predictions": ("train", "predictions"),
+    "poses": ("fuse", "poses"),
+    "errors": ("fuse", "errors"),
+    "points": ("sfm", "points"),
+}
+
+
+def open_place(made: MadeUpRun) -> groundwalk.Run:
+    return groundwalk.open("place", profile="tiny", data=made.data.root)
+
+
+def rewrite(path: Path, version: str | None = None, drop: str | None = None, add: str | None = None) -> None:
+    """Change a table's version or columns as another version of groundwalk would have written them."""
+    table = pq.read_table(path)
+    if drop:
+        table = table.drop_columns([drop])
+    if add:
+        table = table.append_column(add, pa.array([1.0] * len(table)))
+    metadata = dict(table.schema.metadata) | ({b"groundwalk.version": version.encode()} if version else {})
+    pq.write_table(table.replace_schema_metadata(metadata), path)
+
+
+def test_each_property_is_its_table(make_run: Make) -> None:
+    made = make_run()
+    run = open_place(made)
+    for name, (stage, table) in PROPERTIES.items():
+        if name not in ("frames", "points"):
+            expected = pd.read_parquet(made.folder / stage / f"{table}.parquet")
+            pd.testing.assert_frame_equal(getattr(run, name), expected)
+    assert len(run.frames) == FRAMES and len(run.table("import", "frames")) == FRAMES + 1
+    assert (run.scene, run.profile, run.simulated) == ("place", "tiny", False)
+    changed = run.errors
+    changed["position_m"] = 7.0
+    assert (run.errors["position_m"] == 0.5).all()
+
+
+def test_the_docs_of_a_property_say_each_columns_unit() -> None:
+    for name, (stage, table) in PROPERTIES.items():
+        text = getattr(groundwalk.Run, name).__doc__
+        assert f"{stage}.{table}" in text
+        for column in schema(stage, table).columns:
+            of_group = any(f"{column.name.rpartition('_')[0]}_*" in line for line in text.splitlines())
+            assert of_group or f"{column.name}: {column.dtype}" in text, (name, column.name)
+    assert "position_m: float64 or null [m, frame map]: APE of map_cam" in groundwalk.Run.errors.__doc__
+    assert "map_cam_*: float64 or null [m, unit quaternion, frame map]" in groundwalk.Run.ground_truth.__doc__
+
+
+def test_columns_lists_type_unit_and_meaning(make_run: Make) -> None:
+    columns = open_place(make_run("import")).columns("fuse", "errors").set_index("name")
+    assert list(columns.index) == schema("fuse", "errors").column_names
+    assert columns.loc["rotation_deg", "unit"] == "deg" and columns.loc["position_m", "frame"] == "map"
+
+
+def test_poses_are_matrices_or_transforms(make_run: Make) -> None:
+    made = make_run()
+    truth = open_place(made).ground_truth
+    poses = groundwalk.pose_array(truth)
+    known = np.arange(FRAMES) != LOST
+    np.testing.assert_allclose(poses[known], made.map_T_cam[known], atol=1e-12)
+    assert np.isnan(poses[LOST]).all()
+    with pytest.raises(UserError, match=rf"(?s)1 of {FRAMES} rows have no pose 'map_cam'.*dropna"):
+        groundwalk.rigid_transforms(truth)
+    transforms = groundwalk.rigid_transforms(truth.dropna(subset=["map_cam_tx"]))
+    np.testing.assert_allclose(transforms.as_matrix(), made.map_T_cam[known], atol=1e-12)
+    with pytest.raises(UserError, match=r"(?s)no poses 'vio_cam'.*map_cam"):
+        groundwalk.pose_array(truth, "vio_cam")
+
+
+def test_points_are_in_the_map(make_run: Make) -> None:
+    """Also along a straight walk, and without the points of a model that isn't in the map."""
+    made = make_run("import", "sfm", "align")
+    points = open_place(made).points
+    np.testing.assert_allclose(points[["x", "y", "z"]], made.points[:-1], atol=1e-9)
+    assert len(open_place(made).table("sfm", "points")) == len(made.points)
+
+
+def test_an_image_is_the_one_that_was_imported(make_run: Make) -> None:
+    made = make_run("import")
+    run = open_place(made)
+    image = run.image("walk-0/000003")
+    assert image.dtype == np.uint8 and np.array_equal(image, made.pictures[3])
+    with pytest.raises(UserError, match="no frame 'walk-0/000777' in scene place"):
+        run.image("walk-0/000777")
+    captures = made.data.captures("place")
+    shutil.copy(captures / "2.png", captures / "3.png")
+    with pytest.raises(UserError, match="isn't the one that was imported"):
+        run.image("walk-0/000003")
+    (captures / "3.png").unlink()
+    with pytest.raises(UserError, match=r"(?s)can't be read.*no such file"):
+        run.image("walk-0/000003")
+
+
+def test_a_torch_dataset_has_the_frames_of_a_split_with_ground_truth(make_run: Make) -> None:
+    made = make_run("import", "sfm", "align")
+    run = open_place(made)
+    assert {split: len(run.torch_dataset(split)) for split in ("train", "val", "test", None)} == {
+        "train": 3, "val": 2, "test": 6, None: 11,
+    }  # fmt: skip
+    items = run.torch_dataset()
+    assert items.frame_ids == ["walk-0/000000", "walk-0/000001", "walk-0/000002"]
+    item = items[1]
+    assert np.array_equal(item["image"].numpy().transpose(1, 2, 0), made.pictures[1])
+    np.testing.assert_allclose(item["map_T_cam"], made.map_T_cam[1], atol=1e-6)
+    assert item["K"].tolist() == [[31, 0, 16], [0, 31, 12], [0, 0, 1]]  # the camera that goes with the ground truth
+    torch.testing.assert_close(item["distortion"], torch.tensor([0.1, -0.2, 0, 0, 0, 0, 0, 0]))
+    batch = next(iter(torch.utils.data.DataLoader(items, batch_size=3)))
+    assert batch["image"].shape == (3, 3, 24, 32) and batch["frame_id"] == items.frame_ids
+    halved = run.torch_dataset("test", lambda item: {**item, "image": item["image"][:, ::2, ::2]})  # type: ignore[typeddict-item]
+    assert halved[0]["image"].shape == (3, 12, 16)
+    with pytest.raises(UserError, match="no split 'training'"):
+        run.torch_dataset("training")
+
+
+def test_a_summary_says_what_there_is(make_run: Make) -> None:
+    made = make_run()
+    text = open_place(made).summary()
+    assert "real captures" in text and "SIMULATED" not in text
+    assert "12: 4 train, 2 val, 6 test" in text
+    assert "11 of 12 frames (A 11); scale by vio; vertical by gravity" in text
+    assert "median 0.50 m, 2.0 deg; 6 of 6 test frames" in text
+    assert "median infinite, infinite; 2 of 6 test frames" in text
+    assert "not finished: report" in text
+    for stage in made.folder.glob("*/manifest.json"):
+        stage.write_text(stage.read_text().replace('"simulated": false', '"simulated": true'))
+    assert "SIMULATED captures" in open_place(made).summary()
+
+
+def test_a_run_is_opened_by_its_folder(make_run: Make, tmp_path: Path) -> None:
+    made = make_run("import")
+    assert groundwalk.open(made.folder).image("walk-0/000001").shape == (24, 32, 3)
+    assert groundwalk.open(os.path.relpath(made.folder)).captures == made.data.captures("place")
+    moved = shutil.copytree(made.folder, tmp_path / "moved")
+    run = groundwalk.open(moved, data=tmp_path / "elsewhere")
+    assert len(run.frames) == FRAMES
+    with pytest.raises(UserError, match=r"(?s)captures of scene place aren't beside its run.*data="):
+        run.image("walk-0/000001")
+    assert groundwalk.open(moved, data=made.data.root).image("walk-0/000001").shape == (24, 32, 3)
+
+
+def test_a_missing_run_is_said_with_those_that_are_there(make_run: Make, tmp_path: Path) -> None:
+    made = make_run("import")
+    with pytest.raises(UserError, match=r"(?s)no run of profile demo.*runs of it in profile tiny"):
+        groundwalk.open("place", data=made.data.root)
+    with pytest.raises(UserError, match=r"(?s)scene Office has no run.*runs of place in profile tiny"):
+        groundwalk.open("Office", profile="tiny", data=made.data.root)
+    with pytest.raises(UserError, match=r"(?s)scene Office has no run.*no run of profile tiny"):
+        groundwalk.open("Office", profile="tiny", data=tmp_path / "nothing")
+    with pytest.raises(UserError, match="there is no run"):
+        groundwalk.open(tmp_path / "nothing")
+
+
+def test_a_stage_that_is_not_finished_is_named(make_run: Make) -> None:
+    made = make_run("import")
+    run = open_place(made)
+    with pytest.raises(UserError, match=r"(?s)stage align of scene place has not been run.*make scene=place .* align"):
+        _ = run.ground_truth
+    (made.folder / ".align.partial").mkdir()
+    with pytest.raises(UserError, match="stage align of scene place has begun but not finished"):
+        _ = run.ground_truth
+    shutil.move(made.folder / "import", made.folder / ".import.partial")
+    with pytest.raises(UserError, match="stage import of scene place has begun but not finished"):
+        open_place(made)
+    for stage, table in (("mapping", "images"), ("sfm", "pictures")):
+        with pytest.raises(UserError, match="expected"):
+            run.table(stage, table)
+
+
+def test_a_foreign_folder_is_refused_and_left_as_it_is(make_run: Make, tmp_path: Path) -> None:
+    (tmp_path / "foreign" / "import").mkdir(parents=True)
+    with pytest.raises(UserError, match=r"(?s)isn't the folder of a run.*found:.*import"):
+        groundwalk.open(tmp_path / "foreign")
+    manifest = tmp_path / "foreign" / "import" / "manifest.json"
+    for content in ("{", "[]", '{"outputs": {}, "simulated": true}', '{"stage": "import"}'):
+        manifest.write_text(content)
+        os.utime(manifest, (1e9, 1e9))
+        with pytest.raises(UserError, match="manifest is damaged, or of another program"):
+            groundwalk.open(tmp_path / "foreign")
+        assert manifest.stat().st_mtime == 1e9
+    made = make_run("import")
+    with pytest.raises(UserError, match=r"(?s)folder of one stage.*place'"):
+        groundwalk.open(made.folder / "import")
+
+
+def test_tables_of_the_same_major_version_are_read(make_run: Make) -> None:
+    """An older one lacks columns, which are null, also where none is null today; a newer one has more."""
+    made = make_run()
+    summary = made.folder / "fuse" / "summary.parquet"
+    rewrite(summary, "1.0", drop="too_uncertain")
+    assert open_place(made).table("fuse", "summary")["too_uncertain"].isna().all()
+    rewrite(summary, "1.99", add="later")
+    with pytest.raises(UserError, match="lacks columns"):  # a column that version 1.99 must have
+        open_place(made).table("fuse", "summary")
+    rewrite(made.folder / "fuse" / "errors.parquet", "1.99", add="later")
+    assert "later" not in open_place(made).errors
+
+
+def test_tables_of_another_major_version_are_refused(make_run: Make) -> None:
+    made = make_run()
+    rewrite(made.folder / "align" / "ground_truth.parquet", "1.7")
+    with pytest.raises(UserError, match=r"(?s)align.ground_truth has another version.*2\.x.*1\.7.*run the align stage"):
+        _ = open_place(made).ground_truth
+    shutil.copy(made.folder / "fuse" / "poses.parquet", made.folder / "fuse" / "errors.parquet")
+    with pytest.raises(UserError, match=r"(?s)another table.*fuse\.errors.*fuse\.poses"):
+        _ = open_place(made).errors
+
+
+def test_stages_that_do_not_belong_together_are_not_mixed(make_run: Make) -> None:
+    made = make_run()
+    opened = open_place(made)
+    made.suffix = "-again"
+    made.run("import")
+    with pytest.raises(UserError, match="stage import was run again after this run was opened"):
+        _ = opened.frames
+    run = open_place(made)
+    assert run.frames["frame_id"].str.contains("again").all()
+    for table in ("ground_truth", "predictions", "errors"):
+        with pytest.raises(UserError, match=r"(?s)is outdated: import of scene place was run again since.*make scene"):
+            getattr(run, table)
+    assert "outdated: import of scene place" in run.summary()
+
+
+def test_a_group_names_its_scenes(make_run: Make) -> None:
+    made = make_run("import", "sfm", "align", "train")
+    group = made.data.run("tiny", "two")
+    shutil.copytree(made.folder / "train", group / "train")
+    manifest = group / "train" / "manifest.json"
+    content = json.loads(manifest.read_text())
+    content["scene"] |= {"name": "two", "members": ["place"], "stages": ["train", "fuse", "report"]}
+    manifest.write_text(json.dumps(content))
+    run = groundwalk.open("two", profile="tiny", data=made.data.root)
+    assert len(run.predictions) == FRAMES
+    with pytest.raises(UserError, match=r"(?s)two is a group of scenes and has no stage import.*its scenes: place"):
+        _ = run.frames
+    made.suffix = "-again"
+    made.run("import", "sfm", "align")
+    with pytest.raises(UserError, match="outdated: import of scene place"):
+        _ = groundwalk.open("two", profile="tiny", data=made.data.root).predictions
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/python.md"])
+def test_the_documented_lines_run(page: str, make_run: Make, capsys: pytest.CaptureFixture[str]) -> None:
+    made = make_run()
+    _, _, block = (ROOT / page).read_text(encoding="utf-8").partition("```python\nimport groundwalk\n")
+    block = "import groundwalk\n" + block.partition("```")[0]
+    assert 3 <= len([line for line in block.splitlines() if line]) <= 5
+    opened = f'open("place", profile="tiny", data={str(made.data.root)!r})'
+    assert 'open("Church")' in block
+    names: dict[str, object] = {}
+    exec(block.replace('open("Church")', opened), names)
+    assert "real captures" in capsys.readouterr().out
+    if "image" in names:
+        assert names["image"].shape == (24, 32, 3) and names["sample"]["frame_id"] == "walk-0/000000"  # type: ignore[attr-defined, index]
