@@ -80,6 +80,9 @@ link-captures: | $(installed)
 # A scene without a file depends on the folder, which changes when a file of it is taken away.
 settings := data/profiles/$(profile).toml $(or $(wildcard data/scenes/$(scene).toml),data/scenes)
 
+# Predictions of other regressors, which scenes' settings name; train itself knows which of them it depends on.
+predictions := $(wildcard data/predictions/*)
+
 # A scene that simulation/ knows is simulated where nobody has put captures of it.
 has_captures := $(shell find -L "$(capture)" -type f -print -quit 2>/dev/null)
 is_simulated := $(wildcard $(capture)/SIMULATED.json)
@@ -110,7 +113,7 @@ $(run)/sfm/manifest.json: $(run)/import/manifest.json $(settings)
 	@$(py) -m groundwalk.sfm $(arguments)
 $(run)/align/manifest.json: $(run)/sfm/manifest.json $(settings)
 	@$(py) -m groundwalk.alignment $(arguments)
-$(run)/train/manifest.json: $(run)/align/manifest.json $(settings)
+$(run)/train/manifest.json: $(run)/align/manifest.json $(settings) $(predictions)
 	@$(py) -m groundwalk.training $(arguments)
 else
 all:
@@ -118,7 +121,7 @@ all:
 	@$(MAKE) --no-print-directory group-report
 group-report: $(run)/report/manifest.json
 member_manifests := $(foreach member,$(members),data/runs/$(profile)/$(member)/report/manifest.json)
-$(run)/train/manifest.json: $(member_manifests) $(settings)
+$(run)/train/manifest.json: $(member_manifests) $(settings) $(predictions)
 	@$(py) -m groundwalk.training $(arguments)
 endif
 $(run)/fuse/manifest.json: $(run)/train/manifest.json $(settings)
@@ -130,11 +133,11 @@ $(run)/report/manifest.json: $(run)/fuse/manifest.json $(settings) $(wildcard da
 import: $(run)/import/manifest.json ## Stage 1: any capture -> checked frames
 sfm: $(run)/sfm/manifest.json ## Stage 2: frames -> COLMAP model
 align: $(run)/align/manifest.json ## Stage 3: model and VIO -> metric, gravity-aligned ground truth; drift
-train: $(run)/train/manifest.json ## Stage 4: PN and MS-T, and their predictions
+train: $(run)/train/manifest.json ## Stage 4: absolute pose regressors, and their predictions
 fuse: $(run)/fuse/manifest.json ## Stage 5: predictions and VIO -> fused poses and errors
 report: $(run)/report/manifest.json ## Stage 6: tables, figures, page.html
 
-paper: ## All six scenes in the paper profile (profile=tiny: a rehearsal), then one MS-T outdoors and one indoors
+paper: ## All six scenes in the paper profile (profile=tiny: a rehearsal), then one regressor for all outdoors and one indoors
 	@for group in outdoor indoor; do \
 		$(MAKE) --no-print-directory scene=$$group profile=$(if $(profile_is_given),$(profile),paper) all \
 		|| exit; \

@@ -39,6 +39,7 @@ class Inputs:
     scene: SceneConfig
     profile: str
     data: DataRoot
+    files: tuple[str, ...] = ()
     hashes: dict[str, Any] = field(default_factory=dict)
     _held: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
     _captures: dict[str, tuple[int, int]] = field(default_factory=dict)
@@ -90,6 +91,20 @@ class Inputs:
             self.hashes[f"{scene}/{stage}"] = load_manifest(folder)["outputs"]
         for name in self.stage.reads_shipped:
             self.hashes[f"data/{name}"] = {file: sha256_of(path) for file, path in self.data.files(name).items()}
+        if self.files:
+            self.hashes["files"] = {name: self._hash(name) for name in self.files}
+
+    def _hash(self, name: str) -> str:
+        path = self.data.root / name
+        try:
+            return sha256_of(path)
+        except OSError as error:
+            raise UserError(
+                f"a file that the settings of scene {self.scene.name} name can't be read",
+                where=path,
+                found=error.strerror,
+                do="put it there, or correct its path, which is relative to the data folder",
+            ) from None
 
     def _read_captures(self) -> None:
         captures = self.data.captures(self.scene.name)

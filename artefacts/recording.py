@@ -19,6 +19,9 @@ FUSED = (204, 121, 167)
 REJECTED = (213, 94, 0)
 NEUTRAL = (150, 150, 150)
 
+# Of kinds of poses beyond these, in order; far from the ones above and from each other.
+MORE_COLOURS = ((240, 228, 66), (166, 86, 40), (102, 166, 30), (117, 112, 179), (231, 41, 138), (0, 114, 178))
+
 UP_AXIS = rr.ViewCoordinates.RIGHT_HAND_Y_UP
 TIMELINE = "capture_time"
 

@@ -3,7 +3,7 @@
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -22,6 +22,9 @@ class Settings(BaseModel):
     """Base of every stage's settings: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    renamed: ClassVar[dict[str, str]] = {}
+    """Retired names of settings, and what each is called now."""
 
 
 class SplitRules(Settings):
@@ -154,8 +157,15 @@ def resolve_settings(model: type[T], section: str, data: DataRoot, profile: str,
 
 def validated(model: type[T], content: dict[str, Any], where: object) -> T:
     """`content` as a settings model; UserError naming each key that doesn't fit."""
+    retired = next((key for key in content if key in model.renamed), None)
+    if retired is not None:
+        new = model.renamed[retired]
+        raise UserError(f"setting {retired!r} was renamed to {new!r}", where=where, do=f"write {new} instead")
     try:
         return model.model_validate(content)
+    except UserError as error:  # about a value that names something, as an entry of a registry
+        error.details["where"] = error.details["where"] or where
+        raise
     except ValidationError as error:
         # A key that there isn't says most: its right name may be what is missing.
         first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")

@@ -8,7 +8,7 @@ import platform
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
@@ -71,6 +71,10 @@ class Stage(Generic[S]):
     help: str
     reads_captures: bool = False
     reads_shipped: tuple[str, ...] = ()  # folders of data/, whose files come with groundwalk
+    files: Callable[[S], Iterable[str]] = lambda settings: ()
+    """Further files that the settings name, relative to the data folder."""
+    plugins: Callable[[S], Mapping[str, str]] = lambda settings: {}
+    """Package and version of what other packages bring to a run with these settings, by id."""
 
 
 @dataclass
@@ -191,10 +195,10 @@ def execute(
         )
     settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, overrides or [])
     final = data.run(profile, scene_name, stage.name)
-    with locked(final), Inputs(stage, scene, profile, data) as inputs:
+    with locked(final), Inputs(stage, scene, profile, data, tuple(stage.files(settings))) as inputs:
         finish_interrupted_swap(final, MANIFEST)
         inputs.refuse_outdated()
-        parts = {
+        parts: dict[str, Any] = {
             "stage": stage.name,
             "version": stage.version,
             "scene": scene.model_dump(mode="json"),
@@ -202,6 +206,7 @@ def execute(
             "settings": settings.model_dump(mode="json"),
             "seed": seed,
             "inputs": inputs.hashes,
+            **({"plugins": plugins} if (plugins := dict(stage.plugins(settings))) else {}),
         }
         key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
         title = f"{stage.name} · {scene_name} · {profile}"

@@ -18,7 +18,7 @@ from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import SplitRules
 from groundwalk.artefacts.tables import dataset_frames, read_table
 from groundwalk.capture_import.capture import Limits
-from groundwalk.capture_import.formats import formats
+from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.health import find_jumps, gravity_of
 from groundwalk.capture_import.splits import split_frames
 from groundwalk.fusion.error_map import ErrorMap
@@ -292,13 +292,13 @@ def _recordings(folder: Path) -> dict[Path, tuple[str, NDArray[np.int64], Array]
     """Name, t_ns (N,) and vio_T_cam (N, 4, 4) of each recording that import can read, by its file or folder."""
     found = {}
     for path in sorted([folder, *folder.rglob("*")]):
-        form = next((f for f in formats() if f.detect(path)), None)
+        form = next((f for f in FORMATS.values() if f.detect(path)), None)
         if form is None:
             continue
         session = form.read(path, path.stem, Limits())
         posed = [(f.t_ns, f.vio_T_cam) for f in session.frames if f.vio_T_cam is not None]
         t_ns, first = np.unique([t for t, _ in posed], return_index=True)
-        found[path] = (f"{form.name}/{path.stem}", t_ns.astype(np.int64), np.array([posed[i][1] for i in first]))
+        found[path] = (f"{form.id}/{path.stem}", t_ns.astype(np.int64), np.array([posed[i][1] for i in first]))
     return found
 
 

@@ -23,6 +23,7 @@ from groundwalk.artefacts.settings import resolve_settings
 from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import create_database, image_name, read_descriptors
+from groundwalk.sfm.extensions import RETRIEVALS
 from groundwalk.sfm.features import extract_features
 from groundwalk.sfm.mappers import MappingInput
 from groundwalk.sfm.mapping import build_models, kept_models, read_built
@@ -31,7 +32,7 @@ from groundwalk.sfm.matching import match_pairs
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.model_adjustment import camera_log
 from groundwalk.sfm.pairs import Pairs, sequence_pairs, unique_pairs, view_overlap
-from groundwalk.sfm.retrieval import RETRIEVALS, retrieval_pairs
+from groundwalk.sfm.retrieval import retrieval_pairs
 from groundwalk.sfm.settings import SfmSettings
 
 _REACH_M = 12.0
@@ -106,7 +107,8 @@ def overlapping_rows(scene: str, data: DataRoot, profile: str, frames: int) -> n
 
 def pairs_to_match(part: Part, settings: SfmSettings, database: Path) -> Pairs:
     """What the stage proposes first, without VIO."""
-    image = RETRIEVALS[settings.retrieval](read_descriptors(database, len(part.names)), settings.retrieval_words, 0)
+    descriptors = read_descriptors(database, len(part.names))
+    image = RETRIEVALS[settings.retrieval].describe(descriptors, settings.retrieval_words, 0)
     alike = retrieval_pairs(image, part.session, settings.retrieval_pairs)
     following = sequence_pairs(part.session, part.frames["t_ns"], settings.sequence_pairs + settings.vio_pairs)
     return unique_pairs(np.concatenate([following, alike]))
@@ -152,9 +154,9 @@ def retrieval(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object
     every = across_sessions(part.session)
     true = part.true_overlap(every) >= _OVERLAP
     key = every[:, 0] * len(part.names) + every[:, 1]
-    for name, describe in RETRIEVALS.items():
+    for name, entry in RETRIEVALS.items():
         start = time.process_time()
-        image = describe(descriptors, settings.retrieval_words, 0)
+        image = entry.describe(descriptors, settings.retrieval_words, 0)
         seconds = time.process_time() - start
         for per_frame in (2, 4, 10):
             pairs = retrieval_pairs(image, part.session, per_frame)

@@ -23,7 +23,7 @@ from groundwalk.capture_import.capture import Intrinsics, Limits
 from groundwalk.capture_import.clock import check_clock
 from groundwalk.capture_import.convention import CONVENTIONS, MatchedPair, check_convention, judge, matched_pairs
 from groundwalk.capture_import.discovery import Found, find_recordings
-from groundwalk.capture_import.formats import formats
+from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.images import decode_gray, sharpness
 from groundwalk.capture_import.intake import Intake, Session, measures, scan_all, take_in
 from groundwalk.capture_import.settings import ImportSettings
@@ -52,7 +52,7 @@ def take(name: str, walk: Walk, folder: Path) -> tuple[Intake, Views]:
 
 def take_written(name: str, folder: Path) -> tuple[Intake, Views]:
     (found,) = find_recordings(folder / "place", folder / "unpacked", Limits())
-    assert found.format.name == name
+    assert found.format.id == name
     views = Views([(folder / "place").resolve(), (folder / "unpacked").resolve()], Limits())
     return take_in(found.read(Limits()), ImportSettings(), lambda frames: measures(views.scan(frames))), views
 
@@ -177,7 +177,7 @@ def main(
     only: Annotated[list[str] | None, typer.Option("--format", help="These formats alone.")] = None,
 ) -> None:
     """Print the tables as Markdown."""
-    _print_formats(only or [format.name for format in formats()], damage)
+    _print_formats(only or [format.id for format in FORMATS.values()], damage)
     if captures is not None:
         _print_captures(captures)
     if trajectories is not None:
@@ -236,7 +236,7 @@ def _print_trajectories(trajectories: Path) -> None:
         path = sum(float(np.linalg.norm(np.diff(s.poses[:, :3, 3], axis=0), axis=1).sum()) for s in intake.sessions)
         jumps = ", ".join(f"{j.jump_m:.1f} m" for s in intake.sessions for j, _ in s.jumps) or "none"
         print(
-            f"| {found.session_id} | {found.format.name} | {len(t_s)} | {(len(t_s) - 1) / np.ptp(t_s):.0f} "
+            f"| {found.session_id} | {found.format.id} | {len(t_s)} | {(len(t_s) - 1) / np.ptp(t_s):.0f} "
             f"| {path:.0f} | {len(intake.rejects)} | {jumps} |"
         )
 

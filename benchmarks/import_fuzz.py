@@ -23,7 +23,7 @@ except ImportError:
 
 with atheris.instrument_imports(include=["capture_import"]):
     import benchmarks.import_captures  # noqa: F401  (puts the tests' writers on the path)
-    from groundwalk.capture_import.formats import formats
+    from groundwalk.capture_import.formats import FORMATS
 
     # isort: split
     from capture_writers import WRITERS, make_walk
@@ -39,9 +39,9 @@ class Target:
         self._work = folder / "case"
         self._whole = []
         self.runs = self.imported = 0
-        for format in formats():
-            WRITERS[format.name].write(folder / format.name / "walk", make_walk(4))
-            root = folder / format.name
+        for format in FORMATS.values():
+            WRITERS[format.id].write(folder / format.id / "walk", make_walk(4))
+            root = folder / format.id
             self._whole += [(root, path.relative_to(root)) for path in sorted(root.rglob("*")) if self._matters(path)]
 
     @staticmethod

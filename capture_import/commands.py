@@ -9,7 +9,7 @@ from rich.table import Table
 
 from groundwalk.artefacts.cli import App
 from groundwalk.artefacts.text import printable
-from groundwalk.capture_import.formats import formats
+from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.inspection import inspect_capture
 
 
@@ -20,8 +20,8 @@ def add_commands(app: App) -> None:
     def formats_command() -> None:
         """List the capture formats that import reads."""
         table = Table("name", "format", "gives", "recognised by", box=None, pad_edge=False)
-        for format in formats():
-            table.add_row(format.name, format.title, format.gives, format.looks_for)
+        for format in FORMATS.values():
+            table.add_row(format.id, format.label, format.meaning, format.looks_for)
         Console(highlight=False).print(table)
 
     @app.command("inspect")

@@ -3,13 +3,17 @@
 import hashlib
 import os
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from groundwalk.artefacts import UserError
+import numpy as np
+
+from groundwalk.artefacts import UserError, progress
+from groundwalk.artefacts.registry import PluginError
+from groundwalk.artefacts.text import printable
 from groundwalk.capture_import.archive import SUFFIXES, unpack
-from groundwalk.capture_import.capture import Limits, RawSession
-from groundwalk.capture_import.formats import Format, formats
+from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
+from groundwalk.capture_import.formats import FORMATS, Format
 
 _DEEPEST = 5
 _LONGEST_ID_BYTES = 120
@@ -29,7 +33,10 @@ class Found:
     def read(self, limits: Limits) -> RawSession:
         """The recording's rows; UserError where it can't be read as a whole."""
         try:
-            return self.format.read(self.path, self.session_id, limits)
+            with FORMATS.guard(self.format.id):
+                raw = self.format.read(self.path, self.session_id, limits)
+                _check(raw)
+                return raw
         except OSError as error:
             raise _unreadable(self.path, error) from None
 
@@ -57,7 +64,7 @@ def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str
     except OSError as error:
         raise _unreadable(root, error) from None
     if not hits:
-        looked_for = "\n".join(f"            {f.title}: {f.looks_for}" for f in known)
+        looked_for = "\n".join(f"            {f.label}: {f.looks_for}" for f in known)
         raise UserError(
             "no capture in a known format",
             where=root,
@@ -83,14 +90,21 @@ def _unreadable(path: Path, error: OSError) -> UserError:
     )
 
 
+def _check(raw: RawSession) -> None:
+    """TypeError or ValueError where a reader returned something else than what the checks of import expect."""
+    if not isinstance(raw, RawSession):
+        raise TypeError(f"read returned a {type(raw).__name__}, not a RawSession")
+    if raw.format not in FORMATS:
+        raise ValueError(f"the session's format is {raw.format!r}, which is no format's id")
+    for frame in raw.frames:
+        if not isinstance(frame, RawFrame):
+            raise TypeError(f"read returned a {type(frame).__name__} among its frames, not a RawFrame")
+        if frame.vio_T_cam is not None and np.shape(frame.vio_T_cam) != (4, 4):
+            raise ValueError(f"{frame.source}: vio_T_cam has shape {np.shape(frame.vio_T_cam)}, not (4, 4)")
+
+
 def _chosen(format_name: str) -> tuple[Format, ...]:
-    if format_name == "auto":
-        return formats()
-    chosen = tuple(f for f in formats() if f.name == format_name)
-    if not chosen:
-        names = ", ".join(f.name for f in formats())
-        raise UserError(f"there is no capture format {format_name!r}", expected=f"auto or one of {names}")
-    return chosen
+    return tuple(FORMATS.values()) if format_name == "auto" else (FORMATS.find(format_name),)
 
 
 @dataclass(frozen=True)
@@ -100,16 +114,17 @@ class _Search:
     limits: Limits
     known: tuple[Format, ...]
     in_archive: bool = False
+    failed: set[str] = field(default_factory=set)
 
     def run(self, path: Path, parts: tuple[str, ...], depth: int) -> list[_Hit]:
         """Recordings at or below `path`; `parts` is the way to it by the names that a user sees."""
         _refuse_link_out(self.root, path)
-        fits = [f for f in self.known if f.detect(path)]
+        fits = [f for f in self.known if self._fits(f, path)]
         if len(fits) > 1:
             raise UserError(
                 "a recording fits more than one format",
                 where=path,
-                found=", ".join(f.name for f in fits),
+                found=", ".join(f.id for f in fits),
                 do="name one with the import setting `format`, or with --format of `inspect`",
             )
         if fits:
@@ -123,13 +138,25 @@ class _Search:
         inside = sorted(p for p in path.iterdir() if not p.name.startswith(".") and p.name not in _IGNORED)
         return [hit for p in inside for hit in self.run(p, (*parts, p.stem if p.is_file() else p.name), depth + 1)]
 
+    def _fits(self, known: Format, path: Path) -> bool:
+        """Whether a format fits; one of another package that fails is named once, and fits nothing."""
+        if known.id in self.failed:
+            return False
+        try:
+            with FORMATS.guard(known.id):
+                return known.detect(path)
+        except PluginError as error:
+            self.failed.add(known.id)
+            progress.console.print(f"warning: {printable(str(error))}", markup=False)
+            return False
+
     def _in_archive(self, path: Path, parts: tuple[str, ...], depth: int) -> list[_Hit]:
         _refuse_odd_name(self.root, path)
         # Of its path alone, so that no two archives share a folder, and a killed run finds it again.
         digest = hashlib.sha256(os.fsencode(path.relative_to(self.root))).hexdigest()
         target = self.unpacked.resolve() / digest[:32]
         unpack(path, target, self.limits)
-        return _Search(target, target, self.limits, self.known, in_archive=True).run(target, parts, depth + 1)
+        return _Search(target, target, self.limits, self.known, True, self.failed).run(target, parts, depth + 1)
 
 
 def _refuse_link_out(root: Path, path: Path) -> None:

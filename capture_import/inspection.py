@@ -35,7 +35,7 @@ def _inspect(found: Found, views: Views, settings: ImportSettings) -> Iterator[s
     raw = found.read(settings.limits)
     count = sum(f.image is not None for f in raw.frames)
     intake = take_in(raw, settings, lambda f: track(measures(views.scan(f)), "checking images", len(f)))
-    yield f"{found.session_id} · {found.format.title} · {raw.device} · clock: {raw.clock}"
+    yield f"{found.session_id} · {found.format.label} · {raw.device} · clock: {raw.clock}"
     yield f"  log        {len(raw.frames)} rows, {count} with an image"
     yield from _health(intake, settings)
     for note in raw.notes:

@@ -16,6 +16,7 @@ from groundwalk.capture_import.clock import NOTICEABLE_S, ClockCheck, check_cloc
 from groundwalk.capture_import.convention import SUSPECT, ConventionCheck, check_convention
 from groundwalk.capture_import.depth import place_depths
 from groundwalk.capture_import.discovery import Found, find_recordings
+from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.images import ImageCheck
 from groundwalk.capture_import.intake import Intake, Scan, Session, measures, take_in
 from groundwalk.capture_import.placing import Placement, place_images
@@ -346,4 +347,5 @@ STAGE = Stage(
     run=run,
     help="Import: phone captures to frames with intrinsics and VIO poses.",
     reads_captures=True,
+    plugins=lambda settings: FORMATS.versions(FORMATS if settings.format == "auto" else [settings.format]),
 )

@@ -10,6 +10,7 @@ import pandas as pd
 from pydantic import Field
 
 from groundwalk.artefacts import Settings
+from groundwalk.artefacts.registry import PluginError
 from groundwalk.fusion.bootstrap import intervals
 from groundwalk.fusion.error_map import ErrorMap
 from groundwalk.fusion.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_rows, signal_rows
@@ -23,9 +24,11 @@ from groundwalk.fusion.walks import Evaluated, Walk, check_frames, check_predict
 
 
 class FuseSettings(Settings):
-    methods: list[str] = Field(list(METHODS), min_length=1, description="fusion methods to run")
+    methods: list[str] = Field(
+        default_factory=lambda: list(METHODS.builtin), min_length=1, description="fusion methods to run, by id"
+    )
     options: dict[str, dict[str, Any]] = Field(
-        {}, description="a method's options that differ from its defaults: options.mobilearloc.n=3 (docs/fusion.md)"
+        {}, description="a method's options that differ from its defaults: options.window30.frames=20 (docs/fusion.md)"
     )
     splits: list[str] = Field(["test"], min_length=1, description="frames to evaluate: test, val, train")
     learn_from: str = Field(
@@ -35,12 +38,14 @@ class FuseSettings(Settings):
 
 @dataclass(frozen=True)
 class Inputs:
-    """One scene's frames, ground truth and predictions."""
+    """One scene's frames, ground truth and predictions; `trained` are the models whose predictions the train stage
+    made, so that the order of their quaternions is known."""
 
     scene: str
     frames: pd.DataFrame
     truth: pd.DataFrame
     predictions: pd.DataFrame
+    trained: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -52,22 +57,44 @@ class Results:
     counts: Counter[str]
     gates: dict[str, dict[str, float]]
     error_maps: dict[tuple[str, str], ErrorMap]  # by scene and model
+    left_out: list[PluginError]  # methods of other packages that can't be used or failed
 
 
 def resolved(settings: FuseSettings) -> dict[str, MethodOptions]:
-    """The options of each method that is to run. UserError for an unknown method or option."""
-    for name in settings.options:
-        method(name)
-    return {name: resolve_options(name, settings.options.get(name)) for name in dict.fromkeys(settings.methods)}
+    """The options of each method that is to run and can. UserError for an unknown method or option, and where no method
+    can be used."""
+    for name in (*settings.methods, *settings.options):
+        if name not in METHODS.problems:
+            method(name)
+    chosen = {
+        name: resolve_options(name, settings.options.get(name))
+        for name in dict.fromkeys(settings.methods)
+        if name in METHODS
+    }
+    if not chosen:
+        method(settings.methods[0])
+    return chosen
+
+
+def rule_options(settings: FuseSettings) -> MobileARLocOptions:
+    """The options of the paper's rule, whose thresholds `sweep` moves."""
+    name = next(name for name, entry in METHODS.items() if entry.options is MobileARLocOptions)
+    options = resolve_options(name, settings.options.get(name))
+    assert isinstance(options, MobileARLocOptions)
+    return options
 
 
 def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
-    """Run each method on each scene's and model's walks. UserError for inputs that can't be evaluated."""
+    """Run each method on each scene's and model's walks. UserError for inputs that can't be evaluated.
+
+    A method of another package that fails is left out of all results, and the others go on.
+    """
     options = resolved(settings)
     fused: list[Fused] = []
     counts: Counter[str] = Counter()
     walks: dict[tuple[str, str], list[Walk]] = {}
     error_maps: dict[tuple[str, str], ErrorMap] = {}
+    left_out = {name: METHODS.problems[name][0] for name in settings.methods if name not in METHODS}
     for scene in inputs:
         for number, (model, joined) in enumerate(joined_walks(scene, settings.splits)):
             walks[scene.scene, model] = joined.walks
@@ -78,8 +105,19 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
             if error_map is not None:
                 error_maps[scene.scene, model] = error_map
             for name, chosen in options.items():
+                if name in left_out:
+                    continue
                 run = Run(name, options_json(chosen.model_dump(mode="json")), model)
-                fused += fuse_all(run, joined.walks, partial(method(name).localiser, chosen, error_map))
+                make = partial(method(name).localiser, chosen, error_map)
+                try:
+                    with METHODS.guard(name):
+                        fused += fuse_all(run, joined.walks, make)
+                except PluginError as fault:
+                    left_out[name] = fault
+    options = {name: chosen for name, chosen in options.items() if name not in left_out}
+    fused = [f for f in fused if f.run.method in options]
+    if not options:
+        raise next(iter(left_out.values()))
     errors = stacked(error_rows(f) for f in fused)
     tables = {
         "poses": stacked(pose_rows(f) for f in fused),
@@ -90,12 +128,13 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
         "sessions": pd.DataFrame([session_figures(f) for f in fused]),
         "methods": _method_rows(options),
     }
-    rule = options.get("mobilearloc")
-    if isinstance(rule, MobileARLocOptions):
+    rule = next((chosen for chosen in options.values() if isinstance(chosen, MobileARLocOptions)), None)
+    if rule is not None:
         tables["sweep"] = sweep(walks, around(rule))
     if error_maps:
         tables["error_maps"] = stacked(m.table().assign(scene=s, model=r) for (s, r), m in error_maps.items())
-    return Results(fused, tables, counts, {name: chosen.gates for name, chosen in options.items()}, error_maps)
+    gates = {name: chosen.gates for name, chosen in options.items()}
+    return Results(fused, tables, counts, gates, error_maps, list(left_out.values()))
 
 
 def _method_rows(options: dict[str, MethodOptions]) -> pd.DataFrame:
@@ -104,6 +143,8 @@ def _method_rows(options: dict[str, MethodOptions]) -> pd.DataFrame:
         {
             "method": name,
             "options": options_json(chosen.model_dump(mode="json")),
+            "label": METHODS[name].label,
+            "fuses": METHODS[name].fuses,
             "causal": METHODS[name].causal,
             "meaning": METHODS[name].meaning,
         }
@@ -129,7 +170,8 @@ def joined_walks(inputs: Inputs, splits: list[str]) -> Iterator[tuple[str, Evalu
     check_predictions(inputs.frames, inputs.predictions, f"of {inputs.scene}")
     for model, predictions in inputs.predictions.groupby("model", sort=False):
         found = evaluated(inputs.scene, inputs.frames, inputs.truth, predictions, splits)
-        refuse_scalar_first(found.walks, f"of {inputs.scene}")
+        if model not in inputs.trained:
+            refuse_scalar_first(found.walks, f"of {inputs.scene}")
         yield str(model), found
 
 
@@ -159,7 +201,8 @@ _WARNINGS = {
 def report_lines(results: Results) -> list[str]:
     """The means over all frames, and the input rows that weren't as they should be, a line each."""
     summary = results.tables["summary"]
-    lines = [f"warning: {n} {meaning}" for name, meaning in _WARNINGS.items() if (n := results.counts[name])]
+    lines = [f"warning: {error}" for error in results.left_out]
+    lines += [f"warning: {n} {meaning}" for name, meaning in _WARNINGS.items() if (n := results.counts[name])]
     for row in summary[(summary["subset"] == "all") & (summary["scored"] == "method")].to_dict("records"):
         error = f"{row['position_mean_m']:.2f} m, {row['rotation_mean_deg']:.2f} deg" if row["answered"] else "no pose"
         coverage = f"{row['coverage_pct']:.0f} % of {row['total']} frames"

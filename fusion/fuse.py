@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.tables import pose_frame
-from groundwalk.fusion.localiser import Estimate, Localiser
+from groundwalk.fusion.localiser import Estimate, Stepping, is_rigid
 from groundwalk.fusion.offline import Offline, stepped
 from groundwalk.fusion.walks import Walk, known
 from groundwalk.geometry.metrics import position_error, rotation_error_deg
@@ -41,9 +41,10 @@ class Fused:
     live_map_T_cam: Array
 
 
-def fuse(run: Run, walk: Walk, localiser: Localiser | Offline) -> Fused:
+def fuse(run: Run, walk: Walk, localiser: Stepping | Offline) -> Fused:
     """Feed a walk to a fresh localiser, or to one that has been reset, or let an offline method see the whole of it."""
     estimates = localiser.estimates(walk) if isinstance(localiser, Offline) else stepped(localiser, walk)
+    _check(estimates, walk)
     none = np.full((4, 4), np.nan)
     live_status = np.array([str(e.status) for e in estimates], dtype=object)
     live = np.array([none if e.map_T_cam is None else e.map_T_cam for e in estimates]).reshape(-1, 4, 4)
@@ -55,7 +56,24 @@ def fuse(run: Run, walk: Walk, localiser: Localiser | Offline) -> Fused:
     return Fused(run, walk, estimates, status, poses, live_status, live)
 
 
-def fuse_all(run: Run, walks: Iterable[Walk], make: Callable[[], Localiser | Offline]) -> list[Fused]:
+def _check(estimates: list[Estimate], walk: Walk) -> None:
+    """TypeError or ValueError where a method answered something else than an estimate a frame."""
+    if len(estimates) != len(walk):
+        raise ValueError(f"it gave {len(estimates)} estimates for {len(walk)} frames")
+    for number, estimate in enumerate(estimates):
+        if not isinstance(estimate, Estimate):
+            raise TypeError(f"it gave a {type(estimate).__name__}, not an Estimate, for frame {number}")
+        for name, shape in (("map_T_cam", (4, 4)), ("map_T_vio", (4, 4)), ("covariance", (6, 6))):
+            found = getattr(estimate, name)
+            if found is not None and (np.shape(found) != shape or not np.isfinite(found).all()):
+                what = f"shape {np.shape(found)}" if np.shape(found) != shape else "values that aren't finite"
+                raise ValueError(f"its {name} for frame {number} has {what}, expected {shape}, or None")
+    given = [e.map_T_cam for e in estimates if e.map_T_cam is not None]
+    if given and not is_rigid(np.array(given)).all():
+        raise ValueError("not all of its map_T_cam are rigid transforms")
+
+
+def fuse_all(run: Run, walks: Iterable[Walk], make: Callable[[], Stepping | Offline]) -> list[Fused]:
     """Each walk with a localiser of its own: nothing is carried across a session's border."""
     return [fuse(run, walk, make()) for walk in walks]
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import isfinite
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,14 @@ class MethodOptions(Settings):
 
 State = dict[str, Any]
 """A localiser's state as plain data: dicts, lists, numbers, strings and None, fit for JSON."""
+
+
+class Stepping(Protocol):
+    """All that evaluation asks of a causal method; a session has a fresh one."""
+
+    def step(
+        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_apr: Array | None, gravity: Array | None = None
+    ) -> Estimate: ...
 
 
 class Localiser(ABC):

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from groundwalk.fusion.localiser import Estimate, Localiser
+from groundwalk.fusion.localiser import Estimate, Stepping
 from groundwalk.fusion.walks import Walk, known
 
 
@@ -17,7 +17,7 @@ class Offline(ABC):
         """One estimate a frame of the walk."""
 
 
-def stepped(localiser: Localiser, walk: Walk) -> list[Estimate]:
+def stepped(localiser: Stepping, walk: Walk) -> list[Estimate]:
     """What a localiser says to a walk's frames, one after the other, as on a device."""
     return list(steps(localiser, walk))
 

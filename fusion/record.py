@@ -26,20 +26,7 @@ STATUS_COLOURS = {
     Status.FUSED: colours.FUSED,
     Status.NONE: colours.REJECTED,
 }
-# The methods that fuse, in the order of the registry; the first has the shared colour of fused poses.
-_FUSED_COLOURS = (
-    colours.FUSED,
-    (240, 228, 66),
-    (0, 114, 178),
-    (200, 200, 200),
-    (166, 86, 40),
-    (102, 166, 30),
-    (117, 112, 179),
-    (231, 41, 138),
-)
 _MARKER_PX = 6.0
-# What is seen at first, where it was run; the other methods are switched on in the viewer's list of entities.
-_SHOWN = ("apr", "mobilearloc", "drift_aware")
 _SPARSE = 0.5  # share of frames with a value, below which a plot has points instead of a line
 _GATE_RANGE = 5.0  # how far a plot of a gated signal reaches, in gates
 _WITHIN_95 = 7.815  # squared standard deviations that hold 95 % of a Gaussian with three axes
@@ -49,7 +36,9 @@ def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> r
     """A tab a scene and model: the paths on the left; errors, status and decisions over time on the right. `gates` has
     the thresholds of each method's signals."""
     methods = list(dict.fromkeys(f.run.method for f in fused))
-    hidden = [method for method in methods if method not in _SHOWN] if len(set(methods) & set(_SHOWN)) > 1 else []
+    shown = [method for method in methods if METHODS[method].shown]
+    # The others are switched on in the viewer's list of entities.
+    hidden = [method for method in methods if method not in shown] if len(shown) > 1 else []
     tabs = []
     for scene, model in dict.fromkeys((f.walk.scene, f.run.model) for f in fused):
         at = _path(scene, model)
@@ -71,7 +60,8 @@ def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> r
             rrb.Tabs(*decisions) if decisions else rrb.TextDocumentView(name="no decisions"),
             row_shares=[1, 1, 3],
         )
-        walkers = (f"{_path(scene)}/ground_truth", f"{at}/apr", *(f"{at}/fused/{method}" for method in methods))
+        paths_of = [f"{at}/{'fused/' if METHODS[method].fuses else ''}{method}" for method in methods]
+        walkers = (f"{_path(scene)}/ground_truth", *paths_of)
         paths = rrb.Spatial3DView(
             origin=_path(scene),
             contents=[f"{_path(scene)}/ground_truth/**", f"{at}/**"],
@@ -140,8 +130,8 @@ def record(stream: rr.RecordingStream, fused: list[Fused], gates: Mapping[str, M
         if first:
             stream.log(scene, UP_AXIS, static=True)
             _log_walk(stream, f"{scene}/ground_truth", name, times, walk.map_T_cam, colours.GROUND_TRUTH)
-        if method == "apr":
-            _log_walk(stream, f"{at}/apr", name, times, f.live_map_T_cam, colours.APR, 0.5)
+        if not METHODS[method].fuses:
+            _log_walk(stream, f"{at}/{method}", name, times, f.live_map_T_cam, _colour(method), 0.5)
         else:
             _log_walk(stream, f"{at}/fused/{method}", name, times, f.live_map_T_cam, _colour(method))
             _log_walk(stream, f"{at}/vio_aligned/{method}", name, times, _vio_aligned(f), colours.VIO, 0.5)
@@ -155,16 +145,14 @@ def record(stream: rr.RecordingStream, fused: list[Fused], gates: Mapping[str, M
 
 
 def _colour(method: str) -> tuple[int, int, int]:
-    if method == "apr":
-        return colours.APR
-    return _FUSED_COLOURS[(list(METHODS).index(method) - 1) % len(_FUSED_COLOURS)]
+    return METHODS[method].colour
 
 
 def _signals(fused: list[Fused]) -> dict[str, list[str]]:
     """The names of each method's signals, for the methods that decide anything."""
     names: dict[str, set[str]] = {}
     for f in fused:
-        if f.run.method != "apr":
+        if METHODS[f.run.method].fuses:
             names.setdefault(f.run.method, set()).update(name for e in f.estimates for name in e.signals)
     return {method: sorted(found) for method, found in names.items()}
 

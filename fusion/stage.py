@@ -4,6 +4,7 @@ import pandas as pd
 
 from groundwalk.artefacts import Stage, StageRun
 from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines, stacked
+from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.record import blueprint, record
 
 
@@ -14,6 +15,7 @@ def run(r: StageRun[FuseSettings]) -> None:
             r.dataset_frames(leaf),
             r.read("align", "ground_truth", scene=leaf),
             _predictions(r, leaf),
+            _trained(r, leaf),
         )
         for leaf in r.leaves
     ]
@@ -23,6 +25,8 @@ def run(r: StageRun[FuseSettings]) -> None:
         r.write(name, table)
     for name, count in results.counts.items():
         r.figure(name, count)
+    for error in results.left_out:
+        r.figure(f"left out: {error.what}", f"{error.details['where']}: {error.reason}")
     with r.step("recording"), r.recording(blueprint(results.fused, results.gates)) as stream:
         record(stream, results.fused, results.gates)
     for line in report_lines(results):
@@ -39,6 +43,13 @@ def _predictions(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:
     return stacked([shared, own[~own["model"].isin(shared["model"])]])
 
 
+def _trained(r: StageRun[FuseSettings], leaf: str) -> frozenset[str]:
+    """The models of a scene's predictions that were trained here, not imported."""
+    group = r.scene.is_group and "train" in r.scene.stages
+    cards = stacked([r.read("train", "models", scene=leaf), *([r.read("train", "models")] if group else [])])
+    return frozenset(cards.loc[cards["file"] != "", "model"])
+
+
 STAGE = Stage(
     name="fuse",
     version=7,
@@ -46,4 +57,5 @@ STAGE = Stage(
     needs=("import", "align", "train"),
     run=run,
     help="Fuse the regressors' predictions with odometry, and measure every method against the ground truth.",
+    plugins=lambda settings: METHODS.versions(settings.methods),
 )

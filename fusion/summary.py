@@ -12,7 +12,6 @@ from groundwalk.geometry.metrics import accuracy_shares, relative_error, sure_en
 from groundwalk.geometry.poses import Array
 
 RUN = ["method", "options", "model", "scene"]
-_OFFLINE = [name for name, method in METHODS.items() if not method.causal]
 _AWAY_S = 10.0  # without a frame for as long, a phone may have been carried off
 _SETTLED_FRAMES = 10
 SUBSETS = {"rp": ["reliable"], "opt": ["optimised"], "rp+opt": ["reliable", "optimised"]}
@@ -40,11 +39,11 @@ def summarise(errors: pd.DataFrame) -> pd.DataFrame:
 
 def subsets(group: pd.DataFrame, same_model: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, str]]:
     """Name, frames and column prefix of each subset of one run's frames."""
-    if (group["method"] != "apr").all():
+    if METHODS[group["method"].iloc[0]].fuses:
         for name, statuses in SUBSETS.items():
             yield name, group[group["status"].isin(statuses)], ""
     yield "all", group, "live_"
-    causal = ~same_model["method"].isin(_OFFLINE)
+    causal = same_model["method"].map({name: METHODS[name].causal for name in same_model["method"].unique()})
     missed = same_model.loc[causal & same_model["live_position_m"].isna(), "frame_id"]
     yield "common", group[~group["frame_id"].isin(missed)], "live_"
 

@@ -17,8 +17,7 @@ from groundwalk.artefacts.recording import open_recording
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
 from groundwalk.artefacts.tables import dataset_frames, write_table
-from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate, joined_walks, report_lines, resolved
-from groundwalk.fusion.mobilearloc import MobileARLocOptions
+from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate, joined_walks, report_lines, rule_options
 from groundwalk.fusion.record import blueprint, record
 from groundwalk.fusion.sweep import around, grid, sweep
 from groundwalk.fusion.sweep_figure import write_sweep_figure
@@ -69,8 +68,7 @@ def sweep_files(
     """Run the paper's rule over the three tables with other thresholds, one at a time or (`every`) in all combinations
     too; write sweep.parquet and sweep.svg to the folder `out`, as `evaluate_files` does."""
     settings = _settings(scene, overrides)
-    options = resolved(settings.model_copy(update={"methods": ["mobilearloc"]}))["mobilearloc"]
-    assert isinstance(options, MobileARLocOptions)
+    options = rule_options(settings)
     chosen = around(options) + (grid(options) if every else [])
     with _written(out, force) as folder:
         walks = {(scene, model): joined.walks for model, joined in joined_walks(files.read(scene), settings.splits)}

@@ -1,14 +1,14 @@
 """Every number of the tables as one row: what it is, how it prints, and what it was computed from."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import pandas as pd
 
 from groundwalk.reports.grids import EMPTY, OURS, PUBLISHED
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.reports.published import SUBSETS, PrintedTables
-from groundwalk.reports.statistics import PAPER_METHOD, scene_scores
+from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD, SUBSETS, PrintedTables
+from groundwalk.reports.statistics import scene_scores
 
 TABLE_I, TABLE_II, TABLE_III, TABLE_IV = "I", "II", "III", "IV"
 AVERAGE = "average"
@@ -19,18 +19,15 @@ _PUBLISHED_FILES = {
     TABLE_II: "data/published/table2_pose_errors.csv",
     TABLE_III: "data/published/table3_accuracy_levels.csv",
 }
+# What stands behind the model in a heading of the paper's tables.
+_PAPER_LABELS = {"": "", RAW_METHOD: "", PAPER_METHOD: "+VIO"}
 _PUBLISHED_MODELS = {"hloc": "HLoc", "pn": "PN", "mst": "MS-T"}
 
 
-def column_name(model: str, method: str, over: str, *what: str) -> str:
-    """A heading: "PN", "PN, same frames", "PN+VIO" (the paper's rule) or "PN+<method>", then what is counted."""
-    name = model
-    if method == "apr" and over == "subset":
-        name += ", same frames"
-    elif method == PAPER_METHOD:
-        name += "+VIO"
-    elif method not in ("apr", ""):
-        name += f"+{method}"
+def column_name(model: str, method: str, over: str, *what: str, labels: Mapping[str, str] = _PAPER_LABELS) -> str:
+    """A heading: "PN", "PN, same frames", "PN+VIO" (the paper's rule) or "PN+<label>", then what is counted."""
+    label = labels.get(method, f"+{method}")
+    name = f"{model}, same frames" if not label and over == "subset" else model + label
     return " ".join([name, *what]).strip()
 
 
@@ -100,7 +97,8 @@ def _scores(scene: SceneInputs) -> Iterator[dict[str, object]]:
         keys = {k: str(s[k]) for k in ("model", "method", "options", "over")}
         for statistic, quantity, value, unit, digits in numbers:
             table = TABLE_IV if not paper else TABLE_II if statistic in ("mean", "median") else TABLE_III
-            column = column_name(s["model"], s["method"], s["over"], statistic, quantity)
+            labels = _PAPER_LABELS if paper else scene.method_labels
+            column = column_name(s["model"], s["method"], s["over"], statistic, quantity, labels=labels)
             more = keys | {"statistic": statistic, "quantity": quantity}
             source = (int(s["sure" if statistic == "level" else "frames"]), "fuse.errors")
             yield _cell(table, scene, s["subset"], column, float(value), digits, unit, source, **more)
@@ -183,6 +181,8 @@ def printed_tables(cells: pd.DataFrame) -> PrintedTables:
     levels = ours[(ours["table"] == TABLE_III) & (ours["statistic"] != "coverage")].pivot_table(
         index=keys, columns="quantity", values="printed", sort=False, dropna=False
     )
+    if "frames" not in levels:  # without the paper's rule nothing has a share
+        levels["frames"] = float("nan")
     # The cross product of `dropna=False` has rows that were never there.
     levels = levels.reset_index().dropna(subset=["high", "frames"], how="all")
     of_high = ours[(ours["table"] == TABLE_III) & (ours["quantity"] == "high")].set_index(keys)["source_rows"]

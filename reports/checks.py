@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.geometry.metrics import ACCURACY_LEVELS
-from groundwalk.reports.published import SUBSETS, PrintedTables
+from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD, SUBSETS, PrintedTables
 
 Interval = tuple[float, float]
 AGREES, DISAGREES, CAUTION = "agrees", "disagrees", "caution"
@@ -113,12 +113,12 @@ class _SceneModel:
         yield from self._pooled_errors()
 
     def _fused(self, subset: str) -> pd.Series | None:
-        rows = self.levels[(self.levels["method"] == "mobilearloc") & (self.levels["subset"] == subset)]
+        rows = self.levels[(self.levels["method"] == PAPER_METHOD) & (self.levels["subset"] == subset)]
         return None if rows.empty or rows["share"].isna().any() else rows.iloc[0]
 
     def _error(self, subset: str, statistic: str) -> pd.Series | None:
         e = self.errors
-        rows = e[(e["method"] == "mobilearloc") & (e["subset"] == subset) & (e["statistic"] == statistic)]
+        rows = e[(e["method"] == PAPER_METHOD) & (e["subset"] == subset) & (e["statistic"] == statistic)]
         return None if rows.empty else rows.iloc[0]
 
     def _parts(self, rows: dict[str, pd.Series | None]) -> list[tuple[int, pd.Series]]:
@@ -176,7 +176,7 @@ class _SceneModel:
             values = row[_LEVELS].astype(float)
             if not count or values.isna().any():
                 continue
-            column = "raw" if row["method"] == "apr" else "fused"
+            column = "raw" if row["method"] == RAW_METHOD else "fused"
             ordered = bool(values["high"] <= values["medium"] <= values["low"])
             found = "/".join(f"{v:g}" for v in values)
             because = "a stricter tolerance holds for no more frames"
@@ -274,7 +274,7 @@ def raw_repeated(tables: PrintedTables) -> Iterator[Finding]:
         ("II", tables.errors, ["scene", "environment", "model", "statistic"], list(_QUANTITIES)),
         ("III", tables.levels, ["scene", "environment", "model"], _LEVELS),
     ):
-        raw = frame[(frame["method"] == "apr") & (frame["over"] == "all")]
+        raw = frame[(frame["method"] == RAW_METHOD) & (frame["over"] == "all")]
         for key, rows in raw.groupby(keys, sort=False):
             for column in values:
                 printed = rows.set_index("subset")[column].dropna()
@@ -302,7 +302,7 @@ def averages(tables: PrintedTables) -> Iterator[Finding]:
             bounds = np.array([rounded(v) for v in values]).mean(axis=0)
             found = float(average[q].iloc[0])
             ok = meets((bounds[0], bounds[1]), rounded(found))
-            column = f"{key[2]} {'raw' if key[3] == 'apr' else 'fused'} {key[5]} {q}"
+            column = f"{key[2]} {'raw' if key[3] == RAW_METHOD else 'fused'} {key[5]} {q}"
             yield Finding(
                 *("average", "II", f"average {key[0]}", str(key[1]), column, f"{values.mean():.3f}", f"{found:g}"),
                 *(AGREES if ok else DISAGREES, f"the mean of {len(values)} scenes"),
@@ -311,10 +311,10 @@ def averages(tables: PrintedTables) -> Iterator[Finding]:
 
 def like_for_like(tables: PrintedTables) -> Iterator[Finding]:
     """Where the method answers for some frames only, the raw regressor must be there over the same frames too."""
-    fused = tables.levels[(tables.levels["method"] == "mobilearloc") & tables.levels["share"].between(_EPS, 100 - _EPS)]
+    fused = tables.levels[(tables.levels["method"] == PAPER_METHOD) & tables.levels["share"].between(_EPS, 100 - _EPS)]
     for table, frame in (("II", tables.errors), ("III", tables.levels)):
         for subset, rows in fused.groupby("subset", sort=False):
-            raw = frame[(frame["method"] == "apr") & (frame["subset"] == subset)]
+            raw = frame[(frame["method"] == RAW_METHOD) & (frame["subset"] == subset)]
             pairs = set(zip(rows["scene"], rows["model"], strict=True))
             comparable = raw[raw["over"] == "subset"]
             ok = pairs <= set(zip(comparable["scene"], comparable["model"], strict=True))
@@ -341,7 +341,7 @@ def _pairs(claim: pd.Series, tables: PrintedTables) -> pd.DataFrame:
     keys = ["environment", "scene"]
     long = chosen.melt(id_vars=[*keys, "method"], value_vars=quantities, var_name="quantity")
     wide = long.pivot_table(index=[*keys, "quantity"], columns="method", values="value", sort=False).reset_index()
-    return wide.rename(columns={"apr": "raw", "mobilearloc": "fused"})
+    return wide.rename(columns={RAW_METHOD: "raw", PAPER_METHOD: "fused"})
 
 
 def _claim_finding(claim: pd.Series, column: str, expected: str, found: str, ok: bool, scene: str = "") -> Finding:
@@ -393,7 +393,7 @@ def _falls(claim: pd.Series, tables: PrintedTables) -> Iterator[Finding]:
 def _share(claim: pd.Series, tables: PrintedTables) -> Iterator[Finding]:
     levels = tables.levels
     rows = levels[(levels["subset"] == claim["subset"]) & (levels["model"] == claim["model"])]
-    rows = rows[(rows["method"] == "mobilearloc") & (rows["environment"] == claim["environment"])]
+    rows = rows[(rows["method"] == PAPER_METHOD) & (rows["environment"] == claim["environment"])]
     low, high = rows["share"].min(), rows["share"].max()
     ok = abs(low - claim["low"]) < 0.05 and abs(high - claim["high"]) < 0.05
     said = f"{claim['low']:g} to {claim['high']:g} %"
@@ -404,7 +404,7 @@ def _share(claim: pd.Series, tables: PrintedTables) -> Iterator[Finding]:
 def _level(claim: pd.Series, tables: PrintedTables) -> Iterator[Finding]:
     levels = tables.levels
     rows = levels[(levels["subset"] == claim["subset"]) & (levels["model"] == claim["model"])]
-    rows = rows[(rows["method"] == "mobilearloc") & (rows["scene"] == claim["scenes"])]
+    rows = rows[(rows["method"] == PAPER_METHOD) & (rows["scene"] == claim["scenes"])]
     level = str(claim["quantity"]).removesuffix("_pct")
     value = float(rows[level].iloc[0])
     ok = abs(value - claim["low"]) < 0.05

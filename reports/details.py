@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from groundwalk.reports.cells import number
 from groundwalk.reports.checks import AGREES
 from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.reports.statistics import PAPER_METHOD
+from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
 
 
 def _grid(key: str, title: str, caption: str, columns: list[str], rows: list[list[Any]], labels: int = 1) -> Grid:
@@ -42,15 +43,29 @@ def headline(scene: SceneInputs, cells: pd.DataFrame) -> list[tuple[str, str, st
     )
     facts = [(f"{frames}", "frames", walks), (f"{100 * registered / frames:.1f} %", "registered", known)]
     ours = cells[(cells["source"] == OURS) & (cells["scene"] == scene.name) & (cells["statistic"] == "median")]
+    # The paper counts its rule over the frames that it answers; other methods are counted over all of them.
+    paper = scene.fused_method == PAPER_METHOD
+    row, over = ("rp+opt", "subset") if paper else ("all", "all")
     for model in scene.models:
-        of_model = ours[(ours["model"] == model) & (ours["row"] == "rp+opt")]
-        pair = {}
-        for method, over in (("apr", "subset"), (PAPER_METHOD, "subset")):
-            rows = of_model[(of_model["method"] == method) & (of_model["over"] == over)].set_index("quantity")["text"]
-            there = EMPTY not in (rows["translation"], rows["rotation"])
-            pair[method] = f"{rows['translation']} m, {rows['rotation']}°" if there else "no pose"
-        facts.append((pair[PAPER_METHOD], f"{model}+VIO, median", f"{model} alone on the same frames: {pair['apr']}"))
+        label = scene.label(model)
+        of_model = ours[ours["model"] == model]
+        alone = _median_pair(of_model, RAW_METHOD, "rp+opt", over)
+        if scene.fused_method is None:
+            facts.append((alone, f"{label}, median", "no method that fuses was run"))
+            continue
+        fused = _median_pair(of_model, scene.fused_method, row, over)
+        frames_of = "the same" if paper else "all test"
+        name = f"{label}{scene.method_labels[scene.fused_method]}"
+        facts.append((fused, f"{name}, median", f"{label} alone on {frames_of} frames: {alone}"))
     return facts
+
+
+def _median_pair(medians: pd.DataFrame, method: str, row: str, over: str) -> str:
+    """A method's median errors as the tables print them."""
+    rows = medians[(medians["method"] == method) & (medians["row"] == row) & (medians["over"] == over)]
+    text = rows.drop_duplicates("quantity").set_index("quantity")["text"]
+    there = EMPTY not in (text["translation"], text["rotation"])
+    return f"{text['translation']} m, {text['rotation']}°" if there else "no pose"
 
 
 def sessions(scene: SceneInputs) -> Grid:
@@ -179,18 +194,23 @@ def models(scene: SceneInputs) -> Grid:
     facts: list[tuple[str, list[Any]]] = [
         ("weights of the backbone", [c.weights for c in cards]),
         ("layers", [c.layers or EMPTY for c in cards]),
-        ("reduced from the paper", [c.reduced or "nothing" for c in cards]),
+        ("reduced from the paper", _of_trained(cards, lambda c: c.reduced or "nothing")),
         ("trained on", [", ".join(c.scenes) for c in cards]),
         ("device", [c.device for c in cards]),
-        ("parameters", [f"{c.parameters:,} ({c.bytes / 2**20:.1f} MiB)" for c in cards]),
-        ("input", [f"{c.crop_px} px of {c.resize_px} px" for c in cards]),
-        ("frames", [f"{c.train_frames} to train, {c.val_frames} held out" for c in cards]),
-        ("epochs", [f"{c.epochs}, kept the one after {c.best_epoch}" for c in cards]),
-        ("time", [format_seconds(c.train_seconds) for c in cards]),
+        ("parameters", _of_trained(cards, lambda c: f"{c.parameters:,.0f} ({c.bytes / 2**20:.1f} MiB)")),
+        ("input", _of_trained(cards, lambda c: f"{c.crop_px:.0f} px of {c.resize_px:.0f} px")),
+        ("frames", _of_trained(cards, lambda c: f"{c.train_frames:.0f} to train, {c.val_frames:.0f} held out")),
+        ("epochs", _of_trained(cards, lambda c: f"{c.epochs:.0f}, kept the one after {c.best_epoch:.0f}")),
+        ("time", _of_trained(cards, lambda c: format_seconds(c.train_seconds))),
     ]
     rows = [[name, *values] for name, values in facts]
-    columns = ["", *(c.model for c in cards)]
+    columns = ["", *(scene.label(c.model) for c in cards)]
     return _grid(f"models-{scene.name}", "Models", "What was trained, and how.", columns, rows, len(columns))
+
+
+def _of_trained(cards: list[Any], text: Callable[[Any], str]) -> list[str]:
+    """A line of the model cards; nothing is known of how imported predictions came about."""
+    return [text(card) if card.file else EMPTY for card in cards]
 
 
 def checks(findings: pd.DataFrame, source: str) -> Grid | None:

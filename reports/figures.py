@@ -14,7 +14,8 @@ from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.poses import Array
 from groundwalk.reports import style
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.reports.statistics import paper_errors
+from groundwalk.reports.published import PAPER_METHOD
+from groundwalk.reports.statistics import PAPER_STATUSES
 
 _NS = 1e-9
 
@@ -34,10 +35,10 @@ def scene_figures(scene: SceneInputs) -> dict[str, list[NamedFigure]]:
         figures = {
             "summary": [*(trajectories(scene, model) for model in scene.models), error_distributions(scene)],
             "ground_truth": [sfm_overview(scene), drift(scene)],
-            "training": [learning_curves(scene)],
+            "training": [learning_curves(scene)] if len(scene.history) else [],
             "fusion": [
                 *(timeline(scene, model) for model in scene.models),
-                sensitivity(scene),
+                *([sensitivity(scene, scene.sweep)] if scene.sweep is not None else []),
                 confidence(scene),
             ],
         }
@@ -57,28 +58,31 @@ def test_session(scene: SceneInputs) -> str:
 
 
 def trajectories(scene: SceneInputs, model: str) -> NamedFigure:
-    """The raw regressor (left) and the paper's rule (right) over one test session seen from above."""
+    """The raw regressor (left) and the fused method (right) over one test session seen from above."""
     session = test_session(scene)
     truth = scene.ground_truth[scene.ground_truth["session_id"] == session].sort_values("t_ns")
     truth_xy = from_above(poses_of(truth, "map_cam")[:, :3, 3])
-    errors = paper_errors(scene.errors, model)
+    errors = scene.frame_errors(model)
     errors = errors[(errors["session_id"] == session) & (errors["split"] == "test")]
-    paper = (scene.poses["method"] == errors["method"].iloc[0]) & (scene.poses["options"] == errors["options"].iloc[0])
-    fused = scene.poses[paper & (scene.poses["model"] == model)]
     raw = scene.predictions[scene.predictions["model"] == model]
     level = _long_side_level(truth_xy)
     truth_xy = truth_xy @ level
-    panels = (
-        (model, _positions(errors, raw) @ level, errors["apr_position_m"].to_numpy(float)),
-        (f"{model}+VIO", _positions(errors, fused) @ level, errors["position_m"].to_numpy(float)),
-    )
+    label, with_fused = scene.label(model), _fused_label(scene)
+    panels = [(label, _positions(errors, raw) @ level, errors["apr_position_m"].to_numpy(float))]
+    caption = f"{scene.name}, test session {session}, from above: {label} alone"
+    if with_fused:
+        fused = _positions(errors, scene.fused_poses(model)) @ level
+        panels.append((label + with_fused, fused, errors["position_m"].to_numpy(float)))
+        rule = "with VIO by the paper's rule" if scene.fused_method == PAPER_METHOD else label + with_fused
+        caption += f" (left) and {rule} (right)"
+    caption += ", coloured by position error; the thin line joins poses in order of time."
     known = np.concatenate([e[np.isfinite(e)] for _, _, e in panels])
     worst = float(np.percentile(known, 95)) if len(known) else 1.0
     low, high = _limits(truth_xy)
 
     # The figure's height follows the place's shape, within what fits a page.
     shape = (high[1] - low[1]) / (high[0] - low[0])
-    figure, axes = style.new_figure(1, 2, float(np.clip(3.1 * shape + 0.6, 1.8, 4.6)))
+    figure, axes = style.new_figure(1, len(panels), float(np.clip(3.1 * shape + 0.6, 1.8, 4.6)))
     for ax, (title, xy, error) in zip(axes, panels, strict=True):
         ax.plot(truth_xy[:, 0], truth_xy[:, 1], color=style.GROUND_TRUTH, lw=2.2, label="ground truth")
         ax.plot(xy[:, 0], xy[:, 1], color=style.NEUTRAL, lw=0.7)
@@ -95,11 +99,12 @@ def trajectories(scene: SceneInputs, model: str) -> NamedFigure:
     axes[0].legend(loc="lower left", borderaxespad=0, fontsize=7.5)
     bar = figure.colorbar(points, ax=axes, aspect=30, extend="max", label="position error (m)")
     bar.ax.grid(False)
-    caption = (
-        f"{scene.name}, test session {session}, from above: {model} alone (left) and with VIO by the paper's rule "
-        f"(right), coloured by position error; the thin line joins poses in order of time."
-    )
     return NamedFigure(f"trajectory-{_file(model)}", caption, figure)
+
+
+def _fused_label(scene: SceneInputs) -> str:
+    """What stands behind a model's label for the fused method that is shown; empty where there is none."""
+    return scene.method_labels[scene.fused_method] if scene.fused_method else ""
 
 
 def from_above(xyz_N3: Array) -> Array:
@@ -149,9 +154,12 @@ def error_distributions(scene: SceneInputs) -> NamedFigure:
     figure, axes = style.new_figure(len(scene.models), 2, 2.1 * len(scene.models) + 0.4)
     quantities = (("position", "m", (0.25, 0.5, 5.0)), ("rotation", "deg", (2.0, 5.0, 10.0)))
     for row, model in enumerate(scene.models):
-        errors = paper_errors(scene.errors, model)
+        errors = scene.frame_errors(model)
         errors = errors[errors["split"] == "test"]
-        scored = errors["status"].isin(["reliable", "optimised"]).to_numpy()
+        answered = errors["position_m"].notna()
+        # The paper scores none of the poses of an alignment that its rule doesn't trust any longer.
+        paper = scene.fused_method == PAPER_METHOD
+        scored = (errors["status"].isin(PAPER_STATUSES["rp+opt"]) if paper else answered).to_numpy()
         for ax, (quantity, unit, levels) in zip(axes[2 * row : 2 * row + 2], quantities, strict=True):
             raw = errors[f"apr_{quantity}_{unit}"].to_numpy(float)
             fused = errors[f"{quantity}_{unit}"].to_numpy(float)
@@ -159,10 +167,12 @@ def error_distributions(scene: SceneInputs) -> NamedFigure:
             for level in levels:
                 ax.axvline(level, color=style.NEUTRAL, lw=0.8, ls=(0, (1, 2)))
             _cumulative(ax, raw, len(raw), style.APR, "-", "regressor, all frames")
-            _cumulative(ax, raw[scored], int(scored.sum()), style.APR, "--", "regressor, the frames that +VIO answers")
-            _cumulative(ax, fused[scored], int(scored.sum()), style.FUSED, "--", "+VIO, the frames that it answers")
-            _cumulative(ax, in_time, len(in_time), style.FUSED, "-", "+VIO in time, all frames, missing = failed")
-            ax.set(xscale="log", ylim=(0, 102), title=f"{model}: {quantity}")
+            if shown := _fused_label(scene):
+                count, every = int(scored.sum()), f"{shown} in time, all frames, missing = failed"
+                _cumulative(ax, raw[scored], count, style.APR, "--", f"regressor, the frames that {shown} answers")
+                _cumulative(ax, fused[scored], count, style.FUSED, "--", f"{shown}, the frames that it answers")
+                _cumulative(ax, in_time, len(in_time), style.FUSED, "-", every)
+            ax.set(xscale="log", ylim=(0, 102), title=f"{scene.label(model)}: {quantity}")
             ax.set_xlabel(f"{quantity} error ({'m' if unit == 'm' else '°'})")
             style.log_axis(ax.xaxis)
         axes[2 * row].set_ylabel("frames within (%)")
@@ -186,19 +196,23 @@ def _cumulative(ax: Axes, errors: Array, frames: int, colour: str, dashes: str, 
 def timeline(scene: SceneInputs, model: str) -> NamedFigure:
     """Position error over the drawn test session, raw and in time, with the status below."""
     session = test_session(scene)
-    errors = paper_errors(scene.errors, model)
+    errors = scene.frame_errors(model)
     errors = errors[(errors["session_id"] == session) & (errors["split"] == "test")].sort_values("t_ns")
+    label, with_fused = scene.label(model), _fused_label(scene)
     seconds = (errors["t_ns"] - errors["t_ns"].min()).to_numpy() * _NS
     statuses = {
         "reliable": style.APR,
         "optimised": style.FUSED,
+        "fused": style.FUSED,
         "aligning": style.VIO,
         "predicted": style.NEUTRAL,
         "none": style.REJECTED,
     }
     figure, (ax, band) = style.new_figure(2, 1, 2.6, sharex=True, height_ratios=[5, 1])
-    ax.plot(seconds, errors["apr_position_m"], color=style.APR, marker="o", ms=2.5, lw=0.8, label=model)
-    ax.plot(seconds, errors["live_position_m"], color=style.FUSED, marker="o", ms=2.5, lw=1.2, label=f"{model}+VIO")
+    ax.plot(seconds, errors["apr_position_m"], color=style.APR, marker="o", ms=2.5, lw=0.8, label=label)
+    if with_fused:
+        fused: Any = {"color": style.FUSED, "marker": "o", "ms": 2.5, "lw": 1.2, "label": label + with_fused}
+        ax.plot(seconds, errors["live_position_m"], **fused)
     ax.set(ylabel="position error (m)", yscale="log")
     style.log_axis(ax.yaxis)
     ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, fontsize=7.5)
@@ -210,21 +224,22 @@ def timeline(scene: SceneInputs, model: str) -> NamedFigure:
     band.grid(False)
     band.spines["left"].set_visible(False)
     band.legend(loc="lower left", bbox_to_anchor=(0, 0.75), ncols=5, fontsize=7.5, handlelength=0.6)
-    caption = f"{scene.name}, test session {session}: {model} and {model}+VIO in time, and what stood behind each pose."
+    both = f"{label} and {label}{with_fused}" if with_fused else label
+    caption = f"{scene.name}, test session {session}: {both} in time, and what stood behind each pose."
     return NamedFigure(f"timeline-{_file(model)}", caption, figure)
 
 
 _THRESHOLDS = {"n": "N", "d_th_m": "$d_{th}$ (m)", "o_th_deg": "$o_{th}$ (°)", "gamma": "$\\gamma$"}
 
 
-def sensitivity(scene: SceneInputs) -> NamedFigure:
+def sensitivity(scene: SceneInputs, table: pd.DataFrame) -> NamedFigure:
     """How errors and coverage of the paper's rule move with each of its thresholds, a line style a model."""
     quantities = (
         ("position_mean_m", "position (m)"),
         ("rotation_mean_deg", "rotation (°)"),
         ("answered_pct", "answered (%)"),
     )
-    sweep = scene.sweep[(scene.sweep["subset"] == "all") & (scene.sweep["varied"] != "")]
+    sweep = table[(table["subset"] == "all") & (table["varied"] != "")]
     sweep = sweep.assign(answered_pct=sweep["share_pct"] * sweep["coverage_pct"] / 100)
     figure, axes = style.new_figure(len(quantities), len(_THRESHOLDS), 4.2, sharex="col", sharey="row")
     for ax, ((quantity, label), threshold) in zip(axes, product(quantities, _THRESHOLDS), strict=True):
@@ -253,7 +268,13 @@ def confidence(scene: SceneInputs) -> NamedFigure:
         of_quantity = rows[rows["figure"] == quantity].set_index(["model", "method"])
         for y, name in enumerate(names):
             found: Any = of_quantity.loc[name]
-            colour = style.APR if name[1] == "apr" else style.NEUTRAL if name[1] in scene.offline else style.FUSED
+            colour = (
+                style.APR
+                if name[1] in scene.raw_methods
+                else style.NEUTRAL
+                if name[1] in scene.offline
+                else style.FUSED
+            )
             ax.plot([found["low"], found["high"]], [y, y], color=colour, lw=1.2)
             ax.plot(found["value"], y, "o", color=colour, ms=4)
         ax.set(title=f"Mean {quantity.split('_')[0]} error ({label})", xlim=(0, None))

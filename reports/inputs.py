@@ -10,6 +10,7 @@ import pandas as pd
 from groundwalk.artefacts import StageRun
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.metrics import sure_enough
+from groundwalk.reports.published import PAPER_METHOD
 
 # Fewer training frames than this, and a regressor's accuracy says nothing about regressors.
 ENOUGH_TRAINING_FRAMES = 100
@@ -21,7 +22,8 @@ LEAK_S = 5.0
 class SceneInputs:
     """The tables of one scene that the report is made from.
 
-    `manifests` has those of all stages that went in, by a name to show.
+    `manifests` has those of all stages that went in, by a name to show. `sweep` is None where the
+    paper's rule wasn't run.
     """
 
     name: str
@@ -42,7 +44,7 @@ class SceneInputs:
     cards: pd.DataFrame
     poses: pd.DataFrame
     errors: pd.DataFrame
-    sweep: pd.DataFrame
+    sweep: pd.DataFrame | None
     intervals: pd.DataFrame
     fused_sessions: pd.DataFrame
     methods: pd.DataFrame
@@ -71,6 +73,44 @@ class SceneInputs:
         """Scored frames whose ground truth can't tell whether a pose is within an accuracy level."""
         scored = self.errors[self.errors["split"] == "test"].drop_duplicates("frame_id")
         return int((~sure_enough(scored["quality"])).sum())
+
+    def label(self, model: str) -> str:
+        """The model as tables and pages print it."""
+        labels = self.cards.set_index("model")["label"].dropna()
+        return str(labels.get(model, model))
+
+    @property
+    def method_labels(self) -> dict[str, str]:
+        """What stands behind the model's label for each method: nothing for the raw regressor."""
+        labelled = zip(self.methods["method"], self.methods["label"], self.methods["fuses"], strict=True)
+        return {str(method): f"+{label}" if fuses else "" for method, label, fuses in labelled}
+
+    @property
+    def raw_methods(self) -> set[str]:
+        """The methods that answer with the regressor's pose alone."""
+        return set(self.methods.loc[~self.methods["fuses"], "method"])
+
+    @property
+    def fused_method(self) -> str | None:
+        """The method that figures show beside the regressor: the paper's rule or, where that wasn't run, the first
+        causal one that fuses; None where there is none."""
+        fusing = self.methods.loc[self.methods["fuses"] & self.methods["causal"], "method"].tolist()
+        return PAPER_METHOD if PAPER_METHOD in fusing else next(iter(fusing), None)
+
+    def fused_errors(self, model: str) -> pd.DataFrame:
+        """The rows of `fused_method` for a model; where it was run with several options, those of the first."""
+        rows = self.errors[(self.errors["method"] == self.fused_method) & (self.errors["model"] == model)]
+        return rows[rows["options"] == rows["options"].iloc[0]] if len(rows) else rows
+
+    def fused_poses(self, model: str) -> pd.DataFrame:
+        """The poses behind `fused_errors`."""
+        rows = self.poses[(self.poses["method"] == self.fused_method) & (self.poses["model"] == model)]
+        return rows[rows["options"] == rows["options"].iloc[0]] if len(rows) else rows
+
+    def frame_errors(self, model: str) -> pd.DataFrame:
+        """One row a frame with the raw regressor's errors, and those of `fused_method` where there is one."""
+        fused = self.fused_errors(model)
+        return fused if len(fused) else self.errors[self.errors["model"] == model].drop_duplicates("frame_id")
 
     @property
     def offline(self) -> set[str]:
@@ -162,7 +202,7 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         cards=trained("models"),
         poses=fused("poses"),
         errors=fused("errors"),
-        sweep=fused("sweep"),
+        sweep=fused("sweep") if (r.folder("fuse", fused_by) / "sweep.parquet").is_file() else None,
         intervals=fused("intervals"),
         fused_sessions=fused("sessions"),
         methods=r.read("fuse", "methods", scene=fused_by),

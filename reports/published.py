@@ -11,6 +11,8 @@ from groundwalk.artefacts.settings import SHIPPED_DATA
 
 PUBLISHED = DataRoot(SHIPPED_DATA).files("published")
 SUBSETS = ("rp", "opt", "rp+opt")
+RAW_METHOD, PAPER_METHOD = "apr", "mobilearloc"
+"""The ids of the two methods that the paper's tables hold: the raw regressor, and its rule."""
 _LEVEL_COLUMNS = {
     "high_pct_0.25m_2deg": "high",
     "medium_pct_0.5m_5deg": "medium",
@@ -28,7 +30,7 @@ class PrintedTables:
     levels: environment, scene, subset, model, method, over, high, medium, low, share; ours also level_frames, of how
     many frames the levels are shares (the paper's are of all).
 
-    `method` is "apr" (the raw regressor) or "mobilearloc" (fused). `over` says which frames a row is over: "subset"
+    `method` is RAW_METHOD or PAPER_METHOD. `over` says which frames a row is over: "subset"
     (the frames of its subset) or "all" (all test frames: the paper's raw columns, but for its "only optimised" block).
     """
 
@@ -79,6 +81,6 @@ def _split_method(frame: pd.DataFrame) -> pd.DataFrame:
     fused = frame["method"].str.endswith("+VIO")
     return frame.assign(
         model=frame["method"].str.removesuffix("+VIO"),
-        method=fused.map({True: "mobilearloc", False: "apr"}),
+        method=fused.map({True: PAPER_METHOD, False: RAW_METHOD}),
         over=(fused | (frame["subset"] == "opt")).map({True: "subset", False: "all"}),
     )

@@ -8,7 +8,6 @@ from groundwalk.artefacts import recording
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.reports.grids import Grid, markdown
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.reports.statistics import paper_errors
 
 
 def blueprint(scenes: list[SceneInputs], grids: list[Grid]) -> rrb.Blueprint:
@@ -43,13 +42,12 @@ def record(stream: rr.RecordingStream, scenes: list[SceneInputs], grids: list[Gr
 
 
 def _walks(stream: rr.RecordingStream, scene: SceneInputs, model: str) -> None:
-    errors = paper_errors(scene.errors, model)
+    errors = scene.frame_errors(model)
     errors = errors[errors["split"] == "test"].sort_values(["session_id", "t_ns"])
-    method, options = errors["method"].iloc[0], errors["options"].iloc[0]
-    poses = scene.poses
-    fused = poses[(poses["method"] == method) & (poses["options"] == options) & (poses["model"] == model)]
     raw = scene.predictions[scene.predictions["model"] == model]
-    kinds = (("apr", raw, "apr", recording.APR), ("fused", fused, "live", recording.FUSED))
+    kinds = [("apr", raw, "apr", recording.APR)]
+    if scene.fused_method is not None:
+        kinds.append(("fused", scene.fused_poses(model), "live", recording.FUSED))
     for kind, table, prefix, colour in kinds:
         group = "live_map_cam" if prefix == "live" else "map_cam"
         matched = errors[["session_id", "frame_id"]].merge(table, on=["session_id", "frame_id"], how="left")

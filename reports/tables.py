@@ -9,7 +9,7 @@ import pandas as pd
 from groundwalk.reports.cells import AVERAGE, LEVELS, TABLE_I, TABLE_II, TABLE_III, TABLE_IV, column_name
 from groundwalk.reports.grids import EMPTY, OURS, PUBLISHED, Block, Grid, Row
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.reports.statistics import PAPER_METHOD
+from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
 
 SUBSET_TITLES = {
     "rp": "Only reliable predictions",
@@ -17,7 +17,7 @@ SUBSET_TITLES = {
     "rp+opt": "Reliable predictions and optimised poses",
 }
 _ENVIRONMENTS = ("outdoor", "indoor", "unknown")
-_WAYS = (("apr", "all"), ("apr", "subset"), (PAPER_METHOD, "subset"))
+_WAYS = ((RAW_METHOD, "all"), (RAW_METHOD, "subset"), (PAPER_METHOD, "subset"))
 _PUBLISHED_NOTE = (
     "Lines marked “published” are printed in the MobileARLoc paper: other captures, other phone, other machine. They "
     "stand here for orientation; this run didn't measure them."
@@ -32,6 +32,7 @@ class Tables:
     def __init__(self, cells: pd.DataFrame, scenes: list[SceneInputs]) -> None:
         self.scenes = {scene.name: scene for scene in scenes}
         self.models = list(dict.fromkeys(m for scene in scenes for m in scene.models))
+        self.labels = {m: scene.label(m) for scene in scenes for m in scene.models}
         # Table IV tells methods apart by their options too; the others by their column alone.
         self.methods_cells = cells[cells["table"] == TABLE_IV]
         printed = cells[cells["table"] != TABLE_IV]
@@ -45,7 +46,8 @@ class Tables:
         """Table I: frames, extent, storage and time."""
         models = ["HLoc", *self.models]
         columns = [("", "scene"), ("", "numbers"), ("images", "train"), ("images", "test"), ("", "extent (m)")]
-        columns += [("storage (MB)", m) for m in models] + [("time an image (ms)", m) for m in models]
+        heads = [self.labels.get(m, m) for m in models]
+        columns += [("storage (MB)", m) for m in heads] + [("time an image (ms)", m) for m in heads]
         names = ["train images", "test images", "extent"]
         names += [f"{m} {what}" for what in ("storage", "runtime") for m in models]
         blocks = self._blocks(TABLE_I, "scene", "", names, lambda look, name: look(name))
@@ -65,7 +67,7 @@ class Tables:
         columns, names = [("", "scene"), ("", "numbers")], []
         for statistic in ("mean", "median"):
             for model in self.models:
-                columns += [(f"{statistic} (m/°)", column_name(model, *way)) for way in _WAYS]
+                columns += [(f"{statistic} (m/°)", column_name(self.labels[model], *way)) for way in _WAYS]
                 names += [column_name(model, *way, statistic) for way in _WAYS]
 
         def cell(look: Look, name: str) -> str:
@@ -79,7 +81,9 @@ class Tables:
     def levels(self) -> Grid:
         """Table III: shares of frames within the accuracy levels."""
         columns = [("", "scene"), ("", "numbers")]
-        columns += [("high/medium/low (share)", column_name(m, *way)) for m in self.models for way in _WAYS]
+        columns += [
+            ("high/medium/low (share)", column_name(self.labels[m], *way)) for m in self.models for way in _WAYS
+        ]
         names = [column_name(m, *way) for m in self.models for way in _WAYS]
 
         def cell(look: Look, name: str) -> str:
@@ -112,7 +116,7 @@ class Tables:
                 offline: list[Row] = []
                 for key, way in cells.groupby(["method", "options"], sort=False):
                     method, options = map(str, key)
-                    label = column_name(str(model), method, "all")
+                    label = column_name(scene.label(str(model)), method, "all", labels=scene.method_labels)
                     if len(cells.loc[cells["method"] == method, "options"].unique()) > 1:
                         label += f" {shown_options(options)}"
                     rows = offline if method in scene.offline else causal
@@ -227,11 +231,12 @@ class Tables:
         ]
         for scene in self.scenes.values():
             shares = []
-            for model in scene.models:
-                key = (TABLE_III, OURS, scene.environment, scene.name, "rp+opt", f"{model}+VIO share frames")
-                shares.append(f"{model}+VIO answers {self.text[key]} %")
+            for model in scene.models if scene.fused_method == PAPER_METHOD else ():
+                column = column_name(model, PAPER_METHOD, "subset", "share frames")
+                key = (TABLE_III, OURS, scene.environment, scene.name, "rp+opt", column)
+                shares.append(f"{column_name(scene.label(model), PAPER_METHOD, 'subset')} answers {self.text[key]} %")
             note = f"{scene.name}: {scene.scored_frames} test frames with ground truth of {scene.test_frames}; "
-            note += f"{', '.join(shares)} of them."
+            note += f"{', '.join(shares)} of them." if shares else f"{PAPER_METHOD}, the paper's rule, wasn't run."
             if scene.ground_truth["gt_uses_vio"].any():
                 note += " VIO positions took part in this ground truth, which flatters methods that use VIO."
             notes.append(note)
@@ -248,11 +253,13 @@ class Tables:
 
 def card_text(card: pd.Series) -> str:
     """What a reader must know of a model: where its weights come from, its input, and what was made smaller."""
+    if not card["file"]:
+        return f"{card['model']}: {card['weights']}"
     parts = [
         f"backbone weights: {card['weights']}",
-        f"input {card['crop_px']} px",
+        f"input {card['crop_px']:.0f} px",
         *([str(card["layers"])] if card["layers"] else []),
-        f"{card['epochs']} epochs on {card['train_frames']} frames, seed {card['seed']}",
+        f"{card['epochs']:.0f} epochs on {card['train_frames']:.0f} frames, seed {card['seed']}",
         f"reduced from the paper: {card['reduced']}" if card["reduced"] else "as in the paper",
     ]
     return f"{card['model']}: {'; '.join(parts)}"

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.from_vio import map_from_vio
-from groundwalk.sfm.settings import MapperName
 
 SMALLEST_MODEL = 3
 _LEAF_IMAGES = 200
@@ -100,14 +99,6 @@ def from_vio(given: MappingInput, folder: Path, registered: Callable[[], None]) 
     return map_from_vio(
         given.database, given.images, folder, given.vio_T_cam, given.session, pipeline_options(given), given.seed
     )
-
-
-MAPPERS: dict[MapperName, Mapper] = {
-    "incremental": incremental,
-    "global": global_,
-    "hierarchical": hierarchical,
-    "vio": from_vio,
-}
 
 
 def pipeline_options(given: MappingInput) -> pycolmap.IncrementalPipelineOptions:

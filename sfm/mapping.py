@@ -11,7 +11,8 @@ import pycolmap
 
 from groundwalk.artefacts.child import Report
 from groundwalk.sfm.database import read_keypoints
-from groundwalk.sfm.mappers import MAPPERS, MappingInput, continued
+from groundwalk.sfm.extensions import MAPPERS
+from groundwalk.sfm.mappers import MappingInput, continued
 from groundwalk.sfm.mapping_input import write_mapping_input
 from groundwalk.sfm.model_adjustment import CameraLog, adjust_model, save_adjusted, with_lenses_of
 from groundwalk.sfm.settings import SfmSettings
@@ -81,7 +82,8 @@ def build_models(
         return work / name
 
     mapper = settings.mapper
-    built = list(_described(mapper, MAPPERS[mapper](given, folder(mapper), count)))
+    with MAPPERS.guard(mapper):
+        built = list(_described(mapper, MAPPERS.find(mapper).run(given, folder(mapper), count)))
     if built and (largest := max(built, key=_size)[1]).num_reg_images() < wanted:
         more = continued(given, largest, _EASIER_MIN_INLIERS, folder("continued"), count)
         built += _described("continued", more)

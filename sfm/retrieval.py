@@ -4,14 +4,13 @@ VLAD (Jégou et al., "Aggregating local descriptors into a compact image represe
 normalisation of each word (Arandjelović and Zisserman, "All about VLAD", CVPR 2013) over words learned from the scene.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from groundwalk.sfm.database import Descriptors
 from groundwalk.sfm.pairs import Pairs, unique_pairs
-from groundwalk.sfm.settings import RetrievalName
 
 Floats = NDArray[np.float32]
 
@@ -49,12 +48,6 @@ def pca_vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Float
     return np.stack(
         [_aggregate((_unit(d) - mean) @ components, centres) if len(d) else _nothing(centres) for d in descriptors]
     )
-
-
-RETRIEVALS: dict[RetrievalName, Callable[[Sequence[Descriptors], int, int], Floats]] = {
-    "vlad": vlad,
-    "pca-vlad": pca_vlad,
-}
 
 
 def k_means(points: Floats, clusters: int, rng: np.random.Generator) -> Floats:

@@ -1,16 +1,17 @@
 """The stage's settings."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from groundwalk.artefacts import Settings
+from groundwalk.sfm.extensions import MAPPERS, RETRIEVALS
 
-MapperName = Literal["incremental", "global", "hierarchical", "vio"]
+MapperName = Annotated[str, AfterValidator(MAPPERS.known)]
 FeatureName = Literal["sift", "aliked"]
 RefineCameras = Literal["auto", "never"]
 LensSource = Literal["auto", "stated"]
-RetrievalName = Literal["vlad", "pca-vlad"]
+RetrievalName = Annotated[str, AfterValidator(RETRIEVALS.known)]
 SiftMatcherName = Literal["nearest", "lightglue"]
 
 

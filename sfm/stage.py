@@ -26,6 +26,7 @@ from groundwalk.sfm.database import (
     read_descriptors,
     read_pair_results,
 )
+from groundwalk.sfm.extensions import MAPPERS, RETRIEVALS, described_by
 from groundwalk.sfm.features import extract_features, features_name
 from groundwalk.sfm.ladder import OTHERWISE, Attempt, climb, outcome_of
 from groundwalk.sfm.mappers import MappingInput
@@ -49,7 +50,7 @@ from groundwalk.sfm.pairs import (
 )
 from groundwalk.sfm.recording import write_recording
 from groundwalk.sfm.residuals import draw_residuals, pattern_of, residual_patterns
-from groundwalk.sfm.retrieval import RETRIEVALS, retrieval_pairs
+from groundwalk.sfm.retrieval import retrieval_pairs
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.sfm.tables import (
     attempts_table,
@@ -147,7 +148,7 @@ def _tell(
     disagree = int((mapped.matched.verdict == "disagrees").sum())
     track_length = float(model.track_lengths().mean())
     error_px = float(np.linalg.norm(model.residual_px, axis=1).mean())
-    figures = {
+    figures: dict[str, float | str | None] = {
         "frames": len(model.registered),
         "registered": registered,
         "models": len(kept),
@@ -422,7 +423,7 @@ def _propose(seed: int, s: SfmSettings, scene: _Scene, database: Path) -> list[t
     alike = unique_pairs([])
     if s.retrieval_pairs and len(set(session)) > 1:
         descriptors = read_descriptors(database, len(session))
-        described = RETRIEVALS[s.retrieval](descriptors, s.retrieval_words, seed)
+        described = described_by(s.retrieval, descriptors, s.retrieval_words, seed)
         alike = retrieval_pairs(described, session, s.retrieval_pairs)
     return [*_propose_by_vio(s, scene), ("retrieval", alike)]
 
@@ -539,6 +540,7 @@ STAGE = Stage(
     settings=SfmSettings,
     needs=("import",),
     run=run,
+    plugins=lambda settings: {**MAPPERS.versions([settings.mapper]), **RETRIEVALS.versions([settings.retrieval])},
     help="Structure from motion: features, pairs from time, VIO and looks, checked against VIO; models over all "
     "sessions, one where the images allow it, and their quality.",
 )

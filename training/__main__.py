@@ -18,7 +18,7 @@ app = stage_app(STAGE)
 def export(
     scene: SceneOption,
     out: Annotated[Path, typer.Option(help="The ONNX file to write.")],
-    model: Annotated[str, typer.Option(help="PN or MS-T.")] = "PN",
+    model: Annotated[str, typer.Option(help="The regressor's id, as in the stage's table `models`.")],
     profile: ProfileOption = "demo",
     data: DataOption = Path("data"),
 ) -> None:

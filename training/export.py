@@ -18,7 +18,8 @@ class Exported(nn.Module):
         self.model = model
 
     def forward(self, image_13HW: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        return tuple(self.model(normalised(image_13HW)))
+        poses = self.model(normalised(image_13HW))
+        return poses.position_B3, poses.quaternion_B4, poses.scene_B
 
 
 def export_onnx(weights: Path, out: Path) -> Trained:

@@ -19,7 +19,7 @@ from groundwalk.artefacts.files import replace_synced
 from groundwalk.training.data import Frames, Jitter, Turns, normalised
 from groundwalk.training.evaluation import pose_errors
 from groundwalk.training.models.regressor import PoseRegressor
-from groundwalk.training.settings import RegressorSettings
+from groundwalk.training.regressor_settings import RegressorSettings
 
 CHECKPOINT = "checkpoint.pt"
 _SCORED_EPOCHS = 5
@@ -98,8 +98,7 @@ def train(
             "train_loss": train_loss,
             "val_position_m": float(np.median(position_m)),
             "val_rotation_deg": float(np.median(rotation_deg)),
-            "sx": model.loss_weights.sx.item(),
-            "sq": model.loss_weights.sq.item(),
+            **model.curves(),
             "seconds": time.monotonic() - started,
         }
         history.append(row)
@@ -133,13 +132,13 @@ def take_best(model: PoseRegressor, folder: Path) -> list[dict[str, Any]]:
 
 
 def make_optimiser(model: PoseRegressor, settings: RegressorSettings) -> torch.optim.Adam:
-    """Adam with an L2 penalty on everything but the loss weights, which it would pull to equal variances."""
-    loss_weights = list(model.loss_weights.parameters())
-    others = [p for name, p in model.named_parameters() if not name.startswith("loss_weights.")]
-    groups: list[dict[str, Any]] = [
-        {"params": others, "weight_decay": settings.weight_decay},
-        {"params": loss_weights},
-    ]
+    """Adam with an L2 penalty on all parameters but those that the model wants undecayed."""
+    undecayed = model.undecayed()
+    apart = {id(parameter) for parameter in undecayed}
+    others = [parameter for parameter in model.parameters() if id(parameter) not in apart]
+    groups: list[dict[str, Any]] = [{"params": others, "weight_decay": settings.weight_decay}]
+    if undecayed:
+        groups.append({"params": undecayed})
     return torch.optim.Adam(groups, lr=settings.learning_rate, eps=settings.adam_eps, fused=True)
 
 

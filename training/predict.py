@@ -21,10 +21,11 @@ def predict(
     model: PoseRegressor, frames: Frames, scenes: list[str], crop: int, device: torch.device, order: Iterable[int]
 ) -> pd.DataFrame:
     """Predictions of the rows in `order` (all rows, in order, perhaps wrapped in progress): map_cam_*,
-    picked_scene, inference_ms."""
+    picked_scene, covariance, inference_ms. ValueError where a pose isn't finite."""
     model.eval().to(device)
     position: list[NDArray[np.float64]] = []
     quaternion: list[NDArray[np.float64]] = []
+    covariance: list[list[float] | None] = []
     scene, milliseconds = [], []
     for row in order:
         image = frames.select(np.array([row])).centre_crops(crop, device)
@@ -37,9 +38,15 @@ def predict(
         milliseconds.append((time.perf_counter() - start) * 1e3)
         position.append(poses.position_B3[0].double().cpu().numpy())
         quaternion.append(poses.quaternion_B4[0].double().cpu().numpy())
+        covariance.append(
+            None if poses.covariance_B66 is None else poses.covariance_B66[0].double().cpu().flatten().tolist()
+        )
         scene.append(scenes[int(poses.scene_B[0])])
+    finite = np.asarray(np.isfinite(np.hstack([position, quaternion])).all(axis=1))
+    if not finite.all():
+        raise ValueError(f"{int((~finite).sum())} of {len(finite)} predictions aren't finite")
     table = pose_frame("map_cam", pose_from_tq(np.array(position), np.array(quaternion)))
-    return table.assign(picked_scene=scene, inference_ms=milliseconds)
+    return table.assign(picked_scene=scene, covariance=pd.Series(covariance, dtype=object), inference_ms=milliseconds)
 
 
 def _wait(device: torch.device) -> None:

@@ -1,5 +1,7 @@
 """The train stage's recording: learning curves, and where each model places the frames."""
 
+from collections.abc import Mapping
+
 import cv2
 import numpy as np
 import pandas as pd
@@ -8,6 +10,7 @@ import rerun.blueprint as rrb
 
 from groundwalk.artefacts import recording as colours
 from groundwalk.artefacts.recording import TIMELINE, UP_AXIS, log_camera, log_path
+from groundwalk.artefacts.registry import Colour
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.metrics import position_error, rotation_error_deg
 from groundwalk.training.data import ImageCache
@@ -17,18 +20,18 @@ FRAMES = "frame"  # sessions one after the other, however far apart their clocks
 _CURVES = ("train_loss", "val_position_m", "val_rotation_deg")
 _MOST_IMAGES = 500  # keeps the file small; cameras and errors of all frames are there
 _JPEG_QUALITY = 80
-_SHADES = {"PN": colours.APR, "MS-T": (0, 114, 178)}  # both blues of the regressors
 
 
-def blueprint(scenes: list[str], models: list[str]) -> rrb.Blueprint:
-    """A tab a scene with each model's places, the image and the errors over time; a tab with the learning curves."""
+def blueprint(scenes: list[str], models: list[str], trained: list[str]) -> rrb.Blueprint:
+    """A tab a scene with each model's places, the image and the errors over time; a tab with the learning curves of
+    those that were trained."""
     tabs: list[rrb.Container] = []
     for scene in scenes:
         places = [
             rrb.Spatial3DView(
                 origin=f"/{scene}",
                 contents=[f"/{scene}/ground_truth/**", f"/{scene}/{model}/**"],
-                name=f"ground truth green, {model} blue; lines: test frames' errors",
+                name=f"ground truth green, {model} in its colour; lines: test frames' errors",
             )
             for model in models
         ]
@@ -49,10 +52,11 @@ def blueprint(scenes: list[str], models: list[str]) -> rrb.Blueprint:
         rrb.Horizontal(
             *(rrb.TimeSeriesView(origin=f"/learning/{model}/{name}", name=f"{model}: {name}") for name in _CURVES)
         )
-        for model in models
+        for model in trained
     ]
+    learning = [rrb.Vertical(*curves, name="learning")] if curves else []
     return rrb.Blueprint(
-        rrb.Tabs(*tabs, rrb.Vertical(*curves, name="learning")),
+        rrb.Tabs(*tabs, *learning),
         rrb.TimePanel(timeline=FRAMES, state="collapsed"),
         collapse_panels=True,
     )
@@ -65,11 +69,16 @@ def record(
     history: pd.DataFrame,
     cache: ImageCache,
     crop: int,
+    shades: Mapping[str, Colour],
 ) -> None:
-    """Log everything; row i of `frames` has its image in cache[i], and predictions has all frames for each model."""
-    _log_learning(stream, history)
+    """Log everything; row i of `frames` has its image in cache[i]. `shades` are the models' colours."""
+    _log_learning(stream, history, shades)
     map_T_cam = poses_of(frames, "map_cam")
-    estimates = {str(m): poses_of(mine, "map_cam") for m, mine in predictions.groupby("model", sort=False)}
+    keys = ["scene", "frame_id"]
+    estimates = {
+        str(model): poses_of(frames[keys].merge(mine, on=keys, how="left"), "map_cam")
+        for model, mine in predictions.groupby("model", sort=False)
+    }
     every = -(-len(frames) // _MOST_IMAGES)
     for scene in frames["scene"].unique():
         rows = np.flatnonzero(frames["scene"] == scene)
@@ -85,27 +94,29 @@ def record(
             if np.isfinite(map_T_cam[row]).all():
                 log_camera(stream, f"/{scene}/ground_truth/now", map_T_cam[row], frame, colours.GROUND_TRUTH, 1.0)
             for model, estimate in estimates.items():
-                log_camera(stream, f"/{scene}/{model}/now", estimate[row], frame, _SHADES[model], 1.0)
+                if not np.isfinite(estimate[row]).all():
+                    continue
+                log_camera(stream, f"/{scene}/{model}/now", estimate[row], frame, shades[model], 1.0)
                 _log_errors(stream, f"/{scene}", model, map_T_cam[row], estimate[row])
             if number % every == 0:
                 stream.log(f"/{scene}/image", _centre_crop_jpeg(cache[int(row)], crop))
         for model, estimate in estimates.items():
             for name in ("position_error_m", "rotation_error_deg"):
-                series = rr.SeriesLines(colors=_SHADES[model], names=model)
+                series = rr.SeriesLines(colors=shades[model], names=model)
                 stream.log(f"/{scene}/{name}/{model}", series, static=True)
             # A line from where the camera was to where the model puts it.
             both = np.stack([map_T_cam[rows, :3, 3], estimate[rows, :3, 3]], axis=1)
             both = both[(frames["split"].to_numpy()[rows] == "test") & np.isfinite(both).all(axis=(1, 2))]
-            lines = rr.LineStrips3D(both, colors=_SHADES[model], radii=rr.Radius.ui_points(0.5))
+            lines = rr.LineStrips3D(both, colors=shades[model], radii=rr.Radius.ui_points(0.5))
             stream.log(f"/{scene}/{model}/test_errors", lines, static=True)
 
 
-def _log_learning(stream: rr.RecordingStream, history: pd.DataFrame) -> None:
+def _log_learning(stream: rr.RecordingStream, history: pd.DataFrame, shades: Mapping[str, Colour]) -> None:
     for model, mine in history.groupby("model", sort=False):
         times = rr.TimeColumn(EPOCHS, sequence=mine["epoch"].to_numpy())
         for name in _CURVES:
             path = f"/learning/{model}/{name}"
-            stream.log(path, rr.SeriesLines(colors=_SHADES[str(model)], names=f"{model} {name}"), static=True)
+            stream.log(path, rr.SeriesLines(colors=shades[str(model)], names=f"{model} {name}"), static=True)
             stream.send_columns(path, indexes=[times], columns=rr.Scalars.columns(scalars=mine[name].to_numpy()))
 
 

@@ -1,92 +1,28 @@
-"""Settings of the training stage: what the paper's models train with, unless a profile says otherwise."""
+"""Settings of the training stage."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializeAsAny, ValidationInfo, field_validator, model_validator
 
 from groundwalk.artefacts import Settings
-
-ModelName = Literal["PN", "MS-T"]
-
-
-class RegressorSettings(Settings):
-    """How one regressor is trained."""
-
-    epochs: int = Field(300, gt=0, description="passes over the training frames")
-    batch: int = Field(64, gt=1, description="images a step")
-    learning_rate: float = Field(1e-4, gt=0, description="Adam's learning rate after warming up")
-    weight_decay: float = Field(5e-4, ge=0, description="Adam's L2 penalty")
-    adam_eps: float = Field(1e-8, gt=0, description="Adam's epsilon")
-    schedule: Literal["constant", "step", "cosine"] = Field(
-        "constant", description="how the learning rate falls: not, by step_factor every step_epochs, or to zero"
-    )
-    warmup_epochs: float = Field(0, ge=0, description="epochs over which the learning rate rises from zero")
-    step_epochs: int = Field(200, gt=0, description="with schedule step: epochs between two drops")
-    step_factor: float = Field(0.1, gt=0, lt=1, description="with schedule step: what a drop multiplies by")
-    clip_gradient: float = Field(0, ge=0, description="largest norm of a step's gradient; 0 for any")
-    jitter: tuple[float, float, float, float] = Field(
-        (0, 0, 0, 0), description="colour jitter: brightness, contrast, saturation, hue"
-    )
-    turn_deg: tuple[float, float, float] | None = Field(
-        None,
-        description="largest yaw, pitch and roll (degrees) by which a training image is turned together with its"
-        " pose; without it a random crop keeps the image's pose, as in the paper",
-    )
-    normalise_position: bool = Field(
-        False, description="the network regresses positions with zero mean and unit deviation"
-    )
-    centre_rotation: bool = Field(
-        False, description="the network regresses rotations relative to the mean training rotation"
-    )
-    mixed_precision: Literal["auto", "off", "bf16"] = Field(
-        "auto", description="bfloat16 in training; auto: where the processor computes in it"
-    )
-    weights: str = Field(
-        "auto",
-        description="the backbone's first weights: imagenet (downloaded), scratch, auto (imagenet where it can be"
-        " had) or a file with torchvision's state dict",
-    )
-
-
-class PoseNetSettings(RegressorSettings):
-    """PN: MapNet's settings for PoseNet."""
-
-    normalise_position: bool = Field(
-        True, description="the network regresses positions with zero mean and unit deviation"
-    )
-    centre_rotation: bool = Field(
-        True, description="the network regresses rotations relative to the mean training rotation"
-    )
-    dropout: float = Field(0.5, ge=0, lt=1, description="share of the head's features left out in training")
-    sx: float = Field(0.0, description="first log-variance of the position loss")
-    sq: float = Field(-3.0, description="first log-variance of the rotation loss")
-
-
-class MSTransformerSettings(RegressorSettings):
-    """MS-T: its authors' settings for outdoor scenes; sx and sq follow the scene."""
-
-    epochs: int = Field(600, gt=0, description="passes over the training frames")
-    batch: int = Field(8, gt=1, description="images a step")
-    weight_decay: float = Field(1e-4, ge=0, description="Adam's L2 penalty")
-    adam_eps: float = Field(1e-10, gt=0, description="Adam's epsilon")
-    schedule: Literal["constant", "step", "cosine"] = Field(
-        "step", description="how the learning rate falls: not, by step_factor every step_epochs, or to zero"
-    )
-    jitter: tuple[float, float, float, float] = Field(
-        (0.5, 0.5, 0.5, 0.2), description="colour jitter: brightness, contrast, saturation, hue"
-    )
-    dropout: float = Field(0.1, ge=0, lt=1, description="dropout in the transformers")
-    stochastic_depth: float = Field(0.2, ge=0, lt=1, description="drop probability of the backbone's last block")
-    encoder_layers: int = Field(6, gt=0, description="encoder layers of each transformer")
-    decoder_layers: int = Field(6, gt=0, description="decoder layers of each transformer")
-    sx: float | None = Field(None, description="first log-variance of the position loss; outdoors -3, else 0")
-    sq: float | None = Field(None, description="first log-variance of the rotation loss; outdoors -6.5, else -3")
+from groundwalk.artefacts.settings import validated
+from groundwalk.training.regressor_settings import RegressorSettings
+from groundwalk.training.regressors import REGRESSORS
 
 
 class TrainSettings(Settings):
     """Settings of the training stage."""
 
-    models: tuple[ModelName, ...] = Field(("PN", "MS-T"), min_length=1, description="the regressors to train")
+    renamed: ClassVar[dict[str, str]] = {"pn": "regressors.PN", "mst": "regressors.MS-T"}
+
+    models: tuple[str, ...] = Field(
+        default_factory=lambda: REGRESSORS.builtin, description="the regressors to train, by id"
+    )
+    predictions: tuple[str, ...] = Field(
+        (),
+        description="Parquet files with predictions of other regressors, which take part as if they had been trained"
+        " here; paths are relative to the data folder (docs/how-to/predictions.md)",
+    )
     resize: int = Field(256, ge=32, description="shorter side of the images, pixels")
     crop: int = Field(224, ge=32, description="side of the square that the networks see, pixels")
     undistort: bool = Field(
@@ -106,11 +42,43 @@ class TrainSettings(Settings):
     )
     checkpoint_s: float = Field(60.0, ge=0, description="seconds between two safe points, at least")
     reduced: str = Field("", description="what this profile makes smaller than in the paper, for the model card")
-    pn: PoseNetSettings = Field(PoseNetSettings(), description="of PN: `pn.epochs` and so on")
-    mst: MSTransformerSettings = Field(MSTransformerSettings(), description="of MS-T: `mst.epochs` and so on")
+    regressors: dict[str, SerializeAsAny[RegressorSettings]] = Field(
+        default_factory=dict,
+        validate_default=True,
+        description="settings of each regressor: `regressors.<id>.epochs` and so on",
+    )
+
+    @field_validator("predictions", mode="before")
+    @classmethod
+    def _one_file_is_a_list(cls, files: object) -> object:
+        return (files,) if isinstance(files, str) else files
+
+    @field_validator("regressors", mode="before")
+    @classmethod
+    def _known(cls, sections: object, info: ValidationInfo) -> object:
+        """The sections as settings of their regressors; kept are those of `models`, on which alone a run depends."""
+        if not isinstance(sections, dict):
+            return sections
+        models = info.data.get("models", ())
+        for name in (*models, *sections):
+            if name not in REGRESSORS.problems:
+                REGRESSORS.find(name)
+        usable = [name for name in REGRESSORS if name in models or name in sections]
+        checked = {name: _section(name, sections.get(name, {})) for name in usable}
+        return {name: settings for name, settings in checked.items() if name in models}
 
     @model_validator(mode="after")
-    def _crop_fits(self) -> "TrainSettings":
+    def _fits(self) -> "TrainSettings":
         if self.crop > self.resize:
             raise ValueError(f"crop {self.crop} is larger than resize {self.resize}")
+        if not self.models and not self.predictions:
+            raise ValueError("neither models nor predictions name a regressor")
         return self
+
+
+def _section(name: str, content: object) -> RegressorSettings:
+    if isinstance(content, RegressorSettings):
+        return content
+    if not isinstance(content, dict):
+        raise ValueError(f"{name} is {content!r}, not a section of settings")
+    return validated(REGRESSORS[name].settings, content, f"[train.regressors.{name}]")

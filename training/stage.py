@@ -3,18 +3,23 @@
 import json
 import platform
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import torch
 
-from groundwalk.artefacts import Stage, StageRun, UserError
+from groundwalk.artefacts import Stage, StageRun, UserError, recording
 from groundwalk.artefacts.child import Report, Task, in_children
+from groundwalk.artefacts.registry import PluginError
+from groundwalk.artefacts.schemas import schema
 from groundwalk.geometry.metrics import sure_enough
-from groundwalk.training.build import Trained, build, save_trained, settings_of
+from groundwalk.training.build import Trained, save_trained
+from groundwalk.training.checks import check_regressor
 from groundwalk.training.data import Frames, ImageCache
 from groundwalk.training.evaluation import errors, mean_pose_errors
+from groundwalk.training.imported import imported_card, read_imported
 from groundwalk.training.inputs import (
     as_training_frames,
     check_trainable,
@@ -28,8 +33,9 @@ from groundwalk.training.loop import Run, save, take_best, train
 from groundwalk.training.models.regressor import PoseRegressor
 from groundwalk.training.predict import predict
 from groundwalk.training.record import blueprint, record
-from groundwalk.training.settings import ModelName, RegressorSettings, TrainSettings
-from groundwalk.training.weights import load_first_weights
+from groundwalk.training.regressor_settings import RegressorSettings
+from groundwalk.training.regressors import REGRESSORS
+from groundwalk.training.settings import TrainSettings
 
 _FIRST = "first.pt"
 _NARROW = 1.1
@@ -39,49 +45,133 @@ _TOO_LITTLE = "too little memory needs a smaller batch or crop"
 def run(r: StageRun[TrainSettings]) -> None:
     settings = r.settings
     frames = read_frames(r)
-    check_trainable(frames, r.folder("align", r.leaves[0]))
     torch.set_num_threads(settings.threads)
     device = choose_device(settings.device)
-    focal = choose_camera(r, frames)
+    imported = list(read_imported(r, frames))
+    models = models_of(r)
+    if models:
+        check_trainable(frames, r.folder("align", r.leaves[0]))
+    focal = choose_camera(r, frames) if models else None
     with r.step("images"):
         cache = ImageCache.build(r.scratch / "images", small_images(r, frames, focal))
     data = as_training_frames(frames, cache, focal)
     report_mean_pose(r, frames, data)
 
-    jobs = [prepare(r, name, data, frames, device) for name in models_of(r)]
-    with r.step("train"):
-        tasks = [Task(train_prepared, (job, settings.threads), job.settings.epochs) for job in jobs]
-        in_children(f"training {', '.join(job.run.title for job in jobs)}", r.scratch / "log.txt", _TOO_LITTLE, tasks)
-    predictions, history, cards = [], [], []
-    for job in jobs:
-        name = job.run.title
-        card, curve, trained = finish(r, job, None if focal is None else focal * settings.resize)
-        with r.step(f"predict {name}"):
-            order = r.track(range(len(frames)), f"{name}: predicting")
-            found = predict(trained.model, data, trained.scenes, trained.crop, device, order)
-        card["inference_ms"] = float(found["inference_ms"].median())
-        report_accuracy(r, name, frames, data, found)
-        keys = frames[["scene", "frame_id", "session_id", "split", "t_ns"]]
-        predictions.append(pd.concat([keys, found], axis=1).assign(model=name, covariance=None))
-        history.append(curve)
-        cards.append(card)
-
-    all_predictions, all_history = (pd.concat(t, ignore_index=True) for t in (predictions, history))
-    r.write("predictions", all_predictions)
-    r.write("history", all_history)
-    r.write("models", pd.DataFrame(cards))
-    with r.step("recording"), r.recording(blueprint(r.leaves, [c["model"] for c in cards])) as stream:
-        record(stream, frames, all_predictions, all_history, cache, settings.crop)
+    faults: list[PluginError] = []
+    results = [
+        result
+        for job in trained_jobs(r, models, data, frames, device, faults)
+        if (result := predicted(r, job, data, frames, focal, faults))
+    ]
+    for name, rows, origin in imported:
+        report_accuracy(r, name, frames, data, rows)
+        results.append(Result(imported_card(r, name, rows, origin), rows, pd.DataFrame()))
+    say_faults(r, faults, len(results))
+    write_results(r, frames, cache, results)
 
 
-def models_of(r: StageRun[TrainSettings]) -> list[ModelName]:
-    """The models that this run trains: of a group of scenes MS-T alone, as PN holds one scene."""
-    models = [m for m in r.settings.models if m == "MS-T" or not r.scene.is_group]
-    if not models:
+@dataclass(frozen=True)
+class Result:
+    """A regressor's model card, its predictions, and its learning curves, which are empty where it was imported."""
+
+    card: dict[str, Any]
+    predictions: pd.DataFrame
+    history: pd.DataFrame
+
+
+def models_of(r: StageRun[TrainSettings]) -> list[str]:
+    """The models that this run trains: of a group of scenes those that hold several."""
+    usable = [m for m in r.settings.models if m in REGRESSORS]
+    models = [m for m in usable if REGRESSORS[m].multi_scene or not r.scene.is_group]
+    if usable and not models and not r.settings.predictions:
+        one = " and ".join(usable)
         raise UserError(
-            f"{r.scene.name} is a group of scenes, and PN holds one scene", found=list(r.settings.models), do="add MS-T"
+            f"{r.scene.name} is a group of scenes, and {one} holds one scene",
+            found=list(r.settings.models),
+            expected=f"one of {', '.join(name for name, entry in REGRESSORS.items() if entry.multi_scene)}",
+            do="add it to [train] models",
         )
     return models
+
+
+def trained_jobs(
+    r: StageRun[TrainSettings],
+    models: list[str],
+    data: Frames,
+    frames: pd.DataFrame,
+    device: torch.device,
+    faults: list[PluginError],
+) -> list["Job"]:
+    """The models' jobs after training. A plug-in that fails is put into `faults`, and the others go on."""
+    jobs = []
+    for name in models:
+        try:
+            with REGRESSORS.guard(name):
+                jobs.append(prepare(r, name, data, frames, device))
+        except PluginError as fault:
+            faults.append(fault)
+    if not jobs:
+        return []
+    with r.step("train"):
+        tasks = [Task(train_prepared, (job, r.settings.threads), job.settings.epochs) for job in jobs]
+        title = f"training {', '.join(job.run.title for job in jobs)}"
+        ended = in_children(title, r.scratch / "log.txt", _TOO_LITTLE, tasks)
+    faults += [fault for fault in ended if fault is not None]
+    return [job for job, fault in zip(jobs, ended, strict=True) if fault is None]
+
+
+def predicted(
+    r: StageRun[TrainSettings],
+    job: "Job",
+    data: Frames,
+    frames: pd.DataFrame,
+    focal: float | None,
+    faults: list[PluginError],
+) -> Result | None:
+    """What a trained model answers to every frame; None where it fails, which is put into `faults`."""
+    name = job.run.title
+    try:
+        with REGRESSORS.guard(name):
+            card, curve, trained = finish(r, job, None if focal is None else focal * r.settings.resize)
+            with r.step(f"predict {name}"):
+                order = r.track(range(len(frames)), f"{name}: predicting")
+                answers = predict(trained.model, data, trained.scenes, trained.crop, job.run.device, order)
+    except PluginError as fault:
+        faults.append(fault)
+        return None
+    card["inference_ms"] = float(answers["inference_ms"].median())
+    keys = frames[["scene", "frame_id", "session_id", "split", "t_ns"]]
+    predictions = pd.concat([keys, answers], axis=1).assign(model=name)
+    report_accuracy(r, name, frames, data, predictions)
+    return Result(card, predictions, curve)
+
+
+def say_faults(r: StageRun[TrainSettings], faults: list[PluginError], results: int) -> None:
+    """Name each plug-in that took no part, also in the manifest; UserError where no regressor is left."""
+    broken = [
+        error for name in r.settings.models for error in REGRESSORS.problems.get(name, []) if name not in REGRESSORS
+    ]
+    for fault in (*broken, *faults):
+        r.say(f"warning: {fault}")
+        r.figure(f"left out: {fault.what}", f"{fault.details['where']}: {fault.reason}")
+    if not results:
+        raise (*broken, *faults)[0]
+
+
+def write_results(r: StageRun[TrainSettings], frames: pd.DataFrame, cache: ImageCache, results: list[Result]) -> None:
+    predictions = pd.concat([result.predictions for result in results], ignore_index=True)
+    curves = [result.history for result in results if len(result.history)]
+    columns = schema("train", "history").column_names
+    history = pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(columns=columns)
+    r.write("predictions", predictions[schema("train", "predictions").column_names])
+    r.write("history", history.reindex(columns=columns))
+    r.write("models", pd.DataFrame([result.card for result in results]))
+    names = [result.card["model"] for result in results]
+    trained = [result.card["model"] for result in results if len(result.history)]
+    more = cycle(recording.MORE_COLOURS)
+    shades = {name: REGRESSORS[name].colour if name in REGRESSORS else next(more) for name in names}
+    with r.step("recording"), r.recording(blueprint(r.leaves, names, trained)) as stream:
+        record(stream, frames, predictions, history, cache, r.settings.crop, shades)
 
 
 @dataclass(frozen=True)
@@ -98,35 +188,41 @@ class Job:
 
     def model(self) -> PoseRegressor:
         """The model with its first weights."""
-        model = build(self.settings, len(self.scenes), self.outdoor)
+        model = REGRESSORS.find(self.run.title).make(self.settings, len(self.scenes), self.outdoor)
         model.load_state_dict(torch.load(self.run.folder / _FIRST)["state"])
         return model
 
 
-def prepare(
-    r: StageRun[TrainSettings], name: ModelName, data: Frames, frames: pd.DataFrame, device: torch.device
-) -> Job:
+def prepare(r: StageRun[TrainSettings], name: str, data: Frames, frames: pd.DataFrame, device: torch.device) -> Job:
     """Fill and keep a model's first weights; a resumed run finds them, and where they came from, as they were."""
-    settings = settings_of(name, r.settings)
+    settings, regressor = r.settings.regressors[name], REGRESSORS.find(name)
     training, held_out = (data.select(rows_with_truth(frames, split)) for split in ("train", "val"))
     folder, outdoor = r.scratch / name, r.scene.environment == "outdoor"
     if not (folder / _FIRST).exists():
         torch.manual_seed(r.seed)
-        model = build(settings, len(r.leaves), outdoor)
-        origin = load_first_weights(model, settings.weights, r.data.root / "weights")
-        model.frames.fit(training.poses(torch.device("cpu")), settings.normalise_position, settings.centre_rotation)
+        model = regressor.make(settings, len(r.leaves), outdoor)
+        check_regressor(model, len(r.leaves), r.settings.crop, regressor.gives_covariance)
+        origin = model.initialise(training.poses(torch.device("cpu")), settings, r.data.root / "weights")
         save(folder / _FIRST, {"origin": origin, "state": model.state_dict()})
     origin = torch.load(folder / _FIRST)["origin"]
-    r.say(f"{name}: backbone starts from {origin}")
+    r.say(f"{name}: first weights: {origin}")
     mixed_precision = choose_precision(settings.mixed_precision, device)
     run = Run(name, device, mixed_precision, r.settings.crop, r.seed, folder, r.settings.checkpoint_s)
     return Job(settings, r.leaves, outdoor, training, held_out, run, origin)
 
 
-def train_prepared(report: Report, job: Job, threads: int) -> None:
-    """`train` in a process of its own: two models on a thread each are done sooner than one after the other on two."""
+def train_prepared(report: Report, job: Job, threads: int) -> PluginError | None:
+    """`train` in a process of its own: two models on a thread each are done sooner than one after the other on two.
+
+    Returns what a plug-in did wrong, so that the models beside it train on.
+    """
     torch.set_num_threads(threads)
-    train(report, job.model(), job.training, job.held_out, job.settings, job.run)
+    try:
+        with REGRESSORS.guard(job.run.title):
+            train(report, job.model(), job.training, job.held_out, job.settings, job.run)
+    except PluginError as fault:
+        return fault
+    return None
 
 
 def finish(
@@ -143,6 +239,7 @@ def finish(
     curve.insert(1, "scenes", pd.Series([r.leaves] * len(curve)))
     card: dict[str, Any] = {
         "model": name,
+        "label": REGRESSORS[name].label,
         "scenes": r.leaves,
         "file": f"weights/{name}.pt",
         "parameters": model.parameter_count(),
@@ -190,13 +287,17 @@ def report_mean_pose(r: StageRun[TrainSettings], frames: pd.DataFrame, data: Fra
 
 
 def report_accuracy(
-    r: StageRun[TrainSettings], name: str, frames: pd.DataFrame, data: Frames, found: pd.DataFrame
+    r: StageRun[TrainSettings], name: str, frames: pd.DataFrame, data: Frames, predictions: pd.DataFrame
 ) -> None:
-    """Keep, as figures, the model's errors on each scene's test frames, and say them."""
-    position = found[[f"map_cam_t{a}" for a in "xyz"]].to_numpy()
-    quaternion = found[[f"map_cam_q{a}" for a in "xyzw"]].to_numpy()
+    """Keep, as figures, the model's errors on each scene's test frames that it answers, and say them."""
+    keys = ["scene", "frame_id"]
+    found = frames[keys].merge(predictions, on=keys, how="left")
+    position = found[[f"map_cam_t{a}" for a in "xyz"]].to_numpy(float)
+    quaternion = found[[f"map_cam_q{a}" for a in "xyzw"]].to_numpy(float)
+    answered = np.flatnonzero(np.isfinite(position).all(axis=1))
     for scene in r.leaves:
         rows = np.intersect1d(rows_with_truth(frames, "test"), np.flatnonzero(frames["scene"] == scene))
+        rows = np.intersect1d(rows, answered)
         if len(rows):
             keep_figures(r, f"{name} {scene}", *errors(position[rows], quaternion[rows], data.select(rows)))
             unsure = int((~sure_enough(frames["quality"].iloc[rows])).sum())
@@ -240,10 +341,11 @@ def describe(run: Run) -> str:
 
 STAGE = Stage(
     name="train",
-    version=4,
+    version=5,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,
-    help="Train the absolute pose regressors PN and MS-T, and predict the pose of every frame. A group of scenes "
-    "shares one MS-T.",
+    help="Train absolute pose regressors, and predict the pose of every frame. A group of scenes shares one network.",
+    files=lambda settings: settings.predictions,
+    plugins=lambda settings: REGRESSORS.versions(settings.models),
 )

@@ -13,37 +13,36 @@ import torch
 from torch import Tensor, nn
 
 from groundwalk.artefacts import UserError
-from groundwalk.training.models.regressor import PoseRegressor
 
 _ANSWER_WITHIN_S = 5.0
-_CLASSIFIERS = ("fc.",)  # part of ImageNet's ResNet-34, not of PN's
+_CLASSIFIERS = ("fc.",)  # part of ImageNet's ResNet-34, not of a backbone without classes
 
 
-def load_first_weights(model: PoseRegressor, weights: str, downloads: Path) -> str:
-    """Fill the model's backbone as the setting `weights` says; returns where they come from, for the model card.
+def load_first_weights(backbone: nn.Module, url: str, weights: str, downloads: Path) -> str:
+    """Fill a backbone as the setting `weights` says; returns where they come from, for the model card.
 
-    "imagenet" downloads torchvision's into `downloads` once, or takes them from there; "scratch" leaves the random
-    ones; "auto" is "imagenet" where it can be had and else "scratch", with the reason in the returned text; anything
-    else names a file. UserError where what is asked for can't be had.
+    "imagenet" downloads torchvision's from `url` into `downloads` once, or takes them from there; "scratch" leaves the
+    random ones; "auto" is "imagenet" where it can be had and else "scratch", with the reason in the returned text;
+    anything else names a file. UserError where what is asked for can't be had.
     """
     if weights == "scratch":
         return "scratch"
     if weights not in ("imagenet", "auto"):
-        return f"file {Path(weights).name}, sha256 {_load_file(model.backbone, Path(weights))}"
-    path = downloads / model.backbone_url.rsplit("/", 1)[1]
+        return f"file {Path(weights).name}, sha256 {_load_file(backbone, Path(weights))}"
+    path = downloads / url.rsplit("/", 1)[1]
     if not path.exists():
         try:
-            _download(model.backbone_url, path)
+            _download(url, path)
         except OSError as error:
             if weights == "auto":
                 return f"scratch (ImageNet weights could not be fetched: {error})"
             raise UserError(
                 "ImageNet weights can't be fetched",
-                where=model.backbone_url,
+                where=url,
                 found=error,
                 do=f"fetch the file elsewhere and put it at {path}, or set weights to its path, or to scratch",
             ) from None
-    return f"ImageNet, {path.name}, sha256 {_load_file(model.backbone, path)}"
+    return f"ImageNet, {path.name}, sha256 {_load_file(backbone, path)}"
 
 
 def _download(url: str, path: Path) -> None:

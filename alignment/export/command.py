@@ -1,21 +1,15 @@
 """`python -m groundwalk.alignment export`: ground truth in the layout of another tool or data set."""
 
 import json
-from collections.abc import Callable
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import pandas as pd
 import typer
 
-from groundwalk.alignment.export.cambridge import write_cambridge
-from groundwalk.alignment.export.colmap import write_colmap
 from groundwalk.alignment.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number
-from groundwalk.alignment.export.nerfstudio import DISTORTION, write_nerfstudio
-from groundwalk.alignment.export.seven_scenes import write_seven_scenes
-from groundwalk.alignment.export.tum import write_tum
+from groundwalk.alignment.export.exporters import EXPORTERS, written
 from groundwalk.artefacts import DataRoot, UserError, progress
 from groundwalk.artefacts.cli import DataOption, ProfileOption
 from groundwalk.artefacts.files import fresh_folder, write_json
@@ -24,28 +18,12 @@ from groundwalk.artefacts.tables import CAMERA_COLUMNS
 _NOTE = "export.json"
 _FRAMES = "frames.csv"
 
-WRITERS: dict[str, Callable[[Dataset, Path, Images], list[str]]] = {
-    "colmap": write_colmap,
-    "colmap-text": partial(write_colmap, text=True),
-    "tum": write_tum,
-    "nerfstudio": write_nerfstudio,
-    "7scenes": write_seven_scenes,
-    "cambridge": write_cambridge,
-}
-# How many coefficients of a lens's distortion a format's cameras hold; any number where it isn't here. Images with more
-# are written without distortion.
-COEFFICIENTS = {"nerfstudio": len(DISTORTION), "7scenes": 0, "cambridge": 0}
 
-
-class FormatOption(StrEnum):
-    """The names of WRITERS."""
-
-    colmap = "colmap"
-    colmap_text = "colmap-text"
-    tum = "tum"
-    nerfstudio = "nerfstudio"
-    seven_scenes = "7scenes"
-    cambridge = "cambridge"
+def _known(name: str) -> str:
+    """The id of an exporter; as a wrong choice among options where there is none."""
+    if name not in EXPORTERS and name not in EXPORTERS.problems:
+        raise typer.BadParameter(f"{name!r} is not one of {', '.join(EXPORTERS)}")
+    return EXPORTERS.known(name)
 
 
 class ImagesOption(StrEnum):
@@ -58,7 +36,10 @@ class ImagesOption(StrEnum):
 
 def export(
     scene: Annotated[str, typer.Option(help="A scene whose ground truth is there.")],
-    format_: Annotated[FormatOption, typer.Option("--format", help="The layout to write.")],
+    name: Annotated[
+        str,
+        typer.Option("--format", callback=_known, metavar="FORMAT", help="The layout to write: colmap, tum, ..."),
+    ],
     out: Annotated[Path, typer.Option(help="The folder to make.")],
     images: Annotated[
         ImagesOption,
@@ -76,7 +57,6 @@ def export(
     Frames without ground truth are left out; `frames.csv` lists every frame with its split, quality, image and camera;
     `export.json` says what the export is.
     """
-    name = format_.value
     dataset = load_dataset(DataRoot(data), profile, scene)
     about = {"scene": scene, "profile": profile, "format": name}
     undistorted = write_export(dataset, name, out, images.value, about, force=force)
@@ -105,12 +85,13 @@ def write_export(
     """
     out = out.absolute()
     _refuse_to_overwrite(out, force)
-    if format_name in COEFFICIENTS:
-        dataset = dataset.without_distortion(COEFFICIENTS[format_name])
+    coefficients = EXPORTERS.find(format_name).distortion_coefficients
+    if coefficients is not None:
+        dataset = dataset.without_distortion(coefficients)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with fresh_folder(out) as folder:
-            placed = WRITERS[format_name](dataset, folder, images)
+            placed = written(format_name, dataset, folder, images)
             listed = _listed(dataset, placed)
             listed.to_csv(folder / _FRAMES, index=False)
             write_json(

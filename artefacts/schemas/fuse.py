@@ -2,7 +2,7 @@
 
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
-_METHOD = Column("method", "string", "fusion method's id: apr (the raw regressor), mobilearloc, ...")
+_METHOD = Column("method", "string", "fusion method's id, as in fuse.methods")
 _OPTIONS = Column("options", "string", "the method's options, JSON")
 _MODEL = Column("model", "string", "the regressor whose predictions went in, as in train.predictions")
 _SCENE = Column("scene", "string", "scene of the frame; in a group of scenes its member")
@@ -122,7 +122,7 @@ TABLES = [
                 "rp, opt, rp+opt (by `status`, the paper's); all (poses in time, no pose is a failure); common (frames "
                 "that every causal method answered in time with this model)",
             ),
-            Column("scored", "string", "whose poses: method, or apr for the predictions of the same frames"),
+            Column("scored", "string", "whose poses: method, or apr: the regressor's own, of the same frames"),
             *_SUMMARY_FIGURES,
         ],
         version="1.1",
@@ -220,8 +220,11 @@ TABLES = [
         [
             _METHOD,
             _OPTIONS,
+            Column("label", "string", "the method as tables print it, behind the model's and a +"),
+            Column("fuses", "bool", "uses odometry; false: the raw regressor"),
             Column("causal", "bool", "answers each frame from it and earlier ones; false: offline, sees whole walks"),
             Column("meaning", "string", "the method in a few words"),
         ],
+        version="2.0",
     ),
 ]

@@ -2,14 +2,15 @@
 
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
-_MODEL = Column("model", "string", "PN or MS-T")
+_MODEL = Column("model", "string", "the regressor's id")
 _SCENES = Column("scenes", "list<string>", "the scenes that the model was trained on, in the order of its queries")
 
 TABLES = [
     TableSchema(
         "train",
         "predictions",
-        "One row a model and frame: the pose estimated from the frame's image alone, for every frame of every split.",
+        "One row a model and frame: the pose estimated from the frame's image alone. A regressor that is trained here "
+        "has one for every frame of every split, an imported one those that its file has.",
         [
             _MODEL,
             Column("scene", "string", "the scene that the frame is of"),
@@ -21,16 +22,23 @@ TABLES = [
             Column(
                 "covariance",
                 "list<float64>",
-                "6x6 as in align.ground_truth; null: these models give none",
+                "6x6, row-major, of map_cam's error: rotation then translation; null where the regressor gives none",
                 "rad, m",
                 "map",
                 True,
             ),
             Column(
-                "picked_scene", "string", "the scene that the model took the image for; MS-T of several scenes can err"
+                "picked_scene", "string", "the scene that the model took the image for; one of several scenes can err"
             ),
-            Column("inference_ms", "float64", "one image through the network, crop to pose, batch of 1, float32", "ms"),
+            Column(
+                "inference_ms",
+                "float64",
+                "one image through the network, crop to pose, batch of 1, float32; null where a file doesn't say",
+                "ms",
+                nullable=True,
+            ),
         ],
+        version="1.1",
     ),
     TableSchema(
         "train",
@@ -44,28 +52,38 @@ TABLES = [
             Column("train_loss", "float64", "mean over the epoch's steps; comparable within a model only"),
             Column("val_position_m", "float64", "median position error on held-out frames", "m"),
             Column("val_rotation_deg", "float64", "median rotation error on held-out frames", "deg"),
-            Column("sx", "float64", "learned log-variance of the position loss"),
-            Column("sq", "float64", "learned log-variance of the rotation loss"),
+            Column("sx", "float64", "learned log-variance of the position loss; null: there is none", nullable=True),
+            Column("sq", "float64", "learned log-variance of the rotation loss; null: there is none", nullable=True),
             Column("seconds", "float64", "wall time of the epoch", "s"),
             Column("kept", "bool", "the epoch whose weights were kept: least held-out score (docs/training.md)"),
         ],
+        version="1.1",
     ),
     TableSchema(
         "train",
         "models",
-        "Model cards: one row a model.",
+        "Model cards: one row a model. What only training knows is null for imported predictions.",
         [
             _MODEL,
+            Column("label", "string", "the model as tables and pages print it; null: its id", nullable=True),
             _SCENES,
-            Column("file", "string", "the weights, relative to the artefact"),
-            Column("parameters", "int64", "numbers that training can change"),
-            Column("bytes", "int64", "float32 weights: parameters and the batch norms' running statistics", "byte"),
+            Column("file", "string", "the weights, relative to the artefact; empty for imported predictions"),
+            Column("parameters", "int64", "numbers that training can change", nullable=True),
+            Column(
+                "bytes",
+                "int64",
+                "float32 weights: parameters and the batch norms' running statistics",
+                "byte",
+                nullable=True,
+            ),
             Column("layers", "string", "sizes that the settings choose, in words; empty where there are none"),
             Column(
-                "weights", "string", "where the backbone's first weights came from: ImageNet, a file, scratch, and why"
+                "weights",
+                "string",
+                "where the first weights came from: ImageNet, a file, scratch, and why; or the file of predictions",
             ),
-            Column("resize_px", "int64", "shorter side of the images before cropping", "px"),
-            Column("crop_px", "int64", "side of the square that the network sees", "px"),
+            Column("resize_px", "int64", "shorter side of the images before cropping", "px", nullable=True),
+            Column("crop_px", "int64", "side of the square that the network sees", "px", nullable=True),
             Column(
                 "focal_px",
                 "float64",
@@ -74,17 +92,17 @@ TABLES = [
                 "px",
                 nullable=True,
             ),
-            Column("train_frames", "int64", "frames trained on"),
-            Column("val_frames", "int64", "frames held out to choose the epoch"),
-            Column("epochs", "int64", "epochs trained"),
-            Column("best_epoch", "int64", "the epoch whose weights were kept"),
+            Column("train_frames", "int64", "frames trained on", nullable=True),
+            Column("val_frames", "int64", "frames held out to choose the epoch", nullable=True),
+            Column("epochs", "int64", "epochs trained", nullable=True),
+            Column("best_epoch", "int64", "the epoch whose weights were kept", nullable=True),
             Column("seed", "int64", "seed of everything random"),
             Column("config", "string", "settings of this model, JSON"),
             Column("reduced", "string", "what the profile makes smaller than in the paper; empty: nothing"),
             Column("device", "string", "where it was trained and timed, and in which precision it was trained"),
-            Column("inference_ms", "float64", "median of predictions.inference_ms", "ms"),
-            Column("train_seconds", "float64", "wall time of training", "s"),
+            Column("inference_ms", "float64", "median of predictions.inference_ms", "ms", nullable=True),
+            Column("train_seconds", "float64", "wall time of training", "s", nullable=True),
         ],
-        version="1.1",
+        version="1.2",
     ),
 ]

@@ -1,56 +1,32 @@
-"""One module a capture format. Each has ``FORMAT``: what it is called, how it's recognised, how it's read.
+"""The capture formats: what a record of one says, and those that there are. Each module beside this one has one."""
 
-To add a format, write a module beside these and name it in `_MODULES`; CONTRIBUTING has the steps.
-"""
-
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
-from importlib import import_module
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
+from groundwalk.artefacts.registry import Entry, Registry, callable_faults
 from groundwalk.capture_import.capture import Limits, RawSession
 
-_MODULES = (
-    "scanner_app",
-    "stray_scanner",
-    "record3d",
-    "polycam",
-    "nerf_capture",
-    "scan_capture",
-    "ios_logger",
-    "spectacular_ai",
-    "frames_jsonl",
-    "arkit_logger",
-    "arcore_logger",
-    "invisible_map",
-    "arkit_scenes",
-    "seven_scenes",
-    "cambridge",
-    "colmap",
-    "nerfstudio",
-)
 
-
-@dataclass(frozen=True)
-class Format:
-    """A capture format.
+@dataclass(frozen=True, kw_only=True)
+class Format(Entry):
+    """A capture format; `meaning` says what it gives: images, video, VIO, reference poses, depth.
 
     `detect` says, from names alone or the first bytes of a file, whether a folder or file is one recording in this
-    format. `read` gets that folder or file, the session's id and the limits; it raises UserError where the recording
-    as a whole can't be read.
+    format; `looks_for` says the same in words. `read` gets that folder or file, the session's id and the limits; it
+    raises UserError where the recording as a whole can't be read.
     """
 
-    name: str
-    title: str
-    gives: str
+    noun: ClassVar[str] = "capture format"
+
     looks_for: str
-    documentation: str
-    detect: Callable[[Path], bool]
-    read: Callable[[Path, str, Limits], RawSession]
+    detect: Callable[[Path], bool] = field(repr=False)
+    read: Callable[[Path, str, Limits], RawSession] = field(repr=False)
+
+    def faults(self) -> Iterable[str]:
+        yield from super().faults()
+        yield from callable_faults(self, ["detect", "read"])
 
 
-@cache
-def formats() -> tuple[Format, ...]:
-    """All formats, in the order in which they are listed."""
-    return tuple(import_module(f"groundwalk.capture_import.formats.{module}").FORMAT for module in _MODULES)
+FORMATS = Registry("groundwalk.formats", Format)

@@ -42,7 +42,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     if tagged := len(lines) - len(rows):
         notes.append(f"{tagged} rows only add a tag to the pose before them: not read")
     device = "Android, ARCore Data Logger"
-    return RawSession(session_id, FORMAT.name, device, "boot", path.parent, frames, rejects, notes=notes)
+    return RawSession(session_id, FORMAT.id, device, "boot", path.parent, frames, rejects, notes=notes)
 
 
 def _without_tags(lines: Iterable[tuple[str, str]]) -> Iterator[tuple[str, tuple[int, str]]]:
@@ -65,11 +65,10 @@ def _read_row(source: str, row: tuple[int, str]) -> RawFrame:
 
 
 FORMAT = Format(
-    name="arcore_logger",
-    title="ARCore Data Logger",
-    gives="VIO only",
+    id="arcore_logger",
+    label="ARCore Data Logger",
+    meaning="VIO only",
     looks_for="ARCore_sensor_pose*.txt",
-    documentation="https://github.com/PyojinKim/ARCore-Data-Logger",
     detect=detect,
     read=read,
 )

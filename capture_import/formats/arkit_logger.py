@@ -30,7 +30,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     rows = [(source, (i, line)) for i, (source, line) in enumerate(lines_of(path, limits))]
     frames, rejects = collect(rows, session_id, _read_row)
     refuse_unreadable(path, frames, rejects, "time and 12 numbers a row")
-    return RawSession(session_id, FORMAT.name, "iOS, ARKit Data Logger", "boot", path.parent, frames, rejects)
+    return RawSession(session_id, FORMAT.id, "iOS, ARKit Data Logger", "boot", path.parent, frames, rejects)
 
 
 def _read_row(source: str, row: tuple[int, str]) -> RawFrame:
@@ -43,11 +43,10 @@ def _read_row(source: str, row: tuple[int, str]) -> RawFrame:
 
 
 FORMAT = Format(
-    name="arkit_logger",
-    title="ARKit Data Logger",
-    gives="VIO only",
+    id="arkit_logger",
+    label="ARKit Data Logger",
+    meaning="VIO only",
     looks_for="ARKit_camera_pose*.txt",
-    documentation="https://github.com/PyojinKim/ARKit-Data-Logger",
     detect=detect,
     read=read,
 )

@@ -1,6 +1,6 @@
 """ARKitScenes, raw part: `lowres_wide.traj` with images and intrinsics a frame.
 
-Documented at https://github.com/apple/ARKitScenes (DATA.md). What matters:
+Documented at https://github.com/apple/ARKitScenes/blob/main/DATA.md. What matters:
 
 - names are `<video>_<seconds>.png` and `.pincam`; times are seconds since the device was started;
 - `lowres_wide.traj`, 10 rows a second: time, axis-angle rotation in radians and translation of the world-to-camera
@@ -51,7 +51,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     images, more = collect(rows, session_id, _read_image)
     return RawSession(
         session_id,
-        FORMAT.name,
+        FORMAT.id,
         "iPad Pro, ARKitScenes",
         "boot",
         path,
@@ -87,11 +87,10 @@ def _read_image(source: str, files: tuple[Path, Path]) -> RawFrame:
 
 
 FORMAT = Format(
-    name="arkit_scenes",
-    title="ARKitScenes raw",
-    gives="images, reference poses, depth",
+    id="arkit_scenes",
+    label="ARKitScenes raw",
+    meaning="images, reference poses, depth",
     looks_for="lowres_wide.traj with wide/, vga_wide/ or lowres_wide/",
-    documentation="https://github.com/apple/ARKitScenes/blob/main/DATA.md",
     detect=detect,
     read=read,
 )

@@ -88,7 +88,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     refuse_unreadable(path, frames, rejects, "seq/frame00001.png X Y Z W P Q R, and reconstruction.nvm")
     return RawSession(
         session_id,
-        FORMAT.name,
+        FORMAT.id,
         "Cambridge Landmarks",
         "frame_index",
         path,
@@ -155,11 +155,10 @@ def _size(image: Path) -> tuple[int, int]:
 
 
 FORMAT = Format(
-    name="cambridge",
-    title="Cambridge Landmarks",
-    gives="images, reference poses",
+    id="cambridge",
+    label="Cambridge Landmarks",
+    meaning="images, reference poses",
     looks_for="a folder of images beside dataset_train.txt and reconstruction.nvm",
-    documentation="https://www.repository.cam.ac.uk/handle/1810/251342",
     detect=detect,
     read=read,
 )

@@ -140,7 +140,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         notes.append(f"{len(others)} more models in sparse/ have worlds of their own: not read")
     return RawSession(
         session_id,
-        FORMAT.name,
+        FORMAT.id,
         "unknown",
         "frame_index",
         path,
@@ -264,11 +264,10 @@ def _intrinsics(camera: _Camera) -> Intrinsics:
 
 
 FORMAT = Format(
-    name="colmap",
-    title="COLMAP model",
-    gives="images, reference poses",
+    id="colmap",
+    label="COLMAP model",
+    meaning="images, reference poses",
     looks_for="cameras and images (.bin or .txt) in sparse/0/, beside images/",
-    documentation="https://colmap.github.io/format.html",
     detect=detect,
     read=read,
 )

@@ -74,7 +74,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     rows = [(source, (i, line)) for i, (source, line) in enumerate(lines[1:])]
     frames, rejects = collect(rows, session_id, read_row)
     refuse_unreadable(path, frames, rejects, "rows with t_ns, vio_T_cam, image and intrinsics")
-    return RawSession(session_id, FORMAT.name, header["device"], header["clock"], path, frames, rejects)
+    return RawSession(session_id, FORMAT.id, header["device"], header["clock"], path, frames, rejects)
 
 
 def _header(path: Path, line: str) -> dict[str, Any]:
@@ -114,11 +114,10 @@ def _intrinsics(row: dict[str, Any]) -> Intrinsics:
 
 
 FORMAT = Format(
-    name="frames_jsonl",
-    title="frames.jsonl (our own)",
-    gives="images, VIO, depth",
+    id="frames_jsonl",
+    label="frames.jsonl (our own)",
+    meaning="images, VIO, depth",
     looks_for="frames.jsonl",
-    documentation="docs/captures.md",
     detect=detect,
     read=read,
 )

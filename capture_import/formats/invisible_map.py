@@ -41,7 +41,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         raise UserError("pose_data is no list", where=path, expected="objects with timestamp and pose")
     frames, rejects = collect([(f"pose {i}", (i, row)) for i, row in enumerate(rows)], session_id, _read_row)
     refuse_unreadable(path, frames, rejects, "timestamp and 16 numbers of pose")
-    return RawSession(session_id, FORMAT.name, "iOS", "boot", path.parent, frames, rejects)
+    return RawSession(session_id, FORMAT.id, "iOS", "boot", path.parent, frames, rejects)
 
 
 def _read_row(source: str, row: tuple[int, Any]) -> RawFrame:
@@ -53,11 +53,10 @@ def _read_row(source: str, row: tuple[int, Any]) -> RawFrame:
 
 
 FORMAT = Format(
-    name="invisible_map",
-    title="Invisible Map walk",
-    gives="VIO only",
+    id="invisible_map",
+    label="Invisible Map walk",
+    meaning="VIO only",
     looks_for="a JSON file with pose_data",
-    documentation="https://github.com/occamLab/invisible-map-generation",
     detect=detect,
     read=read,
 )

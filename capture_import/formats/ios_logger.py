@@ -58,7 +58,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     indexed = [(source, (i, line)) for i, (source, line) in enumerate(rows)]
     images, more = collect(indexed, session_id, read_image)
     return RawSession(
-        session_id, FORMAT.name, "iOS, ios_logger", "unix", path, join_by_time(poses, images), [*rejects, *more]
+        session_id, FORMAT.id, "iOS, ios_logger", "unix", path, join_by_time(poses, images), [*rejects, *more]
     )
 
 
@@ -72,11 +72,10 @@ def _read_pose(source: str, line: str) -> RawFrame:
 
 
 FORMAT = Format(
-    name="ios_logger",
-    title="ios_logger",
-    gives="video, VIO",
+    id="ios_logger",
+    label="ios_logger",
+    meaning="video, VIO",
     looks_for="ARposes.txt, Frames.txt and Frames.m4v",
-    documentation="https://github.com/Varvrar/ios_logger",
     detect=detect,
     read=read,
 )

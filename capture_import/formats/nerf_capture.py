@@ -74,15 +74,14 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
 
     frames, rejects = collect([(f"frame {i}", row) for i, row in enumerate(rows)], session_id, read_row)
     refuse_unreadable(path, frames, rejects, "timestamp, transform_matrix, fl_x, fl_y, cx, cy, w, h, file_path")
-    return RawSession(session_id, FORMAT.name, "iOS, NeRFCapture", "boot", path, join_by_time([], frames), rejects)
+    return RawSession(session_id, FORMAT.id, "iOS, NeRFCapture", "boot", path, join_by_time([], frames), rejects)
 
 
 FORMAT = Format(
-    name="nerf_capture",
-    title="NeRFCapture",
-    gives="images, VIO",
+    id="nerf_capture",
+    label="NeRFCapture",
+    meaning="images, VIO",
     looks_for="transforms.json with times, and images/",
-    documentation="https://github.com/jc211/NeRFCapture",
     detect=detect,
     read=read,
 )

@@ -90,7 +90,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     ours = is_metric_export(data_set)
     return RawSession(
         session_id,
-        FORMAT.name,
+        FORMAT.id,
         "unknown",
         "frame_index",
         path,
@@ -152,11 +152,10 @@ def _intrinsics(row: dict[str, Any]) -> Intrinsics:
 
 
 FORMAT = Format(
-    name="nerfstudio",
-    title="nerfstudio transforms.json",
-    gives="images, reference poses",
+    id="nerfstudio",
+    label="nerfstudio transforms.json",
+    meaning="images, reference poses",
     looks_for="transforms.json without times",
-    documentation="https://docs.nerf.studio/quickstart/data_conventions.html",
     detect=detect,
     read=read,
 )

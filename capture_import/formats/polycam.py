@@ -45,7 +45,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     known = {file.stem for file in files}
     orphans = sorted(p.name for p in images.glob("*.jpg") if p.stem not in known)
     rejects += [Reject(session_id, f"images/{name}", None, "image has no camera file") for name in orphans]
-    return RawSession(session_id, FORMAT.name, "iOS, Polycam", "boot", path, frames, rejects)
+    return RawSession(session_id, FORMAT.id, "iOS, Polycam", "boot", path, frames, rejects)
 
 
 def _read_row(source: str, row: tuple[int, Path, Path]) -> RawFrame:
@@ -72,11 +72,10 @@ def _read_row(source: str, row: tuple[int, Path, Path]) -> RawFrame:
 
 
 FORMAT = Format(
-    name="polycam",
-    title="Polycam raw",
-    gives="images, VIO, depth",
+    id="polycam",
+    label="Polycam raw",
+    meaning="images, VIO, depth",
     looks_for="keyframes/cameras and keyframes/images",
-    documentation="https://github.com/PolyCam/polyform",
     detect=detect,
     read=read,
 )

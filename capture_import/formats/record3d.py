@@ -67,7 +67,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     if len(found) != len(poses):
         notes.append(f"{len(found)} images and {len(poses)} poses: joined by number")
     clock: Clock = "video" if isinstance(times, list) else "frame_index"
-    return RawSession(session_id, FORMAT.name, "iOS, Record3D", clock, path, frames, rejects, notes=notes)
+    return RawSession(session_id, FORMAT.id, "iOS, Record3D", clock, path, frames, rejects, notes=notes)
 
 
 def _metadata(path: Path) -> Path | None:
@@ -99,11 +99,10 @@ def _intrinsics(content: dict[str, Any], coefficients: object, index: int) -> In
 
 
 FORMAT = Format(
-    name="record3d",
-    title="Record3D",
-    gives="images, VIO",
+    id="record3d",
+    label="Record3D",
+    meaning="images, VIO",
     looks_for="name.r3d, or metadata with rgbd/ or rgb/",
-    documentation="https://github.com/marek-simonik/record3d",
     detect=detect,
     read=read,
 )

@@ -55,7 +55,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         )
         for i, t in enumerate(_on_clock(frame_times(video, limits), times))
     ]
-    return RawSession(session_id, FORMAT.name, "iOS, ScanCapture", "boot", path, join_by_time(frames, images), rejects)
+    return RawSession(session_id, FORMAT.id, "iOS, ScanCapture", "boot", path, join_by_time(frames, images), rejects)
 
 
 def _read_row(source: str, line: str) -> RawFrame:
@@ -98,11 +98,10 @@ def _on_clock(video_ns: NDArray[np.int64], pose_ns: NDArray[np.int64]) -> NDArra
 
 
 FORMAT = Format(
-    name="scan_capture",
-    title="ScanCapture (LaMAR)",
-    gives="video, VIO",
+    id="scan_capture",
+    label="ScanCapture (LaMAR)",
+    meaning="video, VIO",
     looks_for="poses.txt and images.mp4",
-    documentation="https://github.com/microsoft/lamar-benchmark/tree/main/apps/ScanCapture_iOS",
     detect=detect,
     read=read,
 )

@@ -52,7 +52,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     rejects += [Reject(session_id, p.name, None, "image has no JSON file") for p in orphans]
     return RawSession(
         session_id=session_id,
-        format=FORMAT.name,
+        format=FORMAT.id,
         device=_device(path),
         clock="boot",
         folder=path,
@@ -101,11 +101,10 @@ def _device(path: Path) -> str:
 
 
 FORMAT = Format(
-    name="3d_scanner_app",
-    title="3D Scanner App",
-    gives="images, VIO, depth",
+    id="3d_scanner_app",
+    label="3D Scanner App",
+    meaning="images, VIO, depth",
     looks_for="frame_XXXXX.json with frame_XXXXX.jpg for some of them",
-    documentation="https://3dscannerapp.com",
     detect=detect,
     read=read,
 )

@@ -46,7 +46,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     nominal = any(frame.intrinsics is _CAMERA for frame in frames)
     return RawSession(
         session_id,
-        FORMAT.name,
+        FORMAT.id,
         "Kinect",
         "frame_index",
         path,
@@ -101,11 +101,10 @@ def _split(path: Path) -> Literal["train", "test"] | None:
 
 
 FORMAT = Format(
-    name="seven_scenes",
-    title="7-Scenes",
-    gives="images, reference poses",
+    id="seven_scenes",
+    label="7-Scenes",
+    meaning="images, reference poses",
     looks_for="frame-000000.color.png and frame-000000.pose.txt",
-    documentation="https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes",
     detect=detect,
     read=read,
 )

@@ -79,7 +79,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         rejects += more
     return RawSession(
         session_id,
-        FORMAT.name,
+        FORMAT.id,
         "Spectacular AI",
         "boot",
         path,
@@ -130,11 +130,10 @@ def _read_images(path: Path, session_id: str, limits: Limits) -> tuple[list[RawF
 
 
 FORMAT = Format(
-    name="spectacular_ai",
-    title="Spectacular AI",
-    gives="video, VIO",
+    id="spectacular_ai",
+    label="Spectacular AI",
+    meaning="video, VIO",
     looks_for="output.jsonl, with data.jsonl, data.mp4 and calibration.json for images",
-    documentation="https://spectacularai.github.io/docs/sdk",
     detect=detect,
     read=read,
 )

@@ -72,7 +72,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     notes = [] if per_frame else ["one camera matrix, the last frame's, stands for all frames"]
     if note := _check_join(frames, len(rows), frame_times(video, limits), path):
         notes.append(note)
-    return RawSession(session_id, FORMAT.name, "iOS, Stray Scanner", "boot", path, frames, rejects, notes=notes)
+    return RawSession(session_id, FORMAT.id, "iOS, Stray Scanner", "boot", path, frames, rejects, notes=notes)
 
 
 def _camera_matrix(path: Path) -> Intrinsics:
@@ -106,11 +106,10 @@ def _check_join(frames: list[RawFrame], rows: int, video_ns: np.ndarray, path: P
 
 
 FORMAT = Format(
-    name="stray_scanner",
-    title="Stray Scanner",
-    gives="video, VIO, depth",
+    id="stray_scanner",
+    label="Stray Scanner",
+    meaning="video, VIO, depth",
     looks_for="odometry.csv and rgb.mp4",
-    documentation="https://github.com/StrayRobots/scanner/blob/main/docs/format.md",
     detect=detect,
     read=read,
 )

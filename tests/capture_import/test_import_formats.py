@@ -22,7 +22,7 @@ from capture_writers import (
 from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.discovery import Found, find_recordings
-from groundwalk.capture_import.formats import formats
+from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.images import decode_rgb
 from groundwalk.capture_import.intake import Intake, scan_all, take_in
 from groundwalk.capture_import.settings import ImportSettings
@@ -43,14 +43,14 @@ def take(root: Path) -> Intake:
 
 
 def test_every_format_has_a_writer() -> None:
-    assert {f.name for f in formats()} == WRITERS.keys()
+    assert set(FORMATS.builtin) == WRITERS.keys()
 
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_written_walk_reads_back_the_same(tmp_path: Path, name: str) -> None:
     walk, writer = make_walk(24), WRITERS[name]
     writer.write(tmp_path / "place" / "walk", walk)
-    assert find_one(tmp_path / "place").format.name == name
+    assert find_one(tmp_path / "place").format.id == name
     intake = take(tmp_path / "place")
     (session,) = intake.sessions
     assert not intake.rejects
@@ -135,7 +135,7 @@ def test_record3d_archive_is_read_like_its_folder(tmp_path: Path) -> None:
     walk = make_walk(24)
     write_record3d(tmp_path / "place" / "walk", walk, archive=True)
     found = find_one(tmp_path / "place")
-    assert found.session_id == "walk" and found.format.name == "record3d"
+    assert found.session_id == "walk" and found.format.id == "record3d"
     (session,) = take(tmp_path / "place").sessions
     np.testing.assert_allclose(session.poses, walk.vio_T_cam, atol=1e-9)
     assert len(session.images) == 12
@@ -158,7 +158,7 @@ def test_public_data_sets_keep_their_split_and_have_no_vio(tmp_path: Path) -> No
 
 def test_real_recordings_are_read(shared_captures: Path, shared_trajectories: Path, tmp_path: Path) -> None:
     found = find_recordings(shared_trajectories, tmp_path, Limits())
-    rows = {f"{f.format.name} {f.session_id}": f.read(Limits()) for f in found}
+    rows = {f"{f.format.id} {f.session_id}": f.read(Limits()) for f in found}
     assert {name.split()[0] for name in rows} == {"arkit_logger", "arcore_logger", "invisible_map", "spectacular_ai"}
     jumps = {}
     for name, raw in rows.items():

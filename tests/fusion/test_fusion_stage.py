@@ -18,7 +18,8 @@ class Inputs(StageRun):
     tables: dict
 
     def read(self, stage, table, scene=None):
-        return self.tables[stage, scene or self.scene.name]
+        rows = self.tables[stage, scene or self.scene.name]
+        return rows[["model"]].drop_duplicates().assign(file="weights.pt") if table == "models" else rows
 
 
 def stage_run(tmp_path, scene, inputs):

@@ -20,9 +20,9 @@ from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 SECOND = 1_000_000_000
 MODELS = ("PN", "MS-T")
 METHODS = (
-    ("apr", "{}", True, "the raw regressor"),
-    ("mobilearloc", '{"gamma": 0.99}', True, "the paper's rule"),
-    ("smoother", "{}", False, "from the whole walk"),
+    ("apr", "{}", "regressor alone", False, True, "the raw regressor"),
+    ("mobilearloc", '{"gamma": 0.99}', "VIO", True, True, "the paper's rule"),
+    ("smoother", "{}", "smoother", True, False, "from the whole walk"),
 )
 
 
@@ -113,7 +113,7 @@ class MadeUpScene:
                 "sweep": self._sweep(),
                 "intervals": self._intervals(),
                 "sessions": self._fused_sessions(),
-                "methods": pd.DataFrame(METHODS, columns=["method", "options", "causal", "meaning"]),
+                "methods": pd.DataFrame(METHODS, columns=["method", "options", "label", "fuses", "causal", "meaning"]),
             },
         }
 
@@ -313,13 +313,21 @@ class MadeUpScene:
         base |= {"device": "made-up processor, float32", "train_seconds": 61.0}
         pn = {
             "model": "PN",
+            "label": "PN",
             "file": "pn.pt",
             "parameters": 22_349_000,
             "bytes": 89_430_000,
             "layers": "",
             "reduced": "",
         }
-        mst = {"model": "MS-T", "file": "mst.pt", "parameters": 18_000_000, "bytes": 60_000_000, "layers": "2+2 layers"}
+        mst = {
+            "model": "MS-T",
+            "label": "MS-T",
+            "file": "mst.pt",
+            "parameters": 18_000_000,
+            "bytes": 60_000_000,
+            "layers": "2+2 layers",
+        }
         return pd.DataFrame([base | pn, base | mst | {"reduced": "2+2 instead of 6+6 transformer layers"}])
 
 

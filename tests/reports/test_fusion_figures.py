@@ -18,11 +18,12 @@ def scene() -> SimpleNamespace:
         sweep=tables["sweep"],
         intervals=tables["intervals"].astype({"high": float}),
         offline={"smoother"},
+        raw_methods={"apr"},
     )
 
 
 def test_sensitivity_has_a_line_a_model_in_each_panel(scene: SimpleNamespace) -> None:
-    axes = sensitivity(scene).figure.axes
+    axes = sensitivity(scene, scene.sweep).figure.axes
     assert len(axes) == 12 and all([line.get_label() for line in ax.lines] == scene.models for ax in axes)
     rows = scene.sweep[(scene.sweep["subset"] == "all") & (scene.sweep["model"] == MODELS[1])]
     thresholds = ("n", "d_th_m", "o_th_deg", "gamma")

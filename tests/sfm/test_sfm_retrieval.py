@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from groundwalk.sfm.retrieval import RETRIEVALS, pca_vlad, retrieval_pairs, vlad
+from groundwalk.sfm.extensions import RETRIEVALS
+from groundwalk.sfm.retrieval import pca_vlad, retrieval_pairs, vlad
 
 _LANDMARKS, _SEEN, _FRAMES = 600, 120, 30
 
@@ -23,7 +24,7 @@ def _descriptors(seed: int) -> tuple[list[np.ndarray], np.ndarray]:
 @pytest.mark.parametrize("name", RETRIEVALS)
 def test_the_most_similar_frames_of_the_other_walk_are_those_of_the_same_place(name: str) -> None:
     images, session = _descriptors(0)
-    pairs = retrieval_pairs(RETRIEVALS[name](images, 16, 0), session, 3)
+    pairs = retrieval_pairs(RETRIEVALS[name].describe(images, 16, 0), session, 3)
     assert (session[pairs[:, 0]] != session[pairs[:, 1]]).all()
     assert np.array_equal(pairs, np.unique(pairs, axis=0))
     assert len(pairs) <= 3 * len(images)
@@ -36,7 +37,7 @@ def test_the_most_similar_frames_of_the_other_walk_are_those_of_the_same_place(n
 def test_same_seed_same_descriptors_and_an_image_without_features_is_no_obstacle(name: str) -> None:
     images, session = _descriptors(1)
     images[3] = np.empty((0, 0), np.uint8)
-    once, again = RETRIEVALS[name](images, 16, 5), RETRIEVALS[name](images, 16, 5)
+    once, again = RETRIEVALS[name].describe(images, 16, 5), RETRIEVALS[name].describe(images, 16, 5)
     assert np.array_equal(once, again)
     assert np.isfinite(once).all()
     assert np.allclose(np.delete(np.linalg.norm(once, axis=1), 3), 1, atol=1e-5)

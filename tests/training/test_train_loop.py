@@ -11,14 +11,14 @@ from groundwalk.training.data import Frames, ImageCache
 from groundwalk.training.evaluation import mean_pose_errors, pose_errors
 from groundwalk.training.loop import Run, epoch_batches, held_out_score, learning_rate, take_best, train
 from groundwalk.training.models.posenet import PoseNet
-from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.models.regressor import BackboneRegressor, PoseBatch
+from groundwalk.training.regressor_settings import PoseNetSettings
 from groundwalk.training.rotations import exp_quaternion
-from groundwalk.training.settings import PoseNetSettings
 
 CPU = torch.device("cpu")
 
 
-class SmallRegressor(PoseRegressor):
+class SmallRegressor(BackboneRegressor):
     """Few weights, but batch norm and dropout, whose state a resumed run must have too."""
 
     def __init__(self) -> None:

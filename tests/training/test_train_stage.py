@@ -21,12 +21,12 @@ SMALL = [
     "crop=32",
     "device=cpu",
     "threads=1",
-    "pn.epochs=1",
-    "pn.weights=scratch",
-    "mst.epochs=1",
-    "mst.weights=scratch",
-    "mst.encoder_layers=1",
-    "mst.decoder_layers=1",
+    "regressors.PN.epochs=1",
+    "regressors.PN.weights=scratch",
+    "regressors.MS-T.epochs=1",
+    "regressors.MS-T.weights=scratch",
+    "regressors.MS-T.encoder_layers=1",
+    "regressors.MS-T.decoder_layers=1",
 ]
 MakeScene = Callable[..., Path]
 
@@ -85,7 +85,7 @@ def test_a_group_shares_one_transformer(make_scene: MakeScene) -> None:
     make_scene("Other", seed=1)
     (data / "scenes").mkdir()
     (data / "scenes" / "both.toml").write_text('members = ["Wall", "Other"]\nstages = ["train"]\n')
-    folder = execute(STAGE, "both", "tiny", DataRoot(data), [*SMALL, "mst.epochs=2"])
+    folder = execute(STAGE, "both", "tiny", DataRoot(data), [*SMALL, "regressors.MS-T.epochs=2"])
     predictions, cards = table(folder, "predictions"), table(folder, "models")
     assert cards["model"].tolist() == ["MS-T"]
     assert cards["scenes"][0].tolist() == ["Wall", "Other"]

@@ -7,15 +7,20 @@ from groundwalk.artefacts import UserError
 from groundwalk.training import weights
 from groundwalk.training.models.ms_transformer import MSTransformer
 from groundwalk.training.models.posenet import PoseNet
+from groundwalk.training.models.regressor import BackboneRegressor
 from groundwalk.training.models.resnet import ResNet34
 from groundwalk.training.weights import load_first_weights
+
+
+def fill(model: BackboneRegressor, weights: str, downloads: Path) -> str:
+    return load_first_weights(model.backbone, model.backbone_url, weights, downloads)
 
 
 def test_a_state_dict_of_torchvision_fills_the_backbone(tmp_path: Path) -> None:
     source = ResNet34(classes=1000)
     torch.save(source.state_dict(), tmp_path / "resnet34.pth")
     model = PoseNet()
-    origin = load_first_weights(model, str(tmp_path / "resnet34.pth"), tmp_path)
+    origin = fill(model, str(tmp_path / "resnet34.pth"), tmp_path)
     assert origin.startswith("file resnet34.pth, sha256 ")
     for name, tensor in model.backbone.state_dict().items():
         assert torch.equal(tensor, source.state_dict()[name]), name
@@ -24,16 +29,16 @@ def test_a_state_dict_of_torchvision_fills_the_backbone(tmp_path: Path) -> None:
 def test_a_file_of_another_network_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "weights.pth"
     with pytest.raises(UserError, match="isn't there"):
-        load_first_weights(PoseNet(), str(path), tmp_path)
+        fill(PoseNet(), str(path), tmp_path)
     path.write_text("nothing")
     with pytest.raises(UserError, match="can't be read"):
-        load_first_weights(PoseNet(), str(path), tmp_path)
+        fill(PoseNet(), str(path), tmp_path)
     torch.save(ResNet34(classes=1000).state_dict(), path)
     with pytest.raises(UserError, match=r"another network[\s\S]*missing"):
-        load_first_weights(MSTransformer(encoder_layers=1, decoder_layers=1), str(path), tmp_path)
+        fill(MSTransformer(encoder_layers=1, decoder_layers=1), str(path), tmp_path)
     torch.save([1, 2], path)
     with pytest.raises(UserError, match="no state dict"):
-        load_first_weights(PoseNet(), str(path), tmp_path)
+        fill(PoseNet(), str(path), tmp_path)
 
 
 def test_weights_that_cannot_be_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,9 +47,9 @@ def test_weights_that_cannot_be_fetched(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(weights, "_download", unreachable)
     model = PoseNet()
-    assert load_first_weights(model, "auto", tmp_path) == "scratch (ImageNet weights could not be fetched: no route)"
+    assert fill(model, "auto", tmp_path) == "scratch (ImageNet weights could not be fetched: no route)"
     with pytest.raises(UserError, match=r"no route[\s\S]*resnet34-b627a593\.pth"):
-        load_first_weights(model, "imagenet", tmp_path)
+        fill(model, "imagenet", tmp_path)
     # Put there by hand, the file is used without a network.
     torch.save(ResNet34(classes=1000).state_dict(), tmp_path / "resnet34-b627a593.pth")
-    assert load_first_weights(model, "auto", tmp_path).startswith("ImageNet, resnet34-b627a593.pth, sha256 ")
+    assert fill(model, "auto", tmp_path).startswith("ImageNet, resnet34-b627a593.pth, sha256 ")

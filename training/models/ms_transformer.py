@@ -4,7 +4,8 @@ import torch
 from torch import Tensor, nn
 
 from groundwalk.training.models.efficientnet import REDUCTION_8_CHANNELS, REDUCTION_16_CHANNELS, EfficientNetB0
-from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.models.regressor import BackboneRegressor, PoseBatch
+from groundwalk.training.regressor_settings import MSTransformerSettings
 
 WIDTH = 256
 HEADS = 8
@@ -100,7 +101,7 @@ class PoseHead(nn.Sequential):
             nn.init.zeros_(layer.bias)
 
 
-class MSTransformer(PoseRegressor):
+class MSTransformer(BackboneRegressor):
     """Position from the 1/16 map, rotation from the 1/8 map; a query a scene, and a classifier that picks one.
 
     The backbone is the whole EfficientNet-B0: its layers after the 1/16 map and its classifier don't run, but a
@@ -188,3 +189,17 @@ class MSTransformer(PoseRegressor):
         ).mean()
         scene_loss = nn.functional.cross_entropy(logits_BS, poses.scene_B)
         return self.loss_weights(position_loss, rotation_loss) + scene_loss
+
+
+def make_ms_transformer(settings: MSTransformerSettings, scenes: int, outdoor: bool) -> MSTransformer:
+    """MS-T with random weights; the loss weights start as its authors' do outdoors and indoors."""
+    sx, sq = (-3.0, -6.5) if outdoor else (0.0, -3.0)
+    return MSTransformer(
+        scenes,
+        settings.encoder_layers,
+        settings.decoder_layers,
+        settings.dropout,
+        settings.stochastic_depth,
+        sx if settings.sx is None else settings.sx,
+        sq if settings.sq is None else settings.sq,
+    )

@@ -3,14 +3,15 @@
 import torch
 from torch import Tensor, nn
 
-from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.models.regressor import BackboneRegressor, PoseBatch
 from groundwalk.training.models.resnet import FEATURES, ResNet34
+from groundwalk.training.regressor_settings import PoseNetSettings
 from groundwalk.training.rotations import exp_quaternion, log_quaternion
 
 HIDDEN = 2048
 
 
-class PoseNet(PoseRegressor):
+class PoseNet(BackboneRegressor):
     """One scene's poses: features 512 -> 2048, ReLU, dropout, then position (3) and log-quaternion (3)."""
 
     backbone_url = "https://download.pytorch.org/models/resnet34-b627a593.pth"
@@ -47,3 +48,10 @@ class PoseNet(PoseRegressor):
             nn.functional.l1_loss(position, true_position),
             nn.functional.l1_loss(log_q, log_quaternion(true_quaternion)),
         )
+
+
+def make_posenet(settings: PoseNetSettings, scenes: int, outdoor: bool) -> PoseNet:
+    """PN with random weights."""
+    if scenes != 1:
+        raise ValueError(f"PN holds one scene, not {scenes}")
+    return PoseNet(settings.dropout, settings.sx, settings.sq)

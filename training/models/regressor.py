@@ -1,20 +1,28 @@
-"""What every pose regressor offers to the loop and the exporter, and the frame its network works in."""
+"""What every pose regressor offers to the loop and the exporter, and a base for those with a pretrained backbone."""
 
 from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from groundwalk.training.regressor_settings import BackboneSettings, RegressorSettings
 from groundwalk.training.rotations import canonical, conjugate, multiply
+from groundwalk.training.weights import load_first_weights
 
 
 class PoseBatch(NamedTuple):
-    """Camera poses map_T_cam of a batch: positions (m), unit xyzw quaternions, and the index of each one's scene."""
+    """Camera poses map_T_cam of a batch: positions (m), unit xyzw quaternions, and the index of each one's scene.
+
+    covariance_B66: of each pose's error in the map frame, rotation (rad) then translation (m), from a regressor that
+    gives one.
+    """
 
     position_B3: Tensor
     quaternion_B4: Tensor
     scene_B: Tensor
+    covariance_B66: Tensor | None = None
 
 
 class LearnedWeights(nn.Module):
@@ -79,16 +87,11 @@ class SceneFrames(nn.Module):
 
 
 class PoseRegressor(nn.Module, ABC):
-    """Images (B, 3, H, W), normalised as ImageNet's, to camera poses in the map frames of `scenes` scenes."""
+    """Images (B, 3, H, W), normalised as ImageNet's, to camera poses in the map frames of one scene or several.
 
-    backbone: nn.Module
-    backbone_url: str
-
-    def __init__(self, scenes: int, sx: float, sq: float) -> None:
-        super().__init__()
-        self.scenes = scenes
-        self.frames = SceneFrames(scenes)
-        self.loss_weights = LearnedWeights(sx, sq)
+    The training loop calls `loss` and `forward`, and nothing else has to be there; the other methods have answers that
+    suit a network without pretrained parts.
+    """
 
     @abstractmethod
     def forward(self, image_B3HW: Tensor) -> PoseBatch:
@@ -97,6 +100,21 @@ class PoseRegressor(nn.Module, ABC):
     @abstractmethod
     def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
         """The training loss, a scalar."""
+
+    def initialise(self, poses: PoseBatch, settings: RegressorSettings, downloads: Path) -> str:
+        """Called once before training, with the poses of all training frames; `downloads` keeps what is fetched.
+
+        Returns where the first weights come from, for the model card.
+        """
+        return "scratch"
+
+    def undecayed(self) -> list[nn.Parameter]:
+        """The parameters that the L2 penalty leaves alone."""
+        return []
+
+    def curves(self) -> dict[str, float]:
+        """What the learning curves hold beside the errors: columns sx and sq of train.history, or nothing."""
+        return {}
 
     def layers(self) -> str:
         """What a reader of the model card wants to know about sizes that can be set."""
@@ -110,3 +128,33 @@ class PoseRegressor(nn.Module, ABC):
         """Bytes of the float32 weights: parameters and the batch norms' running statistics."""
         floats = [*self.parameters(), *(b for b in self.buffers() if b.is_floating_point())]
         return sum(t.numel() for t in floats) * 4
+
+
+class BackboneRegressor(PoseRegressor):
+    """Base of regressors with an ImageNet backbone, learned loss weights, and a frame of their own in each scene.
+
+    `backbone` has torchvision's module names, and `backbone_url` is torchvision's file of its weights.
+    """
+
+    backbone: nn.Module
+    backbone_url: str
+
+    def __init__(self, scenes: int, sx: float, sq: float) -> None:
+        super().__init__()
+        self.scenes = scenes
+        self.frames = SceneFrames(scenes)
+        self.loss_weights = LearnedWeights(sx, sq)
+
+    def initialise(self, poses: PoseBatch, settings: RegressorSettings, downloads: Path) -> str:
+        if not isinstance(settings, BackboneSettings):
+            raise TypeError(f"{type(settings).__name__} isn't a BackboneSettings")
+        origin = load_first_weights(self.backbone, self.backbone_url, settings.weights, downloads)
+        self.frames.fit(poses, settings.normalise_position, settings.centre_rotation)
+        return origin
+
+    def undecayed(self) -> list[nn.Parameter]:
+        """The loss weights, which the penalty would pull to equal variances."""
+        return list(self.loss_weights.parameters())
+
+    def curves(self) -> dict[str, float]:
+        return {"sx": self.loss_weights.sx.item(), "sq": self.loss_weights.sq.item()}

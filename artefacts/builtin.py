@@ -1,0 +1,63 @@
+"""The entries that groundwalk brings itself, group by group, in the order in which they are listed, tried and shown.
+
+Each line is an entry point, name = "module:record". They stand here and not in pyproject.toml because an entry point's
+metadata is written when a package is installed, sorted by name: docs/decisions.md.
+"""
+
+BUILTIN: dict[str, dict[str, str]] = {
+    "groundwalk.formats": {
+        name: f"groundwalk.capture_import.formats.{name.removeprefix('3d_')}:FORMAT"
+        for name in (
+            "3d_scanner_app",
+            "stray_scanner",
+            "record3d",
+            "polycam",
+            "nerf_capture",
+            "scan_capture",
+            "ios_logger",
+            "spectacular_ai",
+            "frames_jsonl",
+            "arkit_logger",
+            "arcore_logger",
+            "invisible_map",
+            "arkit_scenes",
+            "seven_scenes",
+            "cambridge",
+            "colmap",
+            "nerfstudio",
+        )
+    },
+    "groundwalk.mappers": {
+        "incremental": "groundwalk.sfm.entries:INCREMENTAL",
+        "global": "groundwalk.sfm.entries:GLOBAL",
+        "hierarchical": "groundwalk.sfm.entries:HIERARCHICAL",
+        "vio": "groundwalk.sfm.entries:FROM_VIO",
+    },
+    "groundwalk.retrieval": {
+        "vlad": "groundwalk.sfm.entries:VLAD",
+        "pca-vlad": "groundwalk.sfm.entries:PCA_VLAD",
+    },
+    "groundwalk.regressors": {
+        "PN": "groundwalk.training.entries:PN",
+        "MS-T": "groundwalk.training.entries:MS_T",
+    },
+    "groundwalk.fusion_methods": {
+        "apr": "groundwalk.fusion.entries:APR",
+        "mobilearloc": "groundwalk.fusion.entries:MOBILEARLOC",
+        "last_good": "groundwalk.fusion.entries:LAST_GOOD",
+        "window30": "groundwalk.fusion.entries:WINDOW30",
+        "pose_graph": "groundwalk.fusion.entries:POSE_GRAPH",
+        "error_state": "groundwalk.fusion.entries:ERROR_STATE",
+        "drift_aware": "groundwalk.fusion.entries:DRIFT_AWARE",
+        "smoother": "groundwalk.fusion.entries:SMOOTHER",
+        "vio_oracle": "groundwalk.fusion.entries:VIO_ORACLE",
+    },
+    "groundwalk.exporters": {
+        "colmap": "groundwalk.alignment.export.entries:COLMAP",
+        "colmap-text": "groundwalk.alignment.export.entries:COLMAP_TEXT",
+        "tum": "groundwalk.alignment.export.entries:TUM",
+        "nerfstudio": "groundwalk.alignment.export.entries:NERFSTUDIO",
+        "7scenes": "groundwalk.alignment.export.entries:SEVEN_SCENES",
+        "cambridge": "groundwalk.alignment.export.entries:CAMBRIDGE",
+    },
+}

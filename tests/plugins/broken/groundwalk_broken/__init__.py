@@ -1,0 +1,1 @@
+"""Plug-ins with one fault each, which groundwalk has to name."""

@@ -1,0 +1,19 @@
+from pathlib import Path
+
+from groundwalk.capture_import.capture import Limits, RawSession
+from groundwalk.capture_import.formats import Format
+
+NOT_A_RECORD = {"id": "no_record"}
+
+
+def detect(path: Path) -> bool:
+    raise RuntimeError("no idea")
+
+
+def read(path: Path, session_id: str, limits: Limits) -> RawSession:
+    raise AssertionError("nothing is detected")
+
+
+FAILS_TO_DETECT = Format(
+    id="fails_to_detect", label="fails", meaning="nothing", looks_for="nothing", detect=detect, read=read
+)

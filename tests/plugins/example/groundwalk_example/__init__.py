@@ -1,0 +1,1 @@
+"""One capture format, one regressor, one fusion method and one exporter for groundwalk."""

@@ -1,0 +1,243 @@
+"""Packages that add to groundwalk: installed, found by their entry points, and run from import to report and export."""
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from groundwalk.geometry.poses import make_pose, tq_from_pose
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+STAGES = ["capture_import", "sfm", "alignment", "training", "fusion", "reports"]
+COLUMNS = "t_s,image,fx,fy,cx,cy,tx,ty,tz,qx,qy,qz,qw"
+
+
+def installed(name: str, folder: Path) -> Path:
+    """The distribution of that name, built outside the tree and installed into `folder`."""
+    source = folder.with_name(f"{folder.name}-source")
+    shutil.copytree(HERE / name, source, ignore=shutil.ignore_patterns("__pycache__"))
+    options = ["--quiet", "--disable-pip-version-check", "--no-index", "--no-deps", "--no-build-isolation"]
+    command = [sys.executable, "-m", "pip", "install", *options, "--target", str(folder), str(source)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Folders with one working and one broken package."""
+    return [installed(name, tmp_path_factory.mktemp("packages") / name) for name in ("example", "broken")]
+
+
+def sfm_tests() -> ModuleType:
+    """The textured room that SfM's tests photograph."""
+    spec = importlib.util.spec_from_file_location("sfm_room", HERE.parent / "sfm" / "conftest.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data folder with two walks in the example package's capture format; one row of them is spoilt."""
+    made, folder = sfm_tests(), tmp_path_factory.mktemp("data")
+    textures = [made._texture(np.linalg.norm(u), np.linalg.norm(v), seed) for seed, (_, u, v) in enumerate(made._WALLS)]
+    vio_T_room = make_pose(np.diag([-1.0, 1.0, -1.0]), [5.0, 0.0, 1.0])
+    for session, (count, height_m, distance_m) in {"train": (14, 1.5, 2.6), "test": (10, 1.2, 2.2)}.items():
+        walk = folder / "captures" / "Room" / session
+        walk.mkdir(parents=True)
+        poses = made._walk(count, height_m, distance_m)
+        position, quaternion = tq_from_pose(vio_T_room @ poses)
+        rows = [COLUMNS]
+        for i, pose in enumerate(poses):
+            cv2.imwrite(str(walk / f"{i}.jpg"), made._photograph(textures, pose))
+            camera = [made.FOCAL_PX, made.FOCAL_PX, made.SIZE_PX[0] / 2, made.SIZE_PX[1] / 2]
+            rows.append(",".join(map(str, [100 + i, f"{i}.jpg", *camera, *position[i], *quaternion[i]])))
+        rows.append("soon" + rows[-1][3:])
+        (walk / "walk.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+def run(packages: list[Path], data: Path, stage: str, *arguments: str) -> str:
+    """Run a stage, or a command of its, as a user does; what it says."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *map(str, packages)])}
+    command = [sys.executable, "-m", f"groundwalk.{stage}", *arguments]
+    command += ["--scene", "Room", "--profile", "tiny", "--data", str(data)]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=data)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stderr
+
+
+def configure(data: Path, text: str) -> None:
+    (data / "scenes").mkdir(exist_ok=True)
+    (data / "scenes" / "Room.toml").write_text(text)
+
+
+def table(data: Path, stage: str, name: str) -> pd.DataFrame:
+    return pd.read_parquet(data / "runs/tiny/Room" / stage / f"{name}.parquet")
+
+
+EXAMPLE = """
+environment = "indoor"
+
+[split]
+train = ["train"]
+test = ["test"]
+
+[sfm]
+retries = false
+
+[train]
+models = ["mean_colour"]
+
+[train.regressors.mean_colour]
+epochs = 2
+batch = 4
+cells = 3
+
+[fuse]
+methods = ["apr", "keep_first"]
+
+[fuse.options.keep_first]
+predictions = 2
+"""
+
+
+@pytest.fixture(scope="module")
+def finished(packages: list[Path], room: Path) -> tuple[Path, dict[str, str]]:
+    """The data folder after all stages with the working package alone, and what each stage said."""
+    configure(room, EXAMPLE)
+    return room, {stage: run(packages[:1], room, stage) for stage in STAGES}
+
+
+@pytest.fixture
+def data(finished: tuple[Path, dict[str, str]], tmp_path: Path) -> Path:
+    """A copy of that data folder."""
+    return shutil.copytree(finished[0], tmp_path / "data", symlinks=True)
+
+
+def test_a_package_runs_from_import_to_report(
+    packages: list[Path], data: Path, finished: tuple[Path, dict[str, str]]
+) -> None:
+    assert "warning" not in "".join(finished[1].values())
+
+    sessions, rejects = table(data, "import", "sessions"), table(data, "import", "rejects")
+    assert set(sessions["format"]) == {"walk_csv"}
+    assert rejects["reason"].tolist() == ["t_s is no number"] * 2
+
+    card = table(data, "train", "models").iloc[0]
+    assert (card["model"], card["label"], card["weights"]) == ("mean_colour", "mean colour", "scratch")
+    assert json.loads(card["config"])["cells"] == 3 and card["parameters"] == 3 * 9 * 8 + 8
+    predictions = table(data, "train", "predictions")
+    assert len(predictions) == 24 and np.array(predictions["covariance"].tolist()).shape == (24, 36)
+    assert table(data, "train", "history")["sx"].isna().all()
+
+    methods = table(data, "fuse", "methods").set_index("method")
+    assert methods["label"].to_dict() == {"apr": "regressor alone", "keep_first": "first"}
+    assert json.loads(methods["options"]["keep_first"]) == {"predictions": 2}
+    poses = table(data, "fuse", "poses").query("method == 'keep_first'").sort_values("t_ns")
+    alignment = poses[[c for c in poses if c.startswith("map_vio_")]].to_numpy()
+    assert len(alignment) == 10 and np.ptp(alignment[1:], axis=0).max() < 1e-12  # kept from the second on
+
+    page = (data / "runs/tiny/Room/report/page.html").read_text()
+    assert "mean colour+first, median" in page
+    cells = table(data, "report", "cells")
+    assert set(cells.loc[cells["table"] == "IV", "method"]) == {"apr", "keep_first"}
+    manifest = json.loads((data / "runs/tiny/Room/train/manifest.json").read_text())
+    assert manifest["plugins"] == {"mean_colour": "groundwalk-example 1.0"}
+
+    out = data / "exported"
+    run(packages[:1], data, "alignment", "export", "--format", "poses_csv", "--out", str(out))
+    written = pd.read_csv(out / "poses.csv")
+    truth = table(data, "align", "ground_truth").set_index("frame_id").loc[written["frame_id"]]
+    assert len(written) > 20
+    assert written["tx"].to_numpy() == pytest.approx(truth["map_cam_tx"].to_numpy())
+    assert all((out / image).is_file() for image in written["image"])
+
+
+def test_a_broken_package_is_named_and_the_rest_goes_on(packages: list[Path], data: Path) -> None:
+    train = 'models = ["mean_colour", "wrong_shape", "no_capability", "fails_in_training"]'
+    methods = 'methods = ["apr", "keep_first", "wrong_covariance"]'
+    text = EXAMPLE.replace('models = ["mean_colour"]', train).replace('methods = ["apr", "keep_first"]', methods)
+    text += "\n[train.regressors.fails_in_training]\nbatch = 4\n"
+    configure(data, text)
+    said = {stage: " ".join(run(packages, data, stage).split()) for stage in STAGES}
+
+    def named(stage: str, point: str, reason: str) -> None:
+        assert f"package groundwalk-broken 0.3, entry point {point}" in said[stage]
+        assert reason in said[stage]
+
+    point = "groundwalk.formats:"
+    named("capture_import", f"{point} no_module = groundwalk_broken.no_such_module:FORMAT", "can't be imported")
+    named("capture_import", f"{point} no_record = groundwalk_broken.formats:NOT_A_RECORD", "it is a dict, not")
+    named("capture_import", f"{point} fails_to_detect", "RuntimeError: no idea")
+    point = "groundwalk.regressors:"
+    named("training", f"{point} PN", "its id is taken: package groundwalk")
+    named("training", f"{point} no_capability", "missing 1 required keyword-only argument: 'multi_scene'")
+    named("training", f"{point} other_id", "its id is 'wrong_shape', not the entry point's name")
+    named("training", f"{point} wrong_shape", "forward's position_B3 is of shape (2, 2), not (2, 3) for 2 images")
+    named("training", f"{point} fails_in_training", "the batch is too large for me")
+    named("fusion", "groundwalk.fusion_methods: wrong_covariance", "covariance for frame 0 has shape (3, 3)")
+
+    assert set(table(data, "import", "sessions")["format"]) == {"walk_csv"}
+    assert set(table(data, "train", "models")["model"]) == {"mean_colour"}
+    assert set(table(data, "fuse", "methods")["method"]) == {"apr", "keep_first"}
+    figures = json.loads((data / "runs/tiny/Room/train/manifest.json").read_text())["figures"]
+    assert len([name for name in figures if name.startswith("left out: ")]) == 3
+
+
+def test_predictions_from_elsewhere_take_part_to_the_end(data: Path) -> None:
+    """Without any package: the true poses, half a metre off, as a regressor called mine."""
+    truth = table(data, "align", "ground_truth")
+    mine = truth[["frame_id", *(c for c in truth if c.startswith("map_cam_"))]].dropna().assign(model="mine")
+    (data / "predictions").mkdir()
+    mine.assign(map_cam_tx=mine["map_cam_tx"] + 0.5).to_parquet(data / "predictions" / "mine.parquet")
+    configure(data, EXAMPLE.split("[train]")[0] + '[train]\nmodels = []\npredictions = "predictions/mine.parquet"\n')
+    for stage in STAGES[3:]:
+        run([], data, stage)
+    assert set(table(data, "train", "predictions")["model"]) == {"mine"}
+    errors = table(data, "fuse", "errors")
+    assert len(set(errors["method"])) == 9
+    assert errors["apr_position_m"].to_numpy() == pytest.approx(np.full(len(errors), 0.5))
+    page = (data / "runs/tiny/Room/report/page.html").read_text()
+    assert "mine+VIO, median" in page and "predictions imported from mine.parquet" in page
+    assert (data / "runs/tiny/Room/train/recording.rrd").stat().st_size > 1000
+
+
+def test_an_exporter_that_fails_leaves_nothing(packages: list[Path], data: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *map(str, packages)])}
+    command = [sys.executable, "-m", "groundwalk.alignment", "export", "--scene", "Room", "--profile", "tiny"]
+    command += ["--data", str(data), "--format", "no_paths", "--out", str(data / "nothing")]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert done.returncode == 2 and "write returned 0 paths" in done.stderr and "groundwalk-broken 0.3" in done.stderr
+    assert not (data / "nothing").exists()
+
+
+def test_settings_of_a_package_that_is_not_installed(data: Path) -> None:
+    configure(data, EXAMPLE)
+    command = [sys.executable, "-m", "groundwalk.training", "--scene", "Room", "--profile", "tiny", "--data", str(data)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2 and "there is no regressor 'mean_colour'" in done.stderr
+    assert "install the package that brings it" in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("file", sorted(HERE.glob("example/**/*.*")), ids=lambda file: file.name)
+def test_the_guides_show_the_files_as_they_are(file: Path) -> None:
+    if file.suffix not in (".py", ".toml") or file.name == "__init__.py":
+        pytest.skip("not shown")
+    language = {".py": "python", ".toml": "toml"}[file.suffix]
+    shown = f"`{file.relative_to(ROOT)}`:\n\n```{language}\n{file.read_text()}```\n"
+    guides = [page.name for page in (ROOT / "docs" / "how-to").glob("*.md") if shown in page.read_text()]
+    assert len(guides) == 1, f"no guide shows {file.relative_to(ROOT)} as it is"

@@ -1,0 +1,27 @@
+"""Records of groundwalk's own regressors."""
+
+from groundwalk.artefacts import recording
+from groundwalk.artefacts.registry import Lazy
+from groundwalk.training.regressor_settings import MSTransformerSettings, PoseNetSettings
+from groundwalk.training.regressors import Regressor
+
+PN = Regressor(
+    id="PN",
+    label="PN",
+    meaning="PoseNet on ResNet-34 with log-quaternions",
+    colour=recording.APR,
+    settings=PoseNetSettings,
+    make=Lazy("groundwalk.training.models.posenet:make_posenet"),
+    multi_scene=False,
+    gives_covariance=False,
+)
+MS_T = Regressor(
+    id="MS-T",
+    label="MS-T",
+    meaning="multi-scene transformer on EfficientNet-B0",
+    colour=(0, 114, 178),
+    settings=MSTransformerSettings,
+    make=Lazy("groundwalk.training.models.ms_transformer:make_ms_transformer"),
+    multi_scene=True,
+    gives_covariance=False,
+)

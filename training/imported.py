@@ -1,0 +1,152 @@
+"""Predictions of regressors that were trained elsewhere, out of files, as if they had been trained here."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from groundwalk.artefacts import StageRun, UserError
+from groundwalk.artefacts.files import sha256_of
+from groundwalk.artefacts.registry import AN_ID, is_id
+from groundwalk.training.settings import TrainSettings
+
+_POSE = [f"map_cam_{part}" for part in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")]
+_NEEDED = ["model", "frame_id", *_POSE]
+_OPTIONAL = ["picked_scene", "covariance", "inference_ms"]
+_MIN_QUATERNION, _MAX_QUATERNION = 0.2, 5.0  # what a network puts out may not be normalised; degrees are far from it
+
+
+def read_imported(r: StageRun[TrainSettings], frames: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, str]]:
+    """Each imported regressor's name, its rows of train.predictions, and where they are from.
+
+    Rows of frames that there aren't, and rows without a finite pose, are left out, counted and said. UserError for a
+    file that isn't there or isn't such a table, a frame listed twice, rotations that are no quaternions, and a name
+    that is taken.
+    """
+    names: dict[str, str] = {}
+    for file in r.settings.predictions:
+        path = r.data.root / file
+        table = _read(path)
+        origin = f"predictions imported from {path.name}, sha256 {sha256_of(path)[:12]}"
+        for model, rows in table.groupby("model", sort=False):
+            name = str(model)
+            taken = (
+                f"another file, {names[name]}"
+                if name in names
+                else "[train] models"
+                if name in r.settings.models
+                else ""
+            )
+            if taken:
+                raise UserError(f"two regressors are called {name!r}", where=path, found=f"one more in {taken}")
+            names[name] = file
+            yield name, _of_frames(r, name, rows, frames, path), origin
+
+
+def imported_card(r: StageRun[TrainSettings], name: str, rows: pd.DataFrame, origin: str) -> dict[str, Any]:
+    """A row of train.models for imported predictions: what training alone knows is null."""
+    unknown = ("parameters", "bytes", "resize_px", "crop_px", "focal_px", "train_frames", "val_frames", "epochs")
+    return {
+        "model": name,
+        "label": name,
+        "scenes": r.leaves,
+        "file": "",
+        "layers": "",
+        "weights": origin,
+        **dict.fromkeys((*unknown, "best_epoch", "train_seconds")),
+        "seed": r.seed,
+        "config": "{}",
+        "reduced": "",
+        "device": "elsewhere",
+        "inference_ms": None if rows["inference_ms"].isna().all() else float(rows["inference_ms"].median()),
+    }
+
+
+def _read(path: Path) -> pd.DataFrame:
+    try:
+        table: pd.DataFrame = pq.read_table(path).to_pandas(ignore_metadata=True)
+    except FileNotFoundError:
+        raise UserError("a file of predictions isn't there", where=path, do="correct [train] predictions") from None
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise UserError(
+            "a file of predictions can't be read", where=path, expected="a Parquet table", found=error
+        ) from None
+    missing = [column for column in _NEEDED if column not in table.columns]
+    if missing or table.empty:
+        found = f"no {', '.join(missing)}" if missing else "no rows"
+        raise UserError("a file of predictions lacks something", where=path, expected=", ".join(_NEEDED), found=found)
+    for column in _POSE:
+        if not pd.api.types.is_numeric_dtype(table[column]):
+            raise UserError(
+                "predicted poses are no numbers", where=f"{path}, column {column}", found=table[column].dtype
+            )
+    _refuse_unusable_names(table, path)
+    return table
+
+
+def _refuse_unusable_names(table: pd.DataFrame, path: Path) -> None:
+    names = table["model"].unique()
+    wrong = [name for name in names if not is_id(name)]
+    if wrong:
+        raise UserError(
+            "predictions are of a regressor whose name can't be used",
+            where=f"{path}, column model",
+            expected=AN_ID,
+            found=repr(wrong[0]),
+        )
+
+
+def _of_frames(
+    r: StageRun[TrainSettings], name: str, rows: pd.DataFrame, frames: pd.DataFrame, path: Path
+) -> pd.DataFrame:
+    """The rows as train.predictions has them, in the order of `frames`, whose ids may repeat in a group's scenes."""
+    keys = ["scene", "frame_id"] if "scene" in rows.columns else ["frame_id"]
+    if "scene" not in rows.columns and len(r.leaves) > 1:
+        raise UserError("predictions for a group of scenes lack a column", where=path, expected="scene", found="none")
+    twice = rows[rows.duplicated(keys)]
+    if len(twice):
+        raise UserError(f"predictions of {name} have a frame twice", where=path, found=twice.iloc[0]["frame_id"])
+    rows = rows.assign(**{column: rows.get(column) for column in _OPTIONAL})
+    kept = frames[["scene", "frame_id", "session_id", "split", "t_ns"]].merge(
+        rows[[*keys, *_POSE, *_OPTIONAL]], on=keys
+    )
+    finite = np.isfinite(kept[_POSE].to_numpy(float, na_value=np.nan)).all(axis=1)
+    _say_left_out(r, name, unknown=len(rows) - len(kept), not_finite=int((~finite).sum()))
+    kept = kept[finite].reset_index(drop=True)
+    if kept.empty:
+        raise UserError(
+            f"no prediction of {name} is of a frame of this scene",
+            where=path,
+            expected=f"frame_id as {frames['frame_id'].iloc[0]}",
+            found=f"{rows['frame_id'].iloc[0]}, {len(rows)} rows",
+        )
+    kept[_POSE[3:]] = _unit(kept[_POSE[3:]].to_numpy(float), name, path)
+    kept["picked_scene"] = kept["picked_scene"].fillna(kept["scene"])
+    return kept.assign(model=name)
+
+
+def _unit(quaternion_N4: np.ndarray, name: str, path: Path) -> np.ndarray:
+    length = np.linalg.norm(quaternion_N4, axis=1)
+    wrong = (length < _MIN_QUATERNION) | (length > _MAX_QUATERNION)
+    if wrong.any():
+        raise UserError(
+            f"rotations of {name} are no quaternions",
+            where=f"{path}, columns map_cam_qx, _qy, _qz, _qw",
+            expected="unit quaternions, length 1",
+            found=f"{int(wrong.sum())} of {len(wrong)} have lengths up to {length.max():.3g}",
+            do="convert Euler angles or other rotations to unit quaternions",
+        )
+    return quaternion_N4 / length[:, None]
+
+
+def _say_left_out(r: StageRun[TrainSettings], name: str, **counts: int) -> None:
+    for what, count in counts.items():
+        r.figure(f"{name} predictions left out: {what}", count)
+    if counts["unknown"]:
+        r.say(f"warning: {name}: {counts['unknown']} predictions are of frames that this scene doesn't have")
+    if counts["not_finite"]:
+        r.say(f"warning: {name}: {counts['not_finite']} predictions have no finite pose")

@@ -1,0 +1,86 @@
+"""Settings of the regressors: what the paper's models train with, unless a profile says otherwise."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from groundwalk.artefacts import Settings
+
+
+class RegressorSettings(Settings):
+    """How one regressor is trained: what the training loop needs to know of any."""
+
+    epochs: int = Field(300, gt=0, description="passes over the training frames")
+    batch: int = Field(64, gt=1, description="images a step")
+    learning_rate: float = Field(1e-4, gt=0, description="Adam's learning rate after warming up")
+    weight_decay: float = Field(5e-4, ge=0, description="Adam's L2 penalty")
+    adam_eps: float = Field(1e-8, gt=0, description="Adam's epsilon")
+    schedule: Literal["constant", "step", "cosine"] = Field(
+        "constant", description="how the learning rate falls: not, by step_factor every step_epochs, or to zero"
+    )
+    warmup_epochs: float = Field(0, ge=0, description="epochs over which the learning rate rises from zero")
+    step_epochs: int = Field(200, gt=0, description="with schedule step: epochs between two drops")
+    step_factor: float = Field(0.1, gt=0, lt=1, description="with schedule step: what a drop multiplies by")
+    clip_gradient: float = Field(0, ge=0, description="largest norm of a step's gradient; 0 for any")
+    jitter: tuple[float, float, float, float] = Field(
+        (0, 0, 0, 0), description="colour jitter: brightness, contrast, saturation, hue"
+    )
+    turn_deg: tuple[float, float, float] | None = Field(
+        None,
+        description="largest yaw, pitch and roll (degrees) by which a training image is turned together with its"
+        " pose; without it a random crop keeps the image's pose, as in the paper",
+    )
+    mixed_precision: Literal["auto", "off", "bf16"] = Field(
+        "auto", description="bfloat16 in training; auto: where the processor computes in it"
+    )
+
+
+class BackboneSettings(RegressorSettings):
+    """The same of a regressor with a pretrained backbone and a frame of its own in each scene."""
+
+    normalise_position: bool = Field(
+        False, description="the network regresses positions with zero mean and unit deviation"
+    )
+    centre_rotation: bool = Field(
+        False, description="the network regresses rotations relative to the mean training rotation"
+    )
+    weights: str = Field(
+        "auto",
+        description="the backbone's first weights: imagenet (downloaded), scratch, auto (imagenet where it can be"
+        " had) or a file with torchvision's state dict",
+    )
+
+
+class PoseNetSettings(BackboneSettings):
+    """PN: MapNet's settings for PoseNet."""
+
+    normalise_position: bool = Field(
+        True, description="the network regresses positions with zero mean and unit deviation"
+    )
+    centre_rotation: bool = Field(
+        True, description="the network regresses rotations relative to the mean training rotation"
+    )
+    dropout: float = Field(0.5, ge=0, lt=1, description="share of the head's features left out in training")
+    sx: float = Field(0.0, description="first log-variance of the position loss")
+    sq: float = Field(-3.0, description="first log-variance of the rotation loss")
+
+
+class MSTransformerSettings(BackboneSettings):
+    """MS-T: its authors' settings for outdoor scenes; sx and sq follow the scene."""
+
+    epochs: int = Field(600, gt=0, description="passes over the training frames")
+    batch: int = Field(8, gt=1, description="images a step")
+    weight_decay: float = Field(1e-4, ge=0, description="Adam's L2 penalty")
+    adam_eps: float = Field(1e-10, gt=0, description="Adam's epsilon")
+    schedule: Literal["constant", "step", "cosine"] = Field(
+        "step", description="how the learning rate falls: not, by step_factor every step_epochs, or to zero"
+    )
+    jitter: tuple[float, float, float, float] = Field(
+        (0.5, 0.5, 0.5, 0.2), description="colour jitter: brightness, contrast, saturation, hue"
+    )
+    dropout: float = Field(0.1, ge=0, lt=1, description="dropout in the transformers")
+    stochastic_depth: float = Field(0.2, ge=0, lt=1, description="drop probability of the backbone's last block")
+    encoder_layers: int = Field(6, gt=0, description="encoder layers of each transformer")
+    decoder_layers: int = Field(6, gt=0, description="decoder layers of each transformer")
+    sx: float | None = Field(None, description="first log-variance of the position loss; outdoors -3, else 0")
+    sq: float | None = Field(None, description="first log-variance of the rotation loss; outdoors -6.5, else -3")
