@@ -10,7 +10,7 @@ people hold a camera level. Odometry is made from the true poses with the drift 
 `python -m benchmarks.real_predictions FOLDER` prints every causal method's figures, scene by scene and over all.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -28,14 +28,17 @@ from groundwalk.geometry.fits import rotation_to_up
 from groundwalk.geometry.poses import Array, make_pose, pose_from_tq
 
 REAL = "real"
+METHOD = "hindsight"
 DEVELOPMENT = ("chess", "fire", "office", "KingsCollege")
-_BASELINES = ("window30", "error_state", "pose_graph", "last_good")
-# Frames of a sequence that lie about a second apart: 7-Scenes has 30 a second.
+_BASELINES = ("drift_aware", "window30", "error_state", "pose_graph", "last_good")
+# Which frames of a sequence are a second apart: 7-Scenes has 30 a second, Cambridge Landmarks one or two.
 _STRIDES = {"7Scenes": 30, "Cambridge": 1}
 _TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def real_cases(folder: Path, scenes: Sequence[str], seeds: Sequence[int]) -> list[Case]:
+def real_cases(
+    folder: Path, scenes: Sequence[str], seeds: Sequence[int], strides: Mapping[str, int] = _STRIDES
+) -> list[Case]:
     """A case for each scene and model: every test sequence is a walk, each seed another phone's odometry."""
     cases = []
     for scene in scenes:
@@ -46,14 +49,14 @@ def real_cases(folder: Path, scenes: Sequence[str], seeds: Sequence[int]) -> lis
                 where=str(folder),
                 expected=f"<model>/<data set>/{scene}_predict.txt",
             )
-        cases += [_case(file, scene, seeds) for file in files]
+        cases += [_case(file, scene, seeds, strides) for file in files]
     return cases
 
 
-def _case(file: Path, scene: str, seeds: Sequence[int]) -> Case:
+def _case(file: Path, scene: str, seeds: Sequence[int], strides: Mapping[str, int]) -> Case:
     model, data_set = file.parent.parent.name, file.parent.name
-    if data_set not in _STRIDES:
-        raise UserError(f"data set {data_set!r} isn't known", where=str(file), expected=" or ".join(_STRIDES))
+    if data_set not in strides:
+        raise UserError(f"data set {data_set!r} isn't known", where=str(file), expected=" or ".join(strides))
     names, apr = read_poses(file)
     true_names, truth = read_poses(file.with_name(f"{scene}_test_gt.txt"))
     if names != true_names:
@@ -63,7 +66,7 @@ def _case(file: Path, scene: str, seeds: Sequence[int]) -> Case:
     walks = []
     for seed in seeds:
         for sequence, rows in _sequences(names).items():
-            kept = rows[:: _STRIDES[data_set]]
+            kept = rows[:: strides[data_set]]
             t_ns = np.arange(len(kept), dtype=np.int64) * 10**9
             vio = drifting_odometry(t_ns, truth[kept], "real", scene, sequence, seed)
             track = Track(f"{sequence}~{seed}", t_ns, truth[kept], vio)
@@ -114,6 +117,9 @@ def main(
     folder: Annotated[Path, typer.Argument(help="Folder of <model>/<data set>/<scene>_predict.txt.")],
     scenes: Annotated[str, typer.Option(help="Scenes, joined by commas.")] = ",".join(DEVELOPMENT),
     seeds: Annotated[int, typer.Option(min=1, help="Draws of odometry's drift.")] = 3,
+    every: Annotated[
+        int, typer.Option(min=1, help="Every how many frames of 7-Scenes one is taken, as if a second had passed.")
+    ] = _STRIDES["7Scenes"],
     methods: Annotated[str, typer.Option(help="Methods, joined by commas; the rule is always run.")] = ",".join(
         name for name, method in METHODS.items() if method.causal
     ),
@@ -121,7 +127,8 @@ def main(
     """Run the methods and print their figures."""
     chosen = list(dict.fromkeys([scores.RAW, scores.RULE, *methods.split(",")]))
     variants = [scores.Variant(name, name, resolve_options(name)) for name in chosen]
-    parts = [scores.score(case, variants)[0] for case in real_cases(folder, scenes.split(","), range(seeds))]
+    cases = real_cases(folder, scenes.split(","), range(seeds), _STRIDES | {"7Scenes": every})
+    parts = [scores.score(case, variants)[0] for case in cases]
     summary = pd.concat(parts, ignore_index=True)
     print(scores.markdown(_beside_baselines(summary)))
     print()
@@ -129,11 +136,11 @@ def main(
 
 
 def _beside_baselines(summary: pd.DataFrame) -> pd.DataFrame:
-    """Ours in each scene with each model: errors, and as ratios to the rule's, the best baseline's and the raw ones."""
+    """`hindsight` in each scene with each model: errors, and their ratios to others'."""
     errors = scores.per_scene(summary, REAL)
-    if scores.OURS not in errors.index:
+    if METHOD not in errors.index:
         return errors.reset_index()[["method", "scene", "model", *scores.ERRORS]]
-    ours = errors.loc[scores.OURS]
+    ours = errors.loc[METHOD]
     table = ours[["position_mean_m", "rotation_mean_deg"]].copy()
     baselines = errors[errors.index.get_level_values("method").isin(_BASELINES)]
     others = {"rule": errors.loc[scores.RULE], "raw": errors.loc[scores.RAW]}

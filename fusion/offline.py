@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from groundwalk.fusion.localiser import Estimate, Stepping
+from groundwalk.fusion.localiser import Estimate, Localiser, Stepping
 from groundwalk.fusion.walks import Walk, known
 
 
@@ -22,17 +22,20 @@ def stepped(localiser: Stepping, walk: Walk) -> list[Estimate]:
     return list(steps(localiser, walk))
 
 
-def steps(localiser: Localiser, walk: Walk) -> Iterator[Estimate]:
-    """The same, frame by frame."""
+def steps(localiser: Stepping, walk: Walk) -> Iterator[Estimate]:
+    """The same, frame by frame. A `Localiser` also gets the covariances that predictions bring."""
     has_vio, has_apr = known(walk.vio_T_cam), known(walk.map_T_cam_apr)
     has_gravity = np.asarray(np.isfinite(walk.gravity).all(axis=1))
     covariances = walk.apr_covariance
-    has_covariance = None if covariances is None else known(covariances)
+    has_covariance = np.zeros(len(walk), dtype=bool) if covariances is None else known(covariances)
     for i in range(len(walk)):
-        yield localiser.step(
+        frame = (
             int(walk.t_ns[i]),
             walk.vio_T_cam[i] if has_vio[i] else None,
             walk.map_T_cam_apr[i] if has_apr[i] else None,
             walk.gravity[i] if has_gravity[i] else None,
-            covariances[i] if covariances is not None and has_covariance is not None and has_covariance[i] else None,
         )
+        if isinstance(localiser, Localiser) and covariances is not None and has_covariance[i]:
+            yield localiser.step(*frame, covariances[i])
+        else:
+            yield localiser.step(*frame)
