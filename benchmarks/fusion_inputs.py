@@ -386,14 +386,25 @@ def trained_cases(data: DataRoot) -> list[Case]:
 
 def _predicted(track: Track, regressor: Regressor) -> Walk:
     """A walk with simulated predictions."""
+    named = replace(track, name=f"{track.name}~{regressor.seed}")
+    return predicted_walk(regressor.scene, named, regressor.predict(track.name, track.map_T_cam))
+
+
+def predicted_walk(scene: str, track: Track, map_T_cam_apr: Array) -> Walk:
+    """A walk of a track and predictions (N, 4, 4)."""
     count = len(track.t_ns)
-    name = f"{track.name}~{regressor.seed}"
-    apr = regressor.predict(track.name, track.map_T_cam)
     gravity = np.full((count, 3), np.nan)
     there = known(track.vio_T_cam)
     gravity[there] = gravity_of(track.vio_T_cam[there])
-    frame_id = np.array([f"{name}/{i:06d}" for i in range(count)], dtype=object)
-    return Walk(regressor.scene, name, "test", frame_id, track.t_ns, gravity, track.vio_T_cam, apr, track.map_T_cam)
+    frame_id = np.array([f"{track.name}/{i:06d}" for i in range(count)], dtype=object)
+    return Walk(
+        scene, track.name, "test", frame_id, track.t_ns, gravity, track.vio_T_cam, map_T_cam_apr, track.map_T_cam
+    )
+
+
+def drifting_odometry(t_ns: NDArray[np.int64], map_T_cam: Array, *seed: object) -> Array:
+    """Odometry vio_T_cam (N, 4, 4) with the usual drift for true poses; the same for the same seed."""
+    return _vio(t_ns, map_T_cam, _seed(*seed), _DRIFT)
 
 
 def _seed(*parts: object) -> int:

@@ -4,6 +4,8 @@ from groundwalk.artefacts import recording
 from groundwalk.fusion.apr import Apr, AprOptions
 from groundwalk.fusion.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.error_state import ErrorState, ErrorStateOptions
+from groundwalk.fusion.hindsight import Hindsight, HindsightOptions
+from groundwalk.fusion.hindsight_late import LateHindsight, LateHindsightOptions
 from groundwalk.fusion.last_good import LastGood, LastGoodOptions
 from groundwalk.fusion.methods import Method
 from groundwalk.fusion.mobilearloc import MobileARLoc, MobileARLocOptions
@@ -87,6 +89,17 @@ DRIFT_AWARE = Method(
     learns=True,
     shown=True,
 )
+HINDSIGHT = Method(
+    id="hindsight",
+    label="Hindsight",
+    meaning="alignment fitted to all kept predictions anew with each one",
+    colour=(51, 34, 136),
+    make=Hindsight,
+    options=HindsightOptions,
+    causal=True,
+    gives_covariance=True,
+    learns=True,
+)
 SMOOTHER = Method(
     id="smoother",
     label="smoother",
@@ -94,6 +107,17 @@ SMOOTHER = Method(
     colour=(117, 112, 179),
     make=Smoother,
     options=SmootherOptions,
+    causal=False,
+    gives_covariance=True,
+    learns=True,
+)
+HINDSIGHT_LATE = Method(
+    id="hindsight_late",
+    label="Hindsight, late",
+    meaning="hindsight that answers lag_s later, or from the whole walk",
+    colour=(136, 34, 85),
+    make=LateHindsight,
+    options=LateHindsightOptions,
     causal=False,
     gives_covariance=True,
     learns=True,

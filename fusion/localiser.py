@@ -25,6 +25,7 @@ class Status(StrEnum):
     OPTIMISED = "optimised"  # odometry carried into the map by the current alignment
     ALIGNING = "aligning"  # odometry carried by an alignment that is no longer trusted
     FUSED = "fused"  # both, weighed by how far each can be trusted
+    LOST = "lost"  # odometry carried on, while it isn't clear whether it still has the frame that was aligned
     NONE = "none"  # no pose
 
 
@@ -85,9 +86,15 @@ class Localiser(ABC):
 
     def __init__(self) -> None:
         self._t_ns: int | None = None
+        self._apr_covariance: Array | None = None  # what the frame's prediction brings, for methods that use it
 
     def step(
-        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_apr: Array | None, gravity: Array | None = None
+        self,
+        t_ns: int,
+        vio_T_cam: Array | None,
+        map_T_cam_apr: Array | None,
+        gravity: Array | None = None,
+        apr_covariance: Array | None = None,
     ) -> Estimate:
         """The estimate for the frame at `t_ns`.
 
@@ -95,6 +102,8 @@ class Localiser(ABC):
         map_T_cam_apr: predicted pose (4, 4), or None where there is none. One that isn't finite or isn't rigid is
             taken as None, and the estimate's reasons hold `prediction_invalid`.
         gravity: unit vector (3,) pointing down, camera axes, or None.
+        apr_covariance: (6, 6) of the prediction's error in the map frame, rotation (rad) then translation (m), or None.
+            One that isn't positive definite is taken as None, and the estimate's reasons hold `covariance_invalid`.
 
         Raises GeometryError where time doesn't rise or the odometry pose isn't a finite rigid transform.
         """
@@ -103,8 +112,12 @@ class Localiser(ABC):
         if vio_T_cam is not None and not _is_rigid(vio_T_cam):
             raise GeometryError(f"odometry pose at {t_ns} ns isn't a finite rigid transform")
         invalid = map_T_cam_apr is not None and not _is_rigid(map_T_cam_apr)
+        unsound = apr_covariance is not None and not is_covariance(apr_covariance)
+        self._apr_covariance = None if unsound else apr_covariance
         estimate = self._advance(t_ns, vio_T_cam, None if invalid else map_T_cam_apr, gravity)
-        self._t_ns = t_ns
+        self._t_ns, self._apr_covariance = t_ns, None
+        if unsound:
+            estimate = estimate.because("covariance_invalid")
         return estimate.because("prediction_invalid") if invalid else estimate
 
     def reset(self) -> None:
@@ -136,6 +149,14 @@ class Localiser(ABC):
 
     def _set_state(self, state: State) -> None:
         return None
+
+
+def is_covariance(matrix: Array) -> bool:
+    """Whether a matrix (6, 6) is finite, symmetric and positive definite."""
+    if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T, rtol=1e-6):
+        return False
+    sd = np.sqrt(np.abs(matrix.diagonal())) + 1e-300
+    return bool(matrix.diagonal().min() > 0 and np.linalg.eigvalsh(matrix / np.outer(sd, sd))[0] > 1e-9)
 
 
 def is_rigid(pose: Array) -> NDArray[np.bool_]:

@@ -49,10 +49,15 @@ class _Pass(DriftAware):
             self._scale, self._change = list(learnt._scale), list(learnt._change)
 
     def step(
-        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_apr: Array | None, gravity: Array | None = None
+        self,
+        t_ns: int,
+        vio_T_cam: Array | None,
+        map_T_cam_apr: Array | None,
+        gravity: Array | None = None,
+        apr_covariance: Array | None = None,
     ) -> Estimate:
         self._before = None
-        estimate = super().step(t_ns, vio_T_cam, map_T_cam_apr, gravity)
+        estimate = super().step(t_ns, vio_T_cam, map_T_cam_apr, gravity, apr_covariance)
         after = _Gaussian(*self._mean()) if estimate.status is Status.FUSED else None
         uncorrected = "no_prediction" in estimate.reasons
         self.known.append(_Known(after if uncorrected else self._before, after))

@@ -11,6 +11,7 @@ from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.tables import poses_of
+from groundwalk.fusion.localiser import is_covariance
 from groundwalk.geometry.metrics import sure_enough
 from groundwalk.geometry.poses import Array
 
@@ -37,6 +38,8 @@ class Walk:
 
     frame_id (N,) str, t_ns (N,) int64, gravity (N, 3) unit vectors in camera axes, and the poses (N, 4, 4).
     quality (N,) str: class of the ground truth, None where no class is stated; None instead of the array for all so.
+    apr_covariance (N, 6, 6): of the predictions' errors in the map frame, rotation (rad) then translation (m), NaN
+    where a prediction brings none; None instead of the array where none does.
     """
 
     scene: str
@@ -49,6 +52,7 @@ class Walk:
     map_T_cam_apr: Array
     map_T_cam: Array  # ground truth
     quality: NDArray[np.object_] | None = None
+    apr_covariance: Array | None = None
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -117,6 +121,7 @@ def evaluated(
         raise UserError(f"scene {scene} has no frames to evaluate", expected=f"split {', '.join(splits)}", found=found)
     ordered = chosen.sort_values(["session_id", "t_ns"], kind="stable")
     apr_T = poses_for(ordered, predictions, "map_cam")
+    covariance, unsound = _covariances(ordered, predictions)
     walks = []
     vio_T, true_T = _poses(ordered, "vio_cam"), poses_for(ordered, truth, "map_cam")
     quality = _qualities(ordered, truth)
@@ -147,6 +152,7 @@ def evaluated(
                 apr_T[rows],
                 true_T[rows],
                 quality[rows],
+                None if covariance is None else covariance[rows],
             )
         )
     listed = ordered["frame_id"].isin(predictions["frame_id"]).to_numpy()
@@ -166,6 +172,7 @@ def evaluated(
         "prediction_quaternions_not_of_unit_length": _not_unit(evaluated_predictions),
         "frames_without_prediction": int((~listed).sum()),
         "predictions_not_finite": int((listed & ~known(apr_T)).sum()),
+        "prediction_covariances_not_positive_definite": unsound,
         "predictions_outside_the_place": _outside(apr_T, true_T),
         "predictions_of_unknown_frames": unknown,
     }
@@ -177,6 +184,24 @@ def evaluated(
             do="check that frame_id is <session>/<six digits> as in the frames table",
         )
     return Evaluated(walks, frame_counts, prediction_counts)
+
+
+def _covariances(frames: pd.DataFrame, predictions: pd.DataFrame) -> tuple[Array | None, int]:
+    """The covariances (N, 6, 6) that predictions bring for each row of `frames`, NaN where there is none or what is
+    there can't be one, and how many can't; None where no prediction brings any."""
+    if "covariance" not in predictions.columns or not predictions["covariance"].notna().any():
+        return None, 0
+    stated = predictions.set_index("frame_id")["covariance"].reindex(frames["frame_id"])
+    found, unsound = np.full((len(frames), 6, 6), np.nan), 0
+    for i, numbers in enumerate(stated):
+        if numbers is None or np.ndim(numbers) == 0:
+            continue
+        matrix = np.asarray(numbers, dtype=float).ravel()
+        if matrix.size == 36 and is_covariance(matrix.reshape(6, 6)):
+            found[i] = matrix.reshape(6, 6)
+        else:
+            unsound += 1
+    return found, unsound
 
 
 def _outside(apr_T: Array, true_T: Array) -> int:

@@ -7,7 +7,7 @@ _OPTIONS = Column("options", "string", "the method's options, JSON")
 _MODEL = Column("model", "string", "the regressor whose predictions went in, as in train.predictions")
 _SCENE = Column("scene", "string", "scene of the frame; in a group of scenes its member")
 _SESSION = Column("session_id", "string", "capture session")
-_STATUS = "reliable, optimised, aligning, predicted, fused or none"
+_STATUS = "reliable, optimised, aligning, predicted, fused, lost or none"
 
 _KEYS = [
     _METHOD,

@@ -16,6 +16,7 @@ from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.fusion.__main__ import app
 from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines
 from groundwalk.fusion.tables import Files, evaluate_files
+from groundwalk.fusion.walks import evaluated
 
 SEEDS = [1, 2, 3]
 
@@ -72,7 +73,7 @@ def test_methods_learn_from_held_out_frames_and_never_from_those_that_are_judged
         r.tables["errors"].set_index(["method", "frame_id"])["live_position_m"] for r in (learnt, not_learnt)
     )
     changed = (ours - without).abs().groupby("method").max() > 1e-9
-    assert set(changed.index[changed]) == {"drift_aware", "smoother"}
+    assert set(changed.index[changed]) == {"drift_aware", "smoother", "hindsight", "hindsight_late"}
     # Predictions say themselves what was held out, where frames don't.
     relabelled = frames.assign(split=frames["split"].replace("val", "train"))
     pd.testing.assert_frame_equal(run(relabelled, truth, predictions).tables["error_maps"], table)
@@ -181,6 +182,19 @@ def test_quaternions_of_other_lengths_are_counted_and_taken_for_their_direction(
     assert results.counts["prediction_quaternions_not_of_unit_length"] == predicted
     assert plain.counts["prediction_quaternions_not_of_unit_length"] == 0
     pd.testing.assert_frame_equal(results.tables["summary"], plain.tables["summary"])
+
+
+def test_covariances_that_predictions_bring_reach_the_walk_and_wrong_ones_are_counted():
+    frames, truth, predictions = tables([1])
+    stated = [np.eye(6).ravel().tolist() for _ in range(len(predictions))]
+    stated[3], stated[4], stated[5] = None, (-np.eye(6)).ravel().tolist(), [1.0, 2.0]
+    found = evaluated("Hall", frames, truth, predictions.assign(covariance=stated), ["test"])
+    (walk,) = found.walks
+    there = np.isfinite(walk.apr_covariance).all(axis=(1, 2))
+    assert list(np.flatnonzero(~there)) == [3, 4, 5] and np.array_equal(walk.apr_covariance[0], np.eye(6))
+    assert found.prediction_counts["prediction_covariances_not_positive_definite"] == 2
+    (plain,) = evaluated("Hall", frames, truth, predictions.assign(covariance=None), ["test"]).walks
+    assert plain.apr_covariance is None
 
 
 def test_frames_without_odometry_are_counted():

@@ -1,0 +1,80 @@
+"""The fit of `hindsight` as it is defined, slow and literal: scipy's least squares over all predictions, in turns
+with what each counts and how their errors go together. It shares no code with fusion/."""
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+
+def literal_fit(vio, apr, drift, o, turns=40):
+    """The last poses' alignment: (N, 4) map position and yaw at each frame.
+
+    vio, apr: poses (N, 4, 4). drift: variances (N, 4) of x, y, z, yaw on the way to each frame. o: options.
+    """
+    count = len(vio)
+    sizes = np.repeat([np.radians(o.rotation_sd_deg), o.position_sd_m], 3)
+    shape = np.eye(6)
+    shape[1, 3] = shape[3, 1] = -o.side_turn
+    shape[0, 4] = shape[4, 0] = o.side_turn
+    share = _shares(vio, o)
+    start = [_heading(apr[i, :3, :3] @ vio[i, :3, :3].T) for i in range(count)]
+    x = np.column_stack([apr[:, :3, 3], np.full(count, start[0])])
+    x[:, :3] = apr[0, :3, 3] + (vio[:, :3, 3] - vio[0, :3, 3]) @ _yaw(start[0]).T
+    covariance = shape.copy()
+    for _ in range(turns):
+        errors = np.array([_error(x[i], vio[i], apr[i]) / sizes for i in range(count)])
+        weights = [_weight(e, covariance, o) for e in errors]
+        scatter = sum(s * w * np.outer(e, e) for s, w, e in zip(share, weights, errors, strict=True))
+        scatter = (scatter + o.size_count * shape) / (o.size_count + share.sum())
+        sd = np.sqrt(np.diag(scatter))
+        believed = o.side_turn_count / (o.side_turn_count + share.sum())
+        covariance = (1 - believed) * scatter + believed * np.outer(sd, sd) * shape + 1e-6 * np.eye(6)
+        weights = [_weight(e, covariance, o) for e in errors]
+        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+
+        def residuals(flat, weights=weights, whiten=whiten):
+            y = flat.reshape(-1, 4)
+            found = [
+                np.sqrt(o.independent * share[i] * weights[i]) * (whiten @ (_error(y[i], vio[i], apr[i]) / sizes))
+                for i in range(count)
+            ]
+            for i in range(1, count):
+                step = _yaw(y[i - 1, 3]) @ (vio[i, :3, 3] - vio[i - 1, :3, 3])
+                left = np.append(y[i, :3] - y[i - 1, :3] - step, y[i, 3] - y[i - 1, 3])
+                found.append(left / np.sqrt(drift[i]))
+            return np.concatenate(found)
+
+        x = least_squares(residuals, x.ravel(), x_scale="jac").x.reshape(-1, 4)
+    return x
+
+
+def _error(x, vio, apr):
+    """Rotation (rad) before position error of a prediction in camera axes, when the camera is at x, y, z, yaw."""
+    turn = _yaw(_heading(apr[:3, :3] @ vio[:3, :3].T))
+    lean = Rotation.from_matrix(apr[:3, :3] @ vio[:3, :3].T @ turn.T).as_rotvec()
+    off = (_heading(turn) - x[3] + np.pi) % (2 * np.pi) - np.pi
+    camera = (_yaw(x[3]) @ vio[:3, :3]).T
+    return np.concatenate([camera @ [lean[0], off, lean[2]], camera @ (apr[:3, 3] - x[:3])])
+
+
+def _weight(error, covariance, o):
+    return (o.degrees_of_freedom + 6) / (o.degrees_of_freedom + error @ np.linalg.solve(covariance, error))
+
+
+def _shares(vio, o):
+    found = [1.0]
+    for a, b in pairwise(vio):
+        gap = np.linalg.norm(b[:3, 3] - a[:3, 3])
+        gap += o.turn_length_m * np.linalg.norm(Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec())
+        found.append(gap / (gap + o.apart_m))
+    return np.array(found)
+
+
+def _yaw(angle):
+    return Rotation.from_rotvec([0, angle, 0]).as_matrix()
+
+
+def _heading(rotation):
+    return np.arctan2(rotation[0, 2] - rotation[2, 0], rotation[0, 0] + rotation[2, 2])

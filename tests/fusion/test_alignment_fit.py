@@ -1,0 +1,180 @@
+"""The pieces of `hindsight`'s fit, each alone, and the whole beside its slow, literal definition."""
+
+import numpy as np
+import pytest
+from literal_fit import literal_fit
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from scipy.stats import multivariate_t
+from upright_walks import upright_walk
+
+from groundwalk.fusion import robust
+from groundwalk.fusion.aligner import counted
+from groundwalk.fusion.alignment_chain import Chain, applied, errors, solve
+from groundwalk.fusion.hindsight import Hindsight, HindsightOptions
+from groundwalk.fusion.keyframes import Keyframes
+from groundwalk.fusion.odometry_quality import drift_factors
+from groundwalk.fusion.prediction_noise import Prior, scatter, side_turn_correlation, whitening, whitening_of_covariance
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import yaw_rotation
+
+
+def test_costs_are_those_of_students_t():
+    errors = np.random.default_rng(0).normal(0, 3, (50, 6))
+    density = multivariate_t(np.zeros(6), np.eye(6), df=0.7).logpdf(errors)
+    found = -robust.costs((errors**2).sum(axis=1), 6, 0.7)
+    assert np.allclose(found - found[0], density - density[0])
+    # A weight is the slope of the cost over the slope of a Gaussian's.
+    z = np.array([0.1, 1.0, 30.0])
+    slope = (robust.costs(z + 1e-6, 6, 0.7) - robust.costs(z - 1e-6, 6, 0.7)) / 1e-6
+    assert np.allclose(robust.weights(z, 6, 0.7), slope, rtol=1e-6)
+
+
+def test_middle_is_a_median():
+    for count in (1, 2, 7, 50):
+        values = np.random.default_rng(count).normal(size=count)
+        assert robust.middle(values) == np.sort(values)[count // 2]
+
+
+def test_scatter_finds_the_covariance_of_students_t():
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(6, 6)) + 3 * np.eye(6)
+    true = root @ root.T
+    sample = multivariate_t(np.zeros(6), true, df=3).rvs(4000, random_state=2)
+    found = np.eye(6)
+    prior = Prior(np.eye(6), 1e-6, 1e-6)
+    for _ in range(100):
+        squared = np.einsum("ni,ij,nj->n", sample, np.linalg.inv(found), sample)
+        found = scatter(prior, sample, np.ones(len(sample)), robust.weights(squared, 6, 3.0))
+    assert np.allclose(found, true, atol=0.12 * np.abs(true).max())
+
+
+def test_with_few_predictions_the_shape_is_the_assumed_one_whatever_the_size():
+    prior = Prior(side_turn_correlation(0.6), 20.0, 0.3)
+    one = scatter(prior, np.full((1, 6), 5.0), np.ones(1), np.ones(1))
+    sd = np.sqrt(np.diag(one))
+    assert -0.6 < one[1, 3] / (sd[1] * sd[3]) < -0.5 and 0.6 < one[0, 4] / (sd[0] * sd[4]) < 0.7
+    assert (sd > 3).all()
+
+
+def test_whitening_normalises_what_a_covariance_says():
+    rng = np.random.default_rng(3)
+    map_R_cam, vio_R_cam = Rotation.random(2, rng=rng).as_matrix()
+    root = rng.normal(size=(6, 6))
+    B = whitening_of_covariance(root @ root.T, map_R_cam, vio_R_cam)
+    # From odometry's axes to the map's, where the covariance is stated.
+    to_map = np.kron(np.eye(2), vio_R_cam @ map_R_cam.T)
+    assert np.allclose(B @ to_map @ (root @ root.T) @ to_map.T @ B.T, np.eye(6))
+    sizes = np.arange(1.0, 7.0)
+    assert np.allclose(whitening(sizes, vio_R_cam) @ np.r_[0, 0, 0, vio_R_cam[:, 1]], [0, 0, 0, 0, 1 / 5, 0])
+
+
+def test_a_full_table_drops_what_is_densest_and_keeps_the_newest_and_the_way():
+    table = Keyframes(10)
+    for i in range(200):
+        table.add(along=float(i), drift=np.full(4, 1.0), vio=[i, 0, 0], time_s=float(i), rare=float(i % 7))
+    along = table.column("along")
+    assert len(table) == 10 and list(along[-2:]) == [198.0, 199.0] and along[0] < 100
+    assert np.all(np.diff(np.diff(along)) <= 20)
+    assert np.allclose(table.column("drift")[1:, 0], np.diff(along))
+    copy = Keyframes(10)
+    copy.restore(table.save())
+    copy.add(along=200.0, drift=np.ones(4), vio=[200, 0, 0], time_s=200.0)
+    assert len(copy) == 10 and copy.column("along")[-1] == 200.0
+
+
+def chain(seed, count=12):
+    rng = np.random.default_rng(seed)
+    step = rng.normal(0, 1, (count, 3))
+    precision = rng.uniform(1, 50, (count, 4))
+    precision[:, 2] = precision[:, 0]
+    position, yaw = np.cumsum(rng.normal(0, 1, (count, 3)), axis=0), rng.normal(0, 0.3, count)
+    measured = np.column_stack([position + rng.normal(0, 0.5, (count, 3)), yaw + rng.normal(0, 0.2, count)])
+    return Chain(step, precision), position, yaw, measured
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_iterated_steps_reach_the_least_squares_of_scipy(seed):
+    terms, position, yaw, measured = chain(seed)
+    information = np.tile(np.diag([2.0, 3.0, 2.0, 5.0]), (len(yaw), 1, 1))
+
+    def residuals(flat):
+        p, t = flat.reshape(-1, 4)[:, :3], flat.reshape(-1, 4)[:, 3]
+        found = [np.sqrt([2.0, 3.0, 2.0, 5.0]) * (measured - np.column_stack([p, t]))]
+        for i in range(1, len(t)):
+            e = yaw_rotation(-t[i - 1]) @ (p[i] - p[i - 1]) - terms.step[i]
+            found.append(np.sqrt(terms.precision[i]) * [*e, t[i] - t[i - 1]])
+        return np.concatenate([np.ravel(f) for f in found])
+
+    best = least_squares(residuals, np.column_stack([position, yaw]).ravel(), xtol=1e-12, ftol=1e-14).x.reshape(-1, 4)
+    for _ in range(60):
+        left = errors(position, yaw, measured[:, :3], measured[:, 3], np.zeros((len(yaw), 2)))
+        gradient = np.einsum("nij,nj->ni", information, left[:, [3, 4, 5, 1]])
+        found = solve(terms, position, yaw, information, gradient)
+        position, yaw = applied(position, yaw, found.increments)
+    assert np.allclose(position, best[:, :3], atol=1e-5) and np.allclose(yaw, best[:, 3], atol=1e-5)
+
+
+def test_covariances_are_blocks_of_the_inverse():
+    terms, position, yaw, measured = chain(4)
+    information = np.tile(np.eye(4), (len(yaw), 1, 1))
+    found = solve(terms, position, yaw, information, measured - measured)
+    factor = np.zeros((4 * len(yaw),) * 2)
+    for k in range(8):
+        factor += np.diag(found.factor[k, : 4 * len(yaw) - k], -k)
+    inverse = np.linalg.inv(factor @ factor.T)
+    for i in (0, 5, len(yaw) - 1):
+        assert np.allclose(found.covariance(i), inverse[4 * i : 4 * i + 4, 4 * i : 4 * i + 4])
+
+
+def test_what_nothing_binds_is_refused():
+    terms, position, yaw, measured = chain(5)
+    terms.precision[6] = 0
+    information = np.zeros((len(yaw), 4, 4))
+    information[0] = np.eye(4)
+    with pytest.raises(GeometryError, match="nothing binds keyframe"):
+        solve(terms, position, yaw, information, 0 * measured)
+
+
+def test_predictions_made_standing_still_count_as_one():
+    along = np.array([0.0, 1.0, 1.0, 1.0, 1.0, 2.0])
+    assert counted(along, 0.05).sum() < 3
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_fit_is_what_it_is_defined_to_be(seed):
+    t_ns, _, vio, apr = upright_walk(seed, 9)
+    options = HindsightOptions(rivals=False, distrust=False)
+    fast = Hindsight(options)
+    for t, v, a in zip(t_ns, vio, apr, strict=True):
+        fast.step(int(t), v, a)
+    for _ in range(10):
+        fast.settle()
+    way = np.linalg.norm(np.diff(vio[:, :3, 3], axis=0), axis=1)
+    metre = np.array([options.drift_m, options.drift_height_m, options.drift_m, np.radians(options.drift_deg_m)]) ** 2
+    second = 0.05 * metre
+    second[3] = np.radians(options.drift_deg_s) ** 2
+    drift = np.vstack([np.ones(4), way[:, None] * metre + second + [1e-8, 1e-8, 1e-8, 1e-10]])
+    slow = literal_fit(vio, apr, drift, options)
+    found = np.array([fast.revised(int(t), v).map_T_cam[:3, 3] for t, v in zip(t_ns, vio, strict=True)])
+    assert np.abs(found - slow[:, :3]).max() < 1e-2
+
+
+def table_of(vio, measured, drift=1e-3):
+    table = Keyframes(None)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vio, axis=0), axis=1))])
+    for i in range(len(vio)):
+        added = np.array([drift, drift, drift, 1e-5])
+        table.add(vio=vio[i], measured=[*measured[i], 0, 0, 0], drift=added, along=along[i], time_s=float(i))
+    return table
+
+
+def test_drift_is_told_from_predictions_that_are_wrong_alike():
+    rng = np.random.default_rng(6)
+    vio = np.column_stack([2.0 * np.arange(90), np.zeros(90), np.zeros(90)])
+    alike = np.zeros((90, 3))
+    for i in range(1, 90):
+        alike[i] = 0.6 * alike[i - 1] + rng.normal(0, 0.5, 3)
+    assert np.allclose(drift_factors(table_of(vio, vio + alike)), 1)
+    drifted = np.cumsum(rng.normal(0, 1.0, (90, 3)), axis=0)
+    assert drift_factors(table_of(vio, vio + drifted))[0] > 100

@@ -1,0 +1,319 @@
+"""The method: its invariances, what it does with bad odometry and bad predictions, and whether it knows its errors.
+
+What was measured stands beside some bounds."""
+
+import json
+
+import numpy as np
+import pytest
+from random_walks import random_walk
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+from upright_walks import as_walk, upright_walk
+
+from groundwalk.fusion.error_map import ErrorMap
+from groundwalk.fusion.hindsight import Hindsight, HindsightOptions
+from groundwalk.fusion.hindsight_late import LateHindsight, LateHindsightOptions
+from groundwalk.fusion.mobilearloc import MobileARLoc
+from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.geometry.poses import interpolate, make_pose, yaw_rotation
+
+
+def answers(localiser, t_ns, vio, apr):
+    return [localiser.step(int(t), v, a) for t, v, a in zip(t_ns, vio, apr, strict=True)]
+
+
+def poses(estimates):
+    return np.array([e.map_T_cam for e in estimates])
+
+
+def test_every_frame_has_an_answer_and_it_beats_the_rule_and_the_raw_predictions():
+    ours, rule, raw = [], [], []
+    for seed in range(5):
+        t_ns, truth, vio, apr = upright_walk(seed)
+        fused = poses(answers(Hindsight(), t_ns, vio, apr))
+        ours.append((position_error(fused, truth).mean(), rotation_error_deg(fused, truth).mean()))
+        raw.append((position_error(apr, truth).mean(), rotation_error_deg(apr, truth).mean()))
+        answered = [(e.map_T_cam, p) for e, p in zip(answers(MobileARLoc(), t_ns, vio, apr), truth, strict=True)]
+        kept, true = (np.array(x) for x in zip(*[pair for pair in answered if pair[0] is not None], strict=True))
+        rule.append((position_error(kept, true).mean(), rotation_error_deg(kept, true).mean()))
+    ours, rule, raw = (np.mean(x, axis=0) for x in (ours, rule, raw))
+    assert (ours < 0.45 * rule).all() and (ours < 0.25 * raw).all()
+
+
+def test_covariance_holds_the_errors():
+    inside = []
+    for seed in range(10, 18):
+        t_ns, truth, vio, apr = upright_walk(seed)
+        for estimate, pose in zip(answers(Hindsight(), t_ns, vio, apr), truth, strict=True):
+            error = pose[:3, 3] - estimate.map_T_cam[:3, 3]
+            covariance = estimate.covariance[3:, 3:]
+            inside.append(error @ np.linalg.solve(covariance, error) <= chi2.ppf(0.95, 3))
+            assert np.linalg.eigvalsh(estimate.covariance).min() > 0
+    assert 0.9 <= np.mean(inside) <= 1.0  # 0.94
+
+
+def test_going_on_from_a_saved_state_changes_nothing_and_its_size_is_bounded():
+    t_ns, _, vio, apr = upright_walk(1, 60)
+    options = HindsightOptions(keyframes=20)
+    whole, localiser = answers(Hindsight(options), t_ns, vio, apr), Hindsight(options)
+    sizes = []
+    for i in range(60):
+        text = json.dumps(localiser.save())
+        sizes.append(len(text))
+        localiser = Hindsight(options)
+        localiser.restore(json.loads(text))
+        assert np.array_equal(localiser.step(int(t_ns[i]), vio[i], apr[i]).map_T_cam, whole[i].map_T_cam)
+    assert max(sizes[30:]) <= 1.05 * max(sizes[2:30])
+
+
+def test_odometry_between_predictions_changes_little():
+    """Ten odometry poses a second and one prediction: as good and as sure as at one pose a second."""
+    found = {1: [], 10: []}
+    for seed in range(4):
+        t_ns, truth, vio, apr = upright_walk(seed, 100)
+        for rate in found:
+            fine_ns = np.arange(t_ns[0], t_ns[-1] + 1, 10**9 // rate)
+            odometry = interpolate(t_ns, vio, fine_ns)
+            given = [apr[i // rate] if i % rate == 0 else None for i in range(len(fine_ns))]
+            estimates = answers(Hindsight(), fine_ns, odometry, given)
+            assert all(e.map_T_cam is not None for e in estimates)
+            error = position_error(poses(estimates[::rate]), truth).mean()
+            # The last before a prediction has the largest covariance.
+            found[rate].append((error, np.mean([e.signals["position_sd_m"] for e in estimates[rate - 1 :: rate]])))
+    (error, sd), (fine_error, fine_sd) = (np.mean(found[rate], axis=0) for rate in (1, 10))
+    assert fine_error < 1.1 * error and sd < 1.3 * fine_sd and fine_sd < 1.3 * sd
+
+
+def test_frames_of_reference_do_not_matter():
+    """Turning or moving odometry's frame moves nothing in the map; moving the map moves the answers with it."""
+    t_ns, _, vio, apr = upright_walk(2, 80)
+    other_T_vio = make_pose(yaw_rotation(1.1), [100.0, -3.0, 40.0])
+    other_T_map = make_pose(yaw_rotation(-2.5), [-7.0, 2.0, 60.0])
+    expected = poses(answers(Hindsight(), t_ns, vio, apr))
+    assert np.allclose(poses(answers(Hindsight(), t_ns, other_T_vio @ vio, apr)), expected, atol=1e-6)
+    # Horizontal axes share one scale, so that turning the map about the vertical is no change either.
+    moved = poses(answers(Hindsight(), t_ns, vio, other_T_map @ apr))
+    assert np.allclose(moved, other_T_map @ expected, atol=0.05)
+
+
+@pytest.mark.parametrize("trouble", ["jump", "scale", "noise", "dropout"])
+def test_bad_odometry_never_makes_it_worse_than_the_predictions(trouble):
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        t_ns, truth, vio, apr = upright_walk(seed)
+        vio = vio.copy()
+        if trouble == "jump":
+            vio[100:, :3, 3] += [4.0, 0.0, 3.0]
+        elif trouble == "scale":
+            vio[:, :3, 3] *= 1.05
+        elif trouble == "noise":
+            vio[:, :3, 3] += np.cumsum(rng.normal(0, 0.1, (200, 3)), axis=0)
+        lost = set(range(100, 108)) if trouble == "dropout" else set()
+        odometry = [None if i in lost else v for i, v in enumerate(vio)]
+        estimates = answers(Hindsight(), t_ns, odometry, apr)
+        if trouble == "jump":
+            assert "odometry_jump" in estimates[100].reasons
+        assert position_error(poses(estimates), truth).mean() < 0.75 * position_error(apr, truth).mean()  # at most 0.65
+
+
+def test_a_prediction_counts_less_for_leaning():
+    """Its gravity alone shows that it is a bad one."""
+    for seed in range(4):
+        t_ns, _, vio, apr = upright_walk(seed, 30, outliers=0.0)
+        leaning = apr.copy()
+        leaning[-1, :3, :3] = Rotation.from_rotvec([np.radians(40), 0, 0]).as_matrix() @ apr[-1, :3, :3]
+        weight, plain_weight = (answers(Hindsight(), t_ns, vio, p)[-1].signals["weight"] for p in (leaning, apr))
+        assert weight < 0.3 * plain_weight
+
+
+def test_one_prediction_far_off_changes_next_to_nothing():
+    """It is turned by 150 degrees and 12 m off; the answer hardly moves, and forgets it."""
+    for seed in range(6):
+        t_ns, _, vio, apr = upright_walk(seed, 40, outliers=0.0)
+        bad = apr.copy()
+        bad[20] = make_pose(yaw_rotation(2.6) @ bad[20, :3, :3], bad[20, :3, 3] + [12.0, 0.0, 0.0])
+        fooled, fine = (poses(answers(Hindsight(), t_ns, vio, p)) for p in (bad, apr))
+        moved = position_error(fooled, fine)
+        assert moved[20] < 0.2 and moved.max() < 0.3 and moved[39] < 0.15
+
+
+def test_some_seconds_of_wrong_predictions_are_no_reason_to_leave_odometry():
+    """A look aside at what the regressor doesn't know: five predictions in a row at some other place."""
+    strayed = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        t_ns, truth, vio, apr = upright_walk(seed, 60, noise_m=0.3, outliers=0.0)
+        shift, yaw = rng.uniform(-12, 12, 3) * [1, 0.05, 1], rng.uniform(1, 3)
+        for i in range(40, 45):
+            turned = yaw_rotation(yaw + rng.normal(0, 0.2)) @ apr[i, :3, :3]
+            apr[i] = make_pose(turned, apr[i, :3, 3] + shift + rng.normal(0, 1, 3) * [1, 0.1, 1])
+        estimates = answers(Hindsight(), t_ns, vio, apr)
+        strayed.append(position_error(poses(estimates), truth)[40:45].max())
+        assert estimates[44].status == "lost" and estimates[39].status == estimates[55].status == "fused"
+    assert np.max(strayed) < 1.0  # 0.34
+
+
+def test_a_long_row_of_alike_mistakes_is_no_lost_odometry():
+    """Ten predictions wrong in the same way, upright or leaning: without a sign odometry is still believed."""
+    for seed, lean_deg in ((s, d) for s in range(4) for d in (0, 30)):
+        t_ns, truth, vio, apr = upright_walk(seed, 80, noise_m=0.3, outliers=0.0)
+        lean = Rotation.from_rotvec(np.radians([lean_deg, 0, 0])).as_matrix()
+        wrong = apr.copy()
+        wrong[40:50] = make_pose(lean @ yaw_rotation(1.0) @ apr[40:50, :3, :3], apr[40:50, :3, 3] + [4.0, 0, 2.0])
+        fused = poses(answers(Hindsight(), t_ns, vio, wrong))
+        assert position_error(fused, truth)[60:].mean() < 0.6  # at most 0.35
+
+
+def test_after_a_jump_it_is_lost_until_the_predictions_have_said_where():
+    """5 m, or 30 degrees about where odometry began; within some seconds it is as good as before."""
+    for seed, turn_deg in ((s, d) for s in range(3) for d in (0, 30)):
+        t_ns, truth, vio, apr = upright_walk(seed, noise_m=0.2, noise_deg=2.0, outliers=0.05)
+        vio = vio.copy()
+        vio[100:] = make_pose(yaw_rotation(np.radians(turn_deg)), [4.0, 0.0, 3.0]) @ vio[100:]
+        with_rivals, without = (
+            answers(Hindsight(HindsightOptions(rivals=rivals)), t_ns, vio, apr) for rivals in (True, False)
+        )
+        error, stubborn = (position_error(poses(found), truth) for found in (with_rivals, without))
+        assert (
+            error[106:116].mean() < 2 * error[70:100].mean() + 0.2 and error[106:116].mean() < stubborn[106:116].mean()
+        )
+        assert "odometry_jump" in with_rivals[100].reasons
+        statuses = [str(e.status) for e in with_rivals]
+        assert "lost" in statuses[100:106] and statuses[110:140].count("fused") > 20
+
+
+def test_a_minute_of_one_wrong_place_is_left_again():
+    """Predictions of another place for a minute, that move as odometry does; then the old alignment holds again."""
+    for seed in range(3):
+        t_ns, truth, vio, apr = upright_walk(seed, 180, noise_m=0.2, noise_deg=2.0, outliers=0.05)
+        apr = apr.copy()
+        apr[60:120] = make_pose(yaw_rotation(2.0), [8.0, 0.0, -6.0]) @ apr[60:120]
+        error = position_error(poses(answers(Hindsight(), t_ns, vio, apr)), truth)
+        assert error[135:].mean() < 1.5 * error[30:60].mean() + 0.1
+
+
+def test_predictions_better_than_odometry_are_followed():
+    for seed in range(3):
+        t_ns, truth, vio, apr = upright_walk(seed, 50, noise_m=0.02, noise_deg=0.3, outliers=0.0)
+        fused = poses(answers(Hindsight(), t_ns, vio, apr))
+        assert position_error(fused, truth).mean() < 1.02 * position_error(apr, truth).mean()
+
+
+def test_one_setting_serves_errors_of_every_size():
+    for noise_m in (0.1, 0.5, 5.0):
+        ratio = []
+        for seed in range(3):
+            t_ns, truth, vio, apr = upright_walk(seed, 80, noise_m=noise_m)
+            fused = poses(answers(Hindsight(), t_ns, vio, apr))
+            ratio.append(position_error(fused, truth).mean() / position_error(apr, truth).mean())
+        assert np.mean(ratio) < 0.5  # at most 0.31
+
+
+def test_covariances_that_predictions_bring_are_used_whatever_their_unit():
+    """Right but for a common factor, they tell which predictions are good."""
+    errors = {"none": [], 1.0: [], 100.0: []}
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        t_ns, truth, vio, _ = upright_walk(seed, 100)
+        sd = np.exp(rng.normal(0, 1.2, 100)) * 0.5
+        turn = Rotation.from_rotvec(0.05 * sd[:, None] * rng.normal(size=(100, 3))).as_matrix()
+        apr = make_pose(turn @ truth[:, :3, :3], truth[:, :3, 3] + sd[:, None] * rng.normal(size=(100, 3)))
+        for factor, found in errors.items():
+            localiser, fused = Hindsight(), []
+            for i in range(100):
+                stated = None if factor == "none" else factor * np.diag(np.repeat([0.05 * sd[i], sd[i]], 3) ** 2)
+                fused.append(localiser.step(int(t_ns[i]), vio[i], apr[i], None, stated))
+            found.append(position_error(poses(fused), truth)[5:].mean())
+    none, right, scaled = (np.mean(found) for found in errors.values())
+    assert right < none and scaled < 1.05 * right
+
+
+def test_a_covariance_that_is_none_is_named():
+    t_ns, _, vio, apr = upright_walk(0, 3)
+    localiser = Hindsight()
+    for wrong in (np.zeros((6, 6)), -np.eye(6), np.full((6, 6), np.nan), np.triu(np.ones((6, 6)))):
+        estimate = Hindsight().step(int(t_ns[0]), vio[0], apr[0], None, wrong)
+        assert "covariance_invalid" in estimate.reasons and np.isfinite(estimate.map_T_cam).all()
+    assert "covariance_invalid" not in localiser.step(int(t_ns[0]), vio[0], apr[0], None, np.eye(6)).reasons
+
+
+def test_the_later_the_answer_the_better():
+    error = {0.0: [], 5.0: [], 30.0: [], None: []}
+    for seed in range(4):
+        t_ns, truth, vio, apr = upright_walk(seed, 100)
+        walk = as_walk(t_ns, truth, vio, apr)
+        for lag_s, found in error.items():
+            late = LateHindsight(LateHindsightOptions(lag_s=lag_s)).estimates(walk)
+            found.append(position_error(poses(late), truth).mean())
+        in_time = poses(answers(Hindsight(), t_ns, vio, apr))
+        assert np.allclose(poses(LateHindsight(LateHindsightOptions(lag_s=0.0)).estimates(walk))[:99], in_time[:99])
+    means = [np.mean(found) for found in error.values()]
+    assert means[1] < 0.95 * means[0] and means[2] < means[1] and means[3] < 1.02 * means[2]
+
+
+def test_odometry_that_starts_anew_elsewhere_is_aligned_anew_and_one_that_comes_back_is_believed():
+    again, back = [], []
+    for seed in range(6):
+        t_ns, truth, vio, apr = upright_walk(seed)
+        other = vio.copy()
+        other[105:] = make_pose(yaw_rotation(2.0), [3.0, 0.5, -9.0]) @ other[105:]
+        gone = [[None if 100 <= i < 105 else v for i, v in enumerate(poses)] for poses in (other, vio)]
+        anew, same = (poses(answers(Hindsight(), t_ns, odometry, apr)) for odometry in gone)
+        again.append(rotation_error_deg(anew, truth)[108:].mean())
+        back.append(rotation_error_deg(same, truth)[105:115].mean() / rotation_error_deg(apr, truth)[105:115].mean())
+    assert np.mean(again) < 5 and np.mean(back) < 0.6  # 1.8 degrees
+
+
+def test_what_was_learnt_beforehand_is_used_and_can_be_switched_off():
+    """A regressor with the same bias along the same way, which held-out frames of another walk have shown."""
+    ratio = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        t_ns, truth, vio, _ = upright_walk(seed)
+        lean = np.sin(truth[:, :3, 3] @ rng.normal(0, 0.2, (3, 3)) + rng.uniform(0, 6, 3))
+        bias = 1.5 * lean * [1.0, 0.2, 1.0]
+
+        def predicted(rng=rng, truth=truth, bias=bias):
+            shift = bias + rng.normal(0, 0.1, (200, 3))
+            turn = Rotation.from_rotvec(np.radians(1) * rng.normal(size=(200, 3))).as_matrix()
+            return make_pose(turn @ truth[:, :3, :3], truth[:, :3, 3] + shift)
+
+        error_map = ErrorMap.learnt(predicted(), truth)
+        apr = predicted()
+        with_map, switched_off, without = (
+            position_error(poses(answers(localiser, t_ns, vio, apr)), truth).mean()
+            for localiser in (
+                Hindsight(None, error_map),
+                Hindsight(HindsightOptions(error_map=False), error_map),
+                Hindsight(),
+            )
+        )
+        assert switched_off == without
+        ratio.append(with_map / without)
+    assert np.mean(ratio) < 0.5
+
+
+def test_a_regressor_that_takes_a_step_aside_for_a_turn_is_seen_through():
+    """How its errors go together is learnt, so that the yaw's tells of the position's."""
+    with_it, without = [], []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        t_ns, truth, vio, _ = upright_walk(seed)
+        aside = np.zeros(200)
+        for i in range(1, 200):
+            aside[i] = 0.8 * aside[i - 1] + 0.6 * 0.4 * rng.normal()
+        turn = yaw_rotation(np.radians(-15 * aside + rng.normal(size=200)))
+        apr = make_pose(turn @ truth[:, :3, :3], truth[:, :3, 3] + aside[:, None] * truth[:, :3, 0])
+        for found, options in ((with_it, None), (without, HindsightOptions(side_turn=0.0, side_turn_count=1e9))):
+            found.append(position_error(poses(answers(Hindsight(options), t_ns, vio, apr)), truth).mean())
+    assert np.mean(with_it) < 0.9 * np.mean(without)  # 0.85
+
+
+def test_hopeless_walks_and_switched_off_ingredients_run():
+    switched_off = HindsightOptions(error_map=False, covariances=False, distrust=False, rivals=False)
+    for seed in range(6):
+        walk = random_walk(seed)
+        for options in (HindsightOptions(), switched_off):
+            for estimate in answers(Hindsight(options), walk.t_ns, walk.vio, walk.apr):
+                assert estimate.map_T_cam is None or np.isfinite(estimate.map_T_cam).all()
