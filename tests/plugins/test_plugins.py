@@ -209,7 +209,7 @@ def test_predictions_from_elsewhere_take_part_to_the_end(data: Path) -> None:
         run([], data, stage)
     assert set(table(data, "train", "predictions")["model"]) == {"mine"}
     errors = table(data, "fuse", "errors")
-    assert len(set(errors["method"])) == 9
+    assert len(set(errors["method"])) == 11
     assert errors["apr_position_m"].to_numpy() == pytest.approx(np.full(len(errors), 0.5))
     page = (data / "runs/tiny/Room/report/page.html").read_text()
     assert "mine+VIO, median" in page and "predictions imported from mine.parquet" in page
