@@ -14,18 +14,18 @@ from groundwalk.geometry.poses import Array
 from groundwalk.localisation.compact import CompactMap, Lens
 from groundwalk.localisation.features import Features, extract
 from groundwalk.localisation.frames import row_times
-from groundwalk.localisation.pose import Fit, ransac, refine
+from groundwalk.localisation.pose import Fit, Observed, Priors, ransac, refine, upright_ransac
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float32]
 
-_PROBES = 3
+_PROBES, _VOTERS = 3, 400
 _VIEWS = 12
 _VOTE_RATIO, _RATIO = 0.9, 0.9
-_RANSAC_PX, _TRIALS = 6.0, 2000
+_RANSAC_PX, _TRIALS, _UPRIGHT_TRIALS = 6.0, 2000, 400
 _GUIDED_PX, _MIN_SIMILARITY = 5.0, 0.6
 _INLIER_SIGMAS, _MIN_INLIER_PX = 4.0, 1.5
-_MIN_FEATURES, _MIN_MATCHES = 30, 8
+_MIN_FEATURES, _MIN_MATCHES, _MIN_POSE = 30, 8, 6
 _SAME_LENS = 1.08
 
 
@@ -47,7 +47,7 @@ class Answer:
 
 
 @dataclass
-class _Clock:
+class Clock:
     seconds: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
@@ -67,48 +67,65 @@ class MapLocaliser:
         self._seen_by = views[order]
         self._seen_by_bounds = np.searchsorted(content.seen[order], np.arange(len(content.xyz) + 1))
 
-    def localise(self, grey: NDArray[np.uint8], camera: Camera, prior: Array | None = None, *, seed: int = 0) -> Answer:
+    def localise(
+        self,
+        grey: NDArray[np.uint8],
+        camera: Camera,
+        gravity: Array | None = None,
+        prior: Array | None = None,
+        *,
+        seed: int = 0,
+    ) -> Answer:
         """The answer for a grey image (H, W) taken with `camera`, as the phone logged it.
 
+        gravity: unit vector (3,), down, in the camera, or None.
         prior: about where the camera is, map_T_cam (4, 4), or None.
         """
         if grey.shape[:2] != (camera.height, camera.width):
             found = f"image {grey.shape[1]} x {grey.shape[0]} px, intrinsics for {camera.width} x {camera.height} px"
-            return _refusal("image_size", found, _Clock())
-        clock = _Clock()
+            return _refusal("image_size", found, Clock())
+        clock = Clock()
         with clock.part("features"):
             features = extract(grey, self.map.max_features, self.map.max_side)
-        return self.localise_features(features, camera, prior, seed=seed, clock=clock)
+        return self.localise_features(features, camera, gravity, prior, seed=seed, clock=clock)
 
     def localise_features(
-        self, features: Features, camera: Camera, prior: Array | None = None, *, seed: int = 0, clock: _Clock | None = None
+        self,
+        features: Features,
+        camera: Camera,
+        gravity: Array | None = None,
+        prior: Array | None = None,
+        *,
+        seed: int = 0,
+        clock: Clock | None = None,
     ) -> Answer:
         """The same of an image's features."""
-        clock = clock or _Clock()
+        clock = clock or Clock()
         if len(features) < _MIN_FEATURES:
             return _refusal("few_features", f"{len(features)} features, {_MIN_FEATURES} needed: dark or blurred?", clock)
         camera, readout_s = with_lens(camera, self.map.lenses)
         with clock.part("retrieval"):
             query = self.map.projected(features.descriptors)
-            views = self._views_near(prior) if prior is not None else self._views_by_votes(query)
+            views = self._views_near(prior) if prior is not None else self._views_by_votes(query[:_VOTERS])
             rows = self._points_of(views)
         with clock.part("matching"):
             product = query @ self.map.descriptors[rows].T
             matches = _ratio_matches(product, _RATIO)
+            asked = _Asked(features.px.astype(float), camera.unproject(features.px), self.map.xyz[rows], camera, readout_s, gravity)
+            matches = matches[np.isfinite(asked.ideal[matches[:, 0]]).all(axis=1)]
         if len(matches) < _MIN_MATCHES:
             return _refusal("few_matches", f"{len(matches)} matches, {_MIN_MATCHES} needed", clock, len(matches))
-        px, xyz = features.px.astype(float), self.map.xyz[rows]
         with clock.part("ransac"):
-            found = ransac(px[matches[:, 0]], xyz[matches[:, 1]], camera, _RANSAC_PX * _scale(camera), _TRIALS, seed)
-        if found is None or found[1].sum() < _MIN_MATCHES:
-            return _refusal("no_pose", f"no pose explains {_MIN_MATCHES} of {len(matches)} matches", clock, len(matches))
+            found = asked.pose(matches, seed)
+        if found is None or found[1].sum() < _MIN_POSE:
+            return _refusal("no_pose", f"no pose explains {_MIN_POSE} of {len(matches)} matches", clock, len(matches))
         with clock.part("refinement"):
-            fit, inliers = self._refined(found[0], matches[found[1]], product, px, xyz, camera, readout_s)
+            fit, inliers = self._refined(found[0], matches[found[1]], product, asked)
         limit = self.map.calibration.min_inliers
         if fit is None or len(inliers) < limit:
             return _refusal("thin_evidence", f"{len(inliers)} inliers, {limit} needed", clock, len(matches), len(inliers))
+        pixels, points = asked.px[inliers[:, 0]], rows[inliers[:, 1]]
         covariance = self._calibrated(fit.covariance)
-        pixels, points = px[inliers[:, 0]], rows[inliers[:, 1]]
         return Answer(fit.map_T_cam, covariance, "", "", len(matches), len(inliers), pixels, points, clock.seconds)
 
     def _views_by_votes(self, query: Floats) -> Ints:
@@ -155,25 +172,52 @@ class MapLocaliser:
         bounds = self.map.seen_bounds
         return np.unique(np.concatenate([self.map.seen[bounds[v] : bounds[v + 1]] for v in views.tolist()]))
 
-    def _refined(
-        self, map_T_cam: Array, matches: Ints, product: Floats, px: Array, xyz: Array, camera: Camera, readout_s: float
-    ) -> tuple[Fit | None, Ints]:
+    def _refined(self, map_T_cam: Array, matches: Ints, product: Floats, asked: "_Asked") -> tuple[Fit | None, Ints]:
         """The refined pose and its inliers (keypoint, point): first of RANSAC's matches, then of all points that it
         predicts near a keypoint that looks alike."""
-        fit = refine(map_T_cam, px[matches[:, 0]], xyz[matches[:, 1]], camera, readout_s, self.map.priors)
-        matches = _guided(fit, px, xyz, product, camera, readout_s)
+        priors = self.map.priors
+        fit = asked.refined(map_T_cam, matches, priors)
         for _ in range(2):
-            if len(matches) < _MIN_MATCHES:
+            matches = _guided(fit, asked, product)
+            if len(matches) < _MIN_POSE:
                 return None, matches
-            fit = refine(fit.map_T_cam, px[matches[:, 0]], xyz[matches[:, 1]], camera, readout_s, self.map.priors)
-            limit = max(_MIN_INLIER_PX * _scale(camera), _INLIER_SIGMAS * fit.pixel_sd)
+            fit = asked.refined(fit.map_T_cam, matches, priors)
+            limit = max(_MIN_INLIER_PX * _scale(asked.camera), _INLIER_SIGMAS * fit.pixel_sd)
             matches = matches[fit.residual_px < limit]
-        return fit, matches
+        if len(matches) < _MIN_POSE:
+            return None, matches
+        return asked.refined(fit.map_T_cam, matches, priors), matches
 
     def _calibrated(self, covariance: Array) -> Array:
         c = self.map.calibration
         floor = np.diag(np.r_[np.full(3, c.rotation_floor_rad), np.full(3, c.position_floor_m)] ** 2)
         return c.covariance_factor**2 * covariance + floor
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What is known of a query: K keypoints px (K, 2) and ideal (K, 2), candidate points xyz (C, 3), camera and gravity."""
+
+    px: Array
+    ideal: Array
+    xyz: Array
+    camera: Camera
+    readout_s: float
+    gravity: Array | None
+
+    def pose(self, matches: Ints, seed: int) -> tuple[Array, NDArray[np.bool_]] | None:
+        """A pose and its inliers among matches (keypoint, point)."""
+        ideal, xyz = self.ideal[matches[:, 0]], self.xyz[matches[:, 1]]
+        max_error = _RANSAC_PX * _scale(self.camera) / self.camera.fx
+        if self.gravity is not None:
+            return upright_ransac(ideal, xyz, self.gravity, max_error, _UPRIGHT_TRIALS, seed)
+        return ransac(ideal, xyz, max_error, _TRIALS, seed)
+
+    def refined(self, map_T_cam: Array, matches: Ints, priors: Priors) -> Fit:
+        """The refined pose of matches (keypoint, point)."""
+        keypoint, point = matches.T
+        seen = Observed(self.px[keypoint], self.ideal[keypoint], self.xyz[point])
+        return refine(map_T_cam, seen, self.camera, self.readout_s, priors, self.gravity)
 
 
 def with_lens(camera: Camera, lenses: tuple[Lens, ...]) -> tuple[Camera, float]:
@@ -187,13 +231,15 @@ def with_lens(camera: Camera, lenses: tuple[Lens, ...]) -> tuple[Camera, float]:
     return replace(camera, distortion=lens.distortion), lens.readout_s
 
 
-def _guided(fit: Fit, px: Array, xyz: Array, product: Floats, camera: Camera, readout_s: float) -> Ints:
+def _guided(fit: Fit, asked: _Asked, product: Floats) -> Ints:
     """Keypoints and points (M, 2), one to one, where a point is predicted near a keypoint that looks like it."""
-    predicted = _predicted(fit, xyz, camera, readout_s)
+    predicted = _predicted(fit, asked.xyz, asked.camera, asked.readout_s)
     inside = np.flatnonzero(np.isfinite(predicted).all(axis=1))
     if not len(inside):
         return np.empty((0, 2), np.int64)
-    near, keypoint = cKDTree(px).query(predicted[inside], k=4, distance_upper_bound=_GUIDED_PX * _scale(camera))
+    near, keypoint = cKDTree(asked.px).query(
+        predicted[inside], k=4, distance_upper_bound=_GUIDED_PX * _scale(asked.camera)
+    )
     point = np.broadcast_to(inside[:, None], keypoint.shape)[np.isfinite(near)]
     keypoint = keypoint[np.isfinite(near)]
     similarity = product[keypoint, point]
@@ -228,11 +274,12 @@ def _ratio_matches(product: Floats, ratio: float) -> Ints:
     each point the most similar keypoint."""
     if product.shape[1] < 2:
         return np.empty((0, 2), np.int64)
-    top = np.argpartition(product, -2, axis=1)[:, -2:]
-    value = np.take_along_axis(product, top, axis=1)
-    which = value.argmax(axis=1)
     rows = np.arange(len(product))
-    best, second, nearest = value[rows, which], value[rows, 1 - which], top[rows, which]
+    nearest = product.argmax(axis=1)
+    best = product[rows, nearest]
+    product[rows, nearest] = -1.0
+    second = product.max(axis=1)
+    product[rows, nearest] = best
     kept = np.flatnonzero(1 - best < ratio**2 * (1 - second))
     kept = kept[np.argsort(-best[kept], kind="stable")]
     first = np.unique(nearest[kept], return_index=True)[1]
@@ -245,6 +292,6 @@ def _scale(camera: Camera) -> float:
     return max(1.0, max(camera.width, camera.height) / 640)
 
 
-def _refusal(code: str, reason: str, clock: _Clock, candidates: int = 0, inliers: int = 0) -> Answer:
+def _refusal(code: str, reason: str, clock: Clock, candidates: int = 0, inliers: int = 0) -> Answer:
     nothing = np.empty((0, 2)), np.empty(0, np.int64)
     return Answer(None, None, code, reason, candidates, inliers, *nothing, clock.seconds)
