@@ -213,9 +213,10 @@ def _quality(structure: Structure) -> Array:
     view = structure.view[points.feature]
     offset = points.xyz[points.point] - structure.views.map_T_cam[view, :3, 3]
     distance = np.linalg.norm(offset, axis=1)
-    across = np.trace(covariance, axis1=1, axis2=2)[points.point] - np.einsum(
-        "oi,oij,oj->o", offset, covariance[points.point], offset
-    ) / np.maximum(distance, 1e-9) ** 2
+    across = (
+        np.trace(covariance, axis1=1, axis2=2)[points.point]
+        - np.einsum("oi,oij,oj->o", offset, covariance[points.point], offset) / np.maximum(distance, 1e-9) ** 2
+    )
     focal = np.array([(c.fx + c.fy) / 2 for c in structure.views.cameras])[view]
     variance_px = np.bincount(points.point, focal**2 * across / np.maximum(distance, 1e-3) ** 2, len(points.xyz))
     return np.asarray(1 / (1 + variance_px / np.bincount(points.point, minlength=len(points.xyz))))

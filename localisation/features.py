@@ -37,7 +37,9 @@ def extract(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Featur
     sift = cv2.SIFT.create(nfeatures=max_features, enable_precise_upscale=True)
     keypoints, found = sift.detectAndCompute(small, None)
     if not keypoints:
-        return Features(*(np.zeros(shape, np.float32) for shape in ((0, 2), 0)), np.zeros((0, DESCRIPTOR_SIZE), np.uint8))
+        return Features(
+            *(np.zeros(shape, np.float32) for shape in ((0, 2), 0)), np.zeros((0, DESCRIPTOR_SIZE), np.uint8)
+        )
     # Strongest first, so that a prefix is what fewer features would have been.
     order = np.argsort([-k.response for k in keypoints], kind="stable")[:max_features]
     scale = np.array([grey.shape[1] / small.shape[1], grey.shape[0] / small.shape[0]])

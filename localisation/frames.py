@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
@@ -39,3 +40,14 @@ def rays(views: Views, view: int, px_M2: Array) -> tuple[Array, Array]:
     cam = cam + time_s * np.cross(views.angular[view], cam)
     origin = map_T_cam[:3, 3] + (time_s * views.velocity[view]) @ map_T_cam[:3, :3].T
     return origin, cam @ map_T_cam[:3, :3].T
+
+
+def subset(views: Views, rows: NDArray[np.int64]) -> Views:
+    """Some of the views."""
+    return Views(
+        views.map_T_cam[rows],
+        tuple(views.cameras[row] for row in rows.tolist()),
+        views.readout_s[rows],
+        views.angular[rows],
+        views.velocity[rows],
+    )

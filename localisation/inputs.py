@@ -40,7 +40,11 @@ def read_inputs(run: Path) -> Inputs:
     readout = images.set_index("frame_id").loc[truth["frame_id"], "readout_s"].to_numpy(float, na_value=0.0)
     angular, velocity = motion(frames, log)
     views = Views(
-        poses_of(truth, "map_cam"), tuple(map(camera_of, placed.itertuples())), np.nan_to_num(readout), angular, velocity
+        poses_of(truth, "map_cam"),
+        tuple(map(camera_of, placed.itertuples())),
+        np.nan_to_num(readout),
+        angular,
+        velocity,
     )
     covariance = np.stack([np.full(36, np.nan) if c is None else np.asarray(c, float) for c in truth["covariance"]])
     gravity = frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
@@ -57,14 +61,3 @@ def motion(frames: pd.DataFrame, log: pd.DataFrame) -> tuple[Array, Array]:
         known = np.isfinite(rates.angular).all(axis=1)
         angular[rows[known]], velocity[rows[known]] = rates.angular[known], rates.velocity[known]
     return angular, velocity
-
-
-def subset(views: Views, rows: Array) -> Views:
-    """Some of the views."""
-    return Views(
-        views.map_T_cam[rows],
-        tuple(views.cameras[row] for row in np.arange(len(views))[rows]),
-        views.readout_s[rows],
-        views.angular[rows],
-        views.velocity[rows],
-    )

@@ -44,9 +44,7 @@ def write_sections(path: Path, arrays: Mapping[str, NDArray[Any]], metadata: Map
         content = np.ascontiguousarray(array.astype(code, copy=False)).tobytes()
         body += b"\0" * (-(start + len(body)) % _ALIGNED)
         shape = [*array.shape, *[1] * (3 - array.ndim)]
-        table.append(
-            _SECTION.pack(name.encode(), code.encode(), *shape, array.ndim, start + len(body), len(content))
-        )
+        table.append(_SECTION.pack(name.encode(), code.encode(), *shape, array.ndim, start + len(body), len(content)))
         body += content
     rest = b"".join(table) + bytes(body)
     digest = hashlib.sha256(rest).digest()

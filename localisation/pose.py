@@ -169,7 +169,9 @@ def refine(
     """
     focal = (camera.fx + camera.fy) / 2
     time_s = row_times(seen.px, camera.height, readout_s)
-    prior = 1 / np.r_[np.full(6, np.inf), np.full(3, priors.angular_sd), np.full(3, priors.velocity_sd), priors.focal_sd]
+    prior = (
+        1 / np.r_[np.full(6, np.inf), np.full(3, priors.angular_sd), np.full(3, priors.velocity_sd), priors.focal_sd]
+    )
     rotation, position, rest = map_T_cam[:3, :3].copy(), map_T_cam[:3, 3].copy(), np.zeros(7)
     for _ in range(iterations):
         residual, jacobian = _linear(rotation, position, rest, seen, time_s, focal)

@@ -83,7 +83,7 @@ class MapLocaliser:
         """
         if grey.shape[:2] != (camera.height, camera.width):
             found = f"image {grey.shape[1]} x {grey.shape[0]} px, intrinsics for {camera.width} x {camera.height} px"
-            return _refusal("image_size", found, Clock())
+            return refusal("image_size", found, Clock())
         clock = Clock()
         with clock.part("features"):
             features = extract(grey, self.map.max_features, self.map.max_side)
@@ -98,37 +98,43 @@ class MapLocaliser:
         *,
         seed: int = 0,
         clock: Clock | None = None,
+        hidden: NDArray[np.bool_] | None = None,
     ) -> Answer:
-        """The same of an image's features."""
+        """The same of an image's features; points that are `hidden` (P,) are taken as not there."""
         clock = clock or Clock()
         if len(features) < _MIN_FEATURES:
-            return _refusal("few_features", f"{len(features)} features, {_MIN_FEATURES} needed: dark or blurred?", clock)
+            return refusal("few_features", f"{len(features)} features, {_MIN_FEATURES} needed: dark or blurred?", clock)
         camera, readout_s = with_lens(camera, self.map.lenses)
         with clock.part("retrieval"):
             query = self.map.projected(features.descriptors)
-            views = self._views_near(prior) if prior is not None else self._views_by_votes(query[:_VOTERS])
+            views = self._views_near(prior) if prior is not None else self._views_by_votes(query[:_VOTERS], hidden)
             rows = self._points_of(views)
+            rows = rows if hidden is None else rows[~hidden[rows]]
         with clock.part("matching"):
             product = query @ self.map.descriptors[rows].T
             matches = _ratio_matches(product, _RATIO)
-            asked = _Asked(features.px.astype(float), camera.unproject(features.px), self.map.xyz[rows], camera, readout_s, gravity)
+            asked = _Asked(
+                features.px.astype(float), camera.unproject(features.px), self.map.xyz[rows], camera, readout_s, gravity
+            )
             matches = matches[np.isfinite(asked.ideal[matches[:, 0]]).all(axis=1)]
         if len(matches) < _MIN_MATCHES:
-            return _refusal("few_matches", f"{len(matches)} matches, {_MIN_MATCHES} needed", clock, len(matches))
+            return refusal("few_matches", f"{len(matches)} matches, {_MIN_MATCHES} needed", clock, len(matches))
         with clock.part("ransac"):
             found = asked.pose(matches, seed)
         if found is None or found[1].sum() < _MIN_POSE:
-            return _refusal("no_pose", f"no pose explains {_MIN_POSE} of {len(matches)} matches", clock, len(matches))
+            return refusal("no_pose", f"no pose explains {_MIN_POSE} of {len(matches)} matches", clock, len(matches))
         with clock.part("refinement"):
             fit, inliers = self._refined(found[0], matches[found[1]], product, asked)
         limit = self.map.calibration.min_inliers
         if fit is None or len(inliers) < limit:
-            return _refusal("thin_evidence", f"{len(inliers)} inliers, {limit} needed", clock, len(matches), len(inliers))
+            return refusal(
+                "thin_evidence", f"{len(inliers)} inliers, {limit} needed", clock, len(matches), len(inliers)
+            )
         pixels, points = asked.px[inliers[:, 0]], rows[inliers[:, 1]]
         covariance = self._calibrated(fit.covariance)
         return Answer(fit.map_T_cam, covariance, "", "", len(matches), len(inliers), pixels, points, clock.seconds)
 
-    def _views_by_votes(self, query: Floats) -> Ints:
+    def _views_by_votes(self, query: Floats, hidden: NDArray[np.bool_] | None) -> Ints:
         """Training frames that saw most of the points that look like the query's features."""
         content = self.map
         best, second, nearest = (np.full(len(query), -1.0), np.full(len(query), -1.0), np.zeros(len(query), np.int64))
@@ -151,7 +157,8 @@ class MapLocaliser:
             second[rows] = np.maximum(second[rows], next_)
             best[rows] = np.maximum(best[rows], top)
         sure = np.flatnonzero(1 - best < _VOTE_RATIO**2 * (1 - second))
-        votes = self._votes(np.unique(nearest[sure]))
+        points = np.unique(nearest[sure])
+        votes = self._votes(points if hidden is None else points[~hidden[points]])
         return np.argsort(-votes, kind="stable")[:_VIEWS]
 
     def _votes(self, points: Ints) -> Array:
@@ -292,6 +299,7 @@ def _scale(camera: Camera) -> float:
     return max(1.0, max(camera.width, camera.height) / 640)
 
 
-def _refusal(code: str, reason: str, clock: Clock, candidates: int = 0, inliers: int = 0) -> Answer:
+def refusal(code: str, reason: str, clock: Clock, candidates: int = 0, inliers: int = 0) -> Answer:
+    """An answer without a pose."""
     nothing = np.empty((0, 2)), np.empty(0, np.int64)
     return Answer(None, None, code, reason, candidates, inliers, *nothing, clock.seconds)

@@ -45,7 +45,10 @@ class Matches:
 
 
 def match_views(
-    views: Views, features: Sequence[Features], per_view: int, track: Callable[[Sequence[Ints]], Sequence[Ints]] = lambda pairs: pairs
+    views: Views,
+    features: Sequence[Features],
+    per_view: int,
+    track: Callable[[Sequence[Ints]], Sequence[Ints]] = lambda pairs: pairs,
 ) -> Matches:
     """Matches of frames that see the same by their poses, of which the rays meet."""
     first = np.cumsum([0, *(len(f) for f in features)])
@@ -54,7 +57,11 @@ def match_views(
     reach_m = min(_LARGEST_REACH_M, max(1.0, float(np.linalg.norm(np.ptp(positions, axis=0)))))
     pairs = covisible_pairs(views.map_T_cam, extent, reach_m, per_view)
     every = _all_rays(views, features)
-    unit = [f.descriptors.astype(np.float32) / np.maximum(np.linalg.norm(f.descriptors.astype(np.float32), axis=1, keepdims=True), 1) for f in features]
+    unit = [
+        f.descriptors.astype(np.float32)
+        / np.maximum(np.linalg.norm(f.descriptors.astype(np.float32), axis=1, keepdims=True), 1)
+        for f in features
+    ]
 
     def matched(pair: Ints) -> Ints:
         a, b = pair.tolist()
@@ -91,5 +98,3 @@ def _all_rays(views: Views, features: Sequence[Features]) -> Rays:
     focal = np.repeat([(c.fx + c.fy) / 2 for c in views.cameras], counts)
     view = np.repeat(np.arange(len(features)), counts)
     return Rays(np.concatenate([o for o, _ in parts]), np.concatenate([d for _, d in parts]), focal, view)
-
-

@@ -47,7 +47,10 @@ def epipolar_error_px(a: Rays, b: Rays) -> Array:
     baseline = b.origin - a.origin
     normal = np.cross(a.direction, b.direction)
     length = np.linalg.norm(normal, axis=1)
-    aa, bb, ab = (np.sum(x * y, axis=1) for x, y in ((a.direction, a.direction), (b.direction, b.direction), (a.direction, b.direction)))
+    aa, bb, ab = (
+        np.sum(x * y, axis=1)
+        for x, y in ((a.direction, a.direction), (b.direction, b.direction), (a.direction, b.direction))
+    )
     da, db = np.sum(a.direction * baseline, axis=1), np.sum(b.direction * baseline, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         depth_a = (da * bb - db * ab) / (aa * bb - ab * ab)

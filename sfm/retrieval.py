@@ -45,9 +45,7 @@ def pca_vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Float
     mean = sample.mean(axis=0)
     components = np.linalg.eigh(np.cov((sample - mean).T))[1][:, : -_COMPONENTS - 1 : -1].astype(np.float32)
     centres = k_means((sample - mean) @ components, words, rng)
-    return np.stack(
-        [aggregate((_unit(d) - mean) @ components, centres) for d in descriptors]
-    )
+    return np.stack([aggregate((_unit(d) - mean) @ components, centres) for d in descriptors])
 
 
 def retrieval_pairs(image_ND: Floats, session_N: ArrayLike, per_frame: int) -> Pairs:
