@@ -1,8 +1,8 @@
 """Localising by structure, Map and HLoc: `python -m benchmarks.localise`.
 
 Each case builds its map from its training frames alone, asks all its queries, and holds the poses against the ground
-truth of align. Needs finished runs (import, sfm, align) of the scenes that are asked for; cases of scenes without are left
-out. Writes docs/results/localise.md and .csv.
+truth of align. Needs finished runs (import, sfm, align) of the scenes that are asked for; cases of scenes without are
+left out. Writes docs/results/localise.md and .csv.
 """
 
 import csv
@@ -17,7 +17,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
-import cv2
 import numpy as np
 import typer
 from numpy.typing import NDArray
@@ -26,17 +25,15 @@ from scipy.stats import chi2, spearmanr
 
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.images import image_file, read_image
-from groundwalk.artefacts.parallel import in_parallel
+from groundwalk.artefacts.images import image_file
 from groundwalk.geometry.metrics import position_error, rotation_error_deg
 from groundwalk.geometry.poses import Array, make_pose
-from groundwalk.localisation.build import Training, build_map
+from groundwalk.localisation.build import build_map
 from groundwalk.localisation.calibration import normalised_squares, pose_error
 from groundwalk.localisation.compact import read_map, write_map
-from groundwalk.localisation.features import Features, extract
-from groundwalk.localisation.frames import subset
+from groundwalk.localisation.features import extract
 from groundwalk.localisation.hloc import HLocLocaliser
-from groundwalk.localisation.inputs import Inputs, read_inputs
+from groundwalk.localisation.inputs import Inputs, grey, read_features, read_inputs, training_of
 from groundwalk.localisation.query import Answer, MapLocaliser
 from groundwalk.localisation.settings import MapSettings
 
@@ -49,7 +46,8 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Case:
-    """Queries of a scene, and what the Map must reach with them: figure -> (least, most), None where there is no bound."""
+    """Queries of a scene, and what the Map must reach with them: figure -> (least, most), None where there is no
+    bound."""
 
     name: str
     scene: str
@@ -135,18 +133,9 @@ def run_case(case: Case, root: DataRoot, profile: str, settings: MapSettings) ->
     inputs = read_inputs(run)
     query = query_rows(case.queries, inputs)
     training = np.setdiff1d(np.arange(len(inputs.frames)), query)
-    images = [image_file(name, root.captures(case.scene), run / "import") for name in inputs.frames["image"]]
-
-    def features_of(path: Path) -> Features:
-        return extract(grey(path), settings.max_features, settings.max_side)
-
-    features = list(in_parallel(features_of, images))
-    given = Training(
-        subset(inputs.views, training),
-        tuple(inputs.logged[row] for row in training),
-        inputs.gravity[training],
-        tuple(features[row] for row in training),
-    )
+    captures, imported = root.captures(case.scene), run / "import"
+    images = [image_file(name, captures, imported) for name in inputs.frames["image"]]
+    given = training_of(inputs, training, read_features(inputs, training, captures, imported, settings))
     start = time.process_time()
     content, structure, _ = build_map(case.scene, given, settings)
     print(
@@ -157,10 +146,11 @@ def run_case(case: Case, root: DataRoot, profile: str, settings: MapSettings) ->
         write_map(file, content)
         size, localiser = file.stat().st_size, MapLocaliser(read_map(file))
     gravity = [g if np.isfinite(g).all() else None for g in inputs.gravity]
-    asked = [localiser.localise_features(features[row], inputs.logged[row], gravity[row]) for row in query]
-    without = [localiser.localise_features(features[row], inputs.logged[row]) for row in query]
+    seen = dict(zip(query.tolist(), read_features(inputs, query, captures, imported, settings), strict=True))
+    asked = [localiser.localise_features(seen[row], inputs.logged[row], gravity[row]) for row in seen]
+    without = [localiser.localise_features(seen[row], inputs.logged[row]) for row in seen]
     hloc = HLocLocaliser(structure, given.features, content.lenses)
-    baseline = [hloc.localise_features(features[row], inputs.logged[row]) for row in query]
+    baseline = [hloc.localise_features(seen[row], inputs.logged[row]) for row in seen]
     truth = inputs.views.map_T_cam[query]
     figures = [
         *_accuracy(case.name, "Map", asked, truth),
@@ -176,9 +166,8 @@ def run_case(case: Case, root: DataRoot, profile: str, settings: MapSettings) ->
     for row, answer, true in zip(query.tolist(), asked, truth, strict=True):
         p, r = _errors([answer], true[None])
         if not p[0] < 0.25:
-            print(
-                f"  {inputs.frames['frame_id'][row]}: {p[0]:.3f} m {r[0]:.2f} deg {answer.inliers} inliers {answer.reason}"
-            )
+            what = f"{p[0]:.3f} m, {r[0]:.2f} deg, {answer.inliers} inliers; {answer.reason}"
+            print(f"  {inputs.frames['frame_id'][row]}: {what}")
     for figure in figures:
         if figure.localiser != "Map without gravity":
             print(f"  {figure.localiser}: {figure.name} {figure.value:.4g} {figure.unit}", flush=True)
@@ -192,11 +181,6 @@ def query_rows(queries: str, inputs: Inputs) -> Rows:
         return np.arange(len(inputs.frames))[int(what) // 2 :: int(what)]
     column, value = ("session_id", what) if kind == "session" else ("split", "test")
     return np.flatnonzero((inputs.frames[column] == value).to_numpy())
-
-
-def grey(path: Path) -> NDArray[np.uint8]:
-    """An image file in grey, as the sensor has it."""
-    return np.asarray(cv2.cvtColor(read_image(path), cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def _errors(answers: Sequence[Answer], truth: Array) -> tuple[Array, Array]:
@@ -307,12 +291,13 @@ def write_report(out: Path, figures: Sequence[Figure], settings: MapSettings, pr
     (out / "localise.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
 
 
-_HEADER = f"""Written by `python -m benchmarks.localise`; not to be edited. Maps are of training frames alone, with ground-truth
-poses fixed; queries have their logged intrinsics and, unless it says otherwise, the phone's gravity. Church is simulated,
-chair, charuco and corridor are real; errors are against align's ground truth, in which the queries' images took part.
+_HEADER = f"""Written by `python -m benchmarks.localise`; not to be edited. Maps are of training frames alone, with
+ground-truth poses fixed; queries have their logged intrinsics and, unless it says otherwise, the phone's gravity.
+Church is simulated, chair, charuco and corridor are real; errors are against align's ground truth, in which the
+queries' images took part.
 Shares and percentiles are of all queries, a refused one counts as infinitely wrong. A prior is the ground truth off by
-{PRIOR_SD_M} m and {PRIOR_SD_DEG:g} degrees a coordinate, one sigma. Times are from a decoded image to its pose; `processor` is
-the time of all cores, which what else runs on the machine changes less. HLoc has the same features."""
+{PRIOR_SD_M} m and {PRIOR_SD_DEG:g} degrees a coordinate, one sigma. Times are from a decoded image to its pose;
+`processor` is the time of all cores, which what else runs on the machine changes less. HLoc has the same features."""
 
 
 def _target_rows(

@@ -25,8 +25,8 @@ _SAME_LENS = 0.02
 
 @dataclass(frozen=True)
 class Training:
-    """N training frames: their views, cameras as the phone logged them, gravity (N, 3) in the camera, NaN where it's not
-    known, and features."""
+    """N training frames: their views, cameras as the phone logged them, gravity (N, 3) in the camera, NaN where it's
+    not known, and features."""
 
     views: Views
     logged: tuple[Camera, ...]

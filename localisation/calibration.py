@@ -25,7 +25,8 @@ _MIN_ANSWERS = 10
 
 @dataclass(frozen=True)
 class Trial:
-    """A held-out frame's answer, its true pose (4, 4), and the inliers that it has where nothing it sees is in the map."""
+    """A held-out frame's answer, its true pose (4, 4), and the inliers that it has where nothing it sees is in the
+    map."""
 
     answer: Answer
     truth: Array

@@ -25,8 +25,8 @@ _LARGEST_COMPONENT = 0.6
 
 @dataclass(frozen=True)
 class Lens:
-    """The lens of a device: focal length by the longer side of the image, k1, k2, p1, p2, ... as OpenCV has them, and the
-    readout time of an image, s."""
+    """The lens of a device: focal length by the longer side of the image, k1, k2, p1, p2, ... as OpenCV has them, and
+    the readout time of an image, s."""
 
     focal: float
     distortion: tuple[float, ...]
@@ -46,9 +46,10 @@ class Calibration:
 
 @dataclass(frozen=True)
 class CompactMap:
-    """P points xyz (P, 3) in the map, sorted by word, with unit descriptors (P, D); W words (W, D), the points of word w
-    are rows word_bounds[w] to word_bounds[w + 1]; V training frames' poses (V, 4, 4), which saw the points
-    seen[seen_bounds[v] : seen_bounds[v + 1]]; and how SIFT's descriptors are projected: (d - mean) @ basis, to unit length.
+    """P points xyz (P, 3) in the map, sorted by word, with unit descriptors (P, D); W words (W, D), the points of
+    word w are rows word_bounds[w] to word_bounds[w + 1]; V training frames' poses (V, 4, 4), which saw the points
+    seen[seen_bounds[v] : seen_bounds[v + 1]]; and how SIFT's descriptors are projected: (d - mean) @ basis, to unit
+    length.
     """
 
     scene: str

@@ -16,8 +16,8 @@ _LENGTH = 512.0
 
 @dataclass(frozen=True)
 class Features:
-    """K keypoints: px (K, 2) of the full image, the first pixel's centre at (0.5, 0.5); their diameters (K,), px; RootSIFT
-    descriptors (K, 128) of length 512."""
+    """K keypoints: px (K, 2) of the full image, the first pixel's centre at (0.5, 0.5); their diameters (K,), px;
+    RootSIFT descriptors (K, 128) of length 512."""
 
     px: NDArray[np.float32]
     size_px: NDArray[np.float32]
@@ -28,7 +28,8 @@ class Features:
 
 
 def extract(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Features:
-    """Features of a grey image (H, W), which is first shrunk to at most `max_side` pixels a side; the strongest ones."""
+    """Features of a grey image (H, W), which is first shrunk to at most `max_side` pixels a side; the strongest
+    ones."""
     factor = min(1.0, max_side / max(grey.shape))
     small = grey
     if factor < 1:

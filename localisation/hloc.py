@@ -38,8 +38,8 @@ class HLocLocaliser:
         self._point[structure.points.feature] = structure.points.point
 
     def bytes_by_part(self) -> dict[str, int]:
-        """What a query needs, in bytes: keypoints as two floats, descriptors as bytes, image descriptors as floats, points
-        as three floats, and the point of each keypoint."""
+        """What a query needs, in bytes: keypoints as two floats, descriptors as bytes, image descriptors as floats,
+        points as three floats, and the point of each keypoint."""
         count = len(self._point)
         return {
             "keypoints": 8 * count,

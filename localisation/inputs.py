@@ -1,17 +1,25 @@
 """What the localisers read of a scene's run: frames with ground truth, their cameras and motion."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
+from groundwalk.artefacts.images import image_file, read_image
+from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import camera_of, poses_of, read_table
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rates import rates_at
-from groundwalk.localisation.frames import Views
+from groundwalk.localisation.build import Training
+from groundwalk.localisation.features import Features, extract
+from groundwalk.localisation.frames import Views, subset
+from groundwalk.localisation.settings import MapSettings
 
 _MAX_GAP_S = 0.3
 
@@ -19,7 +27,8 @@ _MAX_GAP_S = 0.3
 @dataclass(frozen=True)
 class Inputs:
     """Frames of a scene's dataset that have ground truth: their rows of import.frames, with `split` as imported; the
-    cameras that go with the poses, and as the phone logged them; views; gravity (N, 3) in the camera, NaN where none."""
+    cameras that go with the poses, and as the phone logged them; views; gravity (N, 3) in the camera, NaN where
+    none."""
 
     frames: pd.DataFrame
     logged: tuple[Camera, ...]
@@ -61,3 +70,30 @@ def motion(frames: pd.DataFrame, log: pd.DataFrame) -> tuple[Array, Array]:
         known = np.isfinite(rates.angular).all(axis=1)
         angular[rows[known]], velocity[rows[known]] = rates.angular[known], rates.velocity[known]
     return angular, velocity
+
+
+def read_features(
+    inputs: Inputs, rows: NDArray[np.int64], captures: Path, imported: Path, settings: MapSettings
+) -> list[Features]:
+    """Features of the images of some rows; `captures` is the scene's capture folder, `imported` import's artefact."""
+    return list(
+        in_parallel(
+            lambda name: extract(grey(image_file(name, captures, imported)), settings.max_features, settings.max_side),
+            inputs.frames["image"].iloc[rows],
+        )
+    )
+
+
+def grey(path: Path) -> NDArray[np.uint8]:
+    """An image file in grey, as the sensor has it; UserError where it can't be read."""
+    return np.asarray(cv2.cvtColor(read_image(path), cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+def training_of(inputs: Inputs, rows: NDArray[np.int64], features: Sequence[Features]) -> Training:
+    """Some rows as training frames, with their features."""
+    return Training(
+        subset(inputs.views, rows),
+        tuple(inputs.logged[row] for row in rows.tolist()),
+        inputs.gravity[rows],
+        tuple(features),
+    )

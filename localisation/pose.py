@@ -22,8 +22,8 @@ _UNKNOWNS = 13
 
 @dataclass(frozen=True)
 class Priors:
-    """One sigma of what a query's camera does: angular velocity, rad/s, velocity, m/s, relative focal length; of gravity,
-    rad; and the least that keypoints are taken to be off by, px."""
+    """One sigma of what a query's camera does: angular velocity, rad/s, velocity, m/s, relative focal length; of
+    gravity, rad; and the least that keypoints are taken to be off by, px."""
 
     angular_sd: float
     velocity_sd: float
@@ -34,7 +34,8 @@ class Priors:
 
 @dataclass(frozen=True)
 class Observed:
-    """M keypoints px (M, 2), their ideal image points (M, 2) at unit focal length, and the points xyz (M, 3) in the map."""
+    """M keypoints px (M, 2), their ideal image points (M, 2) at unit focal length, and the points xyz (M, 3) in the
+    map."""
 
     px: Array
     ideal: Array
@@ -44,8 +45,8 @@ class Observed:
 @dataclass(frozen=True)
 class Fit:
     """A pose map_T_cam (4, 4) with the covariance (6, 6) of (rotation, position) in the map's axes, true rotation =
-    exp(rotation) @ map_R_cam, for keypoints' errors as they scatter; residuals (M,), px, and one sigma of them; factor of
-    the focal length; angular velocity (3,), rad/s, and velocity (3,), m/s, in the camera's axes."""
+    exp(rotation) @ map_R_cam, for keypoints' errors as they scatter; residuals (M,), px, and one sigma of them;
+    factor of the focal length; angular velocity (3,), rad/s, and velocity (3,), m/s, in the camera's axes."""
 
     map_T_cam: Array
     covariance: Array
@@ -59,8 +60,8 @@ class Fit:
 def ransac(
     ideal_M2: Array, xyz_M3: Array, max_error: float, trials: int, seed: int
 ) -> tuple[Array, NDArray[np.bool_]] | None:
-    """A pose map_T_cam and its inliers (M,) by OpenCV's USAC with local optimisation (Raguram et al., "USAC", PAMI 2013;
-    Chum et al., "Locally optimized RANSAC", DAGM 2003), or None.
+    """A pose map_T_cam and its inliers (M,) by OpenCV's USAC with local optimisation (Raguram et al., "USAC", PAMI
+    2013; Chum et al., "Locally optimized RANSAC", DAGM 2003), or None.
 
     Ideal image points (M, 2) are at unit focal length, and so is `max_error`. The rolling shutter is left out here, so
     that it has to be wide.
@@ -116,8 +117,8 @@ def upright_ransac(
 
 
 def upright_poses(ray_a: Array, ray_b: Array, xyz_a: Array, xyz_b: Array) -> tuple[Array, Array]:
-    """Poses (S, 3, 3), (S, 3) that take pairs of points (T, 3) onto rays (T, 3), all in frames with +y up; the solutions
-    of all pairs, up to two each, with both points on their rays' positive side.
+    """Poses (S, 3, 3), (S, 3) that take pairs of points (T, 3) onto rays (T, 3), all in frames with +y up; the
+    solutions of all pairs, up to two each, with both points on their rays' positive side.
 
     A turn about y leaves heights and horizontal distances: a quadratic in the length along the first ray.
     """
@@ -164,8 +165,8 @@ def refine(
 ) -> Fit:
     """The pose of the middle row from which points are seen, by Gauss-Newton with Cauchy weights.
 
-    `gravity` is a unit vector (3,) in the camera, or None. Unknowns: rotation and position in the camera's axes, angular
-    velocity, velocity, log of the focal length's factor.
+    `gravity` is a unit vector (3,) in the camera, or None. Unknowns: rotation and position in the camera's axes,
+    angular velocity, velocity, log of the focal length's factor.
     """
     focal = (camera.fx + camera.fy) / 2
     time_s = row_times(seen.px, camera.height, readout_s)

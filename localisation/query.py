@@ -31,9 +31,9 @@ _SAME_LENS = 1.08
 
 @dataclass(frozen=True)
 class Answer:
-    """A pose map_T_cam (4, 4) with its covariance (6, 6) of (rotation, position) in the map's axes, rad and m; or neither
-    and why it is `refused`, its code and the figures. Inliers of the candidates (matches); `pixel_px` (I, 2) and `points`
-    (I,) are the inliers' keypoints and rows of the map; seconds by part."""
+    """A pose map_T_cam (4, 4) with its covariance (6, 6) of (rotation, position) in the map's axes, rad and m; or
+    neither and why it is `refused`, its code and the figures. Inliers of the candidates (matches); `pixel_px` (I, 2)
+    and `points` (I,) are the inliers' keypoints and rows of the map; seconds by part."""
 
     map_T_cam: Array | None
     covariance: Array | None
@@ -203,7 +203,8 @@ class MapLocaliser:
 
 @dataclass(frozen=True)
 class _Asked:
-    """What is known of a query: K keypoints px (K, 2) and ideal (K, 2), candidate points xyz (C, 3), camera and gravity."""
+    """What is known of a query: K keypoints px (K, 2) and ideal (K, 2), candidate points xyz (C, 3), camera and
+    gravity."""
 
     px: Array
     ideal: Array
@@ -277,8 +278,8 @@ def _predicted(fit: Fit, xyz: Array, camera: Camera, readout_s: float) -> Array:
 
 
 def _ratio_matches(product: Floats, ratio: float) -> Ints:
-    """Keypoint and point (M, 2): of each keypoint the most similar point, where the second is less so by `ratio`, and of
-    each point the most similar keypoint."""
+    """Keypoint and point (M, 2): of each keypoint the most similar point, where the second is less so by `ratio`, and
+    of each point the most similar keypoint."""
     if product.shape[1] < 2:
         return np.empty((0, 2), np.int64)
     rows = np.arange(len(product))

@@ -65,7 +65,7 @@ def match_views(
 
     def matched(pair: Ints) -> Ints:
         a, b = pair.tolist()
-        rows = mutual_matches(unit[a], unit[b], RATIO) + [first[a], first[b]]
+        rows = mutual_matches(unit[a], unit[b], RATIO) + first[pair]
         error = epipolar_error_px(every[rows[:, 0]], every[rows[:, 1]])
         return rows[error < MAX_EPIPOLAR_PX]
 

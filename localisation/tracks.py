@@ -61,7 +61,8 @@ def epipolar_error_px(a: Rays, b: Rays) -> Array:
 
 
 def tracks(matches_M2: Ints, view: Ints) -> tuple[Ints, Ints]:
-    """Connected components of matched features as (track (O,), feature (O,)), sorted by track; of two frames at least."""
+    """Connected components of matched features as (track (O,), feature (O,)), sorted by track; of two frames at
+    least."""
     count = len(view)
     graph = coo_array((np.ones(len(matches_M2), np.int8), (matches_M2[:, 0], matches_M2[:, 1])), shape=(count, count))
     label = connected_components(graph, directed=False)[1].astype(np.int64)
