@@ -169,7 +169,7 @@ def run_case(case: Case, root: DataRoot, profile: str, settings: MapSettings) ->
             what = f"{p[0]:.3f} m, {r[0]:.2f} deg, {answer.inliers} inliers; {answer.reason}"
             print(f"  {inputs.frames['frame_id'][row]}: {what}")
     for figure in figures:
-        if figure.localiser != "Map without gravity":
+        if figure.localiser in ("Map", "HLoc"):
             print(f"  {figure.localiser}: {figure.name} {figure.value:.4g} {figure.unit}", flush=True)
     return figures
 
@@ -238,6 +238,7 @@ def _times(
     rows = np.unique(np.linspace(0, len(query) - 1, min(_TIMED, len(query))).astype(int))
     timed: dict[str, list[dict[str, float]]] = {"": [], " with a prior": []}
     baseline: list[tuple[float, float]] = []
+    with_prior: list[Answer] = []
     for row in rows.tolist():
         image, camera, gravity = grey(paths[row]), inputs.logged[query[row]], inputs.gravity[query[row]]
         down = gravity if np.isfinite(gravity).all() else None
@@ -249,10 +250,12 @@ def _times(
             start, cpu = time.perf_counter(), time.process_time()
             answer = localiser.localise(image, camera, down, prior)
             whole = {"": time.perf_counter() - start, ", processor": time.process_time() - cpu}
+            with_prior += [answer] if prior is not None else []
             timed[name].append(whole | {f", {part}": s for part, s in answer.seconds.items()})
         start, cpu = time.perf_counter(), time.process_time()
         hloc.localise_features(extract(image, settings.max_features, settings.max_side), camera)
         baseline.append((time.perf_counter() - start, time.process_time() - cpu))
+    yield from _accuracy(case, "Map with a prior", with_prior, inputs.views.map_T_cam[query[rows]])
     for name, parts in timed.items():
         for part in parts[0]:
             ms = [1000 * seconds.get(part, 0.0) for seconds in parts]

@@ -70,7 +70,7 @@ class CompactMap:
 
     def projected(self, sift: NDArray[np.uint8]) -> Floats:
         """Unit descriptors (K, D) of RootSIFT descriptors (K, 128)."""
-        return _unit((_unit(sift.astype(np.float32)) - self.mean) @ self.basis)
+        return _unit(np.asarray((_unit(sift.astype(np.float32)) - self.mean) @ self.basis, np.float32))
 
 
 def compact_map(

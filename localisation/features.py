@@ -38,15 +38,14 @@ def extract(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Featur
     sift = cv2.SIFT.create(nfeatures=max_features, enable_precise_upscale=True)
     keypoints, found = sift.detectAndCompute(small, None)
     if not keypoints:
-        return Features(
-            *(np.zeros(shape, np.float32) for shape in ((0, 2), 0)), np.zeros((0, DESCRIPTOR_SIZE), np.uint8)
-        )
+        nothing = np.zeros((0, 2), np.float32), np.zeros(0, np.float32)
+        return Features(*nothing, np.zeros((0, DESCRIPTOR_SIZE), np.uint8))
     # Strongest first, so that a prefix is what fewer features would have been.
     order = np.argsort([-k.response for k in keypoints], kind="stable")[:max_features]
     scale = np.array([grey.shape[1] / small.shape[1], grey.shape[0] / small.shape[0]])
-    px = (cv2.KeyPoint.convert(keypoints)[order] + 0.5) * scale
+    px = (np.array([k.pt for k in keypoints])[order] + 0.5) * scale
     size = np.array([k.size for k in keypoints])[order] * scale.mean()
-    return Features(px.astype(np.float32), size.astype(np.float32), root_sift(found[order]))
+    return Features(px.astype(np.float32), size.astype(np.float32), root_sift(np.asarray(found, np.float32)[order]))
 
 
 def strongest(features: Features, count: int) -> Features:

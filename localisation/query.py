@@ -23,6 +23,7 @@ _PROBES, _VOTERS = 3, 400
 _VIEWS = 12
 _VOTE_RATIO, _RATIO = 0.9, 0.9
 _RANSAC_PX, _TRIALS, _UPRIGHT_TRIALS = 6.0, 2000, 400
+_PRIOR_SHARE = 0.75
 _GUIDED_PX, _MIN_SIMILARITY = 5.0, 0.6
 _INLIER_SIGMAS, _MIN_INLIER_PX = 4.0, 1.5
 _MIN_FEATURES, _MIN_MATCHES, _MIN_POSE = 30, 8, 6
@@ -86,7 +87,9 @@ class MapLocaliser:
             return refusal("image_size", found, Clock())
         clock = Clock()
         with clock.part("features"):
-            features = extract(grey, self.map.max_features, self.map.max_side)
+            # Where a prior says which points to look for, fewer features of a smaller image do.
+            share = _PRIOR_SHARE if prior is not None else 1.0
+            features = extract(grey, self.map.max_features, round(share * self.map.max_side))
         return self.localise_features(features, camera, gravity, prior, seed=seed, clock=clock)
 
     def localise_features(
@@ -114,7 +117,12 @@ class MapLocaliser:
             product = query @ self.map.descriptors[rows].T
             matches = _ratio_matches(product, _RATIO)
             asked = _Asked(
-                features.px.astype(float), camera.unproject(features.px), self.map.xyz[rows], camera, readout_s, gravity
+                features.px.astype(float),
+                camera.unproject(features.px.astype(float)),
+                self.map.xyz[rows],
+                camera,
+                readout_s,
+                gravity,
             )
             matches = matches[np.isfinite(asked.ideal[matches[:, 0]]).all(axis=1)]
         if len(matches) < _MIN_MATCHES:

@@ -93,7 +93,7 @@ def structure_of(views: Views, matches: Matches, used: NDArray[np.bool_] | None 
 
 
 def _all_rays(views: Views, features: Sequence[Features]) -> Rays:
-    parts = [rays(views, number, f.px) for number, f in enumerate(features)]
+    parts = [rays(views, number, f.px.astype(float)) for number, f in enumerate(features)]
     counts = [len(f) for f in features]
     focal = np.repeat([(c.fx + c.fy) / 2 for c in views.cameras], counts)
     view = np.repeat(np.arange(len(features)), counts)

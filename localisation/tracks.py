@@ -120,7 +120,7 @@ def _sums(point: Ints, values: Array, count: int) -> Array:
     """Sums (count, ...) of values (O, ...) by sorted point."""
     flat = values.reshape(len(values), -1)
     out = np.stack([np.bincount(point, column, count) for column in flat.T], axis=1)
-    return out.reshape(count, *values.shape[1:])
+    return np.asarray(out.reshape(count, *values.shape[1:]), float)
 
 
 def _worst(point: Ints, residual: Array, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
