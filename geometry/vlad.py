@@ -32,7 +32,7 @@ def nearest_centres(points: Floats, centres: Floats) -> NDArray[np.int64]:
 
 
 def aggregate(points: Floats, centres: Floats) -> Floats:
-    """The unit image descriptor (K * D,) of local descriptors (M, D) over centres (K, D); zero where M is 0."""
+    """The unit image descriptor (K * D,) of local descriptors (M, D) over centres (K, D)."""
     word = nearest_centres(points, centres)
     words = np.zeros_like(centres)
     np.add.at(words, word, points - centres[word])

@@ -73,7 +73,7 @@ def read_sections(path: Path, *, verify: bool = True) -> Sections:
         )
     if length != len(content):
         raise UserError("a map is cut short", where=path, expected=f"{length} bytes", found=f"{len(content)} bytes")
-    if verify and hashlib.sha256(memoryview(content)[_HEADER.size :]).digest() != digest:
+    if verify and hashlib.sha256(content[_HEADER.size :].data).digest() != digest:
         raise UserError("a map is damaged: its content doesn't have its checksum", where=path, do="build it again")
     arrays: dict[str, NDArray[Any]] = {}
     for number in range(count):

@@ -29,7 +29,7 @@ def vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Floats:
     everything = np.concatenate([d for d in descriptors if len(d)])
     chosen = rng.permutation(len(everything))[: words * _SAMPLES_PER_WORD]
     centres = k_means(_unit(everything[np.sort(chosen)]), words, rng)
-    return np.stack([aggregate(_unit(d), centres) for d in descriptors])
+    return np.stack([aggregate(_unit(d), centres) if len(d) else _nothing(centres) for d in descriptors])
 
 
 def pca_vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Floats:
@@ -45,7 +45,9 @@ def pca_vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Float
     mean = sample.mean(axis=0)
     components = np.linalg.eigh(np.cov((sample - mean).T))[1][:, : -_COMPONENTS - 1 : -1].astype(np.float32)
     centres = k_means((sample - mean) @ components, words, rng)
-    return np.stack([aggregate((_unit(d) - mean) @ components, centres) for d in descriptors])
+    return np.stack(
+        [aggregate((_unit(d) - mean) @ components, centres) if len(d) else _nothing(centres) for d in descriptors]
+    )
 
 
 def retrieval_pairs(image_ND: Floats, session_N: ArrayLike, per_frame: int) -> Pairs:
@@ -65,3 +67,7 @@ def retrieval_pairs(image_ND: Floats, session_N: ArrayLike, per_frame: int) -> P
 def _unit(descriptors: Descriptors) -> Floats:
     floats = descriptors.astype(np.float32)
     return floats / np.maximum(np.linalg.norm(floats, axis=1, keepdims=True), 1e-12)
+
+
+def _nothing(centres: Floats) -> Floats:
+    return np.zeros(centres.size, np.float32)
