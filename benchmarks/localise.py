@@ -114,6 +114,7 @@ def main(
     settings: Annotated[list[str] | None, typer.Option("--set", help="a setting of the map, key=value")] = None,
 ) -> None:
     """Build each case's map, ask its queries, and write what came out."""
+    revision = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
     values = dict(item.split("=", 1) for item in settings or [])
     map_settings = MapSettings.model_validate(values, strict=False)
     figures: list[Figure] = []
@@ -124,7 +125,7 @@ def main(
         figures += run_case(case, root, profile, map_settings)
     if not figures:
         raise UserError("there is no run of any case", where=data, do="run import, sfm and align of Church first")
-    write_report(out, figures, map_settings, profile)
+    write_report(out, figures, map_settings, profile, revision.stdout.strip() or "not in git")
 
 
 def run_case(case: Case, root: DataRoot, profile: str, settings: MapSettings) -> list[Figure]:
@@ -267,12 +268,11 @@ def _times(
         yield Figure(case, "HLoc", f"time{part}, p95", float(np.percentile(ms, 95)), "ms")
 
 
-def write_report(out: Path, figures: Sequence[Figure], settings: MapSettings, profile: str) -> None:
+def write_report(out: Path, figures: Sequence[Figure], settings: MapSettings, profile: str, revision: str) -> None:
     """Write localise.md and localise.csv into the folder."""
     out.mkdir(parents=True, exist_ok=True)
-    revision = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
     head = {
-        "revision": revision.stdout.strip() or "not in git",
+        "revision": revision,
         "date": datetime.now(UTC).date().isoformat(),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the end",
         "profile": profile,

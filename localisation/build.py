@@ -63,17 +63,7 @@ def build_map(
 
 
 def _compact(scene: str, training: Training, structure: Structure, settings: MapSettings) -> CompactMap:
-    return compact_map(
-        scene,
-        structure,
-        lenses_of(training.views),
-        priors_of(training),
-        UNCALIBRATED,
-        max_points=settings.max_points,
-        dimensions=settings.dimensions,
-        max_features=settings.max_features,
-        max_side=settings.max_side,
-    )
+    return compact_map(scene, structure, lenses_of(training.views), priors_of(training), UNCALIBRATED, settings)
 
 
 def lenses_of(views: Views) -> tuple[Lens, ...]:

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from groundwalk.artefacts.errors import UserError
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.vlad import k_means, nearest_centres
+from groundwalk.localisation.features import unit
 from groundwalk.localisation.map_file import Sections, read_sections, write_sections
 from groundwalk.localisation.pose import Priors
 from groundwalk.localisation.selection import covering_points
+from groundwalk.localisation.settings import MapSettings
 from groundwalk.localisation.structure import Structure
 
 Ints = NDArray[np.int64]
@@ -70,7 +72,7 @@ class CompactMap:
 
     def projected(self, sift: NDArray[np.uint8]) -> Floats:
         """Unit descriptors (K, D) of RootSIFT descriptors (K, 128)."""
-        return _unit(np.asarray((_unit(sift.astype(np.float32)) - self.mean) @ self.basis, np.float32))
+        return unit((unit(sift) - self.mean) @ self.basis)
 
 
 def compact_map(
@@ -79,23 +81,19 @@ def compact_map(
     lenses: tuple[Lens, ...],
     priors: Priors,
     calibration: Calibration,
-    *,
-    max_points: int,
-    dimensions: int,
-    max_features: int,
-    max_side: int,
+    settings: MapSettings,
 ) -> CompactMap:
-    """The map of a structure's `max_points` most useful points."""
+    """The map of a structure's most useful points, as many as the settings say."""
     points = structure.points
     sift = _mean_descriptors(structure)
-    chosen = covering_points(points.point, _cells(structure), _quality(structure), max_points)
+    chosen = covering_points(points.point, _cells(structure), _quality(structure), settings.max_points)
     mean = sift.mean(axis=0)
-    basis = np.linalg.eigh(np.cov((sift - mean).T))[1][:, : -dimensions - 1 : -1].astype(np.float32)
+    basis = np.linalg.eigh(np.cov((sift - mean).T))[1][:, : -settings.dimensions - 1 : -1].astype(np.float32)
     basis, mean = basis.astype(np.float16).astype(np.float32), mean.astype(np.float16).astype(np.float32)
-    descriptors = _unit((sift[chosen] - mean) @ basis)
+    descriptors = unit((sift[chosen] - mean) @ basis)
     rng = np.random.default_rng(0)
     words = k_means(descriptors, max(1, round(np.sqrt(len(chosen)))), rng)
-    words = _from_bytes(_to_bytes(_unit(words)))
+    words = _from_bytes(_to_bytes(unit(words)))
     word = nearest_centres(descriptors, words)
     order = np.argsort(word, kind="stable")
     chosen = chosen[order]
@@ -119,8 +117,8 @@ def compact_map(
         lenses=lenses,
         priors=priors,
         calibration=calibration,
-        max_features=max_features,
-        max_side=max_side,
+        max_features=settings.max_features,
+        max_side=settings.max_side,
     )
 
 
@@ -192,9 +190,9 @@ def _from_sections(sections: Sections) -> CompactMap:
 def _mean_descriptors(structure: Structure) -> Floats:
     """Unit mean (P, 128) of the unit descriptors of each point's observations."""
     points = structure.points
-    unit = _unit(structure.descriptors[points.feature].astype(np.float32))
+    descriptors = unit(structure.descriptors[points.feature])
     starts = np.searchsorted(points.point, np.arange(len(points.xyz)))
-    return _unit(np.add.reduceat(unit, starts, axis=0))
+    return unit(np.add.reduceat(descriptors, starts, axis=0))
 
 
 def _cells(structure: Structure) -> Ints:
@@ -223,14 +221,9 @@ def _quality(structure: Structure) -> Array:
     return np.asarray(1 / (1 + variance_px / np.bincount(points.point, minlength=len(points.xyz))))
 
 
-def _unit(descriptors: Floats) -> Floats:
-    length = np.linalg.norm(descriptors, axis=-1, keepdims=True)
-    return np.asarray(descriptors / np.maximum(length, 1e-9), np.float32)
-
-
-def _to_bytes(unit: Floats) -> NDArray[np.int8]:
-    return np.clip(np.rint(unit * (_BYTE / _LARGEST_COMPONENT)), -_BYTE, _BYTE).astype(np.int8)
+def _to_bytes(descriptors: Floats) -> NDArray[np.int8]:
+    return np.clip(np.rint(descriptors * (_BYTE / _LARGEST_COMPONENT)), -_BYTE, _BYTE).astype(np.int8)
 
 
 def _from_bytes(numbers: NDArray[np.int8]) -> Floats:
-    return _unit(numbers.astype(np.float32))
+    return unit(numbers)

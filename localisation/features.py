@@ -57,3 +57,9 @@ def root_sift(sift_K128: NDArray[np.float32]) -> NDArray[np.uint8]:
     """RootSIFT descriptors (K, 128) of length 512 in bytes."""
     sums = np.maximum(sift_K128.sum(axis=1, keepdims=True), 1e-9)
     return np.minimum(np.rint(_LENGTH * np.sqrt(sift_K128 / sums)), 255).astype(np.uint8)
+
+
+def unit(descriptors: NDArray[np.generic]) -> NDArray[np.float32]:
+    """Descriptors (..., D) at unit length."""
+    floats = np.asarray(descriptors, np.float32)
+    return np.asarray(floats / np.maximum(np.linalg.norm(floats, axis=-1, keepdims=True), 1e-9), np.float32)

@@ -12,7 +12,7 @@ from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.vlad import aggregate, k_means
 from groundwalk.localisation.compact import Lens
-from groundwalk.localisation.features import Features
+from groundwalk.localisation.features import Features, unit
 from groundwalk.localisation.matching import mutual_matches
 from groundwalk.localisation.query import Answer, Clock, refusal, with_lens
 from groundwalk.localisation.structure import Structure
@@ -28,7 +28,7 @@ class HLocLocaliser:
         self, structure: Structure, features: tuple[Features, ...], lenses: tuple[Lens, ...], *, retrieved: int = 20
     ) -> None:
         self.structure, self.features, self.lenses, self.retrieved = structure, features, lenses, retrieved
-        self._unit = [_unit(f.descriptors) for f in features]
+        self._unit = [unit(f.descriptors) for f in features]
         every = np.concatenate(self._unit)
         rng = np.random.default_rng(0)
         self._words = k_means(every[np.sort(rng.permutation(len(every))[:_SAMPLES])], _WORDS, rng)
@@ -54,7 +54,7 @@ class HLocLocaliser:
         clock = Clock()
         camera, _ = with_lens(camera, self.lenses)
         with clock.part("retrieval"):
-            query = _unit(features.descriptors)
+            query = unit(features.descriptors)
             alike = self._images @ aggregate(query, self._words)
             views = np.argsort(-alike, kind="stable")[: self.retrieved]
         with clock.part("matching"):
@@ -94,8 +94,3 @@ def _absolute_pose(px: Array, xyz: Array, camera: Camera, seed: int) -> tuple[Ar
         return None
     matrix = found["cam_from_world"].matrix()
     return inverse(make_pose(matrix[:, :3], matrix[:, 3])), np.asarray(found["inlier_mask"], bool)
-
-
-def _unit(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
-    floats = descriptors.astype(np.float32)
-    return floats / np.maximum(np.linalg.norm(floats, axis=1, keepdims=True), 1e-9)

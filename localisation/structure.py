@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.parallel import in_parallel
-from groundwalk.localisation.features import Features
+from groundwalk.localisation.features import Features, unit
 from groundwalk.localisation.frames import Views, rays
 from groundwalk.localisation.matching import covisible_pairs, mutual_matches
 from groundwalk.localisation.tracks import Points, Rays, epipolar_error_px, tracks, triangulate
@@ -57,15 +57,11 @@ def match_views(
     reach_m = min(_LARGEST_REACH_M, max(1.0, float(np.linalg.norm(np.ptp(positions, axis=0)))))
     pairs = covisible_pairs(views.map_T_cam, extent, reach_m, per_view)
     every = _all_rays(views, features)
-    unit = [
-        f.descriptors.astype(np.float32)
-        / np.maximum(np.linalg.norm(f.descriptors.astype(np.float32), axis=1, keepdims=True), 1)
-        for f in features
-    ]
+    descriptors = [unit(f.descriptors) for f in features]
 
     def matched(pair: Ints) -> Ints:
         a, b = pair.tolist()
-        rows = mutual_matches(unit[a], unit[b], RATIO) + first[pair]
+        rows = mutual_matches(descriptors[a], descriptors[b], RATIO) + first[pair]
         error = epipolar_error_px(every[rows[:, 0]], every[rows[:, 1]])
         return rows[error < MAX_EPIPOLAR_PX]
 
