@@ -118,7 +118,7 @@ def _adjusted(seen: Rays, point: Ints, max_px: float) -> tuple[Array, Array, Arr
 
 def _sums(point: Ints, values: Array, count: int) -> Array:
     """Sums (count, ...) of values (O, ...) by sorted point."""
-    flat = values.reshape(len(values), -1)
+    flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
     out = np.stack([np.bincount(point, column, count) for column in flat.T], axis=1)
     return np.asarray(out.reshape(count, *values.shape[1:]), float)
 
@@ -126,7 +126,7 @@ def _sums(point: Ints, values: Array, count: int) -> Array:
 def _worst(point: Ints, residual: Array, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Of each point the observation with the largest residual, where it's `among`."""
     order = np.lexsort((residual, point))
-    last = np.flatnonzero(np.r_[point[order][1:] != point[order][:-1], True])
+    last = np.flatnonzero(np.diff(point[order], append=-1))
     worst = np.zeros(len(point), bool)
     worst[order[last]] = True
     return worst & among

@@ -32,13 +32,13 @@ def place(seed: int = 0, points: int = 1500) -> Place:
     return Place(xyz, _descriptors(rng, points))
 
 
-def walk(count: int, seed: int = 1, *, moving: bool = True, focal_sd: float = 0.0) -> Views:
+def walk(count: int, seed: int = 1, *, moving: bool = True, focal_sd: float = 0.0, reach_m: float = 4) -> Views:
     """Cameras (count) that look at the wall from different places, upright but for some degrees."""
     rng = np.random.default_rng(seed)
     turn = np.radians([8, 15, 5]) * rng.standard_normal((count, 3))
     upright = np.diag([-1.0, -1.0, 1.0])  # y down, looking along +z
     rotation = Rotation.from_rotvec(turn).as_matrix() @ upright
-    position = np.stack([np.linspace(-4, 4, count), *(0.3 * rng.standard_normal((2, count)))], axis=1)
+    position = np.stack([np.linspace(-reach_m, reach_m, count), *(0.3 * rng.standard_normal((2, count)))], axis=1)
     cameras = tuple(
         Camera(640, 480, 480.0 * f, 480.0 * f, 321.0, 239.0, LENS)
         for f in np.exp(focal_sd * rng.standard_normal(count))
@@ -57,7 +57,8 @@ def projected(views: Views, view: int, xyz: Array) -> Array:
             time_s = (px[:, 1:] / camera.height - 0.5) * READOUT_S
             cam = still - time_s * (views.velocity[view] + np.cross(views.angular[view], still))
             px = np.where(cam[:, 2:] > 0.1, camera.project(cam[:, :2] / cam[:, 2:]), np.nan)
-    inside = ((px >= 0) & (px <= [camera.width, camera.height])).all(axis=1)
+    # Far outside the image the lens' polynomial turns back into it.
+    inside = ((px >= 0) & (px <= [camera.width, camera.height]) & (np.abs(still[:, :2]) < still[:, 2:])).all(axis=1)
     return np.where(inside[:, None], px, np.nan)
 
 

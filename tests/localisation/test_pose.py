@@ -75,6 +75,8 @@ def test_without_shutter_and_noise_it_is_colmaps_pose():
     world = inverse(off(views.map_T_cam[1]))
     options = pycolmap.AbsolutePoseRefinementOptions()
     options.loss_function_scale = 2.385 * fit.pixel_sd
+    options.gradient_tolerance = 1e-12
+    options.max_num_iterations = 200
     start = pycolmap.Rigid3d(pycolmap.Rotation3d(world[:3, :3]), world[:3, 3])
     found = pycolmap.refine_absolute_pose(start, seen.px, seen.xyz, np.ones(len(seen.px), bool), camera, options)
     colmap = inverse(np.vstack([found["cam_from_world"].matrix(), [0, 0, 0, 1]]))

@@ -25,7 +25,7 @@ def test_rays_of_a_rolling_shutter_go_through_the_points():
 
 
 def _of_two_views(noise_px=0.0):
-    views = walk(2, moving=False)
+    views = walk(2, moving=False, reach_m=1)
     xyz = place().xyz
     px = np.stack([projected(views, view, xyz) for view in range(2)])
     seen = np.isfinite(px).all(axis=(0, 2))
@@ -54,7 +54,7 @@ def test_points_are_opencvs_and_the_true_ones():
 
 
 def test_a_wrong_observation_is_left_out_and_a_lonely_point_dropped():
-    views, xyz = walk(5, moving=False), place().xyz
+    views, xyz = walk(5, moving=False, reach_m=1), place().xyz
     px = np.stack([projected(views, view, xyz) for view in range(5)])
     point = int(np.flatnonzero(np.isfinite(px).all(axis=(0, 2)))[0])
     at = px[:, point].copy()
