@@ -9,13 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundwalk.geometry.vlad import aggregate, k_means
 from groundwalk.sfm.database import Descriptors
 from groundwalk.sfm.pairs import Pairs, unique_pairs
 
 Floats = NDArray[np.float32]
 
 _SAMPLES_PER_WORD = 400
-_ITERATIONS = 15
 _ROWS_AT_ONCE = 512
 _COMPONENTS = 64
 
@@ -29,7 +29,7 @@ def vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Floats:
     everything = np.concatenate([d for d in descriptors if len(d)])
     chosen = rng.permutation(len(everything))[: words * _SAMPLES_PER_WORD]
     centres = k_means(_unit(everything[np.sort(chosen)]), words, rng)
-    return np.stack([_aggregate(_unit(d), centres) if len(d) else _nothing(centres) for d in descriptors])
+    return np.stack([aggregate(_unit(d), centres) if len(d) else _nothing(centres) for d in descriptors])
 
 
 def pca_vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Floats:
@@ -46,21 +46,8 @@ def pca_vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Float
     components = np.linalg.eigh(np.cov((sample - mean).T))[1][:, : -_COMPONENTS - 1 : -1].astype(np.float32)
     centres = k_means((sample - mean) @ components, words, rng)
     return np.stack(
-        [_aggregate((_unit(d) - mean) @ components, centres) if len(d) else _nothing(centres) for d in descriptors]
+        [aggregate((_unit(d) - mean) @ components, centres) if len(d) else _nothing(centres) for d in descriptors]
     )
-
-
-def k_means(points: Floats, clusters: int, rng: np.random.Generator) -> Floats:
-    """Centres (clusters, D) of points (M, D) after Lloyd's iterations from random points; fewer where M is less."""
-    centres = points[rng.choice(len(points), min(clusters, len(points)), replace=False)]
-    for _ in range(_ITERATIONS):
-        nearest = _nearest(points, centres)
-        counts = np.bincount(nearest, minlength=len(centres))
-        order = np.argsort(nearest, kind="stable")
-        starts = np.searchsorted(nearest[order], np.flatnonzero(counts))
-        # A centre that lost its points stays where it was.
-        centres[counts > 0] = np.add.reduceat(points[order], starts) / counts[counts > 0, None]
-    return centres
 
 
 def retrieval_pairs(image_ND: Floats, session_N: ArrayLike, per_frame: int) -> Pairs:
@@ -84,17 +71,3 @@ def _unit(descriptors: Descriptors) -> Floats:
 
 def _nothing(centres: Floats) -> Floats:
     return np.zeros(centres.size, np.float32)
-
-
-def _nearest(points: Floats, centres: Floats) -> NDArray[np.int64]:
-    # |p - c|^2 without |p|^2, which is the same for every centre.
-    return np.argmin(np.sum(centres**2, axis=1) - 2 * points @ centres.T, axis=1)
-
-
-def _aggregate(points: Floats, centres: Floats) -> Floats:
-    nearest = _nearest(points, centres)
-    words = np.zeros_like(centres)
-    np.add.at(words, nearest, points - centres[nearest])
-    words /= np.maximum(np.linalg.norm(words, axis=1, keepdims=True), 1e-12)
-    flat = words.ravel()
-    return flat / max(float(np.linalg.norm(flat)), 1e-12)

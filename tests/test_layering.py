@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-STAGES = {"capture_import", "sfm", "alignment", "training", "fusion", "reports", "simulation"}
+STAGES = {"capture_import", "sfm", "alignment", "training", "localisation", "fusion", "reports", "simulation"}
 ALLOWED = {"geometry": {"geometry"}, "artefacts": {"artefacts", "geometry"}} | {
     stage: {stage, "artefacts", "geometry"} for stage in STAGES
 }

@@ -1,0 +1,345 @@
+"""Localising by structure, Map and HLoc: `python -m benchmarks.localise`.
+
+Each case builds its map from its training frames alone, asks all its queries, and holds the poses against the ground
+truth of align. Needs finished runs (import, sfm, align) of the scenes that are asked for; cases of scenes without are
+left out. Writes docs/results/localise.md and .csv.
+"""
+
+import csv
+import os
+import platform
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, spearmanr
+
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.images import image_file
+from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.localisation.build import build_map
+from groundwalk.localisation.calibration import normalised_squares, pose_error
+from groundwalk.localisation.compact import read_map, write_map
+from groundwalk.localisation.features import extract
+from groundwalk.localisation.hloc import HLocLocaliser
+from groundwalk.localisation.inputs import Inputs, grey, read_features, read_inputs, training_of
+from groundwalk.localisation.query import Answer, MapLocaliser
+from groundwalk.localisation.settings import MapSettings
+
+app = new_app(__doc__ or "")
+
+PRIOR_SD_M, PRIOR_SD_DEG = 0.3, 3.0
+_TIMED = 40
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Case:
+    """Queries of a scene, and what the Map must reach with them: figure -> (least, most), None where there is no
+    bound."""
+
+    name: str
+    scene: str
+    queries: str
+    targets: dict[str, tuple[float | None, float | None]]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One number of a case and localiser."""
+
+    case: str
+    localiser: str
+    name: str
+    value: float
+    unit: str
+
+
+_SURE = {
+    "wrong answers": (None, 0.0),
+    "within 95 % bounds": (85.0, 99.0),
+    "rank correlation of sigma and error": (0.6, None),
+}
+_CHURCH = {
+    "within 25 cm and 2 deg": (99.5, None),
+    "median": (None, 0.5),
+    "p95": (None, 2.0),
+    "file": (None, 2.0),
+    "time, median": (None, 80.0),
+    "time with a prior, median": (None, 40.0),
+    **_SURE,
+}
+CASES = [
+    Case("Church, light same", "Church", "test", _CHURCH),
+    Case(
+        "chair, every fourth",
+        "chair",
+        "every 4",
+        {"within 1 cm and 0.5 deg": (100.0, None), "wrong answers": (None, 0)},
+    ),
+    *(
+        Case(f"charuco, {name} asked", "charuco", f"session {name}", {"within 2 cm and 0.5 deg": (100.0, None)})
+        for name in ("test-lowres", "train-highres")
+    ),
+    Case(
+        "corridor, every fifth",
+        "corridor",
+        "every 5",
+        {"within 25 cm and 2 deg": (80.0, None), "wrong answers": (None, 0.0)},
+    ),
+]
+_LIMITS = [(0.25, 2.0), (0.02, 0.5), (0.01, 0.5)]
+
+
+@app.command()
+def main(
+    data: Annotated[Path, typer.Option(help="data root with runs of real captures")] = Path("data"),
+    simulated: Annotated[
+        Path | None, typer.Option(help="data root with the run of simulated Church; default: data")
+    ] = None,
+    profile: Annotated[str, typer.Option(help="profile of the runs")] = "demo",
+    out: Annotated[Path, typer.Option(help="folder for localise.md and .csv")] = Path("docs/results"),
+    only: Annotated[str, typer.Option(help="cases whose names start so")] = "",
+    settings: Annotated[list[str] | None, typer.Option("--set", help="a setting of the map, key=value")] = None,
+) -> None:
+    """Build each case's map, ask its queries, and write what came out."""
+    revision = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
+    values = dict(item.split("=", 1) for item in settings or [])
+    map_settings = MapSettings.model_validate(values, strict=False)
+    figures: list[Figure] = []
+    for case in CASES:
+        root = DataRoot(simulated or data) if case.scene == "Church" else DataRoot(data)
+        if not case.name.startswith(only) or not root.run(profile, case.scene, "align").is_dir():
+            continue
+        figures += run_case(case, root, profile, map_settings)
+    if not figures:
+        raise UserError("there is no run of any case", where=data, do="run import, sfm and align of Church first")
+    write_report(out, figures, map_settings, profile, revision.stdout.strip() or "not in git")
+
+
+def run_case(case: Case, root: DataRoot, profile: str, settings: MapSettings) -> list[Figure]:
+    """The figures of a case, of both localisers."""
+    run = root.run(profile, case.scene)
+    inputs = read_inputs(run)
+    query = query_rows(case.queries, inputs)
+    training = np.setdiff1d(np.arange(len(inputs.frames)), query)
+    captures, imported = root.captures(case.scene), run / "import"
+    images = [image_file(name, captures, imported) for name in inputs.frames["image"]]
+    given = training_of(inputs, training, read_features(inputs, training, captures, imported, settings))
+    start = time.process_time()
+    content, structure, _ = build_map(case.scene, given, settings)
+    print(
+        f"{case.name}: map in {time.process_time() - start:.0f} s, {content.calibration}, {content.priors}", flush=True
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "map.gwmap"
+        write_map(file, content)
+        size, localiser = file.stat().st_size, MapLocaliser(read_map(file))
+    gravity = [g if np.isfinite(g).all() else None for g in inputs.gravity]
+    seen = dict(zip(query.tolist(), read_features(inputs, query, captures, imported, settings), strict=True))
+    asked = [localiser.localise_features(seen[row], inputs.logged[row], gravity[row]) for row in seen]
+    without = [localiser.localise_features(seen[row], inputs.logged[row]) for row in seen]
+    hloc = HLocLocaliser(structure, given.features, content.lenses)
+    baseline = [hloc.localise_features(seen[row], inputs.logged[row]) for row in seen]
+    truth = inputs.views.map_T_cam[query]
+    figures = [
+        *_accuracy(case.name, "Map", asked, truth),
+        *_accuracy(case.name, "Map without gravity", without, truth),
+        *_accuracy(case.name, "HLoc", baseline, truth),
+        *_honesty(case.name, "Map", asked, truth),
+        Figure(case.name, "Map", "file", size / 1e6, "MB"),
+        Figure(case.name, "HLoc", "file", sum(hloc.bytes_by_part().values()) / 1e6, "MB"),
+        Figure(case.name, "Map", "points", len(content.xyz), ""),
+        Figure(case.name, "Map", "training frames", len(training), ""),
+        *_times(case.name, localiser, hloc, [images[row] for row in query], inputs, query, settings),
+    ]
+    for row, answer, true in zip(query.tolist(), asked, truth, strict=True):
+        p, r = _errors([answer], true[None])
+        if not p[0] < 0.25:
+            what = f"{p[0]:.3f} m, {r[0]:.2f} deg, {answer.inliers} inliers; {answer.reason}"
+            print(f"  {inputs.frames['frame_id'][row]}: {what}")
+    for figure in figures:
+        if figure.localiser in ("Map", "HLoc"):
+            print(f"  {figure.localiser}: {figure.name} {figure.value:.4g} {figure.unit}", flush=True)
+    return figures
+
+
+def query_rows(queries: str, inputs: Inputs) -> Rows:
+    """Rows that are asked: `test` split, `every n` of the rows in order of session and time, or `session name`."""
+    kind, _, what = queries.partition(" ")
+    if kind == "every":
+        return np.arange(len(inputs.frames))[int(what) // 2 :: int(what)]
+    column, value = ("session_id", what) if kind == "session" else ("split", "test")
+    return np.flatnonzero((inputs.frames[column] == value).to_numpy())
+
+
+def _errors(answers: Sequence[Answer], truth: Array) -> tuple[Array, Array]:
+    """Position errors, m, and rotation errors, deg, infinite where refused."""
+    position, rotation = np.full(len(answers), np.inf), np.full(len(answers), np.inf)
+    for row, answer in enumerate(answers):
+        if answer.map_T_cam is not None:
+            position[row] = position_error(answer.map_T_cam, truth[row])
+            rotation[row] = rotation_error_deg(answer.map_T_cam, truth[row])
+    return position, rotation
+
+
+def _accuracy(case: str, localiser: str, answers: Sequence[Answer], truth: Array) -> Iterable[Figure]:
+    position, rotation = _errors(answers, truth)
+    yield Figure(case, localiser, "queries", len(answers), "")
+    yield Figure(case, localiser, "refused", float(np.isinf(position).sum()), "")
+    for metres, degrees in _LIMITS:
+        share = 100 * float(((position <= metres) & (rotation <= degrees)).mean())
+        yield Figure(case, localiser, f"within {100 * metres:g} cm and {degrees:g} deg", share, "%")
+    wrong = np.isfinite(position) & ((position > 1) | (rotation > 5))
+    yield Figure(case, localiser, "wrong answers", float(wrong.sum()), "")
+    for name, q in (("median", 50), ("p95", 95)):
+        yield Figure(case, localiser, name, 100 * float(np.percentile(position, q, method="lower")), "cm")
+        yield Figure(case, localiser, f"{name}, rotation", float(np.percentile(rotation, q, method="lower")), "deg")
+
+
+def _honesty(case: str, localiser: str, answers: Sequence[Answer], truth: Array) -> Iterable[Figure]:
+    given = [
+        (a, t) for a, t in zip(answers, truth, strict=True) if a.map_T_cam is not None and a.covariance is not None
+    ]
+    if len(given) < 3:
+        return
+    errors = np.array([pose_error(a.map_T_cam, t) for a, t in given if a.map_T_cam is not None])
+    covariances = np.array([a.covariance for a, _ in given])
+    rotation, position = normalised_squares(errors, covariances)
+    bound = chi2.ppf(0.95, 3)
+    sigma = np.sqrt(np.trace(covariances[:, 3:, 3:], axis1=1, axis2=2))
+    correlation = spearmanr(sigma, np.linalg.norm(errors[:, 3:], axis=1)).statistic
+    yield Figure(case, localiser, "within 95 % bounds", 100 * float((position <= bound).mean()), "%")
+    yield Figure(case, localiser, "within 95 % bounds, rotation", 100 * float((rotation <= bound).mean()), "%")
+    yield Figure(case, localiser, "rank correlation of sigma and error", float(correlation), "")
+
+
+def _times(
+    case: str,
+    localiser: MapLocaliser,
+    hloc: HLocLocaliser,
+    paths: Sequence[Path],
+    inputs: Inputs,
+    query: Rows,
+    settings: MapSettings,
+) -> Iterable[Figure]:
+    """Milliseconds from a decoded image to its pose, on the clock, and of the processor."""
+    rng = np.random.default_rng(0)
+    rows = np.unique(np.linspace(0, len(query) - 1, min(_TIMED, len(query))).astype(int))
+    timed: dict[str, list[dict[str, float]]] = {"": [], " with a prior": []}
+    baseline: list[tuple[float, float]] = []
+    with_prior: list[Answer] = []
+    for row in rows.tolist():
+        image, camera, gravity = grey(paths[row]), inputs.logged[query[row]], inputs.gravity[query[row]]
+        down = gravity if np.isfinite(gravity).all() else None
+        shift = make_pose(
+            Rotation.from_rotvec(np.radians(PRIOR_SD_DEG) * rng.standard_normal(3)).as_matrix(),
+            PRIOR_SD_M * rng.standard_normal(3),
+        )
+        for name, prior in (("", None), (" with a prior", inputs.views.map_T_cam[query[row]] @ shift)):
+            start, cpu = time.perf_counter(), time.process_time()
+            answer = localiser.localise(image, camera, down, prior)
+            whole = {"": time.perf_counter() - start, ", processor": time.process_time() - cpu}
+            with_prior += [answer] if prior is not None else []
+            timed[name].append(whole | {f", {part}": s for part, s in answer.seconds.items()})
+        start, cpu = time.perf_counter(), time.process_time()
+        hloc.localise_features(extract(image, settings.max_features, settings.max_side), camera)
+        baseline.append((time.perf_counter() - start, time.process_time() - cpu))
+    yield from _accuracy(case, "Map with a prior", with_prior, inputs.views.map_T_cam[query[rows]])
+    for name, parts in timed.items():
+        for part in parts[0]:
+            ms = [1000 * seconds.get(part, 0.0) for seconds in parts]
+            yield Figure(case, "Map", f"time{name}{part}, median", float(np.median(ms)), "ms")
+            yield Figure(case, "Map", f"time{name}{part}, p95", float(np.percentile(ms, 95)), "ms")
+    for number, part in enumerate(("", ", processor")):
+        ms = [1000 * seconds[number] for seconds in baseline]
+        yield Figure(case, "HLoc", f"time{part}, median", float(np.median(ms)), "ms")
+        yield Figure(case, "HLoc", f"time{part}, p95", float(np.percentile(ms, 95)), "ms")
+
+
+def write_report(out: Path, figures: Sequence[Figure], settings: MapSettings, profile: str, revision: str) -> None:
+    """Write localise.md and localise.csv into the folder."""
+    out.mkdir(parents=True, exist_ok=True)
+    head = {
+        "revision": revision,
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the end",
+        "profile": profile,
+        "seed": "0",
+        "settings": ", ".join(f"{name} {value}" for name, value in settings.model_dump().items()),
+    }
+    targets = {(case.name, name): bounds for case in CASES for name, bounds in case.targets.items()}
+    with (out / "localise.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["case", "localiser", "figure", "value", "unit", "least", "most", "met", *head])
+        for f in figures:
+            bounds = targets.get((f.case, f.name), (None, None)) if f.localiser == "Map" else (None, None)
+            met = "" if bounds == (None, None) else _met(f.value, bounds)
+            writer.writerow([f.case, f.localiser, f.name, f"{f.value:.6g}", f.unit, *bounds, met, *head.values()])
+    sections = ["# Localising by structure", _HEADER, "\n".join(f"- {name}: {value}" for name, value in head.items())]
+    sections += ["## Against the figures to reach", _table(_target_rows(figures, targets))]
+    for case in dict.fromkeys(f.case for f in figures):
+        sections += [f"## {case}", _table(_case_rows([f for f in figures if f.case == case]))]
+    (out / "localise.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+
+
+_HEADER = f"""Written by `python -m benchmarks.localise`; not to be edited. Maps are of training frames alone, with
+ground-truth poses fixed; queries have their logged intrinsics and, unless it says otherwise, the phone's gravity.
+Church is simulated, chair, charuco and corridor are real; errors are against align's ground truth, in which the
+queries' images took part.
+Shares and percentiles are of all queries, a refused one counts as infinitely wrong. A prior is the ground truth off by
+{PRIOR_SD_M} m and {PRIOR_SD_DEG:g} degrees a coordinate, one sigma. Times are from a decoded image to its pose;
+`processor` is the time of all cores, which what else runs on the machine changes less. HLoc has the same features."""
+
+
+def _target_rows(
+    figures: Iterable[Figure], targets: dict[tuple[str, str], tuple[float | None, float | None]]
+) -> Iterable[list[str]]:
+    yield ["case", "figure of Map", "value", "to reach", ""]
+    for f in figures:
+        bounds = targets.get((f.case, f.name))
+        if bounds and f.localiser == "Map":
+            least, most = bounds
+            asked = " to ".join(f"{bound:g}" for bound in bounds if bound is not None)
+            sign = "" if None not in bounds else "≥ " if most is None else "≤ "
+            verdict = _met(f.value, (least, most))
+            yield [
+                f.case,
+                f.name,
+                f"{f.value:.4g} {f.unit}",
+                sign + asked,
+                verdict if verdict == "met" else f"**{verdict}**",
+            ]
+
+
+def _case_rows(figures: Sequence[Figure]) -> Iterable[list[str]]:
+    localisers = list(dict.fromkeys(f.localiser for f in figures))
+    yield ["figure", *localisers]
+    values = {(f.name, f.localiser): f"{f.value:.4g} {f.unit}" for f in figures}
+    for name in dict.fromkeys(f.name for f in figures):
+        yield [name, *(values.get((name, localiser), "") for localiser in localisers)]
+
+
+def _met(value: float, bounds: tuple[float | None, float | None]) -> str:
+    least, most = bounds
+    return "met" if (least is None or value >= least) and (most is None or value <= most) else "missed"
+
+
+def _table(rows: Iterable[list[str]]) -> str:
+    first, *rest = rows
+    return "\n".join("| " + " | ".join(row) + " |" for row in [first, ["---"] * len(first), *rest])
+
+
+if __name__ == "__main__":
+    app()

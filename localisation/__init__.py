@@ -1,0 +1,1 @@
+"""Localising single images by structure: a compact map of points (`Map`), and the baseline HLoc."""

@@ -1,0 +1,117 @@
+"""What answers are worth, by training frames that are held out of a map built for that."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.poses import Array, inverse, transform
+from groundwalk.localisation.compact import Calibration, CompactMap
+from groundwalk.localisation.features import Features
+from groundwalk.localisation.query import Answer, MapLocaliser, with_lens
+
+UNCALIBRATED = Calibration(min_inliers=6, covariance_factor=1.0, position_floor_m=0.0, rotation_floor_rad=0.0)
+_MARGIN = 1.25
+_MIN_INLIERS, _WITHOUT_EVIDENCE = 10, 30
+_LARGEST_ERROR_M, _LARGEST_ERROR_DEG = 0.25, 2.0
+_TRIMMED = 0.98
+_MIN_ANSWERS = 10
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A held-out frame's answer, its true pose (4, 4), and the inliers that it has where nothing it sees is in the
+    map."""
+
+    answer: Answer
+    truth: Array
+    inliers_elsewhere: int
+
+
+def held_out_trials(
+    content: CompactMap,
+    features: Sequence[Features],
+    cameras: Sequence[Camera],
+    gravity: Array,
+    map_T_cam: Array,
+) -> list[Trial]:
+    """The answers of H frames that took no part in `content`, with their true poses (H, 4, 4); gravity (H, 3) is NaN
+    where unknown. For the inliers elsewhere, the map's points within the frame's view are hidden."""
+    localiser = MapLocaliser(content)
+    trials = []
+    for f, camera, g, truth in zip(features, cameras, gravity, map_T_cam, strict=True):
+        down = g if np.isfinite(g).all() else None
+        hidden = in_view(content.xyz, truth, with_lens(camera, content.lenses)[0])
+        elsewhere = localiser.localise_features(f, camera, down, hidden=hidden).inliers
+        trials.append(Trial(localiser.localise_features(f, camera, down), truth, elsewhere))
+    return trials
+
+
+def calibrated(trials: Sequence[Trial]) -> Calibration:
+    """Inliers that an answer needs, beyond those that wrong ones had; covariances by the errors of right ones."""
+    errors, covariances, wrong = [], [], [0]
+    for trial in trials:
+        wrong.append(trial.inliers_elsewhere)
+        if trial.answer.map_T_cam is None:
+            continue
+        error = pose_error(trial.answer.map_T_cam, trial.truth)
+        if np.linalg.norm(error[3:]) < _LARGEST_ERROR_M and np.linalg.norm(error[:3]) < np.radians(_LARGEST_ERROR_DEG):
+            errors.append(error)
+            covariances.append(trial.answer.covariance)
+        else:
+            wrong.append(trial.answer.inliers)
+    if len(errors) < _MIN_ANSWERS:
+        return Calibration(_WITHOUT_EVIDENCE, 3.0, 0.01, float(np.radians(0.1)))
+    limit = max(_MIN_INLIERS, int(np.ceil(_MARGIN * max(wrong))))
+    return _fitted(np.array(errors), np.array(covariances), limit)
+
+
+def pose_error(map_T_cam: Array, truth: Array) -> Array:
+    """The error (6,) of (rotation, position) in the map's axes: true rotation = exp(rotation) @ map_R_cam."""
+    turn = Rotation.from_matrix(truth[:3, :3] @ map_T_cam[:3, :3].T).as_rotvec()
+    return np.concatenate([turn, truth[:3, 3] - map_T_cam[:3, 3]])
+
+
+def in_view(xyz: Array, map_T_cam: Array, camera: Camera) -> NDArray[np.bool_]:
+    """Which points (P, 3) lie within the image of a camera, be they hidden by walls or not, (P,)."""
+    cam = transform(inverse(map_T_cam), xyz)
+    ahead = cam[:, 2] > 0.01
+    half = 1.1 * np.array([camera.width / camera.fx, camera.height / camera.fy]) / 2
+    at = np.abs(cam[:, :2]) / np.where(ahead, cam[:, 2], 1.0)[:, None]
+    return np.asarray(ahead & (at <= half).all(axis=1))
+
+
+def normalised_squares(errors: Array, covariances: Array) -> tuple[Array, Array]:
+    """Squared Mahalanobis lengths of the rotation (N,) and the position (N,) of errors (N, 6)."""
+    parts = []
+    for part in (slice(0, 3), slice(3, 6)):
+        e, c = errors[:, part], covariances[:, part, part]
+        parts.append(np.einsum("ni,ni->n", e, np.linalg.solve(c, e[:, :, None])[:, :, 0]))
+    return parts[0], parts[1]
+
+
+def _fitted(errors: Array, covariances: Array, min_inliers: int) -> Calibration:
+    """Factor and floors of greatest likelihood, the worst 2 % left out; then larger where 95 % bounds hold too few."""
+
+    def grown(logs: Array) -> Array:
+        factor, rotation, position = np.exp(logs)
+        return factor**2 * covariances + np.diag(np.r_[np.full(3, rotation), np.full(3, position)] ** 2)
+
+    def cost(logs: Array) -> float:
+        c = grown(logs)
+        terms = sum(
+            square + np.linalg.slogdet(c[:, part, part])[1]
+            for square, part in zip(normalised_squares(errors, c), (slice(0, 3), slice(3, 6)), strict=True)
+        )
+        return float(np.sort(terms)[: int(np.ceil(_TRIMMED * len(errors)))].mean())
+
+    best = minimize(cost, np.log([1.5, 1e-4, 1e-3]), method="Nelder-Mead", options={"maxiter": 400})
+    squares = normalised_squares(errors, grown(best.x))
+    short = max(np.quantile(s, 0.95) for s in squares) / chi2.ppf(0.95, 3)
+    factor, rotation, position = np.exp(best.x) * np.sqrt(max(short, 1.0))
+    return Calibration(min_inliers, float(factor), float(position), float(rotation))

@@ -1,0 +1,53 @@
+"""Training frames as the map is built from them: poses, cameras and how each camera moved while it was read out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.poses import Array
+
+
+@dataclass(frozen=True)
+class Views:
+    """N frames with known poses map_T_cam (N, 4, 4) of their middle rows, in metres; their cameras; readout time of the
+    whole image (N,), s; angular velocity (N, 3), rad/s, and velocity (N, 3), m/s, in the camera's axes."""
+
+    map_T_cam: Array
+    cameras: tuple[Camera, ...]
+    readout_s: Array
+    angular: Array
+    velocity: Array
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+
+def row_times(px_M2: Array, height: int, readout_s: float) -> Array:
+    """When the rows of pixels (M, 2) were exposed after the middle one, (M,), s."""
+    return (np.asarray(px_M2, float)[:, 1] / height - 0.5) * readout_s
+
+
+def rays(views: Views, view: int, px_M2: Array) -> tuple[Array, Array]:
+    """Where pixels (M, 2) of a frame were seen from and in which direction, both (M, 3) in the map; the directions are
+    of unit depth, NaN where the lens has none."""
+    camera, map_T_cam = views.cameras[view], views.map_T_cam[view]
+    time_s = row_times(px_M2, camera.height, float(views.readout_s[view]))[:, None]
+    ideal = camera.unproject(px_M2)
+    cam = np.concatenate([ideal, np.ones((len(ideal), 1))], axis=1)
+    # Rows are read out within 30 ms: a turn of some milliradians, to first order.
+    cam = cam + time_s * np.cross(views.angular[view], cam)
+    origin = map_T_cam[:3, 3] + (time_s * views.velocity[view]) @ map_T_cam[:3, :3].T
+    return origin, cam @ map_T_cam[:3, :3].T
+
+
+def subset(views: Views, rows: NDArray[np.int64]) -> Views:
+    """Some of the views."""
+    return Views(
+        views.map_T_cam[rows],
+        tuple(views.cameras[row] for row in rows.tolist()),
+        views.readout_s[rows],
+        views.angular[rows],
+        views.velocity[rows],
+    )

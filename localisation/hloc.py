@@ -1,0 +1,96 @@
+"""The baseline HLoc (Sarlin et al., "From coarse to fine", CVPR 2019): retrieval, matching with each image, PnP.
+
+All training images' features are kept; a query is matched with the images that look most alike, 2D to 2D, its 3D points
+are those of their tracks, and COLMAP's LO-RANSAC with refinement gives the pose.
+"""
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.geometry.vlad import aggregate, k_means
+from groundwalk.localisation.compact import Lens
+from groundwalk.localisation.features import Features, unit
+from groundwalk.localisation.matching import mutual_matches
+from groundwalk.localisation.query import Answer, Clock, refusal, with_lens
+from groundwalk.localisation.structure import Structure
+
+_WORDS, _SAMPLES = 64, 25_600
+_RATIO, _MAX_PX, _MIN_INLIERS = 0.85, 12.0, 12
+
+
+class HLocLocaliser:
+    """HLoc of a structure's frames."""
+
+    def __init__(
+        self, structure: Structure, features: tuple[Features, ...], lenses: tuple[Lens, ...], *, retrieved: int = 20
+    ) -> None:
+        self.structure, self.features, self.lenses, self.retrieved = structure, features, lenses, retrieved
+        self._unit = [unit(f.descriptors) for f in features]
+        every = np.concatenate(self._unit)
+        rng = np.random.default_rng(0)
+        self._words = k_means(every[np.sort(rng.permutation(len(every))[:_SAMPLES])], _WORDS, rng)
+        self._images = np.stack([aggregate(d, self._words) for d in self._unit])
+        self._first = np.cumsum([0, *(len(f) for f in features)])
+        self._point = np.full(len(every), -1)
+        self._point[structure.points.feature] = structure.points.point
+
+    def bytes_by_part(self) -> dict[str, int]:
+        """What a query needs, in bytes: keypoints as two floats, descriptors as bytes, image descriptors as floats,
+        points as three floats, and the point of each keypoint."""
+        count = len(self._point)
+        return {
+            "keypoints": 8 * count,
+            "descriptors": 128 * count,
+            "image descriptors": self._images.nbytes + self._words.nbytes,
+            "points": 12 * len(self.structure.points.xyz),
+            "tracks": 4 * count,
+        }
+
+    def localise_features(self, features: Features, camera: Camera, *, seed: int = 0) -> Answer:
+        """The answer for an image's features, taken with `camera` as the phone logged it; without covariance."""
+        clock = Clock()
+        camera, _ = with_lens(camera, self.lenses)
+        with clock.part("retrieval"):
+            query = unit(features.descriptors)
+            alike = self._images @ aggregate(query, self._words)
+            views = np.argsort(-alike, kind="stable")[: self.retrieved]
+        with clock.part("matching"):
+            found = [self._matches(query, int(view)) for view in views]
+            pairs = np.unique(np.concatenate(found), axis=0)
+        px, xyz = features.px[pairs[:, 0]].astype(float), self.structure.points.xyz[pairs[:, 1]]
+        with clock.part("ransac"):
+            pose = _absolute_pose(px, xyz, camera, seed) if len(pairs) >= _MIN_INLIERS else None
+        if pose is None or pose[1].sum() < _MIN_INLIERS:
+            inliers = 0 if pose is None else int(pose[1].sum())
+            return refusal("thin_evidence", f"{inliers} inliers, {_MIN_INLIERS} needed", clock, len(pairs), inliers)
+        map_T_cam, inlier = pose
+        count = int(inlier.sum())
+        return Answer(map_T_cam, None, "", "", len(pairs), count, px[inlier], pairs[inlier, 1], clock.seconds)
+
+    def _matches(self, query: NDArray[np.float32], view: int) -> NDArray[np.int64]:
+        """Keypoints of the query and points (M, 2) by matches with an image."""
+        rows = mutual_matches(query, self._unit[view], _RATIO)
+        point = self._point[self._first[view] + rows[:, 1]]
+        return np.stack([rows[:, 0], point], axis=1)[point >= 0]
+
+
+def _absolute_pose(px: Array, xyz: Array, camera: Camera, seed: int) -> tuple[Array, NDArray[np.bool_]] | None:
+    coefficients = np.zeros(8)
+    coefficients[: len(camera.distortion)] = camera.distortion
+    colmap = pycolmap.Camera(
+        model="FULL_OPENCV",
+        width=camera.width,
+        height=camera.height,
+        params=[camera.fx, camera.fy, camera.cx, camera.cy, *coefficients],
+    )
+    options = pycolmap.AbsolutePoseEstimationOptions()
+    options.ransac.max_error = _MAX_PX * max(camera.width, camera.height) / 640 / 2
+    options.ransac.random_seed = seed
+    found = pycolmap.estimate_and_refine_absolute_pose(px, xyz, colmap, options, return_covariance=False)
+    if found is None:
+        return None
+    matrix = found["cam_from_world"].matrix()
+    return inverse(make_pose(matrix[:, :3], matrix[:, 3])), np.asarray(found["inlier_mask"], bool)

@@ -1,0 +1,237 @@
+"""The pose of one image from points that it sees: RANSAC, and a refinement that knows what phones do.
+
+What a query doesn't know of its camera is estimated with it, held by priors from the training frames: how it turned and
+moved while its rows were read out, and by which factor its focal length deviates from the logged one.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.localisation.frames import row_times
+
+_CONVERGED = 1e-7
+_MIN_POINTS = 6
+_UNKNOWNS = 13
+
+
+@dataclass(frozen=True)
+class Priors:
+    """One sigma of what a query's camera does: angular velocity, rad/s, velocity, m/s, relative focal length; of
+    gravity, rad; and the least that keypoints are taken to be off by, px."""
+
+    angular_sd: float
+    velocity_sd: float
+    focal_sd: float
+    gravity_sd: float
+    pixel_sd: float
+
+
+@dataclass(frozen=True)
+class Observed:
+    """M keypoints px (M, 2), their ideal image points (M, 2) at unit focal length, and the points xyz (M, 3) in the
+    map."""
+
+    px: Array
+    ideal: Array
+    xyz: Array
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A pose map_T_cam (4, 4) with the covariance (6, 6) of (rotation, position) in the map's axes, true rotation =
+    exp(rotation) @ map_R_cam, for keypoints' errors as they scatter; residuals (M,), px, and one sigma of them;
+    factor of the focal length; angular velocity (3,), rad/s, and velocity (3,), m/s, in the camera's axes."""
+
+    map_T_cam: Array
+    covariance: Array
+    residual_px: Array
+    pixel_sd: float
+    focal_factor: float
+    angular: Array
+    velocity: Array
+
+
+def ransac(
+    ideal_M2: Array, xyz_M3: Array, max_error: float, trials: int, seed: int
+) -> tuple[Array, NDArray[np.bool_]] | None:
+    """A pose map_T_cam and its inliers (M,) by OpenCV's USAC with local optimisation (Raguram et al., "USAC", PAMI
+    2013; Chum et al., "Locally optimized RANSAC", DAGM 2003), or None.
+
+    Ideal image points (M, 2) are at unit focal length, and so is `max_error`. The rolling shutter is left out here, so
+    that it has to be wide.
+    """
+    if len(ideal_M2) < _MIN_POINTS:
+        return None
+    params = cv2.UsacParams()
+    params.confidence, params.maxIterations, params.threshold = 0.9999, trials, max_error
+    params.score, params.sampler = cv2.SCORE_METHOD_MSAC, cv2.SAMPLING_UNIFORM
+    params.loMethod, params.loIterations, params.loSampleSize = cv2.LOCAL_OPTIM_INNER_LO, 10, 14
+    params.randomGeneratorState = seed
+    params.final_polisher = cv2.NONE_POLISHER
+    try:
+        found = cv2.solvePnPRansac(xyz_M3, ideal_M2, np.eye(3), None, params=params)
+    except cv2.error:  # it has no other way to say that no sample gave a pose
+        return None
+    if not found[0]:
+        return None
+    cam_R_map, cam_t = Rotation.from_rotvec(np.ravel(found[2])).as_matrix(), np.ravel(found[3])
+    cam = xyz_M3 @ cam_R_map.T + cam_t
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = np.linalg.norm(cam[:, :2] / cam[:, 2:] - ideal_M2, axis=1)
+    return make_pose(cam_R_map.T, -cam_R_map.T @ cam_t), (cam[:, 2] > 0) & (error <= max_error)
+
+
+def upright_ransac(
+    ideal_M2: Array, xyz_M3: Array, gravity: Array, max_error: float, trials: int, seed: int
+) -> tuple[Array, NDArray[np.bool_]] | None:
+    """A pose map_T_cam and its inliers (M,) where gravity, a unit vector (3,) in the camera, is known, or None.
+
+    Ideal image points are at unit focal length, and so is `max_error`. Two points give a pose up to two solutions
+    (`upright_poses`); the best by truncated squared errors (MSAC; Torr and Zisserman, CVIU 2000) is taken.
+    """
+    count = len(ideal_M2)
+    if count < 2:
+        return None
+    up_R_cam = _upright_from(gravity)
+    ray = np.concatenate([ideal_M2, np.ones((count, 1))], axis=1) @ up_R_cam.T
+    rng = np.random.default_rng(seed)
+    first = rng.integers(0, count, trials)
+    second = (first + rng.integers(1, count, trials)) % count
+    rotation, translation = upright_poses(ray[first], ray[second], xyz_M3[first], xyz_M3[second])
+    if not len(rotation):
+        return None
+    cam_R_map = up_R_cam.T @ rotation
+    cam_t = translation @ up_R_cam
+    cam = (cam_R_map.reshape(-1, 3) @ xyz_M3.T).reshape(-1, 3, count) + cam_t[:, :, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = (cam[:, 0] / cam[:, 2] - ideal_M2[:, 0]) ** 2 + (cam[:, 1] / cam[:, 2] - ideal_M2[:, 1]) ** 2
+    error = np.where(cam[:, 2] > 0, error, np.inf)
+    best = int(np.minimum(error, max_error**2).sum(axis=1).argmin())
+    return make_pose(cam_R_map[best].T, -cam_R_map[best].T @ cam_t[best]), error[best] <= max_error**2
+
+
+def upright_poses(ray_a: Array, ray_b: Array, xyz_a: Array, xyz_b: Array) -> tuple[Array, Array]:
+    """Poses (S, 3, 3), (S, 3) that take pairs of points (T, 3) onto rays (T, 3), all in frames with +y up; the
+    solutions of all pairs, up to two each, with both points on their rays' positive side.
+
+    A turn about y leaves heights and horizontal distances: a quadratic in the length along the first ray.
+    """
+    delta = xyz_b - xyz_a
+    # Lengths a, b along the rays: b ray_b.y - a ray_a.y = delta.y gives b = offset + slope * a.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        offset, slope = delta[:, 1] / ray_b[:, 1], ray_a[:, 1] / ray_b[:, 1]
+        flat_a, flat_b = ray_a[:, ::2], ray_b[:, ::2]
+        fixed, moving = flat_b * offset[:, None], flat_b * slope[:, None] - flat_a
+        square, half = np.sum(moving**2, axis=1), np.sum(moving * fixed, axis=1)
+        rest = np.sum(fixed**2, axis=1) - np.sum(delta[:, ::2] ** 2, axis=1)
+        root = np.sqrt(half**2 - square * rest)
+        along_a = np.stack([(-half + root) / square, (-half - root) / square], axis=1)
+        along_b = offset[:, None] + slope[:, None] * along_a
+    pair, which = np.nonzero((along_a > 0) & (along_b > 0) & np.isfinite(along_a) & np.isfinite(along_b))
+    a, b = along_a[pair, which][:, None], along_b[pair, which][:, None]
+    now, was = b * ray_b[pair] - a * ray_a[pair], delta[pair]
+    length = np.maximum(was[:, 0] ** 2 + was[:, 2] ** 2, 1e-12)
+    cosine = (now[:, 0] * was[:, 0] + now[:, 2] * was[:, 2]) / length
+    sine = (now[:, 0] * was[:, 2] - now[:, 2] * was[:, 0]) / length
+    rotation = np.zeros((len(pair), 3, 3))
+    rotation[:, 1, 1] = 1
+    rotation[:, 0, 0] = rotation[:, 2, 2] = cosine
+    rotation[:, 0, 2], rotation[:, 2, 0] = sine, -sine
+    return rotation, a * ray_a[pair] - np.einsum("sij,sj->si", rotation, xyz_a[pair])
+
+
+def _upright_from(gravity: Array) -> Array:
+    """A rotation (3, 3) that turns gravity, in the camera's axes, to -y."""
+    up = -gravity / np.linalg.norm(gravity)
+    side = np.cross(up, [0, 0, 1.0] if abs(up[2]) < 0.9 else [1.0, 0, 0])
+    side /= np.linalg.norm(side)
+    return np.stack([side, up, np.cross(side, up)])
+
+
+def refine(
+    map_T_cam: Array,
+    seen: Observed,
+    camera: Camera,
+    readout_s: float,
+    priors: Priors,
+    gravity: Array | None = None,
+    iterations: int = 8,
+) -> Fit:
+    """The pose of the middle row from which points are seen, by Gauss-Newton with Cauchy weights.
+
+    `gravity` is a unit vector (3,) in the camera, or None. Unknowns: rotation and position in the camera's axes,
+    angular velocity, velocity, log of the focal length's factor.
+    """
+    focal = (camera.fx + camera.fy) / 2
+    time_s = row_times(seen.px, camera.height, readout_s)
+    prior = (
+        1 / np.r_[np.full(6, np.inf), np.full(3, priors.angular_sd), np.full(3, priors.velocity_sd), priors.focal_sd]
+    )
+    rotation, position, rest = map_T_cam[:3, :3].copy(), map_T_cam[:3, 3].copy(), np.zeros(7)
+    for _ in range(iterations):
+        residual, jacobian = _linear(rotation, position, rest, seen, time_s, focal)
+        squared = np.sum(residual**2, axis=1)
+        scale = max(priors.pixel_sd, float(np.sqrt(np.median(squared) / (2 * np.log(2)))))
+        weight = 1 / (1 + squared / (2.385 * scale) ** 2) / scale**2
+        rows = jacobian.reshape(-1, _UNKNOWNS)
+        weighted = rows * np.repeat(weight, 2)[:, None]
+        hessian = weighted.T @ rows + np.diag(prior**2)
+        gradient = weighted.T @ residual.ravel() + prior**2 * np.r_[np.zeros(6), rest]
+        if gravity is not None:
+            hessian[:3, :3], gradient[:3] = _with_gravity(hessian[:3, :3], gradient[:3], rotation, gravity, priors)
+        step = -np.linalg.solve(hessian + 1e-9 * np.eye(_UNKNOWNS), gradient)
+        position = position + rotation @ step[3:6]
+        rotation = rotation @ Rotation.from_rotvec(step[:3]).as_matrix()
+        rest = rest + step[6:]
+        if np.abs(step[:6]).max() < _CONVERGED:
+            break
+    residual, _ = _linear(rotation, position, rest, seen, time_s, focal)
+    to_map = np.kron(np.eye(2), rotation)
+    return Fit(
+        make_pose(rotation, position),
+        to_map @ np.linalg.inv(hessian)[:6, :6] @ to_map.T,
+        np.linalg.norm(residual, axis=1),
+        scale,
+        float(np.exp(rest[6])),
+        rest[:3],
+        rest[3:6],
+    )
+
+
+def _with_gravity(
+    hessian: Array, gradient: Array, rotation: Array, gravity: Array, priors: Priors
+) -> tuple[Array, Array]:
+    """Hessian (3, 3) and gradient (3,) by rotation, with gravity's part: (gravity - its prediction) / sd."""
+    predicted = rotation.T @ [0, -1.0, 0]
+    x, y, z = predicted
+    slope = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    weight = 1 / priors.gravity_sd**2
+    return hessian + weight * slope.T @ slope, gradient + weight * slope.T @ (gravity - predicted)
+
+
+def _linear(
+    rotation: Array, position: Array, rest: Array, seen: Observed, time_s: Array, focal: float
+) -> tuple[Array, Array]:
+    """Residuals (M, 2), px, and their derivatives (M, 2, 13)."""
+    still = (seen.xyz - position) @ rotation
+    angular, velocity, factor = rest[:3], rest[3:6], np.exp(rest[6])
+    cam = still - time_s[:, None] * (velocity + np.cross(angular, still))
+    x, y, depth = cam.T
+    depth = np.where(depth > 1e-3, depth, 1e-3)
+    u, v, per_depth, pixels = x / depth, y / depth, focal * factor / depth, focal * factor
+    residual = np.stack([pixels * u - focal * seen.ideal[:, 0], pixels * v - focal * seen.ideal[:, 1]], axis=1)
+    jacobian = np.empty((len(cam), 2, _UNKNOWNS))
+    # A small turn d of the camera moves its points by cam x d.
+    jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 0, 2] = pixels * u * v, -pixels * (1 + u * u), pixels * v
+    jacobian[:, 1, 0], jacobian[:, 1, 1], jacobian[:, 1, 2] = pixels * (1 + v * v), -pixels * u * v, -pixels * u
+    jacobian[:, 0, 3], jacobian[:, 0, 4], jacobian[:, 0, 5] = -per_depth, 0, per_depth * u
+    jacobian[:, 1, 3], jacobian[:, 1, 4], jacobian[:, 1, 5] = 0, -per_depth, per_depth * v
+    jacobian[:, :, 6:12] = jacobian[:, :, :6] * time_s[:, None, None]
+    jacobian[:, 0, 12], jacobian[:, 1, 12] = pixels * u, pixels * v
+    return residual, jacobian

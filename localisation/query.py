@@ -1,0 +1,314 @@
+"""One image against a compact map: its pose with covariance, or a refusal with its reason."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.poses import Array
+from groundwalk.localisation.compact import CompactMap, Lens
+from groundwalk.localisation.features import Features, extract
+from groundwalk.localisation.frames import row_times
+from groundwalk.localisation.pose import Fit, Observed, Priors, ransac, refine, upright_ransac
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float32]
+
+_PROBES, _VOTERS = 3, 400
+_VIEWS = 12
+_VOTE_RATIO, _RATIO = 0.9, 0.9
+_RANSAC_PX, _TRIALS, _UPRIGHT_TRIALS = 6.0, 2000, 400
+_PRIOR_SHARE = 0.75
+_GUIDED_PX, _MIN_SIMILARITY = 5.0, 0.6
+_INLIER_SIGMAS, _MIN_INLIER_PX = 4.0, 1.5
+_MIN_FEATURES, _MIN_MATCHES, _MIN_POSE = 30, 8, 6
+_SAME_LENS = 1.08
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A pose map_T_cam (4, 4) with its covariance (6, 6) of (rotation, position) in the map's axes, rad and m; or
+    neither and why it is `refused`, its code and the figures. Inliers of the candidates (matches); `pixel_px` (I, 2)
+    and `points` (I,) are the inliers' keypoints and rows of the map; seconds by part."""
+
+    map_T_cam: Array | None
+    covariance: Array | None
+    refused: str
+    reason: str
+    candidates: int
+    inliers: int
+    pixels: Array
+    points: Ints
+    seconds: dict[str, float]
+
+
+@dataclass
+class Clock:
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+class MapLocaliser:
+    """Localises images in a compact map."""
+
+    def __init__(self, content: CompactMap) -> None:
+        self.map = content
+        views = np.repeat(np.arange(len(content.map_T_view)), np.diff(content.seen_bounds))
+        order = np.argsort(content.seen, kind="stable")
+        self._seen_by = views[order]
+        self._seen_by_bounds = np.searchsorted(content.seen[order], np.arange(len(content.xyz) + 1))
+
+    def localise(
+        self,
+        grey: NDArray[np.uint8],
+        camera: Camera,
+        gravity: Array | None = None,
+        prior: Array | None = None,
+        *,
+        seed: int = 0,
+    ) -> Answer:
+        """The answer for a grey image (H, W) taken with `camera`, as the phone logged it.
+
+        gravity: unit vector (3,), down, in the camera, or None.
+        prior: about where the camera is, map_T_cam (4, 4), or None.
+        """
+        if grey.shape[:2] != (camera.height, camera.width):
+            found = f"image {grey.shape[1]} x {grey.shape[0]} px, intrinsics for {camera.width} x {camera.height} px"
+            return refusal("image_size", found, Clock())
+        clock = Clock()
+        with clock.part("features"):
+            # Where a prior says which points to look for, fewer features of a smaller image do.
+            share = _PRIOR_SHARE if prior is not None else 1.0
+            features = extract(grey, self.map.max_features, round(share * self.map.max_side))
+        return self.localise_features(features, camera, gravity, prior, seed=seed, clock=clock)
+
+    def localise_features(
+        self,
+        features: Features,
+        camera: Camera,
+        gravity: Array | None = None,
+        prior: Array | None = None,
+        *,
+        seed: int = 0,
+        clock: Clock | None = None,
+        hidden: NDArray[np.bool_] | None = None,
+    ) -> Answer:
+        """The same of an image's features; points that are `hidden` (P,) are taken as not there."""
+        clock = clock or Clock()
+        if len(features) < _MIN_FEATURES:
+            return refusal("few_features", f"{len(features)} features, {_MIN_FEATURES} needed: dark or blurred?", clock)
+        camera, readout_s = with_lens(camera, self.map.lenses)
+        with clock.part("retrieval"):
+            query = self.map.projected(features.descriptors)
+            views = self._views_near(prior) if prior is not None else self._views_by_votes(query[:_VOTERS], hidden)
+            rows = self._points_of(views)
+            rows = rows if hidden is None else rows[~hidden[rows]]
+        with clock.part("matching"):
+            product = query @ self.map.descriptors[rows].T
+            matches = _ratio_matches(product, _RATIO)
+            asked = _Asked(
+                features.px.astype(float),
+                camera.unproject(features.px.astype(float)),
+                self.map.xyz[rows],
+                camera,
+                readout_s,
+                gravity,
+            )
+            matches = matches[np.isfinite(asked.ideal[matches[:, 0]]).all(axis=1)]
+        if len(matches) < _MIN_MATCHES:
+            return refusal("few_matches", f"{len(matches)} matches, {_MIN_MATCHES} needed", clock, len(matches))
+        with clock.part("ransac"):
+            found = asked.pose(matches, seed)
+        if found is None or found[1].sum() < _MIN_POSE:
+            return refusal("no_pose", f"no pose explains {_MIN_POSE} of {len(matches)} matches", clock, len(matches))
+        with clock.part("refinement"):
+            fit, inliers = self._refined(found[0], matches[found[1]], product, asked)
+        limit = self.map.calibration.min_inliers
+        if fit is None or len(inliers) < limit:
+            return refusal(
+                "thin_evidence", f"{len(inliers)} inliers, {limit} needed", clock, len(matches), len(inliers)
+            )
+        pixels, points = asked.px[inliers[:, 0]], rows[inliers[:, 1]]
+        covariance = self._calibrated(fit.covariance)
+        return Answer(fit.map_T_cam, covariance, "", "", len(matches), len(inliers), pixels, points, clock.seconds)
+
+    def _views_by_votes(self, query: Floats, hidden: NDArray[np.bool_] | None) -> Ints:
+        """Training frames that saw most of the points that look like the query's features."""
+        content = self.map
+        best, second, nearest = (np.full(len(query), -1.0), np.full(len(query), -1.0), np.zeros(len(query), np.int64))
+        probes = min(_PROBES, len(content.words))
+        word = np.argpartition(-(query @ content.words.T), probes - 1, axis=1)[:, :probes]
+        asked = np.argsort(word.ravel(), kind="stable")
+        bounds = np.searchsorted(word.ravel()[asked], np.arange(len(content.words) + 1))
+        asked //= probes
+        for number in range(len(content.words)):
+            rows = asked[bounds[number] : bounds[number + 1]]
+            start, end = content.word_bounds[number : number + 2]
+            if not len(rows) or start == end:
+                continue
+            product = query[rows] @ content.descriptors[start:end].T
+            at = product.argmax(axis=1)
+            top = product[np.arange(len(rows)), at]
+            product[np.arange(len(rows)), at] = -1.0
+            next_ = np.maximum(product.max(axis=1), np.minimum(top, best[rows]))
+            nearest[rows] = np.where(top > best[rows], start + at, nearest[rows])
+            second[rows] = np.maximum(second[rows], next_)
+            best[rows] = np.maximum(best[rows], top)
+        sure = np.flatnonzero(1 - best < _VOTE_RATIO**2 * (1 - second))
+        points = np.unique(nearest[sure])
+        votes = self._votes(points if hidden is None else points[~hidden[points]])
+        return np.argsort(-votes, kind="stable")[:_VIEWS]
+
+    def _votes(self, points: Ints) -> Array:
+        """How many of the points each training frame saw, (V,)."""
+        counts = self._seen_by_bounds[points + 1] - self._seen_by_bounds[points]
+        within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        views = self._seen_by[np.repeat(self._seen_by_bounds[points], counts) + within]
+        return np.bincount(views, minlength=len(self.map.map_T_view)).astype(float)
+
+    def _views_near(self, map_T_cam: Array) -> Ints:
+        """Training frames nearest to a pose: a metre counts as much as 15 degrees."""
+        away = np.linalg.norm(self.map.map_T_view[:, :3, 3] - map_T_cam[:3, 3], axis=1)
+        cosine = self.map.map_T_view[:, :3, 2] @ map_T_cam[:3, 2]
+        turned = np.degrees(np.arccos(np.clip(cosine, -1, 1))) / 15
+        return np.argsort(np.hypot(away, turned), kind="stable")[:_VIEWS]
+
+    def _points_of(self, views: Ints) -> Ints:
+        bounds = self.map.seen_bounds
+        return np.unique(np.concatenate([self.map.seen[bounds[v] : bounds[v + 1]] for v in views.tolist()]))
+
+    def _refined(self, map_T_cam: Array, matches: Ints, product: Floats, asked: "_Asked") -> tuple[Fit | None, Ints]:
+        """The refined pose and its inliers (keypoint, point): first of RANSAC's matches, then of all points that it
+        predicts near a keypoint that looks alike."""
+        priors = self.map.priors
+        fit = asked.refined(map_T_cam, matches, priors)
+        for _ in range(2):
+            matches = _guided(fit, asked, product)
+            if len(matches) < _MIN_POSE:
+                return None, matches
+            fit = asked.refined(fit.map_T_cam, matches, priors)
+            limit = max(_MIN_INLIER_PX * _scale(asked.camera), _INLIER_SIGMAS * fit.pixel_sd)
+            matches = matches[fit.residual_px < limit]
+        if len(matches) < _MIN_POSE:
+            return None, matches
+        return asked.refined(fit.map_T_cam, matches, priors), matches
+
+    def _calibrated(self, covariance: Array) -> Array:
+        c = self.map.calibration
+        floor = np.diag(np.r_[np.full(3, c.rotation_floor_rad), np.full(3, c.position_floor_m)] ** 2)
+        return c.covariance_factor**2 * covariance + floor
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What is known of a query: K keypoints px (K, 2) and ideal (K, 2), candidate points xyz (C, 3), camera and
+    gravity."""
+
+    px: Array
+    ideal: Array
+    xyz: Array
+    camera: Camera
+    readout_s: float
+    gravity: Array | None
+
+    def pose(self, matches: Ints, seed: int) -> tuple[Array, NDArray[np.bool_]] | None:
+        """A pose and its inliers among matches (keypoint, point)."""
+        ideal, xyz = self.ideal[matches[:, 0]], self.xyz[matches[:, 1]]
+        max_error = _RANSAC_PX * _scale(self.camera) / self.camera.fx
+        if self.gravity is not None:
+            return upright_ransac(ideal, xyz, self.gravity, max_error, _UPRIGHT_TRIALS, seed)
+        return ransac(ideal, xyz, max_error, _TRIALS, seed)
+
+    def refined(self, map_T_cam: Array, matches: Ints, priors: Priors) -> Fit:
+        """The refined pose of matches (keypoint, point)."""
+        keypoint, point = matches.T
+        seen = Observed(self.px[keypoint], self.ideal[keypoint], self.xyz[point])
+        return refine(map_T_cam, seen, self.camera, self.readout_s, priors, self.gravity)
+
+
+def with_lens(camera: Camera, lenses: tuple[Lens, ...]) -> tuple[Camera, float]:
+    """A logged camera with the lens that the map knows for its focal length, and the readout time; the camera as it is,
+    and 0, where there is none."""
+    focal = (camera.fx + camera.fy) / 2 / max(camera.width, camera.height)
+    near = [lens for lens in lenses if 1 / _SAME_LENS < focal / lens.focal < _SAME_LENS]
+    if not near:
+        return camera, 0.0
+    lens = min(near, key=lambda lens: abs(np.log(focal / lens.focal)))
+    return replace(camera, distortion=lens.distortion), lens.readout_s
+
+
+def _guided(fit: Fit, asked: _Asked, product: Floats) -> Ints:
+    """Keypoints and points (M, 2), one to one, where a point is predicted near a keypoint that looks like it."""
+    predicted = _predicted(fit, asked.xyz, asked.camera, asked.readout_s)
+    inside = np.flatnonzero(np.isfinite(predicted).all(axis=1))
+    if not len(inside):
+        return np.empty((0, 2), np.int64)
+    near, keypoint = cKDTree(asked.px).query(
+        predicted[inside], k=4, distance_upper_bound=_GUIDED_PX * _scale(asked.camera)
+    )
+    point = np.broadcast_to(inside[:, None], keypoint.shape)[np.isfinite(near)]
+    keypoint = keypoint[np.isfinite(near)]
+    similarity = product[keypoint, point]
+    alike = similarity > _MIN_SIMILARITY
+    order = np.flatnonzero(alike)[np.argsort(-similarity[alike], kind="stable")]
+    keypoint, point = keypoint[order], point[order]
+    first_of_keypoint, first_of_point = (np.unique(values, return_index=True)[1] for values in (keypoint, point))
+    both = np.intersect1d(first_of_keypoint, first_of_point)
+    return np.stack([keypoint[both], point[both]], axis=1)
+
+
+def _predicted(fit: Fit, xyz: Array, camera: Camera, readout_s: float) -> Array:
+    """Where points (P, 3) are in the image (P, 2), NaN outside it."""
+    still = (xyz - fit.map_T_cam[:3, 3]) @ fit.map_T_cam[:3, :3]
+    px = np.full((len(xyz), 2), np.nan)
+    ahead = np.flatnonzero(still[:, 2] > 0.05)
+    at = still[ahead, :2] / still[ahead, 2:]
+    wide = 1.5 * np.array([camera.width / camera.fx, camera.height / camera.fy])
+    ahead, at = ahead[(np.abs(at) < wide).all(axis=1)], at[(np.abs(at) < wide).all(axis=1)]
+    shown = camera.project(at * fit.focal_factor)
+    # The row says when a point was exposed; where it was then differs by some pixels, not by many rows.
+    time_s = row_times(shown, camera.height, readout_s)[:, None]
+    cam = still[ahead] - time_s * (fit.velocity + np.cross(fit.angular, still[ahead]))
+    shown = camera.project(cam[:, :2] / cam[:, 2:] * fit.focal_factor)
+    inside = ((shown >= 0) & (shown <= [camera.width, camera.height])).all(axis=1)
+    px[ahead[inside]] = shown[inside]
+    return px
+
+
+def _ratio_matches(product: Floats, ratio: float) -> Ints:
+    """Keypoint and point (M, 2): of each keypoint the most similar point, where the second is less so by `ratio`, and
+    of each point the most similar keypoint."""
+    if product.shape[1] < 2:
+        return np.empty((0, 2), np.int64)
+    rows = np.arange(len(product))
+    nearest = product.argmax(axis=1)
+    best = product[rows, nearest]
+    product[rows, nearest] = -1.0
+    second = product.max(axis=1)
+    product[rows, nearest] = best
+    kept = np.flatnonzero(1 - best < ratio**2 * (1 - second))
+    kept = kept[np.argsort(-best[kept], kind="stable")]
+    first = np.unique(nearest[kept], return_index=True)[1]
+    kept = np.sort(kept[first])
+    return np.stack([kept, nearest[kept]], axis=1)
+
+
+def _scale(camera: Camera) -> float:
+    """Pixels of an image by those of one 640 wide."""
+    return max(1.0, max(camera.width, camera.height) / 640)
+
+
+def refusal(code: str, reason: str, clock: Clock, candidates: int = 0, inliers: int = 0) -> Answer:
+    """An answer without a pose."""
+    nothing = np.empty((0, 2)), np.empty(0, np.int64)
+    return Answer(None, None, code, reason, candidates, inliers, *nothing, clock.seconds)

@@ -1,0 +1,175 @@
+"""The map's file, and what it answers and refuses."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scenes import LOGGED, features, place, training, walk
+
+from groundwalk.artefacts import UserError
+from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.localisation.build import build_map
+from groundwalk.localisation.calibration import Trial, calibrated
+from groundwalk.localisation.compact import read_map, write_map
+from groundwalk.localisation.hloc import HLocLocaliser
+from groundwalk.localisation.map_file import read_sections, write_sections
+from groundwalk.localisation.query import MapLocaliser
+from groundwalk.localisation.settings import MapSettings
+
+SETTINGS = MapSettings(pairs_per_frame=6, max_points=900)
+
+
+@pytest.fixture(scope="module")
+def built():
+    scene, views = place(), walk(15)
+    return scene, training(scene, views), *build_map("room", training(scene, views), SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def file(built, tmp_path_factory):
+    path = tmp_path_factory.mktemp("map") / "map.gwmap"
+    write_map(path, built[2])
+    return path
+
+
+def gravity_of(pose):
+    return pose[:3, :3].T @ [0, -1.0, 0]
+
+
+def test_queries_are_localised(built, file):
+    localiser, views = MapLocaliser(read_map(file, "room")), walk(12, seed=9)
+    for view in range(12):
+        seen, truth = features(built[0], views, view, seed=5), views.map_T_cam[view]
+        for gravity, prior in ((gravity_of(truth), None), (None, None), (gravity_of(truth), views.map_T_cam[view])):
+            answer = localiser.localise_features(seen, LOGGED, gravity, prior)
+            assert answer.map_T_cam is not None, answer.reason
+            assert position_error(answer.map_T_cam, truth) < 0.05 and rotation_error_deg(answer.map_T_cam, truth) < 0.6
+            assert answer.inliers == len(answer.points) == len(answer.pixels) <= len(seen)
+            assert np.linalg.eigvalsh(answer.covariance).min() > 0
+
+
+def test_hloc_localises_the_same(built):
+    hloc = HLocLocaliser(built[3], built[1].features, built[2].lenses, retrieved=5)
+    views = walk(3, seed=9, moving=False)
+    for view in range(3):
+        answer = hloc.localise_features(features(built[0], views, view, seed=5), LOGGED)
+        assert position_error(answer.map_T_cam, views.map_T_cam[view]) < 0.05
+    parts = hloc.bytes_by_part()
+    assert parts["descriptors"] == 128 * sum(len(f) for f in built[1].features)
+
+
+def test_bad_queries_are_refused_with_their_reason(built, file):
+    localiser = MapLocaliser(read_map(file))
+    black = np.zeros((480, 640), np.uint8)
+    assert localiser.localise(black, LOGGED).refused == "few_features"
+    assert localiser.localise(np.zeros((640, 480), np.uint8), LOGGED).refused == "image_size"
+    noise = np.random.default_rng(0).integers(0, 255, (480, 640), np.uint8)
+    for answer in (
+        localiser.localise(noise, LOGGED),
+        localiser.localise_features(features(place(seed=7), walk(3), 1), LOGGED),
+        localiser.localise_features(features(place(seed=7), walk(3), 1), LOGGED, np.array([0, 1.0, 0])),
+    ):
+        assert answer.map_T_cam is None and answer.covariance is None and answer.refused and answer.reason
+
+
+def test_hidden_points_take_no_part(built, file):
+    localiser = MapLocaliser(read_map(file))
+    answer = localiser.localise_features(built[1].features[3], LOGGED)
+    hidden = np.zeros(len(localiser.map.xyz), bool)
+    hidden[answer.points[::2]] = True
+    again = localiser.localise_features(built[1].features[3], LOGGED, hidden=hidden)
+    assert not hidden[again.points].any()
+
+
+def test_calibration_asks_for_more_inliers_than_wrong_answers_had(built, file):
+    localiser = MapLocaliser(read_map(file))
+    views = built[1].views
+    trials = [
+        Trial(localiser.localise_features(f, LOGGED), views.map_T_cam[row], 20 + row)
+        for row, f in enumerate(built[1].features)
+    ]
+    assert calibrated(trials).min_inliers == 43  # 1.25 times 34
+    assert calibrated(trials[:3]).min_inliers == 30
+
+
+def test_same_training_frames_give_the_same_bytes(built, file, tmp_path):
+    write_map(tmp_path / "again.gwmap", build_map("room", training(built[0], walk(15)), SETTINGS)[0])
+    assert (tmp_path / "again.gwmap").read_bytes() == file.read_bytes()
+
+
+def test_a_map_comes_back_as_it_was_written(built, file):
+    content, written = read_map(file), built[2]
+    assert len(content.xyz) == 900
+    np.testing.assert_allclose(content.xyz, written.xyz, atol=0.00051)
+    np.testing.assert_allclose(content.descriptors, written.descriptors, atol=0.01)
+    np.testing.assert_allclose(content.map_T_view, written.map_T_view, atol=1e-6)
+    np.testing.assert_array_equal(content.seen, written.seen)
+    assert (content.lenses, content.priors, content.calibration) == (
+        written.lenses,
+        written.priors,
+        written.calibration,
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda b: b[:-100], "cut short"),
+        (lambda b: b[:20], "isn't a map"),
+        (lambda b: b"PK" + b[2:], "isn't a map"),
+        (lambda b: b[:8] + b"\x02" + b[9:], "another version"),
+        (lambda b: b[:-50] + bytes([b[-50] ^ 1]) + b[-49:], "checksum"),
+        (lambda b: b"", "can't be read"),
+    ],
+)
+def test_files_that_are_no_whole_map_are_refused(file, tmp_path, change, message):
+    damaged = tmp_path / "damaged.gwmap"
+    damaged.write_bytes(change(file.read_bytes()))
+    with pytest.raises(UserError, match=message):
+        read_map(damaged)
+
+
+def test_a_map_of_another_scene_or_kind_is_refused(file, tmp_path):
+    with pytest.raises(UserError, match="another scene"):
+        read_map(file, "Church")
+    write_sections(tmp_path / "other", {"xyz": np.zeros(3, np.uint8)}, {"scene": "room"})
+    with pytest.raises(UserError, match="lacks a section"):
+        read_map(tmp_path / "other")
+    with pytest.raises(UserError, match="can't be read"):
+        read_map(tmp_path / "none")
+
+
+def test_sections_are_aligned_and_named(file):
+    sections = read_sections(file)
+    assert sections.metadata["scene"] == "room"
+    for array in sections.arrays.values():
+        assert not array.flags.writeable
+
+
+def test_a_killed_write_leaves_no_map(built, tmp_path, monkeypatch):
+    monkeypatch.setattr("groundwalk.localisation.map_file.replace_synced", _killed)
+    with pytest.raises(KeyboardInterrupt):
+        write_map(tmp_path / "map.gwmap", built[2])
+    assert not (tmp_path / "map.gwmap").exists()
+
+
+def _killed(*_):
+    raise KeyboardInterrupt
+
+
+def test_a_map_is_read_and_asked_without_torch_open3d_and_pycolmap(file):
+    program = f"""
+import sys
+from pathlib import Path
+import numpy as np
+from groundwalk.geometry.cameras import Camera
+from groundwalk.localisation.compact import read_map
+from groundwalk.localisation.query import MapLocaliser
+localiser = MapLocaliser(read_map(Path({str(file)!r})))
+grey = np.random.default_rng(0).integers(0, 255, (480, 640), np.uint8)
+localiser.localise(grey, Camera(640, 480, 480, 480, 320, 240))
+print(sorted({{"torch", "open3d", "pycolmap"}} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,105 @@
+"""Tracks and points of frames with known poses: against true points and OpenCV's triangulation."""
+
+import cv2
+import numpy as np
+from scenes import place, projected, training, walk
+from scipy.spatial import cKDTree
+
+from groundwalk.geometry.poses import inverse
+from groundwalk.localisation.frames import rays
+from groundwalk.localisation.matching import covisible_pairs, mutual_matches
+from groundwalk.localisation.selection import covering_points
+from groundwalk.localisation.structure import match_views, structure_of
+from groundwalk.localisation.tracks import Rays, epipolar_error_px, tracks, triangulate
+
+
+def test_rays_of_a_rolling_shutter_go_through_the_points():
+    views, xyz = walk(4), place().xyz
+    px = projected(views, 2, xyz)
+    seen = np.isfinite(px).all(axis=1)
+    origin, direction = rays(views, 2, px[seen])
+    along = xyz[seen] - origin
+    unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    miss = np.linalg.norm(along - np.sum(along * unit, axis=1)[:, None] * unit, axis=1)
+    assert np.median(480 * miss / np.linalg.norm(along, axis=1)) < 0.05  # px
+
+
+def _of_two_views(noise_px=0.0):
+    views = walk(2, moving=False, reach_m=1)
+    xyz = place().xyz
+    px = np.stack([projected(views, view, xyz) for view in range(2)])
+    seen = np.isfinite(px).all(axis=(0, 2))
+    px = px[:, seen] + noise_px * np.random.default_rng(0).standard_normal((2, seen.sum(), 2))
+    both = [rays(views, view, px[view]) for view in range(2)]
+    count = int(seen.sum())
+    every = Rays(
+        np.concatenate([o for o, _ in both]),
+        np.concatenate([d for _, d in both]),
+        np.full(2 * count, 480.0),
+        np.repeat([0, 1], count),
+    )
+    return views, xyz[seen], px, every
+
+
+def test_points_are_opencvs_and_the_true_ones():
+    views, xyz, px, every = _of_two_views()
+    count = len(xyz)
+    assert epipolar_error_px(every[np.arange(count)], every[count + np.arange(count)]).max() < 1e-6
+    track, feature = tracks(np.stack([np.arange(count), count + np.arange(count)], axis=1), every.view)
+    points = triangulate(every, track, feature, 2.0, 0.1)
+    ideal = [views.cameras[0].unproject(p).T for p in px]
+    homogeneous = cv2.triangulatePoints(*(inverse(pose)[:3] for pose in views.map_T_cam), *ideal)
+    np.testing.assert_allclose(points.xyz, (homogeneous[:3] / homogeneous[3]).T, atol=1e-5)
+    np.testing.assert_allclose(points.xyz, xyz, atol=1e-5)
+
+
+def test_a_wrong_observation_is_left_out_and_a_lonely_point_dropped():
+    views, xyz = walk(5, moving=False, reach_m=1), place().xyz
+    px = np.stack([projected(views, view, xyz) for view in range(5)])
+    point = int(np.flatnonzero(np.isfinite(px).all(axis=(0, 2)))[0])
+    at = px[:, point].copy()
+    at[2] += 25
+    parts = [rays(views, view, at[view : view + 1]) for view in range(5)]
+    every = Rays(
+        np.concatenate([o for o, _ in parts]), np.concatenate([d for _, d in parts]), np.full(5, 480.0), np.arange(5)
+    )
+    points = triangulate(every, np.zeros(5, np.int64), np.arange(5), 2.0, 0.1)
+    assert points.feature.tolist() == [0, 1, 3, 4]
+    np.testing.assert_allclose(points.xyz, xyz[[point]], atol=1e-6)
+    two = triangulate(every, np.zeros(2, np.int64), np.array([1, 2]), 2.0, 0.1)
+    assert len(two.xyz) == 0 and len(two.point) == 0
+
+
+def test_matches_are_mutual_and_pass_the_ratio():
+    a = np.eye(4, dtype=np.float32)
+    b = np.concatenate([a[:3], a[2:3]])  # the last two look the same
+    assert mutual_matches(a, b, 0.9).tolist() == [[0, 0], [1, 1]]
+    assert len(mutual_matches(a[:1], b, 0.9)) == 0
+
+
+def test_pairs_are_of_frames_that_see_the_same():
+    views = walk(9, moving=False)
+    turned = views.map_T_cam.copy()
+    turned[8] = turned[8] @ np.diag([-1.0, 1, -1, 1])
+    pairs = covisible_pairs(turned, np.full((9, 2), 0.6), 6.0, 2)
+    assert not (pairs == 8).any()
+    assert len(pairs) <= 18 and (np.abs(np.diff(pairs, axis=1)) <= 2).all()
+
+
+def test_structure_is_of_true_points():
+    scene, views = place(), walk(10)
+    given = training(scene, views)
+    structure = structure_of(views, match_views(views, given.features, 6))
+    away = cKDTree(scene.xyz).query(structure.points.xyz)[0]
+    assert len(away) > 400 and np.median(away) < 0.02 and np.quantile(away, 0.99) < 0.3
+    fewer = structure_of(views, match_views(views, given.features, 6), np.arange(10) != 4)
+    assert not (fewer.view[fewer.points.feature] == 4).any()
+
+
+def test_selection_covers_cells_before_it_repeats_them():
+    # Ten points in one cell, one in each of four others.
+    point = np.arange(14)
+    cell = np.r_[np.zeros(10, int), 1, 2, 3, 4]
+    chosen = covering_points(point, cell, np.ones(14), 5)
+    assert set(range(10, 14)) <= set(chosen.tolist())
+    assert covering_points(point, cell, np.ones(14), 20).tolist() == list(range(14))
