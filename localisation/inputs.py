@@ -10,18 +10,16 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.images import image_file, read_image
+from groundwalk.artefacts.motion import rates_by_vio
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import camera_of, poses_of, read_table
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.rates import rates_at
 from groundwalk.localisation.build import Training
 from groundwalk.localisation.features import Features, extract
 from groundwalk.localisation.frames import Views, subset
 from groundwalk.localisation.settings import MapSettings
-
-_MAX_GAP_S = 0.3
 
 
 @dataclass(frozen=True)
@@ -47,29 +45,17 @@ def read_inputs(run: Path) -> Inputs:
     frames = frames.set_index("frame_id", drop=False).loc[truth["frame_id"]].reset_index(drop=True)
     placed = frames.assign(**{name: truth[name].to_numpy() for name in ("fx", "fy", "cx", "cy", "distortion")})
     readout = images.set_index("frame_id").loc[truth["frame_id"], "readout_s"].to_numpy(float, na_value=0.0)
-    angular, velocity = motion(frames, log)
+    rates = rates_by_vio(frames, log)
     views = Views(
         poses_of(truth, "map_cam"),
         tuple(map(camera_of, placed.itertuples())),
         np.nan_to_num(readout),
-        angular,
-        velocity,
+        np.nan_to_num(rates.angular),
+        np.nan_to_num(rates.velocity),
     )
     covariance = np.stack([np.full(36, np.nan) if c is None else np.asarray(c, float) for c in truth["covariance"]])
     gravity = frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
     return Inputs(frames, tuple(map(camera_of, frames.itertuples())), views, covariance.reshape(-1, 6, 6), gravity)
-
-
-def motion(frames: pd.DataFrame, log: pd.DataFrame) -> tuple[Array, Array]:
-    """Angular velocity and velocity (N, 3) of each frame's camera by its session's VIO, 0 where that has no poses."""
-    angular, velocity = np.zeros((len(frames), 3)), np.zeros((len(frames), 3))
-    session, t_ns = frames["session_id"].to_numpy(str), frames["t_ns"].to_numpy(np.int64)
-    for name, poses in log.groupby("session_id"):
-        rows, poses = np.flatnonzero(session == name), poses.sort_values("t_ns")
-        rates = rates_at(t_ns[rows], poses["t_ns"].to_numpy(np.int64), poses_of(poses, "vio_cam"), _MAX_GAP_S)
-        known = np.isfinite(rates.angular).all(axis=1)
-        angular[rows[known]], velocity[rows[known]] = rates.angular[known], rates.velocity[known]
-    return angular, velocity
 
 
 def read_features(

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.cameras import Camera
-from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.geometry.poses import Array, make_pose, skew
+from groundwalk.geometry.robust import CAUCHY_WIDTH
 from groundwalk.localisation.frames import row_times
 
 _CONVERGED = 1e-7
@@ -178,7 +179,7 @@ def refine(
         residual, jacobian = _linear(rotation, position, rest, seen, time_s, focal)
         squared = np.sum(residual**2, axis=1)
         scale = max(priors.pixel_sd, float(np.sqrt(np.median(squared) / (2 * np.log(2)))))
-        weight = 1 / (1 + squared / (2.385 * scale) ** 2) / scale**2
+        weight = 1 / (1 + squared / (CAUCHY_WIDTH * scale) ** 2) / scale**2
         rows = jacobian.reshape(-1, _UNKNOWNS)
         weighted = rows * np.repeat(weight, 2)[:, None]
         hessian = weighted.T @ rows + np.diag(prior**2)
@@ -209,8 +210,7 @@ def _with_gravity(
 ) -> tuple[Array, Array]:
     """Hessian (3, 3) and gradient (3,) by rotation, with gravity's part: (gravity - its prediction) / sd."""
     predicted = rotation.T @ [0, -1.0, 0]
-    x, y, z = predicted
-    slope = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    slope = -skew(predicted)
     weight = 1 / priors.gravity_sd**2
     return hessian + weight * slope.T @ slope, gradient + weight * slope.T @ (gravity - predicted)
 

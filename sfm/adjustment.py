@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.lens import distort_with_slope
 from groundwalk.geometry.poses import Array, skew
+from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN
 from groundwalk.sfm.normal_equations import block_rows, similarities
 
 Ints = NDArray[np.int64]
@@ -29,8 +30,6 @@ Ints = NDArray[np.int64]
 _POSE, _FOCUS, _ANGULAR = slice(0, 6), 6, slice(7, 10)
 _LOCAL = 10
 _LENS = 3  # k1, k2, readout of a lens
-_SIGMA_OF_MEDIAN = 1.4826
-_LOSS_WIDTH = 2.385  # of sigma (Zhang, "Parameter estimation techniques", 1997)
 _NARROWEST_LOSS_PX = 0.05
 _STEPS = 15
 _NO_READOUT_S = 1e-6
@@ -414,7 +413,7 @@ def add_information(matrix: Array, information: csr_array) -> Array:
 
 def loss_variance(loss_px: float) -> float:
     """The variance of the residuals (px^2) that a loss of this width is for."""
-    return (loss_px / _LOSS_WIDTH) ** 2
+    return (loss_px / CAUCHY_WIDTH) ** 2
 
 
 def local_unknowns(frames: int) -> Ints:
@@ -424,7 +423,7 @@ def local_unknowns(frames: int) -> Ints:
 
 def loss_of(residual_M2: Array) -> float:
     """The width of a Cauchy loss for residuals (M, 2), px."""
-    return max(_LOSS_WIDTH * _SIGMA_OF_MEDIAN * float(np.median(np.abs(residual_M2))), _NARROWEST_LOSS_PX)
+    return max(CAUCHY_WIDTH * SIGMA_OF_MEDIAN * float(np.median(np.abs(residual_M2))), _NARROWEST_LOSS_PX)
 
 
 def hold_gauge(matrix: Array, position_N3: Array) -> None:

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.lens import undistort
 from groundwalk.geometry.poses import Array, skew
+from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN
 
 Ints = NDArray[np.int64]
 
 _STEPS = 12
 _SETTLED = 1e-3  # of the sd
-_LOSS_WIDTH, _SIGMA_OF_MEDIAN = 2.385, 1.4826
 _NARROWEST_PX = 0.02
 _NUMERIC = 1e-5
 _LARGEST_TURN = 0.3
@@ -90,9 +90,9 @@ def estimate_lens(matches: PairMatches, start: Array, prior_information: Array) 
     covariance = np.linalg.inv(prior_information)
     for number in range(_STEPS):
         residual = sampson_of(matches, a_T_b, theta)
-        sigma_px = max(_SIGMA_OF_MEDIAN * float(np.median(np.abs(residual))), _NARROWEST_PX)
+        sigma_px = max(SIGMA_OF_MEDIAN * float(np.median(np.abs(residual))), _NARROWEST_PX)
         # At first a wrong lens makes corners look like outliers.
-        loss_px = _LOSS_WIDTH * sigma_px * (_FIRST_WIDENING if number < _WIDE_STEPS else 1.0)
+        loss_px = CAUCHY_WIDTH * sigma_px * (_FIRST_WIDENING if number < _WIDE_STEPS else 1.0)
         variance = sigma_px**2
         weight = 1 / (1 + (residual / loss_px) ** 2)
         by_pose, by_lens = _derivatives(matches, a_T_b, theta, residual)

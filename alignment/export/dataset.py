@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.images import image_file
 from groundwalk.artefacts.manifests import MANIFEST, load_verified
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import CAMERA_COLUMNS, camera_of, dataset_frames, poses_of, read_table, with_cameras
@@ -187,7 +188,10 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
         frames[known].reset_index(drop=True),
         frames[~known].reset_index(drop=True),
         map_T_cam,
-        [ImageSource(_image_file(root, profile, scene, image)) for image in frames.loc[known, "image"]],
+        [
+            ImageSource(image_file(image, root.captures(scene), folders["import"]))
+            for image in frames.loc[known, "image"]
+        ],
         [
             SfmModel(
                 folders["sfm"] / folder_of[component == index][0],
@@ -219,9 +223,3 @@ def _similarity(map_T_cam: Array, sfm_T_cam: Array) -> Sim3:
     scale = float(np.linalg.norm(map_T_cam[far, :3, 3] - map_T_cam[0, :3, 3]) / apart[far]) if apart[far] > 0 else 1.0
     rotation = map_T_cam[0, :3, :3] @ sfm_T_cam[0, :3, :3].T
     return Sim3(scale, rotation, map_T_cam[0, :3, 3] - scale * rotation @ sfm_T_cam[0, :3, 3])
-
-
-def _image_file(root: DataRoot, profile: str, scene: str, image: str) -> Path:
-    if image.startswith("import:"):
-        return root.run(profile, scene, "import") / image.removeprefix("import:")
-    return root.captures(scene) / image
