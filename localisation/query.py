@@ -1,9 +1,7 @@
 """One image against a compact map: its pose with covariance, or a refusal with its reason."""
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +9,8 @@ from scipy.spatial import cKDTree
 
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
-from groundwalk.localisation.compact import CompactMap, Lens
+from groundwalk.localisation.answers import Answer, Clock, refused, seen_by
+from groundwalk.localisation.compact import CompactMap, Lens, bytes_by_section, read_map, write_map
 from groundwalk.localisation.features import Features, extract
 from groundwalk.localisation.frames import row_times
 from groundwalk.localisation.pose import Fit, Observed, Priors, ransac, refine, upright_ransac
@@ -30,32 +29,14 @@ _MIN_FEATURES, _MIN_MATCHES, _MIN_POSE = 30, 8, 6
 _SAME_LENS = 1.08
 
 
-@dataclass(frozen=True)
-class Answer:
-    """A pose map_T_cam (4, 4) with its covariance (6, 6) of (rotation, position) in the map's axes, rad and m; or
-    neither and why it is `refused`, its code and the figures. Inliers of the candidates (matches); `pixel_px` (I, 2)
-    and `points` (I,) are the inliers' keypoints and rows of the map; seconds by part."""
-
-    map_T_cam: Array | None
-    covariance: Array | None
-    refused: str
-    reason: str
-    candidates: int
-    inliers: int
-    pixels: Array
-    points: Ints
-    seconds: dict[str, float]
+def write_localiser(path: Path, localiser: "MapLocaliser") -> None:
+    """Write the localiser's map."""
+    write_map(path, localiser.map)
 
 
-@dataclass
-class Clock:
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def part(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+def read_localiser(path: Path) -> "MapLocaliser":
+    """The localiser of a map's file; UserError where that isn't one, or is damaged."""
+    return MapLocaliser(read_map(path))
 
 
 class MapLocaliser:
@@ -67,6 +48,20 @@ class MapLocaliser:
         order = np.argsort(content.seen, kind="stable")
         self._seen_by = views[order]
         self._seen_by_bounds = np.searchsorted(content.seen[order], np.arange(len(content.xyz) + 1))
+
+    @property
+    def xyz(self) -> Array:
+        """The map's points (P, 3)."""
+        return self.map.xyz
+
+    @property
+    def scene(self) -> str:
+        """The scene of the map."""
+        return self.map.scene
+
+    def bytes_by_part(self) -> dict[str, int]:
+        """The sizes of the file's sections."""
+        return bytes_by_section(self.map)
 
     def localise(
         self,
@@ -84,7 +79,7 @@ class MapLocaliser:
         """
         if grey.shape[:2] != (camera.height, camera.width):
             found = f"image {grey.shape[1]} x {grey.shape[0]} px, intrinsics for {camera.width} x {camera.height} px"
-            return refusal("image_size", found, Clock())
+            return refused("image_size", found, Clock())
         clock = Clock()
         with clock.part("features"):
             # Where a prior says which points to look for, fewer features of a smaller image do.
@@ -106,7 +101,7 @@ class MapLocaliser:
         """The same of an image's features; points that are `hidden` (P,) are taken as not there."""
         clock = clock or Clock()
         if len(features) < _MIN_FEATURES:
-            return refusal("few_features", f"{len(features)} features, {_MIN_FEATURES} needed: dark or blurred?", clock)
+            return refused("few_features", f"{len(features)} features, {_MIN_FEATURES} needed: dark or blurred?", clock)
         camera, readout_s = with_lens(camera, self.map.lenses)
         with clock.part("retrieval"):
             query = self.map.projected(features.descriptors)
@@ -125,22 +120,25 @@ class MapLocaliser:
                 gravity,
             )
             matches = matches[np.isfinite(asked.ideal[matches[:, 0]]).all(axis=1)]
+        none = np.empty((0, 2), np.int64)
+        seen = seen_by(asked.px, rows, matches, none)
         if len(matches) < _MIN_MATCHES:
-            return refusal("few_matches", f"{len(matches)} matches, {_MIN_MATCHES} needed", clock, len(matches))
+            return refused(
+                "few_matches", f"{len(matches)} matches, {_MIN_MATCHES} needed", clock, len(matches), 0, seen
+            )
         with clock.part("ransac"):
             found = asked.pose(matches, seed)
         if found is None or found[1].sum() < _MIN_POSE:
-            return refusal("no_pose", f"no pose explains {_MIN_POSE} of {len(matches)} matches", clock, len(matches))
+            reason = f"no pose explains {_MIN_POSE} of {len(matches)} matches"
+            return refused("no_pose", reason, clock, len(matches), 0, seen)
         with clock.part("refinement"):
             fit, inliers = self._refined(found[0], matches[found[1]], product, asked)
-        limit = self.map.calibration.min_inliers
+        seen, limit = seen_by(asked.px, rows, matches, inliers), self.map.calibration.min_inliers
         if fit is None or len(inliers) < limit:
-            return refusal(
-                "thin_evidence", f"{len(inliers)} inliers, {limit} needed", clock, len(matches), len(inliers)
-            )
-        pixels, points = asked.px[inliers[:, 0]], rows[inliers[:, 1]]
+            reason = f"{len(inliers)} inliers, {limit} needed"
+            return refused("thin_evidence", reason, clock, len(matches), len(inliers), seen)
         covariance = self._calibrated(fit.covariance)
-        return Answer(fit.map_T_cam, covariance, "", "", len(matches), len(inliers), pixels, points, clock.seconds)
+        return Answer(fit.map_T_cam, covariance, "", "", len(matches), len(inliers), seen, clock.seconds)
 
     def _views_by_votes(self, query: Floats, hidden: NDArray[np.bool_] | None) -> Ints:
         """Training frames that saw most of the points that look like the query's features."""
@@ -306,9 +304,3 @@ def _ratio_matches(product: Floats, ratio: float) -> Ints:
 def _scale(camera: Camera) -> float:
     """Pixels of an image by those of one 640 wide."""
     return max(1.0, max(camera.width, camera.height) / 640)
-
-
-def refusal(code: str, reason: str, clock: Clock, candidates: int = 0, inliers: int = 0) -> Answer:
-    """An answer without a pose."""
-    nothing = np.empty((0, 2)), np.empty(0, np.int64)
-    return Answer(None, None, code, reason, candidates, inliers, *nothing, clock.seconds)
