@@ -22,7 +22,8 @@ def write_table(path: Path, frame: pd.DataFrame, schema: TableSchema) -> None:
     """Write `frame` as Parquet with the schema's metadata, atomically.
 
     Columns come out in the schema's order. A programming error here is a ValueError: a column missing, unknown,
-    of another type, null where it may not be, or a quaternion that isn't unit.
+    of another type, null where it may not be, a text that isn't one of the column's choices, or a quaternion that isn't
+    unit.
     """
     name = f"{schema.stage}.{schema.name}"
     missing = [c for c in schema.column_names if c not in frame.columns]
@@ -36,6 +37,10 @@ def write_table(path: Path, frame: pd.DataFrame, schema: TableSchema) -> None:
     for column in schema.columns:
         if not column.nullable and table[column.name].null_count:
             raise ValueError(f"{name}.{column.name}: {table[column.name].null_count} nulls, none allowed")
+        if column.choices is not None:
+            unknown = sorted(set(table[column.name].unique().to_pylist()) - {*column.choices, None})
+            if unknown:
+                raise ValueError(f"{name}.{column.name}: {', '.join(unknown)}; it can be {', '.join(column.choices)}")
     for prefix in pose_prefixes(schema):
         q = frame[[f"{prefix}_q{a}" for a in "xyzw"]].to_numpy(float)
         norm = np.linalg.norm(q[~np.isnan(q).any(axis=1)], axis=1)

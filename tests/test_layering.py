@@ -13,7 +13,7 @@ GRAPH: dict[str, set[str]] = {
     "geometry": set(),
     "consistency": {"geometry"},
     "scoring": {"geometry"},
-    "artefacts": {"geometry"},
+    "artefacts": {"consistency", "geometry"},
     "simulation": {"artefacts", "geometry"},
     "capture_import": {"artefacts", "geometry"},
     "sfm": {"artefacts", "consistency", "geometry"},

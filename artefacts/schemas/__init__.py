@@ -5,6 +5,7 @@ One module a stage; each has ``TABLES``, a list of `TableSchema`. `schema(stage,
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from enum import StrEnum
 from importlib import import_module
 from typing import Literal
 
@@ -37,7 +38,8 @@ _MODULES = {
 
 @dataclass(frozen=True)
 class Column:
-    """One column: its type, unit ("m", "deg", "ns", "px", ...), the frame it is given in, and what it means."""
+    """One column: its type, unit ("m", "deg", "ns", "px", ...), the frame it is given in, and what it means; `choices`
+    are those that its text can have."""
 
     name: str
     dtype: DType
@@ -45,6 +47,7 @@ class Column:
     unit: str = ""
     frame: str = ""
     nullable: bool = False
+    choices: type[StrEnum] | None = None
 
     def arrow(self) -> pa.Field:
         metadata = {"unit": self.unit, "frame": self.frame, "meaning": self.meaning}
