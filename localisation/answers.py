@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.artefacts.choices import Refusal
 from groundwalk.geometry.poses import Array
 
 Ints = NDArray[np.int64]
@@ -31,7 +32,7 @@ NOTHING_SEEN = Seen(np.empty((0, 2)), np.empty(0, np.int64), np.empty(0, bool))
 @dataclass(frozen=True)
 class Answer:
     """A pose map_T_cam (4, 4) with its covariance (6, 6) of (rotation, position) in the map's axes, rad and m, where
-    the localiser gives one; or neither, with the `refusal`'s code and its `reason`, the figures.
+    the localiser gives one; or neither, with the `refusal` and its `reason`, the figures.
 
     `candidates` keypoints were matched with points, `inliers` keypoints agree with the pose; `seen` has both. Seconds
     by part.
@@ -39,7 +40,7 @@ class Answer:
 
     map_T_cam: Array | None
     covariance: Array | None
-    refusal: str
+    refusal: Refusal | None
     reason: str
     candidates: int
     inliers: int
@@ -61,10 +62,10 @@ class Clock:
 
 
 def refused(
-    code: str, reason: str, clock: Clock, candidates: int = 0, inliers: int = 0, seen: Seen = NOTHING_SEEN
+    refusal: Refusal, reason: str, clock: Clock, candidates: int = 0, inliers: int = 0, seen: Seen = NOTHING_SEEN
 ) -> Answer:
     """An answer without a pose."""
-    return Answer(None, None, code, reason, candidates, inliers, seen, clock.seconds)
+    return Answer(None, None, refusal, reason, candidates, inliers, seen, clock.seconds)
 
 
 def seen_by(px: Array, points: Ints, matches: Ints, inliers: Ints) -> Seen:
@@ -99,4 +100,7 @@ def read_answer(path: Path) -> tuple[Answer, tuple[float, float]]:
         pose, covariance = (kept[name] if kept[name].size else None for name in ("map_T_cam", "covariance"))
         seen = Seen(kept["px"], kept["points"], kept["inlier"])
         wall_s, cpu_s = kept["cost_s"].tolist()
-        return Answer(pose, covariance, **json.loads(str(kept["evidence"])), seen=seen), (wall_s, cpu_s)
+        evidence = json.loads(str(kept["evidence"]))
+        refusal = evidence.pop("refusal")
+        answer = Answer(pose, covariance, refusal and Refusal(refusal), **evidence, seen=seen)
+        return answer, (wall_s, cpu_s)

@@ -8,6 +8,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from groundwalk.artefacts.choices import Refusal
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.vlad import aggregate, k_means
@@ -71,7 +72,7 @@ class HLocLocaliser:
         clock = Clock()
         camera, _ = with_lens(camera, self.lenses)
         if not len(features):
-            return refused("few_features", "no features: dark or blurred?", clock)
+            return refused(Refusal.FEW_FEATURES, "no features: dark or blurred?", clock)
         with clock.part("retrieval"):
             query = unit(features.descriptors)
             alike = self._images @ aggregate(query, self._words)
@@ -90,8 +91,8 @@ class HLocLocaliser:
         count = int(inlier.sum())
         if pose is None or count < needed:
             reason = f"{count} inliers, {needed} needed"
-            return refused("thin_evidence", reason, clock, len(pairs), count, seen)
-        return Answer(pose[0], None, "", "", len(pairs), count, seen, clock.seconds)
+            return refused(Refusal.THIN_EVIDENCE, reason, clock, len(pairs), count, seen)
+        return Answer(pose[0], None, None, "", len(pairs), count, seen, clock.seconds)
 
     def _matches(self, query: NDArray[np.float32], view: int) -> NDArray[np.int64]:
         """Keypoints of the query and points (M, 2) by matches with an image."""

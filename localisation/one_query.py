@@ -74,7 +74,7 @@ def row_of(answer: Answer) -> dict[str, Any]:
         row |= {"position_m": position[0].tolist(), "quaternion": quaternion[0].tolist()}
         row["covariance"] = None if answer.covariance is None else answer.covariance.ravel().tolist()
     counts = {"inliers": answer.inliers, "candidates": answer.candidates}
-    return row | counts | {"refusal": answer.refusal or None, "reason": answer.reason or None}
+    return row | counts | {"refusal": answer.refusal, "reason": answer.reason or None}
 
 
 def _grey(image: Path | NDArray[Any]) -> NDArray[np.uint8]:

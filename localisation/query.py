@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from groundwalk.artefacts.choices import Refusal
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.answers import Answer, Clock, refused, seen_by
@@ -79,7 +80,7 @@ class MapLocaliser:
         """
         if grey.shape[:2] != (camera.height, camera.width):
             found = f"image {grey.shape[1]} x {grey.shape[0]} px, intrinsics for {camera.width} x {camera.height} px"
-            return refused("image_size", found, Clock())
+            return refused(Refusal.IMAGE_SIZE, found, Clock())
         clock = Clock()
         with clock.part("features"):
             # Where a prior says which points to look for, fewer features of a smaller image do.
@@ -101,7 +102,9 @@ class MapLocaliser:
         """The same of an image's features; points that are `hidden` (P,) are taken as not there."""
         clock = clock or Clock()
         if len(features) < _MIN_FEATURES:
-            return refused("few_features", f"{len(features)} features, {_MIN_FEATURES} needed: dark or blurred?", clock)
+            return refused(
+                Refusal.FEW_FEATURES, f"{len(features)} features, {_MIN_FEATURES} needed: dark or blurred?", clock
+            )
         camera, readout_s = with_lens(camera, self.map.lenses)
         with clock.part("retrieval"):
             query = self.map.projected(features.descriptors)
@@ -124,21 +127,21 @@ class MapLocaliser:
         seen = seen_by(asked.px, rows, matches, none)
         if len(matches) < _MIN_MATCHES:
             return refused(
-                "few_matches", f"{len(matches)} matches, {_MIN_MATCHES} needed", clock, len(matches), 0, seen
+                Refusal.FEW_MATCHES, f"{len(matches)} matches, {_MIN_MATCHES} needed", clock, len(matches), 0, seen
             )
         with clock.part("ransac"):
             found = asked.pose(matches, seed)
         if found is None or found[1].sum() < _MIN_POSE:
             reason = f"no pose explains {_MIN_POSE} of {len(matches)} matches"
-            return refused("no_pose", reason, clock, len(matches), 0, seen)
+            return refused(Refusal.NO_POSE, reason, clock, len(matches), 0, seen)
         with clock.part("refinement"):
             fit, inliers = self._refined(found[0], matches[found[1]], product, asked)
         seen, limit = seen_by(asked.px, rows, matches, inliers), self.map.calibration.min_inliers
         if fit is None or len(inliers) < limit:
             reason = f"{len(inliers)} inliers, {limit} needed"
-            return refused("thin_evidence", reason, clock, len(matches), len(inliers), seen)
+            return refused(Refusal.THIN_EVIDENCE, reason, clock, len(matches), len(inliers), seen)
         covariance = self._calibrated(fit.covariance)
-        return Answer(fit.map_T_cam, covariance, "", "", len(matches), len(inliers), seen, clock.seconds)
+        return Answer(fit.map_T_cam, covariance, None, "", len(matches), len(inliers), seen, clock.seconds)
 
     def _views_by_votes(self, query: Floats, hidden: NDArray[np.bool_] | None) -> Ints:
         """Training frames that saw most of the points that look like the query's features."""

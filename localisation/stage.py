@@ -15,7 +15,6 @@ from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import camera_of, pose_frame, poses_of
-from groundwalk.geometry.metrics import position_error, rotation_error_deg
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.answers import Answer, read_answer, write_answer
 from groundwalk.localisation.build import MIN_POINTS
@@ -25,6 +24,7 @@ from groundwalk.localisation.localisers import LOCALISERS, Localiser
 from groundwalk.localisation.prepared import Prepared, match, prepared_from
 from groundwalk.localisation.record import blueprint, record
 from groundwalk.localisation.settings import LocaliseSettings
+from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 _MIN_FRAMES = 5
 _WRONG_M, _WRONG_DEG = 1.0, 5.0
@@ -261,7 +261,7 @@ def prediction_rows(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFr
             "cpu_ms": 1000 * result.cost_s[:, 1],
             "inliers": [a.inliers for a in result.answers],
             "candidates": [a.candidates for a in result.answers],
-            "refusal": [a.refusal or None for a in result.answers],
+            "refusal": [a.refusal for a in result.answers],
             "reason": [a.reason or None for a in result.answers],
         }
     )

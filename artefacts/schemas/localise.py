@@ -1,5 +1,6 @@
 """What the localise stage writes: the structure localisers' poses and refusals, and what they keep and cost."""
 
+from groundwalk.artefacts.choices import Refusal, Split
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _MODEL = Column("model", "string", "the structure localiser's id")
@@ -16,7 +17,7 @@ TABLES = [
             Column("scene", "string", "the scene that the frame is of"),
             Column("frame_id", "string", "<session>/<six digits>"),
             Column("session_id", "string", "capture session"),
-            Column("split", "string", "train, val or test; neither val nor test took part in the map"),
+            Column("split", "string", "what the frame is for; neither val nor test is in the map", choices=Split),
             Column("t_ns", "int64", "capture time on the session's clock", "ns"),
             *pose_columns("map_cam", "estimated map_T_cam; null where refused", nullable=True),
             Column(
@@ -42,8 +43,9 @@ TABLES = [
             Column(
                 "refusal",
                 "string",
-                "code of why there is no pose (docs/localisation.md); null: there is",
+                "why there is no pose (docs/localisation.md); null: there is one",
                 nullable=True,
+                choices=Refusal,
             ),
             Column("reason", "string", "the figures behind the refusal; null: there is a pose", nullable=True),
         ],
