@@ -27,14 +27,16 @@ from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.images import image_file
 from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.build import build_map
 from groundwalk.localisation.calibration import normalised_squares, pose_error
 from groundwalk.localisation.compact import read_map, write_map
 from groundwalk.localisation.features import extract
 from groundwalk.localisation.hloc import HLocLocaliser
 from groundwalk.localisation.inputs import Inputs, grey, read_features, read_inputs, training_of
-from groundwalk.localisation.query import Answer, MapLocaliser
-from groundwalk.localisation.settings import MapSettings
+from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings, StructureSettings
+from groundwalk.localisation.prepared import prepare
+from groundwalk.localisation.query import MapLocaliser
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 app = new_app(__doc__ or "")
@@ -42,6 +44,7 @@ app = new_app(__doc__ or "")
 PRIOR_SD_M, PRIOR_SD_DEG = 0.3, 3.0
 _TIMED = 40
 Rows = NDArray[np.int64]
+Chosen = tuple[StructureSettings, MapSettings]
 
 
 @dataclass(frozen=True)
@@ -116,19 +119,26 @@ def main(
     """Build each case's map, ask its queries, and write what came out."""
     revision = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
     values = dict(item.split("=", 1) for item in settings or [])
-    map_settings = MapSettings.model_validate(values, strict=False)
+    unknown = set(values) - set(StructureSettings.model_fields) - set(MapSettings.model_fields)
+    if unknown:
+        raise UserError(f"there is no setting {min(unknown)!r}", where="--set")
+    extraction, map_settings = (
+        model.model_validate({k: v for k, v in values.items() if k in model.model_fields}, strict=False)
+        for model in (StructureSettings, MapSettings)
+    )
+    chosen = (extraction, map_settings)
     figures: list[Figure] = []
     for case in CASES:
         root = DataRoot(simulated or data) if case.scene == "Church" else DataRoot(data)
         if not case.name.startswith(only) or not root.run(profile, case.scene, "align").is_dir():
             continue
-        figures += run_case(case, root, profile, map_settings)
+        figures += run_case(case, root, profile, chosen)
     if not figures:
         raise UserError("there is no run of any case", where=data, do="run import, sfm and align of Church first")
-    write_report(out, figures, map_settings, profile, revision.stdout.strip() or "not in git")
+    write_report(out, figures, chosen, profile, revision.stdout.strip() or "not in git")
 
 
-def run_case(case: Case, root: DataRoot, profile: str, settings: MapSettings) -> list[Figure]:
+def run_case(case: Case, root: DataRoot, profile: str, settings: Chosen) -> list[Figure]:
     """The figures of a case, of both localisers."""
     run = root.run(profile, case.scene)
     inputs = read_inputs(run)
@@ -136,21 +146,23 @@ def run_case(case: Case, root: DataRoot, profile: str, settings: MapSettings) ->
     training = np.setdiff1d(np.arange(len(inputs.frames)), query)
     captures, imported = root.captures(case.scene), run / "import"
     images = [image_file(name, captures, imported) for name in inputs.frames["image"]]
-    given = training_of(inputs, training, read_features(inputs, training, captures, imported, settings))
+    extraction, map_settings = settings
+    given = training_of(inputs, training, read_features(inputs, training, captures, imported, extraction))
     start = time.process_time()
-    content, structure, _ = build_map(case.scene, given, settings)
+    prepared = prepare(case.scene, given, extraction)
+    content = build_map(prepared, map_settings)
     print(
         f"{case.name}: map in {time.process_time() - start:.0f} s, {content.calibration}, {content.priors}", flush=True
     )
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "map.gwmap"
+        file = Path(folder) / "map.gwm"
         write_map(file, content)
         size, localiser = file.stat().st_size, MapLocaliser(read_map(file))
     gravity = [g if np.isfinite(g).all() else None for g in inputs.gravity]
-    seen = dict(zip(query.tolist(), read_features(inputs, query, captures, imported, settings), strict=True))
+    seen = dict(zip(query.tolist(), read_features(inputs, query, captures, imported, extraction), strict=True))
     asked = [localiser.localise_features(seen[row], inputs.logged[row], gravity[row]) for row in seen]
     without = [localiser.localise_features(seen[row], inputs.logged[row]) for row in seen]
-    hloc = HLocLocaliser(structure, given.features, content.lenses)
+    hloc = HLocLocaliser(prepared, HLocSettings())
     baseline = [hloc.localise_features(seen[row], inputs.logged[row]) for row in seen]
     truth = inputs.views.map_T_cam[query]
     figures = [
@@ -162,7 +174,7 @@ def run_case(case: Case, root: DataRoot, profile: str, settings: MapSettings) ->
         Figure(case.name, "HLoc", "file", sum(hloc.bytes_by_part().values()) / 1e6, "MB"),
         Figure(case.name, "Map", "points", len(content.xyz), ""),
         Figure(case.name, "Map", "training frames", len(training), ""),
-        *_times(case.name, localiser, hloc, [images[row] for row in query], inputs, query, settings),
+        *_times(case.name, localiser, hloc, [images[row] for row in query], inputs, query, extraction),
     ]
     for row, answer, true in zip(query.tolist(), asked, truth, strict=True):
         p, r = _errors([answer], true[None])
@@ -232,7 +244,7 @@ def _times(
     paths: Sequence[Path],
     inputs: Inputs,
     query: Rows,
-    settings: MapSettings,
+    settings: StructureSettings,
 ) -> Iterable[Figure]:
     """Milliseconds from a decoded image to its pose, on the clock, and of the processor."""
     rng = np.random.default_rng(0)
@@ -268,7 +280,7 @@ def _times(
         yield Figure(case, "HLoc", f"time{part}, p95", float(np.percentile(ms, 95)), "ms")
 
 
-def write_report(out: Path, figures: Sequence[Figure], settings: MapSettings, profile: str, revision: str) -> None:
+def write_report(out: Path, figures: Sequence[Figure], settings: Chosen, profile: str, revision: str) -> None:
     """Write localise.md and localise.csv into the folder."""
     out.mkdir(parents=True, exist_ok=True)
     head = {
@@ -277,7 +289,7 @@ def write_report(out: Path, figures: Sequence[Figure], settings: MapSettings, pr
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the end",
         "profile": profile,
         "seed": "0",
-        "settings": ", ".join(f"{name} {value}" for name, value in settings.model_dump().items()),
+        "settings": ", ".join(f"{name} {value}" for part in settings for name, value in part.model_dump().items()),
     }
     targets = {(case.name, name): bounds for case in CASES for name, bounds in case.targets.items()}
     with (out / "localise.csv").open("w", newline="", encoding="utf-8") as file:

@@ -75,7 +75,7 @@ COMMANDS = {
         Command("inspect", "Show what a capture holds, without import.", "capture_import.__main__", "inspect"),
         Command("formats", "List the capture formats.", "capture_import.__main__", "formats"),
         Command("export", "Write ground truth for COLMAP and other tools.", "export.__main__"),
-        Command("locate", "Localise images in a scene's map.", "localisation.__main__", "locate"),
+        Command("locate", "Localise images in a scene's map.", "localisation.locate"),
         Command("export-model", "Write a trained regressor as ONNX.", "training.__main__", "export"),
         Command("evaluate", "Fuse predictions from Parquet files; measure errors.", "fusion.__main__", "evaluate"),
         Command("sweep", "Try other thresholds of the MobileARLoc rule.", "fusion.__main__", "sweep"),

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from groundwalk.artefacts import UserError, progress
+from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.files import replace_synced
 from groundwalk.localisation.localisers import LOCALISERS, FileLocaliser
 from groundwalk.localisation.one_query import Query, ask, query_of, row_of
@@ -15,6 +16,10 @@ _IMAGES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 _INTRINSICS = "intrinsics.json"
 
 
+app = new_app("New images in a map's file.")
+
+
+@app.command()
 def locate(
     images: Annotated[Path, typer.Argument(help="An image, or a folder of images.")],
     map_: Annotated[Path, typer.Option("--map", help="The map's file, map.gwm of a scene's stage localise.")],

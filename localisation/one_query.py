@@ -7,7 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.images import read_image
@@ -58,6 +58,31 @@ def query_of(image: Path | NDArray[Any], known: Mapping[str, Any], where: object
         raise UserError("the principal point isn't in the image", where=where, found=found)
     camera = Camera(width, height, fx, fy, cx, cy)
     return Query(grey, camera, _down(known.get("gravity"), where), _prior(known.get("prior"), where))
+
+
+def known_of(
+    intrinsics: Camera | Mapping[str, Any] | ArrayLike | None, gravity: ArrayLike | None, prior: ArrayLike | None
+) -> dict[str, Any]:
+    """What `query_of` takes of an image: intrinsics as a Camera, a mapping with fx, fy, cx, cy (and width, height), K
+    (3, 3), or the four numbers. UserError for something else."""
+    known: dict[str, Any] = {"gravity": gravity, "prior": prior}
+    if intrinsics is None:
+        return known
+    if isinstance(intrinsics, Camera):
+        names = ("width", "height", *_INTRINSICS)
+        return known | {name: getattr(intrinsics, name) for name in names}
+    if isinstance(intrinsics, Mapping):
+        return known | {name: intrinsics[name] for name in ("width", "height", *_INTRINSICS) if name in intrinsics}
+    try:
+        numbers = np.asarray(intrinsics, float)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.shape == (3, 3):
+        numbers = numbers[[0, 1, 0, 1], [0, 1, 2, 2]]
+    if numbers.shape != (4,):
+        expected = "a Camera, a mapping with fx, fy, cx, cy, K (3, 3), or fx, fy, cx, cy"
+        raise UserError("these are no intrinsics", found=repr(intrinsics)[:100], expected=expected)
+    return known | dict(zip(_INTRINSICS, numbers.tolist(), strict=True))
 
 
 def ask(localiser: FileLocaliser, query: Query) -> Answer:

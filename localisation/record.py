@@ -104,7 +104,7 @@ def _log_answer(
         if answer.map_T_cam is not None:
             ends = xyz[seen.points[rows]]
             rays = np.stack([np.broadcast_to(answer.map_T_cam[:3, 3], ends.shape), ends], axis=1)
-            lines = rr.LineStrips3D(rays, colors=shade, radii=rr.Radius.ui_points(0.5))
+            lines = rr.LineStrips3D(rays.astype(np.float32), colors=shade, radii=rr.Radius.ui_points(0.5))
             stream.log(f"/{model}/rays/{kind}", lines)
     if answer.map_T_cam is not None:
         log_camera(stream, f"/{model}/query", answer.map_T_cam, frame, colour, 0.5)
