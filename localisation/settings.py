@@ -2,6 +2,7 @@
 
 from pydantic import Field, SerializeAsAny, ValidationInfo, field_validator
 
+from groundwalk.artefacts.choices import Split
 from groundwalk.artefacts.settings import validated
 from groundwalk.localisation.localiser_settings import LocaliserSettings, StructureSettings
 from groundwalk.localisation.localisers import LOCALISERS
@@ -14,10 +15,10 @@ class LocaliseSettings(StructureSettings):
         default_factory=lambda: LOCALISERS.builtin,
         description="the structure localisers to build, by id; none where the list is empty",
     )
-    splits: tuple[str, ...] = Field(
-        ("val", "test"),
+    splits: tuple[Split, ...] = Field(
+        (Split.VAL, Split.TEST),
         min_length=1,
-        description="frames to localise: val, test, train; maps are made from train alone",
+        description="frames to localise: val, test, train; maps are built from those of train alone",
     )
     localisers: dict[str, SerializeAsAny[LocaliserSettings]] = Field(
         default_factory=dict,

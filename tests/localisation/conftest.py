@@ -63,13 +63,12 @@ def _boards(root: Path, frames: int) -> Boards:
     ids = [f"walk/{row:06d}" for row in range(frames)]
     keys = {"frame_id": ids, "session_id": "walk", "t_ns": list(range(frames)), "split": split}
     down = {"gravity_x": 0.0, "gravity_y": 1.0, "gravity_z": 0.0}
-    stated = {"clock": "boot", "tracking": "normal"}
     images = [f"{row}.png" for row in range(frames)]
-    known = {name: CAMERA[name] for name in ("fx", "fy", "cx", "cy")} | {"camera_origin": "stated"}
+    known = {name: CAMERA[name] for name in ("fx", "fy", "cx", "cy")}
     truth = filled("align", "ground_truth", frames, **keys, **pose_frame("map_cam", poses), **known, quality="A")
     tables = {
-        "import": {"frames": filled("import", "frames", frames, **keys, image=images, **CAMERA, **down, **stated)},
-        "sfm": {"images": filled("sfm", "images", frames, frame_id=ids, readout_s=0.0, camera_origin="stated")},
+        "import": {"frames": filled("import", "frames", frames, **keys, image=images, **CAMERA, **down)},
+        "sfm": {"images": filled("sfm", "images", frames, frame_id=ids, readout_s=0.0)},
         "align": {"ground_truth": truth},
     }
     for stage, of_stage in tables.items():
@@ -84,9 +83,13 @@ def _boards(root: Path, frames: int) -> Boards:
 
 
 def filled(stage: str, table: str, count: int, **columns: object) -> pd.DataFrame:
-    """A table of its schema: null where that may be, zero or nothing elsewhere, but for the columns given."""
+    """A table of its schema: null where that may be, elsewhere the first choice, zero or nothing, but for the
+    columns given."""
     of = schema(stage, table)
-    values = {c.name: [None if c.nullable else _DEFAULTS[c.dtype]] * count for c in of.columns}
+    values = {
+        c.name: [None if c.nullable else next(iter(c.choices)) if c.choices else _DEFAULTS[c.dtype]] * count
+        for c in of.columns
+    }
     values |= {f"{prefix}_qw": [1.0] * count for prefix in pose_prefixes(of)}
     return pd.DataFrame(values, dtype=object).assign(**columns)  # type: ignore[arg-type]
 

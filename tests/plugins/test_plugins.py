@@ -18,7 +18,7 @@ from groundwalk.geometry.poses import make_pose, tq_from_pose
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-STAGES = ["capture_import", "sfm", "alignment", "training", "fusion", "reports"]
+STAGES = ["capture_import", "sfm", "alignment", "localisation", "training", "fusion", "reports"]
 COLUMNS = "t_s,image,fx,fy,cx,cy,tx,ty,tz,qx,qy,qz,qw"
 
 
@@ -205,7 +205,7 @@ def test_predictions_from_elsewhere_take_part_to_the_end(data: Path) -> None:
     (data / "predictions").mkdir()
     mine.assign(map_cam_tx=mine["map_cam_tx"] + 0.5).to_parquet(data / "predictions" / "mine.parquet")
     configure(data, EXAMPLE.split("[train]")[0] + '[train]\nmodels = []\npredictions = "predictions/mine.parquet"\n')
-    for stage in STAGES[3:]:
+    for stage in STAGES[4:]:
         run([], data, stage)
     assert set(table(data, "train", "predictions")["model"]) == {"mine"}
     errors = table(data, "fuse", "errors")
