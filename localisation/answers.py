@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.choices import Refusal
+from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
 
 Ints = NDArray[np.int64]
@@ -66,6 +67,14 @@ def refused(
 ) -> Answer:
     """An answer without a pose."""
     return Answer(None, None, refusal, reason, candidates, inliers, seen, clock.seconds)
+
+
+def of_another_size(grey: NDArray[np.uint8], camera: Camera) -> Answer | None:
+    """The refusal of an image (H, W) whose intrinsics are for another size or orientation; None where they fit."""
+    if grey.shape[:2] == (camera.height, camera.width):
+        return None
+    sizes = f"image {grey.shape[1]} x {grey.shape[0]} px, intrinsics for {camera.width} x {camera.height} px"
+    return refused(Refusal.IMAGE_SIZE, sizes, Clock())
 
 
 def seen_by(px: Array, points: Ints, matches: Ints, inliers: Ints) -> Seen:

@@ -4,7 +4,6 @@ SIFT (Lowe, IJCV 2004) by OpenCV, as RootSIFT (Arandjelović and Zisserman, "Thr
 object retrieval", CVPR 2012) in bytes.
 """
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,35 +28,18 @@ class Features:
         return len(self.px)
 
 
-@dataclass(frozen=True)
-class Timed:
-    """Features and what they cost, seconds on the clock and of the processor."""
-
-    features: Features
-    wall_s: float
-    cpu_s: float
-
-
-def extract_timed(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Timed:
-    """The same as `extract` with what it cost in this thread."""
-    wall, cpu = time.perf_counter(), time.thread_time()
-    features = extract(grey, max_features, max_side)
-    return Timed(features, time.perf_counter() - wall, time.thread_time() - cpu)
-
-
-def write_features(path: Path, timed: Timed) -> None:
+def keep_features(path: Path, features: Features) -> None:
     """Keep features in a safe point."""
-    f, partial = timed.features, path.with_name(path.name + ".partial")
+    partial = path.with_name(path.name + ".partial")
     with partial.open("wb") as file:
-        cost_s = np.array([timed.wall_s, timed.cpu_s])
-        np.savez(file, px=f.px, size_px=f.size_px, descriptors=f.descriptors, cost_s=cost_s)
+        np.savez(file, px=features.px, size_px=features.size_px, descriptors=features.descriptors)
     partial.replace(path)
 
 
-def read_timed(path: Path) -> Timed:
+def load_features(path: Path) -> Features:
     """The features of a safe point."""
     with np.load(path) as kept:
-        return Timed(Features(kept["px"], kept["size_px"], kept["descriptors"]), *kept["cost_s"].tolist())
+        return Features(kept["px"], kept["size_px"], kept["descriptors"])
 
 
 def extract(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Features:

@@ -12,8 +12,8 @@ from groundwalk.artefacts.choices import Refusal
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.vlad import aggregate, k_means
-from groundwalk.localisation.answers import Answer, Clock, refused, seen_by
-from groundwalk.localisation.features import Features, unit
+from groundwalk.localisation.answers import Answer, Clock, of_another_size, refused, seen_by
+from groundwalk.localisation.features import Features, extract, unit
 from groundwalk.localisation.localiser_settings import HLocSettings
 from groundwalk.localisation.matching import mutual_matches
 from groundwalk.localisation.prepared import Prepared, Track, untracked
@@ -28,7 +28,7 @@ class HLocLocaliser:
 
     def __init__(self, prepared: Prepared, settings: HLocSettings, track: Track = untracked) -> None:
         self.structure, self.lenses, self.settings = prepared.structure, prepared.lenses, settings
-        features = prepared.training.features
+        self.extraction, features = prepared.settings, prepared.training.features
         self._unit = [unit(f.descriptors) for f in features]
         every = np.concatenate(self._unit)
         rng = np.random.default_rng(0)
@@ -58,18 +58,30 @@ class HLocLocaliser:
             "tracks": 4 * count,
         }
 
-    def localise_features(
+    def localise(
         self,
-        features: Features,
+        grey: NDArray[np.uint8],
         camera: Camera,
         gravity: Array | None = None,
         prior: Array | None = None,
         *,
         seed: int = 0,
     ) -> Answer:
-        """The answer for an image's features, taken with `camera` as the phone logged it, without covariance. Gravity
+        """The answer for a grey image (H, W) taken with `camera` as the phone logged it, without covariance. Gravity
         and a prior aren't used."""
+        refusal = of_another_size(grey, camera)
+        if refusal:
+            return refusal
         clock = Clock()
+        with clock.part("features"):
+            features = extract(grey, self.extraction.max_features, self.extraction.max_side)
+        return self.localise_features(features, camera, seed=seed, clock=clock)
+
+    def localise_features(
+        self, features: Features, camera: Camera, *, seed: int = 0, clock: Clock | None = None
+    ) -> Answer:
+        """The same of an image's features."""
+        clock = clock or Clock()
         camera, _ = with_lens(camera, self.lenses)
         if not len(features):
             return refused(Refusal.FEW_FEATURES, "no features: dark or blurred?", clock)

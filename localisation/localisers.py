@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from groundwalk.geometry.cameras import Camera
     from groundwalk.geometry.poses import Array
     from groundwalk.localisation.answers import Answer
-    from groundwalk.localisation.features import Features
     from groundwalk.localisation.prepared import Prepared, Track
 
 
@@ -31,28 +30,6 @@ class Localiser(Protocol):
         """What a query needs, in bytes."""
         ...
 
-    def localise_features(
-        self,
-        features: "Features",
-        camera: "Camera",
-        gravity: "Array | None" = None,
-        prior: "Array | None" = None,
-        *,
-        seed: int = 0,
-    ) -> "Answer":
-        """The answer for an image's features. camera: as the phone logged it; gravity: unit vector (3,), down, in the
-        camera; prior: about where the camera is, map_T_cam (4, 4). What a localiser has no use for it ignores."""
-        ...
-
-
-class FileLocaliser(Localiser, Protocol):
-    """A localiser out of a file of its own, which says how images are read."""
-
-    @property
-    def scene(self) -> str:
-        """The scene of the map."""
-        ...
-
     def localise(
         self,
         grey: NDArray[np.uint8],
@@ -62,7 +39,17 @@ class FileLocaliser(Localiser, Protocol):
         *,
         seed: int = 0,
     ) -> "Answer":
-        """The same as `localise_features` for a grey image (H, W)."""
+        """The answer for a grey image (H, W). camera: as the phone logged it; gravity: unit vector (3,), down, in the
+        camera; prior: about where the camera is, map_T_cam (4, 4). What a localiser has no use for it ignores."""
+        ...
+
+
+class FileLocaliser(Localiser, Protocol):
+    """A localiser out of a file of its own."""
+
+    @property
+    def scene(self) -> str:
+        """The scene of the map."""
         ...
 
 

@@ -15,6 +15,7 @@ from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, tq_from_pose
 from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.localisers import FileLocaliser
+from groundwalk.localisation.threads import one_thread
 
 _INTRINSICS = ("fx", "fy", "cx", "cy")
 _MIN_FOCAL, _MAX_FOCAL = 0.2, 20.0  # by the longer side: from 136 degrees to 3 degrees of view
@@ -87,7 +88,8 @@ def known_of(
 
 def ask(localiser: FileLocaliser, query: Query) -> Answer:
     """The localiser's answer."""
-    return localiser.localise(query.grey, query.camera, query.gravity, query.prior)
+    with one_thread():
+        return localiser.localise(query.grey, query.camera, query.gravity, query.prior)
 
 
 def row_of(answer: Answer) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from groundwalk.artefacts.choices import Refusal
 from groundwalk.geometry.cameras import Camera
-from groundwalk.geometry.poses import Array
-from groundwalk.localisation.answers import Answer, Clock, refused, seen_by
+from groundwalk.geometry.poses import Array, skew
+from groundwalk.localisation.answers import Answer, Clock, of_another_size, refused, seen_by
 from groundwalk.localisation.compact import CompactMap, Lens, bytes_by_section, read_map, write_map
 from groundwalk.localisation.features import Features, extract
 from groundwalk.localisation.frames import row_times
@@ -23,7 +23,9 @@ _PROBES, _VOTERS = 3, 400
 _VIEWS = 12
 _VOTE_RATIO, _RATIO = 0.9, 0.9
 _RANSAC_PX, _TRIALS, _UPRIGHT_TRIALS = 6.0, 2000, 400
-_PRIOR_SHARE = 0.75
+# Shares of the features and of the image's side that an attempt takes.
+_NEAR_PRIOR, _QUICK, _WHOLE = (0.4, 0.5), (0.5, 0.625), (1.0, 1.0)
+_SURE_M = 0.01
 _GUIDED_PX, _MIN_SIMILARITY = 5.0, 0.6
 _INLIER_SIGMAS, _MIN_INLIER_PX = 4.0, 1.5
 _MIN_FEATURES, _MIN_MATCHES, _MIN_POSE = 30, 8, 6
@@ -78,15 +80,29 @@ class MapLocaliser:
         gravity: unit vector (3,), down, in the camera, or None.
         prior: about where the camera is, map_T_cam (4, 4), or None.
         """
-        if grey.shape[:2] != (camera.height, camera.width):
-            found = f"image {grey.shape[1]} x {grey.shape[0]} px, intrinsics for {camera.width} x {camera.height} px"
-            return refused(Refusal.IMAGE_SIZE, found, Clock())
+        refusal = of_another_size(grey, camera)
+        if refusal:
+            return refusal
         clock = Clock()
-        with clock.part("features"):
-            # Where a prior says which points to look for, fewer features of a smaller image do.
-            share = _PRIOR_SHARE if prior is not None else 1.0
-            features = extract(grey, self.map.max_features, round(share * self.map.max_side))
-        return self.localise_features(features, camera, gravity, prior, seed=seed, clock=clock)
+        best: Answer | None = None
+        # A smaller image is enough for most; where the answer isn't sure, the whole one is asked without a prior, which
+        # may be what is wrong.
+        for attempt in (_NEAR_PRIOR if prior is not None else _QUICK, _WHOLE):
+            with clock.part("features"):
+                count, side = (round(part * of) for part, of in zip(attempt, self._extraction, strict=True))
+                features = extract(grey, count, side)
+            guess = prior if attempt == _NEAR_PRIOR else None
+            answer = self.localise_features(features, camera, gravity, guess, seed=seed, clock=clock)
+            if best is None or answer.map_T_cam is not None or best.map_T_cam is None:
+                best = answer
+            if answer.covariance is not None and np.trace(answer.covariance[3:, 3:]) <= _SURE_M**2:
+                break
+        assert best is not None
+        return best
+
+    @property
+    def _extraction(self) -> tuple[int, int]:
+        return self.map.max_features, self.map.max_side
 
     def localise_features(
         self,
@@ -279,7 +295,7 @@ def _predicted(fit: Fit, xyz: Array, camera: Camera, readout_s: float) -> Array:
     shown = camera.project(at * fit.focal_factor)
     # The row says when a point was exposed; where it was then differs by some pixels, not by many rows.
     time_s = row_times(shown, camera.height, readout_s)[:, None]
-    cam = still[ahead] - time_s * (fit.velocity + np.cross(fit.angular, still[ahead]))
+    cam = still[ahead] - time_s * (fit.velocity + still[ahead] @ skew(fit.angular).T)
     shown = camera.project(cam[:, :2] / cam[:, 2:] * fit.focal_factor)
     inside = ((shown >= 0) & (shown <= [camera.width, camera.height])).all(axis=1)
     px[ahead[inside]] = shown[inside]

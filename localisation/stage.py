@@ -18,12 +18,13 @@ from groundwalk.artefacts.tables import camera_of, pose_frame, poses_of
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.answers import Answer, read_answer, write_answer
 from groundwalk.localisation.build import MIN_POINTS
-from groundwalk.localisation.features import Timed, extract_timed, read_timed, write_features
+from groundwalk.localisation.features import Features, extract, keep_features, load_features
 from groundwalk.localisation.inputs import grey, read_inputs, training_of
 from groundwalk.localisation.localisers import LOCALISERS, Localiser
 from groundwalk.localisation.prepared import Prepared, match, prepared_from
 from groundwalk.localisation.record import blueprint, record
 from groundwalk.localisation.settings import LocaliseSettings
+from groundwalk.localisation.threads import one_thread
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 _MIN_FRAMES = 5
@@ -42,6 +43,12 @@ class Result:
 
 
 def run(r: StageRun[LocaliseSettings]) -> None:
+    with one_thread():
+        localise(r)
+
+
+def localise(r: StageRun[LocaliseSettings]) -> None:
+    """Build the localisers, and write what they say of each query."""
     queries = r.dataset_frames()
     queries = queries[queries["split"].isin(r.settings.splits)].sort_values(["session_id", "t_ns"])
     queries = queries.reset_index(drop=True)
@@ -50,11 +57,10 @@ def run(r: StageRun[LocaliseSettings]) -> None:
     usable = [name for name in r.settings.models if name in LOCALISERS]
     if usable:
         prepared = prepare(r)
-        seen = features_of(r, queries["image"], "reading queries")
         for name in usable:
             try:
                 with LOCALISERS.guard(name):
-                    results[name] = localised(r, name, prepared, queries, seen)
+                    results[name] = localised(r, name, prepared, queries)
             except PluginError as fault:
                 faults.append(fault)
     say_faults(r, faults, len(results))
@@ -74,8 +80,7 @@ def prepare(r: StageRun[LocaliseSettings]) -> Prepared:
             do="check the scene's split rules, and what align says about its ground truth; or leave structure "
             "localisers out: [localise] models = []",
         )
-    seen = features_of(r, inputs.frames["image"].iloc[rows], "reading training frames")
-    training = training_of(inputs, rows, [timed.features for timed in seen])
+    training = training_of(inputs, rows, features_of(r, inputs.frames["image"].iloc[rows]))
     file = r.scratch / "matches.npy"
     with r.step("match"):
         if not file.exists():
@@ -99,25 +104,23 @@ def prepare(r: StageRun[LocaliseSettings]) -> Prepared:
     return prepared
 
 
-def features_of(r: StageRun[LocaliseSettings], images: "pd.Series[str]", text: str) -> list[Timed]:
-    """The features of images with what each cost; those that a run before extracted are read."""
-    folder = r.scratch / text.replace(" ", "_")
+def features_of(r: StageRun[LocaliseSettings], images: "pd.Series[str]") -> list[Features]:
+    """The features of the training images; those that a run before extracted are read."""
+    folder = r.scratch / "features"
     folder.mkdir(exist_ok=True)
 
-    def timed(item: tuple[int, str]) -> Timed:
+    def kept(item: tuple[int, str]) -> Features:
         file = folder / f"{item[0]}.npz"
         if not file.exists():
-            found = extract_timed(grey(r.image_path(item[1])), r.settings.max_features, r.settings.max_side)
-            write_features(file, found)
-        return read_timed(file)
+            grey_image = grey(r.image_path(item[1]))
+            keep_features(file, extract(grey_image, r.settings.max_features, r.settings.max_side))
+        return load_features(file)
 
     with r.step("features"):
-        return list(in_parallel(timed, r.track(list(enumerate(images)), text, len(images))))
+        return list(in_parallel(kept, r.track(list(enumerate(images)), "reading training frames", len(images))))
 
 
-def localised(
-    r: StageRun[LocaliseSettings], name: str, prepared: Prepared, queries: pd.DataFrame, seen: list[Timed]
-) -> Result:
+def localised(r: StageRun[LocaliseSettings], name: str, prepared: Prepared, queries: pd.DataFrame) -> Result:
     """A localiser, built, and what it says of each query."""
     entry = LOCALISERS[name]
     settings = r.settings.localisers[name]
@@ -132,7 +135,7 @@ def localised(
                 entry.file.write(path, entry.build(prepared, settings, r.track))
             localiser = entry.file.read(path)
         build_s = time.process_time() - began
-    answers, cost_s = answered(r, name, localiser, queries, seen)
+    answers, cost_s = answered(r, name, localiser, queries)
     storage = localiser.bytes_by_part()
     medians = np.median(1000 * cost_s, axis=0).tolist() if len(cost_s) else [None, None]
     shared = {key: getattr(r.settings, key) for key in ("max_features", "max_side", "pairs_per_frame")}
@@ -156,7 +159,7 @@ def localised(
 
 
 def answered(
-    r: StageRun[LocaliseSettings], name: str, localiser: Localiser, queries: pd.DataFrame, seen: list[Timed]
+    r: StageRun[LocaliseSettings], name: str, localiser: Localiser, queries: pd.DataFrame
 ) -> tuple[list[Answer], Array]:
     """What a localiser says of each query, and what that cost (Q, 2), s: on the clock and of all cores."""
     folder = r.scratch / name
@@ -169,12 +172,11 @@ def answered(
             file = folder / f"{row}.npz"
             if not file.exists():
                 down = gravity[row] if np.isfinite(gravity[row]).all() else None
+                image, camera = grey(r.image_path(queries["image"].iloc[row])), camera_of(queries.iloc[row])
                 wall, cpu = time.perf_counter(), time.process_time()
-                answer = localiser.localise_features(
-                    seen[row].features, camera_of(queries.iloc[row]), down, seed=r.seed
-                )
-                wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-                write_answer(file, answer, (seen[row].wall_s + wall, seen[row].cpu_s + cpu))
+                answer = localiser.localise(image, camera, down, seed=r.seed)
+                cost_s = time.perf_counter() - wall, time.process_time() - cpu
+                write_answer(file, answer, cost_s)
             answer, cost = read_answer(file)
             answers.append(answer)
             costs.append(cost)

@@ -32,7 +32,7 @@ TABLES = [
             Column(
                 "inference_ms",
                 "float64",
-                "one decoded image to its pose, on the clock; other images were read on the other cores meanwhile",
+                "one decoded image to its pose, on the clock",
                 "ms",
             ),
             Column(

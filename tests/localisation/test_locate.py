@@ -16,7 +16,7 @@ from groundwalk import UserError
 from groundwalk.artefacts import execute
 from groundwalk.artefacts.images import read_image
 from groundwalk.geometry.cameras import Camera
-from groundwalk.geometry.poses import pose_from_tq
+from groundwalk.geometry.poses import make_pose, pose_from_tq
 from groundwalk.localisation.locate import app
 from groundwalk.localisation.stage import STAGE
 from groundwalk.scoring.errors import position_error
@@ -52,6 +52,13 @@ def test_a_run_localises_an_image(run: groundwalk.Run, boards: Boards, intrinsic
         assert answer.map_T_cam is not None and position_error(answer.map_T_cam, truth) < 0.02
         assert answer.covariance is not None and np.linalg.eigvalsh(answer.covariance).min() > 0
         assert answer.inliers == answer.seen.inlier.sum() >= 10 and answer.refusal is None
+
+
+def test_a_wrong_prior_does_not_make_the_answer_wrong(run: groundwalk.Run, boards: Boards) -> None:
+    truth = boards.map_T_cam[ROW]
+    away = truth @ make_pose(np.diag([-1.0, 1.0, -1.0]), np.array([4.0, 0, -9.0]))
+    answer = run.localise(boards.image(ROW), intrinsics=CAMERA, gravity=DOWN, prior=away)
+    assert answer.map_T_cam is not None and position_error(answer.map_T_cam, truth) < 0.02
 
 
 def test_a_run_refuses_what_it_cannot_localise(run: groundwalk.Run, boards: Boards, picture: np.ndarray) -> None:

@@ -175,3 +175,19 @@ print(sorted({{"torch", "open3d", "pycolmap"}} & set(sys.modules)))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_sure_answer_is_of_the_small_image_and_others_of_the_whole(built, file, monkeypatch):
+    localiser, sizes = MapLocaliser(read_map(file)), []
+    views = walk(3, seed=9, moving=False)
+    seen = features(built[0], views, 1, seed=5)
+    monkeypatch.setattr("groundwalk.localisation.query.extract", lambda _, *size: sizes.append(size) or seen)
+    picture = np.zeros((480, 640), np.uint8)
+    for sure_m, expected in ((10.0, [(512, 400)]), (0.0, [(512, 400), (1024, 640)])):
+        monkeypatch.setattr("groundwalk.localisation.query._SURE_M", sure_m)
+        sizes.clear()
+        assert localiser.localise(picture, LOGGED).map_T_cam is not None
+        assert sizes == expected
+    sizes.clear()
+    localiser.localise(picture, LOGGED, prior=views.map_T_cam[1])
+    assert sizes == [(410, 320), (1024, 640)]
