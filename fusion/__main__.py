@@ -10,7 +10,7 @@ from groundwalk.fusion.stage import STAGE
 from groundwalk.fusion.tables import Files, evaluate_files, sweep_files
 
 app = stage_app(STAGE)
-TableOption = Annotated[Path, typer.Option(help="Parquet; docs/fusion.md has the columns.")]
+TableOption = Annotated[Path, typer.Option(help="Parquet; docs/explanation/fusion.md has the columns.")]
 
 
 OutOption = Annotated[Path, typer.Option(help="Folder for what is written.")]

@@ -1,0 +1,197 @@
+"""The generated pages of docs/reference: tables, settings and commands, made from the code that defines them."""
+
+from collections.abc import Collection, Iterator, Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler
+from groundwalk.artefacts.reference import reference as tables_page
+from groundwalk.artefacts.registry import Registry
+from groundwalk.artefacts.settings import SceneConfig, Settings, SplitRules
+from groundwalk.cli import COMMANDS, Command, all_commands
+from groundwalk.fusion.methods import METHODS
+from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.training.regressors import REGRESSORS
+
+RULERS = {"charuco": CharucoRuler, "apriltag": AprilTagRuler, "distance": DistanceRuler}
+WRITTEN_BY = "This page is written by `make docs`."
+
+_SETTINGS_HEAD = f"""# Settings
+
+A stage's settings are resolved in this order, the later one wins: the defaults below, the section `[<stage>]` of
+`data/profiles/<profile>.toml`, the same section of `data/scenes/<scene>.toml`, `--set key=value` on the command line
+(`--set quality_a.position_sd_m=0.01`). An unknown key, a wrong type and a value out of range are errors that name the
+key. The resolved settings of a run are in each stage's `manifest.json`.
+
+{WRITTEN_BY}
+"""
+_COMMANDS_HEAD = f"""# Commands
+
+`groundwalk <command> --help` prints the same. A command exits with 0 when it did what it says, with 2 after an error
+that a user can correct, with 130 after Ctrl-C and 143 after SIGTERM; a stage that was stopped resumes when the same
+command is run again. `make help` lists the targets of the Makefile, which call these commands.
+
+{WRITTEN_BY}
+"""
+
+
+def write_reference(folder: Path) -> list[Path]:
+    """Write all generated pages into docs/reference; their paths."""
+    written = []
+    for name, page in reference_pages().items():
+        (folder / name).write_text(page, encoding="utf-8")
+        written.append(folder / name)
+    return written
+
+
+def reference_pages() -> dict[str, str]:
+    """The generated pages by file name."""
+    return {"tables.md": tables_page(), "settings.md": settings_page(), "commands.md": commands_page()}
+
+
+def settings_page() -> str:
+    """Every setting with its type, range, default and description."""
+    return _SETTINGS_HEAD + "".join(f"\n## {title}\n\n{text}\n\n{table}" for title, text, table in _sections())
+
+
+def commands_page() -> str:
+    """Every command of `groundwalk` with its arguments and options."""
+    parts = [_COMMANDS_HEAD]
+    for panel, commands in COMMANDS.items():
+        parts.append(f"\n## {panel}\n")
+        parts += [_command(command) for command in commands]
+    return "".join(parts)
+
+
+def _sections() -> Iterator[tuple[str, str, str]]:
+    """Title, introduction and table of each section of settings."""
+    yield "A scene's file", "At the top of `data/scenes/<scene>.toml`.", _table(SceneConfig, {"name", "split"})
+    yield "[split]", "In a scene's file: which sessions train and which test.", _table(SplitRules)
+    yield "[simulate]", "How a scene's captures are simulated.", _table(SimulateSettings)
+    for command in all_commands():
+        if not command.is_stage:
+            continue
+        stage = command.stage()
+        yield f"[{stage.name}]", stage.help, _table(stage.settings)
+        if stage.name == "align":
+            for kind, model in RULERS.items():
+                text = f"{_first_line(model)} In a scene's file, any number of these: [rulers](../how-to/ruler.md)."
+                yield f'[[ruler]] of kind "{kind}"', text, _table(model, {"kind"})
+        if stage.name == "train":
+            yield from _of_entries("train.regressors", REGRESSORS, "settings")
+        if stage.name == "fuse":
+            yield from _of_entries("fuse.options", METHODS, "options")
+
+
+def _of_entries(section: str, registry: Registry[Any], attribute: str) -> Iterator[tuple[str, str, str]]:
+    for entry_id in registry.builtin:
+        entry = registry[entry_id]
+        model = getattr(entry, attribute)
+        yield f"[{section}.{entry_id}]", f"{entry.label}: {entry.meaning}.", _table(model)
+
+
+def _first_line(model: type[Settings]) -> str:
+    return (model.__doc__ or "").strip().splitlines()[0]
+
+
+def _table(model: type[Settings], without: Collection[str] = ()) -> str:
+    schema = model.model_json_schema()
+    rows = [row for row in _rows(model, schema, schema.get("$defs", {}), "") if row[0].split(".")[0] not in without]
+    if not rows:
+        return "It has no settings.\n"
+    head = "| setting | type and range | default | description |\n|---|---|---|---|\n"
+    return head + "".join(f"| `{n}` | {kind} | {default} | {_cell(text)} |\n" for n, kind, default, text in rows)
+
+
+def _rows(model: type[Settings], schema: Mapping[str, Any], defs: Mapping[str, Any], prefix: str) -> Iterator[Any]:
+    """Name, type, default and description of each setting; a section inside gives a row for each of its own."""
+    for name, field in model.model_fields.items():
+        value = field.get_default(call_default_factory=True) if not field.is_required() else None
+        if isinstance(value, Settings):
+            inside = type(value).model_json_schema()
+            for row_name, kind, _, text in _rows(type(value), inside, inside.get("$defs", {}), f"{prefix}{name}."):
+                yield row_name, kind, _shown(getattr(value, row_name.rpartition(".")[2])), text
+            continue
+        default = "required" if field.is_required() else _shown(value)
+        yield f"{prefix}{name}", _kind(schema["properties"][name], defs), default, field.description or ""
+
+
+def _kind(schema: Mapping[str, Any], defs: Mapping[str, Any]) -> str:
+    """A JSON schema in words: `number, > 0, ≤ 1`."""
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return _kind(defs[name], defs) if "enum" in defs[name] else "table"
+    if "anyOf" in schema:
+        return " or ".join(dict.fromkeys(_kind(option, defs) for option in schema["anyOf"]))
+    if "enum" in schema:
+        return ", ".join(f"`{value}`" for value in schema["enum"])
+    if "const" in schema:
+        return f"`{schema['const']}`"
+    if schema.get("type") == "array":
+        if "prefixItems" in schema:
+            return f"{len(schema['prefixItems'])} × {_kind(schema['prefixItems'][0], defs)}"
+        return f"list of {_kind(schema.get('items', {}), defs)}"
+    words = {"integer": "whole number", "string": "text", "boolean": "true or false", "object": "table"}
+    kind = words.get(schema.get("type", ""), schema.get("type", "any"))
+    bounds = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
+    return ", ".join([kind, *(f"{sign} {schema[key]:g}" for key, sign in bounds.items() if key in schema)])
+
+
+def _shown(value: Any) -> str:
+    """A default as TOML writes it; what TOML has no word for is an empty cell."""
+    if isinstance(value, Enum):
+        value = value.value
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    if value is None or value == {}:
+        return ""
+    if isinstance(value, str):
+        return f'`"{value}"`'
+    if isinstance(value, list | tuple):
+        return f"`[{', '.join(_shown(item).strip('`') for item in value)}]`"
+    return f"`{value}`"
+
+
+def _command(command: Command) -> str:
+    loaded = command.load()
+    text = command.stage().help if command.is_stage else (loaded.help or command.help)
+    lines = [f"\n### groundwalk {command.name}\n\n{_cell(text)}\n"]
+    if command.is_stage:
+        section = command.name
+        lines.append(f"\nSettings: [`[{section}]`](settings.md#{section}).\n")
+    rows = [_option(parameter) for parameter in loaded.params if not parameter.hidden]
+    lines.append("\n| option | type | default | what it does |\n|---|---|---|---|\n")
+    return "".join([*lines, *rows])
+
+
+def _option(parameter: Any) -> str:
+    flag = getattr(parameter, "is_flag", False)
+    annotation = parameter.type_descriptor.annotation
+    choices = [str(item.value) for item in annotation] if _is_enum(annotation) else []
+    kind = "" if flag else ", ".join(choices) or _KINDS.get(annotation, "text")
+    default = "" if flag else _option_default(parameter)
+    names = ", ".join(f"`{name}`" for name in parameter.opts)
+    return f"| {names} | {kind} | {default} | {_cell(parameter.help or '')} |\n"
+
+
+def _option_default(parameter: Any) -> str:
+    if parameter.required:
+        return "required"
+    if isinstance(parameter.show_default, str):
+        return parameter.show_default
+    default = parameter.default
+    return _shown(str(default) if isinstance(default, Path) else default).replace('"', "") if default != "" else ""
+
+
+def _is_enum(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, Enum)
+
+
+_KINDS: dict[Any, str] = {int: "whole number", float: "number", Path: "path", list[str]: "text, repeatable"}
+
+
+def _cell(text: str) -> str:
+    """Text as Markdown on one line, for a cell of a table, too: outside of code, < begins no tag."""
+    parts = " ".join(text.replace("|", "\\|").split()).split("`")
+    return "`".join(part if i % 2 else part.replace("<", "\\<") for i, part in enumerate(parts))
