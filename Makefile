@@ -198,7 +198,7 @@ bench-import: $(installed) ## Import: speed, memory, figures of each format, ner
 fuzz-import: $(installed) ## Fuzz the capture formats for some seconds (seconds=60); needs the extra `fuzz`
 	@$(py) -m benchmarks.import_fuzz "$$seconds"
 
-docs: $(installed) ## Write the generated pages of docs/reference: tables, settings, commands
+docs: $(installed) ## Write the generated pages of docs/reference: tables, settings, commands, checks
 	@$(py) -m groundwalk docs
 
 docs-site: $(installed) ## Build the documentation as a site, strictly, into build/site

@@ -67,7 +67,7 @@ def scenes(data: DataOption = Path("data")) -> None:
 def docs(
     out: Annotated[Path, typer.Option(help="Folder to write into.")] = Path("docs/reference"),
 ) -> None:
-    """Write the generated pages of the reference: tables, settings, commands."""
+    """Write the generated pages of the reference: tables, settings, commands, checks."""
     from groundwalk.reference import write_reference
 
     out.mkdir(parents=True, exist_ok=True)

@@ -1,10 +1,11 @@
-"""The generated pages of docs/reference: tables, settings and commands, made from the code that defines them."""
+"""The generated pages of docs/reference (tables, settings, commands, checks), made from the code that defines them."""
 
 from collections.abc import Collection, Iterator, Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from groundwalk.alignment.checks import CAUSES, KINDS
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler
 from groundwalk.artefacts.reference import reference as tables_page
 from groundwalk.artefacts.registry import Registry
@@ -14,7 +15,7 @@ from groundwalk.fusion.methods import METHODS
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.training.regressors import REGRESSORS
 
-RULERS = {"charuco": CharucoRuler, "apriltag": AprilTagRuler, "distance": DistanceRuler}
+RULERS: dict[str, type[Settings]] = {"charuco": CharucoRuler, "apriltag": AprilTagRuler, "distance": DistanceRuler}
 WRITTEN_BY = "This page is written by `make docs`."
 
 _SETTINGS_HEAD = f"""# Settings
@@ -34,6 +35,16 @@ command is run again. `make help` lists the targets of the Makefile, which call 
 
 {WRITTEN_BY}
 """
+_CHECKS_HEAD = f"""# Checks of ground truth
+
+`align` writes a row for each check and each session, model or window that it is about into
+[`gate`](tables.md#align). The value is an estimate, `sd` its standard error: the check has *passed* where the value
+keeps two of these within the limit, *failed* where it is beyond the limit by two or more, and is *undecided* between.
+What has no standard error is counted or measured. The limits are [settings](settings.md#align); why these checks:
+[consistency](../explanation/consistency.md); step by step: [act on a failed check](../how-to/failed-check.md).
+
+{WRITTEN_BY}
+"""
 
 
 def write_reference(folder: Path) -> list[Path]:
@@ -47,7 +58,12 @@ def write_reference(folder: Path) -> list[Path]:
 
 def reference_pages() -> dict[str, str]:
     """The generated pages by file name."""
-    return {"tables.md": tables_page(), "settings.md": settings_page(), "commands.md": commands_page()}
+    return {
+        "tables.md": tables_page(),
+        "settings.md": settings_page(),
+        "commands.md": commands_page(),
+        "checks.md": checks_page(),
+    }
 
 
 def settings_page() -> str:
@@ -61,6 +77,20 @@ def commands_page() -> str:
     for panel, commands in COMMANDS.items():
         parts.append(f"\n## {panel}\n")
         parts += [_command(command) for command in commands]
+    return "".join(parts)
+
+
+def checks_page() -> str:
+    """Every check of align with what it estimates and what to do, and the causes in their order."""
+    parts = [_CHECKS_HEAD, "\n## Checks\n\n| check | estimates | unit | where it failed | what would decide it |\n"]
+    parts.append("|---|---|---|---|---|\n")
+    for name, kind in KINDS.items():
+        cells = " | ".join(_cell(text) for text in (kind.estimate, kind.unit, kind.remedy, kind.decides))
+        parts.append(f"| `{name}` | {cells} |\n")
+    parts.append(
+        "\n## Causes\n\nWhat a failure says is wrong, column `cause`. The first in this order names the run.\n\n"
+    )
+    parts += [f"{number}. {_cell(str(cause))}\n" for number, cause in enumerate(CAUSES, 1)]
     return "".join(parts)
 
 
