@@ -84,7 +84,7 @@ COMMANDS = {
             "alignment.__main__",
             "check-truth",
         ),
-        Command("docs", "Write the generated pages of docs/reference.", "commands", "docs"),
+        Command("docs", "Write the generated pages of the docs.", "commands", "docs"),
     ],
 }
 

@@ -64,13 +64,10 @@ def scenes(data: DataOption = Path("data")) -> None:
 
 
 @app.command()
-def docs(
-    out: Annotated[Path, typer.Option(help="Folder to write into.")] = Path("docs/reference"),
-) -> None:
-    """Write the generated pages of the reference: tables, settings, commands, checks."""
+def docs(out: Annotated[Path, typer.Option(help="The folder of the docs.")] = Path("docs")) -> None:
+    """Write the generated pages of the docs: reference of tables, settings, commands and checks."""
     from groundwalk.reference import write_reference
 
-    out.mkdir(parents=True, exist_ok=True)
     for path in write_reference(out):
         print(path)
 

@@ -1,5 +1,7 @@
-"""The generated pages of docs/reference (tables, settings, commands, checks), made from the code that defines them."""
+"""The generated pages of docs: the reference from the code that defines it, and results from committed data."""
 
+import dataclasses
+import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from enum import Enum
 from pathlib import Path
@@ -9,10 +11,15 @@ from groundwalk.alignment.checks import CAUSES, KINDS
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler
 from groundwalk.artefacts.reference import reference as tables_page
 from groundwalk.artefacts.registry import Registry
-from groundwalk.artefacts.settings import SceneConfig, Settings, SplitRules
+from groundwalk.artefacts.settings import SHIPPED_DATA, DataRoot, SceneConfig, Settings, SplitRules
 from groundwalk.cli import COMMANDS, Command, all_commands
 from groundwalk.fusion.methods import METHODS
+from groundwalk.reports.checks import check_tables
+from groundwalk.reports.details import checks
+from groundwalk.reports.grids import PUBLISHED, markdown
+from groundwalk.reports.published import load_claims, load_published
 from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.simulation.vio import FIT_FILE, VioModel
 from groundwalk.training.regressors import REGRESSORS
 
 RULERS: dict[str, type[Settings]] = {"charuco": CharucoRuler, "apriltag": AprilTagRuler, "distance": DistanceRuler}
@@ -45,25 +52,63 @@ What has no standard error is counted or measured. The limits are [settings](set
 
 {WRITTEN_BY}
 """
+_DRIFT_HEAD = """# How far phones' VIO drifts
+
+Written by `make docs` from `simulation/vio_fit.toml`, which `python -m groundwalk.simulation.fit_vio` measures on real
+recordings; a test holds that the recordings still give it. Intervals are of 68 %; where one reaches 0, the value is its
+upper end, a bound. What the recordings are and how it is measured: [VIO drift](../explanation/vio-drift.md).
+
+| parameter | meaning | value | 68 % interval | unit | samples | source |
+|---|---|---|---|---|---|---|
+"""
+_PUBLISHED_HEAD = """# The paper's printed tables, held against each other
+
+Written by `make docs` from `data/published/`: the rules of the [report](../explanation/reports.md#checks) make {rules}
+comparisons. These don't agree, or can't be compared as they are printed.
+
+| """
 
 
-def write_reference(folder: Path) -> list[Path]:
-    """Write all generated pages into docs/reference; their paths."""
+def write_reference(docs: Path) -> list[Path]:
+    """Write all generated pages into the folder docs/; their paths."""
     written = []
     for name, page in reference_pages().items():
-        (folder / name).write_text(page, encoding="utf-8")
-        written.append(folder / name)
+        (docs / name).parent.mkdir(parents=True, exist_ok=True)
+        (docs / name).write_text(page, encoding="utf-8")
+        written.append(docs / name)
     return written
 
 
 def reference_pages() -> dict[str, str]:
-    """The generated pages by file name."""
+    """The generated pages by path in docs/."""
     return {
-        "tables.md": tables_page(),
-        "settings.md": settings_page(),
-        "commands.md": commands_page(),
-        "checks.md": checks_page(),
+        "reference/tables.md": tables_page(),
+        "reference/settings.md": settings_page(),
+        "reference/commands.md": commands_page(),
+        "reference/checks.md": checks_page(),
+        "results/vio-drift.md": vio_drift_page(),
+        "results/published.md": published_page(),
     }
+
+
+def vio_drift_page() -> str:
+    """What was measured of the drift of phones' VIO, from the committed fit."""
+    fit = tomllib.loads(FIT_FILE.read_text(encoding="utf-8"))
+    rows = [_DRIFT_HEAD]
+    for field in dataclasses.fields(VioModel):
+        p = fit[field.name]
+        interval = f"{p['low']} to {p['high']}" if p["low"] < p["high"] else ""
+        cells = [f"`{field.name}`", _cell(field.metadata["meaning"]), str(p["value"]), interval, p["unit"]]
+        rows.append(f"| {' | '.join(cells)} | {p['samples']} | {_cell(p['source'])} |\n")
+    return "".join(rows)
+
+
+def published_page() -> str:
+    """What the report's rules say of the paper's own tables and text."""
+    files = DataRoot(SHIPPED_DATA).files("published")
+    findings = check_tables(load_published(files), load_claims(files))
+    grid = checks(findings, PUBLISHED)
+    return _PUBLISHED_HEAD.format(rules=len(findings)) + (markdown(grid).partition("\n\n| ")[2] if grid else "")
 
 
 def settings_page() -> str:

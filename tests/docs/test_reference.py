@@ -1,4 +1,4 @@
-"""The generated pages of docs/reference follow the code, and every profile's settings are settings that there are."""
+"""The generated pages follow the code, and every profile's settings are settings that there are."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,13 +13,14 @@ from groundwalk.cli import all_commands
 from groundwalk.reference import RULERS, reference_pages
 from groundwalk.simulation.settings import SimulateSettings
 
-REFERENCE = Path(__file__).resolve().parents[2] / "docs" / "reference"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+REFERENCE = DOCS / "reference"
 SECTIONS = {"simulate": SimulateSettings} | {c.name: c.stage().settings for c in all_commands() if c.is_stage}
 
 
 @pytest.mark.parametrize("name", reference_pages())
 def test_a_generated_page_is_up_to_date(name: str) -> None:
-    assert (REFERENCE / name).read_text(encoding="utf-8") == reference_pages()[name], "run `make docs`"
+    assert (DOCS / name).read_text(encoding="utf-8") == reference_pages()[name], "run `make docs`"
 
 
 def fields(model: type[Settings], name: str) -> Iterator[tuple[str, Any]]:
@@ -57,6 +58,14 @@ def test_each_capture_format_is_in_the_table() -> None:
     start = lines.index(next(line for line in lines if line.startswith("| name | app")))
     rows = [line.split("`")[1] for line in lines[start + 2 :][: len(FORMATS.builtin)]]
     assert rows == list(FORMATS.builtin)
+
+
+def test_each_package_is_in_the_architecture() -> None:
+    page = (DOCS / "explanation" / "architecture.md").read_text(encoding="utf-8")
+    packages = [path.parent.name for path in DOCS.parent.glob("*/__init__.py") if path.parent.name != "benchmarks"]
+    assert len(packages) > 8
+    for name in packages:
+        assert f"| `{name}/` |" in page, name
 
 
 @pytest.mark.parametrize("profile", DataRoot(SHIPPED_DATA).names("profiles"))
