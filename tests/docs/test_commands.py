@@ -8,6 +8,8 @@ import subprocess
 import tomllib
 from pathlib import Path
 
+import nbclient
+import nbformat
 import pytest
 from pages import COMMAND, NOT_RUN, ROOT, Block, Page, pages
 
@@ -133,3 +135,11 @@ def linked(source: str, target: str) -> None:
         os.link(source, target)
     else:
         shutil.copy2(source, target)
+
+
+@pytest.mark.slow
+def test_the_notebook_runs_as_it_is(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(finished))
+    notebook = nbformat.read(finished / "docs" / "tutorials" / "first_look.ipynb", as_version=4)
+    resources = {"metadata": {"path": str(finished)}}
+    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3", resources=resources).execute()

@@ -92,7 +92,8 @@ class MadeUpRun:
         truth = filled("align", "ground_truth", FRAMES, **self._keys, **pose_frame("map_cam", poses), quality="A")
         truth = truth.assign(fx=31.0, fy=31.0, cx=16.0, cy=12.0, distortion=[[0.1, -0.2]] * FRAMES)
         truth.loc[LOST, "quality"] = "none"
-        return {"ground_truth": truth.assign(scale_source="vio", vertical_source="gravity")}
+        sessions = filled("align", "sessions", 2, session_id=["walk-0", "walk-1"])
+        return {"ground_truth": truth.assign(scale_source="vio", vertical_source="gravity"), "sessions": sessions}
 
     def _train(self) -> dict[str, pd.DataFrame]:
         predicted = pose_frame("map_cam", self.map_T_cam)
