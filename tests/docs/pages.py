@@ -13,7 +13,7 @@ NOT_RUN = re.compile(r"<!-- not run: (\S.*?) -->")
 # A file of the example package, which tests/plugins runs and compares with the page.
 LISTING = re.compile(r"`tests/plugins/example/\S+`:")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-COMMAND = re.compile(r"^(?:\$ )?(?:\.venv/bin/)?(?:make|groundwalk|python3? -m|pip)\b")
+COMMAND = re.compile(r"^(?:\$ )?(?:\.venv/bin/)?(?:make|groundwalk|python3? -m|pip)(?= |$)")
 
 
 @dataclass(frozen=True)
