@@ -54,7 +54,7 @@ What has no standard error is counted or measured. The limits are [settings](set
 """
 _DRIFT_HEAD = """# How far phones' VIO drifts
 
-Written by `make docs` from `simulation/vio_fit.toml`, which `python -m groundwalk.simulation.fit_vio` measures on real
+Written by `make docs` from `simulation/vio_fit.toml`, which `python -m benchmarks.vio_drift.fit` measures on real
 recordings; a test holds that the recordings still give it. Intervals are of 68 %; where one reaches 0, the value is its
 upper end, a bound. What the recordings are and how it is measured: [VIO drift](../explanation/vio-drift.md).
 

@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import Split
 from groundwalk.artefacts.schemas import Column, TableSchema, all_tables, pose_columns
 from groundwalk.artefacts.tables import pose_frame, poses_of, read_table, write_table
 from groundwalk.geometry.poses import make_pose
@@ -88,3 +89,19 @@ def test_reader_refuses_another_major_version_and_what_is_no_table(tmp_path: Pat
 
 def test_each_column_has_a_meaning() -> None:
     assert all(column.meaning for table in all_tables() for column in table.columns)
+
+
+def test_a_text_that_is_none_of_a_column_s_choices_is_refused(tmp_path: Path) -> None:
+    table = TableSchema("sfm", "t", "", [Column("split", "string", "", nullable=True, choices=Split)])
+    write_table(tmp_path / "t.parquet", pd.DataFrame({"split": ["train", None]}), table)
+    with pytest.raises(ValueError, match=r"sfm\.t\.split: Train; it can be train, val, test"):
+        write_table(tmp_path / "t.parquet", pd.DataFrame({"split": ["train", "Train"]}), table)
+
+
+def test_an_older_table_s_error_names_renamed_columns(tmp_path: Path) -> None:
+    older = TableSchema("sfm", "t", "", [Column("verdict", "string", "")])
+    write_table(tmp_path / "t.parquet", pd.DataFrame({"verdict": ["a"]}), older)
+    newer = TableSchema("sfm", "t", "", [Column("status", "string", "")], "2.0", {"verdict": "status"})
+    with pytest.raises(UserError, match="another version") as error:
+        read_table(tmp_path / "t.parquet", newer)
+    assert error.value.details["found"] == "1.0 (verdict is now status)"
