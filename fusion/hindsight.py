@@ -6,7 +6,7 @@ keyframes (fusion/keyframes.py); with each new one the alignment's whole course 
 (fusion/aligner.py), so that what a prediction counts is decided in hindsight. Where the newest ones are explained
 better by another alignment, odometry has lost its frame, or found it again (fusion/rivals.py)."""
 
-from math import acos, atan2, cos, radians, sin, sqrt
+from math import acos, atan2, cos, pi, radians, sin, sqrt
 
 import numpy as np
 from pydantic import Field
@@ -17,7 +17,7 @@ from groundwalk.fusion.error_map import ErrorMap
 from groundwalk.fusion.keyframes import Keyframes
 from groundwalk.fusion.localiser import Estimate, Localiser, State, Status, array, plain
 from groundwalk.fusion.odometry import OdometryOptions
-from groundwalk.fusion.odometry_quality import drift_factors
+from groundwalk.fusion.odometry_quality import OdometryQuality
 from groundwalk.fusion.prediction_noise import (
     Prior,
     side_turn_correlation,
@@ -37,6 +37,9 @@ _LEAST_DRIFT = np.array([1e-8, 1e-8, 1e-8, 1e-10])
 class HindsightOptions(OdometryOptions):
     """What is assumed of odometry and of the regressor before it has been seen."""
 
+    vio_speed_m_s: float = Field(1.5, gt=0, description="fastest motion that odometry is believed without question")
+    vio_jump_m: float = Field(0.5, gt=0, description="motion beyond that speed that counts as an odometry jump")
+    vio_gap_s: float = Field(10.0, gt=0, description="time without a frame after which odometry may have begun anew")
     position_sd_m: float = Field(0.3, gt=0, description="a prediction's first assumed position error an axis")
     rotation_sd_deg: float = Field(8.0, gt=0, description="a prediction's first assumed rotation error an axis")
     size_count: float = Field(0.3, gt=0, description="predictions that the first assumed sizes count as")
@@ -55,8 +58,16 @@ class HindsightOptions(OdometryOptions):
         0.3, gt=0, le=1, description="what a prediction counts of an independent one: neighbours are wrong alike"
     )
     shared: float = Field(
-        0.2, ge=0, lt=1, description="share of their position variance that a walk's predictions have in common: bounds"
+        0.7,
+        ge=0,
+        lt=1,
+        description="share of their errors' variance that predictions of one place have in common: bounds",
     )
+    shared_m: float = Field(4.0, gt=0, description="how far apart they are where that has faded to 1/e")
+    position_covariance_factor: float = Field(
+        2.0, gt=0, description="what the position's covariance is multiplied with"
+    )
+    yaw_covariance_factor: float = Field(0.6, gt=0, description="the same, of yaw")
     apart_m: float = Field(0.05, gt=0, description="motion after which two predictions are half independent")
     turn_length_m: float = Field(1.0, ge=0, description="motion that a turn by one radian counts as")
     keyframes: int = Field(64, ge=8, description="predictions kept as evidence")
@@ -89,6 +100,8 @@ class Hindsight(Localiser):
         self.options = o = options or HindsightOptions()
         self._error_map = error_map if o.error_map else None
         size_count = o.size_count if self._error_map is None else o.size_count_known
+        widened = np.sqrt(np.array([*[o.position_covariance_factor] * 3, o.yaw_covariance_factor]))
+        self._widened = np.outer(widened, widened)
         self._prior = Prior(side_turn_correlation(o.side_turn), o.side_turn_count, size_count)
         self._usual_sizes = np.repeat([radians(o.rotation_sd_deg), o.position_sd_m], 3)
         yaw_m, position, height = radians(o.drift_deg_m) ** 2, o.drift_m**2, o.drift_height_m**2
@@ -105,6 +118,8 @@ class Hindsight(Localiser):
         self._bound: Array | None = None  # covariance (4, 4) of the newest keyframe's x, y, z and yaw, in map axes
         self._vio: tuple[int, Array] | None = None
         self._distrust = np.ones(4)  # factors of odometry's drift variances: x, y, z, yaw
+        self._quality = OdometryQuality()
+        self._taken_m = 0.0  # `_along_m` at the newest prediction
         self._along_m = 0.0
         self._drift = np.zeros(4)  # variances since the newest keyframe
         self._segment = 0
@@ -146,7 +161,7 @@ class Hindsight(Localiser):
         trace = sum(now[i][k] * last[i][k] for i in range(3) for k in range(3))
         self._along_m += length + o.turn_length_m * acos(min(1.0, max(-1.0, (trace - 1) / 2)))
         self._drift = self._drift + length * self._drift_a_metre + seconds * self._drift_a_second
-        return length > o.vio_speed_m_s * seconds + o.vio_jump_m
+        return length > o.vio_speed_m_s * seconds + o.vio_jump_m or seconds > o.vio_gap_s
 
     def _take(self, t_ns: int, vio_T_cam: Array, map_T_cam_apr: Array) -> None:
         """Keep a prediction as the newest keyframe."""
@@ -163,6 +178,8 @@ class Hindsight(Localiser):
         else:
             normalised = whitening(sizes, vio_T_cam[:3, :3])
         state = self._carried(vio_T_cam) if len(self._keyframes) else np.array([*position, yaw])
+        if self.options.distrust:
+            self._judge_odometry(position, yaw, normalised, state, vio_T_cam)
         loss = 0.5 if self._watched else self.options.loss
         self._keyframes.add(
             whitening=normalised,
@@ -178,6 +195,27 @@ class Hindsight(Localiser):
         self._drift, self._watched = np.zeros(4), False
         self._count += 1
 
+    def _judge_odometry(self, position: Array, yaw: float, normalised: Array, state: Array, vio_T_cam: Array) -> None:
+        way = np.zeros(3)
+        if self._watched:
+            self._quality.lost()
+        elif len(self._keyframes):
+            way = vio_T_cam[:3, 3] - self._keyframes.column("vio")[-1]
+        # A yaw is measured as it was before, give or take half a turn.
+        turned = state[3] + (yaw - state[3] + pi) % (2 * pi) - pi
+        precision = np.square(normalised).sum(axis=1)
+        self._quality.update(
+            np.array([*position, turned]),
+            np.array([3 / precision[3:].sum(), 1 / precision[1]]),
+            way,
+            self._along_m - self._taken_m,
+            self._drift,
+            state[3],
+            1.0 if self._known is None else float(self._known[3, 3]),
+        )
+        self._taken_m = self._along_m
+        self._distrust = self._quality.factors
+
     def _carried(self, vio_T_cam: Array, keyframe: int = -1) -> Array:
         """Position and yaw (4,) of a camera: a keyframe's, by default the newest's, moved on by odometry."""
         x, y, z, yaw = self._keyframes.column("state")[keyframe].tolist()
@@ -190,8 +228,6 @@ class Hindsight(Localiser):
     def _fit(self) -> dict[str, float]:
         """Fit all keyframes anew, and change to another alignment where one has won; returns signals."""
         keyframes = self._keyframes
-        if self.options.distrust and self._count % _EVERY == 0:
-            self._distrust = drift_factors(keyframes)
         newest = None if self._known is None else self._innovation(self._known)
         # While there are few, each new one changes much.
         for _ in range(self.options.iterations if 2 * len(keyframes) <= self.options.keyframes else 1):
@@ -236,7 +272,7 @@ class Hindsight(Localiser):
     @property
     def _model(self) -> Model:
         o = self.options
-        return Model(self._prior, o.degrees_of_freedom, o.independent, o.apart_m, o.shared)
+        return Model(self._prior, o.degrees_of_freedom, o.independent, o.apart_m, o.shared, o.shared_m)
 
     def _innovation(self, known: Array) -> float:
         """Squared error of the newest prediction, with what was known and has drifted since the one before."""
@@ -260,6 +296,7 @@ class Hindsight(Localiser):
 
     def _follow(self, rival: Rival) -> None:
         """Change to another alignment from some keyframe on."""
+        self._quality.lost()
         keyframes = self._keyframes
         keyframes.column("state")[rival.begin :] = rival.state
         if rival.segment is None:
@@ -301,7 +338,9 @@ class Hindsight(Localiser):
         moved = map_T_vio[:3, :3] @ (vio_T_cam[:3, 3] - self._keyframes.column("vio")[keyframe])
         F = np.eye(4)
         F[0, 3], F[2, 3] = moved[2], -moved[0]
-        bound = F @ bound @ F.T + np.diag(self._distrust * self._drift if keyframe == -1 else np.zeros(4))
+        bound = F @ (self._widened * bound) @ F.T + np.diag(
+            self._distrust * self._drift if keyframe == -1 else np.zeros(4)
+        )
         covariance = np.zeros((6, 6))
         covariance[0, 0] = covariance[2, 2] = radians(self.options.tilt_sd_deg) ** 2
         covariance[1, 1] = bound[3, 3]
@@ -336,6 +375,8 @@ class Hindsight(Localiser):
             "along_m": self._along_m,
             "drift": plain(self._drift),
             "distrust": plain(self._distrust),
+            "quality": self._quality.save(),
+            "taken_m": self._taken_m,
             "segment": self._segment,
             "count": self._count,
             "watched": self._watched,
@@ -347,14 +388,14 @@ class Hindsight(Localiser):
         self._keyframes.restore(state["keyframes"])
         self._covariance, self._drift = np.array(state["covariance"]), np.array(state["drift"])
         self._known, self._bound = array(state["known"]), array(state["bound"])
-        self._distrust = np.array(state["distrust"])
+        self._distrust, self._taken_m = np.array(state["distrust"]), state["taken_m"]
+        self._quality.restore(state["quality"])
         self._vio = None if state["vio"] is None else (state["vio"][0], np.array(state["vio"][1]))
         self._along_m, self._segment, self._count = state["along_m"], state["segment"], state["count"]
         self._watched, self._doubted = state["watched"], state["doubted"]
 
 
 _SETTLING = 20
-_EVERY = 5  # predictions, after which odometry's quality is looked at again
 _WORTH_A_LOOK = 2.0  # squared error, over the usual one, of a prediction that may be of another alignment
 # So many predictions in a row that are this much farther off (in the square) than usual: something is wrong.
 _SURPRISES, _SURPRISING = 4, 8.0

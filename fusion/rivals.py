@@ -20,7 +20,7 @@ _ANYWHERE = 40.0 * 40.0 * 3.0 * 2 * np.pi
 _DIMENSIONS = 6
 # Odds below exp(_SIGN) against a loss of odometry's frame: it jumped, or was gone.
 _SIGN = 1.0
-_WITHOUT_SIGN = 0.35
+_WITHOUT_SIGN = 0.5
 _HOPELESS = 5.0  # nats behind, where a rival needn't be worked out
 _BACK = 3.0  # log odds against an earlier alignment's holding again
 
