@@ -9,11 +9,11 @@ from groundwalk.alignment.checks import DISAGREES, About, Check, check
 from groundwalk.alignment.components import Component
 from groundwalk.alignment.segments import Segment
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.geometry.decisions import SIGMAS, beyond, within
+from groundwalk.consistency.decisions import SIGMAS, beyond, within
+from groundwalk.consistency.vio_drift import VioDrift
+from groundwalk.consistency.windows import PoseSd, WindowResiduals, compare_windows
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.vio_agreement import PoseSd, WindowResiduals, compare_windows
-from groundwalk.geometry.vio_drift import VioDrift
 
 
 @dataclass(frozen=True)

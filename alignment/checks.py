@@ -7,13 +7,13 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.artefacts.schemas import schema
-from groundwalk.geometry import motion_agreement
-from groundwalk.geometry.decisions import Status, decide
-from groundwalk.geometry.motion_agreement import MISTAKES
+from groundwalk.consistency import motions
+from groundwalk.consistency.decisions import Status, decide
+from groundwalk.consistency.motions import MISTAKES
 
 # What a failed check means, in the words of align.gate's column `cause`; the first of those found names the run.
-MIRRORED = MISTAKES[motion_agreement.MIRRORED][0]
-SHUFFLED = MISTAKES[motion_agreement.UNRELATED][0]
+MIRRORED = MISTAKES[motions.MIRRORED][0]
+SHUFFLED = MISTAKES[motions.UNRELATED][0]
 INTRINSICS = "intrinsics wrong"
 LOOK_ALIKE = "look-alike places folded together"
 VIO_SCALE = "VIO scale wrong"

@@ -8,11 +8,11 @@ from groundwalk.alignment.checks import UNCERTAIN, About, Check, check
 from groundwalk.alignment.map_frame import MapScale, Vertical
 from groundwalk.alignment.segments import Segment
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.geometry.decisions import Status
+from groundwalk.consistency.decisions import Status
+from groundwalk.consistency.vio_drift import VioDrift
+from groundwalk.consistency.windows import PoseSd, fit_rigid
 from groundwalk.geometry.fits import Sim3, rotation_to_up
 from groundwalk.geometry.poses import Array, heading, inverse, transform
-from groundwalk.geometry.vio_agreement import PoseSd, fit_rigid
-from groundwalk.geometry.vio_drift import VioDrift
 
 _LEAST_FRAMES = 3
 

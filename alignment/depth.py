@@ -21,7 +21,7 @@ from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import poses_of
-from groundwalk.geometry.decisions import Status
+from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.depth_images import pixel_rays, ratio_statistics, sample_depth, smooth_pixels
 from groundwalk.geometry.poses import Array, inverse, transform
 

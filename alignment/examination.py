@@ -36,10 +36,10 @@ from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
 from groundwalk.alignment.uncertainty import covariance_in_map, largest_sd
 from groundwalk.artefacts import UserError
+from groundwalk.consistency.decisions import Status
+from groundwalk.consistency.vio_drift import VioDrift
+from groundwalk.consistency.windows import PoseSd
 from groundwalk.geometry import GeometryError
-from groundwalk.geometry.decisions import Status
-from groundwalk.geometry.vio_agreement import PoseSd
-from groundwalk.geometry.vio_drift import VioDrift
 
 NOT_REGISTERED = "SfM didn't register it"
 NOT_COMPARED = "not compared with VIO"

@@ -24,8 +24,8 @@ from groundwalk.alignment.uncertainty import (
     shared_covariance,
 )
 from groundwalk.artefacts.tables import CAMERA_COLUMNS, dataset_frames, pose_frame, poses_of
+from groundwalk.consistency.windows import PoseSd
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.vio_agreement import PoseSd
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundwalk.alignment.segments import Segment
+from groundwalk.consistency.scale import Scale, recording_scale, robust_mean
 from groundwalk.geometry.fits import direction_angles, fit_robust, mean_direction
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.vio_agreement import Scale, recording_scale, robust_mean
 
 # What gave the map its scale or vertical, as align.ground_truth names it; rulers go by their names.
 BY_VIO, BY_GRAVITY, BY_REFERENCE = "vio", "gravity", "reference"

@@ -13,8 +13,8 @@ from groundwalk.alignment.components import Component
 from groundwalk.alignment.examination import Examination
 from groundwalk.alignment.segments import Segment
 from groundwalk.artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
+from groundwalk.consistency.windows import PoseSd, fit_rigid
 from groundwalk.geometry.poses import transform
-from groundwalk.geometry.vio_agreement import PoseSd, fit_rigid
 
 _MOST_SESSIONS = 8
 _INCHES = 3.2

@@ -19,8 +19,8 @@ from groundwalk.alignment.map_frame import (
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import poses_of
+from groundwalk.consistency.decisions import Status
 from groundwalk.geometry import GeometryError
-from groundwalk.geometry.decisions import Status
 from groundwalk.geometry.fits import pose_residuals
 from groundwalk.geometry.pose_similarity import PoseSimilarity, fit_similar_poses
 from groundwalk.geometry.poses import Array

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.artefacts.tables import poses_of
+from groundwalk.consistency.trajectories import Stretch
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.vio_agreement import Stretch
 
 UNTRACKED = ("limited", "lost")
 

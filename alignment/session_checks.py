@@ -22,11 +22,11 @@ from groundwalk.alignment.checks import (
 from groundwalk.alignment.components import Component
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import Focal, SfmTables
-from groundwalk.geometry.decisions import Status, share_sd
-from groundwalk.geometry.diagnosis import Diagnosis, diagnose
+from groundwalk.consistency.decisions import Status, share_sd
+from groundwalk.consistency.diagnosis import Diagnosis, diagnose
+from groundwalk.consistency.motions import MISTAKES, MotionAgreement
+from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.fits import direction_angles
-from groundwalk.geometry.motion_agreement import MISTAKES, MotionAgreement
-from groundwalk.geometry.vio_drift import VioDrift
 
 # Faults that leave no part of a model right: which of two places is it, and how far does one focal length bend all?
 _OF_THE_WHOLE = {

@@ -9,10 +9,10 @@ from groundwalk.alignment.components import Placed
 from groundwalk.alignment.segments import Segment
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import pose_frame
+from groundwalk.consistency.windows import PoseSd, fit_rigid
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import direction_angles, fit_poses, fit_sim3, pose_residuals
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.vio_agreement import PoseSd, fit_rigid
 
 # A rigid fit of fewer poses has nothing left to show a residual with.
 _LEAST_FRAMES = 3

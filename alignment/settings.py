@@ -7,8 +7,9 @@ from pydantic import BeforeValidator, Field
 from groundwalk.alignment.rulers.settings import Ruler, rulers_of
 from groundwalk.alignment.uncertainty import QualityLimits
 from groundwalk.artefacts import Settings
-from groundwalk.geometry.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT
-from groundwalk.geometry.vio_agreement import POSE_SD, STEP_M, STEP_SCALE_SD, WINDOW_M
+from groundwalk.consistency.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT
+from groundwalk.consistency.scale import STEP_M, STEP_SCALE_SD
+from groundwalk.consistency.windows import POSE_SD, WINDOW_M
 
 
 class QualitySettings(Settings):

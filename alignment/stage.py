@@ -25,7 +25,7 @@ from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
 from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.tables import dataset_frames, with_cameras
-from groundwalk.geometry.decisions import Status
+from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.poses import Array
 
 PICTURE, RULERS_PICTURE = "gate.png", "rulers.png"

@@ -55,11 +55,11 @@ BUILTIN: dict[str, dict[str, str]] = {
         "vio_oracle": "groundwalk.fusion.entries:VIO_ORACLE",
     },
     "groundwalk.exporters": {
-        "colmap": "groundwalk.alignment.export.entries:COLMAP",
-        "colmap-text": "groundwalk.alignment.export.entries:COLMAP_TEXT",
-        "tum": "groundwalk.alignment.export.entries:TUM",
-        "nerfstudio": "groundwalk.alignment.export.entries:NERFSTUDIO",
-        "7scenes": "groundwalk.alignment.export.entries:SEVEN_SCENES",
-        "cambridge": "groundwalk.alignment.export.entries:CAMBRIDGE",
+        "colmap": "groundwalk.export.entries:COLMAP",
+        "colmap-text": "groundwalk.export.entries:COLMAP_TEXT",
+        "tum": "groundwalk.export.entries:TUM",
+        "nerfstudio": "groundwalk.export.entries:NERFSTUDIO",
+        "7scenes": "groundwalk.export.entries:SEVEN_SCENES",
+        "cambridge": "groundwalk.export.entries:CAMBRIDGE",
     },
 }

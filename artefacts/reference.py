@@ -57,6 +57,8 @@ def _cells(column: Column, name: str) -> tuple[str, str, str]:
     """Unit, meaning, and what says that it may be null."""
     is_group = name.endswith("_*`")
     meaning = column.meaning.removesuffix(": position, x") if is_group else column.meaning
+    if column.choices is not None:
+        meaning += f": {', '.join(column.choices)}"
     return "m, unit quaternion" if is_group else column.unit, meaning, " or null" if column.nullable else ""
 
 

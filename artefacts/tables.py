@@ -22,7 +22,8 @@ def write_table(path: Path, frame: pd.DataFrame, schema: TableSchema) -> None:
     """Write `frame` as Parquet with the schema's metadata, atomically.
 
     Columns come out in the schema's order. A programming error here is a ValueError: a column missing, unknown,
-    of another type, null where it may not be, or a quaternion that isn't unit.
+    of another type, null where it may not be, a text that isn't one of the column's choices, or a quaternion that isn't
+    unit.
     """
     name = f"{schema.stage}.{schema.name}"
     missing = [c for c in schema.column_names if c not in frame.columns]
@@ -36,6 +37,10 @@ def write_table(path: Path, frame: pd.DataFrame, schema: TableSchema) -> None:
     for column in schema.columns:
         if not column.nullable and table[column.name].null_count:
             raise ValueError(f"{name}.{column.name}: {table[column.name].null_count} nulls, none allowed")
+        if column.choices is not None:
+            unknown = sorted(set(table[column.name].unique().to_pylist()) - {*column.choices, None})
+            if unknown:
+                raise ValueError(f"{name}.{column.name}: {', '.join(unknown)}; it can be {', '.join(column.choices)}")
     for prefix in pose_prefixes(schema):
         q = frame[[f"{prefix}_q{a}" for a in "xyzw"]].to_numpy(float)
         norm = np.linalg.norm(q[~np.isnan(q).any(axis=1)], axis=1)
@@ -65,11 +70,12 @@ def read_table(path: Path, schema: TableSchema, *, older_is_complete: bool = Fal
     if written != name:
         raise UserError("a file holds another table", where=path, expected=name, found=written)
     if version.split(".")[0] != schema.version.split(".")[0]:
+        renamed = [f"{old} is now {new}" for old, new in schema.renamed.items() if old in table.column_names]
         raise UserError(
             f"table {name} has another version of its schema",
             where=path,
             expected=f"{schema.version.split('.')[0]}.x",
-            found=version,
+            found=f"{version} ({', '.join(renamed)})" if renamed else version,
             do=f"run the {schema.stage} stage again",
         )
     missing = [c.name for c in schema.columns if not c.nullable and c.name not in table.column_names]

@@ -10,7 +10,7 @@ Prints Markdown tables and writes them, with all figures as JSON, to a folder. T
 - then simulated walks whose odometry is spoilt in one way each, and a phone that is carried on for a minute unseen.
 
 But for *trained*, predictions are simulated: as wrong as the published PN and MS-T are in each of the six scenes
-(simulation/apr_errors.py). Nothing here measures a phone or a regressor.
+(benchmarks/regressor_errors/model.py). Nothing here measures a phone or a regressor.
 
 What `drift_aware` and `smoother` learn from beforehand are predictions of the same regressor for held-out frames of
 training walks, a tenth of each as import holds them out. `drift_aware without error_map` learns nothing beforehand.
@@ -34,6 +34,7 @@ from benchmarks import fusion_inputs as inputs
 from benchmarks import fusion_scores as scores
 from benchmarks.fusion_inputs import Case
 from benchmarks.fusion_scores import OURS, RAW, RULE, UNTAUGHT, Target, Variant, markdown
+from benchmarks.regressor_errors.fit import REGRESSORS
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.cli import SetOption, new_app
 from groundwalk.artefacts.progress import track
@@ -46,7 +47,6 @@ from groundwalk.fusion.offline import stepped
 from groundwalk.fusion.sweep import grid, sweep
 from groundwalk.fusion.walks import Walk
 from groundwalk.geometry.poses import Array
-from groundwalk.simulation.fit_apr_errors import REGRESSORS
 from groundwalk.simulation.scenes import NAMES
 
 KINDS = (inputs.SIMULATED, inputs.RECORDED, inputs.MEASURED, inputs.TRAINED, *inputs.BAD_ODOMETRY, inputs.KIDNAPPED)

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
+from benchmarks.pose_walks import pose_walks
+from benchmarks.regressor_errors.model import apr_seeds, read_apr_models, simulate_apr
 from groundwalk.artefacts import DataRoot
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import SplitRules
@@ -24,10 +26,8 @@ from groundwalk.capture_import.splits import split_frames
 from groundwalk.fusion.error_map import ErrorMap
 from groundwalk.fusion.evaluate import FuseSettings, Inputs, learnt
 from groundwalk.fusion.walks import Walk, evaluated, known
-from groundwalk.geometry.metrics import step_lengths
 from groundwalk.geometry.poses import Array, heading, interpolate, inverse, make_pose, relative, yaw_rotation
-from groundwalk.simulation.apr_errors import apr_seeds, read_apr_models, simulate_apr
-from groundwalk.simulation.pose_walks import pose_walks
+from groundwalk.scoring.errors import step_lengths
 from groundwalk.simulation.vio import FITTED, VioModel, simulate_vio
 
 SIMULATED, RECORDED, MEASURED, TRAINED = "simulated", "recorded", "measured", "trained"

@@ -48,8 +48,8 @@ from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.capture_import.stage import STAGE as IMPORT
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import Sim3, fit_robust, fit_sim3, fit_yaw
-from groundwalk.geometry.metrics import position_error, rotation_error_deg
 from groundwalk.geometry.poses import Array
+from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.sfm.stage import STAGE as SFM
 
 PROFILE = "tiny"

@@ -11,16 +11,16 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from benchmarks.pose_walks import PoseWalk, pose_walks
 from groundwalk.alignment.agreement import compare
 from groundwalk.alignment.map_frame import common_scale, common_vertical
 from groundwalk.alignment.segments import Segment
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.cli import new_app
+from groundwalk.consistency.vio_drift import VioDrift
+from groundwalk.consistency.windows import PoseSd
 from groundwalk.geometry.fits import Sim3, direction_angles
 from groundwalk.geometry.poses import Array, make_pose
-from groundwalk.geometry.vio_agreement import PoseSd
-from groundwalk.geometry.vio_drift import VioDrift
-from groundwalk.simulation.pose_walks import PoseWalk, pose_walks
 from groundwalk.simulation.vio import FITTED, simulate_vio
 
 _UP = np.array([0.0, 1.0, 0.0])

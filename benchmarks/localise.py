@@ -26,7 +26,6 @@ from scipy.stats import chi2, spearmanr
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.images import image_file
-from groundwalk.geometry.metrics import position_error, rotation_error_deg
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.localisation.build import build_map
 from groundwalk.localisation.calibration import normalised_squares, pose_error
@@ -36,6 +35,7 @@ from groundwalk.localisation.hloc import HLocLocaliser
 from groundwalk.localisation.inputs import Inputs, grey, read_features, read_inputs, training_of
 from groundwalk.localisation.query import Answer, MapLocaliser
 from groundwalk.localisation.settings import MapSettings
+from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 app = new_app(__doc__ or "")
 

@@ -18,8 +18,8 @@ from groundwalk.artefacts.stage import MANIFEST, load_manifest
 from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, pose_residuals
-from groundwalk.geometry.metrics import relative_error
 from groundwalk.geometry.poses import Array, rotation_angle
+from groundwalk.scoring.errors import relative_error
 from groundwalk.sfm.database import image_id
 from groundwalk.sfm.model import load_models
 

@@ -13,8 +13,8 @@ import pandas as pd
 
 from groundwalk.fusion.summary import RUN, score_columns, subsets
 from groundwalk.fusion.walks import Flags
-from groundwalk.geometry.metrics import ACCURACY_LEVELS
 from groundwalk.geometry.poses import Array
+from groundwalk.scoring.errors import ACCURACY_LEVELS
 
 DRAWS = 1000
 CONFIDENCE = 0.95

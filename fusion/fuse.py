@@ -12,8 +12,8 @@ from groundwalk.artefacts.tables import pose_frame
 from groundwalk.fusion.localiser import Estimate, Stepping, is_rigid
 from groundwalk.fusion.offline import Offline, stepped
 from groundwalk.fusion.walks import Walk, known
-from groundwalk.geometry.metrics import position_error, rotation_error_deg
 from groundwalk.geometry.poses import Array
+from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 
 @dataclass(frozen=True)

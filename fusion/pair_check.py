@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from groundwalk.fusion.odometry import OdometryOptions
-from groundwalk.geometry.metrics import relative_error
 from groundwalk.geometry.poses import Array, quaternion_angle, tq_from_pose
+from groundwalk.scoring.errors import relative_error
 
 
 class PairOptions(OdometryOptions):
@@ -51,7 +51,7 @@ def pair_errors(map_T_cam: Array, vio_T_cam: Array, options: PairOptions) -> tup
 
 
 def length_errors(apr: tuple[Array, Array], vio: tuple[Array, Array], options: PairOptions) -> tuple[Array, Array]:
-    """The paper's RPE and ROE from positions (N, 3) and quaternions (N, 4), `groundwalk.geometry.metrics.rpe_roe`, for
+    """The paper's RPE and ROE from positions (N, 3) and quaternions (N, 4), `groundwalk.scoring.errors.rpe_roe`, for
     a caller that has use for the quaternions elsewhere."""
     apr_m, vio_m = (np.linalg.norm(np.diff(xyz, axis=0), axis=1) for xyz, _ in (apr, vio))
     apr_rad, vio_rad = (quaternion_angle(q[1:], q[:-1]) for _, q in (apr, vio))

@@ -6,8 +6,8 @@ import numpy as np
 
 from groundwalk.artefacts import UserError
 from groundwalk.fusion.walks import Walk, known
-from groundwalk.geometry.metrics import relative_error, rotation_error_deg
 from groundwalk.geometry.poses import Array, pose_from_tq, tq_from_pose
+from groundwalk.scoring.errors import relative_error, rotation_error_deg
 
 _FEW = 10  # fewer errors may fit by chance
 _CLOSER = 4.0  # by this factor, and ...

@@ -8,8 +8,8 @@ import pandas as pd
 from groundwalk.fusion.fuse import Fused, pose_errors
 from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.walks import Flags, known
-from groundwalk.geometry.metrics import accuracy_shares, relative_error, sure_enough
 from groundwalk.geometry.poses import Array
+from groundwalk.scoring.errors import accuracy_shares, relative_error, sure_enough
 
 RUN = ["method", "options", "model", "scene"]
 _AWAY_S = 10.0  # without a frame for as long, a phone may have been carried off

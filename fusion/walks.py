@@ -12,8 +12,8 @@ from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.fusion.localiser import is_covariance
-from groundwalk.geometry.metrics import sure_enough
 from groundwalk.geometry.poses import Array
+from groundwalk.scoring.errors import sure_enough
 
 Flags = NDArray[np.bool_]
 

@@ -1,4 +1,4 @@
-"""Poses, averages, fits and error metrics: pure functions on arrays, no files.
+"""Poses, averages, fits: pure functions on arrays, no files.
 
 A pose is a 4x4 float64 matrix named by its frames: ``map_T_cam`` takes camera coordinates to map coordinates.
 Batches have leading axes. Quaternions are xyzw, unit, w >= 0. Angles are radians unless the name says ``_deg``.

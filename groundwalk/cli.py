@@ -73,7 +73,7 @@ COMMANDS = {
     "Captures, exports and checks": [
         Command("inspect", "Show what a capture holds, without import.", "capture_import.__main__", "inspect"),
         Command("formats", "List the capture formats.", "capture_import.__main__", "formats"),
-        Command("export", "Write ground truth for COLMAP and other tools.", "alignment.__main__", "export"),
+        Command("export", "Write ground truth for COLMAP and other tools.", "export.__main__"),
         Command("export-model", "Write a trained regressor as ONNX.", "training.__main__", "export"),
         Command("evaluate", "Fuse predictions from Parquet files; measure errors.", "fusion.__main__", "evaluate"),
         Command("sweep", "Try other thresholds of the MobileARLoc rule.", "fusion.__main__", "sweep"),

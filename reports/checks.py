@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pandas as pd
 
-from groundwalk.geometry.metrics import ACCURACY_LEVELS
 from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD, SUBSETS, PrintedTables
+from groundwalk.scoring.errors import ACCURACY_LEVELS
 
 Interval = tuple[float, float]
 AGREES, DISAGREES, CAUTION = "agrees", "disagrees", "caution"

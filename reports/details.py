@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.artefacts.progress import format_seconds
-from groundwalk.geometry.metrics import SURE_CLASSES
 from groundwalk.reports.cells import number
 from groundwalk.reports.checks import AGREES
 from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
+from groundwalk.scoring.errors import SURE_CLASSES
 
 
 def _grid(key: str, title: str, caption: str, columns: list[str], rows: list[list[Any]], labels: int = 1) -> Grid:

@@ -9,8 +9,8 @@ import pandas as pd
 
 from groundwalk.artefacts import StageRun
 from groundwalk.artefacts.tables import poses_of
-from groundwalk.geometry.metrics import sure_enough
 from groundwalk.reports.published import PAPER_METHOD
+from groundwalk.scoring.errors import sure_enough
 
 # Fewer training frames than this, and a regressor's accuracy says nothing about regressors.
 ENOUGH_TRAINING_FRAMES = 100

@@ -11,8 +11,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from groundwalk.artefacts import UserError
-from groundwalk.geometry.metrics import accuracy_shares, sure_enough
 from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD, SUBSETS
+from groundwalk.scoring.errors import accuracy_shares, sure_enough
 
 PAPER_STATUSES = {"rp": ["reliable"], "opt": ["optimised"], "rp+opt": ["reliable", "optimised"]}
 

@@ -11,21 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.consistency.decisions import Status, decide
+from groundwalk.consistency.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT, diagnose
+from groundwalk.consistency.scale import STEP_M, STEP_SCALE_SD, recording_scale
+from groundwalk.consistency.trajectories import Stretch
+from groundwalk.consistency.vio_drift import VioDrift
+from groundwalk.consistency.windows import POSE_SD, WINDOW_M, compare_windows
 from groundwalk.geometry import GeometryError
-from groundwalk.geometry.decisions import Status, decide
-from groundwalk.geometry.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT, diagnose
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.vio_agreement import (
-    POSE_SD,
-    STEP_M,
-    STEP_SCALE_SD,
-    WINDOW_M,
-    Stretch,
-    compare_windows,
-    recording_scale,
-)
-from groundwalk.geometry.vio_drift import VioDrift
 from groundwalk.sfm.odometry import Odometry
 
 # Millimetres are nothing against the limits, which are a decimetre and more: a few rounds of each fit will do.

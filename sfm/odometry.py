@@ -10,8 +10,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.poses import Array, rotation_angle
-from groundwalk.geometry.vio_drift import VioDrift
 from groundwalk.sfm.pairs import Pairs
 
 # Below this median angle between the rays of a pair's points the images hardly tell the direction of motion.

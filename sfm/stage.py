@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.child import Task, in_child
 from groundwalk.artefacts.tables import poses_of, with_cameras
-from groundwalk.geometry.motion_agreement import compare_motions
+from groundwalk.consistency.motions import compare_motions
+from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.poses import Array, relative
-from groundwalk.geometry.vio_drift import VioDrift
 from groundwalk.sfm.adjustment import Adjusted
 from groundwalk.sfm.calibration import Calibration, calibrate, with_lenses, write_calibrated_database
 from groundwalk.sfm.covariance import Covariances, covariances

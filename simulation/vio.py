@@ -5,7 +5,7 @@ degrees and metres a metre, that vary over `correlation_m`, and the recorded pos
 integrated with these errors. So two poses close by keep their relative pose and the error grows with distance.
 Because it hangs on the path and not on the frames, one seed gives one drift whatever the frame rate.
 
-`docs/vio-drift.md` says how each number was measured; `python -m groundwalk.simulation.fit_vio` measures it again.
+`docs/vio-drift.md` says how each number was measured; `python -m benchmarks.vio_drift.fit` measures it again.
 """
 
 import tomllib
@@ -71,7 +71,7 @@ class VioModel:
 
 
 def read_model(path: Path) -> VioModel:
-    """The model that `python -m groundwalk.simulation.fit_vio` wrote to a TOML file."""
+    """The model that `python -m benchmarks.vio_drift.fit` wrote to a TOML file."""
     entries = tomllib.loads(path.read_text(encoding="utf-8"))
     return VioModel(**{f.name: float(entries[f.name]["value"]) for f in fields(VioModel)})
 

@@ -12,7 +12,7 @@ from groundwalk.artefacts import recording as colours
 from groundwalk.artefacts.recording import TIMELINE, UP_AXIS, log_camera, log_path
 from groundwalk.artefacts.registry import Colour
 from groundwalk.artefacts.tables import poses_of
-from groundwalk.geometry.metrics import position_error, rotation_error_deg
+from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.training.data import ImageCache
 
 EPOCHS = "epoch"

@@ -14,7 +14,7 @@ from groundwalk.artefacts import Stage, StageRun, UserError, recording
 from groundwalk.artefacts.child import Report, Task, in_children
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.schemas import schema
-from groundwalk.geometry.metrics import sure_enough
+from groundwalk.scoring.errors import sure_enough
 from groundwalk.training.build import Trained, save_trained
 from groundwalk.training.checks import check_regressor
 from groundwalk.training.data import Frames, ImageCache

@@ -11,7 +11,7 @@ from groundwalk.alignment.map_frame import MapScale
 from groundwalk.alignment.rulers.measurement import Reading
 from groundwalk.alignment.rulers.settings import DistanceRuler
 from groundwalk.artefacts.schemas import schema
-from groundwalk.geometry.decisions import Status, decide
+from groundwalk.consistency.decisions import Status, decide
 
 # Bounds of 95 %.
 _SIGMAS = 1.96

@@ -3,8 +3,9 @@
 One module a stage; each has ``TABLES``, a list of `TableSchema`. `schema(stage, table)` finds one.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from importlib import import_module
 from typing import Literal
 
@@ -37,7 +38,8 @@ _MODULES = {
 
 @dataclass(frozen=True)
 class Column:
-    """One column: its type, unit ("m", "deg", "ns", "px", ...), the frame it is given in, and what it means."""
+    """One column: its type, unit ("m", "deg", "ns", "px", ...), the frame it is given in, and what it means; `choices`
+    are those that its text can have."""
 
     name: str
     dtype: DType
@@ -45,6 +47,7 @@ class Column:
     unit: str = ""
     frame: str = ""
     nullable: bool = False
+    choices: type[StrEnum] | None = None
 
     def arrow(self) -> pa.Field:
         metadata = {"unit": self.unit, "frame": self.frame, "meaning": self.meaning}
@@ -62,13 +65,15 @@ def pose_columns(prefix: str, meaning: str, nullable: bool = False) -> list[Colu
 
 @dataclass(frozen=True)
 class TableSchema:
-    """A table: its stage, name, version ("major.minor"; a reader refuses another major), meaning and columns."""
+    """A table: its stage, name, version ("major.minor"; a reader refuses another major), meaning and columns; `renamed`
+    says what columns of the major version before are called now."""
 
     stage: str
     name: str
     meaning: str
     columns: list[Column] = field(repr=False)
     version: str = "1.0"
+    renamed: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     @property
     def column_names(self) -> list[str]:

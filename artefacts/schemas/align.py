@@ -1,6 +1,8 @@
 """What the align stage writes: the ground truth, how VIO compares with it, and what was checked."""
 
+from groundwalk.artefacts.choices import CameraOrigin, QualityClass, Split
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
+from groundwalk.consistency.decisions import Status
 
 _SESSION = Column("session_id", "string", "capture session")
 _SEGMENT = Column("segment", "int64", "part of the session between two VIO jumps, from 0")
@@ -15,7 +17,7 @@ TABLES = [
         [
             Column("frame_id", "string", "<session>/<six digits>"),
             _SESSION,
-            Column("split", "string", "train, val or test"),
+            Column("split", "string", "what the frame is for", choices=Split),
             Column("t_ns", "int64", "capture time on the session's clock", "ns"),
             *pose_columns("map_cam", "ground truth map_T_cam", nullable=True),
             Column(
@@ -38,7 +40,7 @@ TABLES = [
             Column(
                 "rotation_sd_deg", "float64", "without scale and vertical, largest axis, one sigma", "deg", "map", True
             ),
-            Column("quality", "string", "A, B, C (see docs/ground-truth.md) or none"),
+            Column("quality", "string", "quality class (docs/ground-truth.md)", choices=QualityClass),
             Column("reason", "string", "why quality is B, C or none, with the figure and its limit; empty for A"),
             Column("gt_uses_vio", "bool", "VIO positions took part: in the bundle adjustment, or in placing its model"),
             Column(
@@ -61,7 +63,7 @@ TABLES = [
             Column("cx", "float64", "principal point, x; the first pixel's outer corner is 0", "px"),
             Column("cy", "float64", "principal point, y; the first pixel's outer corner is 0", "px"),
             Column("distortion", "list<float64>", "OpenCV's k1, k2, p1, p2, k3, ... that go with the pose"),
-            Column("camera_origin", "string", "where the lens is from: stated, estimated or prior"),
+            Column("camera_origin", "string", "where the lens is from", choices=CameraOrigin),
         ],
         version="2.0",
     ),
@@ -150,7 +152,7 @@ TABLES = [
             Column("sd", "float64", "its standard error; null for counts and known lengths", "", "", True),
             Column("limit", "float64", "what is allowed"),
             Column("unit", "string", "unit of value, sd and limit"),
-            Column("status", "string", "passed or failed (by two sd or more), or undecided"),
+            Column("status", "string", "passed and failed are by two sd or more", choices=Status),
             Column("cause", "string", "what a failure means, by name (docs/ground-truth.md)", nullable=True),
             Column("reason", "string", "in words, unless it passed"),
             Column("advice", "string", "what to do where it failed, what would decide it where it is undecided"),
@@ -183,7 +185,7 @@ TABLES = [
             Column("reprojection_px", "float64", "triangulated corners from observations, RMS", "px", "", True),
             Column("corner_rms_mm", "float64", "triangulated corners from nominal ones, RMS", "mm", "", True),
             Column("flatness_mm", "float64", "corners from their best plane, RMS", "mm", "", True),
-            Column("status", "string", "passed, failed or undecided, as in gate"),
+            Column("status", "string", "as in gate", choices=Status),
             Column("reason", "string", "why, where it failed or is undecided; what else is to be known"),
         ],
         version="2.0",

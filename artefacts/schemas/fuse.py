@@ -1,5 +1,6 @@
 """What the fuse stage writes: what each method said about each frame, how wrong it was, and the figures."""
 
+from groundwalk.artefacts.choices import Split
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _METHOD = Column("method", "string", "fusion method's id, as in fuse.methods")
@@ -16,7 +17,7 @@ _KEYS = [
     _SCENE,
     Column("frame_id", "string", "<session>/<six digits>"),
     _SESSION,
-    Column("split", "string", "train, val or test"),
+    Column("split", "string", "what the frame is for", choices=Split),
     Column("t_ns", "int64", "capture time on the session's clock", "ns"),
 ]
 
@@ -194,7 +195,7 @@ TABLES = [
             _MODEL,
             _SCENE,
             _SESSION,
-            Column("split", "string", "train, val or test"),
+            Column("split", "string", "what the frame is for", choices=Split),
             Column("frames", "int64", "frames of the session"),
             Column("answered", "int64", "frames with a pose"),
             Column("first_fix_s", "float64", "time to the first pose; null where there is none", "s", "", True),

@@ -1,5 +1,6 @@
 """Frames of a capture with the phone's own poses, and everything that was left out."""
 
+from groundwalk.artefacts.choices import Clock, PoseSource, SessionSplit, Split, Tracking
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _SESSION = Column("session_id", "string", "recording; a part of one where VIO jumped (`walk`, `walk.part2`)")
@@ -15,7 +16,7 @@ TABLES = [
             Column("frame_id", "string", "<session>/<six digits>, the row's number in the capture's log"),
             _SESSION,
             _TIME,
-            Column("clock", "string", "what t_ns counts from: boot, unix, video or frame_index"),
+            Column("clock", "string", "what t_ns counts from", choices=Clock),
             Column("image", "string", "path in the capture folder; `import:` in front: in this artefact"),
             Column("image_sha256", "string", "sha256 of the image file"),
             Column("width", "int64", "image width", "px"),
@@ -29,14 +30,14 @@ TABLES = [
             Column("gravity_x", "float64", "unit vector of gravity, x", "", "cam", nullable=True),
             Column("gravity_y", "float64", "unit vector of gravity, y", "", "cam", nullable=True),
             Column("gravity_z", "float64", "unit vector of gravity, z", "", "cam", nullable=True),
-            Column("tracking", "string", "the odometry's state: normal, limited, lost or unknown"),
+            Column("tracking", "string", "the odometry's state", choices=Tracking),
             Column("sharpness", "float64", "1 - blur after Crete et al. 2007, 0 to 1; higher is sharper"),
             Column("exposure_s", "float64", "exposure time", "s", nullable=True),
             Column(
                 "split",
                 "string",
-                "train, val (held-out block of the training walks) or test; a support frame's is that of the frame of "
-                "the dataset nearest in time",
+                "what the frame is for; a support frame's is that of the frame of the dataset nearest in time",
+                choices=Split,
             ),
             Column("support", "bool", "support frame: used by SfM and the checks of its model, not in the dataset"),
             Column("blurred_faces", "int64", "regions blurred as faces; null: none were looked for", nullable=True),
@@ -67,15 +68,21 @@ TABLES = [
             Column("recording", "string", "the recording that the session is, or is a part of"),
             Column("format", "string", "capture format, as `python -m groundwalk.capture_import formats` lists it"),
             Column("device", "string", "phone, as far as the capture says"),
-            Column("clock", "string", "what t_ns counts from"),
+            Column("clock", "string", "what t_ns counts from", choices=Clock),
             Column("duration_s", "float64", "time from the first to the last pose", "s"),
             Column("path_m", "float64", "length of the VIO path", "m"),
             Column("poses", "int64", "poses in the log"),
             Column("images", "int64", "sound images with a pose, before sampling"),
             Column("frames", "int64", "images kept by sampling: frames of the dataset"),
             Column("support_frames", "int64", "images added for SfM alone"),
-            Column("split", "string", "train (with val inside), test, mixed, or unused"),
-            Column("poses_are", "string", "vio: the phone's odometry; reference: table `reference`", nullable=True),
+            Column("split", "string", "what it is for; val blocks lie in train sessions", choices=SessionSplit),
+            Column(
+                "poses_are",
+                "string",
+                "whose they are; those of a reference are in table `reference`",
+                nullable=True,
+                choices=PoseSource,
+            ),
             Column(
                 "reference_unit",
                 "string",
@@ -129,7 +136,7 @@ TABLES = [
             _SESSION,
             _TIME,
             *pose_columns("vio_cam", "vio_T_cam by the phone's odometry"),
-            Column("tracking", "string", "the odometry's state: normal, limited, lost or unknown"),
+            Column("tracking", "string", "the odometry's state", choices=Tracking),
         ],
     ),
 ]

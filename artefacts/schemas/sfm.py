@@ -1,5 +1,6 @@
 """The structure-from-motion models: their frames, points and pairs, and what was built and tried on the way to them."""
 
+from groundwalk.artefacts.choices import CameraOrigin
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _HELD_OUT = [
@@ -25,7 +26,7 @@ TABLES = [
             Column("cy", "float64", "principal point, y, as import has it", "px"),
             Column("distortion", "list<float64>", "OpenCV's k1, k2, p1, p2, k3, ... that go with the pose"),
             Column("readout_s", "float64", "rolling shutter: time from the first to the last row", "s"),
-            Column("camera_origin", "string", "where the lens is from: stated, estimated or prior"),
+            Column("camera_origin", "string", "where the lens is from", choices=CameraOrigin),
             Column("uses_vio", "bool", "VIO positions were the start of this pose (mapper vio)"),
             Column("keypoints", "int64", "features found in the image"),
             Column("observations", "int64", "features that see a point of the model"),
@@ -63,7 +64,7 @@ TABLES = [
             Column("readout_sd_s", "float64", "one sigma of it", "s", "", True),
             Column("stated_k1", "float64", "k1 that the capture states; 0: none"),
             Column("stated_k2", "float64", "k2 that the capture states; 0: none"),
-            Column("origin", "string", "stated, estimated, or prior: what phones have"),
+            Column("origin", "string", "where k1 and k2 are from", choices=CameraOrigin),
             Column("stated_is_wrong", "bool", "the images clearly say another lens than the stated one"),
             Column(
                 "heldout_stated_px",

@@ -1,5 +1,6 @@
 """What the train stage writes: the regressors' poses, how they learned, and what they are."""
 
+from groundwalk.artefacts.choices import Split
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _MODEL = Column("model", "string", "the regressor's id")
@@ -16,7 +17,7 @@ TABLES = [
             Column("scene", "string", "the scene that the frame is of"),
             Column("frame_id", "string", "<session>/<six digits>"),
             Column("session_id", "string", "capture session"),
-            Column("split", "string", "train, val or test; val: frames that chose the epoch, not trained on"),
+            Column("split", "string", "what the frame is for", choices=Split),
             Column("t_ns", "int64", "capture time on the session's clock", "ns"),
             *pose_columns("map_cam", "estimated map_T_cam, in the map of picked_scene"),
             Column(

@@ -13,7 +13,7 @@ from groundwalk.alignment.checks import ANY_SCENE, KINDS, Check, with_status
 from groundwalk.alignment.examination import Examination, examine
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.tables import poses_of
-from groundwalk.geometry.decisions import Status
+from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.poses import make_pose
 
 _LOOSE = {"lower": 0.0, "raise": 1e3}

@@ -25,7 +25,7 @@ from groundwalk.alignment.map_frame import NO_SCALE, MapScale, Vertical
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import pose_frame, write_table
-from groundwalk.geometry.decisions import Status
+from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
 

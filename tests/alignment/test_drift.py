@@ -7,8 +7,8 @@ from evo.core.trajectory import PosePath3D
 from scipy.spatial.transform import Rotation
 
 from groundwalk.alignment.drift import DriftSamples, distance_pairs, drift_table, measure_drift, second_pairs
-from groundwalk.geometry.metrics import rpe_roe
 from groundwalk.geometry.poses import make_pose, yaw_rotation
+from groundwalk.scoring.errors import rpe_roe
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from groundwalk.alignment.picture import draw_gate
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import poses_of
-from groundwalk.geometry.decisions import Status
+from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.poses import make_pose
 
 FRAMES = 30

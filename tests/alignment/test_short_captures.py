@@ -8,9 +8,9 @@ from groundwalk.alignment.examination import examine
 from groundwalk.alignment.ground_truth import align
 from groundwalk.alignment.sessions import fit_session
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.geometry.decisions import Status
+from groundwalk.consistency.decisions import Status
+from groundwalk.consistency.windows import POSE_SD
 from groundwalk.geometry.poses import make_pose
-from groundwalk.geometry.vio_agreement import POSE_SD
 
 # What ARKit is like over a metre: a centimetre for the root of a metre, a millimetre of jitter, 1 % of scale.
 TABLE = {"sfm_m": 0.001, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1, "jitter_m": 0.001, "phone_scale": 0.01}

@@ -10,7 +10,7 @@ from groundwalk.alignment.checks import with_status
 from groundwalk.alignment.examination import examine
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.tables import poses_of
-from groundwalk.geometry.decisions import Status
+from groundwalk.consistency.decisions import Status
 
 FRAMES = 48
 NOISE = {"frames": FRAMES, "speed_m": 0.5, "sfm_m": 0.005, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1}

@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import Split
 from groundwalk.artefacts.reference import reference
 from groundwalk.artefacts.schemas import Column, TableSchema, all_tables, pose_columns
 from groundwalk.artefacts.tables import pose_frame, poses_of, read_table, write_table
@@ -91,3 +92,19 @@ def test_reference_is_up_to_date_and_complete() -> None:
     page = Path(__file__).resolve().parents[2] / "docs" / "artefacts.md"
     assert page.read_text(encoding="utf-8") == reference(), "run `make docs`"
     assert all(column.meaning for table in all_tables() for column in table.columns)
+
+
+def test_a_text_that_is_none_of_a_column_s_choices_is_refused(tmp_path: Path) -> None:
+    table = TableSchema("sfm", "t", "", [Column("split", "string", "", nullable=True, choices=Split)])
+    write_table(tmp_path / "t.parquet", pd.DataFrame({"split": ["train", None]}), table)
+    with pytest.raises(ValueError, match=r"sfm\.t\.split: Train; it can be train, val, test"):
+        write_table(tmp_path / "t.parquet", pd.DataFrame({"split": ["train", "Train"]}), table)
+
+
+def test_an_older_table_s_error_names_renamed_columns(tmp_path: Path) -> None:
+    older = TableSchema("sfm", "t", "", [Column("verdict", "string", "")])
+    write_table(tmp_path / "t.parquet", pd.DataFrame({"verdict": ["a"]}), older)
+    newer = TableSchema("sfm", "t", "", [Column("status", "string", "")], "2.0", {"verdict": "status"})
+    with pytest.raises(UserError, match="another version") as error:
+        read_table(tmp_path / "t.parquet", newer)
+    assert error.value.details["found"] == "1.0 (verdict is now status)"

@@ -21,9 +21,9 @@ from groundwalk.fusion.smoother import Smoother
 from groundwalk.fusion.vio_oracle import VioOracle
 from groundwalk.fusion.window import Window, WindowOptions
 from groundwalk.geometry.fits import pose_residuals
-from groundwalk.geometry.metrics import position_error, rotation_error_deg
 from groundwalk.geometry.pose_graph import smooth_chain
 from groundwalk.geometry.poses import inverse, make_pose, relative, yaw_rotation
+from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 BASELINES = ["last_good", "window30", "pose_graph", "error_state"]
 

@@ -12,8 +12,8 @@ from upright_walks import upright_walk
 from groundwalk.fusion.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.error_map import ErrorMap
 from groundwalk.fusion.mobilearloc import MobileARLoc
-from groundwalk.geometry.metrics import position_error, rotation_error_deg
 from groundwalk.geometry.poses import interpolate, make_pose, yaw_rotation
+from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 
 def answers(localiser, t_ns, vio, apr):

@@ -32,7 +32,7 @@ from benchmarks.fusion_scores import (
 )
 from groundwalk.fusion.methods import resolve_options
 from groundwalk.fusion.walks import known
-from groundwalk.geometry.metrics import position_error, relative_error, step_lengths
+from groundwalk.scoring.errors import position_error, relative_error, step_lengths
 
 SCENE, MODEL = "Stairs", "PN"
 METHODS = [Variant(name, name, resolve_options(name)) for name in (RAW, RULE, OURS)]

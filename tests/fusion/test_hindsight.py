@@ -15,8 +15,8 @@ from groundwalk.fusion.error_map import ErrorMap
 from groundwalk.fusion.hindsight import Hindsight, HindsightOptions
 from groundwalk.fusion.hindsight_late import LateHindsight, LateHindsightOptions
 from groundwalk.fusion.mobilearloc import MobileARLoc
-from groundwalk.geometry.metrics import position_error, rotation_error_deg
 from groundwalk.geometry.poses import interpolate, make_pose, yaw_rotation
+from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 
 def answers(localiser, t_ns, vio, apr):

@@ -10,8 +10,8 @@ from upright_walks import upright_walk
 
 from groundwalk.fusion.localiser import Localiser
 from groundwalk.fusion.methods import METHODS
-from groundwalk.geometry.metrics import position_error
 from groundwalk.geometry.poses import interpolate
+from groundwalk.scoring.errors import position_error
 
 CAUSAL = [name for name, method in METHODS.items() if method.causal]
 RATE = 60

@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.real_predictions import read_poses, real_cases
 from groundwalk.artefacts import UserError
-from groundwalk.geometry.metrics import position_error
 from groundwalk.geometry.poses import heading, make_pose, relative, yaw_rotation
+from groundwalk.scoring.errors import position_error
 
 
 def written(folder, frames=12):

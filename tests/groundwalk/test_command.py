@@ -55,7 +55,7 @@ def options(command: Any) -> dict[str, Any]:
 def packages() -> dict[str, Any]:
     """The applications of the packages' own command lines, by package."""
     paths = [path for path in ROOT.glob("*/__main__.py") if path.parent.name != "groundwalk"]
-    assert len(paths) == 8
+    assert len(paths) >= 9
     return {p.parent.name: get_command(import_module(f"groundwalk.{p.parent.name}.__main__").app) for p in paths}
 
 

@@ -8,7 +8,6 @@ import pytest
 from scenes import LOGGED, features, place, training, walk
 
 from groundwalk.artefacts import UserError
-from groundwalk.geometry.metrics import position_error, rotation_error_deg
 from groundwalk.localisation.build import build_map
 from groundwalk.localisation.calibration import Trial, calibrated
 from groundwalk.localisation.compact import read_map, write_map
@@ -16,6 +15,7 @@ from groundwalk.localisation.hloc import HLocLocaliser
 from groundwalk.localisation.map_file import read_sections, write_sections
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.localisation.settings import MapSettings
+from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 SETTINGS = MapSettings(pairs_per_frame=6, max_points=900)
 

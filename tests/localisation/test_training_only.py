@@ -8,13 +8,13 @@ import pytest
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import pose_frame, pose_prefixes, write_table
-from groundwalk.geometry.metrics import position_error
 from groundwalk.geometry.poses import make_pose
 from groundwalk.localisation.build import build_map
 from groundwalk.localisation.compact import write_map
 from groundwalk.localisation.inputs import grey, read_features, read_inputs, training_of
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.localisation.settings import MapSettings
+from groundwalk.scoring.errors import position_error
 
 COUNT, FOCAL = 14, 300.0
 TEST = np.arange(COUNT) % 5 == 2

@@ -14,8 +14,8 @@ from groundwalk.artefacts.files import hash_files, write_json
 from groundwalk.artefacts.schemas import schema, stage_tables
 from groundwalk.artefacts.settings import DataRoot
 from groundwalk.artefacts.tables import pose_frame, read_table, write_table
-from groundwalk.geometry.metrics import position_error, rotation_error_deg
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
+from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 SECOND = 1_000_000_000
 MODELS = ("PN", "MS-T")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
-from groundwalk.geometry.vio_drift import VioDrift
 from groundwalk.sfm.model_check import ModelCheck, check_models
 from groundwalk.sfm.odometry import odometry
 

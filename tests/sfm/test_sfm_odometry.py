@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.poses import Array, make_pose, relative, yaw_rotation
-from groundwalk.geometry.vio_drift import VioDrift
 from groundwalk.sfm.odometry import Odometry, PairLimits, compare_with_vio, drift_between, odometry
 
 _LIMITS = PairLimits(

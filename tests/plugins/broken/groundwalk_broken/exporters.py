@@ -1,7 +1,7 @@
 from pathlib import Path
 
-from groundwalk.alignment.export.dataset import Dataset, Images
-from groundwalk.alignment.export.exporters import Exporter
+from groundwalk.export.dataset import Dataset, Images
+from groundwalk.export.exporters import Exporter
 
 
 def write(dataset: Dataset, folder: Path, images: Images) -> list[str]:

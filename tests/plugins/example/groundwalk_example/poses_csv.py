@@ -3,8 +3,8 @@
 import csv
 from pathlib import Path
 
-from groundwalk.alignment.export.dataset import Dataset, Images
-from groundwalk.alignment.export.exporters import Exporter
+from groundwalk.export.dataset import Dataset, Images
+from groundwalk.export.exporters import Exporter
 from groundwalk.geometry.poses import tq_from_pose
 
 

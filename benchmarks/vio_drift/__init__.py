@@ -1,0 +1,1 @@
+"""Fits the simulator's model of VIO drift to recordings of phones."""

@@ -1,0 +1,111 @@
+"""Metres of VIO for a unit of a model, from steps of VIO path: the errors of steps are independent."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from groundwalk.consistency.trajectories import Stretch, path_m, path_steps
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import ROBUST_TOLERANCE, fit_robust
+from groundwalk.geometry.poses import Array, relative
+
+STEP_M = 1.0
+"""Path of the steps that give the scale, at most: a shorter walk has shorter ones, so that it has several."""
+STEP_SCALE_SD = 0.03
+"""Expected scale error of a step of a metre, as a share."""
+
+_FEWEST_FRAMES = 3
+# Residuals that nobody minds, where a robust fit stops telling items apart.
+_LEAST_SHARE = 0.5  # of the length of SfM's steps that VIO's go along them
+_STEP_FLOOR = 1e-2  # of the scale of a step of a metre against its recording's
+_STEPS_OF_A_WALK = 8
+# Noise of the length of a step, however short: both ends in VIO and in SfM.
+_LENGTH_SD_M = 0.003
+# A scale that is less certain, as a share, is none: twice that is two thirds of it.
+_LARGEST_SCALE_SD = 1 / 3
+# Frames that VIO has so far apart and SfM in one place are wrong, not at rest.
+_COLLAPSED_M = 0.3
+
+
+@dataclass(frozen=True)
+class Scale:
+    """VIO metres per SfM unit of one recording: natural logarithm, its sigma, and the steps behind it."""
+
+    log: float
+    sd: float
+    steps: int
+
+
+def recording_scale(
+    stretches: Sequence[Stretch],
+    *,
+    step_m: float,
+    step_sd: float,
+    tolerance: float = ROBUST_TOLERANCE,
+) -> Scale | None:
+    """The scale of a recording's stretches in one model: the robust mean over steps of VIO path, one after the other,
+    weighted by what each can tell; None where it would be less certain than to a third.
+
+    Steps are of `step_m`, and of an eighth of a path that is shorter than eight of these. `step_sd`: what the scale of
+    a step of a metre is expected to be off by, as a share; a random walk's error grows with the root of the length, and
+    noise of the ends doesn't grow. The standard error is that of the scatter that is found, and of what is expected of
+    the whole path. Raises GeometryError where SfM puts frames in one place that VIO says are apart.
+    """
+    stretches = [stretch for stretch in stretches if len(stretch.vio_T_cam) >= _FEWEST_FRAMES]
+    whole_m = sum(float(path_m(stretch.vio_T_cam)[-1]) for stretch in stretches)
+    sfm, vio = _steps(stretches, min(step_m, whole_m / _STEPS_OF_A_WALK))
+    length, squared = np.linalg.norm(vio, axis=1), np.sum(sfm * sfm, axis=1)
+    if np.any((squared == 0) & (length >= _COLLAPSED_M)):
+        raise GeometryError(f"{np.count_nonzero(squared == 0)} of {len(squared)} steps have no length in SfM")
+    moved = (length > 0) & (squared > 0)
+    sfm, vio, length, squared = sfm[moved], vio[moved], length[moved], squared[moved]
+    if not len(length):
+        return None
+    by_length = length / np.sqrt(squared)
+    usual = float(np.median(by_length))
+    # SfM's step is the surer one: VIO's is laid along it, so that VIO's sideways errors don't lengthen it.
+    share = np.sum(sfm * vio, axis=1) / squared / usual
+    sd = np.hypot(step_sd / np.sqrt(length), _LENGTH_SD_M / length)
+    mean, robust = robust_mean(share, sd**-2, sd / step_sd, _STEP_FLOOR, tolerance)
+    goes_along = mean >= _LEAST_SHARE
+    if not goes_along:
+        # The steps go other ways, as where times are shuffled. Their lengths give a scale to show that with.
+        share = by_length / usual
+        mean, robust = robust_mean(share, sd**-2, sd / step_sd, _STEP_FLOOR, tolerance)
+    weight = robust * sd**-2
+    effective = max(1.0, float(weight.sum() ** 2 / np.sum(weight**2)))
+    scatter = float(np.sum(weight * (share - mean) ** 2) / weight.sum()) / max(1.0, effective - 1)
+    # As if one more metre were as wrong as a metre is expected to be: few steps mustn't look certain.
+    walked_m = float(np.sum(robust * length))
+    expected = step_sd**2 / (walked_m * max(walked_m, 1.0))
+    # Noise makes any length longer, all steps alike.
+    noise = (_LENGTH_SD_M * len(length) / walked_m) ** 2 / (effective if goes_along else 1.0)
+    relative_sd = float(np.sqrt(scatter + expected + noise)) / mean
+    if relative_sd > _LARGEST_SCALE_SD:
+        return None
+    return Scale(float(np.log(mean * usual)), relative_sd, len(length))
+
+
+def _steps(stretches: Sequence[Stretch], step_m: float) -> tuple[Array, Array]:
+    """Steps (M, 3) of `step_m` of VIO path, by SfM and by VIO."""
+    found = [np.empty((2, 0, 3))]
+    for stretch in stretches:
+        a, b = path_steps(path_m(stretch.vio_T_cam), step_m)
+        found.append(np.stack([relative(T[a], T[b])[:, :3, 3] for T in stretch]))
+    sfm, vio = np.concatenate(found, axis=1)
+    return sfm, vio
+
+
+def robust_mean(
+    values: Array, weights: Array, sds: Array, floor: float, tolerance: float = ROBUST_TOLERANCE
+) -> tuple[float, Array]:
+    """Robust weighted mean of numbers (N,) and their final weights, residuals counted in their `sds`."""
+    return fit_robust(
+        lambda w: float(np.average(values, weights=w)),
+        lambda mean: np.abs(values - mean) / sds,
+        len(values),
+        floor=floor,
+        weights=weights,
+        tolerance=tolerance,
+    )

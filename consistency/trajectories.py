@@ -1,0 +1,54 @@
+"""What a session walked between two VIO jumps, by a model and by VIO; its length, windows and steps."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundwalk.geometry.poses import Array
+
+# Frames that a window needs so that a robust fit of 7 unknowns sees which of them is wrong.
+LEAST_WINDOW = 6
+
+
+class Stretch(NamedTuple):
+    """The poses of the n frames that both know, in order of time: `sfm_T_cam` (n, 4, 4) in a model's arbitrary scale,
+    `vio_T_cam` (n, 4, 4) in metres."""
+
+    sfm_T_cam: Array
+    vio_T_cam: Array
+
+
+def path_m(vio_T_cam: Array) -> Array:
+    """Length of the path (n,) from the first of the poses (n, 4, 4) on."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vio_T_cam[:, :3, 3], axis=0), axis=1))])
+
+
+def path_windows(travelled_m: Array, length_m: float, least_frames: int = LEAST_WINDOW) -> list[NDArray[np.intp]]:
+    """Indices (k,) of the frames in windows of `length_m` of a path, each half over the next; `travelled_m` (n,) is how
+    far along it each frame lies.
+
+    The windows are spread so that the last one ends with the path; a shorter path is one window. Where frames are far
+    apart a window is longer, so that it has `least_frames`; a path of fewer is one window.
+    """
+    count = len(travelled_m)
+    whole_m = float(travelled_m[-1])
+    steps = 0 if whole_m <= length_m else int(np.ceil((whole_m - length_m) / (length_m / 2)))
+    starts = np.linspace(0.0, max(whole_m - length_m, 0.0), steps + 1)
+    # Rounding must not cost a window its last frame.
+    slack = 1e-9 * (1 + whole_m)
+    first = np.searchsorted(travelled_m, starts - slack)
+    last = np.searchsorted(travelled_m, starts + length_m + slack, side="right")
+    last = np.minimum(np.maximum(last, first + least_frames), count)
+    first = np.maximum(np.minimum(first, last - least_frames), 0)
+    return [np.arange(a, b) for a, b in dict.fromkeys(zip(first.tolist(), last.tolist(), strict=True))]
+
+
+def path_steps(travelled_m: Array, step_m: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First and last frames of steps of `step_m` of a path, or a little more, one after the other; the last one may be
+    shorter. `travelled_m` (n,) is how far along it each frame lies."""
+    ends = [0]
+    while ends[-1] + 1 < len(travelled_m):
+        following = int(np.searchsorted(travelled_m, travelled_m[ends[-1]] + step_m))
+        ends.append(min(max(following, ends[-1] + 1), len(travelled_m) - 1))
+    return np.array(ends[:-1], np.intp), np.array(ends[1:], np.intp)

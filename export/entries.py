@@ -1,0 +1,53 @@
+"""Records of groundwalk's own export formats."""
+
+from functools import partial
+
+from groundwalk.export.cambridge import write_cambridge
+from groundwalk.export.colmap import write_colmap
+from groundwalk.export.exporters import Exporter
+from groundwalk.export.nerfstudio import DISTORTION, write_nerfstudio
+from groundwalk.export.seven_scenes import write_seven_scenes
+from groundwalk.export.tum import write_tum
+
+COLMAP = Exporter(
+    id="colmap",
+    label="COLMAP",
+    meaning="COLMAP's binary model beside images/",
+    write=write_colmap,
+    distortion_coefficients=None,
+)
+COLMAP_TEXT = Exporter(
+    id="colmap-text",
+    label="COLMAP, text",
+    meaning="COLMAP's text model beside images/",
+    write=partial(write_colmap, text=True),
+    distortion_coefficients=None,
+)
+TUM = Exporter(
+    id="tum",
+    label="TUM RGB-D",
+    meaning="groundtruth.txt and rgb.txt for each session",
+    write=write_tum,
+    distortion_coefficients=None,
+)
+NERFSTUDIO = Exporter(
+    id="nerfstudio",
+    label="nerfstudio",
+    meaning="transforms.json beside images/",
+    write=write_nerfstudio,
+    distortion_coefficients=len(DISTORTION),
+)
+SEVEN_SCENES = Exporter(
+    id="7scenes",
+    label="7-Scenes",
+    meaning="a color image and a pose file for each frame",
+    write=write_seven_scenes,
+    distortion_coefficients=0,
+)
+CAMBRIDGE = Exporter(
+    id="cambridge",
+    label="Cambridge Landmarks",
+    meaning="dataset_train.txt and dataset_test.txt beside the images",
+    write=write_cambridge,
+    distortion_coefficients=0,
+)

@@ -1,0 +1,1 @@
+"""Errors of poses, accuracy levels and frame sets."""

@@ -1,0 +1,82 @@
+"""The model of regressors' errors: what hangs on the place hangs on the place, and the published figures are met."""
+
+import numpy as np
+import pytest
+
+from benchmarks.regressor_errors.fit import REGRESSORS, Walks, published
+from benchmarks.regressor_errors.model import AprModel, read_apr_models, simulate_apr
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.poses import make_pose, yaw_rotation
+from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.simulation.scenes import NAMES
+
+MODEL = AprModel(
+    position_m=0.5,
+    rotation_deg=3.0,
+    position_spread=0.8,
+    rotation_spread=0.8,
+    spread_correlation=0.5,
+    position_noise=0.0,
+    rotation_noise=0.0,
+    bias_length_m=3.0,
+    bias_length_deg=45.0,
+    tail=3.0,
+)
+
+
+def straight(length_m: float, step_m: float, turn_deg: float = 0.0) -> np.ndarray:
+    """Poses along x, level, looking along z and turned by turn_deg."""
+    x = np.arange(0, length_m, step_m)
+    look = yaw_rotation(np.radians(turn_deg)) @ np.diag([1.0, -1.0, -1.0])
+    return make_pose(look, np.stack([x, np.full(len(x), 1.5), np.zeros(len(x))], axis=1))
+
+
+def offsets(truth, model=MODEL, map_seed=1, noise_seed=2):
+    return simulate_apr(truth, model, map_seed, noise_seed)[:, :3, 3] - truth[:, :3, 3]
+
+
+def test_bias_is_the_places_own():
+    there = straight(30, 0.5)
+    assert np.allclose(offsets(there, noise_seed=2), offsets(there[::-1], noise_seed=3)[::-1])
+    assert not np.allclose(offsets(there), offsets(there, map_seed=9))
+    turned = straight(30, 0.5, 180)
+    assert np.abs(offsets(there) - offsets(turned)).mean() > 0.1
+
+
+def test_bias_changes_over_its_length():
+    """Nearly the same a tenth of the length on, unrelated three lengths on."""
+    e = np.concatenate([offsets(straight(200, 0.3), MODEL, seed)[:, [0, 2]] for seed in range(20)], axis=1)
+    near, far = (np.corrcoef(e[:-k].ravel(), e[k:].ravel())[0, 1] for k in (1, 30))
+    assert near > 0.95 and abs(far) < 0.25
+
+
+def test_noise_is_new_in_each_frame_and_has_heavy_tails():
+    model = AprModel(**MODEL.__dict__ | {"position_noise": 1.0, "position_spread": 0.0, "rotation_noise": 1.0})
+    e = np.concatenate([offsets(straight(400, 0.3), model, 1, seed) for seed in range(10)])[:, 0]
+    assert abs(np.corrcoef(e[:-1], e[1:])[0, 1]) < 0.1
+    # Of a Gaussian 0.006 % of the values lie beyond four times the quartile's spread.
+    spread = np.percentile(np.abs(e), 50) / 0.6745
+    assert np.mean(np.abs(e) > 4 * spread) > 0.005
+
+
+def test_amplitude_scales_both_errors():
+    truth = straight(30, 0.5)
+    full, tenth = (simulate_apr(truth, MODEL, 1, 2, a) for a in (1.0, 0.1))
+    assert np.allclose(position_error(tenth, truth), 0.1 * position_error(full, truth))
+    assert np.allclose(rotation_error_deg(tenth, truth), 0.1 * rotation_error_deg(full, truth))
+
+
+def test_values_out_of_range_are_refused():
+    with pytest.raises(GeometryError, match="position_noise"):
+        AprModel(**MODEL.__dict__ | {"position_noise": 1.5})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", NAMES)
+@pytest.mark.parametrize("regressor", REGRESSORS)
+def test_committed_sizes_meet_the_published_rows(scene, regressor):
+    target, found = published(scene, regressor), Walks(scene, regressor, 3).figures(read_apr_models()[scene, regressor])
+    # Least well: mean rotation in Office, where a few frames are off by far more than the rest.
+    assert found.every[:4] == pytest.approx(target.every[:4], rel=0.4)
+    assert np.abs(found.every[4:] - target.every[4:]).max() < 10
+    assert found.passing_pct == pytest.approx(target.passing_pct, abs=4)

@@ -1,0 +1,498 @@
+"""Each export read back by the reader of its format, to 1e-6 of the ground truth."""
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pycolmap
+import pytest
+from evo.tools import file_interface
+from typer.testing import CliRunner
+
+from groundwalk.alignment.stage import STAGE
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.files import write_json
+from groundwalk.artefacts.manifests import output_hashes
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import pose_frame, poses_of, read_table, with_cameras, write_table
+from groundwalk.capture_import.capture import Limits, RawSession
+from groundwalk.capture_import.discovery import find_recordings
+from groundwalk.export.__main__ import app
+from groundwalk.export.exporters import EXPORTERS
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array, inverse, make_pose, transform
+
+UNREGISTERED, VALIDATION, TESTED = "walk0/000003", range(5, 8), range(15, 20)
+FRAMES = 39
+
+
+@pytest.fixture
+def scene(aligned: DataRoot, tmp_path: Path) -> DataRoot:
+    """A copy of `aligned` that a test may change."""
+    shutil.copytree(aligned.root, tmp_path / "data")
+    return DataRoot(tmp_path / "data")
+
+
+@pytest.fixture(scope="module")
+def aligned(data_of_module: DataRoot) -> DataRoot:
+    """Two aligned walks with images, SfM's model, one frame without ground truth, and a walk with all three splits."""
+    data = data_of_module
+    folders = {stage: data.run("tiny", "Place", stage) for stage in ("import", "sfm")}
+    frames = read_table(folders["import"] / "frames.parquet", schema("import", "frames"))
+    frames["image"] = [f"{frame_id}.jpg" for frame_id in frames["frame_id"]]
+    frames["fx"] += np.arange(len(frames))
+    frames.loc[VALIDATION, "split"] = "val"
+    frames.loc[TESTED, "split"] = "test"
+    write_table(folders["import"] / "frames.parquet", frames, schema("import", "frames"))
+    for row, image in enumerate(frames["image"]):
+        path = data.captures("Place") / image
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(path), np.full((12, 16, 3), 4 * row, np.uint8))
+    images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
+    images.loc[images["frame_id"] == UNREGISTERED, "registered"] = False
+    # SfM found other focal lengths for one walk.
+    scale = np.where(images["frame_id"].str.startswith("walk1/"), 1.01, 1.0)
+    images["fx"], images["fy"] = frames["fx"] * scale, frames["fy"] * scale
+    images["distortion"] = [[0.0] * 4] * len(images)
+    write_table(folders["sfm"] / "images.parquet", images, schema("sfm", "images"))
+    _write_models(data, {"model": "incremental/0"})
+    execute(STAGE, "Place", "tiny", data)
+    return data
+
+
+def _write_models(data: DataRoot, model_ids: dict[str, str]) -> None:
+    """SfM's models of the frames that have their ids, each in its folder, and the table that says so."""
+    images, folder = _images(data), data.run("tiny", "Place", "sfm")
+    frames = with_cameras(_frames(data), images)
+    for name, model_id in model_ids.items():
+        (folder / name).mkdir(exist_ok=True)
+        rows = np.flatnonzero(images["model_id"] == model_id)
+        _model(frames.iloc[rows], poses_of(images, "sfm_cam")[rows]).write_binary(folder / name)
+    models = pd.DataFrame({"model_id": list(model_ids.values()), "folder": list(model_ids)})
+    models = models.assign(mapping="incremental", chosen=True, images=20, points=19, observations=38, heldout_matches=0)
+    models[["mean_track_length", "mean_reprojection_px", "heldout_px", "fitted_px"]] = 0.5
+    write_table(folder / "models.parquet", models, schema("sfm", "models"))
+
+
+def _frames(data: DataRoot) -> pd.DataFrame:
+    return read_table(data.run("tiny", "Place", "import") / "frames.parquet", schema("import", "frames"))
+
+
+def _images(data: DataRoot) -> pd.DataFrame:
+    return read_table(data.run("tiny", "Place", "sfm") / "images.parquet", schema("sfm", "images"))
+
+
+def _model(frames: pd.DataFrame, sfm_T_cam: Array) -> pycolmap.Reconstruction:
+    """A model of these frames and a point a metre or so ahead of each, seen by it and the next one."""
+    model = pycolmap.Reconstruction()
+    for row, frame in enumerate(frames.itertuples(index=False), start=1):
+        params = [frame.fx, frame.fy, frame.cx, frame.cy, *frame.distortion]
+        camera = pycolmap.Camera(camera_id=row, model="OPENCV", width=frame.width, height=frame.height, params=params)
+        model.add_camera_with_trivial_rig(camera)
+        image = pycolmap.Image(
+            name=f"{frame.frame_id}.jpg", keypoints=np.full((2, 2), 100.0), camera_id=row, image_id=row
+        )
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(inverse(sfm_T_cam[row - 1])[:3]))
+    for row in range(1, len(frames)):
+        track = pycolmap.Track([pycolmap.TrackElement(row, 0), pycolmap.TrackElement(row + 1, 1)])
+        model.add_point3D((sfm_T_cam[row - 1] @ [0, 0, 0.4, 1])[:3], track)
+    return model
+
+
+def _export(scene: DataRoot, name: str, *options: str) -> Path:
+    _export_output(scene, name, *options)
+    return scene.root.parent / "out" / name
+
+
+def _export_output(scene: DataRoot, name: str, *options: str) -> str:
+    """What the command prints."""
+    out = scene.root.parent / "out" / name
+    arguments = ["--scene", "Place", "--profile", "tiny", "--data", str(scene.root), "--format", name]
+    done = CliRunner().invoke(app, [*arguments, "--out", str(out), *options], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return " ".join(done.output.split())
+
+
+def _truth(scene: DataRoot) -> pd.DataFrame:
+    """Ground truth by frame_id."""
+    gt = read_table(scene.run("tiny", "Place", "align") / "ground_truth.parquet", schema("align", "ground_truth"))
+    return gt[gt["quality"] != "none"].set_index("frame_id")
+
+
+def _frame_of(out: Path) -> dict[str, str]:
+    """frame_id by exported image."""
+    listed = pd.read_csv(out / "frames.csv", keep_default_na=False)
+    return {image: frame_id for image, frame_id in zip(listed["image"], listed["frame_id"], strict=True) if image}
+
+
+def _assert_same(scene: DataRoot, found: dict[str, Array]) -> None:
+    """Poses (4, 4) by frame_id are the ground truth of all frames that have it."""
+    truth = _truth(scene)
+    assert set(found) == set(truth.index) and len(truth) == FRAMES
+    np.testing.assert_allclose(np.stack([found[i] for i in truth.index]), poses_of(truth, "map_cam"), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["colmap", "colmap-text"])
+def test_colmap_reads_its_model_in_the_map(scene: DataRoot, name: str) -> None:
+    out = _export(scene, name)
+    model = pycolmap.Reconstruction(out / "sparse" / "0")
+    frame_of, truth = _frame_of(out), _truth(scene)
+    found = _poses(model, frame_of)
+    for image in model.images.values():
+        assert (out / "images" / image.name).is_file()
+        row = truth.loc[frame_of[f"images/{image.name}"]]
+        expected = [row["fx"], row["fy"], row["cx"], row["cy"], *row["distortion"]]
+        np.testing.assert_allclose(model.camera(image.camera_id).params, expected, atol=1e-6)
+    _assert_same(scene, found)
+    # The points came along: each lies ahead of its first camera, 0.4 SfM units in metres.
+    figures = json.loads((scene.run("tiny", "Place", "align") / "manifest.json").read_text())["figures"]
+    for point in model.points3D.values():
+        first = min(point.track.elements, key=lambda e: e.point2D_idx)
+        frame_id = frame_of[f"images/{model.image(first.image_id).name}"]
+        if first.point2D_idx == 0:
+            ahead = found[frame_id] @ [0, 0, 0.4 * figures["metres_per_sfm_unit"], 1]
+            np.testing.assert_allclose(point.xyz, ahead[:3], atol=1e-6)
+    lists = {split: (out / f"{split}.txt").read_text().split() for split in ("train", "val", "test")}
+    assert lists["val"] == [f"walk0/{i:06d}.jpg" for i in VALIDATION]
+    assert len(lists["test"]) == 25 and sum(map(len, lists.values())) == FRAMES
+
+
+@pytest.mark.parametrize("name", ["colmap", "colmap-text"])
+def test_colmap_reads_two_models_in_one_map(scene: DataRoot, name: str) -> None:
+    """Two of equal size, each with half of both walks: SfM's order and align's need not be the same."""
+    images = _images(scene)
+    late = (np.arange(len(images)) % 20 >= 10) & images["registered"].to_numpy(bool)
+    images.loc[late, "model_id"] = "incremental/1"
+    sfm_T_cam = poses_of(images, "sfm_cam")
+    other = Sim3(2.1, make_pose(np.eye(3)[[1, 2, 0]], np.zeros(3))[:3, :3], np.array([-4.0, 9.0, 2.0]))
+    sfm_T_cam[late] = other.poses(sfm_T_cam[late])
+    images[pose_frame("sfm_cam", sfm_T_cam).columns] = pose_frame("sfm_cam", sfm_T_cam)
+    write_table(scene.run("tiny", "Place", "sfm") / "images.parquet", images, schema("sfm", "images"))
+    _write_models(scene, {"model": "incremental/0", "model_2": "incremental/1"})
+    execute(STAGE, "Place", "tiny", scene, force=True)
+    out = _export(scene, name)
+    assert sorted(path.name for path in (out / "sparse").iterdir()) == ["0", "1"]
+    truth, found = _truth(scene), {}
+    for number in (0, 1):
+        model = pycolmap.Reconstruction(out / "sparse" / str(number))
+        own = _poses(model, _frame_of(out))
+        assert set(own) == set(truth.index[truth["component"] == number])
+        assert model.num_points3D() > 10
+        found |= own
+    assert truth["component"].value_counts().to_dict() == {0: 20, 1: 19}
+    _assert_same(scene, found)
+
+
+def _poses(model: pycolmap.Reconstruction, frame_of: dict[str, str]) -> dict[str, Array]:
+    """map_T_cam by frame_id."""
+    return {
+        frame_of[f"images/{image.name}"]: inverse(np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]]))
+        for image in model.images.values()
+    }
+
+
+def test_evo_reads_tum(scene: DataRoot) -> None:
+    out = _export(scene, "tum")
+    truth, found = _truth(scene), {}
+    for session_id, of_session in truth.groupby("session_id"):
+        trajectory = file_interface.read_tum_trajectory_file(str(out / session_id / "groundtruth.txt"))
+        np.testing.assert_allclose(trajectory.timestamps, of_session["t_ns"] / 1e9, atol=1e-6)
+        found |= dict(zip(of_session.index, trajectory.poses_se3, strict=True))
+        rgb = [line.split() for line in (out / session_id / "rgb.txt").read_text().splitlines()[1:]]
+        assert [float(t) for t, _ in rgb] == trajectory.timestamps.tolist()
+        for frame_id, (_, image) in zip(of_session.index, rgb, strict=True):
+            assert (out / session_id / image).read_bytes() == _image(scene, frame_id).read_bytes()
+    _assert_same(scene, found)
+
+
+def test_nerfstudio_poses_are_opengl_cameras_in_a_world_with_z_up(scene: DataRoot) -> None:
+    """By its documentation: columns are right, up, back and position; applied_transform took our world to theirs."""
+    out = _export(scene, "nerfstudio")
+    content = json.loads((out / "transforms.json").read_text())
+    applied = np.vstack([content["applied_transform"], [0, 0, 0, 1]])
+    np.testing.assert_allclose(applied @ [0, 1, 0, 0], [0, 0, 1, 0], atol=1e-12)
+    frame_of, truth, found = _frame_of(out), _truth(scene), {}
+    for frame in content["frames"]:
+        frame_id = frame_of[frame["file_path"]]
+        right, up, back, position = np.linalg.solve(applied, np.array(frame["transform_matrix"])).T[:, :3]
+        found[frame_id] = make_pose(np.stack([right, -up, -back], axis=1), position)
+        given = [frame[key] for key in ("fl_x", "fl_y", "cx", "cy")]
+        assert given == truth.loc[frame_id, ["fx", "fy", "cx", "cy"]].tolist()
+        assert (out / frame["file_path"]).is_file()
+    _assert_same(scene, found)
+    named = {split: content[f"{split}_filenames"] for split in ("train", "val", "test")}
+    assert len(named["val"]) == 3 and len(named["test"]) == 25
+    assert {path for paths in named.values() for path in paths} == {f["file_path"] for f in content["frames"]}
+
+
+def _sessions(out: Path) -> list[RawSession]:
+    found = find_recordings(out, out.parent / "unpacked", Limits())
+    return [recording.read(Limits()) for recording in found]
+
+
+@pytest.mark.parametrize("name", ["7scenes", "cambridge"])
+def test_our_importer_reads_its_data_sets(scene: DataRoot, name: str) -> None:
+    # Import takes nothing that leads out of the capture folder, links least of all.
+    out = _export(scene, name, "--images", "copy")
+    frame_of, truth, found = _frame_of(out), _truth(scene), {}
+    sessions = _sessions(out)
+    assert [s.split for s in sessions] == ["train", "test", "test"]
+    assert [len(s.frames) for s in sessions] == [14, 5, 20]
+    for session in sessions:
+        assert not session.rejects
+        for raw in session.frames:
+            frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
+            found[frame_id] = raw.vio_T_cam
+            pixels = cv2.imread(str(raw.image.path))
+            assert (pixels == cv2.imread(str(_image(scene, frame_id)))).all()
+            camera, columns = raw.intrinsics, ["fx", "fy", "cx", "cy"]
+            stated = [camera.fx, camera.fy, camera.cx, camera.cy]
+            np.testing.assert_allclose(stated, truth.loc[frame_id, columns].to_numpy(float), atol=1e-6)
+    _assert_same(scene, found)
+
+
+@pytest.mark.parametrize("name", ["colmap", "colmap-text", "nerfstudio"])
+def test_our_importer_reads_what_other_tools_read(scene: DataRoot, name: str) -> None:
+    out = _export(scene, name, "--images", "copy")
+    frame_of, truth, found = _frame_of(out), _truth(scene), {}
+    sessions = _sessions(out)
+    # walk0 is partly for testing; a recording is for one thing, or for none by name.
+    assert [(s.session_id, s.split, len(s.frames)) for s in sessions] == [("walk0", None, 19), ("walk1", "test", 20)]
+    for session in sessions:
+        assert not session.rejects and not session.notes
+        assert (session.poses_are, session.metric, session.gravity_aligned) == ("reference", True, True)
+        for raw in session.frames:
+            frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
+            found[frame_id] = raw.vio_T_cam
+            camera, columns = raw.intrinsics, ["fx", "fy", "cx", "cy"]
+            stated = [camera.fx, camera.fy, camera.cx, camera.cy]
+            np.testing.assert_allclose(stated, truth.loc[frame_id, columns].to_numpy(float), atol=1e-6)
+            assert camera.distortion == () and raw.image.path.is_file()
+    _assert_same(scene, found)
+
+
+@pytest.mark.parametrize(
+    ("scale_source", "unit"),
+    [("reference, unit unknown", "a reference's unit, which isn't known"), ("none", "SfM's unit")],
+)
+def test_a_map_of_unknown_unit_is_not_exported_as_metres(scene: DataRoot, scale_source: str, unit: str) -> None:
+    path = scene.run("tiny", "Place", "align") / "ground_truth.parquet"
+    gt = read_table(path, schema("align", "ground_truth"))
+    gt = gt.assign(scale_source=scale_source, vertical_source="reference, up unknown")
+    write_table(path, gt, schema("align", "ground_truth"))
+    manifest = json.loads((path.parent / "manifest.json").read_text())
+    write_json(path.parent / "manifest.json", manifest | {"outputs": output_hashes(path.parent)})
+    out = _export(scene, "nerfstudio", "--images", "copy")
+    assert json.loads((out / "export.json").read_text())["map"].startswith(unit)
+    assert {(s.metric, s.gravity_aligned) for s in _sessions(out)} == {(False, False)}
+
+
+def test_intrinsics_that_a_format_has_no_place_for_lie_beside(scene: DataRoot) -> None:
+    truth = _truth(scene)
+    out = _export(scene, "7scenes")
+    for image, frame_id in _frame_of(out).items():
+        k = np.loadtxt(out / image.replace(".color.png", ".intrinsics.txt"))
+        assert k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == truth.loc[frame_id, ["fx", "fy", "cx", "cy"]].tolist()
+    columns = ["fx", "fy", "cx", "cy"]
+    for name in ("tum", "cambridge"):
+        listed = pd.read_csv(_export(scene, name) / "frames.csv").set_index("frame_id")
+        for frame_id, row in truth.iterrows():
+            assert listed.loc[frame_id, columns].tolist() == row[columns].tolist()
+            assert listed.loc[frame_id, ["width", "height"]].tolist() == [1920, 1440]
+
+
+@pytest.mark.parametrize("name", EXPORTERS)
+def test_frames_without_ground_truth_are_left_out_and_listed(scene: DataRoot, name: str) -> None:
+    out = _export(scene, name, "--images", "none")
+    note = json.loads((out / "export.json").read_text())
+    assert (note["frames"], note["left_out"], note["simulated"], note["format"]) == (FRAMES, 1, True, name)
+    listed = pd.read_csv(out / "frames.csv", keep_default_na=False).set_index("frame_id")
+    assert len(listed) == FRAMES + 1
+    assert listed.loc[UNREGISTERED, ["image", "quality"]].tolist() == ["", "none"]
+    assert "register" in listed.loc[UNREGISTERED, "reason"]
+    assert not [p for p in out.rglob("*") if p.suffix in (".jpg", ".png")]
+
+
+@pytest.mark.parametrize("name", sorted(EXPORTERS))
+def test_support_frames_are_not_exported(scene: DataRoot, name: str) -> None:
+    support = {"walk0/000007", "walk1/000011"}
+    path = scene.run("tiny", "Place", "import") / "frames.parquet"
+    frames = read_table(path, schema("import", "frames"))
+    write_table(path, frames.assign(support=frames["frame_id"].isin(support)), schema("import", "frames"))
+    execute(STAGE, "Place", "tiny", scene, force=True)
+    out = _export(scene, name)
+    listed = pd.read_csv(out / "frames.csv", keep_default_na=False)
+    assert len(listed) == FRAMES + 1 - len(support) and not set(listed["frame_id"]) & support
+    if name == "colmap":
+        model = pycolmap.Reconstruction(out / "sparse" / "0")
+        assert {image.name.removesuffix(".jpg") for image in model.images.values()} == set(_frame_of(out).values())
+
+
+def test_images_are_linked_or_copied(scene: DataRoot) -> None:
+    linked = _export(scene, "nerfstudio") / "images" / "walk0" / "000000.jpg"
+    assert linked.is_symlink() and linked.read_bytes() == _image(scene, "walk0/000000").read_bytes()
+    copied = _export(scene, "nerfstudio", "--images", "copy", "--force") / "images" / "walk0" / "000000.jpg"
+    assert not copied.is_symlink() and copied.read_bytes() == _image(scene, "walk0/000000").read_bytes()
+
+
+def test_nothing_is_overwritten_unasked_and_never_what_is_no_export(scene: DataRoot) -> None:
+    out = _export(scene, "tum")
+    (out / "mark").touch()
+    with pytest.raises(UserError, match="already"):
+        _export(scene, "tum")
+    assert (out / "mark").exists()
+    _export(scene, "tum", "--force")
+    assert not (out / "mark").exists()
+
+    other = scene.root.parent / "out" / "colmap"
+    other.mkdir()
+    (other / "thesis.txt").touch()
+    with pytest.raises(UserError, match="something else"):
+        _export(scene, "colmap", "--force")
+    assert (other / "thesis.txt").exists()
+
+
+def test_an_export_that_fails_leaves_nothing_behind(scene: DataRoot) -> None:
+    _image(scene, "walk1/000019").unlink()
+    for name in EXPORTERS:
+        with pytest.raises(UserError, match="image is missing"):
+            _export(scene, name)
+    assert list((scene.root.parent / "out").iterdir()) == []
+
+
+LENS = (0.092, -0.125, 0.001, -0.0005)
+SIZE = (320, 240)
+# Where each frame sees dots, at unit focal length, and how far they are away.
+SEEN, DEPTH_M = np.array([(-0.5, -0.36), (0.49, -0.35), (-0.47, 0.37), (0.5, 0.36), (0.02, 0.01)]), 3.0
+
+
+def _give_lens(scene: DataRoot, lens: tuple[float, ...]) -> dict[str, Array]:
+    """Every frame gets a camera with this lens, and an image with dots in it; returns their places in the map."""
+    folder = scene.run("tiny", "Place", "import")
+    write_table(
+        folder / "frames.parquet", _frames(scene).assign(width=SIZE[0], height=SIZE[1]), schema("import", "frames")
+    )
+    path = scene.run("tiny", "Place", "align") / "ground_truth.parquet"
+    gt = read_table(path, schema("align", "ground_truth"))
+    gt = gt.assign(fx=230.0 + 0.1 * np.arange(len(gt)), fy=231.0, cx=161.3, cy=118.4, distortion=[list(lens)] * len(gt))
+    write_table(path, gt, schema("align", "ground_truth"))
+    manifest = json.loads(path.with_name("manifest.json").read_text())
+    path.with_name("manifest.json").write_text(json.dumps(manifest | {"outputs": output_hashes(path.parent)}))
+    x, y = np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1])[:, None] + 0.5
+    points = {}
+    for frame_id, row in _truth(scene).iterrows():
+        camera = Camera(*SIZE, row["fx"], row["fy"], row["cx"], row["cy"], lens)
+        dots = [np.exp(-((x - u) ** 2 + (y - v) ** 2) / 8) for u, v in camera.project(SEEN)]
+        cv2.imwrite(str(_image(scene, str(frame_id))), (230 * np.sum(dots, axis=0)).astype(np.uint8))
+        map_T_cam = poses_of(pd.DataFrame([row]), "map_cam")[0]
+        points[str(frame_id)] = transform(map_T_cam, DEPTH_M * np.column_stack([SEEN, np.ones(len(SEEN))]))
+    return points
+
+
+def _dots_off_px(image: Path, world_T_cam: Array, K: Array, points: Array) -> float:
+    """How far the image's dots are from where a pinhole projects the points, at most."""
+    pixels = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE).astype(float)
+    expected = transform(inverse(world_T_cam), points) @ K.T
+    off = []
+    for u, v in expected[:, :2] / expected[:, 2:]:
+        columns, rows = (np.arange(int(c) - 7, int(c) + 8) for c in (u, v))
+        window = np.maximum(pixels[np.ix_(rows, columns)] - 8, 0)
+        at = np.array([window.sum(0) @ (columns + 0.5), window.sum(1) @ (rows + 0.5)]) / window.sum()
+        off.append(np.linalg.norm(at - [u, v]))
+    return max(off)
+
+
+@pytest.mark.parametrize("name", ["7scenes", "cambridge"])
+def test_formats_without_distortion_get_images_of_pinholes(scene: DataRoot, name: str) -> None:
+    points = _give_lens(scene, LENS)
+    out = _export(scene, name, "--images", "copy")
+    note = json.loads((out / "export.json").read_text())
+    assert (note["undistorted_images"], note["jpeg_quality"]) == (FRAMES, 95)
+    listed = pd.read_csv(out / "frames.csv").set_index("frame_id")
+    frame_of, found = _frame_of(out), {}
+    for session in _sessions(out):
+        for raw in session.frames:
+            image = raw.image.path
+            frame_id = frame_of[image.relative_to(out).as_posix()]
+            found[frame_id] = raw.vio_T_cam
+            camera = raw.intrinsics
+            K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+            if name == "7scenes":
+                K = np.loadtxt(image.with_name(image.name.replace(".color.png", ".intrinsics.txt")))
+            assert listed.loc[frame_id, ["fx", "fy", "cx", "cy"]].tolist() == pytest.approx(
+                K[[0, 1, 0, 1], [0, 1, 2, 2]]
+            )
+            assert _dots_off_px(image, raw.vio_T_cam, K, points[frame_id]) < 0.2
+            captured = _truth(scene).loc[frame_id]
+            K = np.array([[captured["fx"], 0, captured["cx"]], [0, captured["fy"], captured["cy"]], [0, 0, 1]])
+            assert _dots_off_px(_image(scene, frame_id), raw.vio_T_cam, K, points[frame_id]) > 1
+    _assert_same(scene, found)
+
+
+def test_undistorted_images_are_written_where_others_are_linked(scene: DataRoot) -> None:
+    _give_lens(scene, LENS)
+    shown = _export_output(scene, "cambridge")
+    assert f"{FRAMES} images undistorted" in shown and "JPEG of quality 95" in shown
+    image = scene.root.parent / "out" / "cambridge" / "seq1" / "frame00000.jpg"
+    assert not image.is_symlink() and cv2.imread(str(image)).shape == (240, 320, 3)
+    assert "images undistorted" not in _export_output(scene, "tum")
+    linked = next((scene.root.parent / "out" / "tum").rglob("*.jpg"))
+    assert linked.is_symlink()
+
+
+def test_nerfstudio_holds_five_coefficients(scene: DataRoot) -> None:
+    points = _give_lens(scene, LENS)
+    out = _export(scene, "nerfstudio")
+    content = json.loads((out / "transforms.json").read_text())
+    frame = content["frames"][0]
+    assert content["camera_model"] == "OPENCV"
+    assert [frame[key] for key in ("k1", "k2", "p1", "p2", "k3")] == [*LENS, 0.0]
+    assert (out / frame["file_path"]).is_symlink()
+
+    points = _give_lens(scene, (*LENS, 0.02, 0.01, 0.0, 0.0))
+    out = _export(scene, "nerfstudio", "--force")
+    frame_of, truth = _frame_of(out), _truth(scene)
+    for frame in json.loads((out / "transforms.json").read_text())["frames"][:5]:
+        assert not any(frame[key] for key in ("k1", "k2", "p1", "p2", "k3"))
+        K = np.array([[frame["fl_x"], 0, frame["cx"]], [0, frame["fl_y"], frame["cy"]], [0, 0, 1]])
+        frame_id = frame_of[frame["file_path"]]
+        map_T_cam = poses_of(truth.loc[[frame_id]], "map_cam")[0]
+        assert _dots_off_px(out / frame["file_path"], map_T_cam, K, points[frame_id]) < 0.2
+
+
+def test_a_lens_that_moves_no_corner_is_none(scene: DataRoot) -> None:
+    _give_lens(scene, (1e-5, -1e-6, 0.0, 0.0))
+    for name in ("7scenes", "cambridge"):
+        out = _export(scene, name, "--images", "copy")
+        assert json.loads((out / "export.json").read_text())["undistorted_images"] == 0
+    truth, frame_of, columns = _truth(scene), _frame_of(out), ["fx", "fy", "cx", "cy"]
+    for session in _sessions(out):
+        for raw in session.frames:
+            frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
+            assert raw.image.path.read_bytes() == _image(scene, frame_id).read_bytes()
+            camera = raw.intrinsics
+            assert [camera.fx, camera.fy, camera.cx, camera.cy] == truth.loc[frame_id, columns].tolist()
+            assert (camera.width, camera.height, camera.distortion) == (*SIZE, ())
+
+
+def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:
+    _give_lens(scene, (-300.0, 0.0, 0.0, 0.0))
+    with pytest.raises(UserError, match="can't be undistorted"):
+        _export(scene, "cambridge")
+    _give_lens(scene, LENS)
+    cv2.imwrite(str(_image(scene, "walk0/000000")), np.zeros((12, 16, 3), np.uint8))
+    with pytest.raises(UserError, match="16 x 12"):
+        _export(scene, "cambridge")
+
+    folder = scene.run("tiny", "Place", "sfm")
+    (folder / "manifest.json").write_text(json.dumps({"outputs": output_hashes(folder), "simulated": True}))
+    with pytest.raises(UserError, match="another sfm run"):
+        _export(scene, "tum")
+
+
+def _image(scene: DataRoot, frame_id: str) -> Path:
+    return scene.captures("Place") / f"{frame_id}.jpg"
