@@ -53,7 +53,7 @@ KINDS = (inputs.SIMULATED, inputs.RECORDED, inputs.MEASURED, inputs.TRAINED, *in
 _COMPARED = (inputs.SIMULATED, inputs.RECORDED, inputs.TRAINED)
 _ABLATED = (inputs.SIMULATED, inputs.TRAINED)
 # A step of these takes milliseconds; with bad odometry, which is about ours and the raw regressor, they are left out.
-_SLOW = ("window30", "pose_graph", "smoother", "hindsight_late")
+_SLOW = ("window30", "pose_graph", "smoother")
 _EVERY_METHOD = (inputs.SIMULATED, inputs.RECORDED, inputs.MEASURED, inputs.TRAINED)
 _RECORDINGS_EACH = 3
 _RECORDED_DRAWS = 3  # of the regressors' errors on recorded walks: of one, a single unlucky walk decides the average

@@ -136,7 +136,7 @@ def main(
 
 
 def _beside_baselines(summary: pd.DataFrame) -> pd.DataFrame:
-    """`hindsight` in each scene with each model: errors, and their ratios to others'."""
+    """`drift_aware` in each scene with each model: errors, and their ratios to others'."""
     errors = scores.per_scene(summary, REAL)
     if METHOD not in errors.index:
         return errors.reset_index()[["method", "scene", "model", *scores.ERRORS]]

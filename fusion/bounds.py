@@ -18,20 +18,20 @@ from groundwalk.geometry.poses import Array
 def alignment_covariance(keyframes: Keyframes, fit: Fit, model: Model, index: int) -> Array:
     """Covariance (4, 4) of the `index`th keyframe's x, y, z and yaw, in map axes."""
     count = len(keyframes)
-    answer = fit.solution.columns(index).reshape(count, 4, 4)  # of keyframe i's gradient to the increments
-    own = answer[index]
-    believed = (answer.transpose(0, 2, 1) @ fit.information @ answer).sum(axis=0)
+    flat = fit.solution.columns(index)
+    answer = flat.reshape(count, 4, 4)  # of keyframe i's gradient to the increments
+    believed = flat.T @ (fit.information @ answer).reshape(-1, 4)
     # What one standard deviation of each of a prediction's six numbers does to the answer.
     unknown = keyframes.column("whitening").reshape(count, 6, 6)[:, :, UNKNOWN]
-    moved = np.linalg.solve(np.linalg.cholesky(fit.covariance), unknown @ answer)
-    moved *= (np.sqrt(model.independent * fit.counted * fit.weights))[:, None, None]
+    moved = np.linalg.inv(np.linalg.cholesky(fit.covariance)) @ (unknown @ answer)
+    moved *= np.sqrt(model.independent * fit.counted * fit.weights)[:, None, None]
     vio = keyframes.column("vio")
-    apart = np.linalg.norm(vio[:, None] - vio, axis=2)
-    alike = model.shared * np.exp(-apart / model.shared_m)
-    np.fill_diagonal(alike, 1.0)
-    together = (alike @ moved.reshape(count, -1)).reshape(moved.shape)
-    real = (moved.transpose(0, 2, 1) @ together).sum(axis=0)
-    return turned(own - believed + real, keyframes.column("state")[index, 3])
+    apart = vio[:, None] - vio
+    alike = model.shared * np.exp(np.sqrt((apart * apart) @ np.ones(3)) / -model.shared_m)
+    alike.flat[:: count + 1] = 1.0
+    together = (alike @ moved.reshape(count, -1)).reshape(-1, 4)
+    real = moved.reshape(-1, 4).T @ together
+    return turned(answer[index] - believed + real, keyframes.column("state")[index, 3])
 
 
 def turned(covariance: Array, yaw: float) -> Array:

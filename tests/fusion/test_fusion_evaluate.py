@@ -73,7 +73,7 @@ def test_methods_learn_from_held_out_frames_and_never_from_those_that_are_judged
         r.tables["errors"].set_index(["method", "frame_id"])["live_position_m"] for r in (learnt, not_learnt)
     )
     changed = (ours - without).abs().groupby("method").max() > 1e-9
-    assert set(changed.index[changed]) == {"drift_aware", "smoother", "hindsight", "hindsight_late"}
+    assert set(changed.index[changed]) == {"drift_aware", "smoother"}
     # Predictions say themselves what was held out, where frames don't.
     relabelled = frames.assign(split=frames["split"].replace("val", "train"))
     pd.testing.assert_frame_equal(run(relabelled, truth, predictions).tables["error_maps"], table)
