@@ -62,9 +62,7 @@ def score(case: Case, methods: Sequence[Variant]) -> tuple[pd.DataFrame, pd.Data
     summary = summarise(stacked(error_rows(f) for f in fused))
     for i, name in enumerate(("position", "rotation")):
         inside = {v.label: [within_bounds(f)[:, i] for f in fused if f.run.method == v.label] for v in methods}
-        share = {
-            label: 100 * np.concatenate(part).mean() if sum(map(len, part)) else None for label, part in inside.items()
-        }
+        share = {label: 100 * np.concatenate(part).mean() for label, part in inside.items() if sum(map(len, part))}
         summary[f"{name}_within_pct"] = summary["method"].map(share).astype(float)
     sessions = pd.DataFrame([session_figures(f) | _sums(f) for f in fused])
     return summary.assign(kind=case.kind, scene=case.scene), sessions.assign(kind=case.kind, scene=case.scene)

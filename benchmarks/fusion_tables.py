@@ -69,7 +69,9 @@ def write_cases(folder: Path, cases: Sequence[Case], held_out: bool = False) -> 
         ]
         if held_out:
             learnt = [_held_out(case) for case in of_scene]
-            frames, truth, apr = frames + [learnt[0][0]], truth + [learnt[0][1]], apr + [part[2] for part in learnt]
+            frames.append(learnt[0][0])
+            truth.append(learnt[0][1])
+            apr += [part[2] for part in learnt]
         place = folder / scene
         place.mkdir(parents=True, exist_ok=True)
         for name, parts in (("frames", frames), ("ground_truth", truth), ("predictions", apr)):

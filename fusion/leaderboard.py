@@ -34,7 +34,7 @@ from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import accuracy_shares
 
 RAW, RULE, LATE = "apr", "mobilearloc", "smoother"
-LAGS_S = (0.0, 1.0, 2.0, 5.0, 10.0, 30.0)
+LAGS_S = (0.0, 1.0, 5.0, 30.0)
 KEY = ["group", "scene", "model"]
 ERRORS = ["position_mean_m", "rotation_mean_deg"]
 _WITHIN_95 = float(chi2.ppf(0.95, 3))

@@ -31,10 +31,11 @@ _HEADER = """# Fusion methods beside each other
 
 Written by `groundwalk fusion leaderboard`; not to be edited. Errors are over all frames with ground truth, in time; a
 frame without a pose counts as failed in medians, percentiles and levels, and means have the coverage beside them.
-`/rule` is a mean error over the paper's rule's in the same scene with the same model, the geometric mean over scenes and
-models. In bounds: share of errors within the method's 95 % bounds, mean over scenes (worst). Levels: (0.25 m, 2°),
-(0.5 m, 5°), (5 m, 10°). Steps: processor time on one thread. Ahead is the causal method whose mean errors are least (the
-geometric mean of position and rotation, over the coverage). `fusion.csv` has every figure."""
+`/rule` is a mean error over the paper's rule's in the same scene with the same model, the geometric mean over scenes
+and models. In bounds: share of errors within the method's 95 % bounds, mean over scenes (worst). Levels: (0.25 m, 2°),
+(0.5 m, 5°), (5 m, 10°). Steps: processor time on one thread, which what else runs on the machine lengthens. Ahead is
+the causal method whose mean errors are least (the geometric mean of position and rotation, over the coverage).
+`fusion.csv` has every figure."""
 
 
 def run_leaderboard(folders: Sequence[Path], data: Path, out: Path, methods: Sequence[str], processes: int) -> None:
