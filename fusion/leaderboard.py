@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -29,14 +30,13 @@ from groundwalk.fusion.localiser import Estimate, MethodOptions
 from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.offline import Offline
 from groundwalk.fusion.tables import Files
+from groundwalk.fusion.validation import ERRORS, ahead_of
 from groundwalk.fusion.walks import Walk, known
-from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import accuracy_shares
 
 RAW, RULE, LATE = "apr", "mobilearloc", "smoother"
 LAGS_S = (0.0, 1.0, 5.0, 30.0)
 KEY = ["group", "scene", "model"]
-ERRORS = ["position_mean_m", "rotation_mean_deg"]
 _WITHIN_95 = float(chi2.ppf(0.95, 3))
 _TABLES = ("frames", "ground_truth", "predictions")
 
@@ -186,30 +186,29 @@ def _timed(step: Callable[..., Estimate], spent_ms: list[float]) -> Callable[...
     return timed
 
 
-def within_bounds(fused: Fused) -> Array:
+def within_bounds(fused: Fused) -> NDArray[np.bool_]:
     """Whether position and rotation errors lie within the 95 % bounds, (N, 2), of the frames that have bounds."""
     there = known(fused.live_map_T_cam) & known(fused.walk.map_T_cam)
     there &= np.array([e.covariance is not None for e in fused.estimates], dtype=bool)
     if not there.any():
-        return np.zeros((0, 2))
+        return np.zeros((0, 2), dtype=bool)
     covariance = np.array([e.covariance for e, ok in zip(fused.estimates, there, strict=True) if ok])
     ours, true = fused.live_map_T_cam[there], fused.walk.map_T_cam[there]
     off = ours[:, :3, 3] - true[:, :3, 3]
     turn = Rotation.from_matrix(ours[:, :3, :3] @ true[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
     parts = ((off, covariance[:, 3:, 3:]), (turn, covariance[:, :3, :3]))
     squared = [np.einsum("ni,ni->n", e, np.linalg.solve(c, e[..., None])[..., 0]) for e, c in parts]
-    return np.column_stack(squared) <= _WITHIN_95
+    return np.asarray(np.column_stack(squared) <= _WITHIN_95)
 
 
 def ahead(rows: pd.DataFrame) -> pd.DataFrame:
-    """For each case the causal method whose mean errors are least: their geometric mean, over the share of frames
-    answered, as a missing pose is a failure. `raw_is_ahead` where no method beats the regressor alone."""
+    """For each case the causal method that is ahead, and its mean errors."""
     found = []
     causal = rows[rows["causal"]]
     for key, group in causal.groupby(KEY, sort=False):
-        size = np.sqrt(group["position_mean_m"] * group["rotation_mean_deg"]) / (group["coverage_pct"] / 100)
-        best = group.loc[size.sort_values(kind="stable").index[0]]
-        found.append(dict(zip(KEY, key, strict=True)) | {"ahead": best["method"]} | best[ERRORS].to_dict())
+        best = ahead_of(group)
+        errors = group.loc[group["method"] == best, ERRORS].iloc[0]
+        found.append(dict(zip(KEY, key, strict=True)) | {"ahead": best} | errors.to_dict())
     return pd.DataFrame(found)
 
 

@@ -109,8 +109,8 @@ def lag_ratios(rows: pd.DataFrame) -> pd.DataFrame:
     for lag, name in [*((lag, f"{LATE}, {lag:g} s late") for lag in LAGS_S), (np.inf, LATE)]:
         part = rows[rows["method"] == name].set_index(KEY)[ERRORS]
         if len(part) and len(none):
-            means = np.log(part / none.reindex(part.index)).groupby("group", sort=False).mean()
-            for group, (position, rotation) in np.exp(means).iterrows():
+            means = (part / none.reindex(part.index)).apply(np.log).groupby("group", sort=False).mean().apply(np.exp)
+            for group, (position, rotation) in means.iterrows():
                 found.append({"group": group, "lag s": lag, "position": position, "rotation": rotation})
     return pd.DataFrame(found)
 
