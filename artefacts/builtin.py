@@ -49,9 +49,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "pose_graph": "groundwalk.fusion.entries:POSE_GRAPH",
         "error_state": "groundwalk.fusion.entries:ERROR_STATE",
         "drift_aware": "groundwalk.fusion.entries:DRIFT_AWARE",
-        "hindsight": "groundwalk.fusion.entries:HINDSIGHT",
         "smoother": "groundwalk.fusion.entries:SMOOTHER",
-        "hindsight_late": "groundwalk.fusion.entries:HINDSIGHT_LATE",
         "vio_oracle": "groundwalk.fusion.entries:VIO_ORACLE",
     },
     "groundwalk.exporters": {

@@ -52,7 +52,7 @@ def _trained(r: StageRun[FuseSettings], leaf: str) -> frozenset[str]:
 
 STAGE = Stage(
     name="fuse",
-    version=8,
+    version=9,
     settings=FuseSettings,
     needs=("import", "align", "train"),
     run=run,

@@ -112,7 +112,7 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
 
 STAGE = Stage(
     name="report",
-    version=4,
+    version=5,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import", "sfm", "align", "train", "fuse"),

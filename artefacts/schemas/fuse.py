@@ -148,6 +148,22 @@ TABLES = [
     ),
     TableSchema(
         "fuse",
+        "validation",
+        "Each causal method on the frames held out of training: which is ahead is told without the test walks. Missing "
+        "where no frames were held out.",
+        [
+            _METHOD,
+            _MODEL,
+            _SCENE,
+            Column("frames", "int64", "held-out frames with ground truth"),
+            Column("coverage_pct", "float64", "share of them that it answered", "%"),
+            Column("position_mean_m", "float64", "mean APE over the answered frames", "m", "", True),
+            Column("rotation_mean_deg", "float64", "mean AOE over the answered frames", "deg", "", True),
+            Column("ahead", "bool", "its geometric mean of both, over the coverage, is the least"),
+        ],
+    ),
+    TableSchema(
+        "fuse",
         "error_maps",
         "What was learnt of each regressor's errors from held-out frames of training walks: a row a frame, and the "
         "fitted numbers in each row. `groundwalk.fusion.error_map.ErrorMap.from_table` reads it, for an app to ship.",
