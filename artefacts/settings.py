@@ -41,8 +41,10 @@ class SceneConfig(Settings):
     """A scene, or a group of scenes that share a model (`members`)."""
 
     name: str
-    description: str = ""
-    environment: Literal["outdoor", "indoor", "unknown"] = "unknown"
+    description: str = Field("", description="one line that lists of scenes show")
+    environment: Literal["outdoor", "indoor", "unknown"] = Field(
+        "unknown", description="outdoor or indoor scenes share Table II's averages and MS-T's first loss weights"
+    )
     extent_m: list[float] | None = Field(None, description="published or expected extent, metres")
     can_simulate: bool = Field(False, description="simulation/ knows this place")
     members: list[str] = Field(default_factory=list, description="a group's scenes, or groups")

@@ -36,11 +36,12 @@ class Command:
             command: Any = get_command(import_module(f"groundwalk.{self.module}").app)
             return command.commands[self.subcommand] if self.subcommand else command
         app = new_app("")
-        help_text = None if for_completion else stage_help(self._stage())
-        app.command(self.name, help=help_text)(stage_command(self.name, self._stage))
+        help_text = None if for_completion else stage_help(self.stage())
+        app.command(self.name, help=help_text)(stage_command(self.name, self.stage))
         return get_command(app)
 
-    def _stage(self) -> Any:
+    def stage(self) -> Any:
+        """The stage that a stage's command runs."""
         return import_module(f"groundwalk.{self.module}").STAGE
 
 
@@ -78,6 +79,7 @@ COMMANDS = {
         Command("locate", "Localise images in a scene's map.", "localisation.locate"),
         Command("export-model", "Write a trained regressor as ONNX.", "training.__main__", "export"),
         Command("evaluate", "Fuse predictions from Parquet files; measure errors.", "fusion.__main__", "evaluate"),
+        Command("fusion", "Fusion methods beside each other (leaderboard), evaluate, sweep.", "fusion.__main__"),
         Command("sweep", "Try other thresholds of the MobileARLoc rule.", "fusion.__main__", "sweep"),
         Command(
             "check-truth",
@@ -85,7 +87,7 @@ COMMANDS = {
             "alignment.__main__",
             "check-truth",
         ),
-        Command("docs", "Print the reference of all tables.", "artefacts.__main__", "docs"),
+        Command("docs", "Write the generated pages of the docs.", "commands", "docs"),
     ],
 }
 

@@ -24,7 +24,7 @@ class SceneInputs:
 
     `predictions` are the regressors' and the structure localisers', `cards` and `localisers` say what these are.
     `manifests` has those of all stages that went in, by a name to show. `sweep` is None where the
-    paper's rule wasn't run.
+    paper's rule wasn't run, `validation` where no frames were held out of training.
     """
 
     name: str
@@ -51,6 +51,7 @@ class SceneInputs:
     intervals: pd.DataFrame
     fused_sessions: pd.DataFrame
     methods: pd.DataFrame
+    validation: pd.DataFrame | None
     manifests: dict[str, dict[str, Any]]
 
     @property
@@ -99,6 +100,13 @@ class SceneInputs:
         causal one that fuses; None where there is none."""
         fusing = self.methods.loc[self.methods["fuses"] & self.methods["causal"], "method"].tolist()
         return PAPER_METHOD if PAPER_METHOD in fusing else next(iter(fusing), None)
+
+    def ahead(self, model: str) -> str | None:
+        """The method that is ahead on held-out frames for a model, maybe a raw one; None where that isn't known."""
+        if self.validation is None:
+            return None
+        rows = self.validation[(self.validation["model"] == model) & self.validation["ahead"]]
+        return str(rows["method"].iloc[0]) if len(rows) else None
 
     def fused_errors(self, model: str) -> pd.DataFrame:
         """The rows of `fused_method` for a model; where it was run with several options, those of the first."""
@@ -212,6 +220,7 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         intervals=fused("intervals"),
         fused_sessions=fused("sessions"),
         methods=r.read("fuse", "methods", scene=fused_by),
+        validation=fused("validation") if (r.folder("fuse", fused_by) / "validation.parquet").is_file() else None,
         manifests=manifests,
     )
 

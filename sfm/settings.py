@@ -49,7 +49,7 @@ class SfmSettings(Settings):
         15.0, gt=0, description="what two images leave open of the direction of motion, degrees"
     )
     retrieval_pairs: int = Field(10, ge=0, description="frames of other sessions that look most alike")
-    retrieval: RetrievalName = Field("vlad", description="what `look alike` means: vlad or pca-vlad (docs/sfm.md)")
+    retrieval: RetrievalName = Field("vlad", description="what `look alike` means: vlad or pca-vlad")
     retrieval_words: int = Field(64, ge=2, description="visual words, learned from the scene, behind `look alike`")
     transitive_pairs: int = Field(5, ge=0, description="pairs a frame gains where both match a third one; 0: none")
     min_inliers: int = Field(15, ge=8, description="verified matches that a pair needs")

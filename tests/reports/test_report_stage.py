@@ -367,6 +367,30 @@ def test_a_run_without_the_papers_rule(make_run: MakeRun, methods: list[str], he
     assert "the paper's rule, wasn't run" in (report / "tables" / "table2.md").read_text()
 
 
+@pytest.mark.parametrize(
+    ("ahead", "headline", "more"),
+    [
+        ("mobilearloc", "PN+VIO, median", "ahead on frames held out"),
+        ("apr", "PN, median", "no method that fuses beats it"),
+    ],
+)
+def test_the_headline_leads_with_what_is_ahead_on_held_out_frames(
+    make_run: MakeRun, ahead: str, headline: str, more: str
+) -> None:
+    data = make_run(Bar={"train": 12, "test": 8})
+    folder = data.run("tiny", "Bar", "fuse")
+    figures = {"frames": 4, "coverage_pct": 100.0, "position_mean_m": 1.0, "rotation_mean_deg": 2.0}
+    rows = [
+        {"method": name, "model": model, "scene": "Bar", "ahead": name == ahead} | figures
+        for model in ("PN", "MS-T")
+        for name in ("apr", "mobilearloc")
+    ]
+    write_table(folder / "validation.parquet", pd.DataFrame(rows), schema("fuse", "validation"))
+    write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})
+    page = (execute(STAGE, "Bar", "tiny", data) / "page.html").read_text()
+    assert headline in page and more in page
+
+
 def test_bad_input_is_a_clear_error(make_run: MakeRun) -> None:
     data = make_run(Bar={"train": 12, "test": 6})
     errors = table_of(data, "Bar", "fuse", "errors")
