@@ -43,7 +43,7 @@ TABLES = [
             Column(
                 "refusal",
                 "string",
-                "why there is no pose (docs/localisation.md); null: there is one",
+                "why there is no pose (docs/explanation/localisation.md); null: there is one",
                 nullable=True,
                 choices=Refusal,
             ),
@@ -88,7 +88,7 @@ TABLES = [
         "What a query needs of a structure localiser, part by part.",
         [
             _MODEL,
-            Column("part", "string", "descriptors, points, ... (docs/localisation.md)"),
+            Column("part", "string", "descriptors, points, ... (docs/explanation/localisation.md)"),
             Column("bytes", "int64", "its size", "byte"),
         ],
     ),
