@@ -57,7 +57,7 @@ def check_sessions(component: Component, sfm: SfmTables, drift: VioDrift, settin
         if not len(rows):
             continue
         session = Session(About(len(rows), session_id, component.index), rows, settings)
-        diagnosis = diagnose([p.stretch for p in component.pieces if p.session_id == session_id], drift)
+        diagnosis = diagnose([p.trajectory_pair for p in component.pieces if p.session_id == session_id], drift)
         focal = sfm.focal(component.model_id, session_id)
         results = _motion_checks(session, diagnosis, focal, belongs=sfm.belongs(session_id))
         if all(c.status is not Status.FAILED for c in results):
