@@ -8,7 +8,7 @@ from groundwalk.alignment.rulers.settings import Ruler, rulers_of
 from groundwalk.alignment.uncertainty import QualityLimits
 from groundwalk.artefacts import Settings
 from groundwalk.artefacts.vio_drift_settings import VioDriftSettings
-from groundwalk.consistency.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT
+from groundwalk.consistency.diagnosis import MAX_ALIASED_FRACTION, MAX_TURN_GAIN_ERROR
 from groundwalk.consistency.scale import STEP_M, STEP_SCALE_SD
 from groundwalk.consistency.windows import POSE_SD, WINDOW_M
 
@@ -60,12 +60,14 @@ class AlignSettings(VioDriftSettings):
         description="gate: the images may say that a session's focal length is off by this share",
     )
     turn_gain_limit: float = Field(
-        TURN_GAIN_LIMIT,
+        MAX_TURN_GAIN_ERROR,
         gt=0,
         description="gate: SfM may turn by this share more or less than VIO; a wrong focal length does so",
     )
     folded_limit: float = Field(
-        FOLDED_LIMIT, ge=0, description="gate: share of a session's frames that may lie where far ones do, by VIO"
+        MAX_ALIASED_FRACTION,
+        ge=0,
+        description="gate: share of a session's frames that may lie where far ones do, by VIO",
     )
     unsure_step_m: float = Field(
         5.0,
