@@ -158,7 +158,9 @@ def depth_clouds(
         step = max(1, int(np.ceil(np.sqrt(depth.size * len(rows) / _MAX_CLOUD_POINTS))))
         pixels, fractions = pixel_rays((depth.shape[0], depth.shape[1]), step)
         i, j = pixels.T
-        good = (depth[i, j] < MAX_RANGE_M) & smooth_pixels(depth)[i, j] & np.isin(confidence[i, j], (-1, HIGH_CONFIDENCE))
+        good = (
+            (depth[i, j] < MAX_RANGE_M) & smooth_pixels(depth)[i, j] & np.isin(confidence[i, j], (-1, HIGH_CONFIDENCE))
+        )
         matrix = np.array([[frame.fx, 0, frame.cx], [0, frame.fy, frame.cy], [0, 0, 1.0]])
         xy = fractions[good] * [frame.width, frame.height]
         if not len(xy):

@@ -34,7 +34,9 @@ ALL = "all"
 class DriftSamples:
     """Samples of every definition, by (definition, interval, interval_unit, unit)."""
 
-    samples: dict[tuple[DriftDefinition, float | None, DriftInterval, str], list[float]] = field(default_factory=lambda: defaultdict(list))
+    samples: dict[tuple[DriftDefinition, float | None, DriftInterval, str], list[float]] = field(
+        default_factory=lambda: defaultdict(list)
+    )
 
     def add(
         self,
@@ -169,6 +171,7 @@ def _yaw(samples: DriftSamples, t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: A
 
 def _trajectory(samples: DriftSamples, map_xyz: Array, vio_xyz: Array) -> None:
     """ATE: position errors after a least-squares fit of the whole path (Zhang and Scaramuzza, IROS 2018)."""
+
     def add(definition: DriftDefinition, aligned_xyz: Array) -> None:
         errors_m = np.linalg.norm(map_xyz - aligned_xyz, axis=1)
         samples.add(definition, None, DriftInterval.PATH, "m", errors_m)

@@ -233,8 +233,8 @@ def _place(
 
 
 def _problems(problem: np.ndarray, checks: Sequence[CheckResult], components: list[Component]) -> np.ndarray:
-    """Why frames (N,) are of class C at best: an undecided check, else `problem` (N,); in a model without scale all are,
-    as limits are in metres."""
+    """Why frames (N,) are of class C at best: an undecided check, else `problem` (N,); in a model without scale all
+    are, as limits are in metres."""
     undecided = undecided_reasons(checks, len(problem))
     problem = np.where(undecided == "", problem, undecided)
     for component in (c for c in components if not c.scale.is_known):

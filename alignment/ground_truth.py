@@ -85,8 +85,9 @@ def camera_sd(frames: pd.DataFrame, settings: AlignSettings) -> float:
 
 
 class _FrameTruth(NamedTuple):
-    """By frame (N,): the model that a pose is from, -1 without ground truth; covariances (N, 6, 6), NaN where unknown, of
-    the model alone (SfM's, and the link's to the map) and in all; what its scale and vertical are by; by a VIO link."""
+    """By frame (N,): the model that a pose is from, -1 without ground truth; covariances (N, 6, 6), NaN where unknown,
+    of the model alone (SfM's, and the link's to the map) and in all; what its scale and vertical are by; by a VIO
+    link."""
 
     component: np.ndarray
     model_covariance: Array

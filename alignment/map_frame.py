@@ -78,7 +78,7 @@ def common_scale(segments: list[Segment], *, step_m: float, step_sd: float, phon
     """
     scales = {}
     for recording in sorted({s.recording for s in segments}):
-        parts = [s.trajectories for s in segments if s.recording == recording]
+        parts = [s.trajectory_pair for s in segments if s.recording == recording]
         scale = recording_scale(parts, step_m=step_m, step_sd=step_sd)
         if scale is not None:
             scales[recording] = scale

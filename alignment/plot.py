@@ -77,9 +77,7 @@ def _is_within(window: SegmentWindow, segment: Segment) -> bool:
     return is_same and segment.t_ns[0] <= piece.t_ns[window.inside[0]] <= segment.t_ns[-1]
 
 
-def _draw_curves(
-    axis: Axes, curves: Sequence[tuple[SegmentWindow, Array, float]], segment: Segment, unit: str
-) -> None:
+def _draw_curves(axis: Axes, curves: Sequence[tuple[SegmentWindow, Array, float]], segment: Segment, unit: str) -> None:
     """The residuals of each window over time, with its limit, drawn over its length."""
     for window, values, limit in curves:
         seconds = (window.segment.t_ns[window.inside] - segment.t_ns[0]) * 1e-9

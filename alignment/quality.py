@@ -75,14 +75,14 @@ def _exceeded(measures: FrameMeasures, limits: QualitySettings) -> tuple[str, fl
     m, few = measures, limits.min_observations / max(measures.observations, 0.5)
     position, rotation = m.position_sd_m / limits.max_position_sd_m, m.rotation_sd_deg / limits.max_rotation_sd_deg
     reprojection = np.nan_to_num(m.reprojection_deg / limits.max_reprojection_deg, nan=np.inf)
-    ratio, *figures = max(
+    ratio, what, value, limit, unit = max(
         (position, "position uncertain", m.position_sd_m, limits.max_position_sd_m, "m"),
         (rotation, "rotation uncertain", m.rotation_sd_deg, limits.max_rotation_sd_deg, "deg"),
         (few, "few points seen", m.observations, limits.min_observations, ""),
         (reprojection, "reprojection", m.reprojection_deg, limits.max_reprojection_deg, "deg"),
         key=lambda entry: np.nan_to_num(entry[0], posinf=np.inf),
     )
-    return tuple(figures) if ratio > 1 else None
+    return (what, value, limit, unit) if ratio > 1 else None
 
 
 def sfm_covariances(column: pd.Series) -> Array:

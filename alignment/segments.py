@@ -55,7 +55,7 @@ class Segment:
         return np.zeros(len(xyz)) if np.isnan(xyz).any() else distance_along(xyz)
 
     @property
-    def trajectories(self) -> TrajectoryPair:
+    def trajectory_pair(self) -> TrajectoryPair:
         """The poses of the frames that both SfM and VIO have."""
         return TrajectoryPair(self.sfm_T_cam[self.has_both], self.vio_T_cam[self.has_both])
 

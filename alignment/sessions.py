@@ -49,8 +49,8 @@ class SessionFit:
 def fit_session(
     segment: Segment, map_T_cam: Array, has_ground_truth: np.ndarray, sd: PoseSd, *, is_metric: bool = True
 ) -> SessionFit:
-    """Fit a segment's VIO to the map: poses map_T_cam (N, 4, 4) of all its frames, of which those that have ground truth
-    (N,) are fitted. Nothing but a similarity fits metres to a map that isn't metric (`is_metric`).
+    """Fit a segment's VIO to the map: poses map_T_cam (N, 4, 4) of all its frames, of which those that have ground
+    truth (N,) are fitted. Nothing but a similarity fits metres to a map that isn't metric (`is_metric`).
 
     The similarity's residuals are by a plain least-squares fit: of positions for positions, and of rotations alone for
     rotations, as a short or straight path says little of these.

@@ -17,7 +17,9 @@ class QualitySettings(Settings):
     """Limits of a quality class."""
 
     max_position_sd_m: float = Field(gt=0, description="largest standard error of SfM's position in any axis, metres")
-    max_rotation_sd_deg: float = Field(gt=0, description="largest standard error of SfM's rotation in any axis, degrees")
+    max_rotation_sd_deg: float = Field(
+        gt=0, description="largest standard error of SfM's rotation in any axis, degrees"
+    )
     min_observations: int = Field(ge=0, description="fewest points of the SfM model seen in the frame")
     max_reprojection_deg: float = Field(gt=0, description="largest mean reprojection error, as an angle in degrees")
 
@@ -83,7 +85,7 @@ class AlignSettings(VioDriftSettings):
     max_turn_gain_error: float = Field(
         TURN_GAIN_LIMIT,
         gt=0,
-        description="a session fails if SfM turns by more or less than VIO, as a fraction, as with a wrong focal length",
+        description="a session fails if SfM turns more or less than VIO by more, as a fraction (a wrong focal length)",
     )
     max_aliased_fraction: float = Field(
         FOLDED_LIMIT,
@@ -93,23 +95,26 @@ class AlignSettings(VioDriftSettings):
     uncertain_step_m: float = Field(
         5.0,
         gt=0,
-        description="frames with uncertain poses (class C) are compared with VIO over paths of one to three times this, "
-        "metres",
+        description="VIO path, up to three times it, over which uncertain frames (class C) must match VIO, metres",
     )
     max_uncertain_deviation: float = Field(
         0.018,
         gt=0,
-        description="frames with uncertain poses (class C) that differ from VIO by more, as a fraction of the path, get "
-        "no ground truth",
+        description="uncertain frames (class C) that differ from VIO by more, as a fraction of the path, get no ground "
+        "truth",
     )
     vio_link_m: float = Field(
         10.0, ge=0, description="longest VIO path by which SfM models without a common view are linked, metres"
     )
     vio_link_m_per_sqrt_m: float = Field(
-        0.03, gt=0, description="VIO's position drift (sd) between linked models, metres a square root of a metre of path"
+        0.03,
+        gt=0,
+        description="VIO's position drift (sd) between linked models, metres a square root of a metre of path",
     )
     vio_link_deg_per_sqrt_m: float = Field(
-        0.6, gt=0, description="VIO's heading drift (sd) between linked models, degrees a square root of a metre of path"
+        0.6,
+        gt=0,
+        description="VIO's heading drift (sd) between linked models, degrees a square root of a metre of path",
     )
     max_reference_error_m: float = Field(
         0.1,

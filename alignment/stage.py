@@ -89,9 +89,7 @@ def _read(r: StageRun[AlignSettings]) -> AlignInputs:
     )
 
 
-def _measure_rulers(
-    r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame
-) -> list[RulerMeasurement]:
+def _measure_rulers(r: StageRun[AlignSettings], frames: pd.DataFrame, images: pd.DataFrame) -> list[RulerMeasurement]:
     detections = find_rulers(r.settings.rulers, frames, r.image_path)
     min_angle, max_sd = float(np.radians(r.settings.ruler_min_angle_deg)), r.settings.ruler_max_sd
     measurements = measure_rulers(detections, frames, images, min_angle=min_angle, max_sd=max_sd)
@@ -188,7 +186,8 @@ def _summary(settings: AlignSettings, result: AlignResult, checks: Sequence[Chec
 
 def _describe_scale(scale: MapScale, settings: AlignSettings) -> str:
     if scale.reference is ScaleSource.REFERENCE_UNIT_UNKNOWN:
-        return f"NO METRIC SCALE: all lengths are in the reference's unknown unit, {np.exp(scale.log):.6g} of it per SfM unit"
+        per_unit = f"{np.exp(scale.log):.6g} of it per SfM unit"
+        return f"NO METRIC SCALE: all lengths are in the reference's unknown unit, {per_unit}"
     if not scale.is_known:
         return "NO METRIC SCALE: VIO hardly moves, all lengths are in SfM's unit; add a longer walk or a ruler"
     by = scale.source(np.inf) if scale.rulers or scale.reference else f"{len(scale.recordings)} VIO recordings"
@@ -212,8 +211,8 @@ def _describe_fit(fit: SessionFit) -> str:
     if not len(fit.compared):
         return f"{name}: too few frames with ground truth and VIO to align"
     text = (
-        f"{name}: VIO off by {_rms(fit.rigid.position_m):.3f} m RMS, rotation median {np.median(fit.rigid.rotation_deg):.2f}° "
-        f"over {fit.segment.travelled_m[-1]:.1f} m"
+        f"{name}: VIO off by {_rms(fit.rigid.position_m):.3f} m RMS, rotation median "
+        f"{np.median(fit.rigid.rotation_deg):.2f}° over {fit.segment.travelled_m[-1]:.1f} m"
     )
     if not len(fit.sim3.position_m):
         return text

@@ -57,4 +57,3 @@ def largest_sd(covariance: Array) -> tuple[Array, Array]:
         largest = np.linalg.eigvalsh(covariance[is_finite, block, block])[:, -1]
         sds[row, is_finite] = np.sqrt(np.maximum(largest, 0.0))
     return sds[0], sds[1]
-

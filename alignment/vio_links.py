@@ -80,7 +80,9 @@ def _unlinked(component: Component, candidates: list[_Candidate], settings: Alig
         return UnlinkedComponent(component, None, f"no view and no VIO path links {sessions} to the map")
     gap_m = candidates[0].link.gap_m
     if gap_m <= settings.vio_link_m:
-        return UnlinkedComponent(component, gap_m, f"VIO links contradict each other: {_contradiction(candidates, settings)}")
+        return UnlinkedComponent(
+            component, gap_m, f"VIO links contradict each other: {_contradiction(candidates, settings)}"
+        )
     reason = f"no view links it to the map; VIO path without a registered frame {gap_m:.1f} m"
     return UnlinkedComponent(component, gap_m, reason)
 
@@ -135,7 +137,8 @@ def _candidate(
 
 
 def _contradiction(candidates: list[_Candidate], settings: AlignSettings) -> str | None:
-    """Where another link that isn't too long puts the component elsewhere than the first one does; None if none does."""
+    """Where another link that isn't too long puts the component elsewhere than the first one does; None if none
+    does."""
     link, map_S_metric = candidates[0]
     anchor, drift = map_S_metric.inverse().points(link.anchor), settings.vio_drift
     for other, other_S_metric in candidates[1:]:
@@ -146,9 +149,8 @@ def _contradiction(candidates: list[_Candidate], settings: AlignSettings) -> str
         shift_m = float(np.linalg.norm(other_S_metric.points(anchor) - link.anchor))
         arm_m = float(np.linalg.norm(link.anchor - other.anchor))
         if turn > limit_rad or shift_m > limit_m + arm_m * limit_rad:
-            return (
-                f"{link.session_id} and {other.session_id} put it {shift_m:.2f} m and {np.degrees(turn):.1f} degrees apart"
-            )
+            apart = f"{shift_m:.2f} m and {np.degrees(turn):.1f} degrees apart"
+            return f"{link.session_id} and {other.session_id} put it {apart}"
     return None
 
 

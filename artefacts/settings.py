@@ -5,7 +5,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from groundwalk.artefacts.errors import UserError
 
@@ -25,6 +25,14 @@ class Settings(BaseModel):
 
     renamed: ClassVar[dict[str, str]] = {}
     """Retired names of settings, and what each is called now."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_retired(cls, content: Any) -> Any:
+        for old in cls.renamed.keys() & content.keys() if isinstance(content, dict) else ():
+            new = cls.renamed[old]
+            raise UserError(f"setting {old!r} was renamed to {new!r}", do=f"write {new} instead")
+        return content
 
 
 class SplitRules(Settings):
@@ -157,13 +165,9 @@ def resolve_settings(model: type[T], section: str, data: DataRoot, profile: str,
 
 def validated(model: type[T], content: dict[str, Any], where: object) -> T:
     """`content` as a settings model; UserError naming each key that doesn't fit."""
-    retired = next((key for key in content if key in model.renamed), None)
-    if retired is not None:
-        new = model.renamed[retired]
-        raise UserError(f"setting {retired!r} was renamed to {new!r}", where=where, do=f"write {new} instead")
     try:
         return model.model_validate(content)
-    except UserError as error:  # about a value that names something, as an entry of a registry
+    except UserError as error:  # a retired name, or a value that names no entry of a registry
         error.details["where"] = error.details["where"] or where
         raise
     except ValidationError as error:

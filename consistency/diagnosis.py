@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundwalk.consistency.motions import LEAST_STEP_M, LEAST_TURN, MotionAgreement, compare_motions
-from groundwalk.consistency.trajectories import Stretch, path_m
+from groundwalk.consistency.trajectories import TrajectoryPair, path_m
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.poses import Array, relative, rotation_angle
 
@@ -33,25 +33,25 @@ class Diagnosis:
     folded_m: float
 
 
-def diagnose(stretches: Sequence[Stretch], drift: VioDrift) -> Diagnosis:
-    """Diagnose one session's frames in one model; `stretches` are its parts between all VIO jumps."""
-    pairs = [_near_pairs(stretch.vio_T_cam) for stretch in stretches]
+def diagnose(parts: Sequence[TrajectoryPair], drift: VioDrift) -> Diagnosis:
+    """Diagnose one session's frames in one model; `parts` are its parts between all VIO jumps."""
+    pairs = [_near_pairs(part.vio_T_cam) for part in parts]
     sfm, vio = (
         np.concatenate([relative(poses[a], poses[b]) for poses, (a, b) in zip(side, pairs, strict=True)])
-        for side in ([s.sfm_T_cam for s in stretches], [s.vio_T_cam for s in stretches])
+        for side in ([s.sfm_T_cam for s in parts], [s.vio_T_cam for s in parts])
     )
     motions = compare_motions(sfm, vio, common_scale=True)
     scale = _step_scale(sfm, vio)
-    frames = sum(len(stretch.vio_T_cam) for stretch in stretches)
+    frames = sum(len(part.vio_T_cam) for part in parts)
     folded, farthest, start = 0, 0.0, 0
-    for stretch, (a, b) in zip(stretches, pairs, strict=True):
+    for part, (a, b) in zip(parts, pairs, strict=True):
         agree = motions.agree[start : start + len(a)]
         start += len(a)
         # A frame that is wrong alone agrees with none of its neighbours.
-        right = ~np.isin(np.arange(len(stretch.vio_T_cam)), np.concatenate([a, b]))
+        right = ~np.isin(np.arange(len(part.vio_T_cam)), np.concatenate([a, b]))
         right[a[agree]] = right[b[agree]] = True
         if np.isfinite(scale) and right.any():
-            count, metres = _folded(Stretch(stretch.sfm_T_cam[right], stretch.vio_T_cam[right]), scale, drift)
+            count, metres = _folded(TrajectoryPair(part.sfm_T_cam[right], part.vio_T_cam[right]), scale, drift)
             folded, farthest = folded + count, max(farthest, metres)
     return Diagnosis(frames, motions, folded / max(frames, 1), farthest)
 
@@ -83,13 +83,13 @@ def _step_scale(sfm: Array, vio: Array) -> float:
     return float(np.median(metres[moved] / units[moved])) if moved.any() else float("nan")
 
 
-def _folded(stretch: Stretch, scale: float, drift: VioDrift) -> tuple[int, float]:
+def _folded(part: TrajectoryPair, scale: float, drift: VioDrift) -> tuple[int, float]:
     """How many frames lie where others do that VIO has far away, beyond all drift; and how far.
 
     Where a walk comes back, VIO is off by its drift in position and by what a heading that strayed on the way has done:
     the integral of the way there over the heading's error, at most that error times half of how far the way went.
     """
-    sfm, vio, travelled = scale * stretch.sfm_T_cam[:, :3, 3], stretch.vio_T_cam[:, :3, 3], path_m(stretch.vio_T_cam)
+    sfm, vio, travelled = scale * part.sfm_T_cam[:, :3, 3], part.vio_T_cam[:, :3, 3], path_m(part.vio_T_cam)
     folded, farthest, place = np.zeros(len(vio), dtype=bool), 0.0, np.arange(len(vio))
     for start in range(0, len(vio), _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)

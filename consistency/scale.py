@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundwalk.consistency.trajectories import Stretch, path_m, path_steps
+from groundwalk.consistency.trajectories import TrajectoryPair, path_m, path_steps
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import ROBUST_TOLERANCE, fit_robust
 from groundwalk.geometry.poses import Array, relative
@@ -38,13 +38,13 @@ class Scale:
 
 
 def recording_scale(
-    stretches: Sequence[Stretch],
+    parts: Sequence[TrajectoryPair],
     *,
     step_m: float,
     step_sd: float,
     tolerance: float = ROBUST_TOLERANCE,
 ) -> Scale | None:
-    """The scale of a recording's stretches in one model: the robust mean over steps of VIO path, one after the other,
+    """The scale of a recording's parts in one model: the robust mean over steps of VIO path, one after the other,
     weighted by what each can tell; None where it would be less certain than to a third.
 
     Steps are of `step_m`, and of an eighth of a path that is shorter than eight of these. `step_sd`: what the scale of
@@ -52,9 +52,9 @@ def recording_scale(
     noise of the ends doesn't grow. The standard error is that of the scatter that is found, and of what is expected of
     the whole path. Raises GeometryError where SfM puts frames in one place that VIO says are apart.
     """
-    stretches = [stretch for stretch in stretches if len(stretch.vio_T_cam) >= _FEWEST_FRAMES]
-    whole_m = sum(float(path_m(stretch.vio_T_cam)[-1]) for stretch in stretches)
-    sfm, vio = _steps(stretches, min(step_m, whole_m / _STEPS_OF_A_WALK))
+    parts = [part for part in parts if len(part.vio_T_cam) >= _FEWEST_FRAMES]
+    whole_m = sum(float(path_m(part.vio_T_cam)[-1]) for part in parts)
+    sfm, vio = _steps(parts, min(step_m, whole_m / _STEPS_OF_A_WALK))
     length, squared = np.linalg.norm(vio, axis=1), np.sum(sfm * sfm, axis=1)
     if np.any((squared == 0) & (length >= _COLLAPSED_M)):
         raise GeometryError(f"{np.count_nonzero(squared == 0)} of {len(squared)} steps have no length in SfM")
@@ -87,12 +87,12 @@ def recording_scale(
     return Scale(float(np.log(mean * usual)), relative_sd, len(length))
 
 
-def _steps(stretches: Sequence[Stretch], step_m: float) -> tuple[Array, Array]:
+def _steps(parts: Sequence[TrajectoryPair], step_m: float) -> tuple[Array, Array]:
     """Steps (M, 3) of `step_m` of VIO path, by SfM and by VIO."""
     found = [np.empty((2, 0, 3))]
-    for stretch in stretches:
-        a, b = path_steps(path_m(stretch.vio_T_cam), step_m)
-        found.append(np.stack([relative(T[a], T[b])[:, :3, 3] for T in stretch]))
+    for part in parts:
+        a, b = path_steps(path_m(part.vio_T_cam), step_m)
+        found.append(np.stack([relative(T[a], T[b])[:, :3, 3] for T in part]))
     sfm, vio = np.concatenate(found, axis=1)
     return sfm, vio
 

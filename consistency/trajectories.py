@@ -11,7 +11,7 @@ from groundwalk.geometry.poses import Array
 LEAST_WINDOW = 6
 
 
-class Stretch(NamedTuple):
+class TrajectoryPair(NamedTuple):
     """The poses of the n frames that both know, in order of time: `sfm_T_cam` (n, 4, 4) in a model's arbitrary scale,
     `vio_T_cam` (n, 4, 4) in metres."""
 

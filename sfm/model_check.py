@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from groundwalk.consistency.decisions import Status, decide
 from groundwalk.consistency.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT, diagnose
 from groundwalk.consistency.scale import STEP_M, STEP_SCALE_SD, recording_scale
-from groundwalk.consistency.trajectories import Stretch
+from groundwalk.consistency.trajectories import TrajectoryPair
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.consistency.windows import POSE_SD, WINDOW_M, compare_windows
 from groundwalk.geometry import GeometryError
@@ -62,7 +62,7 @@ def check_models(
             parts = _stretches(own & (vio.session == session), vio, t_ns_N)
             if not parts:
                 continue
-            found = diagnose([Stretch(sfm_T_cam[rows], vio.vio_T_cam[rows]) for rows in parts], drift)
+            found = diagnose([TrajectoryPair(sfm_T_cam[rows], vio.vio_T_cam[rows]) for rows in parts], drift)
             if found.folded > FOLDED_LIMIT:
                 agrees[own] = False
             motions = found.motions
@@ -87,11 +87,11 @@ def _stretches(chosen: NDArray[np.bool_], vio: Odometry, t_ns_N: NDArray[np.int6
 def _moving_otherwise(
     parts: list[NDArray[np.intp]], sfm_T_cam: Array, vio: Odometry, drift: VioDrift, frames: int
 ) -> NDArray[np.bool_]:
-    """(N,) frames of a recording's stretches in one model that are beyond a limit in some window."""
+    """(N,) frames of a recording's parts in one model that are beyond a limit in some window."""
     wrong = np.zeros(frames, bool)
     try:
         scale = recording_scale(
-            [Stretch(sfm_T_cam[rows], vio.vio_T_cam[rows]) for rows in parts],
+            [TrajectoryPair(sfm_T_cam[rows], vio.vio_T_cam[rows]) for rows in parts],
             step_m=STEP_M,
             step_sd=STEP_SCALE_SD,
             tolerance=_TOLERANCE,

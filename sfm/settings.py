@@ -1,10 +1,10 @@
 """The stage's settings."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
-from groundwalk.artefacts import Settings
+from groundwalk.artefacts.vio_drift_settings import VioDriftSettings
 from groundwalk.sfm.extensions import MAPPERS, RETRIEVALS
 
 MapperName = Annotated[str, AfterValidator(MAPPERS.known)]
@@ -15,8 +15,10 @@ RetrievalName = Annotated[str, AfterValidator(RETRIEVALS.known)]
 SiftMatcherName = Literal["nearest", "lightglue"]
 
 
-class SfmSettings(Settings):
+class SfmSettings(VioDriftSettings):
     """[sfm]"""
+
+    renamed: ClassVar[dict[str, str]] = {"vio_drift_deg_per_root_m": "vio_drift_deg_per_sqrt_m"}
 
     max_image_size: int = Field(1600, ge=64, description="images are shrunk to this longest side for features, px")
     max_features: int = Field(2048, gt=0, description="features kept per image")
@@ -40,10 +42,6 @@ class SfmSettings(Settings):
         8.0, gt=0, description="farther apart in VIO two frames of a session aren't matched"
     )
     vio_max_angle_deg: float = Field(60.0, gt=0, le=180, description="nor if their views turn apart by more than this")
-    vio_drift_m: float = Field(0.1, ge=0, description="VIO may be off by this between two frames, metres, ...")
-    vio_drift_m_per_m: float = Field(0.03, ge=0, description="... and by this share of the path between them")
-    vio_drift_deg: float = Field(3.0, ge=0, description="the same for rotation, degrees, ...")
-    vio_drift_deg_per_root_m: float = Field(2.5, ge=0, description="... and degrees for the root of a metre of path")
     vio_gravity_deg: float = Field(5.0, gt=0, description="gravity may differ by this in two frames, degrees")
     vio_direction_deg: float = Field(
         15.0, gt=0, description="what two images leave open of the direction of motion, degrees"

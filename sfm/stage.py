@@ -12,7 +12,6 @@ from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.child import Task, in_child
 from groundwalk.artefacts.tables import poses_of, with_cameras
 from groundwalk.consistency.motions import compare_motions
-from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.poses import Array, relative
 from groundwalk.sfm.adjustment import Adjusted
 from groundwalk.sfm.calibration import Calibration, calibrate, with_lenses, write_calibrated_database
@@ -371,7 +370,7 @@ def _attempt(
         if kept:
             model = load_models([folder / told.folder for told in kept], len(scene.names))
             t_ns = scene.frames["t_ns"].to_numpy(np.int64)
-            check = check_models(model.sfm_T_cam, model.model, scene.vio, scene.recording_N, t_ns, _drift(settings))
+            check = check_models(model.sfm_T_cam, model.model, scene.vio, scene.recording_N, t_ns, settings.vio_drift)
             agreeing = int(check.agrees.sum())
             no_help = ", ".join(
                 f"the images of session {session} turn {gain:.2f} times as far as its VIO, so its focal length is wrong"
@@ -449,17 +448,13 @@ def _match(
     return matched
 
 
-def _drift(s: SfmSettings) -> VioDrift:
-    return VioDrift.in_degrees(s.vio_drift_m, s.vio_drift_m_per_m, s.vio_drift_deg, s.vio_drift_deg_per_root_m)
-
-
 def _limits(s: SfmSettings) -> PairLimits:
-    return PairLimits(_drift(s), float(np.radians(s.vio_gravity_deg)), float(np.radians(s.vio_direction_deg)))
+    return PairLimits(s.vio_drift, float(np.radians(s.vio_gravity_deg)), float(np.radians(s.vio_direction_deg)))
 
 
 def _can_see(s: SfmSettings, vio: Odometry, pairs: Pairs) -> NDArray[np.bool_]:
     """Whether the frames of each pair are near enough by VIO to see the same thing, its drift allowed for, (P,)."""
-    drift_m, drift_rad = drift_between(vio, pairs, _drift(s))
+    drift_m, drift_rad = drift_between(vio, pairs, s.vio_drift)
     reach_m, reach_deg = s.vio_max_distance_m + drift_m, s.vio_max_angle_deg + np.degrees(drift_rad)
     return within_vio_limits(pairs, vio.session, vio.vio_T_cam, reach_m, reach_deg)
 

@@ -58,12 +58,12 @@ def check_links(
             subject = Subject(each.component.frames, each.link.session_id, each.component.index)
             results.append(_check_link(subject, Estimate(each.link.gap_m), FailureCause.DISCONNECTED_SESSION, settings))
     mapped = {s.recording for p in placed for s in p.component.segments if s.registered.any()}
-    for each in unlinked:
+    for component, gap_m, reason in ((u.component, u.gap_m, u.reason) for u in unlinked):
         # A VIO jump parts a recording, too: its other part is of the same scene.
-        is_elsewhere = each.gap_m is None and mapped.isdisjoint(s.recording for s in each.component.segments)
+        is_elsewhere = gap_m is None and mapped.isdisjoint(s.recording for s in component.segments)
         cause = FailureCause.OTHER_SCENE if is_elsewhere else FailureCause.DISCONNECTED_SESSION
-        subject, rows = Subject(each.component.frames, component=each.component.index), each.component.registered_rows
-        results.append(_check_link(subject, Estimate(), cause, settings, each.reason, rows))
+        subject, rows = Subject(component.frames, component=component.index), component.registered_rows
+        results.append(_check_link(subject, Estimate(), cause, settings, reason, rows))
     return results
 
 

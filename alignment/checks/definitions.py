@@ -22,8 +22,8 @@ ADVICE_BY_CAUSE = {
 
 @dataclass(frozen=True, kw_only=True)
 class CheckDefinition:
-    """What a check estimates; the value must be at most the limit, or at least (`limit_is_minimum`). `remedy`: what to do
-    where it failed; `evidence`: what would decide it."""
+    """What a check estimates; the value must be at most the limit, or at least (`limit_is_minimum`). `remedy`: what to
+    do where it failed; `evidence`: what would decide it."""
 
     estimate: str
     unit: CheckUnit

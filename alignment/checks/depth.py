@@ -14,10 +14,12 @@ _MIN_SAMPLES, _MIN_FRAMES = 100, 3
 
 
 def check_depth(agreement: pd.DataFrame, settings: AlignSettings) -> tuple[list[CheckResult], list[str]]:
-    """Checks of each session's scale and geometry by its depth (the align.depth_agreement table), and lines for the user.
-    A failure excludes no frame: map or sensor may be what is wrong."""
+    """Checks of each session's scale and geometry by its depth (the align.depth_agreement table), and lines for the
+    user. A failure excludes no frame: map or sensor may be what is wrong."""
     results, lines = list[CheckResult](), []
-    for (session_id, component), of_session in agreement.groupby(["session_id", "component"], sort=False):
+    sessions = agreement[["session_id", "component"]].drop_duplicates()
+    for session_id, component in sessions.itertuples(index=False, name=None):
+        of_session = agreement[(agreement["session_id"] == session_id) & (agreement["component"] == component)]
         # High confidence where the phone states any.
         confidence, has_levels = of_session["confidence"], of_session["confidence"].notna().any()
         rows = of_session[confidence == HIGH_CONFIDENCE if has_levels else confidence.isna()]
@@ -57,9 +59,7 @@ def _check_by_distance(bins: pd.DataFrame, subject: Subject, settings: AlignSett
         f"depth by the sensor over depth by the map differs with distance: {low['median_ratio']:.3f} from "
         f"{low['near_m']:g} m, {high['median_ratio']:.3f} from {high['near_m']:g} m"
     )
-    return evaluate(
-        CheckName.SESSION_DEPTH_BY_DISTANCE, subject, estimate, settings.max_depth_spread, failure
-    )
+    return evaluate(CheckName.SESSION_DEPTH_BY_DISTANCE, subject, estimate, settings.max_depth_spread, failure)
 
 
 def _failure(reason: str) -> Failure:

@@ -1,11 +1,9 @@
 """Did SfM register enough frames, of all and of each recording?"""
 
-from collections.abc import Sequence
-
 import numpy as np
 import pandas as pd
 
-from groundwalk.alignment.checks.results import CheckResult, Estimate, Failure, Subject, evaluate
+from groundwalk.alignment.checks.results import CheckResult, Estimate, Failure, Rows, Subject, evaluate
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.choices import CheckName, FailureCause
 
@@ -29,7 +27,7 @@ def check_registration(
     return results
 
 
-def _check_recording(frames: pd.DataFrame, registered: np.ndarray, rows: Sequence[int], limit: float) -> CheckResult:
+def _check_recording(frames: pd.DataFrame, registered: np.ndarray, rows: Rows, limit: float) -> CheckResult:
     count, total = int(registered[rows].sum()), len(rows)
     sessions = sorted(set(frames["session_id"].iloc[rows]))
     is_other_scene = count < _MIN_FRACTION_OF_SCENE * total and registered.any()
@@ -37,6 +35,4 @@ def _check_recording(frames: pd.DataFrame, registered: np.ndarray, rows: Sequenc
         cause=FailureCause.OTHER_SCENE if is_other_scene else FailureCause.TOO_FEW_REGISTERED,
         reason=f"SfM registered {count} of the {total} frames of {', '.join(sessions)}",
     )
-    return evaluate(
-        CheckName.SESSION_REGISTERED, Subject(total, sessions[0]), Estimate(count / total), limit, failure
-    )
+    return evaluate(CheckName.SESSION_REGISTERED, Subject(total, sessions[0]), Estimate(count / total), limit, failure)

@@ -87,8 +87,8 @@ def evaluate(
     failure: Failure,
     status: Status | None = None,
 ) -> CheckResult:
-    """Compare an estimate with its limit: passed, failed, or undecided where its standard error leaves both open or it is
-    NaN; no estimate fails. `status` where the caller has decided already."""
+    """Compare an estimate with its limit: passed, failed, or undecided where its standard error leaves both open or it
+    is NaN; no estimate fails. `status` where the caller has decided already."""
     definition, (value, sd), reason = DEFINITIONS[name], estimate, failure.reason
     if status is None:
         is_minimum = definition.limit_is_minimum
@@ -140,7 +140,9 @@ def undecided_reasons(results: Sequence[CheckResult], count: int) -> np.ndarray:
 
 def main_failure(results: Sequence[CheckResult]) -> CheckResult | None:
     """The failed check that names the run: by its cause, then by its frames."""
-    failed = [(_PRIORITY.index(r.cause), -r.subject.frames, r) for r in results if r.status is Status.FAILED and r.cause]
+    failed = [
+        (_PRIORITY.index(r.cause), -r.subject.frames, r) for r in results if r.status is Status.FAILED and r.cause
+    ]
     return min(failed, key=lambda entry: entry[:2])[2] if failed else None
 
 

@@ -43,9 +43,9 @@ _CAUSES = {
 
 @dataclass(frozen=True, kw_only=True)
 class SessionEvidence:
-    """What is known of a session in an SfM model: its registered `rows` of the frames table, its motion against VIO, its
-    focal length by the images (None: unknown). `pairs_match_vio`: pairs of its images, without any model, move as VIO
-    does, so that images and poses belong together and the model is what is wrong."""
+    """What is known of a session in an SfM model: its registered `rows` of the frames table, its motion against VIO,
+    its focal length by the images (None: unknown). `pairs_match_vio`: pairs of its images, without any model, move as
+    VIO does, so that images and poses belong together and the model is what is wrong."""
 
     subject: Subject
     recording: str
@@ -74,7 +74,7 @@ def check_sessions(component: Component, sfm: SfmTables, settings: AlignSettings
 def _evidence(component: Component, session_id: str, sfm: SfmTables, settings: AlignSettings) -> SessionEvidence:
     segments = [s for s in component.segments if s.session_id == session_id]
     rows = np.concatenate([s.rows[s.registered] for s in segments])
-    pieces = [p.trajectories for p in component.pieces if p.session_id == session_id]
+    pieces = [p.trajectory_pair for p in component.pieces if p.session_id == session_id]
     return SessionEvidence(
         subject=Subject(len(rows), session_id, component.index),
         recording=segments[0].recording,

@@ -27,8 +27,8 @@ class _UncertainRows(NamedTuple):
 def check_uncertain_frames(
     components: list[Component], inputs: AlignInputs, used: np.ndarray, problem: np.ndarray, settings: AlignSettings
 ) -> list[CheckResult]:
-    """Each session's uncertain frames against VIO. `used` (N,): frames that have ground truth so far; `problem` (N,): why
-    a frame is of class C for another reason.
+    """Each session's uncertain frames against VIO. `used` (N,): frames that have ground truth so far; `problem` (N,):
+    why a frame is of class C for another reason.
 
     A frame of class A or B needs no confirmation: its 95 % bounds of 0.3 degrees are 7 cm after 5 m, and VIO drifts as
     far. One of class C must move as VIO does, within a tighter limit than elsewhere; where most of a session's don't,
@@ -76,8 +76,8 @@ def _uncertain_rows(
 
 
 def _inconsistent(part: Segment, metric_S_sfm: Sim3, is_certain: np.ndarray, settings: AlignSettings) -> np.ndarray:
-    """Which frames (N,) with both poses are uncertain and contradicted by VIO: over a path of `uncertain_step_m` to three
-    times that, relative positions differ by more than the allowed fraction of it.
+    """Which frames (N,) with both poses are uncertain and contradicted by VIO: over a path of `uncertain_step_m` to
+    three times that, relative positions differ by more than the allowed fraction of it.
 
     The worst frame is excluded first, until no step with an uncertain frame is contradicted.
     """

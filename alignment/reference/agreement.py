@@ -51,21 +51,24 @@ def describe_agreement(agreement: pd.DataFrame, ground_truth: pd.DataFrame) -> l
     lines = []
     if (ground_truth["scale_source"] == ScaleSource.REFERENCE_UNIT_UNKNOWN).any():
         lines.append(
-            "warning: the reference poses have no stated unit: lengths in m are in their unit, and no frame is better than "
-            "class C; if it's the metre, set [import] reference_is_metric = true"
+            "warning: the reference poses have no stated unit: lengths in m are in their unit, and no frame is better "
+            "than class C; if it's the metre, set [import] reference_is_metric = true"
         )
     if (ground_truth["vertical_source"] == VerticalSource.REFERENCE_UP_UNKNOWN).any():
-        lines.append("warning: the reference poses have no stated vertical: the map has their axes, and +y may point anywhere")
+        lines.append(
+            "warning: the reference poses have no stated vertical: the map has their axes, and +y may point anywhere"
+        )
     for row in agreement.to_dict("records"):
         name = f"{row['session_id']}, model {row['component']}"
         if row["fit"] == ReferenceAlignment.NONE:
             lines.append(f"{name}: too few reference poses to compare")
             continue
         unit = "m" if row["unit"] == LengthUnit.METRE else "the reference's unit"
+        metres = [f"{row[f'position_{which}_m']:.4f}" for which in ("median", "rms", "max")]
         lines.append(
-            f"{name}: {row['compared_frames']} reference poses, alignment {row['fit']}: position {row['position_median_m']:.4f} "
-            f"median, {row['position_rms_m']:.4f} RMS, {row['position_max_m']:.4f} largest ({unit}); rotation "
-            f"{row['rotation_median_deg']:.3f}° median, {row['rotation_max_deg']:.3f}° largest"
+            f"{name}: {row['compared_frames']} reference poses, alignment {row['fit']}: position {metres[0]} median, "
+            f"{metres[1]} RMS, {metres[2]} largest ({unit}); rotation {row['rotation_median_deg']:.3f}° median, "
+            f"{row['rotation_max_deg']:.3f}° largest"
         )
         if row["rotation_median_deg"] > _NOTICEABLE_DEG:
             lines.append(

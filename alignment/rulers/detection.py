@@ -70,10 +70,10 @@ def detect(ruler: BoardRuler, image: Grey) -> Detection:
             return Detection(np.empty(0, dtype=np.int64), np.empty((0, 2)), count)
         at = _refined(ruler, image, np.asarray(xy, dtype=np.float32).reshape(-1, 2)) + _CENTRE_OF_FIRST_PIXEL
         return Detection(ids.ravel().astype(np.int64), at, count)
-    markers = _markers(ruler.dictionary, image)
-    ids = [tag for tag, _ in markers]
+    tags = _markers(ruler.dictionary, image)
+    seen = [tag for tag, _ in tags]
     # An id that is seen twice is ambiguous.
-    tags = [(tag, xy) for tag, xy in markers if ids.count(tag) == 1 and (not ruler.ids or tag in ruler.ids)]
+    tags = [(tag, xy) for tag, xy in tags if seen.count(tag) == 1 and (not ruler.ids or tag in ruler.ids)]
     corner = np.array([4 * tag + k for tag, _ in tags for k in range(4)], dtype=np.int64)
     return Detection(corner, np.array([xy for _, xy in tags]).reshape(-1, 2) + _CENTRE_OF_FIRST_PIXEL, len(tags))
 

@@ -210,15 +210,11 @@ def _fit_parts(
     fits: dict[RulerPart, RulerFit] = {}
     for part, rows in parts.items():
         with suppress(GeometryError):
-            fits[part] = measure(
-                detections.corners, observations.where(rows), poses, covariance, least_pixel_sd=sd_px
-            )
+            fits[part] = measure(detections.corners, observations.where(rows), poses, covariance, least_pixel_sd=sd_px)
     return fits
 
 
-def _judged(
-    measurement: RulerMeasurement, frames: pd.DataFrame, min_angle: float, max_sd: float
-) -> RulerMeasurement:
+def _judged(measurement: RulerMeasurement, frames: pd.DataFrame, min_angle: float, max_sd: float) -> RulerMeasurement:
     """With its problem and notes; without fits where they are too few."""
     fits = measurement.fits
     if RulerPart.ALL not in fits or (measurement.ruler.use_for_scale and RulerPart.FOR_SCALE not in fits):
@@ -243,9 +239,7 @@ def _weakness(measurement: RulerMeasurement, min_angle: float, max_sd: float) ->
             "needed; walk around it"
         )
     if fit.sd > max_sd:
-        return (
-            f"its scale has a standard error of {fit.sd:.2%}, at most {max_sd:.2%} is needed; take more views of it"
-        )
+        return f"its scale has a standard error of {fit.sd:.2%}, at most {max_sd:.2%} is needed; take more views of it"
     return ""
 
 

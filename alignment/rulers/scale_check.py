@@ -52,8 +52,8 @@ class RulerCheck:
 def scale_by_rulers(vio: MapScale, rulers: Sequence[RulerMeasurement], max_size_error: float) -> MapScale | None:
     """The scale of a model by the rulers that are to set it, weighted by their standard errors; None where none may.
 
-    A ruler takes no part that is seen too poorly, mirrored, contradicted by another one, or certainly further from VIO's
-    scale than `max_size_error` (fraction): it may be printed at another size.
+    A ruler takes no part that is seen too poorly, mirrored, contradicted by another one, or certainly further from
+    VIO's scale than `max_size_error` (fraction): it may be printed at another size.
     """
     fit = [r for r in rulers if r.ruler.use_for_scale and _is_fit_for_scale(vio, r, rulers, max_size_error)]
     if not fit:
@@ -162,9 +162,7 @@ def _is_fit_for_scale(
     return decide(error, float(np.hypot(vio.sd, measurement.sd())), max_size_error) is not Status.FAILED
 
 
-def _contradicting(
-    measurement: RulerMeasurement, rulers: Sequence[RulerMeasurement]
-) -> RulerMeasurement | None:
+def _contradicting(measurement: RulerMeasurement, rulers: Sequence[RulerMeasurement]) -> RulerMeasurement | None:
     """Another ruler of the model whose scale differs beyond the 95 % bounds of both."""
     for other in rulers:
         if other is measurement or other.problem or other.fits[RulerPart.ALL].mirrored:

@@ -179,7 +179,9 @@ TABLES = [
             Column("frames", "int64", "frames under this check"),
             Column("value", "float64", "the estimate", "", "", True),
             Column("sd", "float64", "its standard error; null for counts and known lengths", "", "", True),
-            Column("limit", "float64", "largest value that passes; smallest for fractions of frames or steps that agree"),
+            Column(
+                "limit", "float64", "largest value that passes; smallest for fractions of frames or steps that agree"
+            ),
             Column("unit", "string", "unit of value, sd and limit", choices=CheckUnit),
             Column("status", "string", "passed or failed by two sd or more, else undecided", choices=Status),
             Column(
@@ -213,7 +215,9 @@ TABLES = [
             Column(
                 "scale_error_percent", "float64", "map's scale against the ruler; positive: too large", "%", "", True
             ),
-            Column("scale_sd_percent", "float64", "standard error of the ruler: measurement and stated size", "%", "", True),
+            Column(
+                "scale_sd_percent", "float64", "standard error of the ruler: measurement and stated size", "%", "", True
+            ),
             Column("map_scale_sd_percent", "float64", "standard error of the map's scale", "%", "", True),
             Column("vio_scale_error_percent", "float64", "scale by VIO alone against the ruler", "%", "", True),
             Column("vio_scale_sd_percent", "float64", "standard error of the scale by VIO alone", "%", "", True),
@@ -264,9 +268,7 @@ TABLES = [
             _COMPONENT,
             Column("near_m", "float64", "depth by the map, from", "m"),
             Column("far_m", "float64", "depth by the map, below; null: no limit", "m", "", True),
-            Column(
-                "confidence", "int64", "the sensor's: 0 low, 1 medium, 2 high; null: all, or unknown", "", "", True
-            ),
+            Column("confidence", "int64", "the sensor's: 0 low, 1 medium, 2 high; null: all, or unknown", "", "", True),
             Column("frames", "int64", "frames that the samples are from"),
             Column("samples", "int64", "points of SfM, each as often as a frame sees it, away from edges of depth"),
             Column("median_ratio", "float64", "median of the sensor's depth over the map's"),
