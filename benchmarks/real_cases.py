@@ -29,8 +29,8 @@ from benchmarks.real_figures import (
 from benchmarks.real_plots import draw_case
 from benchmarks.stages import Cost, run_timed
 from benchmarks.stock import stock_command
-from groundwalk.artefacts.choices import FailureCause
 from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.choices import FailureCause
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import resolve_settings
 from groundwalk.artefacts.stage import load_manifest

@@ -1,7 +1,7 @@
 """Results of checks: value, limit and status, and the frames that lose their ground truth or its class by them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +43,7 @@ class Failure:
 
     cause: FailureCause
     reason: str
-    rows: Rows = NO_ROWS
+    rows: Rows = field(default_factory=lambda: NO_ROWS)
     lowers_class: bool = True
 
 
@@ -68,7 +68,7 @@ class CheckResult:
     cause: FailureCause | None
     reason: str
     exclusions: tuple[Exclusion, ...] = ()
-    undecided_rows: Rows = NO_ROWS
+    undecided_rows: Rows = field(default_factory=lambda: NO_ROWS)
 
     @property
     def advice(self) -> str:
