@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field
 from groundwalk.alignment.rulers.settings import Ruler, rulers_of
 from groundwalk.artefacts.settings import Settings
 from groundwalk.artefacts.vio_drift_settings import VioDriftSettings
-from groundwalk.consistency.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT
+from groundwalk.consistency.diagnosis import MAX_ALIASED_FRACTION, MAX_TURN_GAIN_ERROR
 from groundwalk.consistency.scale import STEP_M, STEP_SCALE_SD
 from groundwalk.consistency.windows import POSE_SD, WINDOW_M, PoseSd
 
@@ -83,12 +83,12 @@ class AlignSettings(VioDriftSettings):
         "fraction",
     )
     max_turn_gain_error: float = Field(
-        TURN_GAIN_LIMIT,
+        MAX_TURN_GAIN_ERROR,
         gt=0,
         description="a session fails if SfM turns more or less than VIO by more, as a fraction (a wrong focal length)",
     )
     max_aliased_fraction: float = Field(
-        FOLDED_LIMIT,
+        MAX_ALIASED_FRACTION,
         ge=0,
         description="a SfM model fails if a larger fraction of a session's frames lies at places far apart in VIO",
     )

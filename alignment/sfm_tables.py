@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from groundwalk.artefacts.choices import PairStatus
+
 # Fewer pairs of a session's frames decide nothing.
 _MIN_PAIRS = 8
 # Images confirm a focal length where its relative standard error and its error are at most this, the latter also so
@@ -52,6 +54,8 @@ class SfmTables:
         """Most pairs of the session's frames, each by its two images alone, move as VIO does."""
         pairs = self.pairs
         within = pairs[(pairs["session_a"] == session_id) & (pairs["session_b"] == session_id)]
-        status = within["verdict"][within["rotation_deg"].notna()]
-        consistent = int(np.count_nonzero(status == "verified"))
-        return consistent >= _MIN_PAIRS and consistent > int(np.count_nonzero(status == "disagrees"))
+        status = within["status"][within["rotation_deg"].notna()]
+        consistent = int(np.count_nonzero(status == PairStatus.VERIFIED))
+        return consistent >= _MIN_PAIRS and consistent > int(
+            np.count_nonzero(status == PairStatus.INCONSISTENT_WITH_VIO)
+        )

@@ -1,4 +1,4 @@
-"""How far VIO may drift: the one law that pairs, models and ground truth are held against."""
+"""How far VIO may drift: the one model that pairs, models and ground truth are checked by."""
 
 from dataclasses import dataclass
 
@@ -10,10 +10,10 @@ from groundwalk.geometry.poses import Array
 
 @dataclass(frozen=True)
 class VioDrift:
-    """What VIO may be off by over a path of s metres.
+    """The error that VIO may have over a path of s metres.
 
     Position `m` + `m_per_m` s, metres: its scale and heading are off. Rotation `rad` + `rad_per_sqrt_m` sqrt(s),
-    radians: a random walk, with what two images leave open in the constant.
+    radians: a random walk, with the error of two images in the constant.
     """
 
     m: float

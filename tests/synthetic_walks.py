@@ -211,7 +211,7 @@ def filled(table: pd.DataFrame, stage: str, name: str, **values) -> pd.DataFrame
     """The table with the columns that the schema asks for; those that this stage doesn't read get a plain value."""
     plain = {"float64": 0.5, "int64": 1, "string": "", "bool": False, "list<float64>": [], "list<string>": []}
     missing = {c.name: c for c in schema(stage, name).columns if c.name not in table}
-    extra = {k: values.get(k, plain[c.dtype]) for k, c in missing.items()}
+    extra = {k: values.get(k, next(iter(c.choices)) if c.choices else plain[c.dtype]) for k, c in missing.items()}
     return table.assign(**{k: [v] * len(table) if isinstance(v, list) else v for k, v in extra.items()})
 
 

@@ -21,9 +21,9 @@ from groundwalk.alignment.components import Component
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import FocalEstimate, SfmTables
 from groundwalk.artefacts.choices import CheckName, FailureCause
-from groundwalk.consistency.decisions import Status, share_sd
+from groundwalk.consistency.decisions import Status, fraction_sd
 from groundwalk.consistency.diagnosis import Diagnosis, diagnose
-from groundwalk.consistency.motions import MIRRORED, MISTAKES, UNRELATED, UPSIDE_DOWN
+from groundwalk.consistency.motions import MIRRORED, MISTAKE_REASONS, UNRELATED, UPSIDE_DOWN
 from groundwalk.geometry.fits import direction_angles
 
 _BENT = "a session with wrong intrinsics bends its SfM model"
@@ -129,11 +129,11 @@ def check_motion(evidence: SessionEvidence) -> CheckResult:
     motions = evidence.diagnosis.motions
     cause, reason = _INCONSISTENT
     if motions.mistake is not None and not evidence.pairs_match_vio:
-        cause, reason = _CAUSES[motions.mistake], MISTAKES[motions.mistake][1]
+        cause, reason = _CAUSES[motions.mistake], MISTAKE_REASONS[motions.mistake]
     # Mirrored images are a fault although a straight walk agrees: the mirrored motion must explain more.
     is_mirrored = cause is FailureCause.MIRRORED_IMAGES
     limit = max(motions.mirrors.values()) if is_mirrored else evidence.settings.min_motion_agreement
-    estimate = Estimate(motions.explained, share_sd(motions.explained, motions.pairs / 2))
+    estimate = Estimate(motions.explained, fraction_sd(motions.explained, motions.pairs / 2))
     failure = Failure(cause=cause, reason=reason, rows=evidence.rows)
     return evaluate(CheckName.SESSION_MOTION, evidence.subject, estimate, limit, failure)
 
@@ -164,10 +164,10 @@ def check_aliasing(evidence: SessionEvidence) -> CheckResult | None:
         return None
     failure = Failure(
         cause=FailureCause.PERCEPTUAL_ALIASING,
-        reason=f"SfM merges places that are up to {evidence.diagnosis.folded_m:.1f} m apart in VIO",
+        reason=f"SfM merges places that are up to {evidence.diagnosis.aliased_m:.1f} m apart in VIO",
         rows=evidence.rows,
     )
-    estimate, limit = Estimate(evidence.diagnosis.folded), evidence.settings.max_aliased_fraction
+    estimate, limit = Estimate(evidence.diagnosis.aliased_fraction), evidence.settings.max_aliased_fraction
     return evaluate(CheckName.SESSION_ALIASING, evidence.subject, estimate, limit, failure)
 
 

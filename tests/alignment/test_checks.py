@@ -213,7 +213,7 @@ def test_images_whose_pairs_move_as_vio_belong_to_its_poses(walks) -> None:
     assert (FailureCause.MISMATCHED_IMAGES, "walk1") in faults(run(scene))
     ids = scene.frames["frame_id"].to_numpy()[rows]
     scene.pairs = pd.DataFrame({"frame_id_a": ids[:-1], "frame_id_b": ids[1:]}).assign(
-        verdict="verified", rotation_deg=0.1
+        status="verified", rotation_deg=0.1
     )
     named = {cause for cause, session in faults(run(scene)) if session == "walk1"}
     assert named and FailureCause.MISMATCHED_IMAGES not in named
@@ -263,7 +263,7 @@ def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks) -> None:
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[rows, :3, 3] = sfm[rows[0], :3, 3] + 1.03 * (sfm[rows, :3, 3] - sfm[rows[0], :3, 3])
     scene.set_sfm(sfm)
-    assert run(scene).used.all()
+    assert run(scene).has_ground_truth.all()
 
     unsure = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
     scene.images.loc[rows, "covariance"] = pd.Series(unsure, dtype=object).iloc[rows]
@@ -277,7 +277,7 @@ def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks) -> None:
 def test_one_unsure_frame_that_is_off_goes_alone(walks) -> None:
     scene = walks.make(frames=30, sfm_m=0.002, sfm_deg=0.02)
     scene.images["covariance"] = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
-    assert run(scene).used.all()
+    assert run(scene).has_ground_truth.all()
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[14, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])
     scene.set_sfm(sfm)

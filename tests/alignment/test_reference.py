@@ -52,7 +52,7 @@ def test_the_map_is_the_references_frame(walks, unit: float) -> None:
     assert set(gt["scale_source"]) == {"reference" if unit == 1.0 else "reference, unit unknown"}
     assert set(gt["vertical_source"]) == {"reference, up unknown"}
     assert not gt["gt_uses_vio"].any()
-    status = aligned.gate.set_index("check")["status"]
+    status = aligned.checks.set_index("check")["status"]
     assert status["reference_scale"] == ("passed" if unit == 1.0 else "undecided")
     assert status["reference_vertical"] == "passed" and (status["session_reference"] == "passed").all()
     table = aligned.reference_agreement

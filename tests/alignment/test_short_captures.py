@@ -89,7 +89,7 @@ def test_rotations_are_compared_after_a_fit_of_rotations_even_on_a_straight_path
     vio = make_pose(segment.vio_T_cam[:, :3, :3], np.linspace([0, 0, 0], [0, 0, -1.0], len(segment.rows)))
     moved = type(segment)(**{**vars(segment), "vio_T_cam": vio})
     fit = fit_session(moved, straight, np.ones(len(segment.rows), bool), POSE_SD)
-    assert np.median(fit.sim3_rotation_deg) < 1e-6 and 0 < np.median(fit.sim3_position_m) < 0.01
+    assert np.median(fit.sim3.rotation_deg) < 1e-6 and 0 < np.median(fit.sim3.position_m) < 0.01
 
 
 def test_drift_of_a_short_walk_is_measured_over_short_distances(walks) -> None:
