@@ -32,7 +32,7 @@ _BOUND = float(chi2.ppf(0.95, 3))
 
 
 @dataclass(frozen=True)
-class Target:
+class TruthTarget:
     """One line of the check: a value, between `minimum` and `maximum`, and its unit."""
 
     name: str
@@ -53,7 +53,7 @@ class Target:
         return f"≥ {self.minimum:g}{f' to {self.maximum:g}' if self.maximum < 100 else ''} {self.unit}"
 
 
-def compare_with_truth(map_T_cam: Array, true_T_cam: Array, frames: int) -> list[Target]:
+def compare_with_truth(map_T_cam: Array, true_T_cam: Array, frames: int) -> list[TruthTarget]:
     """The targets for poses (N, 4, 4) with ground truth, out of `frames`, and the true poses of the same frames.
 
     Position and rotation errors are after one similarity fit (Umeyama). Scale and vertical are the map's own: what
@@ -65,18 +65,18 @@ def compare_with_truth(map_T_cam: Array, true_T_cam: Array, frames: int) -> list
     up_in_true = true_S_map.rotation[:, 1]
     tilt_deg = float(np.degrees(np.arctan2(np.hypot(up_in_true[0], up_in_true[2]), up_in_true[1])))
     return [
-        Target("frames with ground truth", 100 * len(map_T_cam) / frames, "%", 100.0, minimum=98.0),
-        Target("position error, median", 100 * float(np.median(metres)), "cm", 2.0),
-        Target("position error, 95th percentile", 100 * float(np.percentile(metres, 95)), "cm", 5.0),
-        Target("rotation error, median", float(np.median(degrees)), "deg", 0.1),
-        Target("rotation error, 95th percentile", float(np.percentile(degrees, 95)), "deg", 0.3),
+        TruthTarget("frames with ground truth", 100 * len(map_T_cam) / frames, "%", 100.0, minimum=98.0),
+        TruthTarget("position error, median", 100 * float(np.median(metres)), "cm", 2.0),
+        TruthTarget("position error, 95th percentile", 100 * float(np.percentile(metres, 95)), "cm", 5.0),
+        TruthTarget("rotation error, median", float(np.median(degrees)), "deg", 0.1),
+        TruthTarget("rotation error, 95th percentile", float(np.percentile(degrees, 95)), "deg", 0.3),
         # The map is too large where truth must be shrunk onto it.
-        Target("metric scale error", 100 * abs(1 / true_S_map.scale - 1), "%", 0.5),
-        Target("vertical error", tilt_deg, "deg", 0.2),
+        TruthTarget("metric scale error", 100 * abs(1 / true_S_map.scale - 1), "%", 0.5),
+        TruthTarget("vertical error", tilt_deg, "deg", 0.2),
     ]
 
 
-def compare_with_bounds(map_T_cam: Array, true_T_cam: Array, covariance: Array, shared: SharedSd) -> list[Target]:
+def compare_with_bounds(map_T_cam: Array, true_T_cam: Array, covariance: Array, shared: SharedSd) -> list[TruthTarget]:
     """How many frames lie within their 95 % bounds; poses (N, 4, 4), covariances (N, 6, 6) as align gives them.
 
     SfM's part is compared after what all frames share has been fitted: a similarity, and one turn of all cameras in
@@ -104,11 +104,11 @@ def compare_with_bounds(map_T_cam: Array, true_T_cam: Array, covariance: Array, 
         for name, (error, axes) in errors.items():
             normalised = np.linalg.solve(turn @ stated[:, axes, axes] @ turn.T, error[..., None])[..., 0]
             within = 100 * float(np.mean(np.sum(error * normalised, axis=1) <= _BOUND))
-            targets.append(Target(f"{name} within 95 % bounds, {part}", within, "%", maximum, minimum=90.0))
+            targets.append(TruthTarget(f"{name} within 95 % bounds, {part}", within, "%", maximum, minimum=90.0))
     return targets
 
 
-def truth_targets(gt: pd.DataFrame, true_T_cam: Array, figures: dict[str, Any]) -> tuple[list[Target], int]:
+def truth_targets(gt: pd.DataFrame, true_T_cam: Array, figures: dict[str, Any]) -> tuple[list[TruthTarget], int]:
     """The targets for align.ground_truth (N rows), and how many frames their bounds are about; `true_T_cam` (N, 4, 4),
     `figures` of align's manifest. Without a metric scale there are no bounds. Raises GeometryError where there are too
     few poses."""

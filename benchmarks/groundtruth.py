@@ -171,7 +171,7 @@ def real_captures(o: Options) -> list[Figure]:
     figures = []
     for scene, capture, settings in (
         ("chair", "chair", []),
-        ("corridor", "corridor", ["support_share=0"]),
+        ("corridor", "corridor", ["max_support_fraction=0"]),
         ("corridor_support", "corridor", []),
         ("corridor_all", "corridor", ['sampling="all"']),
     ):
@@ -244,7 +244,7 @@ def mappers(o: Options) -> list[Figure]:
                 root = _fresh(o, _church(o, o.sizes[0]), f"mapper_{mapper}")
             else:
                 root = DataRoot(o.out / f"mapper_{mapper}")
-                real(scene, o.shared / "captures" / scene, root, "support_share=0")
+                real(scene, o.shared / "captures" / scene, root, "max_support_fraction=0")
             of = f"{scene}, {mapper}"
             try:
                 run_stage("sfm", scene, root, f"mapper={mapper}", "retry=false", "min_registered_fraction=0")

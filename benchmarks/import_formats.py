@@ -21,8 +21,14 @@ from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.progress import track
 from groundwalk.capture_import.capture import Intrinsics, Limits
 from groundwalk.capture_import.clock import check_clock
-from groundwalk.capture_import.convention import CONVENTIONS, MatchedPair, check_convention, judge, matched_pairs
-from groundwalk.capture_import.discovery import Found, find_recordings
+from groundwalk.capture_import.convention import (
+    CONVENTIONS,
+    MatchedPair,
+    best_convention,
+    check_convention,
+    matched_pairs,
+)
+from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.images import decode_gray, sharpness
 from groundwalk.capture_import.intake import Intake, Session, measures, scan_all, take_in
@@ -96,7 +102,7 @@ def jump(name: str, folder: Path) -> str:
     walk = make_walk(2 * POSES, every=1)
     walk.vio_T_cam[POSES:, 0, 3] += JUMP_M
     intake, _ = take(name, walk, folder)
-    if intake.sessions[0].recording.poses_are == "reference":
+    if intake.sessions[0].recording.pose_source == "reference":
         return "no VIO"
     return ", ".join(f"{j.jump_m:.2f} m" for session in intake.sessions for j, _ in session.jumps) or "none found"
 
@@ -105,10 +111,10 @@ def convention(name: str, walk: Walk, folder: Path) -> str:
     """Share of matches that fit as declared and in the next best convention; mistakes found, of how many."""
     intake, views = take(name, walk, folder)
     pairs = matched_pairs(intake.sessions[0], views.load)
-    right = judge(pairs)
-    wrong = [judge([_mistaken(pair, change) for pair in pairs]) for _, change in CONVENTIONS[1:]]
+    right = best_convention(pairs)
+    wrong = [best_convention([_mistaken(pair, change) for pair in pairs]) for _, change in CONVENTIONS[1:]]
     found = sum(check.contradicted is not None for check in wrong)
-    return f"{right.declared:.0%} | {right.other_share:.0%} | {found} of {len(wrong)}"
+    return f"{right.declared:.0%} | {right.other_explained:.0%} | {found} of {len(wrong)}"
 
 
 def _mistaken(pair: MatchedPair, change: object) -> MatchedPair:
@@ -153,7 +159,7 @@ def mistakes_found(session: Session, roots: list[Path]) -> tuple[float, float, i
             frame = replace(image.frame, vio_T_cam=pose, intrinsics=Intrinsics.of(k.tolist()))
             images.append(replace(image, frame=frame))
         found += check_convention(replace(session, images=images), views.load).contradicted is not None
-    return right.declared, right.other_share, found, len(CONVENTIONS) - 1
+    return right.declared, right.other_explained, found, len(CONVENTIONS) - 1
 
 
 def smeared(session: Session, length_px: int) -> float:
@@ -165,7 +171,7 @@ def smeared(session: Session, length_px: int) -> float:
     return float(np.median(found))
 
 
-def take_real(found: Found, root: Path) -> Intake:
+def take_real(found: RecordingSource, root: Path) -> Intake:
     return take_in(found.read(Limits()), ImportSettings(), scan_all([root.resolve()], Limits()))
 
 

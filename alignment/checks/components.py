@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from groundwalk.alignment.checks.results import NO_ROWS, CheckResult, Estimate, Failure, Subject, evaluate
+from groundwalk.alignment.checks.results import NO_ROWS, CheckResult, Failure, Quantity, Subject, evaluate
 from groundwalk.alignment.components import Component, ModelSegments, PlacedComponent
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.vio_links import UnlinkedComponent
@@ -25,7 +25,7 @@ def missing_vertical(index: int, model: ModelSegments) -> CheckResult:
 
 def _missing(name: CheckName, index: int, model: ModelSegments, cause: FailureCause, reason: str) -> CheckResult:
     failure = Failure(cause=cause, reason=reason, rows=model.registered_rows)
-    return evaluate(name, Subject(len(failure.rows), component=index), Estimate(), 0.0, failure)
+    return evaluate(name, Subject(len(failure.rows), component=index), Quantity(), 0.0, failure)
 
 
 def check_standard_errors(component: Component, settings: AlignSettings) -> list[CheckResult]:
@@ -43,7 +43,7 @@ def check_standard_errors(component: Component, settings: AlignSettings) -> list
         subject = Subject(component.frames, component=component.index)
         failure = Failure(cause=FailureCause.UNCERTAIN, reason="")
         status = Status.PASSED if sd <= limit else Status.UNDECIDED
-        results.append(evaluate(name, subject, Estimate(sd), limit, failure, status))
+        results.append(evaluate(name, subject, Quantity(sd), limit, failure, status))
     return results
 
 
@@ -56,20 +56,20 @@ def check_links(
     for each in placed[1:]:
         if each.link is not None:
             subject = Subject(each.component.frames, each.link.session_id, each.component.index)
-            results.append(_check_link(subject, Estimate(each.link.gap_m), FailureCause.DISCONNECTED_SESSION, settings))
+            results.append(_check_link(subject, Quantity(each.link.gap_m), FailureCause.DISCONNECTED_SESSION, settings))
     mapped = {s.recording for p in placed for s in p.component.segments if s.registered.any()}
     for component, gap_m, reason in ((u.component, u.gap_m, u.reason) for u in unlinked):
         # A VIO jump parts a recording, too: its other part is of the same scene.
         is_elsewhere = gap_m is None and mapped.isdisjoint(s.recording for s in component.segments)
         cause = FailureCause.OTHER_SCENE if is_elsewhere else FailureCause.DISCONNECTED_SESSION
         subject, rows = Subject(component.frames, component=component.index), component.registered_rows
-        results.append(_check_link(subject, Estimate(), cause, settings, reason, rows))
+        results.append(_check_link(subject, Quantity(), cause, settings, reason, rows))
     return results
 
 
 def _check_link(
     subject: Subject,
-    gap_m: Estimate,
+    gap_m: Quantity,
     cause: FailureCause,
     settings: AlignSettings,
     reason: str = "",

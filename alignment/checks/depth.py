@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from groundwalk.alignment.checks.results import CheckResult, Estimate, Failure, Subject, evaluate
+from groundwalk.alignment.checks.results import CheckResult, Failure, Quantity, Subject, evaluate
 from groundwalk.alignment.depth import HIGH_CONFIDENCE, MAX_RANGE_M
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.choices import CheckName, FailureCause
@@ -30,7 +30,7 @@ def check_depth(agreement: pd.DataFrame, settings: AlignSettings) -> tuple[list[
             lines.append(f"{session_id}: {reason}")
             subject, failure = Subject(int(of_session["frames"].max()), session_id, int(component)), _failure(reason)
             limit, status = settings.max_depth_scale_error, Status.UNDECIDED
-            results.append(evaluate(CheckName.SESSION_DEPTH_SCALE, subject, Estimate(), limit, failure, status))
+            results.append(evaluate(CheckName.SESSION_DEPTH_SCALE, subject, Quantity(), limit, failure, status))
             continue
         whole, bins = rows[is_whole].iloc[0], rows[~is_whole & (rows["far_m"] <= MAX_RANGE_M)]
         subject = Subject(int(whole["frames"]), session_id, int(component))
@@ -40,7 +40,7 @@ def check_depth(agreement: pd.DataFrame, settings: AlignSettings) -> tuple[list[
             f"(± {sd:.2%}, {whole['samples']} points in {whole['frames']} frames)"
         )
         lines.append(f"{session_id}: {reason}")
-        estimate, limit = Estimate(abs(error), sd), settings.max_depth_scale_error
+        estimate, limit = Quantity(abs(error), sd), settings.max_depth_scale_error
         results.append(evaluate(CheckName.SESSION_DEPTH_SCALE, subject, estimate, limit, _failure(reason)))
         if len(bins) > 1:
             results.append(_check_by_distance(bins, subject, settings))
@@ -51,7 +51,7 @@ def _check_by_distance(bins: pd.DataFrame, subject: Subject, settings: AlignSett
     """The largest difference between the ratios of two distances, rows of the depth_agreement table."""
     ordered = bins.sort_values("median_ratio")
     low, high = ordered.iloc[0], ordered.iloc[-1]
-    estimate = Estimate(
+    estimate = Quantity(
         float(high["median_ratio"] - low["median_ratio"]),
         float(np.hypot(low["median_ratio_se"], high["median_ratio_se"])),
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from groundwalk.alignment.checks.results import CheckResult, Estimate, Failure, Rows, Subject, evaluate
+from groundwalk.alignment.checks.results import CheckResult, Failure, Quantity, Rows, Subject, evaluate
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.choices import CheckName, FailureCause
 
@@ -20,7 +20,7 @@ def check_registration(
     count, total = int(registered[dataset].sum()), len(dataset)
     failure = Failure(cause=FailureCause.TOO_FEW_REGISTERED, reason=f"SfM registered {count} of {total} frames")
     limit = settings.min_registered_fraction
-    results = [evaluate(CheckName.REGISTERED, Subject(total), Estimate(count / total), limit, failure)]
+    results = [evaluate(CheckName.REGISTERED, Subject(total), Quantity(count / total), limit, failure)]
     recording = frames["session_id"].map(lambda session_id: recordings.get(session_id, session_id)).iloc[dataset]
     for _, places in frames.iloc[dataset].groupby(recording, sort=True).indices.items():
         results.append(_check_recording(frames, registered, dataset[places], limit))
@@ -35,4 +35,4 @@ def _check_recording(frames: pd.DataFrame, registered: np.ndarray, rows: Rows, l
         cause=FailureCause.OTHER_SCENE if is_other_scene else FailureCause.TOO_FEW_REGISTERED,
         reason=f"SfM registered {count} of the {total} frames of {', '.join(sessions)}",
     )
-    return evaluate(CheckName.SESSION_REGISTERED, Subject(total, sessions[0]), Estimate(count / total), limit, failure)
+    return evaluate(CheckName.SESSION_REGISTERED, Subject(total, sessions[0]), Quantity(count / total), limit, failure)

@@ -28,7 +28,7 @@ class Subject:
     t_ns: np.ndarray | None = None
 
 
-class Estimate(NamedTuple):
+class Quantity(NamedTuple):
     """A value and its standard error, which counts and known lengths don't have. No value: there is no estimate; NaN:
     it is unknown."""
 
@@ -82,7 +82,7 @@ class CheckResult:
 def evaluate(
     name: CheckName,
     subject: Subject,
-    estimate: Estimate,
+    estimate: Quantity,
     limit: float,
     failure: Failure,
     status: Status | None = None,
@@ -95,7 +95,7 @@ def evaluate(
         status = Status.FAILED if value is None else decide(value, sd or 0.0, limit, at_least=is_minimum)
         reason = "" if status is Status.UNDECIDED else reason
     if status is Status.UNDECIDED and not reason:
-        figures = _with_unit(estimate, definition.unit), _with_unit(Estimate(limit), definition.unit)
+        figures = _with_unit(estimate, definition.unit), _with_unit(Quantity(limit), definition.unit)
         reason = "{}: {} (limit {})".format(definition.estimate, *figures)
     if value is None or np.isnan(value):
         value = sd = None
@@ -146,7 +146,7 @@ def main_failure(results: Sequence[CheckResult]) -> CheckResult | None:
     return min(failed, key=lambda entry: entry[:2])[2] if failed else None
 
 
-def _with_unit(estimate: Estimate, unit: CheckUnit) -> str:
+def _with_unit(estimate: Quantity, unit: CheckUnit) -> str:
     value, sd = estimate
     if value is None or np.isnan(value):
         return "unknown"

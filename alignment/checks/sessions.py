@@ -10,9 +10,9 @@ import numpy as np
 
 from groundwalk.alignment.checks.results import (
     CheckResult,
-    Estimate,
     Exclusion,
     Failure,
+    Quantity,
     Subject,
     evaluate,
     with_status,
@@ -121,7 +121,7 @@ def focal_length_result(subject: Subject, rows: np.ndarray, focal: FocalEstimate
         rows=rows,
         lowers_class=False,
     )
-    return evaluate(CheckName.SESSION_FOCAL_LENGTH, subject, Estimate(abs(error), focal.sd), limit, failure)
+    return evaluate(CheckName.SESSION_FOCAL_LENGTH, subject, Quantity(abs(error), focal.sd), limit, failure)
 
 
 def check_motion(evidence: SessionEvidence) -> CheckResult:
@@ -133,7 +133,7 @@ def check_motion(evidence: SessionEvidence) -> CheckResult:
     # Mirrored images are a fault although a straight walk agrees: the mirrored motion must explain more.
     is_mirrored = cause is FailureCause.MIRRORED_IMAGES
     limit = max(motions.mirrors.values()) if is_mirrored else evidence.settings.min_motion_agreement
-    estimate = Estimate(motions.explained, fraction_sd(motions.explained, motions.pairs / 2))
+    estimate = Quantity(motions.explained, fraction_sd(motions.explained, motions.pairs / 2))
     failure = Failure(cause=cause, reason=reason, rows=evidence.rows)
     return evaluate(CheckName.SESSION_MOTION, evidence.subject, estimate, limit, failure)
 
@@ -154,7 +154,7 @@ def check_turns(evidence: SessionEvidence) -> CheckResult | None:
         # A focal length that passed has its standard error in the frames' covariances.
         lowers_class=focal is None or focal.status is not Status.PASSED,
     )
-    estimate, limit = Estimate(abs(error), motions.turn_gain_sd), evidence.settings.max_turn_gain_error
+    estimate, limit = Quantity(abs(error), motions.turn_gain_sd), evidence.settings.max_turn_gain_error
     return evaluate(CheckName.SESSION_TURNS, evidence.subject, estimate, limit, failure)
 
 
@@ -167,7 +167,7 @@ def check_aliasing(evidence: SessionEvidence) -> CheckResult | None:
         reason=f"SfM merges places that are up to {evidence.diagnosis.aliased_m:.1f} m apart in VIO",
         rows=evidence.rows,
     )
-    estimate, limit = Estimate(evidence.diagnosis.aliased_fraction), evidence.settings.max_aliased_fraction
+    estimate, limit = Quantity(evidence.diagnosis.aliased_fraction), evidence.settings.max_aliased_fraction
     return evaluate(CheckName.SESSION_ALIASING, evidence.subject, estimate, limit, failure)
 
 
@@ -185,7 +185,7 @@ def check_scale(evidence: SessionEvidence) -> CheckResult | None:
         rows=evidence.rows,
         lowers_class=False,
     )
-    estimate, limit = Estimate(abs(error), of_recording.sd), evidence.settings.max_session_scale_error
+    estimate, limit = Quantity(abs(error), of_recording.sd), evidence.settings.max_session_scale_error
     return evaluate(CheckName.SESSION_SCALE, evidence.subject, estimate, limit, failure)
 
 
@@ -202,7 +202,7 @@ def check_vertical(evidence: SessionEvidence) -> CheckResult | None:
         rows=evidence.rows,
         lowers_class=False,
     )
-    estimate = Estimate(tilt_deg, float(np.degrees(of_recording.sd)))
+    estimate = Quantity(tilt_deg, float(np.degrees(of_recording.sd)))
     return evaluate(
         CheckName.SESSION_VERTICAL, evidence.subject, estimate, evidence.settings.max_session_tilt_deg, failure
     )

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from groundwalk.alignment.checks.results import CheckResult, Estimate, Exclusion, Failure, Rows, Subject, evaluate
+from groundwalk.alignment.checks.results import CheckResult, Exclusion, Failure, Quantity, Rows, Subject, evaluate
 from groundwalk.alignment.components import Component
 from groundwalk.alignment.inputs import AlignInputs
 from groundwalk.alignment.quality import grade_frames, sfm_covariances
@@ -56,7 +56,7 @@ def _check(rows: _UncertainRows, subject: Subject, settings: AlignSettings) -> C
         cause=FailureCause.VIO_INCONSISTENT,
         reason=f"{count} of {total} uncertain frames: pose in SfM inconsistent with VIO",
     )
-    fraction, limit = Estimate(len(excluded) / subject.frames), 1 - settings.min_consistent_fraction
+    fraction, limit = Quantity(len(excluded) / subject.frames), 1 - settings.min_consistent_fraction
     result = evaluate(CheckName.SESSION_UNCERTAIN, subject, fraction, limit, failure)
     reason = f"uncertain pose in SfM, inconsistent with VIO by more than {settings.max_uncertain_deviation:.1%}"
     return replace(result, exclusions=(Exclusion(excluded, reason),))

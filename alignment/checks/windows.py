@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundwalk.alignment.checks.results import CheckResult, Estimate, Exclusion, Failure, Subject, evaluate
+from groundwalk.alignment.checks.results import CheckResult, Exclusion, Failure, Quantity, Subject, evaluate
 from groundwalk.alignment.components import Component
 from groundwalk.alignment.segments import Segment
 from groundwalk.alignment.settings import AlignSettings
@@ -82,7 +82,7 @@ def _check_residuals(
     result = evaluate(
         name,
         Subject(len(rows), window.segment.session_id, window.segment.component, t_ns),
-        Estimate(unit * float(residuals[worst]), unit * float(sds[worst])),
+        Quantity(unit * float(residuals[worst]), unit * float(sds[worst])),
         unit * limit,
         Failure(
             cause=FailureCause.VIO_INCONSISTENT,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from groundwalk.alignment.checks.components import check_standard_errors, missing_scale
-from groundwalk.alignment.checks.results import CheckResult, Estimate, Exclusion, Failure, Subject, evaluate
+from groundwalk.alignment.checks.results import CheckResult, Exclusion, Failure, Quantity, Subject, evaluate
 from groundwalk.alignment.checks.sessions import focal_length_result
 from groundwalk.alignment.components import Component, ModelSegments, PlacedComponent
 from groundwalk.alignment.inputs import AlignInputs
@@ -102,7 +102,7 @@ def check_session_references(fit: ReferenceFit, settings: AlignSettings) -> list
             "wrong, or its world is another one",
             rows=rows,
         )
-        subject, fraction = Subject(compared, session_id, component.index), Estimate(len(away) / compared)
+        subject, fraction = Subject(compared, session_id, component.index), Quantity(len(away) / compared)
         limit = 1 - settings.min_consistent_fraction
         result = evaluate(CheckName.SESSION_REFERENCE, subject, fraction, limit, failure)
         if result.status is Status.PASSED:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from groundwalk.alignment.checks.results import CheckResult, Estimate, Failure, Subject, evaluate
+from groundwalk.alignment.checks.results import CheckResult, Failure, Quantity, Subject, evaluate
 from groundwalk.alignment.components import Component
 from groundwalk.alignment.map_frame import MapScale
 from groundwalk.alignment.rulers.measurement import RulerMeasurement
@@ -138,7 +138,7 @@ def _check(
     return evaluate(
         CheckName.RULER_SCALE,
         Subject(len(measurement.fits[part].frames), component=component.index),
-        Estimate(None if fault else abs(error), sd),
+        Quantity(None if fault else abs(error), sd),
         limit,
         Failure(cause=FailureCause.RULER_INCONSISTENT, reason=reason),
         Status.FAILED if fault else decide(abs(error), sd, limit),
@@ -148,7 +148,7 @@ def _check(
 def _undecided(measurement: RulerMeasurement, component: int | None, problem: str) -> CheckResult:
     subject, reason = Subject(measurement.frames, component=component), f"{measurement.ruler.name}: {problem}"
     failure = Failure(cause=FailureCause.RULER_INCONSISTENT, reason=reason)
-    return evaluate(CheckName.RULER_SCALE, subject, Estimate(), 0.0, failure, Status.UNDECIDED)
+    return evaluate(CheckName.RULER_SCALE, subject, Quantity(), 0.0, failure, Status.UNDECIDED)
 
 
 def _is_fit_for_scale(

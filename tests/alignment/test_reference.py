@@ -149,7 +149,7 @@ def test_the_stage_says_what_gave_scale_and_vertical(data: DataRoot) -> None:
     )
     write_table(folder / "reference.parquet", reference, schema("import", "reference"))
     sessions = read_table(folder / "sessions.parquet", schema("import", "sessions"))
-    sessions = sessions.assign(poses_are="reference", reference_unit="m", up="+y")
+    sessions = sessions.assign(pose_source="reference", reference_unit="m", up="+y")
     write_table(folder / "sessions.parquet", sessions, schema("import", "sessions"))
     out = execute(STAGE, "Place", "tiny", data)
     tables = {t.name: read_table(out / f"{t.name}.parquet", t) for t in stage_tables("align")}

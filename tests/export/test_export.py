@@ -266,7 +266,7 @@ def test_our_importer_reads_what_other_tools_read(scene: DataRoot, name: str) ->
     assert [(s.session_id, s.split, len(s.frames)) for s in sessions] == [("walk0", None, 19), ("walk1", "test", 20)]
     for session in sessions:
         assert not session.rejects and not session.notes
-        assert (session.poses_are, session.metric, session.gravity_aligned) == ("reference", True, True)
+        assert (session.pose_source, session.metric, session.gravity_aligned) == ("reference", True, True)
         for raw in session.frames:
             frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
             found[frame_id] = raw.vio_T_cam

@@ -215,7 +215,7 @@ class MadeUpScene:
                     "images": n,
                     "frames": n,
                     "support_frames": 0,
-                    "poses_are": "vio",
+                    "pose_source": "vio",
                     "reference_unit": None,
                     "up": "+y",
                     "split": split,
