@@ -31,7 +31,8 @@ from groundwalk.capture_import.convention import (
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.images import decode_gray, sharpness
-from groundwalk.capture_import.intake import Intake, Session, measures, scan_all, take_in
+from groundwalk.capture_import.intake import ImportedSession, Intake, measures, take_in
+from groundwalk.capture_import.scan import scan_images
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.views import Views
 from groundwalk.geometry.poses import relative, rotation_angle
@@ -145,7 +146,7 @@ def damaged(name: str, count: int, folder: Path) -> tuple[int, int]:
     return imported, count - imported
 
 
-def mistakes_found(session: Session, roots: list[Path]) -> tuple[float, float, int, int]:
+def mistakes_found(session: ImportedSession, roots: list[Path]) -> tuple[float, float, int, int]:
     """As `convention`, for a real session; pairs of images are chosen anew for each mistake."""
     views = Views(roots, Limits())
     right = check_convention(session, views.load)
@@ -162,7 +163,7 @@ def mistakes_found(session: Session, roots: list[Path]) -> tuple[float, float, i
     return right.declared, right.other_explained, found, len(CONVENTIONS) - 1
 
 
-def smeared(session: Session, length_px: int) -> float:
+def smeared(session: ImportedSession, length_px: int) -> float:
     """Median sharpness of some of a session's images, smeared sideways by pixels of a 1920 px image."""
     found = []
     for path in [image.frame.image.path for image in session.images[:: max(1, len(session.images) // 12)]]:
@@ -172,7 +173,8 @@ def smeared(session: Session, length_px: int) -> float:
 
 
 def take_real(found: RecordingSource, root: Path) -> Intake:
-    return take_in(found.read(Limits()), ImportSettings(), scan_all([root.resolve()], Limits()))
+    limits, roots = Limits(), [root.resolve()]
+    return take_in(found.read(limits), ImportSettings(), lambda frames: measures(scan_images(frames, roots, limits)))
 
 
 @app.command()

@@ -104,7 +104,7 @@ def _status(intake: Intake, pose_source: PoseSource, check: ConventionCheck) -> 
     faults = []
     if check.pairs and check.declared < MIN_EXPLAINED:
         faults.append("its poses fit its images badly")
-    if pose_source is PoseSource.REFERENCE:
+    if pose_source == PoseSource.REFERENCE:
         faults.append("its poses are a reference, not VIO")
     if len(intake.sessions) > 1:
         faults.append(f"VIO jumps split it into {len(intake.sessions)} sessions")

@@ -113,7 +113,7 @@ def _cut_at_jumps(
     raw: RawSession, frames: list[RawFrame], images: list[Image], settings: ImportSettings
 ) -> Iterator[ImportedSession]:
     whole = ImportedSession(raw.session_id, raw, frames, images, [])
-    jumps = find_jumps(whole.t_ns, whole.poses) if raw.pose_source is PoseSource.VIO else []
+    jumps = find_jumps(whole.t_ns, whole.poses) if raw.pose_source == PoseSource.VIO else []
     large = [j for j in jumps if j.jump_m > settings.max_jump_m or j.jump_deg > settings.max_jump_deg]
     borders = [0, *(j.index for j in large), len(frames)]
     for part, (start, stop) in enumerate(pairwise(borders), start=1):

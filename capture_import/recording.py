@@ -172,7 +172,7 @@ def _log_path(stream: rr.RecordingStream, at: str, session: ImportedSession) -> 
     # A strip reaches to the first pose of the next one, so that the path has no gaps.
     strips = [positions[a : b + 1] for a, b in pairwise(borders)]
     colours = [_TRACKING_COLOURS[states[a]] for a in borders[:-1]]
-    if session.recording.pose_source is PoseSource.REFERENCE:
+    if session.recording.pose_source == PoseSource.REFERENCE:
         colours = [_colour(session)] * len(strips)
     stream.log(at, rr.LineStrips3D(strips, colors=colours, radii=rr.Radius.ui_points(1.5)), static=True)
 
@@ -188,7 +188,7 @@ def _log_curves(stream: rr.RecordingStream, at: str, session: ImportedSession, f
 
 
 def _colour(session: ImportedSession) -> tuple[int, int, int]:
-    return VIO if session.recording.pose_source is PoseSource.VIO else GROUND_TRUTH
+    return VIO if session.recording.pose_source == PoseSource.VIO else GROUND_TRUTH
 
 
 def _log_curve(

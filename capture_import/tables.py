@@ -60,7 +60,7 @@ def frames_table(
     }
     poses = np.array([image.frame.vio_T_cam for image in used.images], dtype=float).reshape(-1, 4, 4)
     gravity = gravity_of(poses) if raw.is_gravity_aligned else np.full((len(poses), 3), np.nan)
-    if raw.pose_source is PoseSource.REFERENCE:
+    if raw.pose_source == PoseSource.REFERENCE:
         poses = np.full_like(poses, np.nan)
     return pd.concat(
         [
@@ -75,7 +75,7 @@ def frames_table(
 
 def reference_table(session: ImportedSession, frames: pd.DataFrame) -> pd.DataFrame:
     """Rows of `reference` for a session's rows of `frames`: none where the poses are the phone's."""
-    if session.recording.pose_source is PoseSource.VIO:
+    if session.recording.pose_source == PoseSource.VIO:
         frames = frames.iloc[:0]
     pose_of = {f"{session.session_id}/{i.frame.number:06d}": i.frame.vio_T_cam for i in session.images}
     poses = np.array([pose_of[frame_id] for frame_id in frames["frame_id"]], dtype=float).reshape(-1, 4, 4)
@@ -109,7 +109,7 @@ def sessions_table(
                 "split": _session_split(set(dataset["split"])),
                 "pose_source": session.recording.pose_source,
                 "reference_unit": None
-                if session.recording.pose_source is PoseSource.VIO
+                if session.recording.pose_source == PoseSource.VIO
                 else (LengthUnit.METRE if reference_is_metric or session.recording.is_metric else LengthUnit.UNKNOWN),
                 "up": UpAxis.Y if session.recording.is_gravity_aligned else UpAxis.UNKNOWN,
             }
@@ -137,7 +137,7 @@ def jumps_table(sessions: Sequence[ImportedSession]) -> pd.DataFrame:
 
 def vio_table(session: ImportedSession) -> pd.DataFrame:
     """Rows of `vio`: none where the poses aren't the phone's."""
-    frames = session.frames if session.recording.pose_source is PoseSource.VIO else []
+    frames = session.frames if session.recording.pose_source == PoseSource.VIO else []
     columns = pd.DataFrame(
         {
             "session_id": [session.session_id] * len(frames),
