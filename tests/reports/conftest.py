@@ -105,7 +105,12 @@ class MadeUpScene:
         return {
             "import": {"frames": imported, "sessions": self._sessions(), "rejects": self._rejects()},
             "sfm": {"images": self._images(lost)},
-            "align": {"ground_truth": truth, "sessions": self._aligned(), "drift": self._drift(), "gate": self._gate()},
+            "align": {
+                "ground_truth": truth,
+                "sessions": self._aligned(),
+                "drift": self._drift(),
+                "checks": self._checks(),
+            },
             "train": {"predictions": pd.concat(predictions), "history": self._history(), "models": self._cards()},
             "fuse": {
                 "poses": pd.concat(poses),
@@ -210,7 +215,7 @@ class MadeUpScene:
                     "images": n,
                     "frames": n,
                     "support_frames": 0,
-                    "poses_are": "vio",
+                    "pose_source": "vio",
                     "reference_unit": None,
                     "up": "+y",
                     "split": split,
@@ -264,15 +269,15 @@ class MadeUpScene:
             frame[name] = figure if name == "samples" else figure * frame["factor"]
         return frame.drop(columns="factor")
 
-    def _gate(self) -> pd.DataFrame:
-        row = {"check": "window_motion", "session_id": "walk_1", "t_start_ns": 0, "t_end_ns": SECOND, "frames": 10}
+    def _checks(self) -> pd.DataFrame:
+        row = {"check": "window_position", "session_id": "walk_1", "t_start_ns": 0, "t_end_ns": SECOND, "frames": 10}
         row |= {"value": 0.01, "limit": 0.1, "unit": "m", "sd": None, "status": "passed", "reason": ""}
-        row |= {"advice": "", "component": 0, "cause": ""}
+        row |= {"advice": "", "component": 0, "cause": None}
         failed = row | {
             "session_id": "walk_2",
             "value": 0.3,
             "status": "failed",
-            "reason": "VIO and the model disagree",
+            "reason": "pose in SfM inconsistent with VIO",
         }
         undecided = failed | {"check": "ruler_scale", "value": None, "limit": 0.03, "status": "undecided"}
         undecided["reason"] = "board: seen once"
