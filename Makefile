@@ -198,15 +198,19 @@ bench-import: $(installed) ## Import: speed, memory, figures of each format, ner
 fuzz-import: $(installed) ## Fuzz the capture formats for some seconds (seconds=60); needs the extra `fuzz`
 	@$(py) -m benchmarks.import_fuzz "$$seconds"
 
-docs: $(installed) ## Write docs/artefacts.md from the table schemas
-	@$(py) -m groundwalk.artefacts docs > docs/artefacts.md
+docs: $(installed) ## Write the generated pages of docs/reference: tables, settings, commands, checks
+	@$(py) -m groundwalk docs
+
+docs-site: $(installed) ## Build the documentation as a site, strictly, into build/site
+	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet --strict
+	@echo "Look at build/site/index.html"
 
 lock: ## Resolve the dependencies again into constraints.txt (needs uv)
 	uv pip compile --universal --extra dev --python-version 3.11 --no-annotate --upgrade pyproject.toml -o constraints.txt
 
 as_names := sed 's:.*/::; s:\.toml$$::' | tr '\n' ' '
 help: ## This text
-	@echo "make scene=<scene> [profile=demo|paper|tiny] [captures=<folder>] <target>"
+	@echo "make scene=<scene> [profile=demo|standard|paper|tiny] [captures=<folder>] <target>"
 	@echo
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14 | sed 's/^/  /'
 	@echo
@@ -219,4 +223,4 @@ help: ## This text
 	@echo "your own captures:  make scene=<name> captures=<folder> all"
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
-.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check types test test-slow bench bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs lock help
+.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check types test test-slow bench bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help

@@ -33,11 +33,9 @@ def compare(
 ) -> list[Window]:
     """The windows of a segment, each with VIO rigidly fitted to SfM at the common metric scale; `frame_sd`: standard
     errors of its frames in SfM, metres and radians (N,), NaN where not known."""
-    known, stretch = np.flatnonzero(segment.both), segment.stretch
+    known, pair = np.flatnonzero(segment.both), segment.trajectory_pair
     of_known = None if frame_sd is None else (np.nan_to_num(frame_sd[0][known]), np.nan_to_num(frame_sd[1][known]))
-    found = compare_windows(
-        metric_S_sfm.poses(stretch.sfm_T_cam), stretch.vio_T_cam, window_m, drift, sd, frame_sd=of_known
-    )
+    found = compare_windows(metric_S_sfm.poses(pair.sfm_T_cam), pair.vio_T_cam, window_m, drift, sd, frame_sd=of_known)
     return [Window(**{**vars(w), "inside": known[w.inside]}, segment=segment) for w in found]
 
 

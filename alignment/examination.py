@@ -123,7 +123,7 @@ def examine(
         )
     registered = images["registered"].to_numpy(bool)
     names, component_of = frame_components(frames, images)
-    drift, sd = _drift(settings), PoseSd(settings.position_sd_m, float(np.radians(settings.rotation_sd_deg)))
+    drift, sd = settings.vio_drift, PoseSd(settings.position_sd_m, float(np.radians(settings.rotation_sd_deg)))
     cut = partial(cut_segments, frames, images, jumps, recordings, component_of)
     segments = cut(jump_m=settings.segment_jump_m, jump_deg=settings.segment_jump_deg)
     # Scale and agreement are compared between all jumps, also those that an alignment lives with.
@@ -220,15 +220,6 @@ def _examine_by_reference(
         rulers,
         _refusal(checks, [], registered, registered & (reason == ""), frames, settings),
         reference,
-    )
-
-
-def _drift(settings: AlignSettings) -> VioDrift:
-    return VioDrift.in_degrees(
-        settings.vio_drift_m,
-        settings.vio_drift_m_per_m,
-        settings.vio_drift_deg,
-        settings.vio_drift_deg_per_root_m,
     )
 
 

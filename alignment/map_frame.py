@@ -83,8 +83,8 @@ def common_scale(segments: list[Segment], *, step_m: float, step_sd: float, phon
     """
     found = {}
     for recording in sorted({s.recording for s in segments}):
-        stretches = [s.stretch for s in segments if s.recording == recording]
-        scale = recording_scale(stretches, step_m=step_m, step_sd=step_sd)
+        pairs = [s.trajectory_pair for s in segments if s.recording == recording]
+        scale = recording_scale(pairs, step_m=step_m, step_sd=step_sd)
         if scale is not None:
             found[recording] = scale
     if not found:

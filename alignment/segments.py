@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.artefacts.tables import poses_of
-from groundwalk.consistency.trajectories import Stretch
+from groundwalk.consistency.trajectories import TrajectoryPair
 from groundwalk.geometry.poses import Array
 
 UNTRACKED = ("limited", "lost")
@@ -55,9 +55,9 @@ class Segment:
         return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
 
     @property
-    def stretch(self) -> Stretch:
+    def trajectory_pair(self) -> TrajectoryPair:
         """The poses of the frames that both know."""
-        return Stretch(self.sfm_T_cam[self.both], self.vio_T_cam[self.both])
+        return TrajectoryPair(self.sfm_T_cam[self.both], self.vio_T_cam[self.both])
 
     def renumbered(self, row_of: np.ndarray) -> "Segment":
         """The segment with its rows' new positions: row_of (M,) of those in the whole frames table."""

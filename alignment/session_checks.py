@@ -13,6 +13,7 @@ from groundwalk.alignment.checks import (
     INTRINSICS,
     LOOK_ALIKE,
     MIRRORED,
+    SHUFFLED,
     VIO_SCALE,
     VIO_VERTICAL,
     About,
@@ -22,9 +23,9 @@ from groundwalk.alignment.checks import (
 from groundwalk.alignment.components import Component
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import Focal, SfmTables
-from groundwalk.consistency.decisions import Status, share_sd
+from groundwalk.consistency.decisions import Status, fraction_sd
 from groundwalk.consistency.diagnosis import Diagnosis, diagnose
-from groundwalk.consistency.motions import MISTAKES, MotionAgreement
+from groundwalk.consistency.motions import MISTAKE_REASONS, UNRELATED, MotionAgreement
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.fits import direction_angles
 
@@ -57,7 +58,7 @@ def check_sessions(component: Component, sfm: SfmTables, drift: VioDrift, settin
         if not len(rows):
             continue
         session = Session(About(len(rows), session_id, component.index), rows, settings)
-        diagnosis = diagnose([p.stretch for p in component.pieces if p.session_id == session_id], drift)
+        diagnosis = diagnose([p.trajectory_pair for p in component.pieces if p.session_id == session_id], drift)
         focal = sfm.focal(component.model_id, session_id)
         results = _motion_checks(session, diagnosis, focal, belongs=sfm.belongs(session_id))
         if all(c.status is not Status.FAILED for c in results):
@@ -89,12 +90,12 @@ def _motion_checks(session: Session, diagnosis: Diagnosis, focal: Focal | None, 
         checks.append(_check_turns(session, gain, diagnosis.motions.turn_gain_sd, is_of_frames=not is_known))
     folded = check(
         "session_folded",
-        diagnosis.folded,
+        diagnosis.aliased_fraction,
         None,
         session.settings.folded_limit,
         session.about,
         LOOK_ALIKE,
-        f"SfM puts places together that VIO has up to {diagnosis.folded_m:.1f} m apart",
+        f"SfM puts places together that VIO has up to {diagnosis.aliased_m:.1f} m apart",
         rows=session.rows,
     )
     return [*checks, folded]
@@ -119,13 +120,15 @@ def check_focal(session: Session, focal: Focal) -> Check:
 
 def _check_motion(session: Session, motions: MotionAgreement, *, belongs: bool) -> Check:
     """The share of steps that VIO explains; each frame is in about two of them, which hang together."""
-    cause, reason = MISTAKES.get("" if belongs else motions.mistake or "", _OTHERWISE)
+    cause, reason = _OTHERWISE
+    if motions.mistake is not None and not belongs:
+        cause, reason = SHUFFLED if motions.mistake == UNRELATED else MIRRORED, MISTAKE_REASONS[motions.mistake]
     # A mirror image that explains clearly more is a fault, however much a walk straight on agrees all the same.
     limit = max(motions.mirrors.values()) if cause == MIRRORED else session.settings.motion_agreeing
     return check(
         "session_motion",
         motions.explained,
-        share_sd(motions.explained, motions.pairs / 2),
+        fraction_sd(motions.explained, motions.pairs / 2),
         limit,
         session.about,
         cause,

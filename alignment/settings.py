@@ -1,13 +1,14 @@
 """Settings of the align stage."""
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import BeforeValidator, Field
 
 from groundwalk.alignment.rulers.settings import Ruler, rulers_of
 from groundwalk.alignment.uncertainty import QualityLimits
 from groundwalk.artefacts import Settings
-from groundwalk.consistency.diagnosis import FOLDED_LIMIT, TURN_GAIN_LIMIT
+from groundwalk.artefacts.vio_drift_settings import VioDriftSettings
+from groundwalk.consistency.diagnosis import MAX_ALIASED_FRACTION, MAX_TURN_GAIN_ERROR
 from groundwalk.consistency.scale import STEP_M, STEP_SCALE_SD
 from groundwalk.consistency.windows import POSE_SD, WINDOW_M
 
@@ -24,8 +25,10 @@ class QualitySettings(Settings):
         return QualityLimits(self.position_sd_m, self.rotation_sd_deg, self.observations, self.reprojection_deg)
 
 
-class AlignSettings(Settings):
-    """How ground truth is made; docs/ground-truth.md says why these defaults."""
+class AlignSettings(VioDriftSettings):
+    """How ground truth is made; docs/explanation/ground-truth.md says why these defaults."""
+
+    renamed: ClassVar[dict[str, str]] = {"vio_drift_deg_per_root_m": "vio_drift_deg_per_sqrt_m"}
 
     window_m: float = Field(WINDOW_M, gt=0, description="VIO path over which SfM and VIO are compared, metres")
     step_m: float = Field(
@@ -46,10 +49,6 @@ class AlignSettings(Settings):
     rotation_sd_deg: float = Field(1.0, gt=0, description="rotation's weight in the same fits, degrees")
     segment_jump_m: float = Field(0.5, gt=0, description="a session is aligned apart before and after such a VIO jump")
     segment_jump_deg: float = Field(5.0, gt=0, description="the same for a jump in rotation, degrees")
-    vio_drift_m: float = Field(0.1, ge=0, description="gate: VIO and SfM may differ by this in a window, metres, ...")
-    vio_drift_m_per_m: float = Field(0.03, ge=0, description="... and by this share of the distance travelled in it")
-    vio_drift_deg: float = Field(3.0, ge=0, description="gate: the same for rotation, degrees, ...")
-    vio_drift_deg_per_root_m: float = Field(2.5, ge=0, description="... and degrees for the root of a metre of path")
     session_scale_limit: float = Field(0.03, gt=0, description="gate: a session's scale may differ by this share")
     session_tilt_limit_deg: float = Field(2.0, gt=0, description="gate: a session's vertical may differ by this")
     motion_agreeing: float = Field(
@@ -61,12 +60,14 @@ class AlignSettings(Settings):
         description="gate: the images may say that a session's focal length is off by this share",
     )
     turn_gain_limit: float = Field(
-        TURN_GAIN_LIMIT,
+        MAX_TURN_GAIN_ERROR,
         gt=0,
         description="gate: SfM may turn by this share more or less than VIO; a wrong focal length does so",
     )
     folded_limit: float = Field(
-        FOLDED_LIMIT, ge=0, description="gate: share of a session's frames that may lie where far ones do, by VIO"
+        MAX_ALIASED_FRACTION,
+        ge=0,
+        description="gate: share of a session's frames that may lie where far ones do, by VIO",
     )
     unsure_step_m: float = Field(
         5.0,

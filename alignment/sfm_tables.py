@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from groundwalk.artefacts.choices import PairStatus
+
 # Fewer pairs of a session's frames say nothing of it.
 _FEWEST_PAIRS = 8
 # Images confirm a focal length where they tell it to this share, and find no other beyond this or so many sigmas.
@@ -51,6 +53,6 @@ class SfmTables:
         """Most pairs of the session's frames, each by its two images alone, move as VIO does."""
         pairs = self.pairs
         own = pairs[(pairs["session_a"] == session_id) & (pairs["session_b"] == session_id)]
-        verdict = own["verdict"][own["rotation_deg"].notna()]
-        agree = int(np.count_nonzero(verdict == "verified"))
-        return agree >= _FEWEST_PAIRS and agree > int(np.count_nonzero(verdict == "disagrees"))
+        status = own["status"][own["rotation_deg"].notna()]
+        agree = int(np.count_nonzero(status == PairStatus.VERIFIED))
+        return agree >= _FEWEST_PAIRS and agree > int(np.count_nonzero(status == PairStatus.INCONSISTENT_WITH_VIO))

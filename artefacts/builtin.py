@@ -1,7 +1,7 @@
 """The entries that groundwalk brings itself, group by group, in the order in which they are listed, tried and shown.
 
 Each line is an entry point, name = "module:record". They stand here and not in pyproject.toml because an entry point's
-metadata is written when a package is installed, sorted by name: docs/decisions.md.
+metadata is written when a package is installed, sorted by name: docs/explanation/decisions.md.
 """
 
 BUILTIN: dict[str, dict[str, str]] = {

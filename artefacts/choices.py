@@ -68,3 +68,57 @@ class Environment(StrEnum):
     OUTDOOR = "outdoor"
     INDOOR = "indoor"
     UNKNOWN = "unknown"
+
+
+class PairOrigin(StrEnum):
+    """What proposed a pair of frames."""
+
+    SEQUENCE = "sequence"
+    VIO = "vio"
+    RETRIEVAL = "retrieval"
+    TRANSITIVE = "transitive"
+
+
+class PairStatus(StrEnum):
+    """Of a matched pair of frames; only verified ones go into mapping."""
+
+    VERIFIED = "verified"
+    TOO_FEW_INLIERS = "too_few_inliers"
+    INCONSISTENT_WITH_VIO = "inconsistent_with_vio"
+
+
+class PairInconsistency(StrEnum):
+    """What of a pair's relative pose is inconsistent with VIO."""
+
+    NONE = ""
+    ROTATION = "rotation"
+    GRAVITY = "gravity"
+    DIRECTION = "direction of motion"
+
+
+class AttemptName(StrEnum):
+    """What an attempt at SfM models changes."""
+
+    DEFAULT = "default"
+    MORE_PAIRS = "more_pairs"
+    STRICTER_PAIRS = "stricter_pairs"
+    MORE_FEATURES = "more_features"
+    OTHER_MAPPER = "other_mapper"
+    VIO_START = "vio_start"
+
+
+class AttemptOutcome(StrEnum):
+    """Of an attempt at SfM models."""
+
+    ACCEPTED = "accepted"
+    NO_MODEL = "no_model"
+    TOO_FEW_REGISTERED = "too_few_registered"
+    FRAMES_MISSING = "frames_missing"
+    INCONSISTENT_WITH_VIO = "inconsistent_with_vio"
+
+
+class ResidualPattern(StrEnum):
+    """What residuals are averaged over."""
+
+    RADIUS = "radius"
+    ROW = "row"

@@ -1,8 +1,8 @@
-"""docs/artefacts.md, made from the schemas so that it can't fall behind them."""
+"""docs/reference/tables.md, made from the schemas so that it can't fall behind them."""
 
 from groundwalk.artefacts.schemas import Column, TableSchema, all_tables
 
-_HEAD = """# Artefacts
+_HEAD = """# Tables
 
 What each stage leaves in `data/runs/<profile>/<scene>/<stage>/`: the tables below as Parquet, `recording.rrd` (a view
 of them, with its blueprint) and `manifest.json` (inputs with hashes, resolved settings, versions, seed, git revision,
@@ -43,14 +43,14 @@ def column_lines(table: TableSchema) -> list[str]:
 def _grouped(columns: list[Column]) -> list[tuple[Column, str]]:
     """Columns with the name to show: a pose group is one row."""
     prefixes = {c.name.removesuffix("_qw") for c in columns if c.name.endswith("_qw")}
-    shown = []
+    rows = []
     for column in columns:
         prefix, _, part = column.name.rpartition("_")
         if prefix not in prefixes or len(part) != 2:
-            shown.append((column, f"`{column.name}`"))
+            rows.append((column, f"`{column.name}`"))
         elif part == "tx":
-            shown.append((column, f"`{prefix}_*`"))
-    return shown
+            rows.append((column, f"`{prefix}_*`"))
+    return rows
 
 
 def _cells(column: Column, name: str) -> tuple[str, str, str]:

@@ -273,7 +273,7 @@ app = new_app(__doc__ or "")
 
 @app.command()
 def main(
-    recordings: Annotated[Path, typer.Option(help="Folder of real odometry: docs/vio-drift.md.")] = Path(
+    recordings: Annotated[Path, typer.Option(help="Folder of real odometry: docs/explanation/vio-drift.md.")] = Path(
         "../shared/trajectories"
     ),
     data: Annotated[Path, typer.Option(help="The data folder, whose runs have trained models.")] = Path("data"),

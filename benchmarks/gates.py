@@ -60,7 +60,7 @@ LENS = "stated distortion wrong"
 SFM_OF_SMALL = ["max_features=800", "sequence_pairs=3", "vio_pairs=4", "retrieval_pairs=4", "transitive_pairs=2"]
 # What keeps a corridor's look-alike stretches apart, switched off: every pair of frames is tried, and a model that
 # moves otherwise than VIO isn't tried again in other ways, so that the gate gets it.
-_ALL_PAIRS = ["sequence_pairs=40", "vio_max_distance_m=1000", "vio_max_angle_deg=180", "vio_pairs=0", "retries=false"]
+_ALL_PAIRS = ["sequence_pairs=40", "vio_max_distance_m=1000", "vio_max_angle_deg=180", "vio_pairs=0", "retry=false"]
 _WALKS = ["walk-1", "walk-2", "walk-3"]
 PLACES = ("Office", "Stairs", "Square", "Bar", "Atrium", "Church")
 _BACKWARD = "time goes backward"

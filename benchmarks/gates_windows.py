@@ -1,8 +1,8 @@
 """What VIO's drift does to steps and windows of different lengths: `python -m benchmarks.gates_windows`
 
 Simulated walks without pictures: true poses with a few millimetres of noise stand for SfM, VIO drifts as fitted to real
-recordings (docs/vio-drift.md). Prints how far the map's scale and vertical are off, and how far VIO parts from SfM
-within a window: what align's limits must let pass.
+recordings (docs/explanation/vio-drift.md). Prints how far the map's scale and vertical are off, and how far VIO parts
+from SfM within a window: what align's limits must let pass.
 """
 
 from dataclasses import replace
@@ -85,12 +85,7 @@ def _print_residuals(scenes: list[list[Segment]], settings: AlignSettings) -> No
     windows = [w for segments in scenes for s in segments for w in compare(s, as_it_is, settings.window_m, none, sd)]
     metres = np.array([w.position_m.max() for w in windows])
     degrees = np.degrees([w.rotation.max() for w in windows])
-    limit = VioDrift.in_degrees(
-        settings.vio_drift_m,
-        settings.vio_drift_m_per_m,
-        settings.vio_drift_deg,
-        settings.vio_drift_deg_per_root_m,
-    )
+    limit = settings.vio_drift
     limit_m, limit_deg = float(limit.metres(settings.window_m)), float(np.degrees(limit.radians(settings.window_m)))
     print(f"\n{len(windows)} windows of {settings.window_m:g} m: largest residual")
     print("| | median | 99th percentile | largest | limit |")

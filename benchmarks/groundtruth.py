@@ -132,12 +132,12 @@ def accuracy(o: Options) -> list[Figure]:
     figures, bounds = [], list[tuple[Target, int]]()
     for scene in o.scenes:
         root = o.data
-        simulated(scene, root, f"frame_share={o.share}", *o.simulate)
+        simulated(scene, root, f"frame_fraction={o.share}", *o.simulate)
         run_stage("sfm", scene, root)
         run_stage("alignment", scene, root)
         folder = root.run(PROFILE, scene, "align")
         gt = read_table(folder / "ground_truth.parquet", schema("align", "ground_truth"))
-        told = load_manifest(folder)["figures"]
+        sfm_figures = load_manifest(folder)["figures"]
         known = (gt["quality"] != "none").to_numpy()
         truth, found = true_poses(scene, root)[known], poses_of(gt, "map_cam")[known]
         of = f"{scene}, {len(gt)} frames"
@@ -147,7 +147,7 @@ def accuracy(o: Options) -> list[Figure]:
         sure = (stated.notna() & (gt.loc[known, "component"] == 0)).to_numpy()
         if sure.any():
             covariance = np.stack(list(stated[sure])).reshape(-1, 6, 6)
-            targets += compare_with_bounds(found[sure], truth[sure], covariance, shared_sd(told))
+            targets += compare_with_bounds(found[sure], truth[sure], covariance, shared_sd(sfm_figures))
         for t in targets:
             if _WITHIN in t.name:
                 bounds.append((t, int(sure.sum())))
@@ -190,13 +190,21 @@ def real_captures(o: Options) -> list[Figure]:
             continue
         folder = o.data.run(PROFILE, scene, "align")
         gt = read_table(folder / "ground_truth.parquet", schema("align", "ground_truth"))
-        told = load_manifest(folder)["figures"]
+        sfm_figures = load_manifest(folder)["figures"]
         known = int((gt["quality"] != "none").sum())
         figures += _model_figures("real", scene, scene, o.data)
         if scene == "chair":
-            rms_mm = 1000 * told["sim3_position_rms_m"]
+            rms_mm = 1000 * sfm_figures["sim3_position_rms_m"]
             figures.append(
-                Figure("real", scene, "registered of 24", told["registered"], "", "24", told["registered"] == 24)
+                Figure(
+                    "real",
+                    scene,
+                    "registered of 24",
+                    sfm_figures["registered"],
+                    "",
+                    "24",
+                    sfm_figures["registered"] == 24,
+                )
             )
             figures.append(Figure("real", scene, "ARKit after Sim3, RMS", rms_mm, "mm", "≤ 7", rms_mm <= 7))
         else:
@@ -239,7 +247,7 @@ def mappers(o: Options) -> list[Figure]:
                 real(scene, o.shared / "captures" / scene, root, "support_share=0")
             of = f"{scene}, {mapper}"
             try:
-                run_stage("sfm", scene, root, f"mapper={mapper}", "retries=false", "min_registered=0")
+                run_stage("sfm", scene, root, f"mapper={mapper}", "retry=false", "min_registered_fraction=0")
             except UserError:
                 figures.append(Figure("mappers", of, "failed", 1, ""))
                 continue
@@ -288,7 +296,7 @@ def _church(o: Options, frames: int) -> DataRoot:
     """A data folder with the first so many frames of one large simulated Church, imported."""
     whole = DataRoot(o.out / "church")
     most = max(*o.sizes, o.frames)
-    config = f"frame_share={most / 2496 * 1.05:.4f}"  # 1643 + 853 images in Table I; a little more than is needed
+    config = f"frame_fraction={most / 2496 * 1.05:.4f}"  # 1643 + 853 images in Table I; a little more than is needed
     simulated(_SCENE, whole, config, f"train_sessions={max(3, most // 160)}", *o.simulate)
     part = DataRoot(o.out / f"church_{frames}")
     part_of(_SCENE, whole, part, frames)
@@ -323,13 +331,13 @@ def _cost_figures(part: str, of: str, cost: Cost) -> list[Figure]:
 
 
 def _model_figures(part: str, of: str, scene: str, root: DataRoot) -> list[Figure]:
-    told = load_manifest(root.run(PROFILE, scene, "sfm"))["figures"]
+    sfm_figures = load_manifest(root.run(PROFILE, scene, "sfm"))["figures"]
     return [
-        Figure(part, of, "models", told["models"], ""),
-        Figure(part, of, "verified pairs", told["verified_pairs"], ""),
-        Figure(part, of, "pairs kept out as VIO moved otherwise", told["pairs_against_vio"], ""),
-        Figure(part, of, "error of matches held out", told["heldout_px"] or float("nan"), "px"),
-        Figure(part, of, "error of matches that took part", told["fitted_px"] or float("nan"), "px"),
+        Figure(part, of, "models", sfm_figures["models"], ""),
+        Figure(part, of, "verified pairs", sfm_figures["verified_pairs"], ""),
+        Figure(part, of, "verified pairs inconsistent with VIO", sfm_figures["pairs_inconsistent_with_vio"], ""),
+        Figure(part, of, "error of held-out matches", sfm_figures["held_out_px"] or float("nan"), "px"),
+        Figure(part, of, "error of fitted matches", sfm_figures["fitted_px"] or float("nan"), "px"),
     ]
 
 

@@ -223,7 +223,7 @@ def ground_truth_figures(run: Finished) -> list[Figure]:
             Figure("share of images registered", 100 * sfm["registered"] / len(frames), "%"),
             Figure("models", sfm["models"]),
             Figure("reprojection error, mean", sfm["mean_reprojection_px"], "px"),
-            Figure("held-out error, median", sfm["heldout_px"], "px"),
+            Figure("held-out error, median", sfm["held_out_px"], "px"),
             Figure("fitted error, median", sfm["fitted_px"], "px"),
         ]
     align = run.figures("align")

@@ -5,7 +5,8 @@ Read are folders laid out as HR-APR's (github.com/lck666666/HR-APR): `<model>/<d
 with the camera's y axis up and z axis back.
 
 The files say neither which way is up nor what odometry saw. Up is what the true cameras' x axes are square to, as
-people hold a camera level. Odometry is made from the true poses with the drift of docs/vio-drift.md: simulated.
+people hold a camera level. Odometry is made from the true poses with the drift of
+docs/explanation/vio-drift.md: simulated.
 """
 
 from collections.abc import Mapping, Sequence

@@ -11,7 +11,7 @@ from groundwalk.fusion.stage import STAGE
 from groundwalk.fusion.tables import Files, evaluate_files, sweep_files
 
 app = stage_app(STAGE)
-TableOption = Annotated[Path, typer.Option(help="Parquet; docs/fusion.md has the columns.")]
+TableOption = Annotated[Path, typer.Option(help="Parquet; docs/explanation/fusion.md has the columns.")]
 
 
 OutOption = Annotated[Path, typer.Option(help="Folder for what is written.")]
@@ -53,7 +53,7 @@ def sweep(
 def leaderboard(
     folders: Annotated[
         list[Path] | None,
-        typer.Argument(help="Folders of <group>/<scene>/{frames,ground_truth,predictions}.parquet; docs/fusion.md."),
+        typer.Argument(help="Folders of <group>/<scene>/{frames,ground_truth,predictions}.parquet."),
     ] = None,
     data: Annotated[Path, typer.Option(help="The data folder, whose finished runs take part.")] = Path("data"),
     out: Annotated[Path, typer.Option(help="Folder for fusion.md, fusion.csv and fusion_lag.png.")] = Path(

@@ -29,7 +29,7 @@ class FuseSettings(Settings):
         default_factory=lambda: list(METHODS.builtin), min_length=1, description="fusion methods to run, by id"
     )
     options: dict[str, dict[str, Any]] = Field(
-        {}, description="a method's options that differ from its defaults: options.window30.frames=20 (docs/fusion.md)"
+        {}, description="a method's options that differ from its defaults: options.window30.frames=20"
     )
     splits: list[str] = Field(["test"], min_length=1, description="frames to evaluate: test, val, train")
     learn_from: str = Field(

@@ -324,7 +324,7 @@ def _refuse_unknown_quality(truth: pd.DataFrame, what: str) -> None:
         raise UserError(
             f"{what.strip()}: an unknown quality class",
             where="column quality",
-            expected=f"{', '.join(_QUALITIES)} (docs/ground-truth.md), or no such column",
+            expected=f"{', '.join(_QUALITIES)} (docs/explanation/ground-truth.md), or no such column",
             found=unknown.iloc[0],
         )
 

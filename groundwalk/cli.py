@@ -36,11 +36,12 @@ class Command:
             command: Any = get_command(import_module(f"groundwalk.{self.module}").app)
             return command.commands[self.subcommand] if self.subcommand else command
         app = new_app("")
-        help_text = None if for_completion else stage_help(self._stage())
-        app.command(self.name, help=help_text)(stage_command(self.name, self._stage))
+        help_text = None if for_completion else stage_help(self.stage())
+        app.command(self.name, help=help_text)(stage_command(self.name, self.stage))
         return get_command(app)
 
-    def _stage(self) -> Any:
+    def stage(self) -> Any:
+        """The stage that a stage's command runs."""
         return import_module(f"groundwalk.{self.module}").STAGE
 
 
@@ -85,7 +86,7 @@ COMMANDS = {
             "alignment.__main__",
             "check-truth",
         ),
-        Command("docs", "Print the reference of all tables.", "artefacts.__main__", "docs"),
+        Command("docs", "Write the generated pages of the docs.", "commands", "docs"),
     ],
 }
 

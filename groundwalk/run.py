@@ -131,7 +131,7 @@ class Run:
         return pd.concat(placed or [points[:0]], ignore_index=True)
 
     def table(self, stage: str, table: str) -> pd.DataFrame:
-        """Any table; docs/artefacts.md lists them.
+        """Any table; docs/reference/tables.md lists them.
 
         A column that an older version of the table didn't have is null. UserError where the stage isn't finished, was
         made from inputs that were replaced since, or was run again after this run was opened, and for a table of

@@ -1,4 +1,4 @@
-"""The compact map `Map`: which points it keeps, what it knows of each, and its file (docs/map-format.md)."""
+"""The compact map `Map`: which points it keeps, what it knows of each, and its file (docs/reference/map-format.md)."""
 
 from dataclasses import dataclass
 from pathlib import Path

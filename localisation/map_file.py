@@ -1,4 +1,7 @@
-"""One file of named arrays: versioned, checksummed, memory-mappable. docs/map-format.md describes every byte."""
+"""One file of named arrays: versioned, checksummed, memory-mappable.
+
+docs/reference/map-format.md describes every byte.
+"""
 
 import hashlib
 import json

@@ -140,8 +140,8 @@ def quality(scene: SceneInputs) -> Grid:
         if figures.get(name) is not None
     ]
     caption = (
-        "Frames by quality class (docs/ground-truth.md), and one sigma of each frame's own pose along its least "
-        "certain axis, the median of the class. Errors smaller than that aren't told apart."
+        "Frames by quality class (docs/explanation/ground-truth.md), and one sigma of each frame's own pose along its "
+        "least certain axis, the median of the class. Errors smaller than that aren't told apart."
     )
     if shared:
         caption += f" What all frames share comes on top: {', '.join(shared)} (one sigma)."
@@ -182,8 +182,8 @@ def drift(scene: SceneInputs) -> Grid:
         figures = [f"{v:.3g}" for v in (d.mean, d.median, d.rms, d.p95, d.max)]
         rows.append([d.definition, over, d.unit, d.samples, *figures])
     caption = (
-        "All sessions together; docs/ground-truth.md defines each measure. paper_rpe and paper_roe are the paper's "
-        "equations 4 and 5."
+        "All sessions together; docs/explanation/ground-truth.md defines each measure. paper_rpe and paper_roe are the "
+        "paper's equations 4 and 5."
     )
     return _grid(f"drift-{scene.name}", "VIO drift", caption, columns, rows, 3)
 
@@ -234,7 +234,7 @@ def checks(findings: pd.DataFrame, source: str) -> Grid | None:
         for f in _records(findings[(findings["source"] == source) & (findings["verdict"] != AGREES)])
     ]
     columns = ["rule", "table", "scene", "subset", "column", "by the rule", "printed", "verdict", "why"]
-    caption = "Each number is taken as the interval that its rounding leaves open; docs/reports.md explains the rules."
+    caption = "Each number is taken as the interval that its rounding leaves open; rules: docs/explanation/reports.md."
     return _grid(f"checks-{source}", "What doesn't agree", caption, columns, rows, len(columns)) if rows else None
 
 

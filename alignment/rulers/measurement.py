@@ -212,7 +212,7 @@ def _read(
                 observations.where(chosen),
                 poses,
                 covariance,
-                least_pixel_sd=_READ_OFF_SD_PX if read_off else _DETECTED_SD_PX,
+                min_pixel_sd=_READ_OFF_SD_PX if read_off else _DETECTED_SD_PX,
             )
         except GeometryError:
             continue

@@ -40,7 +40,7 @@ TABLES = [
             Column(
                 "rotation_sd_deg", "float64", "without scale and vertical, largest axis, one sigma", "deg", "map", True
             ),
-            Column("quality", "string", "quality class (docs/ground-truth.md)", choices=QualityClass),
+            Column("quality", "string", "quality class (docs/explanation/ground-truth.md)", choices=QualityClass),
             Column("reason", "string", "why quality is B, C or none, with the figure and its limit; empty for A"),
             Column("gt_uses_vio", "bool", "VIO positions took part: in the bundle adjustment, or in placing its model"),
             Column(
@@ -125,7 +125,7 @@ TABLES = [
         "the samples of all sessions.",
         [
             Column("session_id", "string", "capture session, or 'all'"),
-            Column("definition", "string", "what was measured; docs/ground-truth.md defines each name"),
+            Column("definition", "string", "what was measured; docs/explanation/ground-truth.md defines each name"),
             Column("interval", "float64", "length of the compared pieces; null for a whole path", "", "", True),
             Column("interval_unit", "string", "s, m, pair or path"),
             Column("unit", "string", "unit of the figures: m, deg, %, deg/m, deg/min, deg/100m"),
@@ -153,7 +153,7 @@ TABLES = [
             Column("limit", "float64", "what is allowed"),
             Column("unit", "string", "unit of value, sd and limit"),
             Column("status", "string", "passed and failed are by two sd or more", choices=Status),
-            Column("cause", "string", "what a failure means, by name (docs/ground-truth.md)", nullable=True),
+            Column("cause", "string", "what a failure means, by name (docs/reference/checks.md)", nullable=True),
             Column("reason", "string", "in words, unless it passed"),
             Column("advice", "string", "what to do where it failed, what would decide it where it is undecided"),
         ],
@@ -162,7 +162,7 @@ TABLES = [
     TableSchema(
         "align",
         "rulers",
-        "Rulers that the scene's file names: one row a ruler, model, and part of its corners (docs/rulers.md).",
+        "Rulers that the scene's file names: one row a ruler, model, and part of its corners (docs/how-to/ruler.md).",
         [
             Column("ruler", "string", "name"),
             Column("kind", "string", "charuco, apriltag or distance"),

@@ -84,7 +84,7 @@ TABLES = [
             Column(
                 "quality",
                 "string",
-                "class of the frame's ground truth, A, B or C (docs/ground-truth.md); null where it states none",
+                "class of the frame's ground truth: A, B or C; null where it states none",
                 nullable=True,
             ),
             Column("status", "string", _STATUS),
@@ -104,7 +104,7 @@ TABLES = [
         "The numbers behind the decisions: one row a frame, method, model and number.",
         [
             *_KEYS,
-            Column("signal", "string", "rpe_m, roe_deg, similarity, ... (docs/fusion.md)"),
+            Column("signal", "string", "rpe_m, roe_deg, similarity, ... (docs/explanation/fusion.md)"),
             Column("value", "float64", "its value"),
         ],
     ),

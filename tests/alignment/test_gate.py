@@ -202,7 +202,7 @@ def test_images_whose_pairs_move_as_vio_belong_to_its_poses(walks) -> None:
     assert (checks.SHUFFLED, "walk1") in faults(run(scene))
     ids = scene.frames["frame_id"].to_numpy()[rows]
     scene.pairs = pd.DataFrame({"frame_id_a": ids[:-1], "frame_id_b": ids[1:]}).assign(
-        verdict="verified", rotation_deg=0.1
+        status="verified", rotation_deg=0.1
     )
     named = {cause for cause, session in faults(run(scene)) if session == "walk1"}
     assert named and checks.SHUFFLED not in named

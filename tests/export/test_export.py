@@ -73,8 +73,10 @@ def _write_models(data: DataRoot, model_ids: dict[str, str]) -> None:
         rows = np.flatnonzero(images["model_id"] == model_id)
         _model(frames.iloc[rows], poses_of(images, "sfm_cam")[rows]).write_binary(folder / name)
     models = pd.DataFrame({"model_id": list(model_ids.values()), "folder": list(model_ids)})
-    models = models.assign(mapping="incremental", chosen=True, images=20, points=19, observations=38, heldout_matches=0)
-    models[["mean_track_length", "mean_reprojection_px", "heldout_px", "fitted_px"]] = 0.5
+    models = models.assign(
+        mapping="incremental", selected=True, images=20, points=19, observations=38, held_out_matches=0
+    )
+    models[["mean_track_length", "mean_reprojection_px", "held_out_px", "fitted_px"]] = 0.5
     write_table(folder / "models.parquet", models, schema("sfm", "models"))
 
 

@@ -262,7 +262,7 @@ def test_a_group_names_its_scenes(make_run: Make) -> None:
         _ = groundwalk.open("two", profile="tiny", data=made.data.root).predictions
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/python.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/reference/python.md"])
 def test_the_documented_lines_run(page: str, make_run: Make, capsys: pytest.CaptureFixture[str]) -> None:
     made = make_run()
     _, _, block = (ROOT / page).read_text(encoding="utf-8").partition("```python\nimport groundwalk\n")

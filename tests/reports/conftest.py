@@ -232,7 +232,7 @@ class MadeUpScene:
             observations=self.rng.integers(150, 700, count) * registered,
             reprojection_px=np.where(registered, self.rng.gamma(20, 0.04, count), np.nan), uses_vio=False,
             track_length=np.where(registered, 6.5, np.nan), triangulation_deg=np.where(registered, 12.0, np.nan),
-            heldout_matches=40, heldout_px=np.where(registered, 0.5, np.nan),
+            held_out_matches=40, held_out_px=np.where(registered, 0.5, np.nan),
             fitted_px=np.where(registered, 0.4, np.nan), fx=480.0, fy=480.0, cx=320.0, cy=240.0,
             distortion=[[0.09, -0.12, 0.0, 0.0]] * count, readout_s=0.015, camera_origin="estimated",
         )  # fmt: skip
