@@ -259,3 +259,13 @@ class DriftInterval(StrEnum):
     METRES = "m"
     PAIR = "pair"
     PATH = "path"
+
+
+class Refusal(StrEnum):
+    """Why a structure localiser gives no pose."""
+
+    IMAGE_SIZE = "image_size"
+    FEW_FEATURES = "few_features"
+    FEW_MATCHES = "few_matches"
+    NO_POSE = "no_pose"
+    THIN_EVIDENCE = "thin_evidence"

@@ -15,6 +15,7 @@ from groundwalk.artefacts.registry import Registry
 from groundwalk.artefacts.settings import SHIPPED_DATA, DataRoot, SceneConfig, Settings, SplitRules
 from groundwalk.cli import COMMANDS, Command, all_commands
 from groundwalk.fusion.methods import METHODS
+from groundwalk.localisation.localisers import LOCALISERS
 from groundwalk.reports.checks import check_tables
 from groundwalk.reports.details import checks
 from groundwalk.reports.grids import PUBLISHED, markdown
@@ -154,6 +155,8 @@ def _sections() -> Iterator[tuple[str, str, str]]:
             for kind, model in RULERS.items():
                 text = f"{_first_line(model)} In a scene's file, any number of these: [rulers](../how-to/ruler.md)."
                 yield f'[[ruler]] of kind "{kind}"', text, _table(model, {"kind"})
+        if stage.name == "localise":
+            yield from _of_entries("localise.localisers", LOCALISERS, "settings")
         if stage.name == "train":
             yield from _of_entries("train.regressors", REGRESSORS, "settings")
         if stage.name == "fuse":

@@ -224,6 +224,26 @@ def models(scene: SceneInputs) -> Grid:
     return _grid(f"models-{scene.name}", "Models", "What was trained, and how.", columns, rows, len(columns))
 
 
+def localisers(scene: SceneInputs) -> Grid | None:
+    """What each structure localiser keeps, costs and refused; None where there is none."""
+    test = scene.predictions[scene.predictions["split"] == "test"]
+    rows = []
+    for card in _records(scene.localisers):
+        said = test[test["model"] == card.model]
+        codes = said["refusal"].value_counts()
+        refused = ", ".join(f"{count} {code}" for code, count in codes.items()) or "none"
+        answered = said[said["refusal"].isna()]
+        figures = [number(float(values.median()), 0) for values in (answered["inliers"], said["cpu_ms"])]
+        row = [card.label, card.meaning, f"{card.bytes / 2**20:.2f}", card.points, card.train_frames]
+        rows.append([*row, *figures, number(card.build_cpu_seconds, 0), f"{refused} of {len(said)}"])
+    columns = ["localiser", "what it is", "MiB", "points", "training frames", "inliers", "a query (CPU ms)"]
+    columns += ["built in (CPU s)", "test frames refused"]
+    caption = (
+        "Built from the training frames alone; a refused frame counts as failed in all tables. Inliers: the median."
+    )
+    return _grid(f"localisers-{scene.name}", "Structure localisers", caption, columns, rows, 2) if rows else None
+
+
 def _of_trained(cards: list[Any], text: Callable[[Any], str]) -> list[str]:
     """A line of the model cards; nothing is known of how imported predictions came about."""
     return [text(card) if card.file else EMPTY for card in cards]
