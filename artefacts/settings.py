@@ -5,7 +5,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from groundwalk.artefacts.errors import UserError
 
@@ -26,14 +26,22 @@ class Settings(BaseModel):
     renamed: ClassVar[dict[str, str]] = {}
     """Retired names of settings, and what each is called now."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_retired(cls, content: Any) -> Any:
+        for old in cls.renamed.keys() & content.keys() if isinstance(content, dict) else ():
+            new = cls.renamed[old]
+            raise UserError(f"setting {old!r} was renamed to {new!r}", do=f"write {new} instead")
+        return content
+
 
 class SplitRules(Settings):
     """Which sessions are for training and which for testing."""
 
     test: list[str] | None = Field(None, description="sessions to test on; the others train")
     train: list[str] | None = Field(None, description="sessions to train on; with `test`, others are left out")
-    test_fraction: float = Field(0.25, gt=0, lt=1, description="share of a single session's time to test on")
-    val_fraction: float = Field(0.1, ge=0, lt=0.5, description="share of the training walks held out")
+    test_fraction: float = Field(0.25, gt=0, lt=1, description="fraction of a single session's time to test on")
+    val_fraction: float = Field(0.1, ge=0, lt=0.5, description="fraction of the training walks held out for validation")
     allow_leak: bool = Field(False, description="allow test frames within 5 s of training frames of a session")
 
 
@@ -112,8 +120,8 @@ class DataRoot:
         """A profile's sections; UserError where there is no such profile."""
         path = self.config_file("profiles", checked_name("profile", name))
         if path is None:
-            known = ", ".join(self.names("profiles"))
-            raise UserError(f"there is no profile {name!r}", where=self.root / "profiles", expected=f"one of {known}")
+            names = ", ".join(self.names("profiles"))
+            raise UserError(f"there is no profile {name!r}", where=self.root / "profiles", expected=f"one of {names}")
         content = _read_toml(path)
         _refuse_unknown_sections(content, ("description",), path)
         return content
@@ -159,13 +167,9 @@ def resolve_settings(model: type[T], section: str, data: DataRoot, profile: str,
 
 def validated(model: type[T], content: dict[str, Any], where: object) -> T:
     """`content` as a settings model; UserError naming each key that doesn't fit."""
-    retired = next((key for key in content if key in model.renamed), None)
-    if retired is not None:
-        new = model.renamed[retired]
-        raise UserError(f"setting {retired!r} was renamed to {new!r}", where=where, do=f"write {new} instead")
     try:
         return model.model_validate(content)
-    except UserError as error:  # about a value that names something, as an entry of a registry
+    except UserError as error:  # a retired name, or a value that names no entry of a registry
         error.details["where"] = error.details["where"] or where
         raise
     except ValidationError as error:

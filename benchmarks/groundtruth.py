@@ -8,7 +8,7 @@ that other work on the machine doesn't count, beside them wall seconds. Simulate
 import json
 import os
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +19,7 @@ import typer
 from benchmarks.groundtruth_inputs import (
     PROFILE,
     errors_after_sim3,
+    ground_truth_targets,
     part_of,
     real,
     run_stage,
@@ -28,7 +29,7 @@ from benchmarks.groundtruth_inputs import (
 )
 from benchmarks.stages import Cost, measure
 from benchmarks.stock import stock_command, stock_poses
-from groundwalk.alignment.check_truth import Target, compare_with_bounds, compare_with_truth, shared_sd
+from groundwalk.alignment.check_truth import TruthTarget
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.manifests import load_manifest
@@ -129,39 +130,27 @@ def accuracy(o: Options) -> list[Figure]:
     A scene's errors are few draws, as a model bends in a handful of ways that all of its frames share: the bounds are
     held against the frames of all scenes together.
     """
-    figures, bounds = [], list[tuple[Target, int]]()
+    figures, bounds = [], list[tuple[TruthTarget, int]]()
     for scene in o.scenes:
         root = o.data
-        simulated(scene, root, f"frame_share={o.share}", *o.simulate)
+        simulated(scene, root, f"frame_fraction={o.share}", *o.simulate)
         run_stage("sfm", scene, root)
         run_stage("alignment", scene, root)
-        folder = root.run(PROFILE, scene, "align")
-        gt = read_table(folder / "ground_truth.parquet", schema("align", "ground_truth"))
-        told = load_manifest(folder)["figures"]
-        known = (gt["quality"] != "none").to_numpy()
-        truth, found = true_poses(scene, root)[known], poses_of(gt, "map_cam")[known]
+        gt, targets, bounded = ground_truth_targets(scene, root)
         of = f"{scene}, {len(gt)} frames"
-        targets = compare_with_truth(found, truth, len(gt))
-        stated = gt.loc[known, "covariance"]
-        # What all frames share is the manifest's for the first model only.
-        sure = (stated.notna() & (gt.loc[known, "component"] == 0)).to_numpy()
-        if sure.any():
-            covariance = np.stack(list(stated[sure])).reshape(-1, 6, 6)
-            targets += compare_with_bounds(found[sure], truth[sure], covariance, shared_sd(told))
         for t in targets:
             if _WITHIN in t.name:
-                bounds.append((t, int(sure.sum())))
-                figures.append(Figure("accuracy", of, t.name, t.found, t.unit))
-                continue
-            wanted = f"{'≥' if t.at_least else '≤'} {t.limit:g}" + (f" to {t.most:g}" if t.at_least else "")
-            figures.append(Figure("accuracy", of, t.name, t.found, t.unit, wanted, bool(t.met)))
+                bounds.append((t, bounded))
+                figures.append(Figure("accuracy", of, t.name, t.value, t.unit))
+            else:
+                figures.append(Figure("accuracy", of, t.name, t.value, t.unit, t.limits, t.is_met))
         figures += _model_figures("accuracy", of, scene, root)
     for name in dict.fromkeys(t.name for t, _ in bounds):
-        own = [(t, frames) for t, frames in bounds if t.name == name]
-        frames = sum(count for _, count in own)
-        found, limits = sum(t.found * count for t, count in own) / frames, own[0][0]
-        wanted, met = f"≥ {limits.limit:g} to {limits.most:g}", limits.limit <= found <= limits.most
-        figures.append(Figure("accuracy", f"{len(own)} scenes, {frames} frames", name, found, "%", wanted, met))
+        of_name = [(t, frames) for t, frames in bounds if t.name == name]
+        frames = sum(count for _, count in of_name)
+        pooled = replace(of_name[0][0], value=sum(t.value * count for t, count in of_name) / frames)
+        of = f"{len(of_name)} scenes, {frames} frames"
+        figures.append(Figure("accuracy", of, name, pooled.value, "%", pooled.limits, pooled.is_met))
     return figures
 
 
@@ -171,7 +160,7 @@ def real_captures(o: Options) -> list[Figure]:
     figures = []
     for scene, capture, settings in (
         ("chair", "chair", []),
-        ("corridor", "corridor", ["support_share=0"]),
+        ("corridor", "corridor", ["max_support_fraction=0"]),
         ("corridor_support", "corridor", []),
         ("corridor_all", "corridor", ['sampling="all"']),
     ):
@@ -190,13 +179,21 @@ def real_captures(o: Options) -> list[Figure]:
             continue
         folder = o.data.run(PROFILE, scene, "align")
         gt = read_table(folder / "ground_truth.parquet", schema("align", "ground_truth"))
-        told = load_manifest(folder)["figures"]
+        sfm_figures = load_manifest(folder)["figures"]
         known = int((gt["quality"] != "none").sum())
         figures += _model_figures("real", scene, scene, o.data)
         if scene == "chair":
-            rms_mm = 1000 * told["sim3_position_rms_m"]
+            rms_mm = 1000 * sfm_figures["sim3_position_rms_m"]
             figures.append(
-                Figure("real", scene, "registered of 24", told["registered"], "", "24", told["registered"] == 24)
+                Figure(
+                    "real",
+                    scene,
+                    "registered of 24",
+                    sfm_figures["registered"],
+                    "",
+                    "24",
+                    sfm_figures["registered"] == 24,
+                )
             )
             figures.append(Figure("real", scene, "ARKit after Sim3, RMS", rms_mm, "mm", "≤ 7", rms_mm <= 7))
         else:
@@ -236,10 +233,10 @@ def mappers(o: Options) -> list[Figure]:
                 root = _fresh(o, _church(o, o.sizes[0]), f"mapper_{mapper}")
             else:
                 root = DataRoot(o.out / f"mapper_{mapper}")
-                real(scene, o.shared / "captures" / scene, root, "support_share=0")
+                real(scene, o.shared / "captures" / scene, root, "max_support_fraction=0")
             of = f"{scene}, {mapper}"
             try:
-                run_stage("sfm", scene, root, f"mapper={mapper}", "retries=false", "min_registered=0")
+                run_stage("sfm", scene, root, f"mapper={mapper}", "retry=false", "min_registered_fraction=0")
             except UserError:
                 figures.append(Figure("mappers", of, "failed", 1, ""))
                 continue
@@ -288,7 +285,7 @@ def _church(o: Options, frames: int) -> DataRoot:
     """A data folder with the first so many frames of one large simulated Church, imported."""
     whole = DataRoot(o.out / "church")
     most = max(*o.sizes, o.frames)
-    config = f"frame_share={most / 2496 * 1.05:.4f}"  # 1643 + 853 images in Table I; a little more than is needed
+    config = f"frame_fraction={most / 2496 * 1.05:.4f}"  # 1643 + 853 images in Table I; a little more than is needed
     simulated(_SCENE, whole, config, f"train_sessions={max(3, most // 160)}", *o.simulate)
     part = DataRoot(o.out / f"church_{frames}")
     part_of(_SCENE, whole, part, frames)
@@ -323,13 +320,13 @@ def _cost_figures(part: str, of: str, cost: Cost) -> list[Figure]:
 
 
 def _model_figures(part: str, of: str, scene: str, root: DataRoot) -> list[Figure]:
-    told = load_manifest(root.run(PROFILE, scene, "sfm"))["figures"]
+    sfm_figures = load_manifest(root.run(PROFILE, scene, "sfm"))["figures"]
     return [
-        Figure(part, of, "models", told["models"], ""),
-        Figure(part, of, "verified pairs", told["verified_pairs"], ""),
-        Figure(part, of, "pairs kept out as VIO moved otherwise", told["pairs_against_vio"], ""),
-        Figure(part, of, "error of matches held out", told["heldout_px"] or float("nan"), "px"),
-        Figure(part, of, "error of matches that took part", told["fitted_px"] or float("nan"), "px"),
+        Figure(part, of, "models", sfm_figures["models"], ""),
+        Figure(part, of, "verified pairs", sfm_figures["verified_pairs"], ""),
+        Figure(part, of, "verified pairs inconsistent with VIO", sfm_figures["pairs_inconsistent_with_vio"], ""),
+        Figure(part, of, "error of held-out matches", sfm_figures["held_out_px"] or float("nan"), "px"),
+        Figure(part, of, "error of fitted matches", sfm_figures["fitted_px"] or float("nan"), "px"),
     ]
 
 

@@ -26,8 +26,8 @@ from groundwalk.sfm.database import create_database, image_name, read_descriptor
 from groundwalk.sfm.extensions import RETRIEVALS
 from groundwalk.sfm.features import extract_features
 from groundwalk.sfm.mappers import MappingInput
-from groundwalk.sfm.mapping import build_models, kept_models, read_built
-from groundwalk.sfm.mapping_input import write_mapping_input
+from groundwalk.sfm.mapping import build_models, read_built, selected_models
+from groundwalk.sfm.mapping_input import VerifiedPairs
 from groundwalk.sfm.matching import match_pairs
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.model_adjustment import camera_log
@@ -121,11 +121,11 @@ def mapped(part: Part, database: Path, settings: SfmSettings, folder: Path) -> N
         ids, inliers = opened.read_two_view_geometry_num_inliers()
     enough = [pycolmap.pair_id_to_image_pair(i) for i, n in zip(ids, inliers, strict=True) if n >= settings.min_inliers]
     target = folder.with_suffix(".db")
-    write_mapping_input(database, database, target, frames, unique_pairs(np.array(enough) - 1), settings.held_out, 0)
-    vio_T_cam = poses_of(frames, "vio_cam")
-    given = MappingInput(target, part.images, vio_T_cam, part.session.astype(object), 0)
+    pairs = unique_pairs(np.array(enough) - 1)
+    verified = VerifiedPairs(frames=frames, pairs=pairs, matched=database, features=database)
+    source = MappingInput(target, part.images, poses_of(frames, "vio_cam"), part.session.astype(object), 0)
     cameras = camera_log(frames, {}, pd.DataFrame({"session_id": []}), settings)
-    build_models(quiet, given, database, cameras, settings, folder)
+    build_models(quiet, verified, source, cameras, settings, folder)
 
 
 def features(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object]]:
@@ -140,7 +140,7 @@ def features(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object]
             matching = time.process_time() - start
             mapped(part, database, changed, part.folder / "mapping")
             model = load_models(
-                [part.folder / "mapping" / m.folder for m in kept_models(read_built(part.folder / "mapping"))],
+                [part.folder / "mapping" / m.folder for m in selected_models(read_built(part.folder / "mapping"))],
                 len(part.frames),
             )
             row = {"max_features": max_features, "first_octave": first_octave, "features s": extracting}

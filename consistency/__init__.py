@@ -1,2 +1,2 @@
-"""Is a motion what VIO says? Estimates held against limits, scale and residuals over windows of path, and what is
-wrong where images and VIO disagree: pure functions on arrays, no files."""
+"""Motion by images against motion by VIO: estimates against limits, scale and residuals over windows of path, and the
+cause where they are inconsistent: pure functions on arrays, no files."""

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class Status(StrEnum):
-    """What became of a check."""
+    """Of a consistency check."""
 
     PASSED = "passed"
     FAILED = "failed"
@@ -15,7 +15,7 @@ class Status(StrEnum):
 
 
 SIGMAS = 2.0
-"""How many standard errors an estimate must keep from a limit, on either side of it, to be decided."""
+"""A check is decided where its estimate is at least so many standard errors away from the limit."""
 
 
 def decide(value: float, sd: float, limit: float, *, at_least: bool = False) -> Status:
@@ -29,17 +29,17 @@ def decide(value: float, sd: float, limit: float, *, at_least: bool = False) -> 
 
 
 def within(value: ArrayLike, sd: ArrayLike, limit: ArrayLike) -> NDArray[np.bool_]:
-    """Whether values are surely at most a limit; arrays that broadcast, False for NaN."""
+    """Whether values are below a limit by two standard errors or more; arrays that broadcast, False for NaN."""
     return np.asarray(np.asarray(value, float) + SIGMAS * np.asarray(sd, float) <= np.asarray(limit, float))
 
 
 def beyond(value: ArrayLike, sd: ArrayLike, limit: ArrayLike) -> NDArray[np.bool_]:
-    """Whether values are surely above a limit; arrays that broadcast, False for NaN."""
+    """Whether values are above a limit by more than two standard errors; arrays that broadcast, False for NaN."""
     return np.asarray(np.asarray(value, float) - SIGMAS * np.asarray(sd, float) > np.asarray(limit, float))
 
 
-def share_sd(share: float, count: float) -> float:
-    """Standard error of a share found in `count` independent cases: of the beta posterior under a flat prior, which
-    isn't zero where all cases agree."""
-    mean = (share * count + 1) / (count + 2)
+def fraction_sd(fraction: float, count: float) -> float:
+    """Standard error of a fraction of `count` independent cases: of the beta posterior under a flat prior, which isn't
+    zero where all cases agree."""
+    mean = (fraction * count + 1) / (count + 2)
     return float(np.sqrt(mean * (1 - mean) / (count + 3)))

@@ -5,32 +5,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundwalk.consistency.trajectories import Stretch, path_m, path_steps
+from groundwalk.consistency.trajectories import TrajectoryPair, path_steps
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import ROBUST_TOLERANCE, fit_robust
-from groundwalk.geometry.poses import Array, relative
+from groundwalk.geometry.poses import Array, path_length, relative
 
 STEP_M = 1.0
 """Path of the steps that give the scale, at most: a shorter walk has shorter ones, so that it has several."""
 STEP_SCALE_SD = 0.03
-"""Expected scale error of a step of a metre, as a share."""
+"""Expected scale error of a step of a metre, as a fraction."""
 
-_FEWEST_FRAMES = 3
-# Residuals that nobody minds, where a robust fit stops telling items apart.
-_LEAST_SHARE = 0.5  # of the length of SfM's steps that VIO's go along them
-_STEP_FLOOR = 1e-2  # of the scale of a step of a metre against its recording's
-_STEPS_OF_A_WALK = 8
+_MIN_FRAMES = 3
+# VIO's steps go along SfM's where their components along these are at least this fraction of their length.
+_MIN_STEP_RATIO = 0.5
+# Smaller residuals, of a step of a metre, count alike in the robust fit.
+_STEP_FLOOR = 1e-2
+_MIN_STEPS = 8
 # Noise of the length of a step, however short: both ends in VIO and in SfM.
 _LENGTH_SD_M = 0.003
-# A scale that is less certain, as a share, is none: twice that is two thirds of it.
-_LARGEST_SCALE_SD = 1 / 3
+# A scale with a larger standard error, as a fraction, is None: twice that is two thirds of it.
+_MAX_SCALE_SD = 1 / 3
 # Frames that VIO has so far apart and SfM in one place are wrong, not at rest.
 _COLLAPSED_M = 0.3
 
 
 @dataclass(frozen=True)
 class Scale:
-    """VIO metres per SfM unit of one recording: natural logarithm, its sigma, and the steps behind it."""
+    """VIO metres per SfM unit of one recording: natural logarithm, its standard error, and the number of steps."""
 
     log: float
     sd: float
@@ -38,23 +39,23 @@ class Scale:
 
 
 def recording_scale(
-    stretches: Sequence[Stretch],
+    parts: Sequence[TrajectoryPair],
     *,
     step_m: float,
     step_sd: float,
     tolerance: float = ROBUST_TOLERANCE,
 ) -> Scale | None:
-    """The scale of a recording's stretches in one model: the robust mean over steps of VIO path, one after the other,
-    weighted by what each can tell; None where it would be less certain than to a third.
+    """The scale of a recording's parts in one model: the robust mean over steps of VIO path, one after the other,
+    weighted by their certainty; None where its standard error is above a third.
 
-    Steps are of `step_m`, and of an eighth of a path that is shorter than eight of these. `step_sd`: what the scale of
-    a step of a metre is expected to be off by, as a share; a random walk's error grows with the root of the length, and
-    noise of the ends doesn't grow. The standard error is that of the scatter that is found, and of what is expected of
-    the whole path. Raises GeometryError where SfM puts frames in one place that VIO says are apart.
+    Steps are of `step_m`, and of an eighth of a path that is shorter than eight of these. `step_sd`: the
+    expected error of the scale of a step of a metre, as a fraction; a random walk's error grows with the root of the
+    length, and noise of the ends doesn't grow. The standard error is that of the observed scatter, and of what is
+    expected of the whole path. Raises GeometryError where SfM puts frames in one place that VIO says are apart.
     """
-    stretches = [stretch for stretch in stretches if len(stretch.vio_T_cam) >= _FEWEST_FRAMES]
-    whole_m = sum(float(path_m(stretch.vio_T_cam)[-1]) for stretch in stretches)
-    sfm, vio = _steps(stretches, min(step_m, whole_m / _STEPS_OF_A_WALK))
+    parts = [part for part in parts if len(part.vio_T_cam) >= _MIN_FRAMES]
+    total_m = sum(float(path_length(part.vio_T_cam[:, :3, 3])[-1]) for part in parts)
+    sfm, vio = _steps(parts, min(step_m, total_m / _MIN_STEPS))
     length, squared = np.linalg.norm(vio, axis=1), np.sum(sfm * sfm, axis=1)
     if np.any((squared == 0) & (length >= _COLLAPSED_M)):
         raise GeometryError(f"{np.count_nonzero(squared == 0)} of {len(squared)} steps have no length in SfM")
@@ -63,37 +64,37 @@ def recording_scale(
     if not len(length):
         return None
     by_length = length / np.sqrt(squared)
-    usual = float(np.median(by_length))
-    # SfM's step is the surer one: VIO's is laid along it, so that VIO's sideways errors don't lengthen it.
-    share = np.sum(sfm * vio, axis=1) / squared / usual
+    median = float(np.median(by_length))
+    # SfM's step is the more certain one: VIO's is laid along it, so that VIO's sideways errors don't lengthen it.
+    ratio = np.sum(sfm * vio, axis=1) / squared / median
     sd = np.hypot(step_sd / np.sqrt(length), _LENGTH_SD_M / length)
-    mean, robust = robust_mean(share, sd**-2, sd / step_sd, _STEP_FLOOR, tolerance)
-    goes_along = mean >= _LEAST_SHARE
+    mean, robust = robust_mean(ratio, sd**-2, sd / step_sd, _STEP_FLOOR, tolerance)
+    goes_along = mean >= _MIN_STEP_RATIO
     if not goes_along:
         # The steps go other ways, as where times are shuffled. Their lengths give a scale to show that with.
-        share = by_length / usual
-        mean, robust = robust_mean(share, sd**-2, sd / step_sd, _STEP_FLOOR, tolerance)
+        ratio = by_length / median
+        mean, robust = robust_mean(ratio, sd**-2, sd / step_sd, _STEP_FLOOR, tolerance)
     weight = robust * sd**-2
     effective = max(1.0, float(weight.sum() ** 2 / np.sum(weight**2)))
-    scatter = float(np.sum(weight * (share - mean) ** 2) / weight.sum()) / max(1.0, effective - 1)
+    scatter = float(np.sum(weight * (ratio - mean) ** 2) / weight.sum()) / max(1.0, effective - 1)
     # As if one more metre were as wrong as a metre is expected to be: few steps mustn't look certain.
     walked_m = float(np.sum(robust * length))
     expected = step_sd**2 / (walked_m * max(walked_m, 1.0))
     # Noise makes any length longer, all steps alike.
     noise = (_LENGTH_SD_M * len(length) / walked_m) ** 2 / (effective if goes_along else 1.0)
     relative_sd = float(np.sqrt(scatter + expected + noise)) / mean
-    if relative_sd > _LARGEST_SCALE_SD:
+    if relative_sd > _MAX_SCALE_SD:
         return None
-    return Scale(float(np.log(mean * usual)), relative_sd, len(length))
+    return Scale(float(np.log(mean * median)), relative_sd, len(length))
 
 
-def _steps(stretches: Sequence[Stretch], step_m: float) -> tuple[Array, Array]:
+def _steps(parts: Sequence[TrajectoryPair], step_m: float) -> tuple[Array, Array]:
     """Steps (M, 3) of `step_m` of VIO path, by SfM and by VIO."""
-    found = [np.empty((2, 0, 3))]
-    for stretch in stretches:
-        a, b = path_steps(path_m(stretch.vio_T_cam), step_m)
-        found.append(np.stack([relative(T[a], T[b])[:, :3, 3] for T in stretch]))
-    sfm, vio = np.concatenate(found, axis=1)
+    steps = [np.empty((2, 0, 3))]
+    for part in parts:
+        a, b = path_steps(path_length(part.vio_T_cam[:, :3, 3]), step_m)
+        steps.append(np.stack([relative(T[a], T[b])[:, :3, 3] for T in part]))
+    sfm, vio = np.concatenate(steps, axis=1)
     return sfm, vio
 
 

@@ -1,4 +1,4 @@
-"""What a session walked between two VIO jumps, by a model and by VIO; its length, windows and steps."""
+"""Two trajectories of the same frames, and the length, windows and steps of a path."""
 
 from typing import NamedTuple
 
@@ -8,39 +8,34 @@ from numpy.typing import NDArray
 from groundwalk.geometry.poses import Array
 
 # Frames that a window needs so that a robust fit of 7 unknowns sees which of them is wrong.
-LEAST_WINDOW = 6
+MIN_WINDOW_FRAMES = 6
 
 
-class Stretch(NamedTuple):
-    """The poses of the n frames that both know, in order of time: `sfm_T_cam` (n, 4, 4) in a model's arbitrary scale,
-    `vio_T_cam` (n, 4, 4) in metres."""
+class TrajectoryPair(NamedTuple):
+    """The poses of n frames that SfM and VIO both have, in order of time, without VIO jumps between them: `sfm_T_cam`
+    (n, 4, 4) in a model's arbitrary scale, `vio_T_cam` (n, 4, 4) in metres."""
 
     sfm_T_cam: Array
     vio_T_cam: Array
 
 
-def path_m(vio_T_cam: Array) -> Array:
-    """Length of the path (n,) from the first of the poses (n, 4, 4) on."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vio_T_cam[:, :3, 3], axis=0), axis=1))])
-
-
-def path_windows(travelled_m: Array, length_m: float, least_frames: int = LEAST_WINDOW) -> list[NDArray[np.intp]]:
+def path_windows(travelled_m: Array, length_m: float, min_frames: int = MIN_WINDOW_FRAMES) -> list[NDArray[np.intp]]:
     """Indices (k,) of the frames in windows of `length_m` of a path, each half over the next; `travelled_m` (n,) is how
     far along it each frame lies.
 
     The windows are spread so that the last one ends with the path; a shorter path is one window. Where frames are far
-    apart a window is longer, so that it has `least_frames`; a path of fewer is one window.
+    apart a window is longer, so that it has `min_frames`; a path of fewer is one window.
     """
     count = len(travelled_m)
-    whole_m = float(travelled_m[-1])
-    steps = 0 if whole_m <= length_m else int(np.ceil((whole_m - length_m) / (length_m / 2)))
-    starts = np.linspace(0.0, max(whole_m - length_m, 0.0), steps + 1)
+    total_m = float(travelled_m[-1])
+    steps = 0 if total_m <= length_m else int(np.ceil((total_m - length_m) / (length_m / 2)))
+    starts = np.linspace(0.0, max(total_m - length_m, 0.0), steps + 1)
     # Rounding must not cost a window its last frame.
-    slack = 1e-9 * (1 + whole_m)
+    slack = 1e-9 * (1 + total_m)
     first = np.searchsorted(travelled_m, starts - slack)
     last = np.searchsorted(travelled_m, starts + length_m + slack, side="right")
-    last = np.minimum(np.maximum(last, first + least_frames), count)
-    first = np.maximum(np.minimum(first, last - least_frames), 0)
+    last = np.minimum(np.maximum(last, first + min_frames), count)
+    first = np.maximum(np.minimum(first, last - min_frames), 0)
     return [np.arange(a, b) for a, b in dict.fromkeys(zip(first.tolist(), last.tolist(), strict=True))]
 
 

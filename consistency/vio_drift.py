@@ -1,4 +1,4 @@
-"""How far VIO may drift: the one law that pairs, models and ground truth are held against."""
+"""How far VIO may drift: the one model that pairs, models and ground truth are checked by."""
 
 from dataclasses import dataclass
 
@@ -10,21 +10,21 @@ from groundwalk.geometry.poses import Array
 
 @dataclass(frozen=True)
 class VioDrift:
-    """What VIO may be off by over a path of s metres.
+    """The error that VIO may have over a path of s metres.
 
-    Position `m` + `m_per_m` s, metres: its scale and heading are off. Rotation `rad` + `rad_per_root_m` sqrt(s),
-    radians: a random walk, with what two images leave open in the constant.
+    Position `m` + `m_per_m` s, metres: its scale and heading are off. Rotation `rad` + `rad_per_sqrt_m` sqrt(s),
+    radians: a random walk, with the error of two images in the constant.
     """
 
     m: float
     m_per_m: float
     rad: float
-    rad_per_root_m: float
+    rad_per_sqrt_m: float
 
     @classmethod
-    def in_degrees(cls, m: float, m_per_m: float, deg: float, deg_per_root_m: float) -> "VioDrift":
+    def in_degrees(cls, m: float, m_per_m: float, deg: float, deg_per_sqrt_m: float) -> "VioDrift":
         """The same with rotations in degrees, as settings have them."""
-        return cls(m, m_per_m, float(np.radians(deg)), float(np.radians(deg_per_root_m)))
+        return cls(m, m_per_m, float(np.radians(deg)), float(np.radians(deg_per_sqrt_m)))
 
     def metres(self, path_m: ArrayLike) -> Array:
         """Metres allowed over paths (...) in metres."""
@@ -32,4 +32,4 @@ class VioDrift:
 
     def radians(self, path_m: ArrayLike) -> Array:
         """Radians allowed over paths (...) in metres."""
-        return np.asarray(self.rad + self.rad_per_root_m * np.sqrt(np.asarray(path_m, dtype=float)))
+        return np.asarray(self.rad + self.rad_per_sqrt_m * np.sqrt(np.asarray(path_m, dtype=float)))

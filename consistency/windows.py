@@ -1,4 +1,4 @@
-"""Does a model move as VIO does? Rigid fits of VIO over windows of its path.
+"""Motion of a model against VIO: rigid fits of VIO over windows of its path.
 
 Over a whole walk VIO's drift would bend the path.
 """
@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.consistency.decisions import beyond, within
-from groundwalk.consistency.trajectories import path_m, path_windows
+from groundwalk.consistency.trajectories import path_windows
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.fits import ROBUST_TOLERANCE, fit_poses, fit_robust, pose_residuals
-from groundwalk.geometry.poses import Array
+from groundwalk.geometry.poses import Array, path_length
 
 WINDOW_M = 10.0
 """Short windows suffer from noise of single positions, long ones from bending by VIO's drift."""
 
-_FEWEST_FRAMES = 3
-# Over a short window the constant in what VIO may be off by is more than the walk's own extent: it grows with the path
-# instead, from a fifth of itself on.
-_LEAST_CONSTANT = 0.2
+_MIN_FRAMES = 3
+# Over a short window the constant part of VIO's drift is more than the path's extent: there it grows with the path,
+# from this fraction of itself on.
+_MIN_CONSTANT_FRACTION = 0.2
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ POSE_SD = PoseSd(0.01, float(np.radians(1.0)))
 
 @dataclass(frozen=True)
 class WindowResiduals:
-    """What is left in a window after VIO was fitted to it: indices (n,) of its frames, their residuals (metres,
-    radians), the limits, and the frames' own standard errors in the model (0 where not known)."""
+    """A window after VIO was fitted to it: indices (n,) of its frames, their residuals (metres, radians), the limits,
+    and the frames' standard errors in the model (0 where not known)."""
 
     inside: NDArray[np.intp]
     position_m: Array
@@ -95,24 +95,24 @@ def compare_windows(
     tolerance: float = ROBUST_TOLERANCE,
     frame_sd: tuple[Array, Array] | None = None,
 ) -> list[WindowResiduals]:
-    """The windows of a stretch at metric scale, each with VIO rigidly fitted to it.
+    """The windows of a trajectory at metric scale, each with VIO rigidly fitted to it.
 
     The fit follows the majority of a window's frames, so that single wrong poses stand out. A window needs 3 frames.
-    `frame_sd`: the frames' own standard errors in the model, metres and radians (n,).
+    `frame_sd`: the frames' standard errors in the model, metres and radians (n,).
     """
-    if len(vio_T_cam) < _FEWEST_FRAMES:
+    if len(vio_T_cam) < _MIN_FRAMES:
         return []
     position_sd_m, rotation_sd = np.zeros((2, len(vio_T_cam))) if frame_sd is None else frame_sd
-    travelled = path_m(vio_T_cam)
+    travelled = path_length(vio_T_cam[:, :3, 3])
     compared = []
     for inside in path_windows(travelled, window_m):
         _, metres, radians = fit_rigid(metric_T_cam[inside], vio_T_cam[inside], sd, tolerance=tolerance)
-        walked_m = travelled[inside[-1]] - travelled[inside[0]]
-        limits = _window_limit_m(drift, walked_m), float(drift.radians(walked_m))
+        length_m = travelled[inside[-1]] - travelled[inside[0]]
+        limits = _window_limit_m(drift, length_m), float(drift.radians(length_m))
         compared.append(WindowResiduals(inside, metres, radians, *limits, position_sd_m[inside], rotation_sd[inside]))
     return compared
 
 
-def _window_limit_m(drift: VioDrift, walked_m: float) -> float:
-    growing_m = drift.m_per_m * walked_m
-    return float(growing_m + min(drift.m, max(_LEAST_CONSTANT * drift.m, growing_m)))
+def _window_limit_m(drift: VioDrift, length_m: float) -> float:
+    growing_m = drift.m_per_m * length_m
+    return float(growing_m + min(drift.m, max(_MIN_CONSTANT_FRACTION * drift.m, growing_m)))

@@ -53,9 +53,7 @@ def sweep(
 def leaderboard(
     folders: Annotated[
         list[Path] | None,
-        typer.Argument(
-            help="Folders of <group>/<scene>/{frames,ground_truth,predictions}.parquet; docs/explanation/fusion.md."
-        ),
+        typer.Argument(help="Folders of <group>/<scene>/{frames,ground_truth,predictions}.parquet."),
     ] = None,
     data: Annotated[Path, typer.Option(help="The data folder, whose finished runs take part.")] = Path("data"),
     out: Annotated[Path, typer.Option(help="Folder for fusion.md, fusion.csv and fusion_lag.png.")] = Path(

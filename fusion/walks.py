@@ -131,7 +131,7 @@ def evaluated(
         raise UserError(
             f"scene {scene}: no evaluated frame has ground truth",
             found=f"{len(ordered)} frames of split {', '.join(splits)}",
-            do="look at the align stage's gate table, or give ground truth of the evaluated frames",
+            do="look at the align stage's table checks, or give ground truth of the evaluated frames",
         )
     gravity = _gravity(ordered)
     # A new piece begins where the session or the split changes in time.

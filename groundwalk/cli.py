@@ -79,7 +79,8 @@ COMMANDS = {
         Command("locate", "Localise images in a scene's map.", "localisation.locate"),
         Command("export-model", "Write a trained regressor as ONNX.", "training.__main__", "export"),
         Command("evaluate", "Fuse predictions from Parquet files; measure errors.", "fusion.__main__", "evaluate"),
-        Command("fusion", "Fusion methods beside each other (leaderboard), evaluate, sweep.", "fusion.__main__"),
+        Command("leaderboard", "Compare all fusion methods scene by scene.", "fusion.__main__", "leaderboard"),
+        Command("fusion", "Leaderboard, evaluate and sweep under one name.", "fusion.__main__"),
         Command("sweep", "Try other thresholds of the MobileARLoc rule.", "fusion.__main__", "sweep"),
         Command(
             "check-truth",

@@ -39,7 +39,7 @@ class SceneInputs:
     ground_truth: pd.DataFrame
     align_sessions: pd.DataFrame
     drift: pd.DataFrame
-    gate: pd.DataFrame
+    align_checks: pd.DataFrame
     predictions: pd.DataFrame
     history: pd.DataFrame
     cards: pd.DataFrame
@@ -208,7 +208,7 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         ground_truth=r.read("align", "ground_truth", scene=leaf),
         align_sessions=r.read("align", "sessions", scene=leaf),
         drift=r.read("align", "drift", scene=leaf),
-        gate=r.read("align", "gate", scene=leaf),
+        align_checks=r.read("align", "checks", scene=leaf),
         predictions=pd.concat([p for p in (trained("predictions"), localised) if len(p)], ignore_index=True),
         history=trained("history"),
         cards=trained("models"),

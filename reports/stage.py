@@ -84,7 +84,7 @@ def _section(r: StageRun[ReportSettings], scene: SceneInputs, all_cells: pd.Data
         "quality": details.quality(scene),
         "alignment": details.alignment(scene),
         "drift": details.drift(scene),
-        "gate": details.gate(scene),
+        "consistency": details.consistency(scene),
         "models": details.models(scene),
         "localisers": details.localisers(scene),
         "users": details.users(scene),

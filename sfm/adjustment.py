@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.lens import distort_with_slope
 from groundwalk.geometry.poses import Array, skew
-from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN
+from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN, cauchy_weights
 from groundwalk.sfm.normal_equations import block_rows, similarities
 
 Ints = NDArray[np.int64]
@@ -30,10 +30,11 @@ Ints = NDArray[np.int64]
 _POSE, _FOCUS, _ANGULAR = slice(0, 6), 6, slice(7, 10)
 _LOCAL = 10
 _LENS = 3  # k1, k2, readout of a lens
-_NARROWEST_LOSS_PX = 0.05
-_STEPS = 15
-_NO_READOUT_S = 1e-6
-_SETTLED = 1e-4  # relative change of the cost
+_MIN_LOSS_PX = 0.05
+_MAX_STEPS = 15
+_MAX_DAMPINGS = 6
+_MIN_READOUT_S = 1e-6
+_MIN_COST_DECREASE = 1e-4  # relative change of the cost
 # How long a focus stays as it is, and the share of its variance that is each frame's alone.
 _FOCUS_LAG_S, _FOCUS_NOISE = 5.0, 1e-3
 
@@ -78,41 +79,40 @@ class CameraPriors:
 
 
 @dataclass(frozen=True)
-class Scene:
-    """What is adjusted: poses sfm_T_cam (N, 4, 4), points (P, 3), M observations in raw pixels (M, 2), in the order of
-    their frames."""
+class Bundle:
+    """What is adjusted: poses sfm_T_cam (N, 4, 4), points (P, 3), and where M observations lie in the images (M, 2;
+    px), in the order of their frames."""
 
     sfm_T_cam: Array
     xyz: Array
     frame: Ints
     point: Ints
-    seen_px: Array
+    observed_px: Array
 
 
 @dataclass(frozen=True)
-class Linearized:
-    """Residuals (M, 2) px and their derivatives by each frame's own unknowns (M, 2, 10), by the lens and the session
-    that it shares (M, 2, 4) and by the point (M, 2, 3)."""
+class Linearization:
+    """Residuals (M, 2) px and their derivatives: by camera (M, 2, 14), that is by the 10 unknowns of the frame, the 3
+    of its lens and the 1 of its session; and by the point (M, 2, 3)."""
 
     residual: Array
-    by_frame: Array
-    by_shared: Array
+    by_camera: Array
     by_point: Array
 
 
 @dataclass(frozen=True)
 class Adjusted:
-    """An adjusted scene, its cameras, and the width of the Cauchy loss in px."""
+    """An adjusted bundle, its cameras, and the width of the Cauchy loss in px."""
 
-    scene: Scene
+    bundle: Bundle
     cameras: Cameras
     priors: CameraPriors
     loss_px: float
 
 
-def project(scene: Scene, cameras: Cameras, *, shutter: bool = True) -> Array:
+def project(bundle: Bundle, cameras: Cameras, *, shutter: bool = True) -> Array:
     """Where each observation's point is seen, (M, 2) px; without the shutter: as if all rows were the middle one."""
-    return _forward(scene, cameras, shutter=shutter).pixel
+    return _forward(bundle, cameras, shutter=shutter).pixel
 
 
 @dataclass(frozen=True)
@@ -132,12 +132,12 @@ class _Forward:
     row_R_cam: Rotation
 
 
-def _forward(scene: Scene, cameras: Cameras, *, shutter: bool = True) -> _Forward:
-    i = scene.frame
-    cam_R_sfm = np.swapaxes(scene.sfm_T_cam[:, :3, :3], 1, 2)[i]
-    offset = scene.xyz[scene.point] - scene.sfm_T_cam[i, :3, 3]
+def _forward(bundle: Bundle, cameras: Cameras, *, shutter: bool = True) -> _Forward:
+    i = bundle.frame
+    cam_R_sfm = np.swapaxes(bundle.sfm_T_cam[:, :3, :3], 1, 2)[i]
+    offset = bundle.xyz[bundle.point] - bundle.sfm_T_cam[i, :3, 3]
     p = np.einsum("mij,mj->mi", cam_R_sfm, offset)
-    row = scene.seen_px[:, 1] / cameras.height[i] - 0.5
+    row = bundle.observed_px[:, 1] / cameras.height[i] - 0.5
     tau = row * cameras.readout_s[cameras.lens[i]] if shutter else np.zeros(len(i))
     turn = Rotation.from_rotvec(-cameras.angular[i] * tau[:, None])
     q = turn.apply(p - cameras.velocity[i] * tau[:, None])
@@ -147,40 +147,40 @@ def _forward(scene: Scene, cameras: Cameras, *, shutter: bool = True) -> _Forwar
     return _Forward(pixel, cam_R_sfm, offset, q, n, slope, row, tau, turn)
 
 
-def linearize(scene: Scene, cameras: Cameras) -> Linearized:
-    """Residuals, predicted minus seen, and their derivatives."""
-    seen = _forward(scene, cameras)
-    pixel, q, n, tau, turn = seen.pixel, seen.in_row, seen.ideal, seen.tau, seen.row_R_cam
-    i = scene.frame
+def linearize(bundle: Bundle, cameras: Cameras) -> Linearization:
+    """Residuals, projected minus observed, and their derivatives."""
+    forward = _forward(bundle, cameras)
+    pixel, q, n, tau, turn = forward.pixel, forward.in_row, forward.ideal, forward.tau, forward.row_R_cam
+    i = bundle.frame
     focal = cameras.focal[i]
     x, y = n.T
     r2 = x * x + y * y
-    by_n = focal[:, :, None] * seen.slope
+    by_n = focal[:, :, None] * forward.slope
     z = q[:, 2]
     n_by_q = np.zeros((len(n), 2, 3))
     n_by_q[:, 0, 0] = n_by_q[:, 1, 1] = 1 / z
     n_by_q[:, 0, 2], n_by_q[:, 1, 2] = -x / z, -y / z
     by_q = by_n @ n_by_q
     by_p = by_q @ turn.as_matrix()
-    by_point = by_p @ seen.cam_R_sfm
-    by_frame = np.empty((len(n), 2, _LOCAL))
-    by_frame[:, :, :3] = by_point @ skew(seen.offset)
+    by_point = by_p @ forward.cam_R_sfm
+    by_camera = np.empty((len(n), 2, _LOCAL + _LENS + 1))
+    by_frame, by_shared = by_camera[:, :, :_LOCAL], by_camera[:, :, _LOCAL:]
+    by_frame[:, :, :3] = by_point @ skew(forward.offset)
     by_frame[:, :, 3:6] = -by_point
     by_frame[:, :, _FOCUS] = pixel - cameras.intrinsics[i, 2:]
     by_frame[:, :, _ANGULAR] = by_q @ (tau[:, None, None] * skew(q))
-    by_shared = np.empty((len(n), 2, _LENS + 1))
     by_shared[:, :, 0] = focal * n * r2[:, None]
     by_shared[:, :, 1] = focal * n * (r2 * r2)[:, None]
     moving = np.cross(q, cameras.angular[i]) - turn.apply(cameras.velocity[i])
-    by_shared[:, :, 2] = np.einsum("mij,mj->mi", by_q, moving * seen.row[:, None])
+    by_shared[:, :, 2] = np.einsum("mij,mj->mi", by_q, moving * forward.row[:, None])
     by_shared[:, :, 3] = by_frame[:, :, _FOCUS]
-    return Linearized(pixel - scene.seen_px, by_frame, by_shared, by_point)
+    return Linearization(pixel - bundle.observed_px, by_camera, by_point)
 
 
 @dataclass(frozen=True)
 class System:
-    """Normal equations without the points over (10 N + G) unknowns: frames' own, then lenses' k1, k2 and readout, then
-    sessions' log focal factors; and what takes a step of these back to the points: the inverses of the points' own
+    """Normal equations without the points over (10 N + G) unknowns: those of frames, then lenses' k1, k2 and readout,
+    then sessions' log focal factors; and what takes a step of these back to the points: the inverses of the points'
     blocks (P, 3, 3) and their gradient (P, 3)."""
 
     matrix: Array
@@ -196,37 +196,37 @@ def shared_columns(cameras: Cameras) -> Ints:
     return np.concatenate([of_lens, _LENS * lenses + cameras.session[:, None]], axis=1)
 
 
-def normal_equations(scene: Scene, cameras: Cameras, linear: Linearized, weight_M: Array) -> System:
+def normal_equations(bundle: Bundle, cameras: Cameras, linear: Linearization, weight_M: Array) -> System:
     """The reduced system of residuals weighted by `weight_M` (M,), without priors."""
-    frames, points = len(scene.sfm_T_cam), len(scene.xyz)
+    frames, points = len(bundle.sfm_T_cam), len(bundle.xyz)
     columns = shared_columns(cameras)
     shared = _LENS * len(cameras.readout_s) + len(cameras.log_focal)
     size = _LOCAL * frames
     w = np.sqrt(weight_M)[:, None]
     residual, by_point = w * linear.residual, w[:, :, None] * linear.by_point
-    by_own = w[:, :, None] * np.concatenate([linear.by_frame, linear.by_shared], axis=2)
-    blocks, pull = _frame_sums(by_own, residual, scene.frame, frames)
-    point_blocks = summed(outer(by_point, by_point), scene.point, points)
+    by_camera = w[:, :, None] * linear.by_camera
+    blocks, pull = _frame_sums(by_camera, residual, bundle.frame, frames)
+    point_blocks = summed(outer(by_point, by_point), bundle.point, points)
     point_blocks += 1e-9 * np.trace(point_blocks, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    point_pull = summed(np.sum(by_point * residual[:, :, None], axis=1), scene.point, points)
+    point_pull = summed(np.sum(by_point * residual[:, :, None], axis=1), bundle.point, points)
     lower_inverse = np.linalg.inv(np.linalg.cholesky(point_blocks))
     # With V = L L^T the points' part of the Schur complement, W V^-1 W^T, is A A^T with A = W L^-T.
-    a_blocks = outer(by_own, by_point) @ np.swapaxes(lower_inverse, 1, 2)[scene.point]
-    local = block_rows(a_blocks[:, :_LOCAL], scene.frame, scene.point, frames, points)
+    a_blocks = outer(by_camera, by_point) @ np.swapaxes(lower_inverse, 1, 2)[bundle.point]
+    local = block_rows(a_blocks[:, :_LOCAL], bundle.frame, bundle.point, frames, points)
     by_column = np.zeros((shared, points, 3))
     for k in range(_LENS + 1):
-        np.add.at(by_column, (columns[scene.frame, k], scene.point), a_blocks[:, _LOCAL + k])
+        np.add.at(by_column, (columns[bundle.frame, k], bundle.point), a_blocks[:, _LOCAL + k])
     of_shared = by_column.reshape(shared, 3 * points)
     matrix = np.zeros((size + shared, size + shared))
     _add_blocks(matrix, local)
     matrix[size:, :size] = -(local @ of_shared.T).T
     matrix[size:, size:] = -of_shared @ of_shared.T
     index = np.arange(frames)
-    own = local_unknowns(frames)
-    matrix[own[:, :, None], own[:, None, :]] += blocks[:, :_LOCAL, :_LOCAL]
+    local_index = local_unknowns(frames)
+    matrix[local_index[:, :, None], local_index[:, None, :]] += blocks[:, :_LOCAL, :_LOCAL]
     for k in range(_LENS + 1):
         rows = size + columns[:, k]
-        np.add.at(matrix, (rows[:, None], own), blocks[:, _LOCAL + k, :_LOCAL])
+        np.add.at(matrix, (rows[:, None], local_index), blocks[:, _LOCAL + k, :_LOCAL])
         for j in range(_LENS + 1):
             np.add.at(matrix, (rows, size + columns[:, j]), blocks[index, _LOCAL + k, _LOCAL + j])
     matrix[:size, size:] = matrix[size:, :size].T
@@ -239,19 +239,30 @@ def normal_equations(scene: Scene, cameras: Cameras, linear: Linearized, weight_
     return System(matrix, gradient, np.swapaxes(lower_inverse, 1, 2) @ lower_inverse, point_pull)
 
 
-def _frame_sums(by_own: Array, residual: Array, frame_M: Ints, frames: int) -> tuple[Array, Array]:
+def regular_system(
+    bundle: Bundle, cameras: Cameras, linear: Linearization, weight_M: Array, information: csr_array
+) -> System:
+    """The reduced system with the information of priors (px^2) and a stiffness against moving the whole model added:
+    its matrix can be inverted; its gradient is that of the residuals alone."""
+    system = normal_equations(bundle, cameras, linear, weight_M)
+    add_information(system.matrix, information)
+    hold_gauge(system.matrix, bundle.sfm_T_cam[:, :3, 3])
+    return system
+
+
+def _frame_sums(by_camera: Array, residual: Array, frame_M: Ints, frames: int) -> tuple[Array, Array]:
     """J^T J (N, 14, 14) and J^T r (N, 14) of each frame."""
-    width = by_own.shape[2]
+    width = by_camera.shape[2]
     blocks, pull = np.zeros((frames, width, width)), np.zeros((frames, width))
     bounds = np.searchsorted(frame_M, np.arange(frames + 1))
     for k in range(frames):
-        own = by_own[bounds[k] : bounds[k + 1]].reshape(-1, width)
-        blocks[k], pull[k] = own.T @ own, own.T @ residual[bounds[k] : bounds[k + 1]].ravel()
+        jacobian = by_camera[bounds[k] : bounds[k + 1]].reshape(-1, width)
+        blocks[k], pull[k] = jacobian.T @ jacobian, jacobian.T @ residual[bounds[k] : bounds[k + 1]].ravel()
     return blocks, pull
 
 
 def _add_blocks(matrix: Array, local: bsr_array) -> None:
-    """Subtract A A^T from the part of the matrix that is of the frames' own unknowns."""
+    """Subtract A A^T from the part of the matrix that is of the frames' unknowns."""
     product = (local @ local.T).tobsr((_LOCAL, _LOCAL))
     rows = np.repeat(np.arange(len(product.indptr) - 1), np.diff(product.indptr))
     first, second = (_LOCAL * index[:, None] + np.arange(_LOCAL) for index in (rows, product.indices))
@@ -294,35 +305,35 @@ def prior_information(cameras: Cameras, priors: CameraPriors) -> csr_array:
 
 def camera_unknowns(cameras: Cameras) -> Array:
     """(10 N + G,) the unknowns of the cameras as a vector; 0 for poses."""
-    own = np.zeros((len(cameras.t_s), _LOCAL))
-    own[:, _FOCUS], own[:, _ANGULAR] = cameras.focus, cameras.angular
+    of_frame = np.zeros((len(cameras.t_s), _LOCAL))
+    of_frame[:, _FOCUS], of_frame[:, _ANGULAR] = cameras.focus, cameras.angular
     of_lens = np.concatenate([cameras.coefficients[:, :2], cameras.readout_s[:, None]], axis=1)
-    return np.concatenate([own.ravel(), of_lens.ravel(), cameras.log_focal])
+    return np.concatenate([of_frame.ravel(), of_lens.ravel(), cameras.log_focal])
 
 
-def with_step(scene: Scene, cameras: Cameras, step: Array, point_step: Array) -> tuple[Scene, Cameras]:
-    """The scene and cameras moved by a step of the unknowns (10 N + G,) and of the points (P, 3)."""
-    frames, lenses = len(scene.sfm_T_cam), len(cameras.readout_s)
-    own = step[: _LOCAL * frames].reshape(frames, _LOCAL)
+def with_step(bundle: Bundle, cameras: Cameras, step: Array, point_step: Array) -> tuple[Bundle, Cameras]:
+    """The bundle and cameras moved by a step of the unknowns (10 N + G,) and of the points (P, 3)."""
+    frames, lenses = len(bundle.sfm_T_cam), len(cameras.readout_s)
+    of_frame = step[: _LOCAL * frames].reshape(frames, _LOCAL)
     of_lens = step[_LOCAL * frames :][: _LENS * lenses].reshape(lenses, _LENS)
-    sfm_T_cam = scene.sfm_T_cam.copy()
-    sfm_T_cam[:, :3, :3] = Rotation.from_rotvec(own[:, :3]).as_matrix() @ sfm_T_cam[:, :3, :3]
-    sfm_T_cam[:, :3, 3] += own[:, 3:6]
+    sfm_T_cam = bundle.sfm_T_cam.copy()
+    sfm_T_cam[:, :3, :3] = Rotation.from_rotvec(of_frame[:, :3]).as_matrix() @ sfm_T_cam[:, :3, :3]
+    sfm_T_cam[:, :3, 3] += of_frame[:, 3:6]
     coefficients = cameras.coefficients.copy()
     coefficients[:, :2] += of_lens[:, :2]
     moved = replace(
         cameras,
-        focus=cameras.focus + own[:, _FOCUS],
-        angular=cameras.angular + own[:, _ANGULAR],
+        focus=cameras.focus + of_frame[:, _FOCUS],
+        angular=cameras.angular + of_frame[:, _ANGULAR],
         coefficients=coefficients,
         readout_s=cameras.readout_s + of_lens[:, 2],
         log_focal=cameras.log_focal + step[_LOCAL * frames + _LENS * lenses :],
     )
-    return replace(scene, sfm_T_cam=sfm_T_cam, xyz=scene.xyz + point_step), moved
+    return replace(bundle, sfm_T_cam=sfm_T_cam, xyz=bundle.xyz + point_step), moved
 
 
 def adjust(
-    scene: Scene, cameras: Cameras, priors: CameraPriors, steps: int = _STEPS, loss_widening: float = 1.0
+    bundle: Bundle, cameras: Cameras, priors: CameraPriors, steps: int = _MAX_STEPS, loss_widening: float = 1.0
 ) -> Adjusted:
     """Adjust everything; raises LinAlgError where the scene is too small to tell.
 
@@ -330,42 +341,39 @@ def adjust(
     """
     prior_mean, information = camera_unknowns(priors.mean), prior_information(cameras, priors)
     damping = 1e-6
-    loss_px = loss_widening * loss_of(linearize(scene, cameras).residual)
-    cost = np.inf
+    loss_px = loss_widening * loss_of(project(bundle, cameras) - bundle.observed_px)
     for _ in range(steps):
-        linear = linearize(scene, cameras)
+        linear = linearize(bundle, cameras)
         loss_px = loss_widening * loss_of(linear.residual)
-        weight = 1 / (1 + np.sum(linear.residual**2, axis=1) / loss_px**2)
+        weight = cauchy_weights(linear.residual, loss_px)
         variance = loss_variance(loss_px / loss_widening)
-        away = camera_unknowns(cameras) - prior_mean
-        before = _cost(linear.residual, loss_px) + variance * float(away @ (information @ away)) / 2
-        system = normal_equations(scene, cameras, linear, weight)
-        matrix = add_information(system.matrix, variance * information)
-        gradient = system.gradient + variance * (information @ away)
-        hold_gauge(matrix, scene.sfm_T_cam[:, :3, 3])
-        diagonal = np.diag_indices_from(matrix)
-        scale = matrix[diagonal].copy()
-        for _ in range(6):
-            matrix[diagonal] = scale * (1 + damping)
-            step = -cho_solve(cho_factor(matrix, lower=True), gradient)
-            point_step = _point_step(scene, cameras, linear, weight, system, step)
-            moved = with_step(scene, cameras, step, point_step)
-            away = camera_unknowns(moved[1]) - prior_mean
-            cost = _cost(project(*moved) - scene.seen_px, loss_px) + variance * float(away @ (information @ away)) / 2
+        deviation = camera_unknowns(cameras) - prior_mean
+        before = _cost(linear.residual, loss_px) + _prior_cost(deviation, information, variance)
+        system = regular_system(bundle, cameras, linear, weight, variance * information)
+        gradient = system.gradient + variance * (information @ deviation)
+        diagonal = np.diag_indices_from(system.matrix)
+        scale = system.matrix[diagonal].copy()
+        for _ in range(_MAX_DAMPINGS):
+            system.matrix[diagonal] = scale * (1 + damping)
+            step = -cho_solve(cho_factor(system.matrix, lower=True), gradient)
+            point_step = _point_step(bundle, cameras, linear, weight, system, step)
+            moved = with_step(bundle, cameras, step, point_step)
+            cost = _cost(project(*moved) - bundle.observed_px, loss_px)
+            cost += _prior_cost(camera_unknowns(moved[1]) - prior_mean, information, variance)
             if np.isfinite(cost) and cost <= before:
                 damping = max(damping / 10, 1e-9)
                 break
             damping *= 30
         else:
             break
-        scene, cameras = moved
-        if before - cost < _SETTLED * before:
+        bundle, cameras = moved
+        if before - cost < _MIN_COST_DECREASE * before:
             break
-    return Adjusted(scene, cameras, priors, loss_px / loss_widening)
+    return Adjusted(bundle, cameras, priors, loss_px / loss_widening)
 
 
 def marginal_readout(adjusted: Adjusted) -> Adjusted:
-    """The adjusted scene with readout times whose bias is taken out, and all else moved along with them.
+    """The adjusted bundle with readout times whose bias is taken out, and all else moved along with them.
 
     A frame's angular velocity w times the readout r is what its rows show. Where both are adjusted together, a larger r
     makes each of its w less costly, as many times as there are frames, and r comes out too large by some per cent: the
@@ -373,26 +381,23 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
     1948). What is missing is the determinant of the information of the rest, whose derivative by log r is the number of
     angular velocities that images rather than VIO tell; this is one Newton step towards the maximum with it (Laplace).
     """
-    scene, cameras, priors = adjusted.scene, adjusted.cameras, adjusted.priors
-    linear = linearize(scene, cameras)
-    weight = 1 / (1 + np.sum(linear.residual**2, axis=1) / adjusted.loss_px**2)
+    bundle, cameras, priors = adjusted.bundle, adjusted.cameras, adjusted.priors
+    linear = linearize(bundle, cameras)
+    weight = cauchy_weights(linear.residual, adjusted.loss_px)
     variance = loss_variance(adjusted.loss_px)
-    information = prior_information(cameras, priors)
-    system = normal_equations(scene, cameras, linear, weight)
-    matrix = add_information(system.matrix, variance * information)
-    hold_gauge(matrix, scene.sfm_T_cam[:, :3, 3])
-    inverse = inverse_of(matrix)
+    system = regular_system(bundle, cameras, linear, weight, variance * prior_information(cameras, priors))
+    inverse = inverse_of(system.matrix)
     angular = np.diag(inverse)[: _LOCAL * len(cameras.t_s)].reshape(-1, _LOCAL)[:, _ANGULAR]
     by_images = 3 - variance * angular.sum(axis=1) / priors.angular_sd**2
-    pull = np.zeros(len(matrix))
+    pull = np.zeros(len(inverse))
     readout = _LOCAL * len(cameras.t_s) + _LENS * np.arange(len(cameras.readout_s)) + 2
-    known = np.abs(cameras.readout_s) > _NO_READOUT_S
-    pull[readout[known]] = variance * np.bincount(cameras.lens, by_images)[known] / cameras.readout_s[known]
+    rolls = np.abs(cameras.readout_s) > _MIN_READOUT_S
+    pull[readout[rolls]] = variance * np.bincount(cameras.lens, by_images)[rolls] / cameras.readout_s[rolls]
     step = -inverse @ pull
     still = replace(linear, residual=np.zeros_like(linear.residual))
     at_rest = replace(system, point_gradient=np.zeros_like(system.point_gradient))
-    moved = with_step(scene, cameras, step, _point_step(scene, cameras, still, weight, at_rest, step))
-    return replace(adjusted, scene=moved[0], cameras=moved[1])
+    moved = with_step(bundle, cameras, step, _point_step(bundle, cameras, still, weight, at_rest, step))
+    return replace(adjusted, bundle=moved[0], cameras=moved[1])
 
 
 def inverse_of(matrix: Array) -> Array:
@@ -417,13 +422,13 @@ def loss_variance(loss_px: float) -> float:
 
 
 def local_unknowns(frames: int) -> Ints:
-    """(N, 10) where each frame's own unknowns are among all: rotation, position, focus, angular velocity."""
+    """(N, 10) where each frame's unknowns are among all: rotation, position, focus, angular velocity."""
     return np.arange(_LOCAL * frames).reshape(frames, _LOCAL)
 
 
 def loss_of(residual_M2: Array) -> float:
     """The width of a Cauchy loss for residuals (M, 2), px."""
-    return max(CAUCHY_WIDTH * SIGMA_OF_MEDIAN * float(np.median(np.abs(residual_M2))), _NARROWEST_LOSS_PX)
+    return max(CAUCHY_WIDTH * SIGMA_OF_MEDIAN * float(np.median(np.abs(residual_M2))), _MIN_LOSS_PX)
 
 
 def hold_gauge(matrix: Array, position_N3: Array) -> None:
@@ -433,23 +438,27 @@ def hold_gauge(matrix: Array, position_N3: Array) -> None:
     gauge[:, :6] = similarities(position_N3)
     extent2 = float(np.mean(gauge[:, 3:6, 6] ** 2) * 3)
     gauge[:, :3] *= extent2
-    held = gauge.reshape(-1, 7)
+    directions = gauge.reshape(-1, 7)
     size = _LOCAL * frames
     pose_diagonal = matrix[np.arange(size), np.arange(size)].reshape(frames, _LOCAL)[:, :6].sum()
-    matrix[:size, :size] += (pose_diagonal / np.sum(held**2)) * (held @ held.T)
+    matrix[:size, :size] += (pose_diagonal / np.sum(directions**2)) * (directions @ directions.T)
 
 
 def _point_step(
-    scene: Scene, cameras: Cameras, linear: Linearized, weight: Array, system: System, step: Array
+    bundle: Bundle, cameras: Cameras, linear: Linearization, weight: Array, system: System, step: Array
 ) -> Array:
-    frames = len(scene.sfm_T_cam)
-    own = np.concatenate(
-        [step[: _LOCAL * frames].reshape(frames, _LOCAL), step[_LOCAL * frames :][shared_columns(cameras)]], axis=1
+    frames = len(bundle.sfm_T_cam)
+    local_step = step[: _LOCAL * frames].reshape(frames, _LOCAL)
+    camera_step = np.concatenate([local_step, step[_LOCAL * frames :][shared_columns(cameras)]], axis=1)
+    change = weight[:, None] * np.einsum("mij,mj->mi", linear.by_camera, camera_step[bundle.frame])
+    pull = system.point_gradient + summed(
+        np.einsum("mji,mj->mi", linear.by_point, change), bundle.point, len(bundle.xyz)
     )
-    by_own = np.concatenate([linear.by_frame, linear.by_shared], axis=2)
-    change = weight[:, None] * np.einsum("mij,mj->mi", by_own, own[scene.frame])
-    pull = system.point_gradient + summed(np.einsum("mji,mj->mi", linear.by_point, change), scene.point, len(scene.xyz))
     return -np.einsum("pij,pj->pi", system.point_inverse, pull)
+
+
+def _prior_cost(deviation: Array, information: csr_array, variance: float) -> float:
+    return variance * float(deviation @ (information @ deviation)) / 2
 
 
 def _cost(residual: Array, loss_px: float) -> float:

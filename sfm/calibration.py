@@ -1,8 +1,8 @@
 """Each lens of a scene before mapping: which frames share it, its distortion and readout time, from pairs of images.
 
 ARKit and most apps state a pinhole matrix while the images have a lens's distortion, alike on the phones that were
-measured (docs/explanation/sfm.md, Cameras). What the matches say is shrunk to a prior: what the capture states, or else
-what phones have.
+measured (docs/explanation/sfm.md, Cameras). The estimate is shrunk to a prior: what the capture states, or else what
+phones have.
 """
 
 import json
@@ -17,7 +17,8 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from groundwalk.artefacts.child import Report
-from groundwalk.geometry.lens import distort, largest_shift, undistort
+from groundwalk.artefacts.choices import CameraOrigin
+from groundwalk.geometry.lens import distort, max_shift, undistort
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.sfm.database import Ints, create_database, image_id
 from groundwalk.sfm.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
@@ -26,8 +27,6 @@ from groundwalk.sfm.motion import Motion
 from groundwalk.sfm.pairs import Pairs
 from groundwalk.sfm.settings import SfmSettings
 
-STATED, ESTIMATED, PRIOR = "stated", "estimated", "prior"
-
 # k1 and k2 of phones' main cameras (docs/explanation/sfm.md, Cameras), in OpenCV's convention, and their covariance.
 _PHONE = np.array([0.08, -0.12])
 _PHONE_COVARIANCE = np.array([[0.05**2, -0.8 * 0.05 * 0.08], [-0.8 * 0.05 * 0.08, 0.08**2]])
@@ -35,23 +34,24 @@ _PHONE_COVARIANCE = np.array([[0.05**2, -0.8 * 0.05 * 0.08], [-0.8 * 0.05 * 0.08
 _STATED_SD = np.array([0.005, 0.01])
 _SAME_LENS_SD = np.array([*_STATED_SD, 0.002])
 _READOUT_SD_S = 0.02
-_UNBOUND = np.diag([0.1**2, 0.2**2, _READOUT_SD_S**2])
-_MOST_PAIRS = 160
-_MOST_MATCHES = 120
-_FEWEST_MATCHES = 40
-_FEWEST_PAIRS = 5
-_HELD_OUT = 0.25
-_NEAREST_M = 0.02
-_SAME_FOCAL = 0.08
-_EXACT = 1e12
-# A stated lens is wrong where the images say so beyond so many sigmas and pixels, and matches held out agree better.
-_WRONG_SIGMAS, _WRONG_PX, _WRONG_GAIN = 5.0, 1.0, 0.02
+_WEAK_PRIOR = np.diag([0.1**2, 0.2**2, _READOUT_SD_S**2])
+_MAX_PAIRS = 160
+_MAX_MATCHES = 120
+_MIN_MATCHES = 40
+_MIN_PAIRS = 5
+_HELD_OUT_FRACTION = 0.25
+_MIN_DISTANCE_M = 0.02
+_MAX_FOCAL_STEP = 0.08
+_EXACT_INFORMATION = 1e12
+# A stated lens is wrong where the estimate is so many sigmas and pixels away from it, and the errors of held-out
+# matches are smaller by this fraction.
+_MIN_WRONG_SIGMAS, _MIN_WRONG_PX, _MIN_WRONG_GAIN = 5.0, 1.0, 0.02
 
 
 @dataclass(frozen=True)
 class Lens:
     """A lens: its frames' device, size and coefficients (OpenCV's order, 8), readout time, covariance (3, 3) of k1, k2
-    and readout, where they are from, the lens stated (8), and the median Sampson distance of matches held out, px, with
+    and readout, where they are from, the stated lens (8), and the median Sampson distance of held-out matches, px, with
     the stated lens and with this one; None where nothing was estimated."""
 
     lens_id: str
@@ -59,13 +59,13 @@ class Lens:
     coefficients: list[float]
     readout_s: float
     covariance: list[list[float]]
-    origin: str
+    origin: CameraOrigin
     stated: list[float]
     prior_coefficients: list[float]
     prior_readout_s: float
     prior_covariance: list[list[float]]
-    heldout_stated_px: float | None = None
-    heldout_px: float | None = None
+    held_out_stated_px: float | None = None
+    held_out_px: float | None = None
     stated_is_wrong: bool = False
 
 
@@ -94,16 +94,16 @@ class Calibration:
         partial.replace(path)
 
     def near(self, lens: int, coefficients_8: Array, readout_s: float) -> "Calibration":
-        """The same with a prior around what a lens came out as with a model, for further models of its frames."""
+        """The same with a prior around a lens as adjusted with one model, for further models of its frames."""
         before = self.lenses[lens]
         sd = np.minimum(np.sqrt(np.diag(before.prior_covariance)), _SAME_LENS_SD)
-        known = replace(
+        adjusted = replace(
             before,
             prior_coefficients=coefficients_8.tolist(),
             prior_readout_s=float(readout_s),
             prior_covariance=np.diag(sd**2).tolist(),
         )
-        return replace(self, lenses=[known if k == lens else other for k, other in enumerate(self.lenses)])
+        return replace(self, lenses=[adjusted if k == lens else other for k, other in enumerate(self.lenses)])
 
     @classmethod
     def load(cls, path: Path) -> "Calibration":
@@ -128,11 +128,11 @@ def lenses_of(frames: pd.DataFrame, device_of_session: dict[str, str]) -> tuple[
     for _, rows in group.groupby(group, sort=True).indices.items():
         first = int(rows[0])
         order = np.sort(rows)[np.argsort(focal[np.sort(rows)], kind="stable")]
-        cluster = np.concatenate([[0], np.cumsum(np.diff(focal[order]) > _SAME_FOCAL)])
+        cluster = np.concatenate([[0], np.cumsum(np.diff(focal[order]) > _MAX_FOCAL_STEP)])
         for number in range(cluster[-1] + 1):
-            own = order[cluster == number]
-            lens[own] = len(names)
-            widths = np.exp(focal[own].mean())
+            members = order[cluster == number]
+            lens[members] = len(names)
+            widths = np.exp(focal[members].mean())
             names.append(f"{device[first] or 'unknown device'}, {size[first]}, focal length {widths:.2f} widths")
     return lens, names
 
@@ -142,22 +142,22 @@ def prior_lenses(frames: pd.DataFrame, device_of_session: dict[str, str], settin
     lens_N, names = lenses_of(frames, device_of_session)
     lenses = []
     for number, name in enumerate(names):
-        own = np.flatnonzero(lens_N == number)
+        members = np.flatnonzero(lens_N == number)
         stated = np.zeros(8)
-        given = np.asarray(frames["distortion"].iloc[own[0]], float)
-        stated[: len(given)] = given
+        distortion = np.asarray(frames["distortion"].iloc[members[0]], float)
+        stated[: len(distortion)] = distortion
         covariance = np.diag([*_STATED_SD**2, _READOUT_SD_S**2])
-        coefficients, origin = stated.copy(), STATED
+        coefficients, origin = stated.copy(), CameraOrigin.STATED
         if settings.lens == "stated":
-            covariance[:2, :2] = np.eye(2) / _EXACT
-        elif not given.any():
-            coefficients[:2], origin = _PHONE, PRIOR
+            covariance[:2, :2] = np.eye(2) / _EXACT_INFORMATION
+        elif not distortion.any():
+            coefficients[:2], origin = _PHONE, CameraOrigin.PRIOR
             covariance[:2, :2] = _PHONE_COVARIANCE
         readout_s = 0.0
         if settings.readout_s is not None:
-            readout_s, covariance[2, 2] = settings.readout_s, 1 / _EXACT
-        known = (coefficients.tolist(), readout_s, covariance.tolist())
-        lenses.append(Lens(name, len(own), *known, origin, stated.tolist(), *known))
+            readout_s, covariance[2, 2] = settings.readout_s, 1 / _EXACT_INFORMATION
+        prior = (coefficients.tolist(), readout_s, covariance.tolist())
+        lenses.append(Lens(name, len(members), *prior, origin, stated.tolist(), *prior))
     return Calibration(lenses, lens_N)
 
 
@@ -188,18 +188,14 @@ def calibrate(
     """Match some of the pairs (P, 2) in `database`, whose cameras have the prior's lenses; write a `Calibration`."""
     lens = prior.lens
     pairs = pairs[lens[pairs[:, 0]] == lens[pairs[:, 1]]]
-    chosen = np.concatenate(
-        [
-            np.empty((0, 2), np.int64),
-            *(_spread(pairs[lens[pairs[:, 0]] == k], _MOST_PAIRS) for k in range(len(prior.lenses))),
-        ]
-    )
-    match_pairs(report, database, names, chosen, settings, seed)
+    of_lens = [_spread(pairs[lens[pairs[:, 0]] == k], _MAX_PAIRS) for k in range(len(prior.lenses))]
+    match_pairs(report, database, names, np.concatenate([np.empty((0, 2), np.int64), *of_lens]), settings, seed)
     lenses = []
-    for number, given in enumerate(prior.lenses):
-        own = chosen[lens[chosen[:, 0]] == number]
-        matches = read_pair_matches(database, frames, own, motion, seed)
-        lenses.append(given if len(matches.a_T_b) < _FEWEST_PAIRS else _estimated(given, matches, frames, own, seed))
+    for before, lens_pairs in zip(prior.lenses, of_lens, strict=True):
+        matches = read_pair_matches(database, frames, lens_pairs, motion, seed)
+        if len(matches.a_T_b) >= _MIN_PAIRS:
+            before = _estimated(before, matches, frames, lens_pairs, seed)
+        lenses.append(before)
     replace(prior, lenses=lenses).save(output)
 
 
@@ -217,7 +213,7 @@ def read_pair_matches(database: Path, frames: pd.DataFrame, pairs: Pairs, motion
         for a, b in pairs.tolist():
             geometry = opened.read_two_view_geometry(image_id(a), image_id(b))
             matches = geometry.inlier_matches
-            if len(matches) < _FEWEST_MATCHES:
+            if len(matches) < _MIN_MATCHES:
                 continue
             xy = [opened.read_keypoints(image_id(row))[:, :2].astype(float) for row in (a, b)]
             cameras = [opened.read_camera(image_id(row)) for row in (a, b)]
@@ -229,18 +225,18 @@ def read_pair_matches(database: Path, frames: pd.DataFrame, pairs: Pairs, motion
             if not length:
                 continue
             poses.append(inverse(make_pose(b_T_a[:, :3], b_T_a[:, 3] / length)))
-            # VIO's metres in units of the pair's translation; across sessions it knows none.
+            # VIO's metres in units of the pair's translation; across sessions it has none.
             apart_m = np.linalg.norm(centre[a] - centre[b]) if session[a] == session[b] else np.inf
-            apart_m = max(float(np.nan_to_num(apart_m, nan=np.inf, posinf=np.inf)), _NEAREST_M)
+            apart_m = max(float(np.nan_to_num(apart_m, nan=np.inf, posinf=np.inf)), _MIN_DISTANCE_M)
             twist_a.append(np.r_[motion.angular[a], motion.velocity[a] / apart_m])
             twist_b.append(np.r_[motion.angular[b], motion.velocity[b] / apart_m])
-            some = np.sort(rng.permutation(len(matches))[:_MOST_MATCHES])
-            columns["pair"].append(np.full(len(some), len(poses) - 1))
+            sample = matches[np.sort(rng.permutation(len(matches))[:_MAX_MATCHES])]
+            columns["pair"].append(np.full(len(sample), len(poses) - 1))
             for name, row, points, side in (("a", a, xy[0], 0), ("b", b, xy[1], 1)):
-                seen = points[matches[some, side]]
-                columns[f"xy_{name}"].append((seen - intrinsics[row, 2:]) / intrinsics[row, :2])
-                columns[f"row_{name}"].append(seen[:, 1] / height[row] - 0.5)
-                columns[f"focal_{name}"].append(np.full(len(some), intrinsics[row, :2].mean()))
+                observed_px = points[sample[:, side]]
+                columns[f"xy_{name}"].append((observed_px - intrinsics[row, 2:]) / intrinsics[row, :2])
+                columns[f"row_{name}"].append(observed_px[:, 1] / height[row] - 0.5)
+                columns[f"focal_{name}"].append(np.full(len(sample), intrinsics[row, :2].mean()))
     if not poses:
         empty = np.empty(0)
         return PairMatches(
@@ -251,40 +247,42 @@ def read_pair_matches(database: Path, frames: pd.DataFrame, pairs: Pairs, motion
     return PairMatches(**joined, a_T_b=np.stack(poses), twist_a=np.stack(twist_a), twist_b=np.stack(twist_b))
 
 
-def _estimated(given: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: Pairs, seed: int) -> Lens:
-    """The lens by its matches, where those held out agree no worse with it than with what is given."""
-    held_out = np.random.default_rng(seed).random(len(matches.pair)) < _HELD_OUT
-    fitted, judges = matches.selected(~held_out), matches.selected(held_out)
-    stated = np.array([*given.stated[:2], 0.0])
-    start = np.array([*given.coefficients[:2], given.readout_s])
-    information = np.linalg.inv(np.array(given.covariance))
-    as_stated = estimate_lens(fitted, stated, _EXACT * np.eye(3))
+def _estimated(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: Pairs, seed: int) -> Lens:
+    """The lens by its matches; the prior's where held-out matches fit the stated one better."""
+    held_out = np.random.default_rng(seed).random(len(matches.pair)) < _HELD_OUT_FRACTION
+    fitted, checked = matches.selected(~held_out), matches.selected(held_out)
+    stated = np.array([*prior.stated[:2], 0.0])
+    start = np.array([*prior.coefficients[:2], prior.readout_s])
+    information = np.linalg.inv(np.array(prior.covariance))
+    as_stated = estimate_lens(fitted, stated, _EXACT_INFORMATION * np.eye(3))
     estimate = estimate_lens(fitted, start, information)
-    stated_px, estimated_px = (_median_px(judges, e) for e in (as_stated, estimate))
+    stated_px, estimated_px = (_median_px(checked, e) for e in (as_stated, estimate))
     wrong = False
-    if given.origin == STATED and np.diag(information)[0] < _EXACT / 2:
-        unbound = estimate_lens(fitted, start, np.linalg.inv(_UNBOUND))
+    if prior.origin == CameraOrigin.STATED and np.diag(information)[0] < _EXACT_INFORMATION / 2:
+        weak = estimate_lens(fitted, start, np.linalg.inv(_WEAK_PRIOR))
         row = frames.iloc[int(pairs[0, 0])]
         extent = (0.5 * row.width / row.fx, 0.5 * row.height / row.fy)
-        shift_px = largest_shift(unbound.parameters[:2], stated[:2], extent) * row.fx
-        off = unbound.parameters[:2] - stated[:2]
-        sigmas = np.sqrt(off @ np.linalg.solve(unbound.covariance[:2, :2], off))
-        unbound_px = _median_px(judges, unbound)
-        wrong = bool(sigmas > _WRONG_SIGMAS and shift_px > _WRONG_PX and unbound_px < (1 - _WRONG_GAIN) * stated_px)
+        shift_px = max_shift(weak.parameters[:2], stated[:2], extent) * row.fx
+        error = weak.parameters[:2] - stated[:2]
+        sigmas = np.sqrt(error @ np.linalg.solve(weak.covariance[:2, :2], error))
+        weak_px = _median_px(checked, weak)
+        wrong = bool(
+            sigmas > _MIN_WRONG_SIGMAS and shift_px > _MIN_WRONG_PX and weak_px < (1 - _MIN_WRONG_GAIN) * stated_px
+        )
         if wrong:
-            estimate, estimated_px = unbound, unbound_px
-            given = replace(given, prior_covariance=_UNBOUND.tolist())
-    judged: dict[str, Any] = {"heldout_stated_px": stated_px, "heldout_px": estimated_px}
+            estimate, estimated_px = weak, weak_px
+            prior = replace(prior, prior_covariance=_WEAK_PRIOR.tolist())
+    check: dict[str, Any] = {"held_out_stated_px": stated_px, "held_out_px": estimated_px}
     if estimated_px > stated_px:
-        return replace(given, **judged)
-    coefficients = [*estimate.parameters[:2].tolist(), *given.coefficients[2:]]
+        return replace(prior, **check)
+    coefficients = [*estimate.parameters[:2].tolist(), *prior.coefficients[2:]]
     return replace(
-        given,
-        **judged,
+        prior,
+        **check,
         coefficients=coefficients,
         readout_s=float(estimate.parameters[2]),
         covariance=estimate.covariance.tolist(),
-        origin=ESTIMATED,
+        origin=CameraOrigin.ESTIMATED,
         stated_is_wrong=wrong,
     )
 
@@ -293,16 +291,16 @@ def _median_px(matches: PairMatches, estimate: LensEstimate) -> float:
     return float(np.median(np.abs(sampson_of(matches, estimate.a_T_b, estimate.parameters))))
 
 
-def _spread(pairs: Pairs, most: int) -> Pairs:
-    """Some of the pairs, evenly over them."""
-    if len(pairs) <= most:
+def _spread(pairs: Pairs, count: int) -> Pairs:
+    """At most `count` of the pairs, evenly over them."""
+    if len(pairs) <= count:
         return pairs
-    return pairs[np.unique(np.linspace(0, len(pairs) - 1, most).round().astype(int))]
+    return pairs[np.unique(np.linspace(0, len(pairs) - 1, count).round().astype(int))]
 
 
 def to_middle_row(xy_M2: Array, frame: Any, readout_s: float, angular: Array) -> Array:
     """Pixels (M, 2) where a frame would have them if all rows were exposed with the middle one: turned by its angular
-    velocity (3,). What its velocity does depends on depth, and is left to the adjustment."""
+    velocity (3,). The effect of its velocity depends on depth, and is left to the adjustment."""
     if not readout_s or not len(xy_M2):
         return xy_M2
     focal, centre = np.array([frame.fx, frame.fy]), np.array([frame.cx, frame.cy])

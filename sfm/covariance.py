@@ -13,18 +13,18 @@ from scipy.linalg import LinAlgError
 from scipy.sparse import csr_array, vstack
 
 from groundwalk.geometry.poses import Array
+from groundwalk.geometry.robust import cauchy_weights
 from groundwalk.sfm.adjustment import (
     Adjusted,
     Ints,
-    Linearized,
+    Linearization,
     add_information,
-    hold_gauge,
     inverse_of,
     linearize,
     local_unknowns,
     loss_variance,
-    normal_equations,
     prior_information,
+    regular_system,
     shared_columns,
     summed,
 )
@@ -61,31 +61,29 @@ def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
     What the cameras' model leaves out is alike in the rows of a frame that are read out together, or in a part of the
     image. Where residuals hang together more than independent ones would (`coherence`), covariances grow by as much.
     """
-    scene, cameras = adjusted.scene, adjusted.cameras
-    frames, points = len(scene.sfm_T_cam), len(scene.xyz)
-    seen_by = np.bincount(scene.point, minlength=points)
+    bundle, cameras = adjusted.bundle, adjusted.cameras
+    frames = len(bundle.sfm_T_cam)
+    track_length = np.bincount(bundle.point, minlength=len(bundle.xyz))
     blobs = int(blob_P.max(initial=-1)) + 1
-    if blobs < _POINTS_PER_UNKNOWN * 6 * frames or seen_by.min() < 2:
+    if blobs < _POINTS_PER_UNKNOWN * 6 * frames or track_length.min() < 2:
         return None
-    linear = linearize(scene, cameras)
-    weight = 1 / (1 + np.sum(linear.residual**2, axis=1) / adjusted.loss_px**2)
+    linear = linearize(bundle, cameras)
+    weight = cauchy_weights(linear.residual, adjusted.loss_px)
     variance = loss_variance(adjusted.loss_px)
     information = prior_information(cameras, adjusted.priors)
     # The mean curvature of Cauchy's loss at a residual is its weight squared.
-    system = normal_equations(scene, cameras, linear, weight**2)
-    matrix = add_information(system.matrix, variance * information)
-    hold_gauge(matrix, scene.sfm_T_cam[:, :3, 3])
+    system = regular_system(bundle, cameras, linear, weight**2, variance * information)
     try:
-        inverse = inverse_of(matrix)
+        inverse = inverse_of(system.matrix)
     except LinAlgError:
         return None
-    fitted = np.sqrt(2 * seen_by / np.maximum(2 * seen_by - 3, 1))[scene.point]
-    force = _forces(linear, weight, fitted[:, None] * linear.residual, scene.point, system.point_inverse)
-    by_blob = _rows_of_unknowns(force, adjusted, blob_P[scene.point], blobs)
+    fitted = np.sqrt(2 * track_length / np.maximum(2 * track_length - 3, 1))[bundle.point]
+    force = _forces(linear, weight, fitted[:, None] * linear.residual, bundle.point, system.point_inverse)
+    by_blob = _rows_of_unknowns(force, adjusted, blob_P[bundle.point], blobs)
     middle = add_information((by_blob @ by_blob.T).toarray(), variance**2 * information)
-    pose_index, shared_index = local_unknowns(frames)[:, :6].ravel(), np.arange(10 * frames, len(matrix))
+    pose_index, shared_index = local_unknowns(frames)[:, :6].ravel(), np.arange(10 * frames, len(inverse))
     left = inverse[shared_index] @ middle
-    position = scene.sfm_T_cam[:, :3, 3]
+    position = bundle.sfm_T_cam[:, :3, 3]
     poses = _gauge_free_sandwich(inverse[pose_index], middle, position)
     by_rows, by_cell = coherence(adjusted, linear.residual, blob_P)
     shared = max(by_rows, by_cell) * left @ inverse[:, shared_index]
@@ -94,29 +92,28 @@ def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
 
 def _rows_of_unknowns(force_M14: Array, adjusted: Adjusted, blob_M: Ints, blobs: int) -> csr_array:
     """What each blob pulls each unknown by, (10 N + G, blobs)."""
-    scene, cameras = adjusted.scene, adjusted.cameras
-    frames = len(scene.sfm_T_cam)
-    local = block_rows(force_M14[:, :10, None], scene.frame, blob_M, frames, blobs)
+    bundle, cameras = adjusted.bundle, adjusted.cameras
+    frames = len(bundle.sfm_T_cam)
+    local = block_rows(force_M14[:, :10, None], bundle.frame, blob_M, frames, blobs)
     columns = shared_columns(cameras)
     shared = np.zeros((int(columns.max()) + 1, blobs))
     for k in range(columns.shape[1]):
-        np.add.at(shared, (columns[scene.frame, k], blob_M), force_M14[:, 10 + k])
+        np.add.at(shared, (columns[bundle.frame, k], blob_M), force_M14[:, 10 + k])
     return csr_array(vstack([local.tocsr(), csr_array(shared)]))
 
 
-def _forces(linear: Linearized, weight_M: Array, residual_M2: Array, point_M: Ints, point_inverse: Array) -> Array:
-    """What each observation (M, 14) pulls its frame's own and shared unknowns by when its point has given way.
+def _forces(linear: Linearization, weight_M: Array, residual_M2: Array, point_M: Ints, point_inverse: Array) -> Array:
+    """What each observation (M, 14) pulls the unknowns of its camera by when its point has given way.
 
     Where an adjustment has converged the points pull nowhere; a few steps before that they do, and what that moves
-    would count as the poses' own, the gauge included.
+    would count as theirs, the gauge included.
     """
     pull_M2 = weight_M[:, None] * residual_M2
     by_point = linear.by_point
     of_points = summed(np.einsum("mij,mi->mj", by_point, pull_M2), point_M, len(point_inverse))
     moved_P3 = np.einsum("pij,pj->pi", point_inverse, of_points)
     curved = (weight_M**2)[:, None, None] * by_point
-    by_unknown = np.concatenate([linear.by_frame, linear.by_shared], axis=2)
-    return np.einsum("mij,mi->mj", by_unknown, pull_M2 - np.einsum("mij,mj->mi", curved, moved_P3[point_M]))
+    return np.einsum("mij,mi->mj", linear.by_camera, pull_M2 - np.einsum("mij,mj->mi", curved, moved_P3[point_M]))
 
 
 def coherence(adjusted: Adjusted, residual_M2: Array, blob_P: Ints) -> tuple[float, float]:
@@ -125,15 +122,15 @@ def coherence(adjusted: Adjusted, residual_M2: Array, blob_P: Ints) -> tuple[flo
     effect), at least 1, less what may be chance. A shutter or focus that isn't modelled shows in the first, a lens in
     the second.
     """
-    scene, cameras = adjusted.scene, adjusted.cameras
+    bundle, cameras = adjusted.bundle, adjusted.cameras
     residual = residual_M2 / (1 + np.sum(residual_M2**2, axis=1, keepdims=True) / adjusted.loss_px**2)
     # Features of one blob are in the same place with the same error.
-    key = scene.frame * (int(blob_P.max(initial=0)) + 1) + blob_P[scene.point]
+    key = bundle.frame * (int(blob_P.max(initial=0)) + 1) + blob_P[bundle.point]
     _, first = np.unique(key, return_index=True)
-    residual, frame, seen = residual[first], scene.frame[first], scene.seen_px[first]
+    residual, frame, observed_px = residual[first], bundle.frame[first], bundle.observed_px[first]
     height = cameras.height[frame]
-    band = np.clip(seen[:, 1] / height * _BANDS, 0, _BANDS - 1).astype(np.int64)
-    column = np.clip(((seen[:, 0] - cameras.intrinsics[frame, 2]) / height + 1) / 2 * _COLUMNS, 0, _COLUMNS - 1)
+    band = np.clip(observed_px[:, 1] / height * _BANDS, 0, _BANDS - 1).astype(np.int64)
+    column = np.clip(((observed_px[:, 0] - cameras.intrinsics[frame, 2]) / height + 1) / 2 * _COLUMNS, 0, _COLUMNS - 1)
     cell = (cameras.lens[frame] * _BANDS + band) * _COLUMNS + column.astype(np.int64)
     return _design_effect(residual, frame * _BANDS + band), _design_effect(residual, cell)
 

@@ -1,4 +1,4 @@
-"""COLMAP's database of a scene: a camera of its own for every frame, and what extraction and matching left in it."""
+"""COLMAP's database of a scene: a camera for each frame, and the results of extraction and matching."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -60,12 +60,12 @@ def create_database(path: Path, frames: pd.DataFrame, names: Sequence[str]) -> N
             rig = pycolmap.Rig(rig_id=number)
             rig.add_ref_sensor(camera.sensor_id)
             image = pycolmap.Image(image_id=number, camera_id=number, name=names[row])
-            placed = pycolmap.Frame(frame_id=number, rig_id=number)
-            placed.add_data_id(image.data_id)
+            colmap_frame = pycolmap.Frame(frame_id=number, rig_id=number)
+            colmap_frame.add_data_id(image.data_id)
             image.frame_id = number
             database.write_camera(camera, use_camera_id=True)
             database.write_rig(rig, use_rig_id=True)
-            database.write_frame(placed, use_frame_id=True)
+            database.write_frame(colmap_frame, use_frame_id=True)
             database.write_image(image, use_image_id=True)
     partial.replace(path)
 
@@ -73,10 +73,10 @@ def create_database(path: Path, frames: pd.DataFrame, names: Sequence[str]) -> N
 def read_descriptors(path: Path, count: int) -> list[Descriptors]:
     """The descriptors (M, D) of each of the `count` frames: SIFT's bytes, or a network's floats."""
 
-    def numbers(found: pycolmap.FeatureDescriptors) -> Descriptors:
-        # COLMAP keeps the bytes of a network's floats.
-        floats = found.type not in (pycolmap.FeatureExtractorType.SIFT, pycolmap.FeatureExtractorType.UNDEFINED)
-        data: Descriptors = found.to_float().data if floats else found.data
+    def numbers(descriptors: pycolmap.FeatureDescriptors) -> Descriptors:
+        # COLMAP stores the bytes of a network's floats.
+        is_float = descriptors.type not in (pycolmap.FeatureExtractorType.SIFT, pycolmap.FeatureExtractorType.UNDEFINED)
+        data: Descriptors = descriptors.to_float().data if is_float else descriptors.data
         return data
 
     with pycolmap.Database.open(path) as database:
@@ -95,28 +95,27 @@ def keypoint_counts(path: Path, count: int) -> Ints:
         return np.array([database.num_keypoints_for_image(image_id(row)) for row in range(count)])
 
 
-def have_features(path: Path, count: int) -> bool:
+def has_features(path: Path, count: int) -> bool:
     """Whether features of all `count` frames have been extracted, be they none."""
     with pycolmap.Database.open(path) as database:
         return all(database.exists_keypoints(image_id(row)) for row in range(count))
 
 
-def have_results(path: Path, pairs: Ints) -> NDArray[np.bool_]:
+def has_results(path: Path, pairs: Ints) -> NDArray[np.bool_]:
     """Which pairs of rows (P, 2) have been matched and verified, (P,)."""
     with pycolmap.Database.open(path) as database:
-        found = [database.exists_two_view_geometry(image_id(a), image_id(b)) for a, b in pairs.tolist()]
-    return np.array(found, bool)
+        return np.array([database.exists_two_view_geometry(image_id(a), image_id(b)) for a, b in pairs.tolist()], bool)
 
 
 def read_pair_results(path: Path, pairs: Ints) -> tuple[Ints, Ints]:
     """Matches and verified inliers of pairs of rows (P, 2); both (P,)."""
     with pycolmap.Database.open(path) as database:
         ids, matches = database.read_num_matches()
-        matched = dict(zip(ids, matches, strict=True))
+        match_counts = dict(zip(ids, matches, strict=True))
         ids, inliers = database.read_two_view_geometry_num_inliers()
-        verified = dict(zip(ids, inliers, strict=True))
+        inlier_counts = dict(zip(ids, inliers, strict=True))
     ids = _pair_ids(pairs)
-    return np.array([matched.get(i, 0) for i in ids], int), np.array([verified.get(i, 0) for i in ids], int)
+    return np.array([match_counts.get(i, 0) for i in ids], int), np.array([inlier_counts.get(i, 0) for i in ids], int)
 
 
 def _pair_ids(pairs: Ints) -> list[int]:

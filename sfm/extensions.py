@@ -1,4 +1,4 @@
-"""Mappers and ways to find frames that look alike: what a record of one says, and those that there are."""
+"""The registries of mappers and of retrieval, and the records in them."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MapperEntry(Entry):
-    """A mapper: `run(given, folder, registered)`, as `mappers.Mapper` describes."""
+    """A mapper: `run(source, folder, registered)`, as `mappers.Mapper` describes."""
 
     noun: ClassVar[str] = "mapper"
 
@@ -30,7 +30,7 @@ class MapperEntry(Entry):
 @dataclass(frozen=True, kw_only=True)
 class RetrievalEntry(Entry):
     """A way to describe images by their features: `describe(descriptors, words, seed)` gives unit vectors (N, D) of N
-    images, whose dot product says how alike two are; zero for an image without features."""
+    images, whose dot product is their similarity; zero for an image without features."""
 
     noun: ClassVar[str] = "retrieval"
 

@@ -10,8 +10,8 @@ from groundwalk.artefacts.child import Report
 from groundwalk.sfm.networks import options_of_network
 from groundwalk.sfm.settings import SfmSettings
 
-# COLMAP starts anew for each chunk, and cores wait for its last image; progress is told at its end.
-_AT_ONCE = (8, 64)
+# COLMAP starts anew for each chunk, and cores wait for its last image; progress is reported at its end.
+_CHUNK_SIZES = (8, 64)
 _CHUNKS = 12
 
 
@@ -23,7 +23,7 @@ def features_name(settings: SfmSettings) -> str:
 
 
 def extraction_options(settings: SfmSettings) -> pycolmap.FeatureExtractionOptions:
-    """COLMAP's options; UserError where they ask for a network that this COLMAP has been built without."""
+    """COLMAP's options; UserError where they need a network that this COLMAP was built without."""
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False
     options.num_threads = settings.threads
@@ -42,11 +42,11 @@ def extraction_options(settings: SfmSettings) -> pycolmap.FeatureExtractionOptio
 def extract_features(report: Report, database: Path, images: Path, names: Sequence[str], settings: SfmSettings) -> None:
     """Extract features of the named images into the database; images that have theirs are skipped.
 
-    Images larger than the settings' cap are shrunk first; keypoints are in pixels of the full image.
+    Images larger than max_image_size are shrunk first; keypoints are in pixels of the full image.
     """
     options = extraction_options(settings)
-    # Extraction has no progress of its own, so it gets some images at a time.
-    size = int(np.clip(len(names) // _CHUNKS, *_AT_ONCE))
+    # COLMAP reports no progress of extraction, so it gets some images at a time.
+    size = int(np.clip(len(names) // _CHUNKS, *_CHUNK_SIZES))
     for start in range(0, len(names), size):
         chunk = names[start : start + size]
         pycolmap.extract_features(

@@ -1,7 +1,7 @@
-"""Mapping from VIO: triangulate from its poses, join sessions by the points that they share, adjust everything freely.
+"""Mapping from VIO: triangulate by its poses, join sessions by the points that they share, adjust everything freely.
 
-VIO is the start alone: the adjustments know nothing of it. But where the images say little a pose stays near where VIO
-put it, which is why the rows of such a model say so.
+VIO is the start alone: the adjustments don't use it. But a pose that the images hardly determine stays near VIO's,
+which is why the rows of such a model say so (`uses_vio`).
 """
 
 from pathlib import Path
@@ -16,15 +16,15 @@ from groundwalk.sfm.database import image_id
 
 Ints = NDArray[np.int64]
 
-_LEAST_FRAMES = 3
-_LEAST_OBSERVATIONS = 30
+_MIN_FRAMES = 3
+_MIN_OBSERVATIONS = 30
 # VIO's own errors over a few metres, seen from a few metres: first generous, then as strict as mapping is.
 _ROUNDS_PX = (16.0, 8.0, 4.0)
 _ROUND_STEPS = 30
 _LOSS_PX = 1.0
-_LEAST_SHARED = 30
+_MIN_SHARED_POINTS = 30
 _JOIN_TRIALS = 1000
-_JOIN_M = 0.5
+_MAX_JOIN_ERROR_M = 0.5
 
 
 def map_from_vio(
@@ -37,40 +37,40 @@ def map_from_vio(
     seed: int,
 ) -> list[pycolmap.Reconstruction]:
     """A model of each group of sessions that share enough points; frames without VIO (NaN) are in none."""
-    known = np.isfinite(vio_T_cam[:, 0, 0])
-    rows = {s: np.flatnonzero(known & (session_N == s)) for s in np.unique(session_N)}
-    rows = {s: own for s, own in rows.items() if len(own) >= _LEAST_FRAMES}
+    has_pose = np.isfinite(vio_T_cam[:, 0, 0])
+    rows = {s: np.flatnonzero(has_pose & (session_N == s)) for s in np.unique(session_N)}
+    rows = {session: members for session, members in rows.items() if len(members) >= _MIN_FRAMES}
     with pycolmap.Database.open(database) as opened:
         cameras = {camera.camera_id: camera for camera in opened.read_all_cameras()}
         names = {image.image_id: image.name for image in opened.read_all_images()}
         start = np.concatenate(
-            [[0], np.cumsum([opened.num_keypoints_for_image(image_id(r)) for r in range(len(known))])]
+            [[0], np.cumsum([opened.num_keypoints_for_image(image_id(r)) for r in range(len(has_pose))])]
         )
         matches = _matches(opened, start)
 
-    def triangulated(world_T_cam: Array, chosen: Ints, error_px: float) -> pycolmap.Reconstruction:
-        model = _posed(world_T_cam, chosen, cameras, names)
+    def triangulated(world_T_cam: Array, members: Ints, error_px: float) -> pycolmap.Reconstruction:
+        model = _posed(world_T_cam, members, cameras, names)
         options.triangulation.complete_max_reproj_error = options.triangulation.merge_max_reproj_error = error_px
         options.mapper.filter_max_reproj_error = error_px
         return pycolmap.triangulate_points(model, database, images, folder, options=options)
 
     xyz = np.full((start[-1], 3), np.nan)
-    for own in rows.values():
-        _note_points(triangulated(vio_T_cam, own, _ROUNDS_PX[0]), own, start, xyz)
+    for members in rows.values():
+        _collect_points(triangulated(vio_T_cam, members, _ROUNDS_PX[0]), members, start, xyz)
     models = []
     for group in join_sessions(xyz, matches, np.searchsorted(start, matches, side="right") - 1, rows, seed):
         world_T_cam = vio_T_cam.copy()
         for session, world_T_vio in group.items():
             world_T_cam[rows[session]] = world_T_vio @ vio_T_cam[rows[session]]
-        chosen = np.sort(np.concatenate([rows[session] for session in group]))
+        members = np.sort(np.concatenate([rows[session] for session in group]))
         for error_px in _ROUNDS_PX:
-            model = triangulated(world_T_cam, chosen, error_px)
+            model = triangulated(world_T_cam, members, error_px)
             pycolmap.bundle_adjustment(model, _adjustment())
-            for row in chosen:
-                cam_T_world = model.image(image_id(int(row))).cam_from_world().matrix()
+            for row in members.tolist():
+                cam_T_world = model.image(image_id(row)).cam_from_world().matrix()
                 world_T_cam[row] = inverse(np.vstack([cam_T_world, [0.0, 0.0, 0.0, 1.0]]))
-        for row in chosen.tolist():
-            if model.image(image_id(row)).num_points3D < _LEAST_OBSERVATIONS:
+        for row in members.tolist():
+            if model.image(image_id(row)).num_points3D < _MIN_OBSERVATIONS:
                 model.deregister_frame(image_id(row))
         models.append(model)
     return models
@@ -85,32 +85,34 @@ def join_sessions(
     `frames_M2`; `rows` are the frames of each session. The largest session begins a group, and of the others the one
     that shares most points with it is fitted to it, robustly, until none shares enough.
     """
-    owner = {int(row): session for session, own in rows.items() for row in own}
-    of_match = np.array([[owner.get(a, ""), owner.get(b, "")] for a, b in frames_M2.tolist()], object).reshape(-1, 2)
+    session_of = {int(row): session for session, members in rows.items() for row in members}
+    of_match = np.array(
+        [[session_of.get(a, ""), session_of.get(b, "")] for a, b in frames_M2.tolist()], object
+    ).reshape(-1, 2)
     tied = np.isfinite(xyz_K3[matches_M2]).all(axis=(1, 2)) & (of_match[:, 0] != of_match[:, 1])
     # Either side may be the one that is fixed.
     features = np.concatenate([matches_M2[tied], matches_M2[tied][:, ::-1]])
     fixed_of, free_of = np.concatenate([of_match[tied], of_match[tied][:, ::-1]]).T
     rng = np.random.default_rng(seed)
-    left = sorted(rows, key=lambda s: (-len(rows[s]), s))
+    remaining = sorted(rows, key=lambda s: (-len(rows[s]), s))
     groups: list[dict[str, Array]] = []
-    while left:
-        group = {left.pop(0): np.eye(4)}
+    while remaining:
+        group = {remaining.pop(0): np.eye(4)}
         refused: set[str] = set()
-        while candidates := [s for s in left if s not in refused]:
+        while candidates := [s for s in remaining if s not in refused]:
             shared = {s: np.flatnonzero(np.isin(fixed_of, list(group)) & (free_of == s)) for s in candidates}
             session = max(candidates, key=lambda s: len(shared[s]))
-            found = shared[session]
+            ties = shared[session]
             fit = None
-            if len(found) >= _LEAST_SHARED:
-                world_T_fixed = np.stack([group[s] for s in fixed_of[found]])
-                fixed, free = xyz_K3[features[found, 0]], xyz_K3[features[found, 1]]
+            if len(ties) >= _MIN_SHARED_POINTS:
+                world_T_fixed = np.stack([group[s] for s in fixed_of[ties]])
+                fixed, free = xyz_K3[features[ties, 0]], xyz_K3[features[ties, 1]]
                 fit = _fit_yaw_robustly(transform(world_T_fixed, fixed), free, rng)
             if fit is None:
                 refused.add(session)
                 continue
             group[session] = fit
-            left.remove(session)
+            remaining.remove(session)
             refused.clear()
         groups.append(group)
     return groups
@@ -127,23 +129,23 @@ def _fit_yaw_robustly(xyz_a: Array, xyz_b: Array, rng: np.random.Generator) -> A
     middle_a, middle_b = (xyz_a[i] + xyz_a[j]) / 2, (xyz_b[i] + xyz_b[j]) / 2
     rotation = yaw_rotation(yaw)
     shift = middle_a - np.einsum("tij,tj->ti", rotation, middle_b)
-    counts = [
-        np.count_nonzero(np.sum((xyz_b @ r.T + t - xyz_a) ** 2, axis=1) < _JOIN_M**2)
-        for r, t in zip(rotation, shift, strict=True)
-    ]
-    best = int(np.argmax(counts))
-    agree = np.sum((xyz_b @ rotation[best].T + shift[best] - xyz_a) ** 2, axis=1) < _JOIN_M**2
-    return fit_yaw(xyz_a[agree], xyz_b[agree]) if agree.sum() >= _LEAST_SHARED else None
+
+    def agreeing(trial: int) -> NDArray[np.bool_]:
+        error2 = np.sum((xyz_b @ rotation[trial].T + shift[trial] - xyz_a) ** 2, axis=1)
+        return np.asarray(error2 < _MAX_JOIN_ERROR_M**2)
+
+    agree = agreeing(max(range(_JOIN_TRIALS), key=lambda trial: np.count_nonzero(agreeing(trial))))
+    return fit_yaw(xyz_a[agree], xyz_b[agree]) if agree.sum() >= _MIN_SHARED_POINTS else None
 
 
 def _matches(database: pycolmap.Database, start: Ints) -> Ints:
     """All verified matches as pairs of features (M, 2), counted over all frames."""
-    found = [np.empty((0, 2), np.int64)]
+    matches = [np.empty((0, 2), np.int64)]
     ids, geometries = database.read_two_view_geometries()
     for pair, geometry in zip(ids, geometries, strict=True):
         a, b = pycolmap.pair_id_to_image_pair(pair)
-        found.append(np.asarray(geometry.inlier_matches, np.int64).reshape(-1, 2) + start[[a - 1, b - 1]])
-    return np.concatenate(found)
+        matches.append(np.asarray(geometry.inlier_matches, np.int64).reshape(-1, 2) + start[[a - 1, b - 1]])
+    return np.concatenate(matches)
 
 
 def _posed(
@@ -158,11 +160,11 @@ def _posed(
     return model
 
 
-def _note_points(model: pycolmap.Reconstruction, rows: Ints, start: Ints, xyz_K3: Array) -> None:
+def _collect_points(model: pycolmap.Reconstruction, rows: Ints, start: Ints, xyz_K3: Array) -> None:
     for row in rows.tolist():
-        for index, seen in enumerate(model.image(image_id(row)).points2D):
-            if seen.has_point3D():
-                xyz_K3[start[row] + index] = model.point3D(seen.point3D_id).xyz
+        for index, feature in enumerate(model.image(image_id(row)).points2D):
+            if feature.has_point3D():
+                xyz_K3[start[row] + index] = model.point3D(feature.point3D_id).xyz
 
 
 def _adjustment() -> pycolmap.BundleAdjustmentOptions:

@@ -18,11 +18,11 @@ from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN
 
 Ints = NDArray[np.int64]
 
-_STEPS = 12
-_SETTLED = 1e-3  # of the sd
-_NARROWEST_PX = 0.02
-_NUMERIC = 1e-5
-_LARGEST_TURN = 0.3
+_MAX_STEPS = 12
+_MIN_STEP = 1e-3  # of the sd
+_MIN_SD_PX = 0.02
+_DIFFERENCE = 1e-5  # of numerical derivatives
+_MAX_TURN = 0.3
 _WIDE_STEPS, _FIRST_WIDENING = 4, 4.0
 
 
@@ -83,14 +83,14 @@ def sampson_of(matches: PairMatches, a_T_b: Array, parameters: Array) -> Array:
 def estimate_lens(matches: PairMatches, start: Array, prior_information: Array) -> LensEstimate:
     """The lens and readout time that explain the matches best, from `start` (3,), which is the prior's mean, too.
 
-    `prior_information` (3, 3) is the prior's inverse covariance. What the matches of one pair say hangs together, so
+    `prior_information` (3, 3) is the prior's inverse covariance. The errors of one pair's matches are correlated, so
     their information is scaled by the ratio of a sandwich clustered by pair to plain least squares.
     """
     a_T_b, theta = matches.a_T_b.copy(), start.astype(float)
     covariance = np.linalg.inv(prior_information)
-    for number in range(_STEPS):
+    for number in range(_MAX_STEPS):
         residual = sampson_of(matches, a_T_b, theta)
-        sigma_px = max(SIGMA_OF_MEDIAN * float(np.median(np.abs(residual))), _NARROWEST_PX)
+        sigma_px = max(SIGMA_OF_MEDIAN * float(np.median(np.abs(residual))), _MIN_SD_PX)
         # At first a wrong lens makes corners look like outliers.
         loss_px = CAUCHY_WIDTH * sigma_px * (_FIRST_WIDENING if number < _WIDE_STEPS else 1.0)
         variance = sigma_px**2
@@ -101,8 +101,8 @@ def estimate_lens(matches: PairMatches, start: Array, prior_information: Array) 
         total = bread / variance / inflation + prior_information
         step = -np.linalg.solve(total, pull / variance / inflation + prior_information @ (theta - start))
         theta, covariance = theta + step, np.linalg.inv(total)
-        a_T_b = _moved(a_T_b, np.clip(-solved[:, :, 3] - solved[:, :, :3] @ step, -_LARGEST_TURN, _LARGEST_TURN))
-        if number >= _WIDE_STEPS and np.all(np.abs(step) < _SETTLED * np.sqrt(np.diag(covariance))):
+        a_T_b = _moved(a_T_b, np.clip(-solved[:, :, 3] - solved[:, :, :3] @ step, -_MAX_TURN, _MAX_TURN))
+        if number >= _WIDE_STEPS and np.all(np.abs(step) < _MIN_STEP * np.sqrt(np.diag(covariance))):
             break
     return LensEstimate(theta, np.asarray(covariance, float), a_T_b)
 
@@ -145,13 +145,13 @@ def _derivatives(matches: PairMatches, a_T_b: Array, theta: Array, residual: Arr
     by_pose = np.empty((len(residual), 5))
     for k in range(5):
         step = np.zeros((len(a_T_b), 5))
-        step[:, k] = _NUMERIC
-        by_pose[:, k] = (sampson_of(matches, _moved(a_T_b, step), theta) - residual) / _NUMERIC
+        step[:, k] = _DIFFERENCE
+        by_pose[:, k] = (sampson_of(matches, _moved(a_T_b, step), theta) - residual) / _DIFFERENCE
     by_lens = np.empty((len(residual), 3))
     for k in range(3):
         moved = theta.copy()
-        moved[k] += _NUMERIC
-        by_lens[:, k] = (sampson_of(matches, a_T_b, moved) - residual) / _NUMERIC
+        moved[k] += _DIFFERENCE
+        by_lens[:, k] = (sampson_of(matches, a_T_b, moved) - residual) / _DIFFERENCE
     return by_pose, by_lens
 
 

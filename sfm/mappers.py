@@ -1,4 +1,4 @@
-"""Mappers behind one interface: from a database of verified pairs to models, each in a gauge of its own."""
+"""Mappers behind one interface: from a database of verified pairs to models, each in its gauge."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.from_vio import map_from_vio
 
-SMALLEST_MODEL = 3
+MIN_MODEL_FRAMES = 3
 _LEAF_IMAGES = 200
-_FIRST_PAIR_SHARE = 0.001  # of an image's longer side
+_FIRST_PAIR_FRACTION = 0.001  # of an image's longer side
 
 
 @dataclass(frozen=True)
@@ -32,84 +32,84 @@ class MappingInput:
 
 
 class Mapper(Protocol):
-    """`folder` is the mapper's to write in; `registered` is called once an image, where the mapper tells."""
+    """`folder` is for the mapper to write in; `registered` is called for each registered image, where it can be."""
 
     def __call__(
-        self, given: MappingInput, folder: Path, registered: Callable[[], None]
+        self, source: MappingInput, folder: Path, registered: Callable[[], None]
     ) -> list[pycolmap.Reconstruction]: ...
 
 
-def incremental(given: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
+def incremental(source: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
     """COLMAP's incremental mapping (Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016)."""
-    options = pipeline_options(given)
+    options = pipeline_options(source)
     return _listed(
-        pycolmap.incremental_mapping(given.database, given.images, folder, options, next_image_callback=registered)
+        pycolmap.incremental_mapping(source.database, source.images, folder, options, next_image_callback=registered)
     )
 
 
 def continued(
-    given: MappingInput,
+    source: MappingInput,
     base: pycolmap.Reconstruction,
-    least_inliers: int,
+    min_inliers: int,
     folder: Path,
     registered: Callable[[], None],
 ) -> list[pycolmap.Reconstruction]:
-    """Incremental mapping that goes on from a model, registering images with at least so many inliers."""
+    """Incremental mapping that goes on from a model, registering images with at least `min_inliers`."""
     start = folder / "base"
     start.mkdir()
     base.write_binary(start)
-    options = pipeline_options(given)
+    options = pipeline_options(source)
     options.multiple_models = False
-    options.mapper.abs_pose_min_num_inliers = least_inliers
+    options.mapper.abs_pose_min_num_inliers = min_inliers
     return _listed(
         pycolmap.incremental_mapping(
-            given.database, given.images, folder, options, input_path=start, next_image_callback=registered
+            source.database, source.images, folder, options, input_path=start, next_image_callback=registered
         )
     )
 
 
-def global_(given: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
+def global_(source: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
     """COLMAP's global mapping (Pan et al., "Global structure-from-motion revisited", GLOMAP, ECCV 2024)."""
     options = pycolmap.GlobalPipelineOptions()
     options.num_threads = options.mapper.num_threads = 1
-    options.random_seed = options.mapper.random_seed = given.seed
-    options.mapper.rotation_averaging.random_seed = given.seed
-    options.mapper.global_positioning.random_seed = given.seed
-    options.mapper.retriangulation.random_seed = given.seed
+    options.random_seed = options.mapper.random_seed = source.seed
+    options.mapper.rotation_averaging.random_seed = source.seed
+    options.mapper.global_positioning.random_seed = source.seed
+    options.mapper.retriangulation.random_seed = source.seed
     options.mapper.global_positioning.use_gpu = False
     adjustment = options.mapper.bundle_adjustment
     adjustment.ceres.use_gpu = False
     adjustment.ceres.solver_options.num_threads = 1
     adjustment.refine_focal_length = adjustment.refine_extra_params = False
-    options.min_model_size = SMALLEST_MODEL
-    return _listed(pycolmap.global_mapping(given.database, given.images, folder, options))
+    options.min_model_size = MIN_MODEL_FRAMES
+    return _listed(pycolmap.global_mapping(source.database, source.images, folder, options))
 
 
-def hierarchical(given: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
+def hierarchical(source: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
     """COLMAP's hierarchical mapping: clusters of images mapped incrementally, then merged."""
     options = pycolmap.HierarchicalPipelineOptions()
     options.num_threads = options.num_workers = 1
-    options.incremental_options = pipeline_options(given)
+    options.incremental_options = pipeline_options(source)
     options.clustering_options.leaf_max_num_images = _LEAF_IMAGES
-    return _listed(pycolmap.hierarchical_mapping(given.database, given.images, folder, options))
+    return _listed(pycolmap.hierarchical_mapping(source.database, source.images, folder, options))
 
 
-def from_vio(given: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
+def from_vio(source: MappingInput, folder: Path, registered: Callable[[], None]) -> list[pycolmap.Reconstruction]:
     """Points triangulated from VIO's poses, sessions joined by their points, then everything adjusted freely."""
     return map_from_vio(
-        given.database, given.images, folder, given.vio_T_cam, given.session, pipeline_options(given), given.seed
+        source.database, source.images, folder, source.vio_T_cam, source.session, pipeline_options(source), source.seed
     )
 
 
-def pipeline_options(given: MappingInput) -> pycolmap.IncrementalPipelineOptions:
+def pipeline_options(source: MappingInput) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions()
     # On several threads two runs may differ in the last bits, and then in which points they keep; one thread repeats.
     options.num_threads = 1
     options.mapper.num_threads = 1
-    options.random_seed = given.seed
-    options.mapper.random_seed = given.seed
-    options.triangulation.random_seed = given.seed
-    options.min_model_size = SMALLEST_MODEL
+    options.random_seed = source.seed
+    options.mapper.random_seed = source.seed
+    options.triangulation.random_seed = source.seed
+    options.min_model_size = MIN_MODEL_FRAMES
     options.extract_colors = False
     # A fraction of the time of COLMAP's own steps, poses as good; the whole is adjusted at the end.
     options.ba_global_frames_ratio = options.ba_global_points_ratio = 2.0
@@ -117,7 +117,7 @@ def pipeline_options(given: MappingInput) -> pycolmap.IncrementalPipelineOptions
     options.ba_global_max_num_iterations = 2
     options.ba_local_max_refinements = 1
     options.ba_local_max_num_iterations = 10
-    options.mapper.init_max_error = _first_pair_px(given.database)
+    options.mapper.init_max_error = _first_pair_px(source.database)
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
     options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
     return options
@@ -131,8 +131,8 @@ def _first_pair_px(database: Path) -> float:
     """
     with pycolmap.Database.open(database) as opened:
         longest = max(max(camera.width, camera.height) for camera in opened.read_all_cameras())
-    return max(1.0, _FIRST_PAIR_SHARE * longest)
+    return max(1.0, _FIRST_PAIR_FRACTION * longest)
 
 
 def _listed(models: dict[int, pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:
-    return [model for _, model in sorted(models.items()) if model.num_reg_images() >= SMALLEST_MODEL]
+    return [model for _, model in sorted(models.items()) if model.num_reg_images() >= MIN_MODEL_FRAMES]

@@ -1,11 +1,11 @@
-"""From verified pairs to the models that are kept: mapping, going on from it, and a robust adjustment of each."""
+"""From verified pairs to selected models: mapping, continuing from the largest, and a robust adjustment of each."""
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import count
 from pathlib import Path
-from typing import Any
 
 import pycolmap
 
@@ -13,18 +13,18 @@ from groundwalk.artefacts.child import Report
 from groundwalk.sfm.database import read_keypoints
 from groundwalk.sfm.extensions import MAPPERS
 from groundwalk.sfm.mappers import MappingInput, continued
-from groundwalk.sfm.mapping_input import write_mapping_input
+from groundwalk.sfm.mapping_input import VerifiedPairs, write_mapping_input
 from groundwalk.sfm.model_adjustment import CameraLog, adjust_model, save_adjusted, with_lenses_of
 from groundwalk.sfm.settings import SfmSettings
 
-_EASIER_MIN_INLIERS = 15
+_CONTINUED_MIN_INLIERS = 15
 _BUILT = "built.json"
 
 
 @dataclass(frozen=True)
 class BuiltModel:
-    """A model that mapping built: by what, its number there, its size, and, where it was kept, the folder that it's in;
-    beside it `<folder>.npz` has what `groundwalk.sfm.model_adjustment.load_adjusted` reads."""
+    """A model that mapping built: by which mapping, its number there, its size, and, where it was selected, its folder;
+    beside that `<folder>.npz` has what `groundwalk.sfm.model_adjustment.load_adjusted` reads."""
 
     mapping: str
     number: int
@@ -40,76 +40,70 @@ class BuiltModel:
         return f"{self.mapping}/{self.number}"
 
 
-def map_verified(
+Built = tuple[BuiltModel, pycolmap.Reconstruction]
+
+
+def build_models(
     report: Report,
-    verified: tuple[Any, ...],
-    given: MappingInput,
-    features: Path,
+    verified: VerifiedPairs,
+    source: MappingInput,
     log: CameraLog,
     settings: SfmSettings,
     output: Path,
 ) -> None:
-    """`write_mapping_input` with the arguments `verified`, then `build_models` from what it wrote."""
-    write_mapping_input(*verified)
-    build_models(report, given, features, log, settings, output)
+    """Map verified pairs; `output` then holds what `read_built` reads and the folders that it names.
 
-
-def build_models(
-    report: Report, given: MappingInput, features: Path, log: CameraLog, settings: SfmSettings, output: Path
-) -> None:
-    """Map the database's verified pairs; `output` then holds what `read_built` reads and the folders that it names.
-
-    `features` is the database with the keypoints as they were found. Where the largest of the models that come out
-    lacks images, a second mapping goes on from it with a lower bar for registering one. The largest of all is kept, and
-    of the others those that have `component_frames` or more frames that no larger one has; a frame stays in the largest
-    that has it. Each is adjusted once more as a whole, with the cameras as phones have them and robustly: a few per
-    cent of wrong observations would otherwise weigh more than all right ones. The largest comes first, and the others
-    take its lenses as they came out for a prior.
+    Where the largest of the models lacks images, a second mapping continues from it with fewer inliers needed to
+    register one. The largest of all is selected, and of the others those that have `min_component_frames` or more
+    frames that no larger one has; a frame stays in the largest that has it. Each is adjusted once more as a whole, with
+    the cameras of phones and robustly: a few per cent of wrong observations would otherwise weigh more than all right
+    ones. The largest comes first, and its lenses are the prior of the others'.
     """
+    write_mapping_input(verified, source.database, settings.held_out_fraction, source.seed)
     work = output.with_name(output.name + ".partial")
     shutil.rmtree(work, ignore_errors=True)
-    with pycolmap.Database.open(given.database) as opened:
-        wanted = opened.num_images()
-    registered = 0
-
-    def count() -> None:
-        nonlocal registered
-        registered += 1
-        report(min(registered, wanted))
-
-    def folder(name: str) -> Path:
-        (work / name).mkdir(parents=True)
-        return work / name
-
-    mapper = settings.mapper
-    with MAPPERS.guard(mapper):
-        built = list(_described(mapper, MAPPERS.find(mapper).run(given, folder(mapper), count)))
-    if built and (largest := max(built, key=_size)[1]).num_reg_images() < wanted:
-        more = continued(given, largest, _EASIER_MIN_INLIERS, folder("continued"), count)
-        built += _described("continued", more)
-
-    keypoints = read_keypoints(features, wanted)
-    taken: set[int] = set()
-    kept = 0
+    built = _map(report, source, settings, work)
+    keypoints = read_keypoints(verified.features, len(verified.frames))
+    assigned: set[int] = set()
+    names = _folder_names()
     for index in sorted(range(len(built)), key=lambda i: _size(built[i]), reverse=True):
-        told, model = built[index]
-        own = set(model.reg_frame_ids()) - taken
-        if len(own) < settings.component_frames and kept:
+        entry, model = built[index]
+        new = set(model.reg_frame_ids()) - assigned
+        if len(new) < settings.min_component_frames and assigned:
             continue
-        kept += 1
-        name = "model" if kept == 1 else f"model_{kept}"
-        for other in set(model.reg_frame_ids()) & taken:
+        for other in set(model.reg_frame_ids()) & assigned:
             model.deregister_frame(other)
-        taken |= own
+        assigned |= new
+        name = next(names)
         adjusted, rows = adjust_model(model, keypoints, log, settings)
         log = with_lenses_of(log, adjusted, rows)
         save_adjusted(work / f"{name}.npz", adjusted, rows)
-        model.extract_colors_for_all_images(given.images)
-        model.write_binary(folder(name))
-        built[index] = (replace(_describe(told.mapping, told.number, model), folder=name), model)
-    (work / _BUILT).write_text(json.dumps([asdict(told) for told, _ in built]), encoding="utf-8")
+        model.extract_colors_for_all_images(source.images)
+        model.write_binary(_new_folder(work / name))
+        built[index] = (replace(_describe(entry.mapping, entry.number, model), folder=name), model)
+    (work / _BUILT).write_text(json.dumps([asdict(entry) for entry, _ in built]), encoding="utf-8")
     shutil.rmtree(output, ignore_errors=True)
     work.rename(output)
+
+
+def _map(report: Report, source: MappingInput, settings: SfmSettings, work: Path) -> list[Built]:
+    """All models of the mapper and, where the largest lacks images, of continuing from it."""
+    with pycolmap.Database.open(source.database) as opened:
+        images = opened.num_images()
+    registered = 0
+
+    def report_one() -> None:
+        nonlocal registered
+        registered += 1
+        report(min(registered, images))
+
+    mapper = settings.mapper
+    with MAPPERS.guard(mapper):
+        built = _described(mapper, MAPPERS.find(mapper).run(source, _new_folder(work / mapper), report_one))
+    if built and (largest := max(built, key=_size)[1]).num_reg_images() < images:
+        more = continued(source, largest, _CONTINUED_MIN_INLIERS, _new_folder(work / "continued"), report_one)
+        built += _described("continued", more)
+    return built
 
 
 def read_built(output: Path) -> list[BuiltModel]:
@@ -117,16 +111,26 @@ def read_built(output: Path) -> list[BuiltModel]:
     return [BuiltModel(**entry) for entry in json.loads((output / _BUILT).read_text(encoding="utf-8"))]
 
 
-def kept_models(built: Sequence[BuiltModel]) -> list[BuiltModel]:
-    """Those that were kept, the largest first."""
-    return sorted((told for told in built if told.folder), key=lambda told: (len(told.folder), told.folder))
+def selected_models(built: Sequence[BuiltModel]) -> list[BuiltModel]:
+    """The models that were selected, the largest first."""
+    return sorted((entry for entry in built if entry.folder), key=lambda entry: (len(entry.folder), entry.folder))
 
 
-def _size(built: tuple[BuiltModel, pycolmap.Reconstruction]) -> tuple[int, int]:
+def _new_folder(path: Path) -> Path:
+    path.mkdir(parents=True)
+    return path
+
+
+def _folder_names() -> Iterator[str]:
+    yield "model"
+    yield from (f"model_{number}" for number in count(2))
+
+
+def _size(built: Built) -> tuple[int, int]:
     return built[0].images, built[0].observations
 
 
-def _described(mapping: str, models: list[pycolmap.Reconstruction]) -> list[tuple[BuiltModel, pycolmap.Reconstruction]]:
+def _described(mapping: str, models: list[pycolmap.Reconstruction]) -> list[Built]:
     return [(_describe(mapping, number, model), model) for number, model in enumerate(models)]
 
 

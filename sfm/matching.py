@@ -10,50 +10,51 @@ import pycolmap
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.child import Report
+from groundwalk.artefacts.choices import PairStatus
 from groundwalk.artefacts.cores import usable_cores
-from groundwalk.sfm.database import have_results, image_id
+from groundwalk.sfm.database import has_results, image_id
 from groundwalk.sfm.features import extraction_options
 from groundwalk.sfm.nearest import mutual_matches
 from groundwalk.sfm.networks import cannot_run, model_files, options_of_network
-from groundwalk.sfm.odometry import Comparison
+from groundwalk.sfm.odometry import VioComparison
 from groundwalk.sfm.pairs import Pairs
 from groundwalk.sfm.settings import SfmSettings
 
 _CHUNK = 128  # a bound on the descriptors in memory, and what a killed run matches again
-_TRIED_PX = 64
-# COLMAP's 100 trials at least are for matches of which half are wrong; how many more a pair needs it finds itself.
-_FEWEST_TRIALS = 30
+_TRIAL_IMAGE_PX = 64
+# COLMAP's minimum of 100 trials is for matches of which half are wrong; it adds trials where a pair needs them.
+_MIN_RANSAC_TRIALS = 30
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 """Environment of the process that matches: pairs are matched side by side, each on one thread."""
 
 
 @dataclass(frozen=True)
 class MatchedPairs:
-    """P pairs of frames, each with who proposed it, its matches and its verified inliers, all arrays (P, ...), and how
-    the poses of those with inliers enough compare with VIO."""
+    """P pairs of frames: what proposed each, its matches and verified inliers, all arrays (P, ...), and how the
+    relative poses of those with enough inliers compare with VIO."""
 
     pairs: Pairs
     origin: NDArray[np.str_]
     matches: NDArray[np.int64]
     inliers: NDArray[np.int64]
     min_inliers: int
-    compared: Comparison
+    compared: VioComparison
 
     @property
-    def enough(self) -> NDArray[np.bool_]:
-        """(P,) the pair has inliers enough."""
+    def has_enough_inliers(self) -> NDArray[np.bool_]:
+        """(P,)"""
         return self.inliers >= self.min_inliers
 
     @property
     def verified(self) -> NDArray[np.bool_]:
-        """(P,) the pair has inliers enough, and nothing that VIO knows speaks against it."""
-        return self.enough & self.compared.agrees
+        """(P,) the pair has enough inliers and is consistent with VIO."""
+        return self.has_enough_inliers & self.compared.consistent
 
     @property
-    def verdict(self) -> NDArray[np.object_]:
-        """(P,) verified, rejected or disagrees."""
-        refused = np.where(self.enough, "disagrees", "rejected")
-        return np.where(self.verified, "verified", refused).astype(object)
+    def status(self) -> NDArray[np.object_]:
+        """(P,) values of PairStatus."""
+        refused = np.where(self.has_enough_inliers, PairStatus.INCONSISTENT_WITH_VIO, PairStatus.TOO_FEW_INLIERS)
+        return np.where(self.verified, PairStatus.VERIFIED, refused).astype(object)
 
 
 def matching_options(settings: SfmSettings) -> pycolmap.FeatureMatchingOptions:
@@ -77,20 +78,20 @@ def verification_options(settings: SfmSettings, seed: int) -> pycolmap.TwoViewGe
     options = pycolmap.TwoViewGeometryOptions()
     options.min_num_inliers = settings.min_inliers
     options.ransac.random_seed = seed
-    options.ransac.min_num_trials = _FEWEST_TRIALS
+    options.ransac.min_num_trials = _MIN_RANSAC_TRIALS
     return options
 
 
 def try_networks(report: Report, settings: SfmSettings) -> None:
     """Load the networks that the settings ask for, and run ALIKED on a tiny image; UserError where that fails.
 
-    Whether COLMAP can run them shows in the attempt alone: its options pass their own check without ONNX, too.
+    Only a trial shows whether COLMAP can run them: its options pass its check without ONNX, too.
     """
     try:
         if settings.features == "aliked":
             extractor = pycolmap.FeatureExtractor.create(extraction_options(settings), pycolmap.Device.cpu)
             extractor.extract_from_uint8_array(
-                np.random.default_rng(0).integers(0, 256, (_TRIED_PX, _TRIED_PX, 3), np.uint8)
+                np.random.default_rng(0).integers(0, 256, (_TRIAL_IMAGE_PX, _TRIAL_IMAGE_PX, 3), np.uint8)
             )
         pycolmap.FeatureMatcher.create(matching_options(settings), pycolmap.Device.cpu)
     except (RuntimeError, ValueError) as error:
@@ -102,10 +103,10 @@ def match_pairs(
 ) -> None:
     """Match pairs of rows (P, 2) and verify each by its essential matrix; pairs that are done are left as they are.
 
-    Each pair's result depends on the pair and the seed alone, so that a killed run goes on as if it hadn't been.
+    Each pair's result depends on the pair and the seed alone, so that a killed run resumes with the same results.
     """
     verification = verification_options(settings, seed)
-    done = have_results(database, pairs)
+    done = has_results(database, pairs)
     todo = pairs[~done]
     for start in range(0, len(todo), _CHUNK):
         chunk = todo[start : start + _CHUNK]
@@ -132,7 +133,7 @@ def _match_by_network(
 
 
 def _match_nearest(database: Path, pairs: Pairs, verification: pycolmap.TwoViewGeometryOptions) -> None:
-    """Match and verify pairs side by side, one a core, and write down what came out once all are done."""
+    """Match and verify pairs in parallel, one a core, and write the results once all are done."""
     with pycolmap.Database.open(database) as opened, pycolmap.DatabaseTransaction(opened):
         cameras = {row: opened.read_camera(image_id(row)) for row in np.unique(pairs).tolist()}
         keypoints = {row: opened.read_keypoints(image_id(row))[:, :2].astype(float) for row in cameras}

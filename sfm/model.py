@@ -1,4 +1,4 @@
-"""What finished models say about themselves: poses, observations and reprojection errors as arrays over all frames."""
+"""Finished models as arrays over all frames: poses, points, observations and reprojection errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from groundwalk.geometry.poses import Array, inverse, make_pose
-from groundwalk.sfm.adjustment import Scene
+from groundwalk.sfm.adjustment import Bundle
 from groundwalk.sfm.database import image_id
 
 Ints = NDArray[np.int64]
@@ -35,7 +35,7 @@ class Model:
     point_model: Ints
     """(P,) which of the models the point is from."""
     point_ids: Ints
-    """(P,) COLMAP's ids, one's own for each model."""
+    """(P,) COLMAP's ids, unique within a model."""
     xyz: Array
     """(P, 3) in the sfm frame of the point's model."""
     rgb: NDArray[np.uint8]
@@ -44,10 +44,10 @@ class Model:
     """(M,) the row of each observation's frame."""
     point: Ints
     """(M,) the index of its point."""
-    seen_px: Array
-    """(M, 2) where the frame sees it."""
+    observed_px: Array
+    """(M, 2) where the point is observed."""
     residual_px: Array
-    """(M, 2) where the point is projected minus where it was seen."""
+    """(M, 2) where the point is projected minus where it is observed."""
 
     @property
     def registered(self) -> NDArray[np.bool_]:
@@ -56,7 +56,7 @@ class Model:
 
     def part(self, number: int) -> "Model":
         """The model of that number alone, over the same frames."""
-        points, seen = self.point_model == number, self.point_model[self.point] == number
+        points, observations = self.point_model == number, self.point_model[self.point] == number
         index = np.cumsum(points) - 1
         return Model(
             np.where((self.model == number)[:, None, None], self.sfm_T_cam, np.nan),
@@ -65,10 +65,10 @@ class Model:
             self.point_ids[points],
             self.xyz[points],
             self.rgb[points],
-            self.frame[seen],
-            index[self.point[seen]],
-            self.seen_px[seen],
-            self.residual_px[seen],
+            self.frame[observations],
+            index[self.point[observations]],
+            self.observed_px[observations],
+            self.residual_px[observations],
         )
 
     def observations(self) -> Ints:
@@ -114,14 +114,14 @@ class Model:
         return angles
 
 
-def blobs_of(scene: Scene) -> Ints:
+def blobs_of(bundle: Bundle) -> Ints:
     """The number of each point's blob, (P,): SIFT gives a blob a feature for each of its orientations, so points
     that any frame sees in the same place are of one."""
-    place = np.round(scene.seen_px / _SAME_PLACE_PX).astype(np.int64)
-    _, seen = np.unique(np.column_stack([scene.frame, place]), axis=0, return_inverse=True)
-    points = len(scene.xyz)
-    size = points + int(seen.max(initial=-1)) + 1
-    ties = coo_array((np.ones(len(scene.point), bool), (scene.point, points + seen.ravel())), shape=(size, size))
+    place = np.round(bundle.observed_px / _SAME_PLACE_PX).astype(np.int64)
+    _, blob = np.unique(np.column_stack([bundle.frame, place]), axis=0, return_inverse=True)
+    points = len(bundle.xyz)
+    size = points + int(blob.max(initial=-1)) + 1
+    ties = coo_array((np.ones(len(bundle.point), bool), (bundle.point, points + blob.ravel())), shape=(size, size))
     label = connected_components(ties, directed=False)[1][:points]
     return np.asarray(np.unique(label, return_inverse=True)[1], np.int64).ravel()
 
@@ -143,7 +143,7 @@ def load_models(folders: Sequence[Path], frames: int) -> Model:
         np.concatenate([m.rgb for m in models]),
         np.concatenate([m.frame for m in models]),
         np.concatenate([m.point + offset for m, offset in zip(models, offsets, strict=False)]),
-        np.concatenate([m.seen_px for m in models]),
+        np.concatenate([m.observed_px for m in models]),
         np.concatenate([m.residual_px for m in models]),
     )
 
@@ -155,7 +155,7 @@ def _load(folder: Path, number: int, frames: int) -> Model:
     xyz = np.array([points[i].xyz for i in point_ids]).reshape(-1, 3)
     rgb = np.array([points[i].color for i in point_ids], np.uint8).reshape(-1, 3)
     sfm_T_cam = np.full((frames, 4, 4), np.nan)
-    frame, point, seen_px, residual = [], [], [], []
+    frame, point, observed_px, residual = [], [], [], []
     for row in range(frames):
         if not reconstruction.exists_image(image_id(row)):
             continue
@@ -164,15 +164,15 @@ def _load(folder: Path, number: int, frames: int) -> Model:
             continue
         cam_T_sfm = image.cam_from_world().matrix()
         sfm_T_cam[row] = inverse(make_pose(cam_T_sfm[:, :3], cam_T_sfm[:, 3]))
-        seen = image.get_observation_points2D()
-        index = np.searchsorted(point_ids, [p.point3D_id for p in seen])
+        observed = image.get_observation_points2D()
+        index = np.searchsorted(point_ids, [p.point3D_id for p in observed])
         in_camera = xyz[index] @ cam_T_sfm[:, :3].T + cam_T_sfm[:, 3]
         camera = reconstruction.camera(image.camera_id)
         projected = np.asarray(camera.img_from_cam(in_camera)).reshape(-1, 2)
-        frame.append(np.full(len(seen), row))
+        frame.append(np.full(len(observed), row))
         point.append(index)
-        seen_px.append(np.array([p.xy for p in seen]).reshape(-1, 2))
-        residual.append(projected - seen_px[-1])
+        observed_px.append(np.array([p.xy for p in observed]).reshape(-1, 2))
+        residual.append(projected - observed_px[-1])
     return Model(
         sfm_T_cam,
         np.where(np.isfinite(sfm_T_cam[:, 0, 0]), number, -1),
@@ -182,7 +182,7 @@ def _load(folder: Path, number: int, frames: int) -> Model:
         rgb,
         np.concatenate(frame).astype(np.int64),
         np.concatenate(point).astype(np.int64),
-        np.concatenate(seen_px),
+        np.concatenate(observed_px),
         np.concatenate(residual),
     )
 

@@ -1,4 +1,4 @@
-"""A COLMAP model adjusted with cameras as phones have them (`groundwalk.sfm.adjustment`), and the outcome's file."""
+"""Adjusting a COLMAP model with the cameras of phones (`groundwalk.sfm.adjustment`), and the file of the result."""
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -12,9 +12,9 @@ from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.sfm.adjustment import (
     Adjusted,
+    Bundle,
     CameraPriors,
     Cameras,
-    Scene,
     adjust,
     loss_variance,
     marginal_readout,
@@ -25,21 +25,21 @@ from groundwalk.sfm.database import Ints, image_id
 from groundwalk.sfm.motion import Motion, motion_by_vio
 from groundwalk.sfm.settings import SfmSettings
 
-# A step between two frames over which VIO tells how long an sfm unit is.
-_LEAST_STEP_M = 0.02
-# By how much a session's logged focal lengths may be off in common, and a frame's: phones log their focus, and images
-# that tell it badly would make millimetres of more. What priors say of scatter counts as some frames, so that images
-# that show a focus that isn't logged are believed.
+# Shorter steps of VIO say too little of the length of an sfm unit.
+_MIN_STEP_M = 0.02
+# Priors of the logarithm of a session's focal factor, and of a frame's focus: phones log their focus, and wider priors
+# would turn noise into millimetres. The prior of the scatter counts as some frames, so that a focus that isn't logged
+# but shows in the images is followed.
 _LOG_FOCAL_SD = 0.01
 _FOCUS_SD, _PRIOR_FRAMES = 0.0003, 5
-_FIRST_STEPS, _FIRST_LOSS_WIDENING = 8, 4.0
+_FIRST_MAX_STEPS, _FIRST_LOSS_WIDENING = 8, 4.0
 _EXACT_SD = 1e-7
 _OUTLIER_SIGMAS = 4.0
 
 
 @dataclass(frozen=True)
 class CameraLog:
-    """What is known of the cameras of N frames before a model of them is adjusted.
+    """The cameras of N frames before a model of them is adjusted.
 
     `intrinsics` (N, 4), `height` (N,) px, `session` (N,) names, `t_s` (N,) on each session's clock, and vio_T_cam
     (N, 4, 4).
@@ -72,32 +72,32 @@ def camera_log(
 def adjust_model(
     model: pycolmap.Reconstruction, keypoints: list[Array], log: CameraLog, settings: SfmSettings
 ) -> tuple[Adjusted, Ints]:
-    """Adjust a model in place; `keypoints` are those of all N frames as they were found. Returns what came out, and the
+    """Adjust a model in place; `keypoints` are those of all N frames as extracted. Returns the adjusted model and the
     rows (R,) of its frames.
 
-    Observations beyond four sigma are taken out on the way. The model then has the cameras' focal lengths and lenses,
+    Observations beyond four sigma are removed on the way. The model then has the cameras' focal lengths and lenses,
     and its observations where a camera without rolling shutter would have them.
     """
     observations = pycolmap.ObservationManager(model)
     observations.filter_observations_with_negative_depth()
-    rows, point_ids, scene, features = _scene_of(model, keypoints)
-    cameras, priors = _cameras_of(rows, scene, log, settings)
-    adjusted = adjust(scene, cameras, priors, _FIRST_STEPS, _FIRST_LOSS_WIDENING)
+    rows, point_ids, bundle, features = _bundle_of(model, keypoints)
+    cameras, priors = _cameras_of(rows, bundle, log, settings)
+    adjusted = adjust(bundle, cameras, priors, _FIRST_MAX_STEPS, _FIRST_LOSS_WIDENING)
     _write_back(model, rows, point_ids, adjusted, features)
-    residual = project(adjusted.scene, adjusted.cameras) - scene.seen_px
+    residual = project(adjusted.bundle, adjusted.cameras) - bundle.observed_px
     outliers = np.linalg.norm(residual, axis=1) > _OUTLIER_SIGMAS * np.sqrt(loss_variance(adjusted.loss_px))
-    for row, feature in zip(rows[scene.frame[outliers]].tolist(), features[outliers].tolist(), strict=True):
+    for row, feature in zip(rows[bundle.frame[outliers]].tolist(), features[outliers].tolist(), strict=True):
         if model.image(image_id(row)).point2D(feature).has_point3D():
             observations.delete_observation(image_id(row), feature)
     observations.filter_observations_with_negative_depth()
-    rows, point_ids, scene, features = _scene_of(model, keypoints)
+    rows, point_ids, bundle, features = _bundle_of(model, keypoints)
     if settings.refine_cameras != "never":
         priors = replace(priors, focus_sd=_focus_sd(adjusted.cameras), angular_sd=_angular_sd(adjusted))
-    adjusted = marginal_readout(adjust(scene, adjusted.cameras, priors))
+    adjusted = marginal_readout(adjust(bundle, adjusted.cameras, priors))
     _write_back(model, rows, point_ids, adjusted, features)
     observations.filter_observations_with_negative_depth()
     model.update_point_3d_errors()
-    return replace(adjusted, scene=_scene_of(model, keypoints)[2]), rows
+    return replace(adjusted, bundle=_bundle_of(model, keypoints)[2]), rows
 
 
 def with_lenses_of(log: CameraLog, adjusted: Adjusted, rows: Ints) -> CameraLog:
@@ -109,8 +109,8 @@ def with_lenses_of(log: CameraLog, adjusted: Adjusted, rows: Ints) -> CameraLog:
 
 
 def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cameras:
-    """The cameras of all N frames, each with a lens and a session of its own, as adjusted with their models; as
-    calibrated where a frame is in none."""
+    """The cameras of all N frames, a lens and a session for each, as adjusted with their models; as calibrated where a
+    frame is in none."""
     count, lens = len(log.t_s), log.calibration.lens
     every = Cameras(
         log.intrinsics,
@@ -126,17 +126,17 @@ def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cam
         np.zeros((count, 3)),
     )
     for adjusted, rows in parts:
-        own = adjusted.cameras
-        every.coefficients[rows], every.readout_s[rows] = own.coefficients[own.lens], own.readout_s[own.lens]
-        every.log_focal[rows], every.focus[rows] = own.log_focal[own.session], own.focus
-        every.angular[rows], every.velocity[rows] = own.angular, own.velocity
+        part = adjusted.cameras
+        every.coefficients[rows], every.readout_s[rows] = part.coefficients[part.lens], part.readout_s[part.lens]
+        every.log_focal[rows], every.focus[rows] = part.log_focal[part.session], part.focus
+        every.angular[rows], every.velocity[rows] = part.angular, part.velocity
     return every
 
 
 def save_adjusted(path: Path, adjusted: Adjusted, rows: Ints) -> None:
     """Write what `load_adjusted` reads."""
     arrays: dict[str, Any] = {"rows": rows, "loss_px": adjusted.loss_px}
-    for name, part in (("scene", adjusted.scene), ("cameras", adjusted.cameras), ("mean", adjusted.priors.mean)):
+    for name, part in (("bundle", adjusted.bundle), ("cameras", adjusted.cameras), ("mean", adjusted.priors.mean)):
         arrays |= {f"{name}.{f.name}": getattr(part, f.name) for f in fields(part)}
     arrays |= {f"priors.{f.name}": getattr(adjusted.priors, f.name) for f in fields(CameraPriors) if f.name != "mean"}
     np.savez(path, **arrays)
@@ -150,16 +150,16 @@ def load_adjusted(path: Path) -> tuple[Adjusted, Ints]:
             return {key.partition(".")[2]: file[key] for key in file.files if key.startswith(name + ".")}
 
         priors = CameraPriors(mean=Cameras(**part("mean")), **part("priors"))
-        adjusted = Adjusted(Scene(**part("scene")), Cameras(**part("cameras")), priors, float(file["loss_px"]))
+        adjusted = Adjusted(Bundle(**part("bundle")), Cameras(**part("cameras")), priors, float(file["loss_px"]))
         return adjusted, file["rows"]
 
 
-def _scene_of(model: pycolmap.Reconstruction, keypoints: list[Array]) -> tuple[Ints, Ints, Scene, Ints]:
-    """Rows of the model's frames (R,), its points' ids (P,), the scene, and each observation's feature (M,)."""
+def _bundle_of(model: pycolmap.Reconstruction, keypoints: list[Array]) -> tuple[Ints, Ints, Bundle, Ints]:
+    """Rows of the model's frames (R,), its points' ids (P,), the bundle, and each observation's feature (M,)."""
     rows = np.array(sorted(i - 1 for i in model.reg_image_ids()), np.int64)
     point_ids = np.array(sorted(model.points3D), np.int64)
     xyz = np.array([model.points3D[i].xyz for i in point_ids]).reshape(-1, 3)
-    poses, frame, point, feature, seen = [], [], [], [], []
+    poses, frame, point, feature, observed_px = [], [], [], [], []
     for number, row in enumerate(rows.tolist()):
         image = model.image(image_id(row))
         cam_T_sfm = image.cam_from_world().matrix()
@@ -169,16 +169,16 @@ def _scene_of(model: pycolmap.Reconstruction, keypoints: list[Array]) -> tuple[I
         ids = [p.point3D_id for p in image.get_observation_points2D()]
         point.append(np.searchsorted(point_ids, ids))
         feature.append(features)
-        seen.append(keypoints[row][features])
-    scene = Scene(np.stack(poses), xyz, *(np.concatenate(part) for part in (frame, point, seen)))
-    return rows, point_ids, scene, np.concatenate(feature)
+        observed_px.append(keypoints[row][features])
+    bundle = Bundle(np.stack(poses), xyz, *(np.concatenate(part) for part in (frame, point, observed_px)))
+    return rows, point_ids, bundle, np.concatenate(feature)
 
 
-def _cameras_of(rows: Ints, scene: Scene, log: CameraLog, settings: SfmSettings) -> tuple[Cameras, CameraPriors]:
-    """The cameras to start from and what is known of them; lenses and sessions are those that the rows have."""
+def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSettings) -> tuple[Cameras, CameraPriors]:
+    """The cameras to start from and their priors; lenses and sessions are those that the rows have."""
     lenses, lens = np.unique(log.calibration.lens[rows], return_inverse=True)
     sessions, session = np.unique(log.session[rows], return_inverse=True)
-    units_per_m = _units_per_m(scene.sfm_T_cam, log.vio_T_cam[rows], session)
+    units_per_m = _units_per_m(bundle.sfm_T_cam, log.vio_T_cam[rows], session)
     cameras = Cameras(
         log.intrinsics[rows],
         log.height[rows],
@@ -195,15 +195,15 @@ def _cameras_of(rows: Ints, scene: Scene, log: CameraLog, settings: SfmSettings)
     prior = [log.calibration.lenses[k] for k in lenses]
     coefficients = np.array([one.prior_coefficients for one in prior], float)
     mean = replace(cameras, coefficients=coefficients, readout_s=np.array([one.prior_readout_s for one in prior]))
-    fixed = settings.refine_cameras == "never"
+    is_fixed = settings.refine_cameras == "never"
     priors = CameraPriors(
         mean,
         np.array([one.prior_covariance for one in prior], float),
-        np.full(len(sessions), _EXACT_SD if fixed else _LOG_FOCAL_SD),
-        np.full(len(sessions), _EXACT_SD if fixed else _FOCUS_SD),
+        np.full(len(sessions), _EXACT_SD if is_fixed else _LOG_FOCAL_SD),
+        np.full(len(sessions), _EXACT_SD if is_fixed else _FOCUS_SD),
         log.motion.angular_sd[rows],
     )
-    if fixed:
+    if is_fixed:
         priors = replace(priors, mean=cameras, lens_covariance=np.tile(_EXACT_SD**2 * np.eye(3), (len(lenses), 1, 1)))
     return cameras, priors
 
@@ -213,19 +213,19 @@ def _units_per_m(sfm_T_cam: Array, vio_T_cam: Array, session: Ints) -> float:
     same = session[1:] == session[:-1]
     units = np.linalg.norm(np.diff(sfm_T_cam[:, :3, 3], axis=0), axis=1)[same]
     metres = np.linalg.norm(np.diff(vio_T_cam[:, :3, 3], axis=0), axis=1)[same]
-    known = metres > _LEAST_STEP_M
-    return float(np.median(units[known] / metres[known])) if known.any() else 0.0
+    moved = metres > _MIN_STEP_M
+    return float(np.median(units[moved] / metres[moved])) if moved.any() else 0.0
 
 
 def _focus_sd(cameras: Cameras) -> Array:
-    """(S,) how much the focus of each session's frames scatters, shrunk to what is expected."""
+    """(S,) sd of the focus of each session's frames, shrunk to the prior."""
     square = np.bincount(cameras.session, cameras.focus**2, minlength=len(cameras.log_focal))
     count = np.bincount(cameras.session, minlength=len(cameras.log_focal))
     return np.sqrt((_PRIOR_FRAMES * _FOCUS_SD**2 + square) / (_PRIOR_FRAMES + count))
 
 
 def _angular_sd(adjusted: Adjusted) -> Array:
-    """(N,) sigmas of VIO's angular velocities, larger where the images of a session say that they are."""
+    """(N,) sd of VIO's angular velocities, larger where the images of a session show larger errors."""
     cameras, priors = adjusted.cameras, adjusted.priors
     moved = np.mean((cameras.angular - priors.mean.angular) ** 2, axis=1) / priors.angular_sd**2
     count = np.bincount(cameras.session)
@@ -236,11 +236,11 @@ def _angular_sd(adjusted: Adjusted) -> Array:
 def _write_back(
     model: pycolmap.Reconstruction, rows: Ints, point_ids: Ints, adjusted: Adjusted, feature_M: Ints
 ) -> None:
-    scene, cameras = adjusted.scene, adjusted.cameras
-    # What the shutter did to each observation is taken out of it.
-    seen = scene.seen_px + project(scene, cameras, shutter=False) - project(scene, cameras)
+    bundle, cameras = adjusted.bundle, adjusted.cameras
+    # The effect of the rolling shutter is removed from each observation.
+    global_px = bundle.observed_px + project(bundle, cameras, shutter=False) - project(bundle, cameras)
     focal = cameras.focal
-    bounds = np.searchsorted(scene.frame, np.arange(len(rows) + 1))
+    bounds = np.searchsorted(bundle.frame, np.arange(len(rows) + 1))
     for number, row in enumerate(rows.tolist()):
         image = model.image(image_id(row))
         camera = model.camera(image.camera_id)
@@ -250,10 +250,10 @@ def _write_back(
         params[4:] = coefficients[: len(params) - 4]
         camera.params = params.tolist()
         assert image.frame is not None
-        image.frame.set_cam_from_world(image.camera_id, pycolmap.Rigid3d(inverse(scene.sfm_T_cam[number])[:3]))
+        image.frame.set_cam_from_world(image.camera_id, pycolmap.Rigid3d(inverse(bundle.sfm_T_cam[number])[:3]))
         points = image.points2D
-        own = slice(bounds[number], bounds[number + 1])
-        for feature, xy in zip(feature_M[own].tolist(), seen[own], strict=True):
+        members = slice(bounds[number], bounds[number + 1])
+        for feature, xy in zip(feature_M[members].tolist(), global_px[members], strict=True):
             points[feature].xy = xy
     for number, point_id in enumerate(point_ids.tolist()):
-        model.points3D[point_id].xyz = scene.xyz[number]
+        model.points3D[point_id].xyz = bundle.xyz[number]

@@ -14,7 +14,7 @@ _MIN_ANGULAR_SD = 0.005
 
 @dataclass(frozen=True)
 class Motion:
-    """Of N frames, in the camera's axes: angular velocity (N, 3) in rad/s with one sigma (N,), velocity (N, 3) in m/s,
+    """Of N frames, in the camera's axes: angular velocity (N, 3) in rad/s with its sd (N,), velocity (N, 3) in m/s,
     0 where VIO has no pose near enough before and after the frame."""
 
     angular: Array
@@ -25,18 +25,18 @@ class Motion:
 def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame) -> Motion:
     """From the frames' poses and all poses of the log (table import.vio).
 
-    Sigma is half of what the rates of splines and of neighbouring poses differ by, root mean square over its session:
-    what a hand does between two poses that are logged isn't known any better.
+    The sd is half of what the rates of splines and of neighbouring poses differ by, root mean square over the session:
+    the motion of a hand between two logged poses isn't known better.
     """
     rates = rates_by_vio(frames, log)
-    known = ~np.isnan(rates.angular[:, 0])
-    compared = ~np.isnan(rates.angular_difference[:, 0])
+    has_rate = ~np.isnan(rates.angular[:, 0])
+    has_difference = ~np.isnan(rates.angular_difference[:, 0])
     sd = np.full(len(frames), _UNKNOWN_ANGULAR_SD)
     session_N = frames["session_id"].to_numpy(str)
-    for session in np.unique(session_N[compared]):
-        own = session_N == session
-        scatter = float(np.sqrt(np.mean(rates.angular_difference[own & compared] ** 2)))
-        sd[own & known] = max(scatter / 2, _MIN_ANGULAR_SD)
-        sd[own & known & ~compared] *= 2
-    angular, velocity = (np.where(known[:, None], rate, 0.0) for rate in (rates.angular, rates.velocity))
+    for session in np.unique(session_N[has_difference]):
+        members = (session_N == session) & has_rate
+        scatter = float(np.sqrt(np.mean(rates.angular_difference[members & has_difference] ** 2)))
+        sd[members] = max(scatter / 2, _MIN_ANGULAR_SD)
+        sd[members & ~has_difference] *= 2
+    angular, velocity = (np.where(has_rate[:, None], rate, 0.0) for rate in (rates.angular, rates.velocity))
     return Motion(angular, sd, velocity)

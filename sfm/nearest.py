@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _LENGTH = 512.0
-_FARTHEST, _FARTHEST_SHARE = 0.7, 0.8  # COLMAP's
+_MAX_ANGLE, _MAX_RATIO = 0.7, 0.8  # COLMAP's
 
 
 def mutual_matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.uint32]:
@@ -19,13 +19,13 @@ def mutual_matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np
     product = a @ b.T
     nearest = product.argmax(axis=1)
     mutual = product.max(axis=1) == product.max(axis=0)[nearest]
-    # Of two that are equally near one is taken, and thrown away below: its second nearest is just as near.
+    # Of two that are equally near one is used, and refused below: its second nearest is just as near.
     j, first = np.unique(nearest[mutual], return_index=True)
     i = np.flatnonzero(mutual)[first]
     best = product[i, j]
     product[i, j] = -1.0
     second = np.maximum(product.max(axis=1)[i], product.max(axis=0)[j])
     angle, second_angle = (np.arccos(np.minimum(p / _LENGTH**2, 1.0)) for p in (best, second))
-    kept = (angle <= _FARTHEST) & (angle < _FARTHEST_SHARE * second_angle)
-    order = np.argsort(i[kept])
-    return np.column_stack([i[kept], j[kept]])[order].astype(np.uint32)
+    is_match = (angle <= _MAX_ANGLE) & (angle < _MAX_RATIO * second_angle)
+    order = np.argsort(i[is_match])
+    return np.column_stack([i[is_match], j[is_match]])[order].astype(np.uint32)

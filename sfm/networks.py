@@ -14,12 +14,12 @@ _DO = "install a pycolmap that was built with ONNX (COLMAP's ONNX_ENABLED), or s
 def model_files(settings: SfmSettings) -> dict[str, str]:
     """The settings that name the model files which these settings need, and the files."""
     if settings.features == "aliked":
-        wanted: tuple[str, ...] = ("aliked_model", "aliked_lightglue_model")
+        names: tuple[str, ...] = ("aliked_model", "aliked_lightglue_model")
     elif settings.sift_matcher == "lightglue":
-        wanted = ("sift_lightglue_model",)
+        names = ("sift_lightglue_model",)
     else:
-        wanted = ()
-    return {name: getattr(settings, name) for name in wanted}
+        names = ()
+    return {name: getattr(settings, name) for name in names}
 
 
 def require_model_files(settings: SfmSettings) -> None:
@@ -49,7 +49,7 @@ def options_of_network(options: Any, name: str) -> Any:
 
 
 def cannot_run(settings: SfmSettings, error: Exception) -> UserError:
-    """What to tell the user where COLMAP raised `error` as the networks were tried."""
+    """The error for the user where COLMAP raised `error` as the networks were tried."""
     return UserError(
         "this pycolmap can't run the networks that the settings ask for",
         where=", ".join(model_files(settings).values()),

@@ -1,7 +1,7 @@
-"""What the phones' odometry knows of pairs of frames, and how far to believe it. Pure functions on arrays.
+"""Relative poses of pairs of frames by images against those by VIO. Pure functions on arrays.
 
-Within a session VIO knows the motion between two frames up to its drift, which grows with the path between them. Across
-sessions it knows gravity alone: where each session began and where it looked is unknown until the model is aligned.
+Within a session VIO gives the motion between two frames up to its drift, which grows with the path between them. Across
+sessions it gives gravity alone: where each session began and which way it looked is unknown until the model is aligned.
 """
 
 from collections.abc import Iterable
@@ -10,14 +10,15 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.artefacts.choices import PairInconsistency
 from groundwalk.consistency.vio_drift import VioDrift
-from groundwalk.geometry.poses import Array, rotation_angle
+from groundwalk.geometry.poses import Array, path_length, rotation_angle
 from groundwalk.sfm.pairs import Pairs
 
-# Below this median angle between the rays of a pair's points the images hardly tell the direction of motion.
-_LEAST_TRIANGULATION = np.radians(3.0)
-# A direction that may be this far off is no check of one.
-_WIDEST_DIRECTION = np.radians(60.0)
+# Below this median angle between the rays of a pair's points its direction of motion is too uncertain to compare.
+_MIN_TRIANGULATION = np.radians(3.0)
+# A direction with a larger limit isn't compared.
+_MAX_DIRECTION_LIMIT = np.radians(60.0)
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,8 @@ class Odometry:
 
 @dataclass(frozen=True)
 class PairLimits:
-    """What a pair of frames may differ by from VIO: what that can have drifted by on the path between them, jumps
-    added; `gravity_rad`, as gravity doesn't drift; and what two images leave open of the direction of motion."""
+    """What a pair's relative pose may differ by from VIO: `drift` over the path between its frames, and jumps there;
+    `gravity_rad`, as gravity doesn't drift; `direction_rad`, the error of a direction of motion by two images."""
 
     drift: VioDrift
     gravity_rad: float
@@ -44,7 +45,7 @@ class PairLimits:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class VioComparison:
     """P pairs' two-view poses against VIO, angles in radians (P,), NaN where there is nothing to compare."""
 
     rotation: Array
@@ -55,27 +56,26 @@ class Comparison:
     reason: NDArray[np.object_]
 
     @property
-    def agrees(self) -> NDArray[np.bool_]:
-        """(P,) nothing speaks against the pair."""
-        return np.asarray(self.reason == "", bool)
+    def consistent(self) -> NDArray[np.bool_]:
+        """(P,) nothing of the pair is inconsistent with VIO."""
+        return np.asarray(self.reason == PairInconsistency.NONE, bool)
 
-    def replace(self, index: int, other: "Comparison") -> None:
-        """Put the one pair of another comparison in the place of pair `index`."""
-        for mine in fields(self):
-            getattr(self, mine.name)[index] = getattr(other, mine.name)[0]
+    def assign(self, index: slice | NDArray[np.int64], other: "VioComparison") -> None:
+        """Put the pairs of another comparison in the places `index`."""
+        for column in fields(self):
+            getattr(self, column.name)[index] = getattr(other, column.name)
 
-    def selected(self, pairs: NDArray[np.int64], count: int) -> "Comparison":
-        """This comparison of `pairs` (P,) as one of `count` pairs, of which nothing else is known."""
+    def scattered(self, index: NDArray[np.int64], count: int) -> "VioComparison":
+        """This comparison as one of `count` pairs, of which those at `index` (P,) alone were compared."""
         whole = nothing_compared(count)
-        for mine in fields(self):
-            getattr(whole, mine.name)[pairs] = getattr(self, mine.name)
+        whole.assign(index, self)
         return whole
 
 
-def nothing_compared(pairs: int) -> Comparison:
-    """So many pairs that nothing is known to speak against."""
+def nothing_compared(pairs: int) -> VioComparison:
+    """`pairs` pairs without a comparison, all of them consistent."""
     a, b, c, d, e = (np.full(pairs, np.nan) for _ in range(5))
-    return Comparison(a, b, c, d, e, np.full(pairs, "", object))
+    return VioComparison(a, b, c, d, e, np.full(pairs, PairInconsistency.NONE, object))
 
 
 def odometry(
@@ -90,10 +90,9 @@ def odometry(
     for session in np.unique(session_N):
         rows = np.flatnonzero(session_N == session)
         rows = rows[np.argsort(t_ns_N[rows], kind="stable")]
-        known = rows[np.isfinite(vio_T_cam[rows, 0, 0])]
-        if len(known):
-            steps = np.linalg.norm(np.diff(vio_T_cam[known, :3, 3], axis=0), axis=1)
-            travelled[rows] = np.interp(t_ns_N[rows], t_ns_N[known], np.concatenate([[0.0], np.cumsum(steps)]))
+        posed = rows[np.isfinite(vio_T_cam[rows, 0, 0])]
+        if len(posed):
+            travelled[rows] = np.interp(t_ns_N[rows], t_ns_N[posed], path_length(vio_T_cam[posed, :3, 3]))
     for session, t_ns, metres, radians in jumps:
         after = (session_N == session) & (t_ns_N >= t_ns)
         jumped_m[after] += metres
@@ -112,11 +111,11 @@ def drift_between(vio: Odometry, pairs: Pairs, drift: VioDrift) -> tuple[Array, 
 
 def compare_with_vio(
     pairs: Pairs, a_T_b: Array, triangulation_P: Array, vio: Odometry, limits: PairLimits
-) -> Comparison:
+) -> VioComparison:
     """Two-view poses a_T_b (P, 4, 4; any length of translation, NaN for none) against VIO.
 
-    Within a session the rotation and, where both tell it, the direction of motion are compared; gravity also across
-    sessions. `triangulation_P` is the median angle (rad) between the rays of the pair's points.
+    Within a session the rotation and, where it is certain enough, the direction of motion are compared; gravity also
+    across sessions. `triangulation_P` is the median angle (rad) between the rays of the pair's points.
     """
     a, b = pairs.T
     drift_m, drift_rad = drift_between(vio, pairs, limits.drift)
@@ -134,20 +133,21 @@ def compare_with_vio(
     distance_m = np.linalg.norm(moved, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         limit = limits.direction_rad + drift_rad + np.arcsin(np.minimum(drift_m / distance_m, 1.0))
-    told = same & (triangulation_P > _LEAST_TRIANGULATION) & (limit < _WIDEST_DIRECTION)
-    if told.any():
-        by_vio = np.einsum("pij,pj->pi", cam_R_vio[a[told]], moved[told])
-        direction[told] = angles_between(a_T_b[told, :3, 3], by_vio)
-        direction_limit[told] = limit[told]
+    has_direction = same & (triangulation_P > _MIN_TRIANGULATION) & (limit < _MAX_DIRECTION_LIMIT)
+    if has_direction.any():
+        by_vio = np.einsum("pij,pj->pi", cam_R_vio[a[has_direction]], moved[has_direction])
+        direction[has_direction] = angles_between(a_T_b[has_direction, :3, 3], by_vio)
+        direction_limit[has_direction] = limit[has_direction]
 
     gravity_b_in_a = np.einsum("pij,pj->pi", a_T_b[:, :3, :3], vio.gravity_cam[b])
     upright = np.isfinite(gravity_b_in_a).all(axis=1) & np.isfinite(vio.gravity_cam[a]).all(axis=1)
     gravity[upright] = angles_between(gravity_b_in_a[upright], vio.gravity_cam[a[upright]])
 
-    # Comparisons with NaN are false: what wasn't compared doesn't speak against a pair.
-    reasons = [rotation > rotation_limit, gravity > limits.gravity_rad, direction > direction_limit]
-    reason = np.select(reasons, ["rotation", "gravity", "direction of motion"], "").astype(object)
-    return Comparison(rotation, rotation_limit, direction, direction_limit, gravity, reason)
+    # Comparisons with NaN are false: what wasn't compared isn't inconsistent.
+    beyond = [rotation > rotation_limit, gravity > limits.gravity_rad, direction > direction_limit]
+    kinds = [PairInconsistency.ROTATION, PairInconsistency.GRAVITY, PairInconsistency.DIRECTION]
+    reason = np.select(beyond, kinds, PairInconsistency.NONE).astype(object)
+    return VioComparison(rotation, rotation_limit, direction, direction_limit, gravity, reason)
 
 
 def angles_between(u: Array, v: Array) -> Array:

@@ -11,12 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from groundwalk.artefacts.choices import PairOrigin
 from groundwalk.geometry.poses import Array
 
 Pairs = NDArray[np.int64]
 
-# Depths at which a view's frustum is sampled, as shares of the distance beyond which two views share nothing.
-_DEPTH_SHARES = (0.25, 0.5, 1.0)
+# Depths at which a view's frustum is sampled, as fractions of the distance beyond which two views share nothing.
+_DEPTH_FRACTIONS = (0.25, 0.5, 1.0)
 _SAMPLES_PER_AXIS = 5
 _PAIRS_AT_ONCE = 20_000
 
@@ -31,12 +32,12 @@ def unique_pairs(pairs: ArrayLike) -> Pairs:
 def sequence_pairs(recording_N: ArrayLike, t_ns_N: ArrayLike, overlap: int) -> Pairs:
     """Each frame with the next `overlap` frames of its recording, by time."""
     recording_N, t_ns_N = np.asarray(recording_N), np.asarray(t_ns_N)
-    found = []
+    proposed = [np.empty((0, 2), np.int64)]
     for recording in np.unique(recording_N):
         rows = np.flatnonzero(recording_N == recording)
         rows = rows[np.argsort(t_ns_N[rows], kind="stable")]
-        found += [np.stack([rows[:-step], rows[step:]], axis=1) for step in range(1, min(overlap + 1, len(rows)))]
-    return unique_pairs(np.concatenate(found)) if found else unique_pairs([])
+        proposed += [np.stack([rows[:-step], rows[step:]], axis=1) for step in range(1, min(overlap + 1, len(rows)))]
+    return unique_pairs(np.concatenate(proposed))
 
 
 def within_vio_limits(
@@ -56,8 +57,8 @@ def within_vio_limits(
     a, b = pairs.T
     distance = np.linalg.norm(vio_T_cam[a, :3, 3] - vio_T_cam[b, :3, 3], axis=1)
     cosine = np.sum(vio_T_cam[a, :3, 2] * vio_T_cam[b, :3, 2], axis=1)
-    widest = np.cos(np.radians(np.minimum(max_angle_deg, 180.0)))
-    apart = (distance > np.asarray(max_distance_m)) | (cosine < widest)
+    min_cosine = np.cos(np.radians(np.minimum(max_angle_deg, 180.0)))
+    apart = (distance > np.asarray(max_distance_m)) | (cosine < min_cosine)
     return (session_N[a] != session_N[b]) | ~apart
 
 
@@ -75,33 +76,33 @@ def vio_pairs(
     `vio_T_cam` (N, 4, 4) in metres, `intrinsics_N4` fx, fy, cx, cy and `size_N2` width, height in pixels.
     """
     session_N = np.asarray(session_N)
-    found = [np.empty((0, 2), np.int64)]
+    proposed = [np.empty((0, 2), np.int64)]
     for session in np.unique(session_N):
         rows = np.flatnonzero((session_N == session) & np.isfinite(vio_T_cam).all(axis=(1, 2)))
         if len(rows) > 1:
             near = cKDTree(vio_T_cam[rows, :3, 3]).query_pairs(max_distance_m, output_type="ndarray")
-            found.append(rows[near])
-    pairs = unique_pairs(np.concatenate(found))
+            proposed.append(rows[near])
+    pairs = unique_pairs(np.concatenate(proposed))
     pairs = pairs[within_vio_limits(pairs, session_N, vio_T_cam, max_distance_m, max_angle_deg)]
     overlap = view_overlap(pairs, vio_T_cam, intrinsics_N4, size_N2, max_distance_m)
     return strongest_pairs(pairs[overlap > 0], overlap[overlap > 0], per_frame)
 
 
 def view_overlap(pairs: Pairs, world_T_cam: Array, intrinsics_N4: Array, size_N2: Array, reach_m: float) -> Array:
-    """The share, 0 to 1, of the two views of each pair that the other one sees too, (P,).
+    """The fraction of the two views of each pair that the other one sees too, (P,).
 
     Views reach up to `reach_m`: points on rays of one view at several depths up to there are projected into the
-    other; the share is the smaller of the two directions.
+    other; the fraction is the smaller of the two directions.
     """
     grid = (np.arange(_SAMPLES_PER_AXIS) + 0.5) / _SAMPLES_PER_AXIS
     u, v = np.meshgrid(grid, grid)
-    share_S2 = np.stack([u.ravel(), v.ravel()], axis=1)
-    rays_NS2 = (share_S2 * size_N2[:, None] - intrinsics_N4[:, None, 2:]) / intrinsics_N4[:, None, :2]
+    position_S2 = np.stack([u.ravel(), v.ravel()], axis=1)
+    rays_NS2 = (position_S2 * size_N2[:, None] - intrinsics_N4[:, None, 2:]) / intrinsics_N4[:, None, :2]
     rays_NS3 = np.concatenate([rays_NS2, np.ones((*rays_NS2.shape[:2], 1))], axis=2)
-    depths = reach_m * np.array(_DEPTH_SHARES)
+    depths = reach_m * np.array(_DEPTH_FRACTIONS)
     points_NS3 = (rays_NS3[:, None] * depths[:, None, None]).reshape(len(rays_NS3), -1, 3)
 
-    def seen(a: Pairs, b: Pairs) -> Array:
+    def visible_fraction(a: Pairs, b: Pairs) -> Array:
         b_R_a = np.swapaxes(world_T_cam[b, :3, :3], 1, 2) @ world_T_cam[a, :3, :3]
         a_in_b = np.einsum("pji,pj->pi", world_T_cam[b, :3, :3], world_T_cam[a, :3, 3] - world_T_cam[b, :3, 3])
         xyz = np.einsum("pij,psj->psi", b_R_a, points_NS3[a]) + a_in_b[:, None]
@@ -112,7 +113,9 @@ def view_overlap(pairs: Pairs, world_T_cam: Array, intrinsics_N4: Array, size_N2
         return np.mean(ahead & inside, axis=1)
 
     chunks = np.array_split(pairs, max(1, -(-len(pairs) // _PAIRS_AT_ONCE)))
-    return np.concatenate([np.minimum(seen(a, b), seen(b, a)) for a, b in (chunk.T for chunk in chunks)])
+    return np.concatenate(
+        [np.minimum(visible_fraction(*chunk.T), visible_fraction(*chunk.T[::-1])) for chunk in chunks]
+    )
 
 
 def strongest_pairs(pairs: Pairs, score_P: ArrayLike, per_frame: int) -> Pairs:
@@ -130,7 +133,7 @@ def strongest_pairs(pairs: Pairs, score_P: ArrayLike, per_frame: int) -> Pairs:
 def transitive_pairs(pairs: Pairs, inliers_P: ArrayLike, frames: int) -> tuple[Pairs, Array]:
     """Untried pairs whose frames both match a third one, and how strong their tie is.
 
-    `pairs` are all that were tried, `inliers_P` their verified inliers (0: refused). A chain's strength is the
+    `pairs` are all that were tried, `inliers_P` their verified inliers (0: not verified). A chain's strength is the
     geometric mean of its two links' inliers; the strengths of all chains between two frames add up.
     """
     a, b = pairs.T
@@ -145,10 +148,10 @@ def transitive_pairs(pairs: Pairs, inliers_P: ArrayLike, frames: int) -> tuple[P
     return candidates[new][order], strength[new][order]
 
 
-def first_origins(proposals: Sequence[tuple[str, Pairs]], frames: int) -> tuple[Pairs, NDArray[np.str_]]:
-    """All proposed pairs, and for each the name of the first proposal that has it."""
+def first_origins(proposals: Sequence[tuple[PairOrigin, Pairs]], frames: int) -> tuple[Pairs, NDArray[np.str_]]:
+    """All proposed pairs, and for each the origin of the first proposal that has it."""
     every = np.concatenate([pairs for _, pairs in proposals])
-    origin = np.concatenate([np.full(len(pairs), name) for name, pairs in proposals])
+    origin = np.concatenate([np.full(len(pairs), origin) for origin, pairs in proposals])
     _, first = np.unique(_key(every, frames), return_index=True)
     return every[first], origin[first]
 

@@ -10,6 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from groundwalk.artefacts import StageRun
+from groundwalk.artefacts.choices import PairOrigin
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.artefacts.recording import (
     APR,
@@ -31,10 +32,15 @@ from groundwalk.sfm.model import Model
 from groundwalk.sfm.settings import SfmSettings
 
 _TIMELINE = "frame"
-_MOST_FRUSTA = 200
-_MOST_IMAGES = 250
+_MAX_FRUSTA = 200
+_MAX_IMAGES = 250
 _IMAGE_SIDE = 480
-_ORIGIN_COLOURS = {"sequence": NEUTRAL, "vio": VIO, "retrieval": FUSED, "transitive": APR}
+_ORIGIN_COLOURS = {
+    PairOrigin.SEQUENCE: NEUTRAL,
+    PairOrigin.VIO: VIO,
+    PairOrigin.RETRIEVAL: FUSED,
+    PairOrigin.TRANSITIVE: APR,
+}
 
 
 def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model, matched: MatchedPairs) -> None:
@@ -48,17 +54,17 @@ def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model
         stream.log("sfm/points", rr.Points3D(model.xyz, colors=model.rgb, radii=rr.Radius.ui_points(1.5)), static=True)
         for session, rows in frames.groupby("session_id", sort=True).indices.items():
             log_path(stream, f"sfm/paths/{session}", centres[np.sort(rows)], GROUND_TRUTH)
-        for row in _spread(registered, _MOST_FRUSTA):
+        for row in _spread(registered, _MAX_FRUSTA):
             frame = frames.iloc[row]
             path = f"sfm/cameras/{frame.frame_id}"
             log_camera(stream, path, model.sfm_T_cam[row], frame, NEUTRAL, frustum, static=True)
         _log_pairs(stream, centres, model, matched)
         _log_quality(stream, model, registered)
-        shown = _spread(registered, _MOST_IMAGES)
-        cameras = [camera_of(frames.iloc[row]) for row in shown]
-        paths = [r.image_path(image) for image in frames["image"].iloc[shown]]
+        rows = _spread(registered, _MAX_IMAGES)
+        cameras = [camera_of(frames.iloc[row]) for row in rows]
+        paths = [r.image_path(image) for image in frames["image"].iloc[rows]]
         images = in_parallel(lambda item: _undistorted(*item), zip(paths, cameras, strict=True))
-        for row, camera, image in zip(shown.tolist(), cameras, images, strict=True):
+        for row, camera, image in zip(rows.tolist(), cameras, images, strict=True):
             stream.set_time(_TIMELINE, sequence=row)
             _log_view(stream, image, camera, model, row, 2 * frustum)
 
@@ -81,48 +87,48 @@ def _blueprint() -> rrb.Blueprint:
 
 
 def _side_by_side(model: Model, vio_T_cam: Array) -> Model:
-    """The models as they're drawn: upright, one beside the other along x, in units of the median step of each.
+    """The models upright, one beside the other along x, in units of the median step of each.
 
-    They share no gauge, so neither where nor how large one is against another means anything.
+    They share no gauge, so the place and size of one against another mean nothing.
     """
     sfm_T_cam, xyz = model.sfm_T_cam.copy(), model.xyz.copy()
     beside = 0.0
     for number in range(int(model.model.max()) + 1):
-        own, points = model.model == number, model.point_model == number
-        centres = sfm_T_cam[own, :3, 3]
+        members, points = model.model == number, model.point_model == number
+        centres = sfm_T_cam[members, :3, 3]
         step = float(np.median(np.linalg.norm(np.diff(centres, axis=0), axis=1)))
         upright = _upright(model.part(number), vio_T_cam)
         drawn = centres @ upright.T / step
         width = float(np.ptp(drawn[:, 0]))
         shift = np.array([beside - drawn[:, 0].min(), 0.0, 0.0])
-        sfm_T_cam[own, :3, :3] = upright @ sfm_T_cam[own, :3, :3]
-        sfm_T_cam[own, :3, 3] = drawn + shift
+        sfm_T_cam[members, :3, :3] = upright @ sfm_T_cam[members, :3, :3]
+        sfm_T_cam[members, :3, 3] = drawn + shift
         xyz[points] = xyz[points] @ upright.T / step + shift
         beside += 1.5 * width
     return replace(model, sfm_T_cam=sfm_T_cam, xyz=xyz)
 
 
 def _upright(model: Model, vio_T_cam: Array) -> Array:
-    """The rotation (3, 3) of the sfm frame that turns up, as VIO knows it, to +y; none where no frame has VIO."""
-    known = model.registered & np.isfinite(vio_T_cam).all(axis=(1, 2))
-    if not known.any():
+    """The rotation (3, 3) of the sfm frame that turns up, by VIO, to +y; the identity where no frame has VIO."""
+    has_pose = model.registered & np.isfinite(vio_T_cam).all(axis=(1, 2))
+    if not has_pose.any():
         return np.eye(3)
     # vio's +y in camera axes is the second row of vio_R_cam.
-    up = np.einsum("nij,nj->ni", model.sfm_T_cam[known, :3, :3], vio_T_cam[known, 1, :3]).mean(axis=0)
+    up = np.einsum("nij,nj->ni", model.sfm_T_cam[has_pose, :3, :3], vio_T_cam[has_pose, 1, :3]).mean(axis=0)
     up /= np.linalg.norm(up)
     side = np.cross(np.eye(3)[np.argmin(np.abs(up))], up)
     side /= np.linalg.norm(side)
     return np.stack([side, up, np.cross(side, up)])
 
 
-def _spread(rows: np.ndarray, most: int) -> np.ndarray:
-    return rows[np.unique(np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int))]
+def _spread(rows: np.ndarray, count: int) -> np.ndarray:
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(int))]
 
 
 def _log_pairs(stream: rr.RecordingStream, centres: Array, model: Model, matched: MatchedPairs) -> None:
-    shown = matched.verified & model.registered[matched.pairs].all(axis=1)
+    is_drawn = matched.verified & model.registered[matched.pairs].all(axis=1)
     for origin, colour in _ORIGIN_COLOURS.items():
-        segments = centres[matched.pairs[shown & (matched.origin == origin)]]
+        segments = centres[matched.pairs[is_drawn & (matched.origin == origin)]]
         lines = rr.LineStrips3D(segments, colors=colour, radii=rr.Radius.ui_points(0.5))
         stream.log(f"sfm/pairs/{origin}", lines, static=True)
 
@@ -135,13 +141,13 @@ def _log_quality(stream: rr.RecordingStream, model: Model, registered: np.ndarra
 
 
 def _small(camera: Camera) -> Camera:
-    """The camera of an image as large as it's shown."""
+    """The camera of an image at the recording's size."""
     shrink = min(1.0, _IMAGE_SIDE / max(camera.width, camera.height))
     return camera.resized(round(shrink * camera.width), round(shrink * camera.height))
 
 
-def _shown(camera: Camera) -> Camera:
-    """The camera that is shown: the viewer draws images and what lies before them by pinholes alone."""
+def _viewer_camera(camera: Camera) -> Camera:
+    """The camera in the recording: the viewer draws images and what lies before them by pinholes alone."""
     return replace(_small(camera), distortion=())
 
 
@@ -150,18 +156,18 @@ def _undistorted(path: Path, camera: Camera) -> rr.Image | rr.EncodedImage:
     assert image is not None, path
     small = _small(camera)
     shrunk = np.asarray(cv2.resize(image, (small.width, small.height), interpolation=cv2.INTER_AREA), np.uint8)
-    return rr.Image(undistorted_image(shrunk, small, _shown(camera))).compress(75)
+    return rr.Image(undistorted_image(shrunk, small, _viewer_camera(camera))).compress(75)
 
 
 def _log_view(
     stream: rr.RecordingStream, image: rr.Image | rr.EncodedImage, camera: Camera, model: Model, row: int, size: float
 ) -> None:
     """The moving camera with its image, and where in it a camera without rolling shutter sees the points."""
-    shown = _shown(camera)
-    log_camera(stream, "sfm/camera", model.sfm_T_cam[row], shown, REJECTED, size)
+    pinhole = _viewer_camera(camera)
+    log_camera(stream, "sfm/camera", model.sfm_T_cam[row], pinhole, REJECTED, size)
     stream.log("sfm/camera/image", image)
-    seen_px = shown.project(camera.unproject(model.seen_px[model.frame == row]))
+    observed_px = pinhole.project(camera.unproject(model.observed_px[model.frame == row]))
     stream.log(
         "sfm/camera/image/seen",
-        rr.Points2D(seen_px, colors=GROUND_TRUTH, radii=rr.Radius.ui_points(1.5)),
+        rr.Points2D(observed_px, colors=GROUND_TRUTH, radii=rr.Radius.ui_points(1.5)),
     )

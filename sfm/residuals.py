@@ -1,4 +1,4 @@
-"""What the residuals of an adjusted model look like: by image radius and by row, and what that says.
+"""Patterns in the residuals of an adjusted model, by image radius and by row, and their causes.
 
 A lens that isn't modelled leaves residuals that point away from the principal point or to it, alike in all frames; a
 rolling shutter leaves rows of a frame that are shifted together, otherwise in each frame. (A focal length that breathes
@@ -11,62 +11,62 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from groundwalk.artefacts.choices import ResidualPattern
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.adjustment import Adjusted, Ints, linearize, summed
+from groundwalk.sfm.adjustment import Adjusted, Ints, project, summed
 
 LENS, SHUTTER = "lens", "rolling shutter or stabilised video"
-_BY_RADIUS, _BY_ROW = "radius", "row"
-_CAUSE = {_BY_RADIUS: LENS, _BY_ROW: SHUTTER}
+_CAUSE = {ResidualPattern.RADIUS: LENS, ResidualPattern.ROW: SHUTTER}
 _BANDS = 10
 _MIN_OBSERVATIONS = 30
-# A pattern is one from so many pixels on, if it is so many sigmas, too.
+# What counts as a pattern: at least so many pixels and so many standard errors.
 _PATTERN_PX, _PATTERN_SIGMAS = 0.1, 4.0
 
 
 def residual_patterns(model_id: str, lens_ids: list[str], adjusted: Adjusted) -> pd.DataFrame:
     """Table sfm.residuals of a model, whose lenses have these names."""
-    scene, cameras = adjusted.scene, adjusted.cameras
-    residual = linearize(scene, cameras).residual
+    bundle, cameras = adjusted.bundle, adjusted.cameras
+    residual = project(bundle, cameras) - bundle.observed_px
     residual /= np.sqrt(1 + np.sum(residual**2, axis=1, keepdims=True) / adjusted.loss_px**2)
-    frame = scene.frame
-    offset = (scene.seen_px - cameras.intrinsics[frame, 2:]) / cameras.focal[frame]
+    frame = bundle.frame
+    offset = (bundle.observed_px - cameras.intrinsics[frame, 2:]) / cameras.focal[frame]
     radius = np.linalg.norm(offset, axis=1)
     outward = np.sum(residual * offset, axis=1) / np.maximum(radius, 1e-9)
-    row = np.clip(scene.seen_px[:, 1] / cameras.height[frame], 0, 1 - 1e-9)
+    row = np.clip(bundle.observed_px[:, 1] / cameras.height[frame], 0, 1 - 1e-9)
     rows = []
     for lens, lens_id in enumerate(lens_ids):
-        mine = np.flatnonzero(cameras.lens[frame] == lens)
-        reach = float(radius[mine].max(initial=1e-9)) * (1 + 1e-9)
-        by_radius = _banded(radius[mine] / reach)
-        by_row = _banded(row[mine])
+        observations = np.flatnonzero(cameras.lens[frame] == lens)
+        reach = float(radius[observations].max(initial=1e-9)) * (1 + 1e-9)
+        by_radius = _banded(radius[observations] / reach)
+        by_row = _banded(row[observations])
         for pattern, extent, band, (value, sd) in (
-            (_BY_RADIUS, reach, by_radius, _means(outward[mine], by_radius)),
-            (_BY_ROW, 1.0, by_row, _of_frames(residual[mine], frame[mine], by_row)),
+            (ResidualPattern.RADIUS, reach, by_radius, _means(outward[observations], by_radius)),
+            (ResidualPattern.ROW, 1.0, by_row, _of_frames(residual[observations], frame[observations], by_row)),
         ):
             count = np.bincount(band, minlength=len(value))
             for k in np.flatnonzero(count >= _MIN_OBSERVATIONS):
                 span = extent / len(value)
                 limits = {"band_from": k * span, "band_to": (k + 1) * span}
-                shown = {"observations": int(count[k]), "residual_px": value[k], "residual_sd_px": sd[k]}
-                rows.append({"model_id": model_id, "lens_id": lens_id, "pattern": pattern} | limits | shown)
+                values = {"observations": int(count[k]), "residual_px": value[k], "residual_sd_px": sd[k]}
+                rows.append({"model_id": model_id, "lens_id": lens_id, "pattern": pattern} | limits | values)
     return pd.DataFrame(rows)
 
 
 def pattern_of(residuals: pd.DataFrame) -> tuple[str, float] | None:
-    """What the residuals of one lens look like (LENS or SHUTTER), and how large that is, pixels; None where
-    they show no pattern."""
+    """The cause of a pattern in the residuals of one lens (LENS or SHUTTER), and its size in pixels; None where there
+    is no pattern."""
     sizes = residuals["residual_px"].abs()
     clear = residuals[(sizes > _PATTERN_PX) & (sizes > _PATTERN_SIGMAS * residuals["residual_sd_px"])]
     if not len(clear):
         return None
     worst = int(np.argmax(clear["residual_px"].abs().to_numpy()))
-    return _CAUSE[str(clear["pattern"].iloc[worst])], float(clear["residual_px"].abs().iloc[worst])
+    return _CAUSE[clear["pattern"].iloc[worst]], float(clear["residual_px"].abs().iloc[worst])
 
 
 def draw_residuals(path: Path, residuals: pd.DataFrame) -> None:
-    """A picture: residuals by radius and by row, a line for each lens of each model."""
+    """Plot residuals by radius and by row, a line for each lens of each model."""
     figure = Figure(figsize=(9, 3.4), layout="constrained")
-    panels = {_BY_RADIUS: "outward, mean (px)", _BY_ROW: "shared by a frame's rows (px)"}
+    panels = {ResidualPattern.RADIUS: "outward, mean (px)", ResidualPattern.ROW: "shared by a frame's rows (px)"}
     for axes, (pattern, label) in zip(figure.subplots(1, 2), panels.items(), strict=True):
         of_pattern = residuals[residuals["pattern"] == pattern]
         for (model, lens), of_lens in of_pattern.groupby(["model_id", "lens_id"], sort=True):
@@ -76,7 +76,7 @@ def draw_residuals(path: Path, residuals: pd.DataFrame) -> None:
             )
         axes.axhline(0, color="grey", linewidth=0.5)
         axes.set_ylabel(label)
-        axes.set_xlabel("radius, focal lengths" if pattern == _BY_RADIUS else "row, of the image's height")
+        axes.set_xlabel("radius, focal lengths" if pattern == ResidualPattern.RADIUS else "row, of the image's height")
         low, high = axes.get_ylim()
         axes.set_ylim(min(low, -_PATTERN_PX), max(high, _PATTERN_PX))
     handles, labels = axes.get_legend_handles_labels()

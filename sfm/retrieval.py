@@ -1,4 +1,4 @@
-"""Which frames look alike: a descriptor of each image from the scene's own features, nothing to download.
+"""Which frames have similar images: a descriptor of each image from the scene's own features, nothing to download.
 
 VLAD (Jégou et al., "Aggregating local descriptors into a compact image representation", CVPR 2010) with the
 normalisation of each word (Arandjelović and Zisserman, "All about VLAD", CVPR 2013) over words learned from the scene.
@@ -27,8 +27,8 @@ def vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Floats:
     """
     rng = np.random.default_rng(seed)
     everything = np.concatenate([d for d in descriptors if len(d)])
-    chosen = rng.permutation(len(everything))[: words * _SAMPLES_PER_WORD]
-    centres = k_means(_unit(everything[np.sort(chosen)]), words, rng)
+    sample = np.sort(rng.permutation(len(everything))[: words * _SAMPLES_PER_WORD])
+    centres = k_means(_unit(everything[sample]), words, rng)
     return np.stack([aggregate(_unit(d), centres) if len(d) else _nothing(centres) for d in descriptors])
 
 
@@ -40,8 +40,8 @@ def pca_vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Float
     """
     rng = np.random.default_rng(seed)
     everything = np.concatenate([d for d in descriptors if len(d)])
-    chosen = np.sort(rng.permutation(len(everything))[: words * _SAMPLES_PER_WORD])
-    sample = _unit(everything[chosen])
+    rows = np.sort(rng.permutation(len(everything))[: words * _SAMPLES_PER_WORD])
+    sample = _unit(everything[rows])
     mean = sample.mean(axis=0)
     components = np.linalg.eigh(np.cov((sample - mean).T))[1][:, : -_COMPONENTS - 1 : -1].astype(np.float32)
     centres = k_means((sample - mean) @ components, words, rng)
@@ -53,15 +53,15 @@ def pca_vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Float
 def retrieval_pairs(image_ND: Floats, session_N: ArrayLike, per_frame: int) -> Pairs:
     """Each frame with the `per_frame` most similar frames of other sessions."""
     session_N = np.asarray(session_N)
-    found = [np.empty((0, 2), np.int64)]
+    proposed = [np.empty((0, 2), np.int64)]
     for start in range(0, len(image_ND), _ROWS_AT_ONCE):
         rows = np.arange(start, min(start + _ROWS_AT_ONCE, len(image_ND)))
         similarity = image_ND[rows] @ image_ND.T
         similarity[session_N[rows, None] == session_N[None]] = -np.inf
         best = np.argsort(-similarity, axis=1, kind="stable")[:, :per_frame]
-        known = np.isfinite(np.take_along_axis(similarity, best, axis=1))
-        found.append(np.stack([np.broadcast_to(rows[:, None], best.shape)[known], best[known]], axis=1))
-    return unique_pairs(np.concatenate(found))
+        is_other = np.isfinite(np.take_along_axis(similarity, best, axis=1))
+        proposed.append(np.stack([np.broadcast_to(rows[:, None], best.shape)[is_other], best[is_other]], axis=1))
+    return unique_pairs(np.concatenate(proposed))
 
 
 def _unit(descriptors: Descriptors) -> Floats:

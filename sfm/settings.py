@@ -1,10 +1,10 @@
 """The stage's settings."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
-from groundwalk.artefacts import Settings
+from groundwalk.artefacts.vio_drift_settings import VioDriftSettings
 from groundwalk.sfm.extensions import MAPPERS, RETRIEVALS
 
 MapperName = Annotated[str, AfterValidator(MAPPERS.known)]
@@ -15,11 +15,22 @@ RetrievalName = Annotated[str, AfterValidator(RETRIEVALS.known)]
 SiftMatcherName = Literal["nearest", "lightglue"]
 
 
-class SfmSettings(Settings):
+class SfmSettings(VioDriftSettings):
     """[sfm]"""
 
-    max_image_size: int = Field(1600, ge=64, description="images are shrunk to this longest side for features, px")
-    max_features: int = Field(2048, gt=0, description="features kept per image")
+    renamed: ClassVar[dict[str, str]] = {
+        "vio_drift_deg_per_root_m": "vio_drift_deg_per_sqrt_m",
+        "component_frames": "min_component_frames",
+        "held_out": "held_out_fraction",
+        "retries": "retry",
+        "focal_limit": "max_focal_error",
+        "min_registered": "min_registered_fraction",
+        "wanted_registered": "target_registered_fraction",
+        "min_agreeing": "min_consistent_fraction",
+    }
+
+    max_image_size: int = Field(1600, ge=64, description="longest side of images for features, px; larger ones shrink")
+    max_features: int = Field(2048, gt=0, description="features per image")
     first_octave: int = Field(
         0, ge=-1, le=2, description="SIFT: -1 doubles the image first: more features, 2 to 4 times slower"
     )
@@ -32,33 +43,39 @@ class SfmSettings(Settings):
     sift_lightglue_model: str = Field(
         "data/weights/sift-lightglue.onnx", description="COLMAP's ONNX file of LightGlue for SIFT"
     )
-    sequence_pairs: int = Field(
-        5, ge=1, description="following frames of the same recording that a frame is matched to"
+    sequence_pairs: int = Field(5, ge=1, description="next frames of its recording that a frame is matched to")
+    vio_pairs: int = Field(
+        10, ge=0, description="frames of its session, of most view overlap by VIO, that a frame is matched to"
     )
-    vio_pairs: int = Field(10, ge=0, description="frames of the same session with the most view overlap by VIO")
     vio_max_distance_m: float = Field(
-        8.0, gt=0, description="farther apart in VIO two frames of a session aren't matched"
+        8.0, gt=0, description="frames of a session farther apart in VIO aren't matched, metres"
     )
-    vio_max_angle_deg: float = Field(60.0, gt=0, le=180, description="nor if their views turn apart by more than this")
-    vio_drift_m: float = Field(0.1, ge=0, description="VIO may be off by this between two frames, metres, ...")
-    vio_drift_m_per_m: float = Field(0.03, ge=0, description="... and by this share of the path between them")
-    vio_drift_deg: float = Field(3.0, ge=0, description="the same for rotation, degrees, ...")
-    vio_drift_deg_per_root_m: float = Field(2.5, ge=0, description="... and degrees for the root of a metre of path")
-    vio_gravity_deg: float = Field(5.0, gt=0, description="gravity may differ by this in two frames, degrees")
+    vio_max_angle_deg: float = Field(
+        60.0, gt=0, le=180, description="frames of a session whose viewing directions differ by more aren't matched"
+    )
+    vio_gravity_deg: float = Field(
+        5.0, gt=0, description="a pair whose gravity differs by more between its frames is inconsistent, degrees"
+    )
     vio_direction_deg: float = Field(
-        15.0, gt=0, description="what two images leave open of the direction of motion, degrees"
+        15.0, gt=0, description="error of a pair's direction of motion by its images, degrees; VIO's drift adds to it"
     )
-    retrieval_pairs: int = Field(10, ge=0, description="frames of other sessions that look most alike")
-    retrieval: RetrievalName = Field("vlad", description="what `look alike` means: vlad or pca-vlad")
-    retrieval_words: int = Field(64, ge=2, description="visual words, learned from the scene, behind `look alike`")
+    retrieval_pairs: int = Field(
+        10, ge=0, description="frames of other sessions, of most similar images, that a frame is matched to"
+    )
+    retrieval: RetrievalName = Field(
+        "vlad", description="what describes images to find similar ones (docs/explanation/sfm.md)"
+    )
+    retrieval_words: int = Field(64, ge=2, description="visual words of retrieval, learned from the scene")
     transitive_pairs: int = Field(5, ge=0, description="pairs a frame gains where both match a third one; 0: none")
     min_inliers: int = Field(15, ge=8, description="verified matches that a pair needs")
     mapper: MapperName = Field("incremental", description="incremental, global, hierarchical, or vio: starts from VIO")
-    component_frames: int = Field(
-        10, ge=3, description="frames that a model beside the largest needs so that it's kept as a component"
+    min_component_frames: int = Field(
+        10, ge=3, description="frames, in no larger model, that a model beside the largest needs to be selected"
     )
-    held_out: float = Field(0.05, ge=0, le=0.5, description="share of tracks that is left out, to check the model with")
-    retries: bool = Field(True, description="try other pairs, features and mappers where frames are missing or wrong")
+    held_out_fraction: float = Field(
+        0.05, ge=0, le=0.5, description="fraction of tracks left out of mapping, to check the model with"
+    )
+    retry: bool = Field(True, description="try other pairs, features and mappers where frames are missing or wrong")
     lens: LensSource = Field(
         "auto", description="distortion k1, k2: auto estimates it from the images; stated takes what the capture states"
     )
@@ -67,16 +84,20 @@ class SfmSettings(Settings):
     )
     refine_cameras: RefineCameras = Field(
         "auto",
-        description="auto estimates lens, readout and focal lengths; never keeps the stated, or else typical, ones",
+        description="auto estimates lens, readout and focal lengths; never uses the stated, or else typical, ones",
     )
-    focal_limit: float = Field(
-        0.03, gt=0, lt=0.5, description="a session's focal lengths are called wrong where images say so by this share"
+    max_focal_error: float = Field(
+        0.03, gt=0, lt=0.5, description="a session's focal lengths off by a larger fraction are reported as wrong"
     )
-    min_registered: float = Field(0.5, ge=0, le=1, description="share of frames that the models must have")
-    wanted_registered: float = Field(
-        0.9, ge=0, le=1, description="share of frames below which more pairs are tried, and the best attempt is taken"
+    min_registered_fraction: float = Field(
+        0.5, ge=0, le=1, description="fraction of frames that the models must register; fewer is an error"
     )
-    min_agreeing: float = Field(0.8, ge=0, le=1, description="share of these that must move as VIO does")
+    target_registered_fraction: float = Field(
+        0.9, ge=0, le=1, description="fraction of frames to register; with fewer, more pairs are tried"
+    )
+    min_consistent_fraction: float = Field(
+        0.8, ge=0, le=1, description="fraction of registered frames whose motion must be consistent with VIO's"
+    )
     covariance_max_images: int = Field(
         2500, ge=0, description="larger models get no covariances (memory: 36 n² numbers)"
     )

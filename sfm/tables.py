@@ -10,44 +10,42 @@ from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.adjustment import Adjusted, Cameras, Ints
+from groundwalk.sfm.attempts import Attempt
 from groundwalk.sfm.calibration import distortion_lists
 from groundwalk.sfm.covariance import Covariances
-from groundwalk.sfm.ladder import Attempt
-from groundwalk.sfm.mapping import BuiltModel, kept_models
+from groundwalk.sfm.mapping import BuiltModel, selected_models
 from groundwalk.sfm.mapping_input import HeldOutCheck
 from groundwalk.sfm.matching import MatchedPairs
 from groundwalk.sfm.model import Model
 from groundwalk.sfm.model_adjustment import CameraLog
 
-# Images tell the product of readout and angular velocity: by how much VIO's may all be off, as filters smooth them.
+# Images determine the product of readout and angular velocity: the common error of VIO's, which filters smooth.
 _RATE_SCALE_SD = 0.02
 
 
 def images_table(
     frame_ids: Sequence[str],
     model: Model,
-    kept: Sequence[BuiltModel],
+    selected: Sequence[BuiltModel],
     keypoints_N: NDArray[np.int64],
     check: HeldOutCheck,
     cameras: Cameras,
     covariance_N66: Array,
-    uses_vio: bool,
 ) -> pd.DataFrame:
-    """One row a frame; `kept` are the models that `model` counts, `covariance_N66` is NaN where there is none."""
+    """One row a frame; `selected` are the models that `model` numbers, `covariance_N66` is NaN where there is none."""
     table = pd.DataFrame({"frame_id": frame_ids, "registered": model.registered})
-    table["model_id"] = _model_ids(kept)[model.model]
+    table["model_id"] = _model_ids(selected)[model.model]
     table = pd.concat([table, pose_frame("sfm_cam", model.sfm_T_cam)], axis=1)
     table[["fx", "fy"]] = cameras.focal
     table[["cx", "cy"]] = cameras.intrinsics[:, 2:]
     table["distortion"] = distortion_lists(cameras.coefficients[cameras.lens])
     table["readout_s"] = cameras.readout_s[cameras.lens]
-    table["uses_vio"] = uses_vio & model.registered
     table["keypoints"] = keypoints_N
     table["observations"] = model.observations()
     table["track_length"] = model.frame_track_length()
     table["triangulation_deg"] = np.degrees(model.frame_triangulation())
     table["reprojection_px"] = model.frame_error_px()
-    table["heldout_matches"], table["heldout_px"] = check.by_frame(len(table), held_out=True)
+    table["held_out_matches"], table["held_out_px"] = check.by_frame(len(table), held_out=True)
     table["fitted_px"] = check.by_frame(len(table), held_out=False)[1]
     table["covariance"] = pd.Series(
         [list(row) if np.isfinite(row).all() else None for row in covariance_N66.reshape(-1, 36)], dtype=object
@@ -57,37 +55,37 @@ def images_table(
 
 def models_table(built: Sequence[BuiltModel], check: HeldOutCheck) -> pd.DataFrame:
     """One row a model."""
-    number = {told.model_id: index for index, told in enumerate(kept_models(built))}
+    number = {entry.model_id: index for index, entry in enumerate(selected_models(built))}
     return pd.DataFrame(
         [
             {
-                "model_id": told.model_id,
-                "mapping": told.mapping,
-                "chosen": bool(told.folder),
-                "folder": told.folder or None,
-                "images": told.images,
-                "points": told.points,
-                "observations": told.observations,
-                "mean_track_length": told.mean_track_length,
-                "mean_reprojection_px": told.mean_reprojection_px,
-                "heldout_matches": check.count(held_out=True, model=number.get(told.model_id, -2)),
-                "heldout_px": check.median_px(held_out=True, model=number.get(told.model_id, -2)),
-                "fitted_px": check.median_px(held_out=False, model=number.get(told.model_id, -2)),
+                "model_id": entry.model_id,
+                "mapping": entry.mapping,
+                "selected": bool(entry.folder),
+                "folder": entry.folder or None,
+                "images": entry.images,
+                "points": entry.points,
+                "observations": entry.observations,
+                "mean_track_length": entry.mean_track_length,
+                "mean_reprojection_px": entry.mean_reprojection_px,
+                "held_out_matches": check.count(held_out=True, model=number.get(entry.model_id, -2)),
+                "held_out_px": check.median_px(held_out=True, model=number.get(entry.model_id, -2)),
+                "fitted_px": check.median_px(held_out=False, model=number.get(entry.model_id, -2)),
             }
-            for told in built
+            for entry in built
         ]
     )
 
 
 def camera_tables(
     log: CameraLog,
-    kept: Sequence[BuiltModel],
+    selected: Sequence[BuiltModel],
     parts: Sequence[tuple[Adjusted, Ints]],
     estimates: Sequence[Covariances | None],
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """sfm.lenses, one row a lens of a model, and sfm.intrinsics, one row a session of a model."""
     lens_rows, session_rows = [], []
-    for one, (adjusted, rows), estimate in zip(kept, parts, estimates, strict=True):
+    for one, (adjusted, rows), estimate in zip(selected, parts, estimates, strict=True):
         cameras = adjusted.cameras
         unknowns = 3 * len(cameras.readout_s) + len(cameras.log_focal)
         covariance = np.full((unknowns, unknowns), np.nan) if estimate is None else estimate.shared
@@ -114,8 +112,8 @@ def camera_tables(
                     "stated_k2": lens.stated[1],
                     "origin": lens.origin,
                     "stated_is_wrong": lens.stated_is_wrong,
-                    "heldout_stated_px": lens.heldout_stated_px,
-                    "heldout_px": lens.heldout_px,
+                    "held_out_stated_px": lens.held_out_stated_px,
+                    "held_out_px": lens.held_out_px,
                 }
             )
         for number, session in enumerate(np.unique(log.session[rows])):
@@ -134,23 +132,23 @@ def camera_tables(
     return lenses, pd.DataFrame(session_rows, columns=schema("sfm", "intrinsics").column_names)
 
 
-def attempts_table(attempts: Sequence[Attempt], taken: int) -> pd.DataFrame:
-    """One row an attempt; `taken` is the index of the one that was."""
+def attempts_table(attempts: Sequence[Attempt], selected: int) -> pd.DataFrame:
+    """One row an attempt; `selected` is the index of the one whose models are the stage's."""
     return pd.DataFrame(
         [
             {
-                "attempt": tried.name,
-                "mapper": tried.mapper,
-                "pairs": tried.pairs,
-                "verified": tried.verified,
-                "models": len(tried.kept),
-                "largest": max(tried.kept, default=0),
-                "registered": sum(tried.kept),
-                "moving_as_vio": tried.agreeing / sum(tried.kept) if tried.kept else None,
-                "outcome": tried.outcome,
-                "taken": index == taken,
+                "attempt": attempt.name,
+                "mapper": attempt.mapper,
+                "pairs": attempt.pairs,
+                "verified": attempt.verified,
+                "models": len(attempt.model_frames),
+                "largest": max(attempt.model_frames, default=0),
+                "registered": attempt.registered,
+                "consistent_fraction": attempt.consistent / attempt.registered if attempt.model_frames else None,
+                "outcome": attempt.outcome,
+                "selected": index == selected,
             }
-            for index, tried in enumerate(attempts)
+            for index, attempt in enumerate(attempts)
         ]
     )
 
@@ -166,7 +164,7 @@ def pairs_table(frame_ids: Sequence[str], matched: MatchedPairs) -> pd.DataFrame
             "origin": matched.origin.astype(object),
             "matches": matched.matches,
             "inliers": matched.inliers,
-            "verdict": matched.verdict,
+            "status": matched.status,
             "reason": compared.reason,
             "rotation_deg": np.degrees(compared.rotation),
             "rotation_limit_deg": np.degrees(compared.rotation_limit),
@@ -177,9 +175,9 @@ def pairs_table(frame_ids: Sequence[str], matched: MatchedPairs) -> pd.DataFrame
     )
 
 
-def points_table(model: Model, kept: Sequence[BuiltModel]) -> pd.DataFrame:
+def points_table(model: Model, selected: Sequence[BuiltModel]) -> pd.DataFrame:
     """One row a point."""
-    table = pd.DataFrame({"model_id": _model_ids(kept)[model.point_model], "point_id": model.point_ids})
+    table = pd.DataFrame({"model_id": _model_ids(selected)[model.point_model], "point_id": model.point_ids})
     table[["x", "y", "z"]] = model.xyz
     table[["r", "g", "b"]] = model.rgb.astype(np.int64)
     table["track_length"] = model.track_lengths()
@@ -187,6 +185,6 @@ def points_table(model: Model, kept: Sequence[BuiltModel]) -> pd.DataFrame:
     return table
 
 
-def _model_ids(kept: Sequence[BuiltModel]) -> NDArray[np.object_]:
-    """The id of each kept model by its number, and None for -1."""
-    return np.array([*(told.model_id for told in kept), None], dtype=object)
+def _model_ids(selected: Sequence[BuiltModel]) -> NDArray[np.object_]:
+    """The id of each selected model by its number, and None for -1."""
+    return np.array([*(entry.model_id for entry in selected), None], dtype=object)

@@ -10,22 +10,22 @@ from scipy.spatial.transform import Rotation
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import Array, inverse, make_pose, relative
 from groundwalk.sfm.database import image_id
-from groundwalk.sfm.odometry import Comparison, Odometry, PairLimits, compare_with_vio
+from groundwalk.sfm.odometry import Odometry, PairLimits, VioComparison, compare_with_vio
 from groundwalk.sfm.pairs import Pairs
 
-# COLMAP's own bound for a match that fits, px, and the share of a pair's matches that a pose explains as well.
-_ERROR_PX = 4.0
-_AS_WELL = 0.8
+# COLMAP's bound for a match that fits, px, and the fraction of a pair's matches that another pose has to explain.
+_MAX_ERROR_PX = 4.0
+_MIN_EXPLAINED_FRACTION = 0.8
 _LOSS_PX = 1.0
-_MOST_EVALUATIONS = 30
-_LEAST_STEP_M = 1e-3
+_MAX_EVALUATIONS = 30
+_MIN_STEP_M = 1e-3
 
 
-def compare_pairs(database: Path, pairs: Pairs, vio: Odometry, limits: PairLimits) -> tuple[Array, Comparison]:
-    """Relative poses a_T_b (P, 4, 4) of verified pairs, translations of length 1 or 0, held against VIO.
+def compare_pairs(database: Path, pairs: Pairs, vio: Odometry, limits: PairLimits) -> tuple[Array, VioComparison]:
+    """Relative poses a_T_b (P, 4, 4) of verified pairs, translations of length 1 or 0, compared with VIO.
 
-    A pair that VIO disagrees with has a second hearing: points on a plane, or few of them, may be explained as well by
-    a pose that VIO allows, and then nothing speaks against their pair.
+    Where a pair is inconsistent, its pose is fitted again from VIO's: points on a plane, or few of them, may be
+    explained by two poses, of which the other is consistent.
     """
     a_T_b, angle = np.full((len(pairs), 4, 4), np.nan), np.full(len(pairs), np.nan)
     with pycolmap.Database.open(database) as opened:
@@ -43,20 +43,20 @@ def compare_pairs(database: Path, pairs: Pairs, vio: Odometry, limits: PairLimit
                 a_T_b[index] = inverse(make_pose(b_T_a[:, :3], b_T_a[:, 3]))
                 angle[index] = geometry.tri_angle
         compared = compare_with_vio(pairs, a_T_b, angle, vio, limits)
-        for index in np.flatnonzero(~compared.agrees).tolist():
+        for index in np.flatnonzero(~compared.consistent).tolist():
             a, b = pairs[index].tolist()
             matches = opened.read_two_view_geometry(image_id(a), image_id(b)).inlier_matches
             camera_a, camera_b = cameras[image_id(a)], cameras[image_id(b)]
             ray_a = np.asarray(camera_a.cam_from_img(keypoints[a][matches[:, 0]]))
             ray_b = np.asarray(camera_b.cam_from_img(keypoints[b][matches[:, 1]]))
-            start = _as_vio_has_it(a_T_b[index], vio, a, b)
+            start = _start_by_vio(a_T_b[index], vio, a, b)
             other = pose_near(start, ray_a, ray_b, camera_a.mean_focal_length(), camera_b.mean_focal_length())
             if other is not None:
                 one = slice(index, index + 1)
                 again = compare_with_vio(pairs[one], other[None], angle[one], vio, limits)
-                if again.agrees[0]:
+                if again.consistent[0]:
                     a_T_b[index] = other
-                    compared.replace(index, again)
+                    compared.assign(slice(index, index + 1), again)
     return a_T_b, compared
 
 
@@ -76,18 +76,18 @@ def pose_near(start: Array, ray_a: Array, ray_b: Array, focal_a: float, focal_b:
     def errors_px(change: Array) -> Array:
         return np.nan_to_num(sampson_px(pose(change)[None], *rays, *focal))
 
-    fit = least_squares(errors_px, np.zeros(6), loss="cauchy", f_scale=_LOSS_PX, max_nfev=_MOST_EVALUATIONS)
-    return pose(fit.x) if np.mean(errors_px(fit.x) < _ERROR_PX) >= _AS_WELL else None
+    fit = least_squares(errors_px, np.zeros(6), loss="cauchy", f_scale=_LOSS_PX, max_nfev=_MAX_EVALUATIONS)
+    return pose(fit.x) if np.mean(errors_px(fit.x) < _MAX_ERROR_PX) >= _MIN_EXPLAINED_FRACTION else None
 
 
-def _as_vio_has_it(a_T_b: Array, vio: Odometry, a: int, b: int) -> Array:
-    """A pair's pose as far as VIO knows it: the whole of it within a session, across sessions its tilt alone."""
+def _start_by_vio(a_T_b: Array, vio: Odometry, a: int, b: int) -> Array:
+    """A pair's pose with what VIO gives of it: the whole pose within a session, across sessions the tilt alone."""
     start = a_T_b.copy()
     by_vio = relative(vio.vio_T_cam[a], vio.vio_T_cam[b])
     if vio.session[a] == vio.session[b] and np.isfinite(by_vio).all():
         step_m = float(np.linalg.norm(by_vio[:3, 3]))
         start[:3, :3] = by_vio[:3, :3]
-        if step_m > _LEAST_STEP_M:
+        if step_m > _MIN_STEP_M:
             start[:3, 3] = by_vio[:3, 3] / step_m
         return start
     down_a, down_b = vio.gravity_cam[a], a_T_b[:3, :3] @ vio.gravity_cam[b]

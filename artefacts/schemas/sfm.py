@@ -1,13 +1,24 @@
 """The structure-from-motion models: their frames, points and pairs, and what was built and tried on the way to them."""
 
-from groundwalk.artefacts.choices import CameraOrigin
+from groundwalk.artefacts.choices import (
+    AttemptName,
+    AttemptOutcome,
+    CameraOrigin,
+    PairInconsistency,
+    PairOrigin,
+    PairStatus,
+    ResidualPattern,
+)
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _HELD_OUT = [
-    Column("heldout_matches", "int64", "verified matches that were left out of mapping and adjustment"),
-    Column("heldout_px", "float64", "median Sampson distance of these from the final poses", "px", "", True),
-    Column("fitted_px", "float64", "the same of the matches that took part", "px", "", True),
+    Column("held_out_matches", "int64", "verified matches that were left out of mapping and adjustment"),
+    Column(
+        "held_out_px", "float64", "median Sampson distance of held-out matches from the final poses", "px", "", True
+    ),
+    Column("fitted_px", "float64", "median Sampson distance of the matches that were adjusted to", "px", "", True),
 ]
+_HELD_OUT_RENAMED = {"heldout_matches": "held_out_matches", "heldout_px": "held_out_px"}
 
 TABLES = [
     TableSchema(
@@ -17,7 +28,7 @@ TABLES = [
         "scale, its own for each model_id).",
         [
             Column("frame_id", "string", "<session>/<six digits>"),
-            Column("registered", "bool", "the frame is in one of the models that were kept"),
+            Column("registered", "bool", "the frame is in one of the selected models"),
             Column("model_id", "string", "the model that the pose is from: models.model_id", nullable=True),
             *pose_columns("sfm_cam", "adjusted sfm_T_cam", nullable=True),
             Column("fx", "float64", "focal length, x, adjusted with the pose", "px"),
@@ -44,7 +55,8 @@ TABLES = [
                 True,
             ),
         ],
-        version="2.0",
+        version="3.0",
+        renamed=_HELD_OUT_RENAMED,
     ),
     TableSchema(
         "sfm",
@@ -55,47 +67,56 @@ TABLES = [
             Column("lens_id", "string", "device, image size and focal length in image widths"),
             Column("frames", "int64", "registered frames with this lens"),
             Column("k1", "float64", "radial distortion, OpenCV's convention"),
-            Column("k1_sd", "float64", "one sigma of k1", "", "", True),
+            Column("k1_sd", "float64", "standard deviation of k1", "", "", True),
             Column("k2", "float64", "radial distortion, OpenCV's convention"),
-            Column("k2_sd", "float64", "one sigma of k2", "", "", True),
+            Column("k2_sd", "float64", "standard deviation of k2", "", "", True),
             Column("k1_k2_correlation", "float64", "correlation of the errors of k1 and k2", "", "", True),
-            Column("k1_focal_correlation", "float64", "k1's with the focal scales, mean over sessions", "", "", True),
+            Column("k1_focal_correlation", "float64", "correlation of k1 with focal scales, mean", "", "", True),
             Column("readout_s", "float64", "rolling shutter: time from the first to the last row", "s"),
-            Column("readout_sd_s", "float64", "one sigma of it", "s", "", True),
+            Column("readout_sd_s", "float64", "standard deviation of the readout time", "s", "", True),
             Column("stated_k1", "float64", "k1 that the capture states; 0: none"),
             Column("stated_k2", "float64", "k2 that the capture states; 0: none"),
             Column("origin", "string", "where k1 and k2 are from", choices=CameraOrigin),
-            Column("stated_is_wrong", "bool", "the images clearly say another lens than the stated one"),
+            Column("stated_is_wrong", "bool", "the images contradict the stated distortion (docs/explanation/sfm.md)"),
             Column(
-                "heldout_stated_px",
+                "held_out_stated_px",
                 "float64",
                 "median Sampson distance of held-out matches of pairs with the stated lens and no rolling shutter",
                 "px",
                 "",
                 True,
             ),
-            Column("heldout_px", "float64", "the same with the lens estimated from pairs", "px", "", True),
+            Column(
+                "held_out_px",
+                "float64",
+                "median Sampson distance of the same matches with the lens estimated from pairs",
+                "px",
+                "",
+                True,
+            ),
         ],
+        version="2.0",
+        renamed={"heldout_stated_px": "held_out_stated_px", "heldout_px": "held_out_px"},
     ),
     TableSchema(
         "sfm",
         "intrinsics",
-        "What each model says of its sessions' logged focal lengths.",
+        "Each session's focal lengths as adjusted with each model, against the logged ones.",
         [
             Column("model_id", "string", "the model: models.model_id"),
             Column("session_id", "string", "the session"),
             Column("frames", "int64", "registered frames of the session in the model"),
-            Column("focal_scale", "float64", "what its focal lengths were multiplied by in common"),
-            Column("focal_scale_sd", "float64", "one sigma of that", "", "", True),
-            Column("focus_sd", "float64", "one sigma of what a frame's focal length deviates by beyond that, share"),
-            Column("angular_sd", "float64", "one sigma of a frame's angular velocity by VIO", "rad/s"),
+            Column("focal_scale", "float64", "factor from its logged focal lengths to the adjusted ones"),
+            Column("focal_scale_sd", "float64", "standard deviation of focal_scale", "", "", True),
+            Column("focus_sd", "float64", "standard deviation of a frame's focal length about it, as a fraction"),
+            Column("angular_sd", "float64", "standard deviation of a frame's angular velocity by VIO", "rad/s"),
         ],
         version="2.0",
     ),
     TableSchema(
         "sfm",
         "residuals",
-        "What the residuals of each model and lens look like; a picture of it is residuals.png.",
+        "Mean residuals of each model and lens by radius and by image row; plotted in residuals.png.",
         [
             Column("model_id", "string", "the model: models.model_id"),
             Column("lens_id", "string", "the lens: lenses.lens_id"),
@@ -104,25 +125,26 @@ TABLES = [
                 "string",
                 "radius: mean residual away from the principal point; row: shift that a frame's observations there "
                 "have in common, RMS over frames",
+                choices=ResidualPattern,
             ),
             Column("band_from", "float64", "where the band begins: radius in focal lengths, row in image heights"),
-            Column("band_to", "float64", "where it ends"),
-            Column("observations", "int64", "features in it"),
+            Column("band_to", "float64", "where the band ends"),
+            Column("observations", "int64", "features in the band"),
             Column("residual_px", "float64", "the residual; below 0 for row: less than by chance", "px"),
-            Column("residual_sd_px", "float64", "its standard error", "px"),
+            Column("residual_sd_px", "float64", "standard error of the residual", "px"),
         ],
     ),
     TableSchema(
         "sfm",
         "models",
-        "Every model that mapping built in the attempt that was taken, in the order in which it did.",
+        "Every model of the selected attempt, in the order in which mapping built it.",
         [
             Column("model_id", "string", "<mapping>/<number>"),
-            Column("mapping", "string", "the mapper, or continued: from the largest, with a lower bar for an image"),
-            Column("chosen", "bool", "it was kept: some frames' poses are from it"),
             Column(
-                "folder", "string", "the folder with COLMAP's model: model (the largest), model_2, ...", nullable=True
+                "mapping", "string", "the mapper, or continued: from the largest model, with fewer inliers an image"
             ),
+            Column("selected", "bool", "some frames' poses are from this model"),
+            Column("folder", "string", "folder of COLMAP's model: model (the largest), model_2, ...", nullable=True),
             Column("images", "int64", "registered frames"),
             Column("points", "int64", "points"),
             Column("observations", "int64", "features that see a point"),
@@ -130,57 +152,64 @@ TABLES = [
             Column("mean_reprojection_px", "float64", "mean distance of features from their points", "px"),
             *_HELD_OUT,
         ],
-        version="2.0",
+        version="3.0",
+        renamed={**_HELD_OUT_RENAMED, "chosen": "selected"},
     ),
     TableSchema(
         "sfm",
         "attempts",
-        "The ladder: each attempt at models of enough frames that move as VIO does, in order.",
+        "The attempts at models of enough frames whose motion is consistent with VIO, in order.",
         [
-            Column("attempt", "string", "as set, more pairs, surer pairs, more features, other mapper or from VIO"),
-            Column("mapper", "string", "incremental, global, hierarchical or vio"),
+            Column("attempt", "string", "what it changes", choices=AttemptName),
+            Column("mapper", "string", "the mapper's id"),
             Column("pairs", "int64", "pairs that were matched"),
-            Column("verified", "int64", "of these, with inliers enough and in agreement with VIO"),
-            Column("models", "int64", "models that were kept"),
-            Column("largest", "int64", "frames of the largest"),
-            Column("registered", "int64", "frames in any of them"),
-            Column("moving_as_vio", "float64", "share of these that move as VIO does, within its drift", "", "", True),
+            Column("verified", "int64", "pairs with enough inliers and a relative pose consistent with VIO"),
+            Column("models", "int64", "selected models"),
+            Column("largest", "int64", "frames of the largest model"),
+            Column("registered", "int64", "frames in any of the models"),
             Column(
-                "outcome",
-                "string",
-                "taken, or what is wrong: no model, too few frames registered, frames missing, or moves otherwise "
-                "than VIO",
+                "consistent_fraction",
+                "float64",
+                "fraction of registered frames whose motion is consistent with VIO, within its drift",
+                "",
+                "",
+                True,
             ),
-            Column("taken", "bool", "its models are the stage's; where none is good, the one with most such frames"),
+            Column("outcome", "string", "accepted, or what is wrong", choices=AttemptOutcome),
+            Column("selected", "bool", "the stage's models are those of this attempt"),
         ],
-        version="1.1",
+        version="2.0",
+        renamed={"moving_as_vio": "consistent_fraction", "taken": "selected"},
     ),
     TableSchema(
         "sfm",
         "pairs",
-        "Every pair of frames that was proposed and matched in the attempt that was taken.",
+        "Every pair of frames that was matched in the selected attempt.",
         [
             Column("frame_id_a", "string", "earlier row of import.frames"),
             Column("frame_id_b", "string", "later row of import.frames"),
-            Column("origin", "string", "who proposed it first: sequence, vio, retrieval or transitive"),
+            Column("origin", "string", "what proposed it first", choices=PairOrigin),
             Column("matches", "int64", "matched features"),
-            Column("inliers", "int64", "of these, in agreement with one relative pose"),
-            Column("verdict", "string", "verified, rejected: too few inliers, or disagrees: with VIO, kept out"),
-            Column("reason", "string", "what disagrees: rotation, direction of motion or gravity; empty otherwise"),
-            Column("rotation_deg", "float64", "between the relative rotations of images and VIO", "deg", "", True),
-            Column("rotation_limit_deg", "float64", "what VIO can have drifted by there", "deg", "", True),
-            Column("direction_deg", "float64", "between the directions of motion by images and VIO", "deg", "", True),
-            Column("direction_limit_deg", "float64", "what VIO can have drifted by there", "deg", "", True),
+            Column("inliers", "int64", "matches that fit one relative pose"),
+            Column("status", "string", "whether it goes into mapping", choices=PairStatus),
+            Column("reason", "string", "what is inconsistent with VIO; empty: nothing", choices=PairInconsistency),
+            Column("rotation_deg", "float64", "angle between the rotations by images and by VIO", "deg", "", True),
             Column(
-                "gravity_deg", "float64", "between gravity in b and gravity in a turned by the images", "deg", "", True
+                "rotation_limit_deg", "float64", "limit of rotation_deg: VIO's drift over the path", "deg", "", True
+            ),
+            Column("direction_deg", "float64", "angle between the translations by images and by VIO", "deg", "", True),
+            Column("direction_limit_deg", "float64", "limit of direction_deg, by VIO's drift", "deg", "", True),
+            Column(
+                "gravity_deg", "float64", "angle between gravity in a and in b, turned by the images", "deg", "", True
             ),
         ],
-        version="1.1",
+        version="2.0",
+        renamed={"verdict": "status"},
     ),
     TableSchema(
         "sfm",
         "points",
-        "The points of the models that were kept.",
+        "The points of the selected models.",
         [
             Column("model_id", "string", "the model that it belongs to"),
             Column("point_id", "int64", "COLMAP's id of the point"),

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta
 
-from groundwalk.consistency.decisions import Status, beyond, decide, share_sd, within
+from groundwalk.consistency.decisions import Status, beyond, decide, fraction_sd, within
 
 _SIZE = st.floats(0, 100)
 
@@ -30,4 +30,4 @@ def test_two_standard_errors_on_either_side_decide() -> None:
 def test_the_error_of_a_share_is_that_of_its_posterior(count: int, data) -> None:
     alike = data.draw(st.integers(0, count))
     expected = beta(alike + 1, count - alike + 1).std()
-    assert share_sd(alike / max(count, 1), count) == pytest.approx(expected)
+    assert fraction_sd(alike / max(count, 1), count) == pytest.approx(expected)

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from groundwalk.consistency.diagnosis import FOLDED_LIMIT, diagnose
-from groundwalk.consistency.trajectories import Stretch
+from groundwalk.consistency.diagnosis import MAX_ALIASED_FRACTION, diagnose
+from groundwalk.consistency.trajectories import TrajectoryPair
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.poses import Array, make_pose
 
@@ -22,7 +22,7 @@ def test_a_way_there_and_back_on_which_the_heading_strays_is_not_folded(strayed_
     # 45 m each: VIO comes back many metres beside itself, which is what a heading may do over such a way.
     heading = np.pi * np.clip(np.linspace(-45, 46, 92) / 2, 0, 1)
     strayed = np.radians(strayed_deg) * np.linspace(0, 1, 92)
-    assert diagnose([Stretch(walked(heading, 1.0), walked(heading + strayed, 1.0))], DRIFT).folded == 0
+    assert diagnose([TrajectoryPair(walked(heading, 1.0), walked(heading + strayed, 1.0))], DRIFT).aliased_fraction == 0
 
 
 def test_two_look_alike_rooms_in_one_place_are_folded() -> None:
@@ -30,6 +30,6 @@ def test_two_look_alike_rooms_in_one_place_are_folded() -> None:
     vio = walked(np.zeros(60), 0.5)
     sfm = vio.copy()
     sfm[40:, 2, 3] -= 20.0
-    found = diagnose([Stretch(sfm, vio)], DRIFT)
-    assert found.folded > FOLDED_LIMIT
-    assert found.folded_m > 19.0
+    found = diagnose([TrajectoryPair(sfm, vio)], DRIFT)
+    assert found.aliased_fraction > MAX_ALIASED_FRACTION
+    assert found.aliased_m > 19.0

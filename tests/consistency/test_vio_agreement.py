@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from groundwalk.consistency.scale import recording_scale
-from groundwalk.consistency.trajectories import Stretch, path_m, path_windows
+from groundwalk.consistency.trajectories import TrajectoryPair, path_windows
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.consistency.windows import POSE_SD, compare_windows
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import Sim3
-from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
+from groundwalk.geometry.poses import Array, make_pose, path_length, yaw_rotation
 
 _DRIFT = VioDrift.in_degrees(0.1, 0.03, 3.0, 2.5)
 _SCALE = {"step_m": 1.0, "step_sd": 0.03}
@@ -33,7 +33,7 @@ def test_drift_grows_with_the_path_and_turns_with_its_root() -> None:
 @settings(max_examples=50)
 @given(seed=st.integers(0, 1000), frames=st.integers(1, 80), length_m=st.floats(0.5, 30.0))
 def test_windows_overlap_and_have_the_whole_path(seed: int, frames: int, length_m: float) -> None:
-    travelled = path_m(_walk(seed, frames))
+    travelled = path_length(_walk(seed, frames)[:, :3, 3])
     windows = path_windows(travelled, length_m)
     assert sorted(set(np.concatenate(windows).tolist())) == list(range(frames))
     for inside in windows:
@@ -50,7 +50,7 @@ def test_scale_is_found_in_any_gauge_in_spite_of_wrong_frames(seed: int, scale: 
     vio = _walk(seed)
     sfm = Sim3(1 / scale, Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)).poses(vio)
     sfm[[7, 31], :3, 3] += 3.0 / scale
-    found = recording_scale([Stretch(sfm[:25], vio[:25]), Stretch(sfm[25:], vio[25:])], **_SCALE)
+    found = recording_scale([TrajectoryPair(sfm[:25], vio[:25]), TrajectoryPair(sfm[25:], vio[25:])], **_SCALE)
     assert found is not None
     assert np.exp(found.log) == pytest.approx(scale, rel=1e-4)
     metric_T_cam = Sim3(float(np.exp(found.log)), np.eye(3), np.zeros(3)).poses(sfm)
@@ -64,8 +64,8 @@ def test_scale_is_found_in_any_gauge_in_spite_of_wrong_frames(seed: int, scale: 
 def test_what_doesnt_move_has_no_scale_and_what_is_collapsed_is_an_error() -> None:
     vio = _walk(1)
     still = np.tile(np.eye(4), (60, 1, 1))
-    assert recording_scale([Stretch(vio, still)], **_SCALE) is None
-    assert recording_scale([Stretch(vio[:2], vio[:2])], **_SCALE) is None
+    assert recording_scale([TrajectoryPair(vio, still)], **_SCALE) is None
+    assert recording_scale([TrajectoryPair(vio[:2], vio[:2])], **_SCALE) is None
     assert compare_windows(vio[:2], vio[:2], 10.0, _DRIFT, POSE_SD) == []
     with pytest.raises(GeometryError):
-        recording_scale([Stretch(still, vio)], **_SCALE)
+        recording_scale([TrajectoryPair(still, vio)], **_SCALE)

@@ -97,7 +97,7 @@ train = ["train"]
 test = ["test"]
 
 [sfm]
-retries = false
+retry = false
 
 [train]
 models = ["mean_colour"]

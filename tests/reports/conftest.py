@@ -111,7 +111,12 @@ class MadeUpScene:
         return {
             "import": {"frames": imported, "sessions": self._sessions(), "rejects": self._rejects()},
             "sfm": {"images": self._images(lost)},
-            "align": {"ground_truth": truth, "sessions": self._aligned(), "drift": self._drift(), "gate": self._gate()},
+            "align": {
+                "ground_truth": truth,
+                "sessions": self._aligned(),
+                "drift": self._drift(),
+                "checks": self._checks(),
+            },
             "localise": self._localise(localised),
             "train": {"predictions": pd.concat(predictions), "history": self._history(), "models": self._cards()},
             "fuse": {
@@ -248,7 +253,7 @@ class MadeUpScene:
                     "images": n,
                     "frames": n,
                     "support_frames": 0,
-                    "poses_are": "vio",
+                    "pose_source": "vio",
                     "reference_unit": None,
                     "up": "+y",
                     "split": split,
@@ -270,7 +275,7 @@ class MadeUpScene:
             observations=self.rng.integers(150, 700, count) * registered,
             reprojection_px=np.where(registered, self.rng.gamma(20, 0.04, count), np.nan), uses_vio=False,
             track_length=np.where(registered, 6.5, np.nan), triangulation_deg=np.where(registered, 12.0, np.nan),
-            heldout_matches=40, heldout_px=np.where(registered, 0.5, np.nan),
+            held_out_matches=40, held_out_px=np.where(registered, 0.5, np.nan),
             fitted_px=np.where(registered, 0.4, np.nan), fx=480.0, fy=480.0, cx=320.0, cy=240.0,
             distortion=[[0.09, -0.12, 0.0, 0.0]] * count, readout_s=0.015, camera_origin="estimated",
         )  # fmt: skip
@@ -302,15 +307,15 @@ class MadeUpScene:
             frame[name] = figure if name == "samples" else figure * frame["factor"]
         return frame.drop(columns="factor")
 
-    def _gate(self) -> pd.DataFrame:
-        row = {"check": "window_motion", "session_id": "walk_1", "t_start_ns": 0, "t_end_ns": SECOND, "frames": 10}
+    def _checks(self) -> pd.DataFrame:
+        row = {"check": "window_position", "session_id": "walk_1", "t_start_ns": 0, "t_end_ns": SECOND, "frames": 10}
         row |= {"value": 0.01, "limit": 0.1, "unit": "m", "sd": None, "status": "passed", "reason": ""}
-        row |= {"advice": "", "component": 0, "cause": ""}
+        row |= {"advice": "", "component": 0, "cause": None}
         failed = row | {
             "session_id": "walk_2",
             "value": 0.3,
             "status": "failed",
-            "reason": "VIO and the model disagree",
+            "reason": "pose in SfM inconsistent with VIO",
         }
         undecided = failed | {"check": "ruler_scale", "value": None, "limit": 0.03, "status": "undecided"}
         undecided["reason"] = "board: seen once"

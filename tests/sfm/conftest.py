@@ -145,9 +145,9 @@ def _write_import(data: DataRoot, frames: pd.DataFrame, sessions: list[str]) -> 
 
 def _write(folder: Path, name: str, table: pd.DataFrame) -> None:
     """Columns that the test has no use for get a value of their type."""
-    wanted = schema("import", name)
+    columns = schema("import", name)
     blank = {"float64": 0.0, "int64": 0, "bool": False, "string": "", "list<float64>": None}
-    for column in wanted.columns:
+    for column in columns.columns:
         if column.name not in table:
-            table[column.name] = blank[column.dtype]
-    write_table(folder / f"{name}.parquet", table, wanted)
+            table[column.name] = next(iter(column.choices)) if column.choices else blank[column.dtype]
+    write_table(folder / f"{name}.parquet", table, columns)

@@ -12,9 +12,9 @@ from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse
 from groundwalk.sfm.adjustment import (
     Adjusted,
+    Bundle,
     CameraPriors,
     Cameras,
-    Scene,
     adjust,
     camera_unknowns,
     linearize,
@@ -30,7 +30,7 @@ _LENS, _READOUT_S = (0.092, -0.125), 0.02
 _ANGULAR_SD, _FOCUS_SD = 0.02, 0.003
 
 
-def _walk(seed: int) -> tuple[Scene, Cameras]:
+def _walk(seed: int) -> tuple[Bundle, Cameras]:
     """A camera in the middle of points all around, turning and walking; what it really sees."""
     rng = np.random.default_rng(seed)
     angle = np.linspace(0, 2.0, _FRAMES)
@@ -62,14 +62,14 @@ def _walk(seed: int) -> tuple[Scene, Cameras]:
     frame_M, point_M = np.concatenate(frame), np.concatenate(point)
     often = (np.bincount(point_M, minlength=_POINTS) >= 3)[point_M]
     kept, point_M = np.unique(point_M[often], return_inverse=True)
-    scene = Scene(pose, xyz[kept], frame_M[often], point_M, np.full((len(point_M), 2), 240.0))
+    bundle = Bundle(pose, xyz[kept], frame_M[often], point_M, np.full((len(point_M), 2), 240.0))
     for _ in range(6):
         # The row where a point is seen decides when it is.
-        scene = replace(scene, seen_px=project(scene, cameras))
-    return scene, cameras
+        bundle = replace(bundle, observed_px=project(bundle, cameras))
+    return bundle, cameras
 
 
-def _adjusted(seed: int) -> tuple[Adjusted, Scene, Cameras]:
+def _adjusted(seed: int) -> tuple[Adjusted, Bundle, Cameras]:
     """The walk adjusted from noisy observations and VIO's angular velocities; the lens as phones have it on average."""
     truth, cameras = _walk(seed)
     rng = np.random.default_rng(100 + seed)
@@ -94,46 +94,45 @@ def _adjusted(seed: int) -> tuple[Adjusted, Scene, Cameras]:
         truth,
         sfm_T_cam=pose,
         xyz=truth.xyz + rng.normal(0, 0.02, truth.xyz.shape),
-        seen_px=truth.seen_px + rng.normal(0, _NOISE_PX, truth.seen_px.shape),
+        observed_px=truth.observed_px + rng.normal(0, _NOISE_PX, truth.observed_px.shape),
     )
     return adjust(noisy, mean, priors), truth, cameras
 
 
 def test_without_shutter_a_point_is_seen_where_colmaps_opencv_camera_has_it() -> None:
-    scene, cameras = _walk(0)
+    bundle, cameras = _walk(0)
     for row in (0, _FRAMES - 1):
-        seen = scene.frame == row
+        seen = bundle.frame == row
         params = [*cameras.focal[row], 320, 236, *cameras.coefficients[0, :4]]
         camera = pycolmap.Camera(camera_id=1, model="OPENCV", width=640, height=480, params=params)
-        cam_T_sfm = inverse(scene.sfm_T_cam[row])
-        points = scene.xyz[scene.point[seen]] @ cam_T_sfm[:3, :3].T + cam_T_sfm[:3, 3]
-        assert np.allclose(project(scene, cameras, shutter=False)[seen], camera.img_from_cam(points), atol=1e-8)
+        cam_T_sfm = inverse(bundle.sfm_T_cam[row])
+        points = bundle.xyz[bundle.point[seen]] @ cam_T_sfm[:3, :3].T + cam_T_sfm[:3, 3]
+        assert np.allclose(project(bundle, cameras, shutter=False)[seen], camera.img_from_cam(points), atol=1e-8)
 
 
 def test_a_row_is_seen_from_where_the_camera_is_at_its_time() -> None:
-    scene, cameras = _walk(0)
-    observation = int(np.argmax(np.abs(scene.seen_px[:, 1] - 240)))
-    row = scene.frame[observation]
-    tau = _READOUT_S * (scene.seen_px[observation, 1] / 480 - 0.5)
-    moved = scene.sfm_T_cam.copy()
+    bundle, cameras = _walk(0)
+    observation = int(np.argmax(np.abs(bundle.observed_px[:, 1] - 240)))
+    row = bundle.frame[observation]
+    tau = _READOUT_S * (bundle.observed_px[observation, 1] / 480 - 0.5)
+    moved = bundle.sfm_T_cam.copy()
     moved[row, :3, 3] += moved[row, :3, :3] @ cameras.velocity[row] * tau
     moved[row, :3, :3] = moved[row, :3, :3] @ Rotation.from_rotvec(cameras.angular[row] * tau).as_matrix()
-    still = project(replace(scene, sfm_T_cam=moved), cameras, shutter=False)[observation]
-    assert np.allclose(still, project(scene, cameras)[observation], atol=1e-9)
+    still = project(replace(bundle, sfm_T_cam=moved), cameras, shutter=False)[observation]
+    assert np.allclose(still, project(bundle, cameras)[observation], atol=1e-9)
 
 
 def test_derivatives_are_those_of_finite_differences() -> None:
-    scene, cameras = _walk(1)
+    bundle, cameras = _walk(1)
     rng = np.random.default_rng(1)
-    linear, unknowns = linearize(scene, cameras), len(camera_unknowns(cameras))
+    linear, unknowns = linearize(bundle, cameras), len(camera_unknowns(cameras))
     step = 1e-6 * rng.normal(size=unknowns)
-    point_step = 1e-6 * rng.normal(size=scene.xyz.shape)
-    change = project(*with_step(scene, cameras, step, point_step)) - project(scene, cameras)
+    point_step = 1e-6 * rng.normal(size=bundle.xyz.shape)
+    change = project(*with_step(bundle, cameras, step, point_step)) - project(bundle, cameras)
     local = step[: 10 * _FRAMES].reshape(_FRAMES, 10)
     shared = step[10 * _FRAMES :][shared_columns(cameras)]
-    predicted = np.einsum("mij,mj->mi", linear.by_frame, local[scene.frame])
-    predicted += np.einsum("mij,mj->mi", linear.by_shared, shared[scene.frame])
-    predicted += np.einsum("mij,mj->mi", linear.by_point, point_step[scene.point])
+    predicted = np.einsum("mij,mj->mi", linear.by_camera, np.concatenate([local, shared], axis=1)[bundle.frame])
+    predicted += np.einsum("mij,mj->mi", linear.by_point, point_step[bundle.point])
     assert np.abs(change).max() > 1e-3
     assert np.allclose(change, predicted, atol=2e-6)
 
@@ -143,14 +142,14 @@ def test_lens_readout_and_poses_are_recovered() -> None:
     assert adjusted.cameras.coefficients[0, :2] == pytest.approx(_LENS, abs=0.006)
     assert adjusted.cameras.readout_s[0] == pytest.approx(_READOUT_S, abs=0.0015)
     assert np.abs(adjusted.cameras.angular - cameras.angular).max() < 3 * _ANGULAR_SD
-    assert _position_error_m(adjusted.scene, truth) < 0.008
+    assert _position_error_m(adjusted.bundle, truth) < 0.008
 
 
 def test_a_camera_without_shutter_and_lens_leaves_the_truth_wrong() -> None:
     adjusted, truth, cameras = _adjusted(0)
     pinhole = replace(cameras, coefficients=np.zeros((1, 8)), readout_s=np.zeros(1))
     exact = replace(adjusted.priors, mean=pinhole, lens_covariance=1e-14 * np.eye(3)[None])
-    assert _position_error_m(adjust(adjusted.scene, pinhole, exact).scene, truth) > 0.02
+    assert _position_error_m(adjust(adjusted.bundle, pinhole, exact).bundle, truth) > 0.02
 
 
 def test_sigmas_of_lens_readout_and_poses_are_honest() -> None:
@@ -161,17 +160,17 @@ def test_sigmas_of_lens_readout_and_poses_are_honest() -> None:
         assert estimate is not None
         off = (camera_unknowns(adjusted.cameras) - camera_unknowns(cameras))[10 * _FRAMES :]
         shared.append(off[:3] / np.sqrt(np.diag(estimate.shared)[:3]))
-        fit = fit_sim3(truth.sfm_T_cam[:, :3, 3], adjusted.scene.sfm_T_cam[:, :3, 3])
-        error = fit.poses(adjusted.scene.sfm_T_cam)[:, :3, 3] - truth.sfm_T_cam[:, :3, 3]
+        fit = fit_sim3(truth.sfm_T_cam[:, :3, 3], adjusted.bundle.sfm_T_cam[:, :3, 3])
+        error = fit.poses(adjusted.bundle.sfm_T_cam)[:, :3, 3] - truth.sfm_T_cam[:, :3, 3]
         covariance = fit.rotation @ estimate.poses[:, 3:, 3:] @ fit.rotation.T * fit.scale**2
         position.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error))
     assert 0.6 < np.sqrt(np.mean(np.square(shared))) < 1.5
     assert 2.0 < np.mean(position) < 4.5
 
 
-def _position_error_m(scene: Scene, truth: Scene) -> float:
-    centre: Array = scene.sfm_T_cam[:, :3, 3]
-    placed = fit_sim3(truth.sfm_T_cam[:, :3, 3], centre).poses(scene.sfm_T_cam)
+def _position_error_m(bundle: Bundle, truth: Bundle) -> float:
+    centre: Array = bundle.sfm_T_cam[:, :3, 3]
+    placed = fit_sim3(truth.sfm_T_cam[:, :3, 3], centre).poses(bundle.sfm_T_cam)
     return float(np.median(np.linalg.norm(placed[:, :3, 3] - truth.sfm_T_cam[:, :3, 3], axis=1)))
 
 
@@ -186,7 +185,7 @@ def test_residuals_look_like_what_is_not_modelled(left_out: str | None, tmp_path
         mean = replace(mean, readout_s=np.zeros(1))
         priors = replace(priors, lens_covariance=np.diag([2.5e-3, 6.4e-3, 1e-14])[None])
     if left_out:
-        adjusted = adjust(adjusted.scene, mean, replace(priors, mean=mean))
+        adjusted = adjust(adjusted.bundle, mean, replace(priors, mean=mean))
     residuals = residual_patterns("model", ["lens"], adjusted)
     pattern = pattern_of(residuals)
     assert (pattern and pattern[0]) == left_out

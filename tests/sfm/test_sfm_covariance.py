@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.poses import Array, inverse, make_pose
-from groundwalk.sfm.adjustment import Adjusted, CameraPriors, Cameras, Scene
+from groundwalk.sfm.adjustment import Adjusted, Bundle, CameraPriors, Cameras
 from groundwalk.sfm.covariance import covariances
 from groundwalk.sfm.model import blobs_of
 
@@ -46,9 +46,9 @@ def test_normalised_errors_have_the_size_that_the_covariance_says(
     exact_px = _project(truth, xyz, frame, point)
     squared, rotation_too = [], []
     for _ in range(_RUNS):
-        seen_px = exact_px + noise(rng).reshape(-1, 2)
-        adjusted, adjusted_xyz = _bundle_adjusted(truth, xyz, seen_px.reshape(_FRAMES, _POINTS, 2))
-        covariance = _covariance(Scene(adjusted, adjusted_xyz, frame, point, seen_px))
+        observed_px = exact_px + noise(rng).reshape(-1, 2)
+        adjusted, adjusted_xyz = _bundle_adjusted(truth, xyz, observed_px.reshape(_FRAMES, _POINTS, 2))
+        covariance = _covariance(Bundle(adjusted, adjusted_xyz, frame, point, observed_px))
         assert covariance is not None
         error = _error_without_gauge(truth, adjusted)
         squared.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error))
@@ -65,11 +65,11 @@ def test_covariance_follows_the_gauge() -> None:
     rng = np.random.default_rng(4)
     xyz = rng.uniform(-1, 1, (_POINTS, 3))
     frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
-    seen_px = _project(truth, xyz, frame, point) - rng.normal(0, _NOISE_PX, (len(frame), 2))
+    observed_px = _project(truth, xyz, frame, point) - rng.normal(0, _NOISE_PX, (len(frame), 2))
     turn, shift, scale = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix(), np.array([5.0, -3.0, 2.0]), 3.0
     moved = make_pose(turn @ truth[:, :3, :3], scale * truth[:, :3, 3] @ turn.T + shift)
-    here = _covariance(Scene(truth, xyz, frame, point, seen_px))
-    there = _covariance(Scene(moved, scale * xyz @ turn.T + shift, frame, point, seen_px))
+    here = _covariance(Bundle(truth, xyz, frame, point, observed_px))
+    there = _covariance(Bundle(moved, scale * xyz @ turn.T + shift, frame, point, observed_px))
     assert here is not None and there is not None
     jacobian = np.kron(np.diag([1.0, scale]), turn)
     assert np.allclose(there, jacobian @ here @ jacobian.T, rtol=1e-5, atol=1e-12)
@@ -79,15 +79,15 @@ def test_the_same_blob_twice_tells_no_more_than_once() -> None:
     truth, rng = _ring_of_cameras(), np.random.default_rng(5)
     xyz = rng.uniform(-1, 1, (_POINTS, 3))
     frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
-    seen_px = _project(truth, xyz, frame, point) - rng.normal(0, _NOISE_PX, (len(frame), 2))
-    once = _covariance(Scene(truth, xyz, frame, point, seen_px))
+    observed_px = _project(truth, xyz, frame, point) - rng.normal(0, _NOISE_PX, (len(frame), 2))
+    once = _covariance(Bundle(truth, xyz, frame, point, observed_px))
     order = np.argsort(np.concatenate([frame, frame]), kind="stable")
     both = (
         np.concatenate([frame, frame])[order],
         np.concatenate([point, _POINTS + point])[order],
-        np.concatenate([seen_px, seen_px])[order],
+        np.concatenate([observed_px, observed_px])[order],
     )
-    again = Scene(truth, np.concatenate([xyz, xyz]), *both)
+    again = Bundle(truth, np.concatenate([xyz, xyz]), *both)
     assert blobs_of(again).tolist() == 2 * list(range(_POINTS))
     twice = _covariance(again, blobs_of(again))
     assert once is not None and twice is not None
@@ -95,17 +95,17 @@ def test_the_same_blob_twice_tells_no_more_than_once() -> None:
     counted_twice = _covariance(again)
     # As separate blobs they would tell more, though not twice as much: their residuals hang together.
     assert counted_twice is not None
-    told = np.diagonal(counted_twice / once, axis1=1, axis2=2)
-    assert (told > 0.5).all() and (told < 1).all()
+    ratio = np.diagonal(counted_twice / once, axis1=1, axis2=2)
+    assert (ratio > 0.5).all() and (ratio < 1).all()
 
 
 def test_no_covariance_where_the_observations_do_not_determine_the_poses() -> None:
     frame, point = (index.ravel() for index in np.indices((_FRAMES, 2)))
     truth, xyz = _ring_of_cameras(), np.eye(3)[:2]
-    assert _covariance(Scene(truth, xyz, frame, point, _project(truth, xyz, frame, point) + 1)) is None
+    assert _covariance(Bundle(truth, xyz, frame, point, _project(truth, xyz, frame, point) + 1)) is None
 
 
-def _covariance(scene: Scene, blobs: np.ndarray | None = None) -> Array | None:
+def _covariance(bundle: Bundle, blobs: np.ndarray | None = None) -> Array | None:
     """(N, 6, 6) of poses adjusted with pinhole cameras that are known exactly."""
     size = np.array(_SIZE_PX) / 2
     cameras = Cameras(
@@ -123,8 +123,8 @@ def _covariance(scene: Scene, blobs: np.ndarray | None = None) -> Array | None:
     )
     exact = 1e-7
     known = (1e-14 * np.eye(3)[None], np.full(1, exact), np.full(1, exact), np.full(_FRAMES, exact))
-    adjusted = Adjusted(scene, cameras, CameraPriors(cameras, *known), _LOSS_PX)
-    estimate = covariances(adjusted, np.arange(len(scene.xyz)) if blobs is None else blobs)
+    adjusted = Adjusted(bundle, cameras, CameraPriors(cameras, *known), _LOSS_PX)
+    estimate = covariances(adjusted, np.arange(len(bundle.xyz)) if blobs is None else blobs)
     return None if estimate is None else estimate.poses
 
 

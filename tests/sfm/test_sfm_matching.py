@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 from conftest import Room
 
-from groundwalk.sfm.database import create_database, have_results, image_id, image_name, read_pair_results
+from groundwalk.sfm.database import create_database, has_results, image_id, image_name, read_pair_results
 from groundwalk.sfm.features import extract_features
 from groundwalk.sfm.matching import match_pairs, verification_options
 from groundwalk.sfm.settings import SfmSettings
@@ -47,7 +47,7 @@ def test_verified_matches_are_those_of_colmap(room: Room, tmp_path: Path) -> Non
     listed.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in pairs), encoding="utf-8")
     pycolmap.verify_matches(theirs, listed, verification_options(SETTINGS, SEED))
     matches, inliers = read_pair_results(ours, pairs)
-    assert have_results(ours, pairs).all()
+    assert has_results(ours, pairs).all()
     assert (matches >= inliers).all() and (inliers > 50).sum() > 20
     assert inliers.tolist() == read_pair_results(theirs, pairs)[1].tolist()
     with pycolmap.Database.open(ours) as one, pycolmap.Database.open(theirs) as other:

@@ -46,13 +46,13 @@ def _noisy(poses: Array, rng: np.random.Generator) -> Array:
 def test_a_right_model_agrees_in_any_gauge_and_models_need_share_none(rng) -> None:
     poses = _walks(rng)
     sfm = _noisy(poses, rng)
-    assert _checked(_GAUGE.poses(sfm), poses).agrees.all()
+    assert _checked(_GAUGE.poses(sfm), poses).consistent.all()
     two = sfm.copy()
     two[25:] = _GAUGE.poses(sfm[25:])
     model = np.repeat([1, 0], [25, 2 * _EACH - 25])
-    assert _checked(two, poses, model).agrees.all()
+    assert _checked(two, poses, model).consistent.all()
     # As one model the same poses are torn apart, but for the walk that is whole.
-    torn = _checked(two, poses).agrees
+    torn = _checked(two, poses).consistent
     assert not torn[:_EACH].all() and torn[_EACH:].all()
 
 
@@ -62,9 +62,9 @@ def test_frames_without_a_model_or_without_vio(rng) -> None:
     model[[3, 50]] = -1
     vio = poses.copy()
     vio[10:20] = np.nan
-    agrees = _checked(_GAUGE.poses(_noisy(poses, rng)), vio, model).agrees
-    assert agrees.tolist() == (model >= 0).tolist()
-    assert _checked(poses, np.full_like(poses, np.nan)).agrees.all()
+    consistent = _checked(_GAUGE.poses(_noisy(poses, rng)), vio, model).consistent
+    assert consistent.tolist() == (model >= 0).tolist()
+    assert _checked(poses, np.full_like(poses, np.nan)).consistent.all()
 
 
 def test_a_scale_of_ones_own_and_a_known_jump_are_vios_not_the_models(rng) -> None:
@@ -73,9 +73,9 @@ def test_a_scale_of_ones_own_and_a_known_jump_are_vios_not_the_models(rng) -> No
     vio[_EACH:, :3, 3] *= 1.1
     vio[20:_EACH, :3, 3] += [4.0, 0.0, 1.0]
     sfm = _GAUGE.poses(_noisy(poses, rng))
-    assert _checked(sfm, vio, jumps=(("a", 20_000_000_000, 4.1, 0.0),)).agrees.all()
+    assert _checked(sfm, vio, jumps=(("a", 20_000_000_000, 4.1, 0.0),)).consistent.all()
     # Unknown, the same jump is a place that the model has folded together.
-    assert not _checked(sfm, vio).agrees.any()
+    assert not _checked(sfm, vio).consistent.any()
 
 
 def test_a_model_of_folded_places_has_no_right_frame(rng) -> None:
@@ -85,20 +85,20 @@ def test_a_model_of_folded_places_has_no_right_frame(rng) -> None:
     vio = poses.copy()
     vio[half:_EACH, :3, 3] += [30.0, 0.0, 0.0]
     model = np.repeat([0, 1], _EACH)
-    agrees = _checked(_noisy(poses, rng), vio, model).agrees
-    assert not agrees[:_EACH].any() and agrees[_EACH:].all()
+    consistent = _checked(_noisy(poses, rng), vio, model).consistent
+    assert not consistent[:_EACH].any() and consistent[_EACH:].all()
 
 
 def test_a_single_wrong_frame_is_wrong_alone(rng) -> None:
     poses = _walks(rng)
     sfm = _noisy(poses, rng)
     sfm[12, :3, 3] += [1.5, 0.0, 0.0]
-    assert np.flatnonzero(~_checked(_GAUGE.poses(sfm), poses).agrees).tolist() == [12]
+    assert np.flatnonzero(~_checked(_GAUGE.poses(sfm), poses).consistent).tolist() == [12]
 
 
 def test_a_collapsed_model_agrees_nowhere(rng) -> None:
     poses = _walks(rng)
-    assert not _checked(np.tile(np.eye(4), (2 * _EACH, 1, 1)), poses).agrees.any()
+    assert not _checked(np.tile(np.eye(4), (2 * _EACH, 1, 1)), poses).consistent.any()
 
 
 def test_turns_that_are_all_too_small_are_the_focal_lengths_fault(rng) -> None:
@@ -107,9 +107,9 @@ def test_turns_that_are_all_too_small_are_the_focal_lengths_fault(rng) -> None:
     turns = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3])
     for k in range(1, _EACH):
         vio[k, :3, :3] = vio[k - 1, :3, :3] @ Rotation.from_rotvec(1.12 * turns[k - 1].as_rotvec()).as_matrix()
-    turned = _checked(poses, vio).turned
-    assert set(turned) == {"a"} and turned["a"] == pytest.approx(1 / 1.12, rel=0.01)
-    assert not _checked(_noisy(poses, rng), poses).turned
+    turn_gains = _checked(poses, vio).turn_gains
+    assert set(turn_gains) == {"a"} and turn_gains["a"] == pytest.approx(1 / 1.12, rel=0.01)
+    assert not _checked(_noisy(poses, rng), poses).turn_gains
 
 
 def test_turns_say_nothing_of_focal_lengths_where_more_is_wrong(rng) -> None:
@@ -120,4 +120,4 @@ def test_turns_say_nothing_of_focal_lengths_where_more_is_wrong(rng) -> None:
         vio[k, :3, :3] = vio[k - 1, :3, :3] @ Rotation.from_rotvec(1.12 * turns[k - 1].as_rotvec()).as_matrix()
     sfm[_EACH:, :3, 3] = sfm[_EACH + rng.permutation(_EACH), :3, 3]
     checked = _checked(sfm, vio)
-    assert not checked.agrees[_EACH:].all() and not checked.turned
+    assert not checked.consistent[_EACH:].all() and not checked.turn_gains

@@ -42,7 +42,7 @@ def test_true_relative_poses_agree_wherever_the_vio_frame_lies(seed: int, yaw: f
     pairs = np.array([[0, 1], [0, 3], [2, 7], [3, 15], [11, 12]])
     vio = _odometry(make_pose(yaw_rotation(yaw), [50.0, 3.0, -9.0]) @ poses, session, t_ns)
     found = compare_with_vio(pairs, _unit(relative(*poses[pairs.T])), np.full(5, _WIDE), vio, _LIMITS)
-    assert found.agrees.all()
+    assert found.consistent.all()
     assert np.nanmax(found.rotation) < 1e-6
     assert np.nanmax(found.direction) < 1e-6
     # Gravity is known across sessions, the motion isn't.
@@ -95,5 +95,5 @@ def test_frames_without_vio_are_compared_with_nothing() -> None:
     vio = _odometry(poses, session, t_ns)
     assert np.isfinite(vio.travelled_m).all()
     found = compare_with_vio(pairs, np.tile(np.eye(4), (2, 1, 1)), np.full(2, _WIDE), vio, _LIMITS)
-    assert found.agrees.all()
+    assert found.consistent.all()
     assert np.isnan(found.rotation).all()

@@ -31,7 +31,7 @@ def test_points_lie_on_their_features_in_the_shown_image(tmp_path: Path) -> None
     dots = [np.exp(-((x - u) ** 2 + (y - v) ** 2) / 32) for u, v in seen_px]
     cv2.imwrite(str(tmp_path / "dots.png"), 240 * np.sum(dots, axis=0))
     model: Any = SimpleNamespace(
-        seen_px=np.vstack([seen_px, [[1.0, 1.0]]]), frame=np.array([0] * 5 + [1]), sfm_T_cam=np.eye(4)[None]
+        observed_px=np.vstack([seen_px, [[1.0, 1.0]]]), frame=np.array([0] * 5 + [1]), sfm_T_cam=np.eye(4)[None]
     )
     stream: Any = _Stream()
     _log_view(stream, _undistorted(tmp_path / "dots.png", _CAMERA), _CAMERA, model, 0, 1.0)

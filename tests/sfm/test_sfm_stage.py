@@ -46,23 +46,23 @@ def test_a_room_of_two_walks_becomes_one_right_model(room: Room) -> None:
     pairs = pd.read_parquet(folder / "pairs.parquet")
     assert {"sequence", "retrieval"} <= set(pairs["origin"])
     across = pairs["frame_id_a"].str.split("/").str[0] != pairs["frame_id_b"].str.split("/").str[0]
-    assert (pairs.loc[across, "verdict"] == "verified").any()
+    assert (pairs.loc[across, "status"] == "verified").any()
     assert not pairs.duplicated(["frame_id_a", "frame_id_b"]).any()
 
-    assert (pairs["verdict"] == "disagrees").mean() < 0.03
-    assert pairs.loc[~across & (pairs["verdict"] == "verified"), "rotation_deg"].median() < 1
+    assert (pairs["status"] == "inconsistent_with_vio").mean() < 0.03
+    assert pairs.loc[~across & (pairs["status"] == "verified"), "rotation_deg"].median() < 1
 
-    # Matches that took no part fit the poses about as well as those that did.
+    # Held-out matches fit the poses about as well as those that did.
     models = pd.read_parquet(folder / "models.parquet")
-    chosen = models[models["chosen"]].iloc[0]
-    assert chosen["heldout_matches"] > 20
-    assert chosen["heldout_px"] == pytest.approx(chosen["fitted_px"], rel=0.5)
-    assert images["heldout_matches"].sum() == 2 * chosen["heldout_matches"]
+    selected = models[models["selected"]].iloc[0]
+    assert selected["held_out_matches"] > 20
+    assert selected["held_out_px"] == pytest.approx(selected["fitted_px"], rel=0.5)
+    assert images["held_out_matches"].sum() == 2 * selected["held_out_matches"]
     assert not images["uses_vio"].any()
     assert images["triangulation_deg"].between(1, 90).all()
     attempts = pd.read_parquet(folder / "attempts.parquet")
-    assert attempts["outcome"].tolist() == ["taken"]
-    assert attempts[["moving_as_vio", "taken"]].to_numpy().tolist() == [[1.0, True]]
+    assert attempts["outcome"].tolist() == ["accepted"]
+    assert attempts[["consistent_fraction", "selected"]].to_numpy().tolist() == [[1.0, True]]
 
     # The model beside the tables is COLMAP's own, with the cameras of the table.
     model = pycolmap.Reconstruction(folder / "model")
@@ -83,17 +83,17 @@ def test_a_room_of_two_walks_becomes_one_right_model(room: Room) -> None:
 
 def test_walks_that_nothing_visual_ties_together_become_components(tmp_path: Path) -> None:
     room = make_room(tmp_path, same_place=False)
-    folder = _run(room, "component_frames=5", "transitive_pairs=0")
+    folder = _run(room, "min_component_frames=5", "transitive_pairs=0")
     images = pd.read_parquet(folder / "images.parquet")
     assert images["registered"].all()
     walk = images["frame_id"].str.split("/").str[0]
     assert images.groupby(walk)["model_id"].nunique().tolist() == [1, 1]
     assert images["model_id"].nunique() == 2
     models = pd.read_parquet(folder / "models.parquet").set_index("model_id")
-    kept = models[models["chosen"]]
-    assert set(kept["folder"]) == {"model", "model_2"}
+    selected = models[models["selected"]]
+    assert set(selected["folder"]) == {"model", "model_2"}
     points = pd.read_parquet(folder / "points.parquet")
-    for model_id, model in kept.iterrows():
+    for model_id, model in selected.iterrows():
         own = (images["model_id"] == model_id).to_numpy()
         sfm_T_cam = poses_of(images[own], "sfm_cam")
         placed = fit_sim3(room.true_T_cam[own, :3, 3], sfm_T_cam[:, :3, 3]).points(sfm_T_cam[:, :3, 3])
@@ -106,7 +106,7 @@ def test_walks_that_nothing_visual_ties_together_become_components(tmp_path: Pat
 @pytest.mark.slow
 @pytest.mark.parametrize("mapper", ["global", "hierarchical", "vio"])
 def test_every_mapper_places_the_room_right(room: Room, mapper: str) -> None:
-    images = pd.read_parquet(_run(room, f"mapper={mapper}", "retries=false") / "images.parquet")
+    images = pd.read_parquet(_run(room, f"mapper={mapper}", "retry=false") / "images.parquet")
     assert images["registered"].all()
     assert images["uses_vio"].all() == (mapper == "vio")
     sfm_T_cam = poses_of(images, "sfm_cam")
@@ -169,47 +169,47 @@ def test_images_without_texture_end_in_a_clear_error(room: Room) -> None:
 def test_a_model_of_too_few_frames_is_refused_with_figures(room: Room) -> None:
     _blank(room, 3)
     with pytest.raises(UserError) as caught:
-        _run(room, "min_registered=0.9", "retries=false", "transitive_pairs=0")
+        _run(room, "min_registered_fraction=0.9", "retry=false", "transitive_pairs=0")
     assert "14 frames" in str(caught.value)
-    assert "as set (incremental)" in str(caught.value)
-    assert "more pairs" not in str(caught.value)
+    assert "default (incremental)" in str(caught.value)
+    assert "more_pairs" not in str(caught.value)
 
 
 @pytest.mark.slow
-def test_the_ladder_is_climbed_to_its_end_before_the_stage_gives_up(room: Room) -> None:
+def test_all_attempts_are_made_before_the_stage_gives_up(room: Room) -> None:
     _blank(room, 3)
     with pytest.raises(UserError) as caught:
-        _run(room, "min_registered=0.9")
-    for attempt in ("as set", "more pairs", "more features", "other mapper (global)", "from VIO (vio)"):
+        _run(room, "min_registered_fraction=0.9")
+    for attempt in ("default", "more_pairs", "more_features", "other_mapper (global)", "vio_start (vio)"):
         assert f"\n{attempt}" in str(caught.value)
 
 
 @pytest.mark.slow
-def test_a_later_attempt_can_be_the_one_that_is_taken(room: Room) -> None:
+def test_a_later_attempt_can_be_selected(room: Room) -> None:
     # Nothing proposes a pair across the walks at first, and half of the frames are too few.
     few = ["sequence_pairs=3", "vio_pairs=0", "retrieval_pairs=0", "transitive_pairs=0"]
-    folder = _run(room, *few, "min_registered=0.9")
+    folder = _run(room, *few, "min_registered_fraction=0.9")
     attempts = pd.read_parquet(folder / "attempts.parquet")
-    assert attempts["outcome"].tolist() == ["too few frames registered", "taken"]
-    assert attempts["attempt"].tolist() == ["as set", "more pairs"]
+    assert attempts["outcome"].tolist() == ["too_few_registered", "accepted"]
+    assert attempts["attempt"].tolist() == ["default", "more_pairs"]
     images = pd.read_parquet(folder / "images.parquet")
     assert images["registered"].sum() == attempts["registered"].iloc[-1] >= 0.9 * len(images)
 
 
-# Pairs are proposed as far as the other room, and what speaks against them in VIO is switched off.
+# Pairs are proposed as far as the other room, and checks against VIO are switched off.
 _FAR_PAIRS = ["sequence_pairs=16", "vio_pairs=0", "vio_max_distance_m=24", "vio_direction_deg=180"]
-_FAR_PAIRS += ["component_frames=5"]
+_FAR_PAIRS += ["min_component_frames=5"]
 
 
-def test_a_model_of_folded_places_is_tried_again_with_surer_pairs(tmp_path: Path) -> None:
+def test_perceptual_aliasing_is_tried_again_with_stricter_pairs(tmp_path: Path) -> None:
     room = make_look_alike_rooms(tmp_path)
     folder = _run(room, *_FAR_PAIRS)
     attempts = pd.read_parquet(folder / "attempts.parquet")
-    assert attempts["attempt"].tolist() == ["as set", "surer pairs"]
+    assert attempts["attempt"].tolist() == ["default", "stricter_pairs"]
     # The dark frames between the rooms are in no model.
-    assert attempts["outcome"].tolist() == ["moves otherwise than VIO", "frames missing"]
-    assert attempts["moving_as_vio"].tolist() == [0.0, 1.0]
-    assert attempts["taken"].tolist() == [False, True]
+    assert attempts["outcome"].tolist() == ["inconsistent_with_vio", "frames_missing"]
+    assert attempts["consistent_fraction"].tolist() == [0.0, 1.0]
+    assert attempts["selected"].tolist() == [False, True]
     images = pd.read_parquet(folder / "images.parquet")
     here, there = images["model_id"].iloc[:7], images["model_id"].iloc[-7:]
     assert here.nunique() == there.nunique() == 1 and here.iloc[0] != there.iloc[0]
@@ -219,11 +219,11 @@ def test_a_model_of_folded_places_is_tried_again_with_surer_pairs(tmp_path: Path
         assert np.linalg.norm(fit_sim3(true, xyz).points(xyz) - true, axis=1).max() < 0.02
 
 
-def test_where_no_attempt_moves_as_vio_does_the_best_is_taken_and_told(tmp_path: Path) -> None:
-    folder = _run(make_look_alike_rooms(tmp_path), *_FAR_PAIRS, "retries=false")
+def test_where_no_attempt_is_consistent_the_best_is_selected(tmp_path: Path) -> None:
+    folder = _run(make_look_alike_rooms(tmp_path), *_FAR_PAIRS, "retry=false")
     attempts = pd.read_parquet(folder / "attempts.parquet")
-    assert attempts["outcome"].tolist() == ["moves otherwise than VIO"]
-    assert attempts[["moving_as_vio", "taken"]].to_numpy().tolist() == [[0.0, True]]
+    assert attempts["outcome"].tolist() == ["inconsistent_with_vio"]
+    assert attempts[["consistent_fraction", "selected"]].to_numpy().tolist() == [[0.0, True]]
     images = pd.read_parquet(folder / "images.parquet")
     assert images["registered"].sum() == attempts["registered"].iloc[0] == 14
 

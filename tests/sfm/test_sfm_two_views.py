@@ -1,4 +1,4 @@
-"""A pair's second hearing: the pose near a given one that explains its matches."""
+"""The pose near a given one that explains a pair's matches."""
 
 import numpy as np
 from hypothesis import given, settings

@@ -1,0 +1,162 @@
+"""One attempt at models: features, pairs, matching, mapping, and the check against VIO."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundwalk.artefacts import StageRun, UserError
+from groundwalk.artefacts.child import Task
+from groundwalk.artefacts.choices import AttemptName, PairOrigin
+from groundwalk.consistency.motions import MISTAKE_REASONS, compare_motions
+from groundwalk.geometry.poses import relative
+from groundwalk.sfm.attempts import Attempt, outcome_of
+from groundwalk.sfm.database import has_results, keypoint_counts, read_pair_results
+from groundwalk.sfm.mappers import MappingInput
+from groundwalk.sfm.mapping import BuiltModel, build_models, read_built, selected_models
+from groundwalk.sfm.mapping_input import VerifiedPairs
+from groundwalk.sfm.matching import ONE_THREAD, MatchedPairs, match_pairs
+from groundwalk.sfm.model import Model, load_models
+from groundwalk.sfm.model_check import check_models
+from groundwalk.sfm.odometry import PairLimits, nothing_compared
+from groundwalk.sfm.pair_selection import Proposals, pairs_across_sessions, pairs_of_chains, pairs_within_sessions
+from groundwalk.sfm.pairs import first_origins
+from groundwalk.sfm.scene_input import SceneInput, calibrated_features
+from groundwalk.sfm.settings import SfmSettings
+from groundwalk.sfm.two_views import compare_pairs
+
+_MIN_COMPARED_PAIRS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttemptModels:
+    """What an attempt made: its settings, its pairs, its keypoint counts (N,), and all models in `folder`; `model` are
+    the selected ones, None where there is none."""
+
+    settings: SfmSettings
+    matched: MatchedPairs
+    keypoints: NDArray[np.int64]
+    built: list[BuiltModel]
+    folder: Path
+    model: Model | None
+
+    @property
+    def mapping_input(self) -> Path:
+        """The database that was mapped."""
+        return self.folder.with_suffix(".db")
+
+    @property
+    def selected(self) -> list[BuiltModel]:
+        """The selected models, the largest first."""
+        return selected_models(self.built)
+
+
+def attempt_models(
+    r: StageRun[SfmSettings], scene: SceneInput, number: int, name: AttemptName, settings: SfmSettings
+) -> tuple[Attempt, AttemptModels]:
+    """Make models with these settings and check them against VIO; what an earlier, killed run did is reused."""
+    database = calibrated_features(r, scene, settings)
+    with r.step("pairs"):
+        proposals = pairs_within_sessions(settings, scene.frames, scene.recording_N, scene.vio)
+        similar = pairs_across_sessions(settings, scene.vio.session, database, r.seed)
+    with r.step("matching"):
+        matched = _match(r.seed, settings, scene, database, [*proposals, (PairOrigin.RETRIEVAL, similar)])
+        matched = _compared_with_vio(settings, scene, database, matched)
+    folder = scene.scratch / f"mapping_{number}"
+    with r.step("mapping"):
+        built = _map(r.seed, settings, scene, database, matched, folder)
+    selected = selected_models(built)
+    model, consistent, fault = None, 0, ""
+    with r.step("check"):
+        if selected:
+            model = load_models([folder / entry.folder for entry in selected], len(scene.names))
+            t_ns = scene.frames["t_ns"].to_numpy(np.int64)
+            check = check_models(model.sfm_T_cam, model.model, scene.vio, scene.recording_N, t_ns, settings.vio_drift)
+            consistent = int(check.consistent.sum())
+            fault = ", ".join(
+                f"the images of session {session} turn {gain:.2f} times as far as its VIO, so its focal length is wrong"
+                for session, gain in check.turn_gains.items()
+            )
+    sizes = [entry.images for entry in selected]
+    attempt = Attempt(
+        name=name,
+        mapper=settings.mapper,
+        pairs=len(matched.pairs),
+        verified=int(matched.verified.sum()),
+        model_frames=sizes,
+        consistent=consistent,
+        outcome=outcome_of(sizes, consistent, len(scene.names), settings),
+        input_fault=fault,
+    )
+    keypoints = keypoint_counts(database, len(scene.names))
+    return attempt, AttemptModels(
+        settings=settings, matched=matched, keypoints=keypoints, built=built, folder=folder, model=model
+    )
+
+
+def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, proposals: Proposals) -> MatchedPairs:
+    """Match and verify the proposals, then pairs that both match a third frame."""
+
+    def match(text: str) -> MatchedPairs:
+        pairs, origin = first_origins(proposals, len(scene.names))
+        if not has_results(database, pairs).all():
+            arguments = (database, scene.names, pairs, settings, seed)
+            scene.in_child(text, Task(match_pairs, arguments, len(pairs), ONE_THREAD))
+        matches, inliers = read_pair_results(database, pairs)
+        return MatchedPairs(pairs, origin, matches, inliers, settings.min_inliers, nothing_compared(len(pairs)))
+
+    matched = match("matching pairs")
+    if settings.transitive_pairs:
+        more = pairs_of_chains(settings, scene.vio, matched.pairs, matched.inliers)
+        proposals = [*proposals, (PairOrigin.TRANSITIVE, more)]
+        matched = match("matching pairs that share a partner")
+    return matched
+
+
+def _compared_with_vio(settings: SfmSettings, scene: SceneInput, database: Path, matched: MatchedPairs) -> MatchedPairs:
+    """The pairs with enough inliers compared with VIO. UserError where most of a session's are inconsistent: then its
+    input is wrong, not its pairs."""
+    limits = PairLimits(
+        settings.vio_drift,
+        float(np.radians(settings.vio_gravity_deg)),
+        float(np.radians(settings.vio_direction_deg)),
+    )
+    rows = np.flatnonzero(matched.has_enough_inliers)
+    pairs = matched.pairs[rows]
+    a_T_b, compared = compare_pairs(database, pairs, scene.vio, limits)
+    session, vio_T_cam = scene.vio.session, scene.vio.vio_T_cam
+    for name in np.unique(session):
+        members = (session[pairs] == name).all(axis=1) & np.isfinite(compared.rotation)
+        inconsistent = int(np.count_nonzero(~compared.consistent[members]))
+        if members.sum() >= _MIN_COMPARED_PAIRS and inconsistent > members.sum() / 2:
+            a, b = pairs[members].T
+            motions = compare_motions(a_T_b[members], relative(vio_T_cam[a], vio_T_cam[b]), common_scale=False)
+            mistake = f"; {MISTAKE_REASONS[motions.mistake]}" if motions.mistake else ""
+            raise UserError(
+                f"images and VIO of session {name} are inconsistent",
+                expected="the same relative motions, within VIO's drift, in all but a few pairs of frames",
+                found=f"{inconsistent} of {members.sum()} verified pairs inconsistent with VIO{mistake}",
+                do="look at how this session was exported: mirrored or turned images, images in another order than "
+                "their poses, or wrong intrinsics; or leave the session out",
+            )
+    return replace(matched, compared=compared.scattered(rows, len(matched.pairs)))
+
+
+def _map(
+    seed: int, settings: SfmSettings, scene: SceneInput, database: Path, matched: MatchedPairs, folder: Path
+) -> list[BuiltModel]:
+    if not matched.verified.any():
+        return []
+    if not folder.is_dir():
+        verified = VerifiedPairs(
+            frames=scene.frames,
+            pairs=matched.pairs[matched.verified],
+            matched=database,
+            features=scene.features_file(settings),
+        )
+        vio, target = scene.vio, folder.with_suffix(".db")
+        source = MappingInput(target, scene.images, vio.vio_T_cam, vio.session, seed)
+        task = Task(build_models, (verified, source, scene.cameras, settings, folder), len(scene.names))
+        scene.in_child("mapping", task)
+    return read_built(folder)

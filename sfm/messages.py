@@ -1,0 +1,86 @@
+"""The stage's figures, and its lines for the user."""
+
+import numpy as np
+import pandas as pd
+
+from groundwalk.artefacts import StageRun
+from groundwalk.artefacts.choices import PairStatus
+from groundwalk.sfm.attempt_models import AttemptModels
+from groundwalk.sfm.attempts import Attempt
+from groundwalk.sfm.mapping_input import HeldOutCheck
+from groundwalk.sfm.model import Model
+from groundwalk.sfm.residuals import pattern_of
+from groundwalk.sfm.settings import SfmSettings
+
+
+def report_models(
+    r: StageRun[SfmSettings], made: AttemptModels, model: Model, check: HeldOutCheck, attempts: list[Attempt], best: int
+) -> None:
+    """Figures of the selected attempt, and two lines about it."""
+    selected = made.selected
+    registered = int(model.registered.sum())
+    inconsistent = int((made.matched.status == PairStatus.INCONSISTENT_WITH_VIO).sum())
+    error_px = float(np.linalg.norm(model.residual_px, axis=1).mean())
+    figures: dict[str, float | str | None] = {
+        "frames": len(model.registered),
+        "registered": registered,
+        "models": len(selected),
+        "largest_model": selected[0].images,
+        "attempts": len(attempts),
+        "consistent_fraction": attempts[best].consistent / registered,
+        "mapper": made.settings.mapper,
+        "pairs": len(made.matched.pairs),
+        "verified_pairs": int(made.matched.verified.sum()),
+        "pairs_inconsistent_with_vio": inconsistent,
+        "points": len(model.xyz),
+        "mean_track_length": float(model.track_lengths().mean()),
+        "mean_reprojection_px": error_px,
+        "held_out_px": check.median_px(held_out=True),
+        "fitted_px": check.median_px(held_out=False),
+    }
+    for name, value in figures.items():
+        r.figure(name, value)
+    where = "one model" if len(selected) == 1 else f"{len(selected)} models without common points"
+    r.say(
+        f"{registered} of {len(model.registered)} frames in {where}, {len(model.xyz)} points, "
+        f"{error_px:.2f} px mean reprojection error"
+    )
+    if inconsistent:
+        r.say(
+            f"{inconsistent} verified pairs excluded: relative pose inconsistent with VIO (pairs.parquet, status "
+            f"{PairStatus.INCONSISTENT_WITH_VIO})"
+        )
+
+
+def report_patterns(r: StageRun[SfmSettings], residuals: pd.DataFrame, plot: str) -> None:
+    """A line for each lens of each model whose residuals show a pattern."""
+    for (model_id, lens_id), of_lens in residuals.groupby(["model_id", "lens_id"], sort=False):
+        if pattern := pattern_of(of_lens):
+            r.say(
+                f"model {model_id}, lens of {lens_id}: residuals show a {pattern[0]} that isn't modelled "
+                f"({pattern[1]:.2f} px, {plot})"
+            )
+
+
+def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: pd.DataFrame) -> None:
+    """A line for each lens, and for each session whose logged focal lengths are likely wrong."""
+    for lens in lenses.to_dict("records"):
+        r.say(
+            f"lens of {lens['lens_id']}: k1 {lens['k1']:.4f} ± {lens['k1_sd']:.4f}, k2 {lens['k2']:.4f} ± "
+            f"{lens['k2_sd']:.4f}, readout {1000 * lens['readout_s']:.1f} ± {1000 * lens['readout_sd_s']:.1f} ms "
+            f"({lens['origin']})"
+        )
+        if lens["stated_is_wrong"]:
+            r.say(
+                f"lens of {lens['lens_id']}: the STATED DISTORTION IS LIKELY WRONG (k1 {lens['stated_k1']:.4f}, k2 "
+                f"{lens['stated_k2']:.4f}): median error of held-out matches {lens['held_out_stated_px']:.2f} px, "
+                f"{lens['held_out_px']:.2f} px with the estimated lens, which is used"
+            )
+    limit = r.settings.max_focal_error
+    for session in intrinsics.to_dict("records"):
+        error = session["focal_scale"] - 1
+        if abs(error) >= limit:
+            r.say(
+                f"session {session['session_id']}: logged focal lengths are likely wrong: {100 * error:+.2f} % ± "
+                f"{100 * session['focal_scale_sd']:.2f} % by the images, limit {100 * limit:g} % (sfm.max_focal_error)"
+            )

@@ -1,0 +1,134 @@
+"""Names, messages, help and docs keep to the glossary: words that were retired don't come back."""
+
+import ast
+import re
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from groundwalk.artefacts import Settings, choices
+from groundwalk.artefacts.schemas import all_tables
+from groundwalk.cli import all_commands
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = [path.parent for path in ROOT.glob("*/__init__.py") if path.parent.name not in ("tests", "benchmarks")]
+# What must not be in a name or text, and what is written instead.
+RETIRED = {
+    r"per_root": "per_sqrt",
+    r"heldout": "held_out",
+    r"second hearing": "fitted again",
+    r"\bsure enough\b": "certain",
+    r"\bladder\b": "attempts",
+    r"moves? otherwise|moving as VIO|disagrees? with VIO": "inconsistent with VIO",
+    r"\bkept out\b": "excluded",
+    r"needs VIO's word|nothing speaks against": "consistent",
+    r"safe point": "checkpoint",
+}
+# The same in names alone: in a sentence these are plain English.
+RETIRED_NAMES = {
+    r"(^|_)(told|own|found|taken|shown|kept|wanted|blamed|spoilt|chosen)(_|$)": "a noun that says what it is",
+    r"(^|_)(least|most|fewest|largest|farthest)_": "min_ or max_",
+    r"(^|_)share(_|$)": "fraction",
+    r"(^|_)(verdict|gate|stretch|rung|sighting)(_|$)": "status, checks, segment, attempt, detection",
+}
+# Tables and settings that still have such a name: a list that may only become shorter.
+PENDING = {"share_pct", "found", "verdict", "kept"}
+
+
+def settings_texts() -> Iterator[tuple[str, str]]:
+    """Names and descriptions of all settings."""
+    for package in PACKAGES:
+        for path in (*package.rglob("*settings.py"), *package.rglob("stage.py")):
+            module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            for value in vars(import_module(f"groundwalk.{module}")).values():
+                if isinstance(value, type) and issubclass(value, BaseModel) and value is not Settings:
+                    for name, field in value.model_fields.items():
+                        yield name, field.description or ""
+
+
+def table_texts() -> Iterator[tuple[str, str]]:
+    """Names and meanings of all tables and columns, and what text columns can hold."""
+    for table in all_tables():
+        yield table.name, table.meaning
+        for column in table.columns:
+            yield column.name, column.meaning
+            yield from (("", text) for text in column.choices or ())
+
+
+def help_texts() -> Iterator[tuple[str, str]]:
+    """Options and help of all commands."""
+    for command in all_commands():
+        loaded: Any = command.load()
+        yield command.name, f"{command.help}\n{loaded.help}"
+        yield from ((option.name, getattr(option, "help", None) or "") for option in loaded.params)
+
+
+def message_texts() -> Iterator[tuple[str, str]]:
+    """What UserErrors say: the text in each call that makes one."""
+    for path in (path for package in PACKAGES for path in package.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "UserError":
+                parts = (n.value for n in ast.walk(node) if isinstance(n, ast.Constant) and isinstance(n.value, str))
+                yield "", "\n".join(parts)
+
+
+def choice_texts() -> Iterator[tuple[str, str]]:
+    """All enumerations of texts that are written to files."""
+    for value in vars(choices).values():
+        if isinstance(value, type) and value.__module__ == choices.__name__:
+            yield from (("", text) for text in value)
+
+
+def doc_texts() -> Iterator[tuple[str, str]]:
+    """The pages of docs/, without what is generated or measured."""
+    for path in (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")):
+        if path.name != "artefacts.md" and "results" not in path.parts:
+            yield "", path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("texts", "at_least"),
+    [
+        (settings_texts, 150),
+        (table_texts, 300),
+        (help_texts, 100),
+        (message_texts, 150),
+        (choice_texts, 20),
+        (doc_texts, 20),
+    ],
+)
+def test_no_retired_word(texts: Any, at_least: int) -> None:
+    read = list(texts())
+    assert len(read) >= at_least
+    wrong = [
+        f"{match.group()!r} in {name or text[max(0, match.start() - 60) : match.end() + 60]!r}: {instead}"
+        for name, text in read
+        for pattern, instead in RETIRED.items()
+        for match in (*re.finditer(pattern, name), *re.finditer(pattern, text, re.IGNORECASE))
+    ]
+    wrong += [
+        f"{name}: {why}"
+        for name, _ in read
+        for word, why in RETIRED_NAMES.items()
+        if re.search(word, name) and name not in PENDING
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_pending_names_are_still_there() -> None:
+    names = {name for texts in (settings_texts, table_texts) for name, _ in texts()}
+    assert names >= PENDING
+
+
+@pytest.mark.parametrize("name", ["vio_drift_deg_per_root_m", "heldout_px", "told_px", "least_step", "frame_share"])
+def test_retired_words_are_seen(name: str) -> None:
+    assert any(re.search(word, name) for word in (*RETIRED, *RETIRED_NAMES))
+
+
+@pytest.mark.parametrize("name", ["held_out_px", "download_s", "unknown", "shared", "at_least"])
+def test_other_words_are_left(name: str) -> None:
+    assert not any(re.search(word, name) for word in (*RETIRED, *RETIRED_NAMES))
