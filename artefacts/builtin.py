@@ -37,6 +37,10 @@ BUILTIN: dict[str, dict[str, str]] = {
         "vlad": "groundwalk.sfm.entries:VLAD",
         "pca-vlad": "groundwalk.sfm.entries:PCA_VLAD",
     },
+    "groundwalk.structure_localisers": {
+        "Map": "groundwalk.localisation.entries:MAP",
+        "HLoc": "groundwalk.localisation.entries:HLOC",
+    },
     "groundwalk.regressors": {
         "PN": "groundwalk.training.entries:PN",
         "MS-T": "groundwalk.training.entries:MS_T",

@@ -11,7 +11,7 @@ from groundwalk.artefacts.errors import UserError
 
 # Profiles, scenes and published tables: data/ beside the packages, in the repository as in a wheel (groundwalk/data).
 SHIPPED_DATA = Path(__file__).resolve().parent.parent / "data"
-STAGES = ("import", "sfm", "align", "train", "fuse", "report")
+STAGES = ("import", "sfm", "align", "localise", "train", "fuse", "report")
 _SECTIONS = ("simulate", *STAGES)
 _NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}"
 # Lists of tables at the top of a scene's file that are a setting of one stage, which alone depends on them.

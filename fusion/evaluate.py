@@ -39,14 +39,14 @@ class FuseSettings(Settings):
 
 @dataclass(frozen=True)
 class Inputs:
-    """One scene's frames, ground truth and predictions; `trained` are the models whose predictions the train stage
-    made, so that the order of their quaternions is known."""
+    """One scene's frames, ground truth and predictions; `made_here` are the models whose predictions the stages train
+    and localise made, so that the order of their quaternions is known."""
 
     scene: str
     frames: pd.DataFrame
     truth: pd.DataFrame
     predictions: pd.DataFrame
-    trained: frozenset[str] = frozenset()
+    made_here: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def joined_walks(inputs: Inputs, splits: list[str]) -> Iterator[tuple[str, Evalu
     check_predictions(inputs.frames, inputs.predictions, f"of {inputs.scene}")
     for model, predictions in inputs.predictions.groupby("model", sort=False):
         found = evaluated(inputs.scene, inputs.frames, inputs.truth, predictions, splits)
-        if model not in inputs.trained:
+        if model not in inputs.made_here:
             refuse_scalar_first(found.walks, f"of {inputs.scene}")
         yield str(model), found
 
@@ -203,6 +203,7 @@ def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
 
 _MEANINGS = {
     "frames_too_uncertain_for_levels": "ground truth of class C, in means and medians alone",
+    "predictions_refused": "the localiser's evidence was too thin; they count as failed",
     "frames_of_unstated_quality": "the accuracy levels leave none of them out",
 }
 

@@ -7,13 +7,15 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from groundwalk.alignment.checks import CAUSES, KINDS
+from groundwalk.alignment.checks.definitions import DEFINITIONS
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler
+from groundwalk.artefacts.choices import FailureCause
 from groundwalk.artefacts.reference import reference as tables_page
 from groundwalk.artefacts.registry import Registry
 from groundwalk.artefacts.settings import SHIPPED_DATA, DataRoot, SceneConfig, Settings, SplitRules
 from groundwalk.cli import COMMANDS, Command, all_commands
 from groundwalk.fusion.methods import METHODS
+from groundwalk.localisation.localisers import LOCALISERS
 from groundwalk.reports.checks import check_tables
 from groundwalk.reports.details import checks
 from groundwalk.reports.grids import PUBLISHED, markdown
@@ -29,8 +31,8 @@ _SETTINGS_HEAD = f"""# Settings
 
 A stage's settings are resolved in this order, the later one wins: the defaults below, the section `[<stage>]` of
 `data/profiles/<profile>.toml`, the same section of `data/scenes/<scene>.toml`, `--set key=value` on the command line
-(`--set quality_a.position_sd_m=0.01`). An unknown key, a wrong type and a value out of range are errors that name the
-key. The resolved settings of a run are in each stage's `manifest.json`.
+(`--set quality_a.max_position_sd_m=0.01`). An unknown key, a wrong type and a value out of range are errors that name
+the key. The resolved settings of a run are in each stage's `manifest.json`.
 
 {WRITTEN_BY}
 """
@@ -45,7 +47,7 @@ command is run again. `make help` lists the targets of the Makefile, which call 
 _CHECKS_HEAD = f"""# Checks of ground truth
 
 `align` writes a row for each check and each session, model or window that it is about into
-[`gate`](tables.md#align). The value is an estimate, `sd` its standard error: the check has *passed* where the value
+[`checks`](tables.md#align). The value is an estimate, `sd` its standard error: the check has *passed* where the value
 keeps two of these within the limit, *failed* where it is beyond the limit by two or more, and is *undecided* between.
 What has no standard error is counted or measured. The limits are [settings](settings.md#align); why these checks:
 [consistency](../explanation/consistency.md); step by step: [act on a failed check](../how-to/failed-check.md).
@@ -129,13 +131,13 @@ def checks_page() -> str:
     """Every check of align with what it estimates and what to do, and the causes in their order."""
     parts = [_CHECKS_HEAD, "\n## Checks\n\n| check | estimates | unit | where it failed | what would decide it |\n"]
     parts.append("|---|---|---|---|---|\n")
-    for name, kind in KINDS.items():
-        cells = " | ".join(_cell(text) for text in (kind.estimate, kind.unit, kind.remedy, kind.decides))
+    for name, check in DEFINITIONS.items():
+        cells = " | ".join(_cell(text) for text in (check.estimate, check.unit, check.remedy, check.evidence))
         parts.append(f"| `{name}` | {cells} |\n")
     parts.append(
         "\n## Causes\n\nWhat a failure says is wrong, column `cause`. The first in this order names the run.\n\n"
     )
-    parts += [f"{number}. {_cell(str(cause))}\n" for number, cause in enumerate(CAUSES, 1)]
+    parts += [f"{number}. {_cell(str(cause))}\n" for number, cause in enumerate(FailureCause, 1)]
     return "".join(parts)
 
 
@@ -153,6 +155,8 @@ def _sections() -> Iterator[tuple[str, str, str]]:
             for kind, model in RULERS.items():
                 text = f"{_first_line(model)} In a scene's file, any number of these: [rulers](../how-to/ruler.md)."
                 yield f'[[ruler]] of kind "{kind}"', text, _table(model, {"kind"})
+        if stage.name == "localise":
+            yield from _of_entries("localise.localisers", LOCALISERS, "settings")
         if stage.name == "train":
             yield from _of_entries("train.regressors", REGRESSORS, "settings")
         if stage.name == "fuse":

@@ -119,7 +119,9 @@ def alignment(scene: SceneInputs) -> Grid:
     rows = []
     for s in _records(scene.align_sessions.sort_values(["session_id", "segment"])):
         fit = [number(s.scale, 4), number(s.up_error_deg, 2), number(s.position_rms_m, 3), number(s.position_max_m, 3)]
-        rows.append([s.session_id, s.segment, f"{s.used} of {s.frames}", *fit, number(s.rotation_rms_deg, 2)])
+        rows.append(
+            [s.session_id, s.segment, f"{s.with_ground_truth} of {s.frames}", *fit, number(s.rotation_rms_deg, 2)]
+        )
     caption = "Each session's VIO fitted rigidly to the map: metres of VIO per metre of the map, and what is left."
     return _grid(f"alignment-{scene.name}", "VIO against the map", caption, columns, rows, 2)
 
@@ -188,18 +190,18 @@ def drift(scene: SceneInputs) -> Grid:
     return _grid(f"drift-{scene.name}", "VIO drift", caption, columns, rows, 3)
 
 
-def gate(scene: SceneInputs) -> Grid | None:
-    """What the gate let through or not, one line a check; None where nothing was checked."""
+def consistency(scene: SceneInputs) -> Grid | None:
+    """Consistency checks of the ground truth, one line a check; None where nothing was checked."""
     rows = []
-    for check, of_check in scene.gate.groupby("check", sort=False):
+    for check, of_check in scene.align_checks.groupby("check", sort=False):
         open_ones = of_check[of_check["status"] != "passed"]
         status = "; ".join(dict.fromkeys(open_ones["status"] + ": " + open_ones["reason"])) or "passed"
         counts = [int((of_check["status"] == name).sum()) for name in ("failed", "undecided")]
         unit = of_check["unit"].iloc[0]
         rows.append([check, status, unit, len(of_check), *counts, _range(of_check["value"]), _range(of_check["limit"])])
-    columns = ["check", "status", "unit", "checked", "failed", "undecided", "found", "limit"]
+    columns = ["check", "status", "unit", "checks", "failed", "undecided", "value", "limit"]
     caption = "What had to hold before ground truth was given out."
-    return _grid(f"gate-{scene.name}", "Gate", caption, columns, rows, 3) if rows else None
+    return _grid(f"consistency-{scene.name}", "Consistency checks", caption, columns, rows, 3) if rows else None
 
 
 def models(scene: SceneInputs) -> Grid:
@@ -220,6 +222,26 @@ def models(scene: SceneInputs) -> Grid:
     rows = [[name, *values] for name, values in facts]
     columns = ["", *(scene.label(c.model) for c in cards)]
     return _grid(f"models-{scene.name}", "Models", "What was trained, and how.", columns, rows, len(columns))
+
+
+def localisers(scene: SceneInputs) -> Grid | None:
+    """What each structure localiser keeps, costs and refused; None where there is none."""
+    test = scene.predictions[scene.predictions["split"] == "test"]
+    rows = []
+    for card in _records(scene.localisers):
+        said = test[test["model"] == card.model]
+        codes = said["refusal"].value_counts()
+        refused = ", ".join(f"{count} {code}" for code, count in codes.items()) or "none"
+        answered = said[said["refusal"].isna()]
+        figures = [number(float(values.median()), 0) for values in (answered["inliers"], said["cpu_ms"])]
+        row = [card.label, card.meaning, f"{card.bytes / 2**20:.2f}", card.points, card.train_frames]
+        rows.append([*row, *figures, number(card.build_cpu_seconds, 0), f"{refused} of {len(said)}"])
+    columns = ["localiser", "what it is", "MiB", "points", "training frames", "inliers", "a query (CPU ms)"]
+    columns += ["built in (CPU s)", "test frames refused"]
+    caption = (
+        "Built from the training frames alone; a refused frame counts as failed in all tables. Inliers: the median."
+    )
+    return _grid(f"localisers-{scene.name}", "Structure localisers", caption, columns, rows, 2) if rows else None
 
 
 def _of_trained(cards: list[Any], text: Callable[[Any], str]) -> list[str]:

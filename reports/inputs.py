@@ -22,6 +22,7 @@ LEAK_S = 5.0
 class SceneInputs:
     """The tables of one scene that the report is made from.
 
+    `predictions` are the regressors' and the structure localisers', `cards` and `localisers` say what these are.
     `manifests` has those of all stages that went in, by a name to show. `sweep` is None where the
     paper's rule wasn't run, `validation` where no frames were held out of training.
     """
@@ -38,10 +39,12 @@ class SceneInputs:
     ground_truth: pd.DataFrame
     align_sessions: pd.DataFrame
     drift: pd.DataFrame
-    gate: pd.DataFrame
+    align_checks: pd.DataFrame
     predictions: pd.DataFrame
     history: pd.DataFrame
     cards: pd.DataFrame
+    localisers: pd.DataFrame
+    storage: pd.DataFrame
     poses: pd.DataFrame
     errors: pd.DataFrame
     sweep: pd.DataFrame | None
@@ -77,8 +80,8 @@ class SceneInputs:
 
     def label(self, model: str) -> str:
         """The model as tables and pages print it."""
-        labels = self.cards.set_index("model")["label"].dropna()
-        return str(labels.get(model, model))
+        both = pd.concat([table[["model", "label"]] for table in (self.cards, self.localisers)])
+        return str(both.set_index("model")["label"].dropna().get(model, model))
 
     @property
     def method_labels(self) -> dict[str, str]:
@@ -187,7 +190,8 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         part = r.read("fuse", table, scene=fused_by)
         return part[part["scene"] == leaf].reset_index(drop=True)
 
-    manifests = {stage: r.manifest(stage, leaf) for stage in ("import", "sfm", "align")}
+    localised = r.read("localise", "predictions", scene=leaf)
+    manifests = {stage: r.manifest(stage, leaf) for stage in ("import", "sfm", "align", "localise")}
     manifests |= {f"train of {owner}" if owner != leaf else "train": r.manifest("train", owner) for owner in trainers}
     manifests |= {f"fuse of {fused_by}" if fused_by != leaf else "fuse": r.manifest("fuse", fused_by)}
     frames, images = r.dataset_frames(leaf), r.read("sfm", "images", scene=leaf)
@@ -204,10 +208,12 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         ground_truth=r.read("align", "ground_truth", scene=leaf),
         align_sessions=r.read("align", "sessions", scene=leaf),
         drift=r.read("align", "drift", scene=leaf),
-        gate=r.read("align", "gate", scene=leaf),
-        predictions=trained("predictions"),
+        align_checks=r.read("align", "checks", scene=leaf),
+        predictions=pd.concat([p for p in (trained("predictions"), localised) if len(p)], ignore_index=True),
         history=trained("history"),
         cards=trained("models"),
+        localisers=r.read("localise", "models", scene=leaf),
+        storage=r.read("localise", "storage", scene=leaf),
         poses=fused("poses"),
         errors=fused("errors"),
         sweep=fused("sweep") if (r.folder("fuse", fused_by) / "sweep.parquet").is_file() else None,

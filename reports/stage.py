@@ -84,8 +84,9 @@ def _section(r: StageRun[ReportSettings], scene: SceneInputs, all_cells: pd.Data
         "quality": details.quality(scene),
         "alignment": details.alignment(scene),
         "drift": details.drift(scene),
-        "gate": details.gate(scene),
+        "consistency": details.consistency(scene),
         "models": details.models(scene),
+        "localisers": details.localisers(scene),
         "users": details.users(scene),
     }
     return page.SceneSection(
@@ -115,7 +116,7 @@ STAGE = Stage(
     version=5,
     settings=ReportSettings,
     reads_shipped=("published",),
-    needs=("import", "sfm", "align", "train", "fuse"),
+    needs=("import", "sfm", "align", "localise", "train", "fuse"),
     run=run,
     help="Report: Tables I to III beside the paper's numbers, all methods over all frames, figures, checks, a page.",
 )

@@ -62,7 +62,10 @@ def test_each_command_names_what_there_is(page: Page) -> None:
             assert set(goals) <= TARGETS, f"{page.name}: no target {goals}"
         elif program == "groundwalk" and arguments and not arguments[0].startswith(("-", "<")):
             assert arguments[0] in COMMANDS, f"{page.name}: no command {arguments[0]}"
-            known = {name for parameter in COMMANDS[arguments[0]].load().params for name in parameter.opts}
+            loaded, rest = COMMANDS[arguments[0]].load(), arguments[1:]
+            while rest and rest[0] in getattr(loaded, "commands", {}):
+                loaded = loaded.commands[rest.pop(0)]
+            known = {name for parameter in loaded.params for name in parameter.opts}
             options = {word.partition("=")[0] for word in arguments if word.startswith("--")}
             assert options <= known | OPTIONS_OF_ALL, f"{page.name}: {words}: no {options - known}"
         elif program.startswith("python") and arguments[:1] == ["-m"]:

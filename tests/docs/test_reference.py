@@ -80,7 +80,7 @@ def test_the_standard_profile_lies_between_demo_and_paper() -> None:
         return resolve_settings(SECTIONS[section], section, DataRoot(SHIPPED_DATA), profile, "Church", [])
 
     demo, standard, paper = (of(profile, "simulate") for profile in ("demo", "standard", "paper"))
-    assert demo.frame_share < standard.frame_share < paper.frame_share
+    assert demo.frame_fraction < standard.frame_fraction < paper.frame_fraction
     assert demo.width <= standard.width <= paper.width
     demo, standard, paper = (of(profile, "train") for profile in ("demo", "standard", "paper"))
     assert demo.crop < standard.crop == paper.crop == 224

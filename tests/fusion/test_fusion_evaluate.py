@@ -448,8 +448,8 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path, monkeypa
     files = parquet_files(tmp_path, *tables([1]))
     out = tmp_path / "out"
     for folder, message in (
-        (tmp_path, "something else"),
-        (files.frames, "something else"),
+        (tmp_path, "other files"),
+        (files.frames, "other files"),
         (files.frames / "out", "can't be made"),
     ):
         with pytest.raises(UserError, match=message):
@@ -463,7 +463,7 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path, monkeypa
     note = json.loads((out / "evaluation.json").read_text())
     assert note["counts"]["frames"] == 40 and note["settings"]["methods"] == ["apr"]
     assert note["inputs"]["frames"]["sha256"] == hashlib.sha256(files.frames.read_bytes()).hexdigest()
-    with pytest.raises(UserError, match="results already"):
+    with pytest.raises(UserError, match="holds earlier results"):
         write(files, out)
     (out / "stale.parquet").touch()
 

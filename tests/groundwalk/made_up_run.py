@@ -19,8 +19,9 @@ NEEDS = {
     "import": (),
     "sfm": ("import",),
     "align": ("import", "sfm"),
+    "localise": ("import", "sfm", "align"),
     "train": ("import", "align"),
-    "fuse": ("import", "align", "train"),
+    "fuse": ("import", "align", "localise", "train"),
 }
 DEFAULTS = {"float64": 0.0, "int64": 0, "bool": False, "string": "", "list<float64>": [], "list<string>": []}
 
@@ -96,6 +97,13 @@ class MadeUpRun:
         truth.loc[LOST, "quality"] = "none"
         sessions = filled("align", "sessions", 2, session_id=["walk-0", "walk-1"])
         return {"ground_truth": truth.assign(scale_source="vio", vertical_source="gravity"), "sessions": sessions}
+
+    def _localise(self) -> dict[str, pd.DataFrame]:
+        """Poses of the test frames, of which the last one is refused."""
+        poses = np.where((np.arange(FRAMES) == FRAMES - 1)[:, None, None], np.nan, self.map_T_cam)
+        predicted = filled("localise", "predictions", FRAMES, **self._keys, **pose_frame("map_cam", poses), model="Map")
+        predicted.loc[FRAMES - 1, ["refusal", "reason"]] = "few_features", "3 features, 30 needed"
+        return {"predictions": predicted[predicted["split"] == "test"]}
 
     def _train(self) -> dict[str, pd.DataFrame]:
         predicted = pose_frame("map_cam", self.map_T_cam)
