@@ -40,6 +40,7 @@ the causal method whose mean errors are least (the geometric mean of position an
 
 def run_leaderboard(folders: Sequence[Path], data: Path, out: Path, methods: Sequence[str], processes: int) -> None:
     """Run it, write its files and print them. UserError where there is nothing to run on."""
+    revision = git_revision()  # before the run: the checkout may move on meanwhile
     cases, sources = cases_of_runs(DataRoot(data))
     for folder in folders:
         more, lines = cases_in(folder)
@@ -48,14 +49,14 @@ def run_leaderboard(folders: Sequence[Path], data: Path, out: Path, methods: Seq
         raise UserError(
             "there is nothing to run on", where=data, do="name a folder of predictions, or finish a run of a scene"
         )
-    print(write_leaderboard(out, scores(cases, entrants(methods), processes), sources))
+    print(write_leaderboard(out, scores(cases, entrants(methods), processes), sources, revision))
 
 
-def write_leaderboard(out: Path, rows: pd.DataFrame, sources: list[str]) -> str:
+def write_leaderboard(out: Path, rows: pd.DataFrame, sources: list[str], revision: str) -> str:
     """Write fusion.md, fusion.csv and, with lags, fusion_lag.png into the folder; returns what stands in fusion.md."""
     out.mkdir(parents=True, exist_ok=True)
     head = {
-        "revision": git_revision(),
+        "revision": revision,
         "date": datetime.now(UTC).date().isoformat(),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the end",
     }
