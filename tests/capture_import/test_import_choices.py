@@ -83,7 +83,7 @@ def test_support_frames_keep_steps_small_wherever_there_are_images(
 ) -> None:
     poses, sharpness = walk_of(count, seed)
     kept, cells = np.arange(0, count, every), np.arange(count) // width
-    support = sample_support(poses, sharpness, cells, kept, 0.3, 15.0, most=count)
+    support = sample_support(poses, sharpness, cells, kept, 0.3, 15.0, max_count=count)
     assert np.intersect1d(support, kept).size == 0 and ((support > kept[0]) & (support < kept[-1])).all()
     used = np.sort(np.concatenate([kept, support]))
     large = steps_between(poses, used, 0.3, 15.0) > 1 + 1e-6

@@ -94,7 +94,7 @@ def test_frames_written_ahead_are_the_frames_that_are_used(
         assert ahead["figures"]["support_frames"] == int(9 * share)
     else:  # ten metres
         assert 25 <= ahead["figures"]["support_frames"] <= 40
-    monkeypatch.setattr(Spool, "take", lambda *_: None)
+    monkeypatch.setattr(Spool, "add", lambda *_: None)
     again = load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path / "again"), settings))
     assert ahead["outputs"] == again["outputs"] and any(name.endswith(".jpg") for name in ahead["outputs"])
 
