@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.settings import SplitRules
 from groundwalk.capture_import.capture import RawFrame, RawSession
-from groundwalk.capture_import.images import ImageCheck
 from groundwalk.capture_import.intake import Image, ImportedSession
+from groundwalk.capture_import.media.images import ImageCheck
 from groundwalk.capture_import.sampling import sample_motion, sample_rate, sample_support, support_cells
 from groundwalk.capture_import.selection import density_for, select
 from groundwalk.capture_import.settings import ImportSettings

@@ -12,15 +12,15 @@ from groundwalk.artefacts import DataRoot, execute
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.capture_import import recording, views
 from groundwalk.capture_import.capture import Limits, RawFrame
-from groundwalk.capture_import.clock import CLOCK_LONG_SIDE, dense_part
-from groundwalk.capture_import.convention import CONVENTION_LONG_SIDE, parallax_pairs
+from groundwalk.capture_import.checks.clock import CLOCK_LONG_SIDE, dense_part
+from groundwalk.capture_import.checks.convention import CONVENTION_LONG_SIDE, parallax_pairs
+from groundwalk.capture_import.checks.scan import ImageScan, scan_images
+from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import find_recordings
-from groundwalk.capture_import.images import decode_gray
-from groundwalk.capture_import.scan import ImageScan, scan_images
-from groundwalk.capture_import.spool import Spool, thumbnail_path
+from groundwalk.capture_import.media.images import decode_gray
+from groundwalk.capture_import.media.spool import Spool, thumbnail_path
+from groundwalk.capture_import.media.thumbnails import MAX_THUMBNAILS, spread, thumbnail_of
 from groundwalk.capture_import.stage import STAGE
-from groundwalk.capture_import.thumbnails import MAX_THUMBNAILS, spread, thumbnail_of
-from groundwalk.capture_import.views import Views
 
 
 def frames_of(folder: Path) -> list[RawFrame]:

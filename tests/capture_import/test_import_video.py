@@ -12,9 +12,9 @@ from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.capture_import import placing
 from groundwalk.capture_import.capture import Limits
-from groundwalk.capture_import.spool import Spool
+from groundwalk.capture_import.media.spool import Spool
+from groundwalk.capture_import.media.video import decode, frame_times, gray_pixels, require_row_per_frame, rgb_pixels
 from groundwalk.capture_import.stage import STAGE
-from groundwalk.capture_import.video import decode, frame_times, gray_pixels, require_row_per_frame, rgb_pixels
 
 
 def write_long_video(path: Path, count: int, rate_hz: int = 10) -> None:
