@@ -29,11 +29,11 @@ def view(
     """Open the recordings of all finished stages in the Rerun viewer; each has its own blueprint."""
     root = DataRoot(data)
     recordings = [root.run(profile, scene, stage) / RECORDING for stage in STAGES]
-    found = [str(path) for path in recordings if path.is_file()]
-    if not found:
+    files = [str(path) for path in recordings if path.is_file()]
+    if not files:
         where = root.run(profile, scene)
         raise UserError("there is no recording to view", where=where, do=run_command(scene, profile, STAGES[-1]))
-    command = [str(Path(sys.executable).with_name("rerun")), *found]
+    command = [str(Path(sys.executable).with_name("rerun")), *files]
     if web:
         command += ["--web-viewer", "--bind", "127.0.0.1"]
     # The viewer sends no telemetry where CI is set; a user's own rerun keeps the user's own choice.

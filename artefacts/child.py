@@ -116,7 +116,7 @@ def _receive(one: _Running, text: str, log: Path, remedy: str) -> None:
     except EOFError:
         one.process.join()
         raise ProcessDied(
-            f"{text}: the process that does it died ({_cause(one.process.exitcode)})",
+            f"{text}: its process died ({_cause(one.process.exitcode)})",
             where=log,
             found="its last lines:\n" + _tail(log),
             do=f"the same command resumes from the last checkpoint; {remedy}",
@@ -167,5 +167,5 @@ def _cause(exit_code: int | None) -> str:
 def _tail(log: Path) -> str:
     lines = log.read_text(encoding="utf-8", errors="replace").splitlines() if log.is_file() else []
     # The cause stands before the stack, which can be longer than the tail.
-    told = [line for line in lines if not line.startswith("    @ ")]
-    return "\n".join(told[-_TAIL_LINES:])
+    messages = [line for line in lines if not line.startswith("    @ ")]
+    return "\n".join(messages[-_TAIL_LINES:])

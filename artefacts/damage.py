@@ -1,4 +1,4 @@
-"""What an exception says about its cause: damaged checkpoints, or a machine that gives no more."""
+"""The cause of an exception: damaged checkpoints, or a machine that is out of disk, memory or files."""
 
 import errno
 import os
@@ -35,9 +35,9 @@ _STOPPED_FROM_OUTSIDE = {-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT, -sign
 
 
 def as_user_error(error: BaseException, work: Path | None = None) -> UserError | None:
-    """What a full disk, a read-only folder and their like did, as a sentence; None where the machine isn't to blame.
+    """A full disk, a read-only folder and their like as a UserError; None where the machine isn't the cause.
 
-    Libraries hide the cause: where `work` is given, an error without a number is the disk's if that is full there.
+    Libraries hide the cause: with `work`, an error without a number is the disk's if that is full there.
     """
     for cause in _chain(error):
         if isinstance(cause, OSError) and cause.errno in _MACHINE:
@@ -45,8 +45,8 @@ def as_user_error(error: BaseException, work: Path | None = None) -> UserError |
             found = _free(where) if cause.errno in _OF_SPACE else None
             return UserError(_MACHINE[cause.errno], where=where, found=found, do=_DO.get(cause.errno))
     if work is not None and isinstance(error, RuntimeError | ProcessDied | OSError) and (number := _probe(work)):
-        told = str(error).split("\n")[0][:200]
-        return UserError(_MACHINE[number], where=work, found=f"{_free(work)}; {told}", do=_DO.get(number))
+        text = str(error).split("\n")[0][:200]
+        return UserError(_MACHINE[number], where=work, found=f"{_free(work)}; {text}", do=_DO.get(number))
     return None
 
 

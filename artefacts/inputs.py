@@ -1,4 +1,4 @@
-"""What a stage reads: held while it reads, hashed into its key, verified before use."""
+"""What a stage reads: locked while it reads, hashed into its key, verified before use."""
 
 import contextlib
 import hashlib
@@ -30,7 +30,7 @@ class Reader(Protocol):
 
 @dataclass
 class Inputs:
-    """The inputs of one run of a stage; use it as a context, which holds them against being replaced.
+    """The inputs of one run of a stage; use it as a context, which locks them against being replaced.
 
     `hashes` is what goes into the stage's key.
     """
@@ -41,19 +41,19 @@ class Inputs:
     data: DataRoot
     files: tuple[str, ...] = ()
     hashes: dict[str, Any] = field(default_factory=dict)
-    _held: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+    _locks: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
     _captures: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def __enter__(self) -> "Inputs":
         try:
             self._read()
         except BaseException:
-            self._held.close()
+            self._locks.close()
             raise
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._held.close()
+        self._locks.close()
 
     def verify(self) -> None:
         """UserError where an artefact among the inputs isn't as its stage wrote it."""
@@ -87,7 +87,7 @@ class Inputs:
         for scene, stage, folder in self._sources():
             if not (folder / MANIFEST).is_file():
                 raise missing_input(stage, folder, scene, self.profile)
-            self._held.enter_context(locked(folder, shared=True))
+            self._locks.enter_context(locked(folder, shared=True))
             self.hashes[f"{scene}/{stage}"] = load_manifest(folder)["outputs"]
         for name in self.stage.reads_shipped:
             self.hashes[f"data/{name}"] = {file: sha256_of(path) for file, path in self.data.files(name).items()}
@@ -109,7 +109,7 @@ class Inputs:
     def _read_captures(self) -> None:
         captures = self.data.captures(self.scene.name)
         if captures.is_dir():
-            self._held.enter_context(locked(captures, shared=True))
+            self._locks.enter_context(locked(captures, shared=True))
             self._captures = _capture_state(captures)
         if not self._captures:
             raise UserError(

@@ -28,9 +28,9 @@ class PeakMemory:
     def __exit__(self, *_: object) -> None:
         self._ended.set()
         self._thread.join()
-        largest = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+        max_rss = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
         # Linux counts kilobytes, macOS bytes.
-        self.peak_bytes = max(self.peak_bytes, largest * (1 if sys.platform == "darwin" else 1024))
+        self.peak_bytes = max(self.peak_bytes, max_rss * (1 if sys.platform == "darwin" else 1024))
 
     def _sample(self) -> None:
         while not self._ended.wait(_EVERY_S):

@@ -11,7 +11,7 @@ import rerun as rr
 from groundwalk.artefacts.files import replace_synced
 from groundwalk.geometry.poses import Array
 
-# One meaning, one colour, in recordings and in figures alike (Okabe-Ito, told apart by colour-blind readers).
+# One meaning, one colour, in recordings and in figures alike (Okabe-Ito, which colour-blind readers can distinguish).
 GROUND_TRUTH = (0, 158, 115)
 VIO = (230, 159, 0)
 APR = (86, 180, 233)
@@ -83,8 +83,8 @@ def log_path(
     stream: rr.RecordingStream, path: str, xyz_N3: Array, colour: tuple[int, int, int], radius_px: float = 1.5
 ) -> None:
     """A trajectory as one static line; NaN positions break it."""
-    known = np.isfinite(xyz_N3).all(axis=1)
-    # Where known flips, a strip begins or ends.
-    borders = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    is_finite = np.isfinite(xyz_N3).all(axis=1)
+    # Where it flips, a strip begins or ends.
+    borders = np.flatnonzero(np.diff(np.concatenate([[False], is_finite, [False]]).astype(int)))
     strips = [xyz_N3[start:stop] for start, stop in borders.reshape(-1, 2)]
     stream.log(path, rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(radius_px)), static=True)

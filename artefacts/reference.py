@@ -43,14 +43,14 @@ def column_lines(table: TableSchema) -> list[str]:
 def _grouped(columns: list[Column]) -> list[tuple[Column, str]]:
     """Columns with the name to show: a pose group is one row."""
     prefixes = {c.name.removesuffix("_qw") for c in columns if c.name.endswith("_qw")}
-    shown = []
+    rows = []
     for column in columns:
         prefix, _, part = column.name.rpartition("_")
         if prefix not in prefixes or len(part) != 2:
-            shown.append((column, f"`{column.name}`"))
+            rows.append((column, f"`{column.name}`"))
         elif part == "tx":
-            shown.append((column, f"`{prefix}_*`"))
-    return shown
+            rows.append((column, f"`{prefix}_*`"))
+    return rows
 
 
 def _cells(column: Column, name: str) -> tuple[str, str, str]:

@@ -12,7 +12,7 @@ from groundwalk.artefacts.files import KEY_FILE, read_json, write_json
 def run_resumable(work: Path, key: str, title: str, force: bool, attempt: Callable[[], None]) -> bool:
     """Call `attempt`, which writes into `work`; returns whether it resumed from a stopped run's checkpoints.
 
-    `work` is kept where it was begun with the same key, and made anew otherwise. Where a resumed attempt fails for a
+    `work` stays where it was begun with the same key, and is made anew otherwise. Where a resumed attempt fails for a
     reason that neither the user nor the machine caused, the checkpoints are taken for damaged: they are dropped, with a
     line, and the attempt is made once more. An error that the machine caused is raised as UserError.
     """
@@ -40,6 +40,6 @@ def _once(work: Path, attempt: Callable[[], None]) -> None:
     try:
         attempt()
     except Exception as error:
-        if shown := as_user_error(error, work):
-            raise shown from error
+        if caused_by_machine := as_user_error(error, work):
+            raise caused_by_machine from error
         raise

@@ -40,8 +40,8 @@ class SplitRules(Settings):
 
     test: list[str] | None = Field(None, description="sessions to test on; the others train")
     train: list[str] | None = Field(None, description="sessions to train on; with `test`, others are left out")
-    test_fraction: float = Field(0.25, gt=0, lt=1, description="share of a single session's time to test on")
-    val_fraction: float = Field(0.1, ge=0, lt=0.5, description="share of the training walks held out")
+    test_fraction: float = Field(0.25, gt=0, lt=1, description="fraction of a single session's time to test on")
+    val_fraction: float = Field(0.1, ge=0, lt=0.5, description="fraction of the training walks held out for validation")
     allow_leak: bool = Field(False, description="allow test frames within 5 s of training frames of a session")
 
 
@@ -118,8 +118,8 @@ class DataRoot:
         """A profile's sections; UserError where there is no such profile."""
         path = self.config_file("profiles", checked_name("profile", name))
         if path is None:
-            known = ", ".join(self.names("profiles"))
-            raise UserError(f"there is no profile {name!r}", where=self.root / "profiles", expected=f"one of {known}")
+            names = ", ".join(self.names("profiles"))
+            raise UserError(f"there is no profile {name!r}", where=self.root / "profiles", expected=f"one of {names}")
         content = _read_toml(path)
         _refuse_unknown_sections(content, ("description",), path)
         return content

@@ -105,7 +105,7 @@ class StageRun(Generic[S]):
 
     @property
     def scratch(self) -> Path:
-        """A folder for safe points: survives a kill, dropped when the stage ends."""
+        """A folder for checkpoints: it survives a kill and is dropped when the stage ends."""
         path = self.work / _SCRATCH
         path.mkdir(exist_ok=True)
         return path
@@ -229,7 +229,9 @@ def execute(
         manifest = {"key": key, **parts, **circumstances, "recorded": recorded, "outputs": output_hashes(work)}
         write_json(work / MANIFEST, manifest)
         swap_in(work, final)
-        progress.console.print(f"{title}: done in {progress.format_seconds(elapsed)} → {_shown(final)}", markup=False)
+        progress.console.print(
+            f"{title}: done in {progress.format_seconds(elapsed)} → {_relative(final)}", markup=False
+        )
         return final
 
 
@@ -259,7 +261,7 @@ def _git_revision() -> str:
     if CHECKOUT is None:
         return "unknown"
     try:
-        shown = subprocess.run(
+        described = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=12"],
             cwd=CHECKOUT,
             capture_output=True,
@@ -268,10 +270,10 @@ def _git_revision() -> str:
         )
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-    return shown.stdout.strip()
+    return described.stdout.strip()
 
 
-def _shown(path: Path) -> str:
+def _relative(path: Path) -> str:
     try:
         return str(path.relative_to(Path.cwd()))
     except ValueError:

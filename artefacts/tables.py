@@ -81,8 +81,8 @@ def read_table(path: Path, schema: TableSchema, *, older_is_complete: bool = Fal
     missing = [c.name for c in schema.columns if not c.nullable and c.name not in table.column_names]
     if missing and not (older_is_complete and _minor(version) < _minor(schema.version)):
         raise UserError(f"table {name} lacks columns", where=path, found=f"no {', '.join(missing)}")
-    known = [c for c in schema.column_names if c in table.column_names]
-    frame: pd.DataFrame = table.select(known).to_pandas().reindex(columns=schema.column_names)
+    present = [c for c in schema.column_names if c in table.column_names]
+    frame: pd.DataFrame = table.select(present).to_pandas().reindex(columns=schema.column_names)
     return frame
 
 
@@ -120,19 +120,19 @@ def poses_of(frame: pd.DataFrame, prefix: str) -> Array:
     t = frame[[f"{prefix}_t{a}" for a in "xyz"]].to_numpy(float, na_value=np.nan)
     q = frame[[f"{prefix}_q{a}" for a in "xyzw"]].to_numpy(float, na_value=np.nan)
     poses = np.full((len(frame), 4, 4), np.nan)
-    known = ~(np.isnan(t).any(axis=1) | np.isnan(q).any(axis=1))
-    if known.any():
-        poses[known] = pose_from_tq(t[known], q[known])
+    has_pose = ~(np.isnan(t).any(axis=1) | np.isnan(q).any(axis=1))
+    if has_pose.any():
+        poses[has_pose] = pose_from_tq(t[has_pose], q[has_pose])
     return poses
 
 
 def pose_frame(prefix: str, poses: Array) -> pd.DataFrame:
     """Poses (N, 4, 4) as the seven columns of the pose group `prefix`; a NaN pose gives nulls."""
     poses = np.asarray(poses, dtype=float).reshape(-1, 4, 4)
-    known = np.isfinite(poses).all(axis=(1, 2))
+    has_pose = np.isfinite(poses).all(axis=(1, 2))
     values = np.full((len(poses), 7), np.nan)
-    if known.any():
-        t, q = tq_from_pose(poses[known])
-        values[known] = np.hstack([t, q])
+    if has_pose.any():
+        t, q = tq_from_pose(poses[has_pose])
+        values[has_pose] = np.hstack([t, q])
     names = [f"{prefix}_t{a}" for a in "xyz"] + [f"{prefix}_q{a}" for a in "xyzw"]
     return pd.DataFrame(values, columns=names)

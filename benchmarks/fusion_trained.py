@@ -17,8 +17,8 @@ from groundwalk.artefacts.cli import new_app
 FOLDER = Path("build/trained")
 # Settings of simulation and of training. In a room, telling a step aside from a turn takes more epochs.
 SCENES = {
-    "Church": (["frame_share=0.5", "train_sessions=6"], []),
-    "Office": (["frame_share=0.42", "train_sessions=6"], ["regressors.PN.epochs=140", "regressors.MS-T.epochs=160"]),
+    "Church": (["frame_fraction=0.5", "train_sessions=6"], []),
+    "Office": (["frame_fraction=0.42", "train_sessions=6"], ["regressors.PN.epochs=140", "regressors.MS-T.epochs=160"]),
 }
 
 app = new_app(__doc__ or "")

@@ -133,7 +133,7 @@ def accuracy(o: Options) -> list[Figure]:
     figures, bounds = [], list[tuple[TruthTarget, int]]()
     for scene in o.scenes:
         root = o.data
-        simulated(scene, root, f"frame_share={o.share}", *o.simulate)
+        simulated(scene, root, f"frame_fraction={o.share}", *o.simulate)
         run_stage("sfm", scene, root)
         run_stage("alignment", scene, root)
         gt, targets, bounded = ground_truth_targets(scene, root)
@@ -285,7 +285,7 @@ def _church(o: Options, frames: int) -> DataRoot:
     """A data folder with the first so many frames of one large simulated Church, imported."""
     whole = DataRoot(o.out / "church")
     most = max(*o.sizes, o.frames)
-    config = f"frame_share={most / 2496 * 1.05:.4f}"  # 1643 + 853 images in Table I; a little more than is needed
+    config = f"frame_fraction={most / 2496 * 1.05:.4f}"  # 1643 + 853 images in Table I; a little more than is needed
     simulated(_SCENE, whole, config, f"train_sessions={max(3, most // 160)}", *o.simulate)
     part = DataRoot(o.out / f"church_{frames}")
     part_of(_SCENE, whole, part, frames)

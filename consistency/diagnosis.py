@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundwalk.consistency.motions import MIN_STEP_M, MIN_TURN, MotionAgreement, compare_motions
-from groundwalk.consistency.trajectories import TrajectoryPair, path_m
+from groundwalk.consistency.trajectories import TrajectoryPair
 from groundwalk.consistency.vio_drift import VioDrift
-from groundwalk.geometry.poses import Array, relative, rotation_angle
+from groundwalk.geometry.poses import Array, path_length, relative, rotation_angle
 
 MAX_TURN_GAIN_ERROR = 0.03
 """Fraction by which a model may turn more or less than VIO; a wrong focal length makes it do so."""
@@ -90,7 +90,8 @@ def _aliased(part: TrajectoryPair, scale: float, drift: VioDrift) -> tuple[int, 
     Where a walk comes back, VIO is off by its drift in position, and by what the error of its heading did on the way:
     the integral of the path over the heading's error, at most that error times half of the distance reached.
     """
-    sfm, vio, travelled = scale * part.sfm_T_cam[:, :3, 3], part.vio_T_cam[:, :3, 3], path_m(part.vio_T_cam)
+    sfm, vio = scale * part.sfm_T_cam[:, :3, 3], part.vio_T_cam[:, :3, 3]
+    travelled = path_length(vio)
     aliased, max_distance_m, index = np.zeros(len(vio), dtype=bool), 0.0, np.arange(len(vio))
     for start in range(0, len(vio), _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundwalk.consistency.trajectories import TrajectoryPair, path_m, path_steps
+from groundwalk.consistency.trajectories import TrajectoryPair, path_steps
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import ROBUST_TOLERANCE, fit_robust
-from groundwalk.geometry.poses import Array, relative
+from groundwalk.geometry.poses import Array, path_length, relative
 
 STEP_M = 1.0
 """Path of the steps that give the scale, at most: a shorter walk has shorter ones, so that it has several."""
@@ -54,7 +54,7 @@ def recording_scale(
     expected of the whole path. Raises GeometryError where SfM puts frames in one place that VIO says are apart.
     """
     parts = [part for part in parts if len(part.vio_T_cam) >= _MIN_FRAMES]
-    total_m = sum(float(path_m(part.vio_T_cam)[-1]) for part in parts)
+    total_m = sum(float(path_length(part.vio_T_cam[:, :3, 3])[-1]) for part in parts)
     sfm, vio = _steps(parts, min(step_m, total_m / _MIN_STEPS))
     length, squared = np.linalg.norm(vio, axis=1), np.sum(sfm * sfm, axis=1)
     if np.any((squared == 0) & (length >= _COLLAPSED_M)):
@@ -92,7 +92,7 @@ def _steps(parts: Sequence[TrajectoryPair], step_m: float) -> tuple[Array, Array
     """Steps (M, 3) of `step_m` of VIO path, by SfM and by VIO."""
     steps = [np.empty((2, 0, 3))]
     for part in parts:
-        a, b = path_steps(path_m(part.vio_T_cam), step_m)
+        a, b = path_steps(path_length(part.vio_T_cam[:, :3, 3]), step_m)
         steps.append(np.stack([relative(T[a], T[b])[:, :3, 3] for T in part]))
     sfm, vio = np.concatenate(steps, axis=1)
     return sfm, vio

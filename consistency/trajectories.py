@@ -19,11 +19,6 @@ class TrajectoryPair(NamedTuple):
     vio_T_cam: Array
 
 
-def path_m(vio_T_cam: Array) -> Array:
-    """Length of the path (n,) from the first of the poses (n, 4, 4) on."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vio_T_cam[:, :3, 3], axis=0), axis=1))])
-
-
 def path_windows(travelled_m: Array, length_m: float, min_frames: int = MIN_WINDOW_FRAMES) -> list[NDArray[np.intp]]:
     """Indices (k,) of the frames in windows of `length_m` of a path, each half over the next; `travelled_m` (n,) is how
     far along it each frame lies.

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.consistency.decisions import beyond, within
-from groundwalk.consistency.trajectories import path_m, path_windows
+from groundwalk.consistency.trajectories import path_windows
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.fits import ROBUST_TOLERANCE, fit_poses, fit_robust, pose_residuals
-from groundwalk.geometry.poses import Array
+from groundwalk.geometry.poses import Array, path_length
 
 WINDOW_M = 10.0
 """Short windows suffer from noise of single positions, long ones from bending by VIO's drift."""
@@ -103,7 +103,7 @@ def compare_windows(
     if len(vio_T_cam) < _MIN_FRAMES:
         return []
     position_sd_m, rotation_sd = np.zeros((2, len(vio_T_cam))) if frame_sd is None else frame_sd
-    travelled = path_m(vio_T_cam)
+    travelled = path_length(vio_T_cam[:, :3, 3])
     compared = []
     for inside in path_windows(travelled, window_m):
         _, metres, radians = fit_rigid(metric_T_cam[inside], vio_T_cam[inside], sd, tolerance=tolerance)

@@ -1,4 +1,4 @@
-"""Depth images: read where a camera saw points, turned to points, and held against other depths."""
+"""Depth images: sampled where a camera saw points, turned to points, and compared with other depths."""
 
 from dataclasses import dataclass
 
@@ -9,8 +9,8 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array
 
-# Where the pixels around differ by more than this share, an edge is near and interpolation would mix two surfaces.
-_EDGE_SHARE = 0.05
+# Where the pixels around differ by a larger fraction, an edge is near and interpolation would mix two surfaces.
+_EDGE_FRACTION = 0.05
 _RESAMPLINGS = 200
 
 
@@ -27,7 +27,7 @@ def smooth_pixels(depth: Array) -> NDArray[np.bool_]:
     """Which pixels (H, W) of a depth image (0: no depth) have depth all around and no edge: their 3x3 neighbours lie
     within 5 % of each other."""
     low, high = minimum_filter(depth, 3, mode="nearest"), maximum_filter(depth, 3, mode="nearest")
-    smooth: NDArray[np.bool_] = (low > 0) & (high - low <= _EDGE_SHARE * low)
+    smooth: NDArray[np.bool_] = (low > 0) & (high - low <= _EDGE_FRACTION * low)
     return smooth
 
 
@@ -41,9 +41,9 @@ def sample_depth(depth: Array, xy_px: Array, size: tuple[int, int]) -> tuple[Arr
     at = np.asarray(xy_px, dtype=float).reshape(-1, 2) * [width / size[0], height / size[1]]
     inside = ((at >= 0) & (at < [width, height])).all(axis=1)
     nearest = np.clip(np.floor(np.nan_to_num(at)), 0, [width - 1, height - 1]).astype(np.int64)[:, ::-1]
-    known = inside & smooth_pixels(depth)[nearest[:, 0], nearest[:, 1]]
-    found: Array = map_coordinates(np.asarray(depth, dtype=float), at.T[::-1] - 0.5, order=1, mode="nearest")
-    return np.where(known, found, np.nan), nearest
+    is_smooth = inside & smooth_pixels(depth)[nearest[:, 0], nearest[:, 1]]
+    sampled: Array = map_coordinates(np.asarray(depth, dtype=float), at.T[::-1] - 0.5, order=1, mode="nearest")
+    return np.where(is_smooth, sampled, np.nan), nearest
 
 
 def ratio_statistics(ratio: Array, cluster: NDArray[np.int64], rng: np.random.Generator) -> RatioStatistics:
@@ -64,8 +64,8 @@ def ratio_statistics(ratio: Array, cluster: NDArray[np.int64], rng: np.random.Ge
 
 
 def pixel_rays(shape: tuple[int, int], step: int) -> tuple[NDArray[np.int64], Array]:
-    """Every `step`-th pixel of a depth image of `shape` (H, W): its (row, column) (N, 2), and its centre as a share of
-    the image's width and height (N, 2)."""
+    """Every `step`-th pixel of a depth image of `shape` (H, W): its (row, column) (N, 2), and its centre as a
+    fraction of the image's width and height (N, 2)."""
     rows, columns = np.meshgrid(
         np.arange(step // 2, shape[0], step), np.arange(step // 2, shape[1], step), indexing="ij"
     )

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, make_pose, rotation_angle, yaw_rotation
 
-# Below this share of the largest singular value a direction counts as having no extent at all: it's rounding.
+# Below this fraction of the largest singular value a direction counts as having no extent at all: it's rounding.
 _RANK_TOLERANCE = 1e-10
 _IRLS_ITERATIONS = 50
 ROBUST_TOLERANCE = 1e-9
 """`fit_robust` goes on until no weight changes by more."""
-# The first weights are but a start for the second.
+# The first weights are the start of the second.
 _IRLS_START_TOLERANCE = 1e-3
 
 Model = TypeVar("Model")
@@ -140,7 +140,7 @@ def sim3_between(a_T_cam: ArrayLike, b_T_cam: ArrayLike) -> Sim3:
 
 
 def pose_residuals(a_T_cam: ArrayLike, b_T_cam: ArrayLike, a_T_b: ArrayLike) -> tuple[Array, Array]:
-    """What is left after a fit of poses (N, 4, 4): metres (N,) and radians (N,)."""
+    """Residuals of a fit of poses (N, 4, 4): metres (N,) and radians (N,)."""
     a, moved = np.asarray(a_T_cam, dtype=float), np.asarray(a_T_b, dtype=float) @ np.asarray(b_T_cam, dtype=float)
     angle = rotation_angle(np.swapaxes(a[:, :3, :3], 1, 2) @ moved[:, :3, :3])
     return np.linalg.norm(a[:, :3, 3] - moved[:, :3, 3], axis=1), angle
@@ -160,18 +160,18 @@ def fit_robust(
     Iteratively reweighted least squares: first towards the least sum of absolute residuals, which resists gross
     outliers among the fitted-to data without a good start, then with Geman and McClure's weights, which let them go
     (Zhang, "Parameter estimation techniques", Image and Vision Computing 15, 1997). The kernel's width is twice the
-    median residual, about three sigma for residuals of three axes, and at least `floor`, the size of residuals that
-    nobody minds, in their unit. `weights` are the items' own, multiplied in. It ends when no weight changes by more
+    median residual, about three sigma for residuals of three axes, and at least `floor`, in their unit, below which
+    residuals count alike. `weights` of the items are multiplied in. It ends when no weight changes by more
     than `tolerance`; the start need not be that good.
 
     `fit` takes weights (count,), `residuals` gives (count,) lengths for a model.
     """
     if floor <= 0:
         raise GeometryError(f"the residual floor must be positive, not {floor}")
-    own = np.ones(count) if weights is None else np.asarray(weights, dtype=float)
-    model, robust = fit(own), np.ones(count)
+    prior = np.ones(count) if weights is None else np.asarray(weights, dtype=float)
+    model, robust = fit(prior), np.ones(count)
     for absolute in (True, False):
-        enough = max(tolerance, _IRLS_START_TOLERANCE) if absolute else tolerance
+        max_change = max(tolerance, _IRLS_START_TOLERANCE) if absolute else tolerance
         for _ in range(_IRLS_ITERATIONS):
             r = np.asarray(residuals(model), dtype=float)
             if absolute:
@@ -181,8 +181,8 @@ def fit_robust(
                 update = (1 + (r / width) ** 2) ** -2.0
             change = float(np.abs(update - robust).max())
             robust = update
-            model = fit(own * robust)
-            if change < enough:
+            model = fit(prior * robust)
+            if change < max_change:
                 break
     return model, robust
 
@@ -227,7 +227,7 @@ def rotation_to_up(up: ArrayLike) -> Array:
 
 
 def _checked(
-    xyz_a: ArrayLike, xyz_b: ArrayLike, weights: ArrayLike | None, at_least: int
+    xyz_a: ArrayLike, xyz_b: ArrayLike, weights: ArrayLike | None, min_points: int
 ) -> tuple[Array, Array, Array]:
     """Both point sets and weights of sum 1; GeometryError for too few, different, unfinite or weightless ones."""
     a, b = np.asarray(xyz_a, dtype=float), np.asarray(xyz_b, dtype=float)
@@ -236,8 +236,8 @@ def _checked(
     w = np.ones(len(a)) if weights is None else np.asarray(weights, dtype=float)
     if w.shape != (len(a),) or not np.all(w >= 0):
         raise GeometryError(f"weights must be {len(a)} numbers of 0 or more; got shape {w.shape}")
-    if np.count_nonzero(w) < at_least:
-        raise GeometryError(f"this fit needs {at_least} or more points of weight; got {np.count_nonzero(w)}")
+    if np.count_nonzero(w) < min_points:
+        raise GeometryError(f"this fit needs {min_points} or more points of weight; got {np.count_nonzero(w)}")
     if not (np.isfinite(a).all() and np.isfinite(b).all() and np.isfinite(w).all()):
         raise GeometryError("a fit needs finite points and weights")
     return a, b, w / w.sum()
@@ -271,8 +271,8 @@ def _require_extent(singular: Array, a: Array, b: Array) -> None:
 
 def _require_rotation(singular: Array) -> None:
     if not (singular[0] > 0 and singular[1] > _RANK_TOLERANCE * singular[0]):
-        shown = ", ".join(f"{s:.3g}" for s in singular)
-        raise GeometryError(f"points on a line or in one place determine no rotation (singular values {shown})")
+        values = ", ".join(f"{s:.3g}" for s in singular)
+        raise GeometryError(f"points on a line or in one place determine no rotation (singular values {values})")
 
 
 def _rounding(a: Array, b: Array) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from groundwalk.geometry.poses import Array
 
-_STEPS, _PRECISION = 50, 1e-13
+_MAX_STEPS, _PRECISION = 50, 1e-13
 
 
 def distort(ideal_M2: Array, coefficients: ArrayLike) -> Array:
@@ -33,7 +33,7 @@ def undistort(distorted_M2: Array, coefficients: ArrayLike) -> Array:
     ideal = distorted.copy()
     if not eight.any():
         return ideal
-    for _ in range(_STEPS):
+    for _ in range(_MAX_STEPS):
         again, slope = _distorted(ideal, eight)
         miss = again - distorted
         if not len(miss) or np.nanmax(np.abs(miss), initial=0.0) < _PRECISION:
@@ -46,7 +46,7 @@ def undistort(distorted_M2: Array, coefficients: ArrayLike) -> Array:
     return ideal
 
 
-def largest_shift(coefficients: ArrayLike, other: ArrayLike, extent_xy: tuple[float, float]) -> float:
+def max_shift(coefficients: ArrayLike, other: ArrayLike, extent_xy: tuple[float, float]) -> float:
     """How far apart two lenses put any ideal point of an image, at unit focal length.
 
     `extent_xy` is the image's half width and half height at unit focal length.
@@ -75,7 +75,7 @@ def _distorted(ideal_M2: Array, eight: Array) -> tuple[Array, Array]:
 
 
 def _eight(coefficients: ArrayLike) -> Array:
-    given = np.asarray(coefficients, float)
-    eight = np.zeros((*given.shape[:-1], 8))
-    eight[..., : given.shape[-1]] = given
+    short = np.asarray(coefficients, float)
+    eight = np.zeros((*short.shape[:-1], 8))
+    eight[..., : short.shape[-1]] = short
     return eight

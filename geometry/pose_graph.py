@@ -1,4 +1,4 @@
-"""A chain of poses, each measured by itself and against its neighbour, at its most probable."""
+"""The most probable chain of poses, each measured by itself and against its neighbour."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,8 +61,7 @@ def smooth_chain(
         g[:, 3:] = (weight / measured_sd[0] ** 2)[:, None] * off
 
         step = relative(poses[:-1], poses[1:])
-        left = inverse(d) @ step
-        turn = Rotation.from_matrix(left[:, :3, :3]).as_rotvec()
+        turn = Rotation.from_matrix((inverse(d) @ step)[:, :3, :3]).as_rotvec()
         off = step[:, :3, 3] - d[:, :3, 3]
         to_a = R[:-1].swapaxes(1, 2)
         A, B = np.zeros((n - 1, 6, 6)), np.zeros((n - 1, 6, 6))

@@ -1,4 +1,4 @@
-"""The similarity between two sets of poses of the same cameras, positions and rotations together, outliers let go."""
+"""The robust similarity between two sets of poses of the same cameras, positions and rotations together."""
 
 from dataclasses import dataclass
 
@@ -9,22 +9,22 @@ from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import Sim3, fit_poses, fit_robust, fit_sim3, pose_residuals
 from groundwalk.geometry.poses import Array
 
-# In the fit, positions weigh as if they were off by this share of the cameras' extent and rotations by this angle: free
-# of units, a straight path gets its roll from the rotations, and elsewhere cameras that are all turned alike, as by a
-# wrong principal point, hardly turn the fit. Outliers are told by a tighter angle.
-_POSITION_SHARE, _ROTATION_SD, _ROTATION_RESIDUAL_SD = 0.01, float(np.radians(5.0)), float(np.radians(1.0))
-# Residuals that nobody minds, in these sigmas: a tenth of a per cent of the extent.
-_FLOOR = 0.1
-_LEAST_POSES = 3
+# In the fit, positions weigh as if they were off by this fraction of the cameras' extent and rotations by this angle:
+# free of units, a straight path gets its roll from the rotations, and elsewhere cameras that are all turned alike, as
+# by a wrong principal point, hardly turn the fit. Outliers are those beyond a tighter angle.
+_POSITION_FRACTION, _ROTATION_SD, _ROTATION_RESIDUAL_SD = 0.01, float(np.radians(5.0)), float(np.radians(1.0))
+# Smaller residuals, in these sigmas, count alike: a tenth of a per cent of the extent.
+_RESIDUAL_FLOOR = 0.1
+_MIN_POSES = 3
 # Cameras in one place have no scale: positions apart by rounding alone.
-_LEAST_EXTENT = 1e-9
+_MIN_EXTENT = 1e-9
 
 
 @dataclass(frozen=True)
 class PoseSimilarity:
-    """The a_S_b that brings poses of b onto a's, and what is left: distances in a's unit and radians (N,).
+    """The a_S_b that brings poses of b onto a's, and the residuals: distances in a's unit and radians (N,).
 
-    `scale_sd` is relative, `turn_sd` in radians an axis: one sigma of the fit by the scatter of what is left, taken as
+    `scale_sd` is relative, `turn_sd` in radians an axis: standard errors of the fit by the scatter of the residuals,
     independent from pose to pose.
     """
 
@@ -38,16 +38,16 @@ class PoseSimilarity:
 def fit_similar_poses(a_T_cam: ArrayLike, b_T_cam: ArrayLike, *, with_scale: bool = True) -> PoseSimilarity:
     """The robust similarity, or rigid transform, a_S_b from camera poses (N, 4, 4) of both; a and b may have any unit.
 
-    Raises GeometryError for fewer than 3 poses, or for cameras that are all in one place while the scale is wanted.
+    Raises GeometryError for fewer than 3 poses, and, with scale, for cameras that are all in one place.
     """
     a, b = np.asarray(a_T_cam, dtype=float), np.asarray(b_T_cam, dtype=float)
-    if len(a) < _LEAST_POSES:
-        raise GeometryError(f"{len(a)} poses are too few for a similarity, which needs {_LEAST_POSES}")
+    if len(a) < _MIN_POSES:
+        raise GeometryError(f"{len(a)} poses are too few for a similarity, which needs {_MIN_POSES}")
     xyz_a, xyz_b = a[:, :3, 3], b[:, :3, 3]
     radius = float(np.sqrt(np.mean(np.sum((xyz_a - xyz_a.mean(axis=0)) ** 2, axis=1))))
-    if not radius > _LEAST_EXTENT * max(1.0, float(np.abs(xyz_a).max())):
+    if not radius > _MIN_EXTENT * max(1.0, float(np.abs(xyz_a).max())):
         raise GeometryError(f"{len(a)} cameras in one place determine no scale")
-    position_sd = _POSITION_SHARE * radius
+    position_sd = _POSITION_FRACTION * radius
 
     def fit(weights: Array) -> Sim3:
         scale = fit_sim3(xyz_a, xyz_b, weights, line_ok=True).scale if with_scale else 1.0
@@ -59,10 +59,10 @@ def fit_similar_poses(a_T_cam: ArrayLike, b_T_cam: ArrayLike, *, with_scale: boo
         position, rotation = pose_residuals(a, a_S_b.poses(b), np.eye(4))
         return np.hypot(position / position_sd, rotation / _ROTATION_RESIDUAL_SD)
 
-    a_S_b, weights = fit_robust(fit, normalised, len(a), floor=_FLOOR)
+    a_S_b, weights = fit_robust(fit, normalised, len(a), floor=_RESIDUAL_FLOOR)
     position, rotation = pose_residuals(a, a_S_b.poses(b), np.eye(4))
     count = float(weights.sum())
-    sd, turn_sd = (float(np.sqrt(weights @ left**2 / (3 * count))) for left in (position, rotation))
+    sd, turn_sd = (float(np.sqrt(weights @ residual**2 / (3 * count))) for residual in (position, rotation))
     by_positions, by_rotations = sd / (radius * np.sqrt(count)), turn_sd / np.sqrt(count)
     # Two thirds of an even extent lie across an axis; a straight path has none across its own, but rotations.
     turn = float(np.minimum(np.sqrt(1.5) * by_positions, by_rotations)) if by_rotations else by_positions

@@ -88,6 +88,11 @@ def transform(a_T_b: ArrayLike, points_b: ArrayLike) -> Array:
     return np.einsum("...ij,...j->...i", a_T_b[..., :3, :3], np.asarray(points_b, dtype=float)) + a_T_b[..., :3, 3]
 
 
+def path_length(xyz: ArrayLike) -> Array:
+    """Length (N,) of the path through positions (N, 3) from the first one to each."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(np.asarray(xyz, dtype=float), axis=0), axis=1))])
+
+
 def rotation_angle(rotation: ArrayLike) -> Array:
     """Angles in radians, 0..pi, of rotation matrices (..., 3, 3); exact for small and large angles alike."""
     rotation = np.asarray(rotation, dtype=float)

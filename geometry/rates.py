@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from groundwalk.geometry.poses import Array
 
-_SAME_NS = 1_000_000
+_SAME_TIME_NS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,14 @@ def rates_at(t_ns_N: NDArray[np.int64], log_t_ns_K: NDArray[np.int64], log_world
     steps, and splines a fiftieth. Where poses are more than `gap_s` apart there is no rate between them.
     """
     rates = Rates(*(np.full((len(t_ns_N), 3), np.nan) for _ in range(3)))
-    known = np.isfinite(log_world_T_cam_K[:, 0, 0])
-    log_t_ns, poses = log_t_ns_K[known], log_world_T_cam_K[known]
+    has_pose = np.isfinite(log_world_T_cam_K[:, 0, 0])
+    log_t_ns, poses = log_t_ns_K[has_pose], log_world_T_cam_K[has_pose]
     runs = np.flatnonzero(np.diff(log_t_ns) > gap_s * 1e9) + 1
     for run in np.split(np.arange(len(log_t_ns)), runs):
         if len(run) < 2:
             continue
         start = log_t_ns[run[0]]
-        inside = np.flatnonzero((t_ns_N >= start - _SAME_NS) & (t_ns_N <= log_t_ns[run[-1]] + _SAME_NS))
+        inside = np.flatnonzero((t_ns_N >= start - _SAME_TIME_NS) & (t_ns_N <= log_t_ns[run[-1]] + _SAME_TIME_NS))
         t_s, log_s = (t_ns_N[inside] - start) * 1e-9, (log_t_ns[run] - start) * 1e-9
         turning = RotationSpline(log_s, Rotation.from_matrix(poses[run, :3, :3]))
         rates.angular[inside] = turning(t_s, 1)
@@ -50,13 +50,13 @@ def rates_at(t_ns_N: NDArray[np.int64], log_t_ns_K: NDArray[np.int64], log_world
 
 def _of_neighbours(turning: RotationSpline, t_s_N: Array, log_s_K: Array) -> Array:
     """Angular velocity (N, 3) of the parabola through a moment and the poses before and after it."""
-    before = np.searchsorted(log_s_K, t_s_N - _SAME_NS * 1e-9, side="right") - 1
-    after = np.searchsorted(log_s_K, t_s_N + _SAME_NS * 1e-9, side="left")
+    before = np.searchsorted(log_s_K, t_s_N - _SAME_TIME_NS * 1e-9, side="right") - 1
+    after = np.searchsorted(log_s_K, t_s_N + _SAME_TIME_NS * 1e-9, side="left")
     both = (before >= 0) & (after < len(log_s_K))
     rate = np.full((len(t_s_N), 3), np.nan)
     here = turning(t_s_N[both])
     before_s, after_s = log_s_K[before[both]] - t_s_N[both], log_s_K[after[both]] - t_s_N[both]
     turns = [(here.inv() * turning(t_s_N[both] + dt)).as_rotvec() / dt[:, None] for dt in (before_s, after_s)]
-    share = (after_s / (after_s - before_s))[:, None]
-    rate[both] = share * turns[0] + (1 - share) * turns[1]
+    weight = (after_s / (after_s - before_s))[:, None]
+    rate[both] = weight * turns[0] + (1 - weight) * turns[1]
     return rate

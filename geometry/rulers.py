@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import Sim3, fit_robust, fit_sim3
-from groundwalk.geometry.poses import Array
+from groundwalk.geometry.poses import Array, skew
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _STEPS = 3
-# Least squares end with what a robust fit gives this weight or more: residuals of up to four sigma.
+# The least squares are of observations with at least this weight in a robust fit: residuals of up to four sigma.
 _INLIER_WEIGHT = 0.05
 _IRLS_TOLERANCE = 1e-3
 # A ridge, relative to the mean curvature: rays without parallax give a far point instead of a singular matrix.
 _RIDGE = 1e-12
-# Corners of a part that lie on a line tell no front side.
+# Corners of a part that lie on a line have no front side.
 _LINE = 1e-3
 
 
@@ -44,19 +44,21 @@ class Observations:
     xy: Array
     focal_px: Array
 
-    def where(self, kept: Mask) -> "Observations":
-        return Observations(self.corner[kept], self.frame[kept], self.xy[kept], self.focal_px[kept])
+    def where(self, mask: Mask) -> "Observations":
+        """Those of a mask (M,)."""
+        return Observations(self.corner[mask], self.frame[mask], self.xy[mask], self.focal_px[mask])
 
 
 @dataclass(frozen=True)
 class RulerFit:
-    """What a model says of a ruler.
+    """A ruler measured in a model.
 
     `log_scale`: logarithm of model units per metre of the ruler, and `sd`, its standard error. `xyz` (K, 3) and
     `fitted` (K, 3): corners as triangulated, and nominal ones by the similarity, NaN where not seen from two frames.
-    `residual_px` (M, 2): triangulated corner minus observation, `inlier` (M,) the observations that took part.
-    `frames`: indices of the frames that took part. `angle`: largest angle between two of their rays, radians.
-    `pixel_sd`: one sigma of an observation in an image axis. `mirrored`: the frames are behind the board's front.
+    `residual_px` (M, 2): triangulated corner minus observation, `inlier` (M,) the observations in the fit.
+    `frames`: indices of the frames in the fit. `angle`: largest angle between two of their rays, radians.
+    `pixel_sd`: standard deviation of an observation in an image axis. `mirrored`: the frames are behind the board's
+    front.
     """
 
     log_scale: float
@@ -73,7 +75,7 @@ class RulerFit:
 
     @property
     def reprojection_px(self) -> float:
-        """Root mean square distance in the image, triangulated corners to observations that took part."""
+        """Root mean square distance in the image, triangulated corners to inlier observations."""
         return float(np.sqrt(np.mean(np.sum(self.residual_px[self.inlier] ** 2, axis=1))))
 
     @property
@@ -88,7 +90,7 @@ class RulerFit:
 
 
 @dataclass(frozen=True)
-class _Linear:
+class _Linearization:
     """Residuals (M, 2) in pixels and their derivatives: by the corner (M, 2, 3), by the frame's pose error (M, 2, 6),
     rotation before position, as in the tables' covariances."""
 
@@ -97,7 +99,7 @@ class _Linear:
     by_pose: Array
 
 
-def seen_twice(observations: Observations, count: int) -> Mask:
+def in_two_frames(observations: Observations, count: int) -> Mask:
     """(M,) observations of a corner that two or more frames see; `count` corners in all."""
     pairs = np.unique(np.stack([observations.corner, observations.frame]), axis=1)
     return np.asarray(np.bincount(pairs[0], minlength=count)[observations.corner] >= 2)
@@ -128,7 +130,7 @@ def measure(
     model_T_cam: Array,
     covariance: Array,
     *,
-    least_pixel_sd: float,
+    min_pixel_sd: float,
 ) -> RulerFit:
     """Triangulate a ruler's corners and fit the ruler to them by a similarity.
 
@@ -136,18 +138,18 @@ def measure(
     residuals counts. Wrong detections and frames with wrong poses lose their weight in a robust triangulation; least
     squares of the rest follow, in which a frame weighs less the more its pose may be off by in pixels.
 
-    The standard error is the larger of two: by propagation of the pixels' sigma (at least `least_pixel_sd`) and of the
+    The standard error is the larger of two: by propagation of the pixels' sigma (at least `min_pixel_sd`) and of the
     poses' covariances, frames independent of each other; and by the scatter between frames of their share in the scale
-    (Liang and Zeger, Biometrika 73, 1986, with frames as clusters), which sees what no covariance knows of.
+    (Liang and Zeger, Biometrika 73, 1986, with frames as clusters), which includes errors that no covariance has.
     Raises GeometryError where no part has two corners that two frames see.
     """
     count = len(corners.xyz_m)
-    kept = seen_twice(observations, count)
-    robust = np.zeros(len(kept))
-    if kept.any():
-        robust[kept] = _robust_weights(observations.where(kept), model_T_cam, count, least_pixel_sd)
-    inlier = kept & (robust >= _INLIER_WEIGHT)
-    inlier[inlier] = seen_twice(observations.where(inlier), count)
+    usable = in_two_frames(observations, count)
+    robust = np.zeros(len(usable))
+    if usable.any():
+        robust[usable] = _robust_weights(observations.where(usable), model_T_cam, count, min_pixel_sd)
+    inlier = usable & (robust >= _INLIER_WEIGHT)
+    inlier[inlier] = in_two_frames(observations.where(inlier), count)
     inlier[inlier] = _in_parts_with_two(corners, observations.corner[inlier])
     if not inlier.any():
         raise GeometryError("no part of the ruler has two corners that two frames see")
@@ -156,14 +158,14 @@ def measure(
     covariance = np.nan_to_num(covariance)
     at = _linearise(used, model_T_cam, xyz)
     by_poses = _pose_variance(at, used, covariance)
-    pixel_sd = _pixel_sd(at.residual, used, by_poses, least_pixel_sd)
+    pixel_sd = _pixel_sd(at.residual, used, by_poses, min_pixel_sd)
     weights = pixel_sd**2 / (pixel_sd**2 + by_poses)
     xyz = triangulate(used, model_T_cam, count, weights)
     at = _linearise(used, model_T_cam, xyz)
     scale, fitted, gradient = _similarity(corners, xyz, _corner_weights(at, used, count, weights))
     sd = _scale_sd(at, used, covariance, gradient, weights, pixel_sd)
-    residual = np.full((len(kept), 2), np.nan)
-    residual[kept] = _linearise(observations.where(kept), model_T_cam, xyz).residual
+    residual = np.full((len(usable), 2), np.nan)
+    residual[usable] = _linearise(observations.where(usable), model_T_cam, xyz).residual
     frames = np.unique(used.frame)
     centre = np.nanmean(xyz, axis=0)
     return RulerFit(
@@ -174,14 +176,14 @@ def measure(
         residual,
         inlier,
         frames,
-        _largest_angle(model_T_cam[frames, :3, 3] - centre),
+        _max_angle(model_T_cam[frames, :3, 3] - centre),
         pixel_sd,
-        _seen_from_behind(corners, fitted, model_T_cam[frames, :3, 3]),
+        _is_seen_from_behind(corners, fitted, model_T_cam[frames, :3, 3]),
         _flatness(corners, xyz),
     )
 
 
-def _linearise(observations: Observations, model_T_cam: Array, xyz: Array) -> _Linear:
+def _linearise(observations: Observations, model_T_cam: Array, xyz: Array) -> _Linearization:
     pose = model_T_cam[observations.frame]
     cam_R_model = np.swapaxes(pose[:, :3, :3], 1, 2)
     arm = xyz[observations.corner] - pose[:, :3, 3]
@@ -194,47 +196,47 @@ def _linearise(observations: Observations, model_T_cam: Array, xyz: Array) -> _L
     by_corner = observations.focal_px[:, None, None] * projection @ cam_R_model
     residual = observations.focal_px[:, None] * (np.column_stack([x / z, y / z]) - observations.xy)
     # The camera truly is at exp(rotation) R, t + position: what is observed differs by the opposite of this.
-    by_pose = np.concatenate([-by_corner @ _cross_matrices(arm), by_corner], axis=2)
-    return _Linear(residual, by_corner, by_pose)
+    by_pose = np.concatenate([-by_corner @ skew(arm), by_corner], axis=2)
+    return _Linearization(residual, by_corner, by_pose)
 
 
-def _robust_weights(used: Observations, model_T_cam: Array, count: int, least_pixel_sd: float) -> Array:
+def _robust_weights(used: Observations, model_T_cam: Array, count: int, min_pixel_sd: float) -> Array:
     def residuals(xyz: Array) -> Array:
         return np.asarray(np.linalg.norm(_linearise(used, model_T_cam, xyz).residual, axis=1))
 
     def fit(weights: Array) -> Array:
         return triangulate(used, model_T_cam, count, weights)
 
-    floor = 2 * least_pixel_sd
+    floor = 2 * min_pixel_sd
     _, weights = fit_robust(fit, residuals, len(used.corner), floor=floor, tolerance=_IRLS_TOLERANCE)
     return weights
 
 
 def _in_parts_with_two(corners: Corners, corner: Indices) -> Mask:
     """(M,) observations of a part of which two corners or more are observed."""
-    seen = np.unique(corner)
-    return np.asarray(np.bincount(corners.part[seen], minlength=corners.part.max() + 1)[corners.part[corner]] >= 2)
+    observed = np.unique(corner)
+    return np.asarray(np.bincount(corners.part[observed], minlength=corners.part.max() + 1)[corners.part[corner]] >= 2)
 
 
-def _pose_variance(at: _Linear, used: Observations, covariance: Array) -> Array:
+def _pose_variance(at: _Linearization, used: Observations, covariance: Array) -> Array:
     """(M,) what a frame's pose may be off by, as variance in an image axis, mean over its corners."""
     variance = np.einsum("mij,mjk,mik->m", at.by_pose, covariance[used.frame], at.by_pose) / 2
     mean = np.bincount(used.frame, variance) / np.maximum(np.bincount(used.frame), 1)
     return np.asarray(mean[used.frame])
 
 
-def _pixel_sd(residual: Array, used: Observations, by_poses: Array, least: float) -> float:
-    """One sigma of an observation in an image axis: what the poses' errors leave of the residuals' scatter."""
+def _pixel_sd(residual: Array, used: Observations, by_poses: Array, min_sd: float) -> float:
+    """Standard deviation of an observation in an image axis: the residuals' scatter less that of the poses' errors."""
     freedom = residual.size - 3 * len(np.unique(used.corner))
-    return float(np.sqrt(max(np.sum(residual**2) / freedom - by_poses.mean(), least**2)))
+    return float(np.sqrt(max(np.sum(residual**2) / freedom - by_poses.mean(), min_sd**2)))
 
 
-def _corner_weights(at: _Linear, used: Observations, count: int, weights: Array) -> Array:
+def _corner_weights(at: _Linearization, used: Observations, count: int, weights: Array) -> Array:
     """(count,) one over the variance of each triangulated corner, up to a factor; 0 where there is none."""
     hessian = _sums(np.swapaxes(at.by_corner, 1, 2) @ at.by_corner, used.corner, count, weights)
-    seen = np.bincount(used.corner, minlength=count) > 0
+    observed = np.bincount(used.corner, minlength=count) > 0
     result = np.zeros(count)
-    result[seen] = 1 / np.trace(np.linalg.inv(_ridged(hessian[seen])), axis1=1, axis2=2)
+    result[observed] = 1 / np.trace(np.linalg.inv(_ridged(hessian[observed])), axis1=1, axis2=2)
     return result
 
 
@@ -245,13 +247,13 @@ def _similarity(corners: Corners, xyz: Array, weights: Array) -> tuple[float, Ar
     pulls, poses = np.zeros_like(xyz), {}
     for part in np.unique(corners.part[weights > 0]):
         rows = (corners.part == part) & (weights > 0)
-        share = weights[rows, None]
+        weight = weights[rows, None]
         nominal, measured = corners.xyz_m[rows], xyz[rows]
         rotation = fit_sim3(measured, nominal, weights[rows], line_ok=True).rotation
-        middle, centre = (share * nominal).sum(0) / share.sum(), (share * measured).sum(0) / share.sum()
-        pulls[rows] = share * ((nominal - middle) @ rotation.T)
+        middle, centre = (weight * nominal).sum(0) / weight.sum(), (weight * measured).sum(0) / weight.sum()
+        pulls[rows] = weight * ((nominal - middle) @ rotation.T)
         strength += float(np.sum(pulls[rows] * (measured - centre)))
-        spread += float(np.sum(share * (nominal - middle) ** 2))
+        spread += float(np.sum(weight * (nominal - middle) ** 2))
         poses[part] = rotation, middle, centre
     scale = strength / spread
     fitted = np.full_like(xyz, np.nan)
@@ -262,12 +264,12 @@ def _similarity(corners: Corners, xyz: Array, weights: Array) -> tuple[float, Ar
 
 
 def _scale_sd(
-    at: _Linear, used: Observations, covariance: Array, gradient: Array, weights: Array, pixel_sd: float
+    at: _Linearization, used: Observations, covariance: Array, gradient: Array, weights: Array, pixel_sd: float
 ) -> float:
     hessian = _ridged(_sums(np.swapaxes(at.by_corner, 1, 2) @ at.by_corner, used.corner, len(gradient), weights))
-    seen = np.unique(used.corner)
+    observed = np.unique(used.corner)
     moved = np.zeros_like(gradient)
-    moved[seen] = np.linalg.solve(hessian[seen], gradient[seen, :, None])[:, :, 0]
+    moved[observed] = np.linalg.solve(hessian[observed], gradient[observed, :, None])[:, :, 0]
     # d log scale = sum of influence . residual, over all observations.
     influence = -weights[:, None] * np.einsum("mij,mj->mi", at.by_corner, moved[used.corner])
     by_pose = np.zeros((len(covariance), 6))
@@ -279,12 +281,12 @@ def _scale_sd(
     return float(np.sqrt(max(propagated, scatter)))
 
 
-def _largest_angle(rays: Array) -> float:
+def _max_angle(rays: Array) -> float:
     unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     return float(np.arccos(np.clip(unit @ unit.T, -1, 1)).max())
 
 
-def _seen_from_behind(corners: Corners, fitted: Array, centres: Array) -> bool:
+def _is_seen_from_behind(corners: Corners, fitted: Array, centres: Array) -> bool:
     """Most of the frames (F, 3) are on the side that the parts' +z points to; a line has no sides."""
     sides = []
     for part in np.unique(corners.part):
@@ -322,18 +324,11 @@ def _sums(values: Array, index: Indices, count: int, weights: Array) -> Array:
 def _solve(matrices: Array, vectors: Array) -> Array:
     """(K, 3) solutions of (K, 3, 3), (K, 3, 1); NaN where the matrix is empty."""
     result = np.full((len(matrices), 3), np.nan)
-    known = np.trace(matrices, axis1=1, axis2=2) > 0
-    result[known] = np.linalg.solve(_ridged(matrices[known]), vectors[known])[:, :, 0]
+    is_full = np.trace(matrices, axis1=1, axis2=2) > 0
+    result[is_full] = np.linalg.solve(_ridged(matrices[is_full]), vectors[is_full])[:, :, 0]
     return result
 
 
 def _ridged(matrices: Array) -> Array:
     trace = np.trace(matrices, axis1=1, axis2=2)
     return np.asarray(matrices + _RIDGE * trace[:, None, None] * np.eye(3))
-
-
-def _cross_matrices(vectors: Array) -> Array:
-    """(N, 3, 3) with [v]_x w = v x w."""
-    matrices = np.zeros((len(vectors), 3, 3))
-    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -vectors[:, 2], vectors[:, 1], -vectors[:, 0]
-    return np.asarray(matrices - np.swapaxes(matrices, 1, 2))

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.artefacts.child import Report
 from groundwalk.artefacts.choices import CameraOrigin
-from groundwalk.geometry.lens import distort, largest_shift, undistort
+from groundwalk.geometry.lens import distort, max_shift, undistort
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.sfm.database import Ints, create_database, image_id
 from groundwalk.sfm.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
@@ -261,7 +261,7 @@ def _estimated(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: P
         weak = estimate_lens(fitted, start, np.linalg.inv(_WEAK_PRIOR))
         row = frames.iloc[int(pairs[0, 0])]
         extent = (0.5 * row.width / row.fx, 0.5 * row.height / row.fy)
-        shift_px = largest_shift(weak.parameters[:2], stated[:2], extent) * row.fx
+        shift_px = max_shift(weak.parameters[:2], stated[:2], extent) * row.fx
         error = weak.parameters[:2] - stated[:2]
         sigmas = np.sqrt(error @ np.linalg.solve(weak.covariance[:2, :2], error))
         weak_px = _median_px(checked, weak)

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.choices import PairInconsistency
-from groundwalk.consistency.trajectories import path_m
 from groundwalk.consistency.vio_drift import VioDrift
-from groundwalk.geometry.poses import Array, rotation_angle
+from groundwalk.geometry.poses import Array, path_length, rotation_angle
 from groundwalk.sfm.pairs import Pairs
 
 # Below this median angle between the rays of a pair's points its direction of motion is too uncertain to compare.
@@ -93,7 +92,7 @@ def odometry(
         rows = rows[np.argsort(t_ns_N[rows], kind="stable")]
         posed = rows[np.isfinite(vio_T_cam[rows, 0, 0])]
         if len(posed):
-            travelled[rows] = np.interp(t_ns_N[rows], t_ns_N[posed], path_m(vio_T_cam[posed]))
+            travelled[rows] = np.interp(t_ns_N[rows], t_ns_N[posed], path_length(vio_T_cam[posed, :3, 3]))
     for session, t_ns, metres, radians in jumps:
         after = (session_N == session) & (t_ns_N >= t_ns)
         jumped_m[after] += metres

@@ -11,7 +11,7 @@ from groundwalk.artefacts import UserError
 LEVELS = 6
 _GUTTER = 1 << (LEVELS - 1)  # one texel of the coarsest level: neighbours never bleed into a picture
 _WIDTHS = (4096, 8192, 16384)
-_LARGEST_SIDE = 32766  # what cv2.remap can address
+_MAX_SIDE = 32766  # what cv2.remap can address
 
 
 def pack(sizes_N2: Sequence[tuple[int, int]]) -> tuple[NDArray[np.int64], tuple[int, int]]:
@@ -32,10 +32,10 @@ def pack(sizes_N2: Sequence[tuple[int, int]]) -> tuple[NDArray[np.int64], tuple[
         origins[i] = x + _GUTTER, y + _GUTTER
         x, shelf = x + w, max(shelf, h)
     height = y + shelf
-    if height > _LARGEST_SIDE or width * 3 // 2 > _LARGEST_SIDE:
+    if height > _MAX_SIDE or width * 3 // 2 > _MAX_SIDE:
         raise UserError(
             "the pictures of this place don't fit into one image",
-            expected=f"at most {_LARGEST_SIDE} texels a side",
+            expected=f"at most {_MAX_SIDE} texels a side",
             found=f"{width * 3 // 2} x {height}",
             do="make the setting texel_m larger",
         )

@@ -1,4 +1,4 @@
-"""What a phone's camera does to a picture: autofocus, auto exposure, motion blur, noise."""
+"""A phone's camera: autofocus, auto exposure, motion blur, noise."""
 
 import math
 import zlib
@@ -16,12 +16,12 @@ from groundwalk.simulation.settings import Drawn, SimulateSettings
 
 FOCAL = 1447.65 / 1920  # of the image width: a phone's wide camera, 4:3
 _CENTRE = (967.5 / 1920, 692.5 / 1920)
-_BREATHING = 0.0022  # one sigma of the focal length, as a share of it
-_BREATH_S = 20.0  # one round of the focus breathing that the log doesn't know
-_WANDER_PX = 1.2  # one sigma of the principal point, at 1920 pixels
+_BREATHING = 0.0022  # standard deviation of the focal length, as a fraction of it
+_BREATH_S = 20.0  # period of the focus breathing that isn't in the log
+_WANDER_PX = 1.2  # standard deviation of the principal point, at 1920 pixels
 _TARGET = 118.0  # mean grey level that auto exposure aims at
 _LAG_S = 0.8
-_LONGEST_S = 1 / 60
+_MAX_EXPOSURE_S = 1 / 60
 _MAX_BLUR_TAPS = 9
 
 
@@ -40,7 +40,7 @@ class Phone:
 
 @dataclass(frozen=True)
 class Exposure:
-    """How one picture is taken: seconds, gain on display values a channel, noise in grey levels at mid grey."""
+    """How one image is exposed: seconds, gain on display values a channel, noise in grey levels at mid grey."""
 
     duration_s: float
     gain_bgr: tuple[float, float, float]
@@ -74,15 +74,15 @@ def draw_phone(settings: SimulateSettings, scene: str, seed: int) -> Phone:
     return Phone(lens, _stated(settings.readout_s, rng.uniform(0.010, 0.030)), settings.time_offset_s)
 
 
-def _stated(setting: float | Drawn, drawn: float) -> float:
-    return drawn if setting == "drawn" else setting
+def _stated(setting: float | Drawn, random: float) -> float:
+    return random if setting == "drawn" else setting
 
 
 def focus_breathing(t_s: Vec, settings: SimulateSettings, rng: np.random.Generator) -> Vec:
-    """True focal length over the logged one (N,): swings once in about 20 s, and the log doesn't know."""
-    share = _stated(settings.focus_breathing, rng.uniform(0.0, 0.003))
+    """True focal length over the logged one (N,): swings once in about 20 s, which isn't in the log."""
+    amplitude = _stated(settings.focus_breathing, rng.uniform(0.0, 0.003))
     phase = rng.uniform(0, 2 * math.pi) + 0.8 * wander(t_s, 0.01, 0.04, rng)
-    return 1 + share * np.sin(2 * math.pi / _BREATH_S * t_s + phase)
+    return 1 + amplitude * np.sin(2 * math.pi / _BREATH_S * t_s + phase)
 
 
 def auto_exposure(brightness: Vec, step_s: float, indoor: bool, rng: np.random.Generator) -> list[Exposure]:
@@ -92,11 +92,11 @@ def auto_exposure(brightness: Vec, step_s: float, indoor: bool, rng: np.random.G
     log_gain, _ = lfilter([1 - keep], [1, -keep], wish, zi=[keep * wish[0]])
     daylight = rng.uniform(-0.12, 0.12)
     balance = np.exp(rng.normal(0, 0.025, 3))
-    base_s = _LONGEST_S * (0.75 if indoor else 0.3)
+    base_s = _MAX_EXPOSURE_S * (0.75 if indoor else 0.3)
     exposures = []
     for value in log_gain:
         light = math.exp(2 * value)  # display values go with the root of light
-        duration = min(base_s * light, _LONGEST_S)
+        duration = min(base_s * light, _MAX_EXPOSURE_S)
         amplified = base_s * light / duration
         noise = (2.2 if indoor else 1.3) * math.sqrt(amplified)
         blue, green, red = math.exp(value + daylight) * balance
@@ -112,9 +112,9 @@ def expose(
     exposure: Exposure,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """The 8-bit BGR picture of a sharp rendering taken from the middle of the exposure.
+    """The 8-bit BGR image of a sharp rendering from the middle of the exposure.
 
-    `velocity_cam` (m/s) and `spin_cam` (rad/s) are the camera's own motion in its axes.
+    `velocity_cam` (m/s) and `spin_cam` (rad/s) are the camera's motion in its axes.
     """
     image = _motion_blur(rendering, view, velocity_cam, spin_cam, exposure.duration_s)
     image = image * (np.array(exposure.gain_bgr, np.float32) * _vignette(view)[..., None])
@@ -136,7 +136,7 @@ def _vignette(view: View) -> NDArray[np.float32]:
 def _motion_blur(
     rendering: Rendering, view: View, velocity_cam: Vec, spin_cam: Vec, duration_s: float
 ) -> NDArray[np.float32]:
-    """Average the picture along each pixel's path over the exposure, from depth and the camera's motion."""
+    """Average the image along each pixel's path over the exposure, from depth and the camera's motion."""
     x = ((np.arange(view.width, dtype=np.float32) + 0.5 - view.cx) / view.fx)[None, :].astype(np.float32)
     y = ((np.arange(view.height, dtype=np.float32) + 0.5 - view.cy) / view.fy)[:, None].astype(np.float32)
     near = 1 / rendering.depth
@@ -154,11 +154,11 @@ def _motion_blur(
     column, row = np.meshgrid(np.arange(view.width, dtype=np.float32), np.arange(view.height, dtype=np.float32))
     total = np.zeros_like(rendering.image)
     for k in range(taps):
-        share = np.float32((k + 0.5) / taps - 0.5)
+        offset = np.float32((k + 0.5) / taps - 0.5)
         total += cv2.remap(
             rendering.image,
-            column + share * flow_x,
-            row + share * flow_y,
+            column + offset * flow_x,
+            row + offset * flow_y,
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_REPLICATE,
         )

@@ -134,8 +134,8 @@ class Canvas:
         cv2.fillPoly(mask, [self._fine(points_m)], 255, cv2.LINE_AA, shift=4)
         under = self.image.copy()
         self.inset(x0, y0, x1, y1, paint)
-        share = (mask.astype(np.float32) / 255)[..., None]
-        self.image = (share * self.image + (1 - share) * under).astype(np.uint8)
+        opacity = (mask.astype(np.float32) / 255)[..., None]
+        self.image = (opacity * self.image + (1 - opacity) * under).astype(np.uint8)
 
     def _fine(self, points_m: Sequence[tuple[float, float]]) -> NDArray[np.int32]:
         """Points in 1/16 texel, as cv2 takes them with shift=4 (its pixel centres are whole numbers)."""

@@ -105,14 +105,14 @@ def window(c: Canvas, x: float, y: float, w: float, h: float, frame: Bgr, same: 
         (sky * 1.1, sky, sky * 0.9),
     )
     curtain = vary((190, 200, 210), rng, 25)
-    share = rng.uniform(0.05, 0.4)
+    width_fraction = rng.uniform(0.05, 0.4)
     if rng.random() < 0.7:
-        c.box(x + t, y + t, x + t + share * w, y + h - t, curtain)
+        c.box(x + t, y + t, x + t + width_fraction * w, y + h - t, curtain)
         for k in range(4):
-            fold = x + t + share * w * (k + rng.uniform(0.2, 0.8)) / 4
+            fold = x + t + width_fraction * w * (k + rng.uniform(0.2, 0.8)) / 4
             c.line([(fold, y + t), (fold, y + h - t)], 0.02, (120, 125, 130))
     if rng.random() < 0.5:
-        c.box(x + w - t - share * w * 0.8, y + t, x + w - t, y + h - t, curtain)
+        c.box(x + w - t - width_fraction * w * 0.8, y + t, x + w - t, y + h - t, curtain)
     if rng.random() < 0.4:
         blind = y + h * rng.uniform(0.4, 0.8)
         for k in range(int((y + h - t - blind) / 0.08)):

@@ -11,7 +11,7 @@ from groundwalk.simulation.place import Vec
 
 F32 = NDArray[np.float32]
 _NODES = 1 << 16
-_LEAST_SLOPE = 0.2
+_MIN_SLOPE = 0.2
 _NEWTON_STEPS = 30
 
 
@@ -34,8 +34,8 @@ class Lens:
     @property
     def last_radius(self) -> float:
         """The largest radius r of rays (x, y, 1) that the polynomial describes; inf where it never folds."""
-        # 1 + 3 k1 s + 5 k2 s² = _LEAST_SLOPE, s = r²
-        roots = np.roots([5 * self.k2, 3 * self.k1, 1 - _LEAST_SLOPE])
+        # 1 + 3 k1 s + 5 k2 s² = _MIN_SLOPE, s = r²
+        roots = np.roots([5 * self.k2, 3 * self.k1, 1 - _MIN_SLOPE])
         ahead = [float(s.real) for s in roots if abs(s.imag) < 1e-12 and s.real > 0]
         return math.sqrt(min(ahead)) if ahead else math.inf
 
@@ -44,7 +44,7 @@ class Lens:
         last = self.last_radius
         inner = np.minimum(radius, last)
         s = inner * inner
-        beyond = np.where(radius > last, radius - inner, 0.0) * _LEAST_SLOPE
+        beyond = np.where(radius > last, radius - inner, 0.0) * _MIN_SLOPE
         return inner * (1 + s * (self.k1 + s * self.k2)) + beyond
 
     def distort(self, xy_N2: Vec) -> Vec:
@@ -84,10 +84,10 @@ def _ratios(lens: Lens, reach: float) -> F32:
         error = lens.image_radius(radius) - inside
         low, high = np.where(error < 0, radius, low), np.where(error > 0, radius, high)
         s = radius * radius
-        step = radius - error / np.maximum(1 + s * (3 * lens.k1 + 5 * s * lens.k2), _LEAST_SLOPE / 2)
+        step = radius - error / np.maximum(1 + s * (3 * lens.k1 + 5 * s * lens.k2), _MIN_SLOPE / 2)
         radius = np.where((step > low) & (step < high), step, (low + high) / 2)
     if math.isfinite(last):
-        radius += (image - inside) / _LEAST_SLOPE
+        radius += (image - inside) / _MIN_SLOPE
     ratio = np.ones_like(image)
     ratio[1:] = radius[1:] / image[1:]
     return ratio.astype(np.float32)

@@ -116,9 +116,9 @@ class Renderer:
         for _ in range(_PANES):
             if not len(panes) or weight is None:
                 break
-            mirrored, share = self._reflection(rays[panes], Hits(depth[panes], triangle[panes]), look, sky)
-            colour[panes] += weight[panes] * share[:, None] * mirrored
-            weight[panes] *= (1 - share)[:, None] * _GLASS_TINT
+            mirrored, fraction = self._reflection(rays[panes], Hits(depth[panes], triangle[panes]), look, sky)
+            colour[panes] += weight[panes] * fraction[:, None] * mirrored
+            weight[panes] *= (1 - fraction)[:, None] * _GLASS_TINT
             onward = rays[panes].copy()
             step = depth[panes] + 1e-3
             onward[:, :3] += onward[:, 3:] * step[:, None]
@@ -166,8 +166,8 @@ class Renderer:
         u = box_N4[:, 0] + np.clip(u, 0, box_N4[:, 2])
         v = box_N4[:, 1] + np.clip(v, 0, box_N4[:, 3])
         fine = level.astype(np.int32)
-        share = (level - fine)[:, None]
-        return (1 - share) * self._level(u, v, fine) + share * self._level(u, v, fine + 1)
+        fraction = (level - fine)[:, None]
+        return (1 - fraction) * self._level(u, v, fine) + fraction * self._level(u, v, fine + 1)
 
     def _level(self, u: F32, v: F32, level: NDArray[np.int32]) -> F32:
         scale = np.exp2(-level).astype(np.float32)
@@ -176,12 +176,12 @@ class Renderer:
         return _lookup(self._atlas, u * scale + offset[:, 0] - half, v * scale + offset[:, 1] - half)
 
     def _reflection(self, rays_N6: F32, hits: Hits, look: "_Look", sky: Sky) -> tuple[F32, F32]:
-        """What panes mirror (N, 3), and the mirrored share (N,) by Schlick's formula for two surfaces of glass."""
+        """What panes mirror (N, 3), and the mirrored fraction (N,) by Schlick's formula for two surfaces of glass."""
         normal = self._normals[hits.triangle].astype(np.float32)
         direction = rays_N6[:, 3:]
         length = np.linalg.norm(direction, axis=1)
         cosine = np.einsum("ij,ij->i", direction, normal) / length
-        share = 0.08 + 0.92 * (1 - np.abs(cosine)) ** 5
+        fraction = 0.08 + 0.92 * (1 - np.abs(cosine)) ** 5
         out = np.empty_like(rays_N6)
         out[:, 3:] = direction - 2 * (cosine * length)[:, None] * normal
         out[:, :3] = rays_N6[:, :3] + hits.distance[:, None] * direction + 1e-3 * out[:, 3:]
@@ -197,7 +197,7 @@ class Renderer:
         level = np.clip(np.log2(np.maximum(size, 1e-6)), 0, atlas.LEVELS - 1.001).astype(np.float32)
         tint = self._mesh.tint_T[triangle, None]
         colour[seen] = tint * self._texel(self._mesh.box_T4[triangle], texel[:, 0], texel[:, 1], level)
-        return colour, share.astype(np.float32)
+        return colour, fraction.astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -311,5 +311,5 @@ def _lookup(image: NDArray, x: F32, y: F32, border: int = cv2.BORDER_REPLICATE) 
     columns = min(_MAP_COLUMNS, len(x))
     spare = -len(x) % columns
     x, y = (np.pad(v, (0, spare)).reshape(-1, columns) for v in (x, y))
-    found = np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=border), np.float32)
-    return found.reshape(-1, 3)[: x.size - spare]
+    sampled = np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=border), np.float32)
+    return sampled.reshape(-1, 3)[: x.size - spare]

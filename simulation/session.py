@@ -1,4 +1,4 @@
-"""One simulated session: where the phone was, what it believed, and how each picture is to be taken."""
+"""One simulated session: true poses, VIO, and how each image is rendered."""
 
 import math
 import zlib
@@ -18,9 +18,9 @@ from groundwalk.simulation.scenes import SceneryPlan
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.shutter import row_times, shutter
 from groundwalk.simulation.vio import simulate_vio
-from groundwalk.simulation.walks import Walk, plan_walk
+from groundwalk.simulation.walks import PlannedWalk, plan_walk
 
-_METER_PX = (32, 24)  # the picture auto exposure looks at
+_METER_PX = (32, 24)  # size of the image for auto exposure
 _METER_STEP_S = 0.5
 _CAMERA_HZ = 60
 _MOTION_S = 0.01
@@ -39,7 +39,7 @@ class SessionOutline:
 
 @dataclass(frozen=True)
 class Shot:
-    """One picture to be taken: everything that a worker needs."""
+    """One image to render: everything that a worker needs."""
 
     path: Path
     view: View
@@ -53,7 +53,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class Truth:
-    """What the log doesn't say of each of N poses: pose, velocity (m/s) and spin (rad/s) at the middle row, both in
+    """The truth of each of N poses: pose, velocity (m/s) and spin (rad/s) at the middle row, both in
     camera axes, and the camera: fx, fy, cx, cy in pixels."""
 
     world_T_cam: Vec
@@ -64,8 +64,8 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Session:
-    """A planned session: what is written as JSON, the truth, and the pictures to take."""
+class SimulatedSession:
+    """A planned session: what is written as JSON, the truth, and the images to render."""
 
     frames: SessionFrames
     truth: Truth
@@ -82,12 +82,12 @@ def outline(settings: SimulateSettings, scene: str, seed: int) -> list[SessionOu
     rng = np.random.default_rng([seed, zlib.crc32(scene.encode())])
     boot = rng.uniform(15_000, 40_000)
     sessions = []
-    for kind, frames, least in (
+    for kind, frames, min_sessions in (
         ("train", settings.train_frames, settings.train_sessions),
         ("test", settings.test_frames, settings.test_sessions),
     ):
-        total = max(2, round(settings.frame_share * frames))
-        count = max(least, math.ceil(total / settings.image_hz / settings.max_session_s))
+        total = max(2, round(settings.frame_fraction * frames))
+        count = max(min_sessions, math.ceil(total / settings.image_hz / settings.max_session_s))
         for k in range(count):
             images = (k + 1) * total // count - k * total // count
             reach = 1.0 if kind == "train" else 0.6
@@ -106,8 +106,8 @@ def plan_session(
     renderer: Renderer,
     folder: Path,
     seed: int,
-) -> Session:
-    """Walk, believe, measure light: all of a session but its pictures, which go to `folder`."""
+) -> SimulatedSession:
+    """Walk, VIO and exposures: all of a session but its images, which go to `folder`."""
     seeds = np.random.SeedSequence([seed, zlib.crc32(f"{scenery.place.name}/{plan.name}".encode())])
     walk_seed, focus_seed, light_seed, time_seed, breath_seed = (np.random.default_rng(s) for s in seeds.spawn(5))
     every = max(1, round(settings.rate_hz / settings.image_hz))
@@ -156,20 +156,20 @@ def plan_session(
                 noise_seed=zlib.crc32(f"{seed}/{scenery.place.name}/{plan.name}/{i}".encode()),
             )
         )
-    return Session(frames, truth, shots)
+    return SimulatedSession(frames, truth, shots)
 
 
-def _truth(walk: Walk, t: Vec, logged_N4: Vec, focus: Vec, phone: Phone) -> Truth:
+def _truth(walk: PlannedWalk, t: Vec, logged_N4: Vec, focus: Vec, phone: Phone) -> Truth:
     """The truth of poses logged at t (N,) with intrinsics logged_N4, whose focal length is off by the factor focus."""
     middle = t - phone.time_offset_s
     velocity, spin = _motion(*(walk.world_T_cam(middle + d) for d in (-_MOTION_S / 2, 0.0, _MOTION_S / 2)))
-    # The JSON holds single precision, and the picture is to agree with it.
+    # The JSON holds single precision, and the image is to agree with it.
     intrinsics = logged_N4.astype(np.float32).astype(np.float64)
     intrinsics[:, :2] *= focus[:, None]
     return Truth(walk.world_T_cam(middle), velocity, spin, intrinsics, phone)
 
 
-def _view(truth: Truth, i: int, walk: Walk, t: float, settings: SimulateSettings) -> View:
+def _view(truth: Truth, i: int, walk: PlannedWalk, t: float, settings: SimulateSettings) -> View:
     fx, fy, cx, cy = (float(v) for v in truth.intrinsics_N4[i])
     phone = truth.phone
     moving = None
@@ -180,11 +180,11 @@ def _view(truth: Truth, i: int, walk: Walk, t: float, settings: SimulateSettings
 
 
 def take(shot: Shot, renderer: Renderer, settings: SimulateSettings) -> None:
-    """Render, expose and write one picture; it's there whole or not at all."""
+    """Render, expose and write one image, whole or not at all."""
     sharp = renderer.render(shot.view, Sky(shot.sky_seed, shot.clock_s), settings.supersampling)
     rng = np.random.default_rng(shot.noise_seed)
-    picture = camera.expose(sharp, shot.view, shot.velocity_cam, shot.spin_cam, shot.exposure, rng)
-    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, settings.jpeg_quality])
+    image = camera.expose(sharp, shot.view, shot.velocity_cam, shot.spin_cam, shot.exposure, rng)
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, settings.jpeg_quality])
     partial = shot.path.with_suffix(".partial")
     partial.write_bytes(data.tobytes())
     partial.replace(shot.path)

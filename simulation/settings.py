@@ -1,6 +1,6 @@
 """Settings of the simulator, section [simulate]."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
@@ -14,8 +14,8 @@ _PHONE: float | Drawn = "drawn"
 
 def _between(low: float, high: float) -> BeforeValidator:
     def check(value: Any) -> Any:
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if value == "drawn" or (number and low <= value <= high):
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if value == "drawn" or (is_number and low <= value <= high):
             return value
         raise PydanticCustomError("number_or_drawn", f'should be a number from {low} to {high}, or "drawn"')
 
@@ -25,17 +25,23 @@ def _between(low: float, high: float) -> BeforeValidator:
 class SimulateSettings(Settings):
     """How much is simulated and how finely."""
 
+    renamed: ClassVar[dict[str, str]] = {"frame_share": "frame_fraction"}
+
     width: int = Field(640, ge=64, description="image width, pixels")
     height: int = Field(480, ge=48, description="image height, pixels")
     rate_hz: float = Field(10.0, gt=0, le=60, description="poses a second")
     image_hz: float = Field(1.0, gt=0, description="images a second; every k-th pose has one")
-    train_frames: int = Field(1500, gt=0, description="training images, before frame_share")
-    test_frames: int = Field(600, gt=0, description="test images, before frame_share")
-    frame_share: float = Field(0.18, gt=0, le=1, description="share of these images that is made")
-    train_sessions: int = Field(3, ge=1, description="training walks, at least")
-    test_sessions: int = Field(2, ge=1, description="test walks, at least")
+    train_frames: int = Field(1500, gt=0, description="training images, before frame_fraction")
+    test_frames: int = Field(600, gt=0, description="test images, before frame_fraction")
+    frame_fraction: float = Field(
+        0.18, gt=0, le=1, description="fraction of train_frames and test_frames that is simulated"
+    )
+    train_sessions: int = Field(
+        3, ge=1, description="training walks; more where one would be longer than max_session_s"
+    )
+    test_sessions: int = Field(2, ge=1, description="test walks; more where one would be longer than max_session_s")
     max_session_s: float = Field(400.0, gt=0, description="longer walks are split into more sessions")
-    texel_m: float = Field(0.012, gt=0, description="texel of surfaces that are seen from near, metres")
+    texel_m: float = Field(0.012, gt=0, description="texel of near surfaces, metres")
     supersampling: int = Field(2, ge=1, le=4, description="n x n rays a pixel where surfaces meet")
     lens_k1: Annotated[float | Drawn, _between(-0.5, 0.5)] = Field(
         _PHONE, description='radial distortion k1, OpenCV\'s convention; "drawn": 0.05 to 0.12, by scene and seed'
@@ -50,6 +56,6 @@ class SimulateSettings(Settings):
         0.0, ge=-0.1, le=0.1, description="logged time of an image minus that of its middle row, seconds"
     )
     focus_breathing: Annotated[float | Drawn, _between(0, 0.02)] = Field(
-        _PHONE, description='focal length off the log by up to this share; "drawn": 0 to 0.003, by session'
+        _PHONE, description='largest error of the logged focal length, as a fraction; "drawn": 0 to 0.003, by session'
     )
     jpeg_quality: int = Field(90, ge=50, le=100, description="JPEG quality")

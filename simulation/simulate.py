@@ -26,7 +26,7 @@ from groundwalk.simulation.capture import write_frames
 from groundwalk.simulation.mesh import TexturedMesh, build_mesh, is_saved
 from groundwalk.simulation.render import Renderer
 from groundwalk.simulation.scenes import NAMES, scenery
-from groundwalk.simulation.session import Session, Shot, outline, plan_session, take
+from groundwalk.simulation.session import Shot, SimulatedSession, outline, plan_session, take
 from groundwalk.simulation.settings import SimulateSettings
 
 VERSION = 2  # goes up when the same settings give other captures
@@ -58,21 +58,21 @@ def simulate(
     work = partial_folder(final)
     work.parent.mkdir(parents=True, exist_ok=True)
     with locked(final):
-        marker = _own_marker(final)
+        marker = _simulator_marker(final)
         if marker and marker.get("key") == key and not force:
             console.print(f"{title}: up to date", markup=False)
             os.utime(final / SIMULATED_MARKER)
             return final
         reduced = _reduced(settings, data, scene)
         if reduced:
-            shown = ", ".join(f"{name} {here} instead of {full}" for name, (here, full) in reduced.items())
-            console.print(f"  this profile makes less than the paper's counts: {shown}", markup=False)
+            smaller = ", ".join(f"{name} {here} instead of {full}" for name, (here, full) in reduced.items())
+            console.print(f"  smaller than in profile paper: {smaller}", markup=False)
 
-        sessions: list[Session] = []
+        sessions: list[SimulatedSession] = []
 
         def attempt() -> None:
             sessions[:] = _plan(scene, settings, config.environment == "indoor", work, seed)
-            _take_pictures([shot for s in sessions for shot in s.shots], settings, work / _MESH, processes)
+            _render_images([shot for s in sessions for shot in s.shots], settings, work / _MESH, processes)
 
         run_resumable(work, key, title, force, attempt)
         for session in track(sessions, "writing poses"):
@@ -96,7 +96,7 @@ def simulate(
     return final
 
 
-def _plan(scene: str, settings: SimulateSettings, indoor: bool, work: Path, seed: int) -> list[Session]:
+def _plan(scene: str, settings: SimulateSettings, indoor: bool, work: Path, seed: int) -> list[SimulatedSession]:
     """Every session of the scene; the painted place is left in work/mesh for the renderers."""
     plan = scenery(scene, seed)
     if not is_saved(work / _MESH):
@@ -109,12 +109,12 @@ def _plan(scene: str, settings: SimulateSettings, indoor: bool, work: Path, seed
     ]
 
 
-def _count(session: Session) -> dict[str, int]:
+def _count(session: SimulatedSession) -> dict[str, int]:
     return {"poses": len(session.frames.time_s), "images": len(session.shots)}
 
 
-def _take_pictures(shots: list[Shot], settings: SimulateSettings, mesh: Path, processes: int) -> None:
-    """All pictures that aren't there yet. Each depends on its shot alone, so the number of processes doesn't matter."""
+def _render_images(shots: list[Shot], settings: SimulateSettings, mesh: Path, processes: int) -> None:
+    """Render all images that aren't there yet; each depends on its shot alone, not on the number of processes."""
     for folder in {shot.path.parent for shot in shots}:
         folder.mkdir(exist_ok=True)
     missing = [shot for shot in shots if not shot.path.is_file()]
@@ -147,7 +147,7 @@ def _work(shot: Shot) -> None:
     take(shot, renderer, settings)
 
 
-def write_truth(folder: Path, sessions: Iterable[Session]) -> None:
+def write_truth(folder: Path, sessions: Iterable[SimulatedSession]) -> None:
     """TRUE_POSES and TRUE_CAMERAS of all sessions, for checks and benchmarks."""
     poses, cameras = [], []
     for session in sessions:
@@ -169,7 +169,7 @@ def _reduced(settings: SimulateSettings, data: DataRoot, scene: str) -> dict[str
     full = resolve_settings(SimulateSettings, "simulate", data, "paper", scene, [])
     here: dict[str, tuple[Any, Any]] = {}
     for kind in ("train", "test"):
-        made = [round(s.frame_share * getattr(s, f"{kind}_frames")) for s in (settings, full)]
+        made = [round(s.frame_fraction * getattr(s, f"{kind}_frames")) for s in (settings, full)]
         if made[0] < made[1]:
             here[f"{kind} images"] = (made[0], made[1])
     sizes = [f"{s.width}x{s.height}" for s in (settings, full)]
@@ -180,27 +180,27 @@ def _reduced(settings: SimulateSettings, data: DataRoot, scene: str) -> dict[str
     return here
 
 
-def _own_marker(folder: Path) -> dict[str, Any] | None:
+def _simulator_marker(folder: Path) -> dict[str, Any] | None:
     """The marker of a simulated capture folder, None for an absent or empty folder; UserError for anything else."""
     if not folder.exists() or not any(folder.iterdir()):
         return None
     marker = read_json(folder / SIMULATED_MARKER)
     if not marker:
         raise UserError(
-            "this folder holds captures that the simulator didn't write, and it won't touch them",
+            "the captures of this scene aren't simulated, and the simulator doesn't replace them",
             where=folder,
             expected=f"an empty folder, or one with {SIMULATED_MARKER}",
             do="use them as they are, or move them away to simulate this scene",
         )
     try:
-        own = simulated_files(marker)
+        simulated = simulated_files(marker)
     except ValueError as error:
         raise UserError("the marker of simulated captures is damaged", where=folder, found=error) from None
     files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if not p.is_dir() or p.is_symlink()}
-    foreign = sorted(files - own)
+    foreign = sorted(files - simulated)
     if foreign:
         raise UserError(
-            "beside simulated captures this folder holds files that the simulator didn't write",
+            "the folder of simulated captures holds other files",
             where=folder,
             found=", ".join(foreign[:3]) + (f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""),
             do="move them away",

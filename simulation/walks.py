@@ -26,7 +26,8 @@ class Route:
     """A closed course: points (x, z, gaze in degrees to the left of the way ahead) or (x, z, gaze, floor height).
 
     Walkers keep within `spread_m` to each side of it, at `speed_mps` on the straight, and look `look_deg` around
-    the gaze. `tilt_deg` is how far up they hold the phone. Of their glances aside the share `far_glances` goes far.
+    the gaze. `tilt_deg` is how far up they hold the phone. `far_glances` is the fraction of their glances aside that
+    go far.
     """
 
     points: Sequence[tuple[float, ...]]
@@ -39,7 +40,7 @@ class Route:
 
 
 @dataclass(frozen=True)
-class Walk:
+class PlannedWalk:
     """Where a camera is and looks at any time from 0 to duration_s: splines with continuous velocity."""
 
     duration_s: float
@@ -63,7 +64,7 @@ class Walk:
 
 def plan_walk(
     route: Route, place: Place, duration_s: float, side: float, start: float, rng: np.random.Generator
-) -> Walk:
+) -> PlannedWalk:
     """A walk of duration_s along the route, round after round.
 
     `side` (-1 to 1) is which side of the course the walker prefers, `start` (0 to 1) where on it he begins. The
@@ -76,11 +77,11 @@ def plan_walk(
     clock = _clock(course, route, offset, start_m, duration_s + 1.0, rng)
     t = np.arange(-1.0, duration_s + 1.0, _TICK_S)
     s = clock(t)
-    stretch = clock(t, 1) / route.speed_mps
+    pace = clock(t, 1) / route.speed_mps
 
     position = course.place(s, offset)
     phase = 2 * math.pi * _GAIT_HZ * t + rng.uniform(0, 6)
-    vigour = np.clip(np.abs(stretch), 0, 1)
+    vigour = np.clip(np.abs(pace), 0, 1)
     sideways = course.left(s)
     position[:, 1] += EYE_M + rng.uniform(-0.08, 0.08) + 0.018 * vigour * np.sin(phase)
     position[:, 1] += 0.03 * wander(t, 0.02, 0.1, rng)
@@ -95,7 +96,7 @@ def plan_walk(
     pitch += shake * np.sin(phase + 0.7)
     roll += shake * np.sin(phase / 2 + 0.3)
     yaw += shake * np.sin(phase / 2 + 1.1) + math.radians(0.06) * wander(t, 2, 6, rng)
-    return Walk(duration_s, CubicSpline(t, position), CubicSpline(t, np.stack([yaw, pitch, roll], axis=1)))
+    return PlannedWalk(duration_s, CubicSpline(t, position), CubicSpline(t, np.stack([yaw, pitch, roll], axis=1)))
 
 
 class _Course:
@@ -173,18 +174,18 @@ def _offsets(
     """Metres to the left of the course, as a function of the distance, drawn in wherever something stands there."""
     knots = np.linspace(-8.0, reach_m + 8.0, max(8, round(reach_m / 4)))
     wish = route.spread_m * np.clip(0.75 * side + 0.3 * rng.standard_normal(len(knots)), -1, 1)
-    share = np.ones(len(knots))
+    damping = np.ones(len(knots))
     fine = np.arange(knots[0], knots[-1], 2 * _STEP_M)
     owner = np.round((fine - knots[0]) / (knots[1] - knots[0])).astype(int)
     for _ in range(30):
-        offset = CubicSpline(knots, wish * share)
+        offset = CubicSpline(knots, wish * damping)
         feet = course.place(fine, offset)
         near = np.minimum(*(place.clearance_m(feet + h * UP) for h in (0.9, EYE_M))) < MARGIN_M
         if not near.any():
             return offset
         touched = np.unique(owner[near])
         for k in (-1, 0, 1):
-            share[np.clip(touched + k, 0, len(knots) - 1)] *= 0.7
+            damping[np.clip(touched + k, 0, len(knots) - 1)] *= 0.7
     worst = feet[near][0]
     raise ValueError(f"the course through {place.name} is too narrow near x {worst[0]:.2f}, z {worst[2]:.2f}")
 
@@ -199,8 +200,8 @@ def _clock(
         mood *= 1 - 0.9 * np.exp(-(((times - moment - rng.uniform(-6, 6)) / 1.2) ** 2))
     reach = start_m + route.speed_mps * 1.2 * np.array([-3.0, duration_s + 3.0])
     grid = np.arange(reach[0], reach[1], 2 * _STEP_M)
-    stretch = np.linalg.norm(np.gradient(course.place(grid, offset), grid, axis=0), axis=1)
-    pace = np.minimum(route.speed_mps, math.radians(route.turn_deg_s) / course.bend(grid)) / stretch
+    lengthening = np.linalg.norm(np.gradient(course.place(grid, offset), grid, axis=0), axis=1)
+    pace = np.minimum(route.speed_mps, math.radians(route.turn_deg_s) / course.bend(grid)) / lengthening
     pace = gaussian_filter1d(pace, 0.6 / (2 * _STEP_M))
     s = np.full(len(times), start_m)
     for k in range(1, len(times)):

@@ -24,12 +24,25 @@ RETIRED = {
     r"broken off": "disconnected",
     r"times shuffled": "images and poses mismatched",
     r"bridge_(m|deg)\b|\bunsure\b": "vio_link_, uncertain",
+    r"heldout": "held_out",
+    r"second hearing": "fitted again",
+    r"\bsure enough\b": "certain",
+    r"\bladder\b": "attempts",
+    r"moves? otherwise|moving as VIO|disagrees? with VIO": "inconsistent with VIO",
+    r"\bkept out\b": "excluded",
+    r"needs VIO's word|nothing speaks against": "consistent",
+    r"safe point": "checkpoint",
 }
 # The same in names alone: in a sentence these are plain English.
 RETIRED_NAMES = {
-    r"(^|_)(told|own|shown|blamed|spoilt|surer|unsure|folded)(_|$)": "a noun that says what it is",
-    r"^(least|fewest|most|largest|farthest)_": "min_ or max_",
+    r"(^|_)(told|own|found|taken|shown|kept|wanted|blamed|spoilt|chosen)(_|$)": "a noun that says what it is",
+    r"(^|_)(least|most|fewest|largest|farthest)_": "min_ or max_",
+    r"(^|_)share(_|$)": "fraction",
+    r"(^|_)(verdict|gate|stretch|rung|sighting)(_|$)": "status, checks, segment, attempt, detection",
+    r"(^|_)(unsure|folded)(_|$)": "uncertain, aliased",
 }
+# Tables and settings that still have such a name: a list that may only become shorter.
+PENDING = {"share_pct", "found", "verdict", "kept"}
 
 
 def settings_texts() -> Iterator[tuple[str, str]]:
@@ -103,11 +116,25 @@ def test_no_retired_word(texts: Any, at_least: int) -> None:
         for pattern, instead in RETIRED.items()
         for match in (*re.finditer(pattern, name), *re.finditer(pattern, text, re.IGNORECASE))
     ]
-    wrong += [f"{name}: {why}" for name, _ in read for word, why in RETIRED_NAMES.items() if re.search(word, name)]
+    wrong += [
+        f"{name}: {why}"
+        for name, _ in read
+        for word, why in RETIRED_NAMES.items()
+        if re.search(word, name) and name not in PENDING
+    ]
     assert not wrong, "\n".join(wrong)
 
 
-def test_retired_words_are_seen() -> None:
-    assert re.search(next(iter(RETIRED)), "vio_drift_deg_per_root_m")
-    assert all(not re.search(word, "download_known_s") for word in RETIRED_NAMES)
-    assert all(any(re.search(word, name) for name in ("told_own_px", "least_px")) for word in RETIRED_NAMES)
+def test_pending_names_are_still_there() -> None:
+    names = {name for texts in (settings_texts, table_texts) for name, _ in texts()}
+    assert names >= PENDING
+
+
+@pytest.mark.parametrize("name", ["vio_drift_deg_per_root_m", "heldout_px", "told_px", "least_step", "frame_share"])
+def test_retired_words_are_seen(name: str) -> None:
+    assert any(re.search(word, name) for word in (*RETIRED, *RETIRED_NAMES))
+
+
+@pytest.mark.parametrize("name", ["held_out_px", "download_s", "unknown", "shared", "at_least"])
+def test_other_words_are_left(name: str) -> None:
+    assert not any(re.search(word, name) for word in (*RETIRED, *RETIRED_NAMES))

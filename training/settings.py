@@ -40,7 +40,7 @@ class TrainSettings(Settings):
         description="CPU threads a model; the models train side by side, and another number gives slightly different"
         " results",
     )
-    checkpoint_s: float = Field(60.0, ge=0, description="seconds between two safe points, at least")
+    checkpoint_s: float = Field(60.0, ge=0, description="minimum time between two checkpoints, seconds")
     reduced: str = Field("", description="what this profile makes smaller than in the paper, for the model card")
     regressors: dict[str, SerializeAsAny[RegressorSettings]] = Field(
         default_factory=dict,

@@ -210,7 +210,7 @@ def _fit_parts(
     fits: dict[RulerPart, RulerFit] = {}
     for part, rows in parts.items():
         with suppress(GeometryError):
-            fits[part] = measure(detections.corners, observations.where(rows), poses, covariance, least_pixel_sd=sd_px)
+            fits[part] = measure(detections.corners, observations.where(rows), poses, covariance, min_pixel_sd=sd_px)
     return fits
 
 

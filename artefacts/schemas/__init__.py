@@ -102,8 +102,8 @@ def all_tables() -> Iterable[TableSchema]:
 
 def schema(stage: str, table: str) -> TableSchema:
     """The schema of one table; UserError where there is none."""
-    for found in stage_tables(stage):
-        if found.name == table:
-            return found
+    for candidate in stage_tables(stage):
+        if candidate.name == table:
+            return candidate
     names = ", ".join(t.name for t in stage_tables(stage))
     raise UserError(f"no table {table!r} in stage {stage}", expected=f"one of {names}")

@@ -10,8 +10,9 @@ from rerun.chunk import RrdReader
 
 from groundwalk.artefacts import DataRoot, execute
 from groundwalk.artefacts.manifests import load_manifest
-from groundwalk.capture_import import recording, views
+from groundwalk.capture_import import recording
 from groundwalk.capture_import.capture import Limits, RawFrame
+from groundwalk.capture_import.checks import views
 from groundwalk.capture_import.checks.clock import CLOCK_LONG_SIDE, dense_part
 from groundwalk.capture_import.checks.convention import CONVENTION_LONG_SIDE, parallax_pairs
 from groundwalk.capture_import.checks.scan import ImageScan, scan_images

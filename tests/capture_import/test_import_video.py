@@ -10,8 +10,8 @@ from capture_writers import HEIGHT, WIDTH, image, make_walk, video_frame, write_
 
 from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.artefacts.manifests import load_manifest
-from groundwalk.capture_import import placing
 from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.media import placing
 from groundwalk.capture_import.media.spool import Spool
 from groundwalk.capture_import.media.video import decode, frame_times, gray_pixels, require_row_per_frame, rgb_pixels
 from groundwalk.capture_import.stage import STAGE

@@ -5,7 +5,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from groundwalk.geometry.lens import distort, largest_shift, undistort
+from groundwalk.geometry.lens import distort, max_shift, undistort
 
 _LENSES = [
     [0.092, -0.125],
@@ -48,6 +48,6 @@ def test_no_coefficients_change_nothing() -> None:
     assert np.array_equal(distort(points, []), points)
 
 
-def test_largest_shift_is_the_farthest_that_two_lenses_differ() -> None:
-    assert largest_shift([0.1], [0.1], (0.66, 0.5)) == 0.0
-    assert largest_shift([0.1], [0.0], (0.66, 0.5)) == pytest.approx(0.1 * np.hypot(0.66, 0.5) ** 3)
+def test_max_shift_is_the_farthest_that_two_lenses_differ() -> None:
+    assert max_shift([0.1], [0.1], (0.66, 0.5)) == 0.0
+    assert max_shift([0.1], [0.0], (0.66, 0.5)) == pytest.approx(0.1 * np.hypot(0.66, 0.5) ** 3)

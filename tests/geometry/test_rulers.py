@@ -50,7 +50,7 @@ def fitted(
 ) -> RulerFit:
     if covariance is None:
         covariance = np.zeros((len(poses), 6, 6))
-    return measure(corners, observations, poses, covariance, least_pixel_sd=0.02)
+    return measure(corners, observations, poses, covariance, min_pixel_sd=0.02)
 
 
 def test_without_noise_scale_and_corners_are_exact_in_any_gauge() -> None:

@@ -19,7 +19,7 @@ from groundwalk.simulation.simulate import simulate
 
 SCENE = "Office"
 SMALL = [
-    "frame_share=0.006",
+    "frame_fraction=0.006",
     "test_frames=600",
     "train_sessions=2",
     "test_sessions=1",
@@ -193,7 +193,7 @@ def test_captures_of_others_are_never_touched(tmp_path: Path, force: bool) -> No
     foreign = tmp_path / "captures" / SCENE / "walk" / "frame_00000.json"
     foreign.parent.mkdir(parents=True)
     foreign.write_text("{}")
-    with pytest.raises(UserError, match="didn't write"):
+    with pytest.raises(UserError, match="aren't simulated"):
         run(tmp_path, force=force)
     assert foreign.read_text() == "{}"
 
@@ -203,7 +203,7 @@ def test_a_foreign_file_among_simulated_ones_stops_a_new_simulation(finished: Pa
     copy.parent.mkdir()
     os.system(f"cp -r '{finished}' '{copy}'")
     (copy / "train-1" / "notes.txt").write_text("mine")
-    with pytest.raises(UserError, match=r"(?s)didn't write.*notes\.txt"):
+    with pytest.raises(UserError, match=r"(?s)holds other files.*notes\.txt"):
         run(tmp_path, force=True)
     assert (copy / "train-1" / "notes.txt").is_file()
 

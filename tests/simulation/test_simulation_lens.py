@@ -18,7 +18,7 @@ from groundwalk.simulation.mesh import build_mesh
 from groundwalk.simulation.place import Builder, Light
 from groundwalk.simulation.render import Renderer, Sky
 from groundwalk.simulation.scenes import SceneryPlan, scenery
-from groundwalk.simulation.session import Session, SessionOutline, plan_session, take
+from groundwalk.simulation.session import SessionOutline, SimulatedSession, plan_session, take
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.shutter import row_times, shutter, turned
 from groundwalk.simulation.walks import Route, plan_walk
@@ -110,7 +110,7 @@ def room() -> tuple[SceneryPlan, Renderer, np.ndarray]:
     return SceneryPlan(b.place, course), Renderer(build_mesh(b.place, 0.005, 0)), np.array(corners)
 
 
-def walked(folder: Path, **settings: float | str) -> tuple[Session, SimulateSettings]:
+def walked(folder: Path, **settings: float | str) -> tuple[SimulatedSession, SimulateSettings]:
     """A session through the room with 60 poses and 2 images a second."""
     scenery, renderer, _ = room()
     chosen = SimulateSettings.model_validate({"rate_hz": 60.0, "image_hz": 2.0, "supersampling": 3, **settings})
@@ -118,7 +118,7 @@ def walked(folder: Path, **settings: float | str) -> tuple[Session, SimulateSett
     return plan_session(plan, scenery, chosen, True, renderer, folder, 3), chosen
 
 
-def predicted(session: Session, i: int, corners: np.ndarray) -> np.ndarray:
+def predicted(session: SimulatedSession, i: int, corners: np.ndarray) -> np.ndarray:
     """Where OpenCV's camera puts the corners (N, 2) in picture i: at each row the pose between the true poses."""
     truth, phone = session.truth, session.truth.phone
     fx, fy, cx, cy = truth.intrinsics_N4[i]
@@ -140,7 +140,7 @@ def predicted(session: Session, i: int, corners: np.ndarray) -> np.ndarray:
     return points
 
 
-def offsets(session: Session, settings: SimulateSettings) -> tuple[np.ndarray, np.ndarray]:
+def offsets(session: SimulatedSession, settings: SimulateSettings) -> tuple[np.ndarray, np.ndarray]:
     """Predicted corners (N, 2) and found minus predicted ones, pixels, over all sharp pictures of the session."""
     _, renderer, corners = room()
     at, found = [], []

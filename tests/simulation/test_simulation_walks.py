@@ -9,13 +9,13 @@ import pytest
 from groundwalk.simulation.scenes import NAMES, scenery
 from groundwalk.simulation.session import outline
 from groundwalk.simulation.settings import SimulateSettings
-from groundwalk.simulation.walks import MARGIN_M, SPEED_LIMIT_MPS, Walk, plan_walk
+from groundwalk.simulation.walks import MARGIN_M, SPEED_LIMIT_MPS, PlannedWalk, plan_walk
 
 SWAY_M = 0.06  # gait moves the camera off the walked line by no more
 
 
 @functools.cache
-def walks(name: str) -> list[Walk]:
+def walks(name: str) -> list[PlannedWalk]:
     plan = scenery(name, 0)
     sessions = outline(SimulateSettings(), name, 0)
     return [
@@ -81,7 +81,7 @@ def test_poses_are_upright_cameras() -> None:
 
 
 def test_table_one_counts_decide_the_sessions() -> None:
-    settings = SimulateSettings(frame_share=1.0, train_frames=1643, test_frames=853)
+    settings = SimulateSettings(frame_fraction=1.0, train_frames=1643, test_frames=853)
     sessions = outline(settings, "Church", 0)
     for kind, total in (("train", 1643), ("test", 853)):
         images = [s.images for s in sessions if s.name.startswith(kind)]
