@@ -1,7 +1,7 @@
 """How far VIO moves away from ground truth, in the measures that the literature uses, each named by its definition.
 
-docs/ground-truth.md lists the definitions. Paths here are poses (N, 4, 4) of the same frames in order of time; the
-ground truth is metric and VIO as the phone gives it, so a wrong scale of VIO is drift.
+docs/explanation/ground-truth.md lists the definitions. Paths here are poses (N, 4, 4) of the same frames in order of
+time; the ground truth is metric and VIO as the phone gives it, so a wrong scale of VIO is drift.
 """
 
 from collections import defaultdict

@@ -32,7 +32,7 @@ class QualitySettings(Settings):
 
 
 class AlignSettings(VioDriftSettings):
-    """How ground truth is made; docs/ground-truth.md says why these defaults."""
+    """How ground truth is made; docs/explanation/ground-truth.md says why these defaults."""
 
     window_m: float = Field(WINDOW_M, gt=0, description="VIO path over which SfM and VIO are compared, metres")
     step_m: float = Field(

@@ -238,7 +238,7 @@ class ReferenceAlignment(StrEnum):
 
 
 class DriftDefinition(StrEnum):
-    """A measure of VIO drift (docs/ground-truth.md)."""
+    """A measure of VIO drift (docs/explanation/ground-truth.md)."""
 
     PAPER_RPE = "paper_rpe"
     PAPER_ROE = "paper_roe"
@@ -259,3 +259,13 @@ class DriftInterval(StrEnum):
     METRES = "m"
     PAIR = "pair"
     PATH = "path"
+
+
+class Refusal(StrEnum):
+    """Why a structure localiser gives no pose."""
+
+    IMAGE_SIZE = "image_size"
+    FEW_FEATURES = "few_features"
+    FEW_MATCHES = "few_matches"
+    NO_POSE = "no_pose"
+    THIN_EVIDENCE = "thin_evidence"

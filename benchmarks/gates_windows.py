@@ -1,8 +1,8 @@
 """What VIO's drift does to steps and windows of different lengths: `python -m benchmarks.gates_windows`
 
 Simulated walks without pictures: true poses with a few millimetres of noise stand for SfM, VIO drifts as fitted to real
-recordings (docs/vio-drift.md). Prints how far the map's scale and vertical are off, and how far VIO parts from SfM
-within a window: what align's limits must let pass.
+recordings (docs/explanation/vio-drift.md). Prints how far the map's scale and vertical are off, and how far VIO parts
+from SfM within a window: what align's limits must let pass.
 """
 
 from dataclasses import replace

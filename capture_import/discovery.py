@@ -70,7 +70,7 @@ def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str
             where=root,
             found=_content(root),
             expected="one of\n" + looked_for,
-            do="see docs/captures.md; any app can write groundwalk's frames.jsonl",
+            do="see docs/reference/capture-formats.md; any app can write groundwalk's frames.jsonl",
         )
     names = [_plain((hit.parts or (root.stem if root.is_file() else root.name,))[-1]) for hit in hits]
     counts = Counter(names)

@@ -51,7 +51,7 @@ def export(
     profile: ProfileOption = "demo",
     data: DataOption = Path("data"),
 ) -> None:
-    """Write ground truth as another tool reads it; docs/ground-truth.md says what each format can't hold.
+    """Write ground truth as another tool reads it; docs/explanation/ground-truth.md says what each format can't hold.
 
     Frames without ground truth are excluded; `frames.csv` lists every frame with its split, quality, image and camera;
     `export.json` says what the export is.

@@ -66,7 +66,7 @@ TABLES = [
                 "map",
                 True,
             ),
-            Column("quality", "string", "quality class (docs/ground-truth.md)", choices=QualityClass),
+            Column("quality", "string", "quality class (docs/explanation/ground-truth.md)", choices=QualityClass),
             Column("reason", "string", "why quality is B, C or none, with the figure and its limit; empty for A"),
             Column("gt_uses_vio", "bool", "VIO positions took part: in the bundle adjustment, or in placing its model"),
             Column(
@@ -153,7 +153,7 @@ TABLES = [
         "the samples of all sessions.",
         [
             Column("session_id", "string", "capture session, or 'all'"),
-            Column("definition", "string", "measure (docs/ground-truth.md)", choices=DriftDefinition),
+            Column("definition", "string", "measure (docs/explanation/ground-truth.md)", choices=DriftDefinition),
             Column("interval", "float64", "length of the compared pieces; null for a whole path", "", "", True),
             Column("interval_unit", "string", "what the interval counts", choices=DriftInterval),
             Column("unit", "string", "unit of the samples: m, deg, %, deg/m, deg/min, deg/100m"),
@@ -187,7 +187,7 @@ TABLES = [
             Column(
                 "cause",
                 "string",
-                "what is wrong with the input (docs/ground-truth.md); null where it passed",
+                "what is wrong with the input (docs/reference/checks.md); null where it passed",
                 nullable=True,
                 choices=FailureCause,
             ),
@@ -199,7 +199,7 @@ TABLES = [
     TableSchema(
         "align",
         "rulers",
-        "Rulers that the scene's file names: one row a ruler, model, and part of its corners (docs/rulers.md).",
+        "Rulers that the scene's file names: one row a ruler, model, and part of its corners (docs/how-to/ruler.md).",
         [
             Column("ruler", "string", "name"),
             Column("kind", "string", "kind of ruler", choices=RulerKind),

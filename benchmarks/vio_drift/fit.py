@@ -32,7 +32,7 @@ RPE_1M_M = 0.02
 
 _TAG_WALKS = "5 ARKit walks past AprilTags (Invisible Map)"
 _STEADY = "2 ARKit logs at 60 Hz (ARKit Data Logger)"
-_HEADER = "# Written by `python -m benchmarks.vio_drift.fit`; docs/vio-drift.md says how each number was measured.\n"
+_HEADER = "# Written by `python -m benchmarks.vio_drift.fit`; docs/explanation/vio-drift.md says how it was measured.\n"
 
 
 @dataclass(frozen=True)
@@ -141,9 +141,9 @@ app = new_app("Measure the drift of phone odometry on real recordings and write 
 
 @app.command()
 def main(
-    trajectories: Annotated[Path, typer.Option(help="Folder of the recordings that docs/vio-drift.md lists.")],
+    trajectories: Annotated[Path, typer.Option(help="Folder of recordings (docs/explanation/vio-drift.md).")],
     out: Annotated[Path, typer.Option(help="TOML file to write.")] = FIT_FILE,
-    plots: Annotated[Path | None, typer.Option(help="Folder for the pictures of docs/vio-drift.md.")] = None,
+    plots: Annotated[Path | None, typer.Option(help="Folder for the pictures of drift.")] = None,
 ) -> None:
     """Fit, print a table and write the TOML file."""
     recordings = read_recordings(trajectories)

@@ -1,5 +1,6 @@
-"""Our own format: `frames.jsonl`, one JSON object a line, with images beside it. docs/captures.md describes it.
+"""Our own format: `frames.jsonl`, one JSON object a line, with images beside it.
 
+docs/reference/capture-formats.md describes it.
 The first line says what the recording is, each other line is one instant:
 
     {"groundwalk": "frames", "version": 1, "device": "iPhone 14 Pro", "clock": "boot"}

@@ -2,7 +2,7 @@
 
 The detectors are the boosted cascades that OpenCV 4 has in its package (P. Viola and M. Jones, "Rapid object detection
 using a boosted cascade of simple features", CVPR 2001); OpenCV 5 left them out. They detect frontal and side faces
-and plates of European form; docs/captures.md says how many they miss.
+and plates of European form; docs/reference/capture-formats.md says how many they miss.
 """
 
 import threading

@@ -73,10 +73,26 @@ def test_methods_learn_from_held_out_frames_and_never_from_those_that_are_judged
         r.tables["errors"].set_index(["method", "frame_id"])["live_position_m"] for r in (learnt, not_learnt)
     )
     changed = (ours - without).abs().groupby("method").max() > 1e-9
-    assert set(changed.index[changed]) == {"drift_aware", "smoother", "hindsight", "hindsight_late"}
+    assert set(changed.index[changed]) == {"drift_aware", "smoother"}
     # Predictions say themselves what was held out, where frames don't.
     relabelled = frames.assign(split=frames["split"].replace("val", "train"))
     pd.testing.assert_frame_equal(run(relabelled, truth, predictions).tables["error_maps"], table)
+
+
+def test_held_out_frames_say_which_method_is_ahead():
+    frames, truth, predictions = held_out_tables()
+    found = run(frames, truth, predictions).tables["validation"]
+    assert set(found["frames"]) == {80} and list(found.loc[found["ahead"], "method"]) != []
+    assert found.groupby("model")["ahead"].sum().tolist() == [1]
+    assert not set(found["method"]) & {"smoother", "vio_oracle"}
+    # Its figures are those of an evaluation of these frames, in which nothing is learnt from them.
+    summary = run(frames, truth, predictions, splits=["val"]).tables["summary"]
+    summary = summary[(summary["subset"] == "all") & (summary["scored"] == "method")].set_index("method")
+    for figure in ("coverage_pct", "position_mean_m", "rotation_mean_deg"):
+        assert np.allclose(found[figure], summary.loc[found["method"], figure])
+    assert "validation" not in run(frames, truth, predictions, splits=["test", "val"]).tables
+    unseen = predictions[predictions["split"] == "test"]
+    assert "validation" not in run(frames, truth, unseen).tables
 
 
 def test_offline_methods_do_not_shrink_what_causal_ones_are_compared_on():
