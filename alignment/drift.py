@@ -11,12 +11,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from groundwalk.alignment.segments import distance_along
 from groundwalk.artefacts.choices import DriftDefinition, DriftInterval
 from groundwalk.artefacts.schemas import schema
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_se3, fit_sim3, fit_yaw
-from groundwalk.geometry.poses import Array, heading, inverse, relative, rotation_angle, transform
+from groundwalk.geometry.poses import Array, heading, inverse, path_length, relative, rotation_angle, transform
 
 DISTANCES_M = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 # Of a walk that is shorter than all of these.
@@ -116,7 +115,7 @@ def second_pairs(t_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def distance_pairs(xyz: Array, distance_m: float) -> tuple[np.ndarray, np.ndarray, Array]:
     """Index pairs (M,), (M,): each frame and the first one that lies `distance_m` or more further along the path, and
     how far it does, metres (M,)."""
-    travelled = distance_along(xyz)
+    travelled = path_length(xyz)
     last = np.searchsorted(travelled, travelled + distance_m)
     first = np.flatnonzero(last < len(travelled))
     return first, last[first], travelled[last[first]] - travelled[first]
@@ -158,7 +157,7 @@ def _yaw(samples: DriftSamples, t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: A
     map_R_vio = map_T_cam[:, :3, :3] @ np.swapaxes(vio_T_cam[:, :3, :3], 1, 2)
     yaw_deg = np.degrees(np.unwrap(heading(map_R_vio)))
     minutes = (t_ns - t_ns[0]) / 60e9
-    travelled = distance_along(map_T_cam[:, :3, 3])
+    travelled = path_length(map_T_cam[:, :3, 3])
 
     def rate_of(independent: Array) -> Array:
         return np.abs(np.polyfit(independent, yaw_deg, 1)[:1])

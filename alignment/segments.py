@@ -8,7 +8,7 @@ import pandas as pd
 from groundwalk.artefacts.choices import Tracking
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.consistency.trajectories import TrajectoryPair
-from groundwalk.geometry.poses import Array
+from groundwalk.geometry.poses import Array, path_length
 
 # A phone that calls its tracking so may stand still in VIO while it moves.
 _UNTRACKED = (Tracking.LIMITED, Tracking.LOST)
@@ -52,7 +52,7 @@ class Segment:
     def travelled_m(self) -> Array:
         """(N,) length of the VIO path since the first frame; a frame without VIO stays where the last one was."""
         xyz = pd.DataFrame(self.vio_T_cam[:, :3, 3]).ffill().bfill().to_numpy()
-        return np.zeros(len(xyz)) if np.isnan(xyz).any() else distance_along(xyz)
+        return np.zeros(len(xyz)) if np.isnan(xyz).any() else path_length(xyz)
 
     @property
     def trajectory_pair(self) -> TrajectoryPair:
@@ -67,11 +67,6 @@ class Segment:
         """The segment's frames for which `mask` (N,) holds."""
         arrays = ("rows", "t_ns", "sfm_T_cam", "vio_T_cam", "up_cam")
         return replace(self, **{name: getattr(self, name)[mask] for name in arrays})
-
-
-def distance_along(xyz: Array) -> Array:
-    """Length of a path (N,) from its first position (N, 3) on."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
 
 
 def frame_components(frames: pd.DataFrame, images: pd.DataFrame) -> tuple[list[str], np.ndarray]:

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from groundwalk.alignment.components import Component, PlacedComponent, VioLink
-from groundwalk.alignment.segments import Segment, distance_along
+from groundwalk.alignment.segments import Segment
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.windows import PoseSd, fit_rigid
 from groundwalk.geometry.fits import Sim3
-from groundwalk.geometry.poses import Array, heading, inverse, transform
+from groundwalk.geometry.poses import Array, heading, inverse, path_length, transform
 
 _MIN_FRAMES = 3
 
@@ -160,7 +160,7 @@ def _along(a: Segment, b: Segment) -> tuple[Array, Array]:
     xyz = np.concatenate([a.vio_T_cam, b.vio_T_cam])[:, :3, 3]
     order = np.argsort(t_ns, kind="stable")
     along = np.empty(len(t_ns))
-    along[order] = distance_along(xyz[order])
+    along[order] = path_length(xyz[order])
     return along[: len(a.rows)], along[len(a.rows) :]
 
 

@@ -20,8 +20,8 @@ from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import SplitRules
 from groundwalk.artefacts.tables import dataset_frames, read_table
 from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.checks.health import find_jumps, gravity_of
 from groundwalk.capture_import.formats import FORMATS
-from groundwalk.capture_import.health import find_jumps, gravity_of
 from groundwalk.capture_import.splits import split_frames
 from groundwalk.fusion.error_map import ErrorMap
 from groundwalk.fusion.evaluate import FuseSettings, Inputs, learnt

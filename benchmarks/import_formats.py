@@ -20,21 +20,21 @@ from benchmarks.import_scene import rendered_walk
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.progress import track
 from groundwalk.capture_import.capture import Intrinsics, Limits
-from groundwalk.capture_import.clock import check_clock
-from groundwalk.capture_import.convention import (
+from groundwalk.capture_import.checks.clock import check_clock
+from groundwalk.capture_import.checks.convention import (
     CONVENTIONS,
     MatchedPair,
     best_convention,
     check_convention,
     matched_pairs,
 )
+from groundwalk.capture_import.checks.scan import scan_images
+from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.formats import FORMATS
-from groundwalk.capture_import.images import decode_gray, sharpness
 from groundwalk.capture_import.intake import ImportedSession, Intake, measures, take_in
-from groundwalk.capture_import.scan import scan_images
+from groundwalk.capture_import.media.images import decode_gray, sharpness
 from groundwalk.capture_import.settings import ImportSettings
-from groundwalk.capture_import.views import Views
 from groundwalk.geometry.poses import relative, rotation_angle
 
 # isort: split

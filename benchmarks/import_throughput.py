@@ -28,7 +28,7 @@ from groundwalk.artefacts import DataRoot, execute
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.cores import usable_cores
 from groundwalk.artefacts.manifests import load_manifest
-from groundwalk.capture_import.images import WORKING_LONG_SIDE, decode_gray
+from groundwalk.capture_import.media.images import WORKING_LONG_SIDE, decode_gray
 from groundwalk.capture_import.stage import STAGE
 
 app = new_app(__doc__ or "")

@@ -11,9 +11,9 @@ import numpy as np
 from groundwalk.artefacts import UserError, progress
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.text import printable
-from groundwalk.capture_import.archive import SUFFIXES, unpack
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import FORMATS, Format
+from groundwalk.capture_import.media.archive import SUFFIXES, unpack
 
 _MAX_DEPTH = 5
 _MAX_ID_BYTES = 120

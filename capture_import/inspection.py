@@ -9,14 +9,14 @@ import numpy as np
 
 from groundwalk.artefacts.choices import PoseSource
 from groundwalk.artefacts.progress import track
-from groundwalk.capture_import.clock import check_clock
-from groundwalk.capture_import.convention import MIN_EXPLAINED, ConventionCheck, check_convention
+from groundwalk.capture_import.checks.clock import check_clock
+from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
+from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.intake import Intake, measures, path_length, take_in
 from groundwalk.capture_import.selection import select
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.tables import printable
-from groundwalk.capture_import.views import Views
 
 
 def inspect_capture(path: Path, format_name: str = "auto") -> Iterator[str]:

@@ -9,9 +9,9 @@ import numpy as np
 
 from groundwalk.artefacts.choices import PoseSource, Tracking
 from groundwalk.capture_import.capture import RawFrame, RawSession, Reject
-from groundwalk.capture_import.health import Jump, check_session, find_jumps, size_fault
-from groundwalk.capture_import.images import ImageCheck
-from groundwalk.capture_import.scan import ImageScan
+from groundwalk.capture_import.checks.health import Jump, check_session, find_jumps, size_fault
+from groundwalk.capture_import.checks.scan import ImageScan
+from groundwalk.capture_import.media.images import ImageCheck
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.geometry.poses import Array
 

@@ -15,11 +15,11 @@ from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, set_time
 from groundwalk.artefacts.tables import dataset_frames
 from groundwalk.capture_import.capture import Reject
-from groundwalk.capture_import.images import image_size
 from groundwalk.capture_import.intake import ImportedSession
-from groundwalk.capture_import.spool import thumbnail_path
+from groundwalk.capture_import.media.images import image_size
+from groundwalk.capture_import.media.spool import thumbnail_path
+from groundwalk.capture_import.media.thumbnails import MAX_THUMBNAILS, spread, thumbnail_of
 from groundwalk.capture_import.tables import printable
-from groundwalk.capture_import.thumbnails import MAX_THUMBNAILS, spread, thumbnail_of
 from groundwalk.geometry.poses import Array, transform
 
 _TRACKING_COLOURS = {

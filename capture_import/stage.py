@@ -10,22 +10,24 @@ import pandas as pd
 from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.files import write_json
 from groundwalk.artefacts.tables import dataset_frames
-from groundwalk.capture_import.blurring import CascadeDetector, Detector
 from groundwalk.capture_import.capture import RawFrame, Reject
-from groundwalk.capture_import.clock import MAX_OFFSET_S, ClockCheck, check_clock
-from groundwalk.capture_import.convention import MIN_EXPLAINED, ConventionCheck, check_convention
-from groundwalk.capture_import.depth import place_depths
+from groundwalk.capture_import.checks.clock import MAX_OFFSET_S, ClockCheck, check_clock
+from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
+from groundwalk.capture_import.checks.scan import ImageScan
+from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.formats import FORMATS
-from groundwalk.capture_import.images import ImageCheck
 from groundwalk.capture_import.intake import ImportedSession, Intake, Scan, measures, take_in
-from groundwalk.capture_import.placing import Placement, place_images
+from groundwalk.capture_import.media.blurring import CascadeDetector, Detector
+from groundwalk.capture_import.media.depth import place_depths
+from groundwalk.capture_import.media.images import ImageCheck
+from groundwalk.capture_import.media.placing import Placement, place_images
+from groundwalk.capture_import.media.spool import Spool
+from groundwalk.capture_import.media.upright import quarters_to_upright, turned
 from groundwalk.capture_import.recording import blueprint, log_session
-from groundwalk.capture_import.scan import ImageScan
 from groundwalk.capture_import.selection import Selection, density_for, select
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.splits import LEAK_S, SplitResult, nearest_split, split_frames
-from groundwalk.capture_import.spool import Spool
 from groundwalk.capture_import.tables import (
     frames_table,
     jumps_table,
@@ -35,8 +37,6 @@ from groundwalk.capture_import.tables import (
     sessions_table,
     vio_table,
 )
-from groundwalk.capture_import.upright import quarters_to_upright, turned
-from groundwalk.capture_import.views import Views
 
 
 def run(r: StageRun[ImportSettings]) -> None:

@@ -9,12 +9,12 @@ import pandas as pd
 
 from groundwalk.artefacts.choices import LengthUnit, PoseSource, SessionSplit, Split, UpAxis
 from groundwalk.artefacts.tables import dataset_frames, pose_frame
-from groundwalk.capture_import.blurring import Kind
 from groundwalk.capture_import.capture import Reject
-from groundwalk.capture_import.depth import PlacedDepth
-from groundwalk.capture_import.health import gravity_of
+from groundwalk.capture_import.checks.health import gravity_of
 from groundwalk.capture_import.intake import ImportedSession, path_length
-from groundwalk.capture_import.placing import PlacedImage
+from groundwalk.capture_import.media.blurring import Kind
+from groundwalk.capture_import.media.depth import PlacedDepth
+from groundwalk.capture_import.media.placing import PlacedImage
 from groundwalk.capture_import.selection import Selection
 
 

@@ -19,6 +19,11 @@ PACKAGES = [path.parent for path in ROOT.glob("*/__init__.py") if path.parent.na
 # What must not be in a name or text, and what is written instead.
 RETIRED = {
     r"per_root": "per_sqrt",
+    r"look-alike|folded together": "perceptual aliasing",
+    r"\bgate\.p(ng|arquet)|align's gate|the gate (took|lets|catches)": "checks",
+    r"broken off": "disconnected",
+    r"times shuffled": "images and poses mismatched",
+    r"bridge_(m|deg)\b|\bunsure\b": "vio_link_, uncertain",
     r"heldout": "held_out",
     r"second hearing": "fitted again",
     r"\bsure enough\b": "certain",
@@ -34,6 +39,7 @@ RETIRED_NAMES = {
     r"(^|_)(least|most|fewest|largest|farthest)_": "min_ or max_",
     r"(^|_)share(_|$)": "fraction",
     r"(^|_)(verdict|gate|stretch|rung|sighting)(_|$)": "status, checks, segment, attempt, detection",
+    r"(^|_)(unsure|folded)(_|$)": "uncertain, aliased",
 }
 # Tables and settings that still have such a name: a list that may only become shorter.
 PENDING = {"share_pct", "found", "verdict", "kept"}

@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts import UserError
-from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array
+from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.formats import FORMATS
+from groundwalk.geometry.poses import Array
 
 TAG_WALKS = "invisible_map_arkit/benchmarking/datasets"
 STEADY_LOGS = "arkit_data_logger/Visualization"
 TRUTH_PAIRS = "spectacularai_two_sessions/examples/two_sessions"
 
-# Sightings of one tag less than this apart are one visit.
+# Detections of one tag less than this apart are one visit.
 _VISIT_GAP_S = 5.0
 # The tags hang further apart than this, so that a frame with two closer ones has read one number wrong.
 _MISREAD_M = 1.5
@@ -48,16 +50,15 @@ class TagLog:
 
 
 def read_tag_log(path: Path) -> TagLog:
-    """A log of the Invisible Map app: poses (column-major, ARKit) twice a second, and tags seen (tag in the camera,
-    row-major, OpenCV axes)."""
-    log = _json(path)
-    t_s = np.array([p["timestamp"] for p in log["pose_data"]])
-    world_T_cam = _matrices([p["pose"] for p in log["pose_data"]]).swapaxes(-1, -2) @ ARKIT_CAM_T_CAM
+    """A log of the Invisible Map app: poses twice a second, and detected tags (tag in the camera, row-major, OpenCV
+    axes)."""
+    log, (t_ns, world_T_cam) = _json(path), _poses(path, "invisible_map")
+    t_s = t_ns * 1e-9
     start, still_s = _last_start(t_s, world_T_cam)
 
     step = np.linalg.norm(np.diff(world_T_cam[:, :3, 3], axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(step)])
-    sightings: dict[int, list[tuple[int, Array]]] = defaultdict(list)
+    detections: dict[int, list[tuple[int, Array]]] = defaultdict(list)
     for frame_tags in log["tag_data"]:
         frame = frame_tags[0]["pose_id"]
         if frame < start:
@@ -65,16 +66,16 @@ def read_tag_log(path: Path) -> TagLog:
         cam_T_tag = _matrices([t["tag_pose"] for t in frame_tags])
         at = (world_T_cam[frame] @ cam_T_tag)[:, :3, 3]
         apart = np.linalg.norm(at[:, None] - at[None], axis=-1) + np.where(np.eye(len(at)), np.inf, 0.0)
-        for seen, position, nearest in zip(frame_tags, at, apart.min(axis=1), strict=True):
+        for tag, position, nearest in zip(frame_tags, at, apart.min(axis=1), strict=True):
             if nearest > _MISREAD_M:
-                sightings[seen["tag_id"]].append((frame, position))
+                detections[tag["tag_id"]].append((frame, position))
 
     visits = []
-    for tag, seen_at in sightings.items():
-        frames = np.array([frame for frame, _ in seen_at])
+    for tag_id, positions in detections.items():
+        frames = np.array([frame for frame, _ in positions])
         for group in np.split(np.arange(len(frames)), np.flatnonzero(np.diff(t_s[frames]) > _VISIT_GAP_S) + 1):
             middle = frames[group[len(group) // 2]]
-            visits.append((along[middle], tag, np.mean([seen_at[i][1] for i in group], axis=0)))
+            visits.append((along[middle], tag_id, np.mean([positions[i][1] for i in group], axis=0)))
     visits.sort(key=lambda v: v[:2])
     walk = TagWalk(
         name=path.stem,
@@ -112,11 +113,8 @@ class SteadyLog:
 
 
 def read_steady_log(path: Path) -> SteadyLog:
-    """A log of ARKit Data Logger: nanoseconds and 12 numbers, row-major."""
-    lines = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if line[:1].isdigit()]
-    world_T_cam = np.tile(np.eye(4), (len(lines), 1, 1))
-    world_T_cam[:, :3] = np.array([line[1:13] for line in lines], dtype=float).reshape(-1, 3, 4)
-    return SteadyLog(np.array([line[0] for line in lines], dtype=np.int64), world_T_cam @ ARKIT_CAM_T_CAM)
+    """A log of ARKit Data Logger."""
+    return SteadyLog(*_poses(path, "arkit_logger"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +169,16 @@ def read_recordings(folder: Path) -> Recordings:
         steady_logs=[read_steady_log(p) for p in found(STEADY_LOGS, "*.txt")],
         truth_pairs=[read_truth_pair(p.parent) for p in found(TRUTH_PAIRS, "*/groundtruth.jsonl")],
     )
+
+
+def _poses(path: Path, format_name: str) -> tuple[NDArray[np.int64], Array]:
+    """Times (N,) and world_T_cam (N, 4, 4) of a log in a capture format; UserError where a row can't be read."""
+    raw = FORMATS.find(format_name).read(path, path.stem, Limits())
+    if raw.rejects:
+        raise UserError(
+            "a row of a log can't be read", where=path, found=f"{raw.rejects[0].source}: {raw.rejects[0].reason}"
+        )
+    return np.array([frame.t_ns for frame in raw.frames]), np.array([frame.vio_T_cam for frame in raw.frames])
 
 
 def _matrices(rows: list[list[float]]) -> Array:

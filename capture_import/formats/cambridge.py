@@ -21,7 +21,7 @@ from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import Clock, PoseSource, SessionSplit
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.images import BadImage, image_size
+from groundwalk.capture_import.media.images import BadImage, image_size
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,

@@ -16,6 +16,7 @@ from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
+from groundwalk.capture_import.media.video import require_row_per_frame
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -26,7 +27,6 @@ from groundwalk.capture_import.parsing import (
     seconds_to_ns,
     split_numbers,
 )
-from groundwalk.capture_import.video import require_row_per_frame
 
 
 def detect(path: Path) -> bool:

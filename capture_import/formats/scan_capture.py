@@ -21,6 +21,7 @@ from groundwalk.artefacts.choices import Clock, Tracking
 from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
+from groundwalk.capture_import.media.video import frame_times
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -31,7 +32,6 @@ from groundwalk.capture_import.parsing import (
     seconds_to_ns,
     to_number,
 )
-from groundwalk.capture_import.video import frame_times
 
 
 def detect(path: Path) -> bool:

@@ -20,6 +20,7 @@ from groundwalk.artefacts.choices import Clock, Tracking
 from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
+from groundwalk.capture_import.media.video import require_row_per_frame
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -33,7 +34,6 @@ from groundwalk.capture_import.parsing import (
     row_major_pose,
     seconds_to_ns,
 )
-from groundwalk.capture_import.video import require_row_per_frame
 from groundwalk.geometry.poses import Array, inverse, rigidity_error
 
 # A world with +z up, seen with +y up.

@@ -20,6 +20,7 @@ from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import DepthFile, Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.media.video import frame_times
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -32,7 +33,6 @@ from groundwalk.capture_import.parsing import (
     split_numbers,
     whole,
 )
-from groundwalk.capture_import.video import frame_times
 
 _COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 _PER_FRAME = ("fx", "fy", "cx", "cy")

@@ -13,8 +13,8 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.checks.scan import scan_images
 from groundwalk.capture_import.intake import Scan, measures
-from groundwalk.capture_import.scan import scan_images
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose, tq_from_pose
 
 WIDTH, HEIGHT = 96, 72

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.settings import SplitRules
 from groundwalk.capture_import.capture import RawFrame, RawSession
-from groundwalk.capture_import.images import ImageCheck
 from groundwalk.capture_import.intake import Image, ImportedSession
+from groundwalk.capture_import.media.images import ImageCheck
 from groundwalk.capture_import.sampling import sample_motion, sample_rate, sample_support, support_cells
 from groundwalk.capture_import.selection import density_for, select
 from groundwalk.capture_import.settings import ImportSettings
@@ -83,7 +83,7 @@ def test_support_frames_keep_steps_small_wherever_there_are_images(
 ) -> None:
     poses, sharpness = walk_of(count, seed)
     kept, cells = np.arange(0, count, every), np.arange(count) // width
-    support = sample_support(poses, sharpness, cells, kept, 0.3, 15.0, most=count)
+    support = sample_support(poses, sharpness, cells, kept, 0.3, 15.0, max_count=count)
     assert np.intersect1d(support, kept).size == 0 and ((support > kept[0]) & (support < kept[-1])).all()
     used = np.sort(np.concatenate([kept, support]))
     large = steps_between(poses, used, 0.3, 15.0) > 1 + 1e-6

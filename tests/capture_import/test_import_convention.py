@@ -11,14 +11,14 @@ from capture_writers import scan_all
 
 from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
-from groundwalk.capture_import.clock import check_clock
-from groundwalk.capture_import.convention import CONVENTIONS, check_convention
+from groundwalk.capture_import.checks.clock import check_clock
+from groundwalk.capture_import.checks.convention import CONVENTIONS, check_convention
+from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import find_recordings
-from groundwalk.capture_import.images import check_image
 from groundwalk.capture_import.intake import Image, ImportedSession, take_in
+from groundwalk.capture_import.media.images import check_image
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.stage import STAGE
-from groundwalk.capture_import.views import Views
 from groundwalk.geometry.poses import Array, interpolate, make_pose
 
 # What undoes a mistake, where it isn't the mistake itself.

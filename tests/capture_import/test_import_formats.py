@@ -24,8 +24,8 @@ from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.formats import FORMATS
-from groundwalk.capture_import.images import decode_rgb
 from groundwalk.capture_import.intake import Intake, take_in
+from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import relative, rotation_angle

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundwalk.capture_import.capture import RawFrame, RawSession
-from groundwalk.capture_import.health import check_session, find_jumps, gravity_of
-from groundwalk.capture_import.images import BadImage, check_image, sharpness
+from groundwalk.capture_import.checks.health import check_session, find_jumps, gravity_of
+from groundwalk.capture_import.media.images import BadImage, check_image, sharpness
 from groundwalk.geometry.poses import Array, make_pose, nearest_rotation, rotation_angle, yaw_rotation
 
 

@@ -14,9 +14,9 @@ from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import read_table
-from groundwalk.capture_import.archive import unpack
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.discovery import find_recordings
+from groundwalk.capture_import.media.archive import unpack
 from groundwalk.capture_import.parsing import json_of, lines_of, parsed_bytes
 from groundwalk.capture_import.stage import STAGE
 
@@ -86,7 +86,7 @@ def test_an_archive_for_which_there_is_no_space_is_refused(tmp_path: Path, monke
     with zipfile.ZipFile(archive, "w") as content:
         content.writestr("zeros", bytes(1 << 20))
     monkeypatch.setattr("shutil.disk_usage", lambda folder: type("Usage", (), {"free": 200 << 20}))
-    with pytest.raises(UserError, match=r"(?s)too little space.*257 MiB.*200 MiB free"):
+    with pytest.raises(UserError, match=r"(?s)too little free space.*257 MiB.*200 MiB free"):
         unpack(archive, tmp_path / "unpacked" / "a", Limits())
 
 

@@ -10,17 +10,18 @@ from rerun.chunk import RrdReader
 
 from groundwalk.artefacts import DataRoot, execute
 from groundwalk.artefacts.manifests import load_manifest
-from groundwalk.capture_import import recording, views
+from groundwalk.capture_import import recording
 from groundwalk.capture_import.capture import Limits, RawFrame
-from groundwalk.capture_import.clock import CLOCK_LONG_SIDE, dense_part
-from groundwalk.capture_import.convention import CONVENTION_LONG_SIDE, parallax_pairs
+from groundwalk.capture_import.checks import views
+from groundwalk.capture_import.checks.clock import CLOCK_LONG_SIDE, dense_part
+from groundwalk.capture_import.checks.convention import CONVENTION_LONG_SIDE, parallax_pairs
+from groundwalk.capture_import.checks.scan import ImageScan, scan_images
+from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import find_recordings
-from groundwalk.capture_import.images import decode_gray
-from groundwalk.capture_import.scan import ImageScan, scan_images
-from groundwalk.capture_import.spool import Spool, thumbnail_path
+from groundwalk.capture_import.media.images import decode_gray
+from groundwalk.capture_import.media.spool import Spool, thumbnail_path
+from groundwalk.capture_import.media.thumbnails import MAX_THUMBNAILS, spread, thumbnail_of
 from groundwalk.capture_import.stage import STAGE
-from groundwalk.capture_import.thumbnails import MOST, spread, thumbnail_of
-from groundwalk.capture_import.views import Views
 
 
 def frames_of(folder: Path) -> list[RawFrame]:
@@ -81,7 +82,7 @@ def test_a_thumbnail_shows_its_image(tmp_path: Path) -> None:
     spool = Spool(tmp_path / "spool", frames, STAGE.settings(sampling="all"))
     for place, look in enumerate(scan_images(frames, [tmp_path], Limits(), spool.in_colour)):
         assert isinstance(look, ImageScan)
-        spool.take(place, look)
+        spool.add(place, look)
     spool.flush()
     for i, frame in enumerate(frames):
         ready = decode_gray(thumbnail_path(tmp_path / "spool", frame.number).read_bytes(), 1000).astype(int)
@@ -90,6 +91,6 @@ def test_a_thumbnail_shows_its_image(tmp_path: Path) -> None:
 
 
 def test_as_many_are_shown_as_a_recording_holds() -> None:
-    for count in (0, 1, MOST, MOST + 1, 10 * MOST):
+    for count in (0, 1, MAX_THUMBNAILS, MAX_THUMBNAILS + 1, 10 * MAX_THUMBNAILS):
         shown = spread(range(count))
-        assert min(count, MOST // 2) <= len(shown) <= MOST
+        assert min(count, MAX_THUMBNAILS // 2) <= len(shown) <= MAX_THUMBNAILS

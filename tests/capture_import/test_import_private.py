@@ -15,8 +15,8 @@ from capture_writers import HEIGHT, WIDTH, image, jpeg, make_walk, write_scanner
 from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.capture_import import stage as import_stage
-from groundwalk.capture_import.blurring import CascadeDetector, Region, blur_people
-from groundwalk.capture_import.images import decode_rgb, without_metadata
+from groundwalk.capture_import.media.blurring import CascadeDetector, Region, blur_people
+from groundwalk.capture_import.media.images import decode_rgb, without_metadata
 from groundwalk.capture_import.stage import STAGE
 
 PLACE = b"48.123456N 11.654321E"

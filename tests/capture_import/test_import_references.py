@@ -187,7 +187,7 @@ def test_each_folder_of_images_is_a_recording(tmp_path: Path, write) -> None:
     assert [(s.session_id, len(s.frames), s.split) for s in sessions] == [("a", 5, "train"), ("b", 3, "test")]
     (root / "images" / "b").rename(tmp_path / "elsewhere")
     (session,) = read_all(tmp_path)
-    assert "3 rows name images in folders that aren't there" in session.notes[0]
+    assert "3 rows name images in missing folders" in session.notes[0]
 
 
 @pytest.mark.parametrize("metric", [False, True])

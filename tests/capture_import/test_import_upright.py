@@ -10,7 +10,7 @@ from capture_writers import HEIGHT, WIDTH, image, make_walk, write_scanner_app
 
 from groundwalk.artefacts import DataRoot, execute
 from groundwalk.artefacts.tables import poses_of
-from groundwalk.capture_import.images import decode_rgb
+from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import inverse, make_pose, transform
 

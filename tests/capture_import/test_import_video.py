@@ -10,11 +10,11 @@ from capture_writers import HEIGHT, WIDTH, image, make_walk, video_frame, write_
 
 from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.artefacts.manifests import load_manifest
-from groundwalk.capture_import import placing
 from groundwalk.capture_import.capture import Limits
-from groundwalk.capture_import.spool import Spool
+from groundwalk.capture_import.media import placing
+from groundwalk.capture_import.media.spool import Spool
+from groundwalk.capture_import.media.video import decode, frame_times, gray_pixels, require_row_per_frame, rgb_pixels
 from groundwalk.capture_import.stage import STAGE
-from groundwalk.capture_import.video import decode, frame_times, gray_pixels, require_row_per_frame, rgb_pixels
 
 
 def write_long_video(path: Path, count: int, rate_hz: int = 10) -> None:
@@ -94,7 +94,7 @@ def test_frames_written_ahead_are_the_frames_that_are_used(
         assert ahead["figures"]["support_frames"] == int(9 * share)
     else:  # ten metres
         assert 25 <= ahead["figures"]["support_frames"] <= 40
-    monkeypatch.setattr(Spool, "take", lambda *_: None)
+    monkeypatch.setattr(Spool, "add", lambda *_: None)
     again = load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path / "again"), settings))
     assert ahead["outputs"] == again["outputs"] and any(name.endswith(".jpg") for name in ahead["outputs"])
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.capture_import.capture import Reject
-from groundwalk.capture_import.images import BadImage, image_size
 from groundwalk.capture_import.intake import Image
-from groundwalk.capture_import.placing import Placement
+from groundwalk.capture_import.media.images import BadImage, image_size
+from groundwalk.capture_import.media.placing import Placement
 
 # Depth images are small; a larger file isn't one.
 _MAX_BYTES = 1 << 26

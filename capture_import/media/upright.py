@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import Intrinsics, RawFrame
-from groundwalk.capture_import.health import gravity_of
+from groundwalk.capture_import.checks.health import gravity_of
 from groundwalk.capture_import.intake import Image, ImportedSession
 from groundwalk.geometry.poses import Array, inverse, make_pose
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.capture_import.capture import ImageFile, Limits, RawFrame, VideoFrame
-from groundwalk.capture_import.images import (
+from groundwalk.capture_import.media.images import (
     WORKING_LONG_SIDE,
     BadImage,
     Gray,
@@ -20,7 +20,7 @@ from groundwalk.capture_import.images import (
     decode_gray,
     sharpness,
 )
-from groundwalk.capture_import.video import decode, gray_pixels
+from groundwalk.capture_import.media.video import decode, gray_pixels
 
 # A sound JPEG or PNG has fewer bytes than this a pixel, and a header with metadata.
 _BYTES_A_PIXEL = 4

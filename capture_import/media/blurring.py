@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts import UserError
-from groundwalk.capture_import.images import shrunk
-from groundwalk.capture_import.upright import turned_pixels
+from groundwalk.capture_import.media.images import shrunk
+from groundwalk.capture_import.media.upright import turned_pixels
 
 Kind = Literal["face", "plate"]
 

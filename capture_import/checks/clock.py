@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import RawFrame
-from groundwalk.capture_import.images import Gray
+from groundwalk.capture_import.checks.scan import LoadGray
 from groundwalk.capture_import.intake import ImportedSession
-from groundwalk.capture_import.scan import LoadGray
+from groundwalk.capture_import.media.images import Gray
 from groundwalk.geometry.poses import Array, interpolate, relative
 
 CLOCK_LONG_SIDE = 192

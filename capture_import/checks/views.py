@@ -9,10 +9,10 @@ from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 
 from groundwalk.capture_import.capture import Limits, RawFrame
-from groundwalk.capture_import.clock import CLOCK_LONG_SIDE, dense_part
-from groundwalk.capture_import.convention import CONVENTION_LONG_SIDE, parallax_pairs
-from groundwalk.capture_import.images import Gray, shrunk
-from groundwalk.capture_import.scan import ImageScan, load_gray, scan_images
+from groundwalk.capture_import.checks.clock import CLOCK_LONG_SIDE, dense_part
+from groundwalk.capture_import.checks.convention import CONVENTION_LONG_SIDE, parallax_pairs
+from groundwalk.capture_import.checks.scan import ImageScan, load_gray, scan_images
+from groundwalk.capture_import.media.images import Gray, shrunk
 
 
 class Views:

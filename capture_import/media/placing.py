@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.parallel import in_parallel
-from groundwalk.capture_import.blurring import Detector, Kind, blur_people
 from groundwalk.capture_import.capture import ImageFile, Limits, VideoFrame
-from groundwalk.capture_import.images import decode_rgb, encode_jpeg, without_metadata
 from groundwalk.capture_import.intake import Image
-from groundwalk.capture_import.spool import spooled_path
-from groundwalk.capture_import.upright import turned_pixels
-from groundwalk.capture_import.video import decode, rgb_pixels
+from groundwalk.capture_import.media.blurring import Detector, Kind, blur_people
+from groundwalk.capture_import.media.images import decode_rgb, encode_jpeg, without_metadata
+from groundwalk.capture_import.media.spool import spooled_path
+from groundwalk.capture_import.media.upright import turned_pixels
+from groundwalk.capture_import.media.video import decode, rgb_pixels
 
 
 @dataclass(frozen=True)

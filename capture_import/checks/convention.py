@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.capture_import.capture import RawFrame
+from groundwalk.capture_import.checks.scan import LoadGray
 from groundwalk.capture_import.intake import Image, ImportedSession
-from groundwalk.capture_import.scan import LoadGray
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import (
     ARKIT_CAM_T_CAM,

@@ -13,12 +13,12 @@ import av
 import numpy as np
 
 from groundwalk.capture_import.capture import RawFrame, VideoFrame
-from groundwalk.capture_import.images import encode_jpeg
-from groundwalk.capture_import.scan import ImageScan
+from groundwalk.capture_import.checks.scan import ImageScan
+from groundwalk.capture_import.media.images import encode_jpeg
+from groundwalk.capture_import.media.thumbnails import encode_thumbnail, spread
+from groundwalk.capture_import.media.video import rgb_pixels
 from groundwalk.capture_import.selection import cells_of, windows_of
 from groundwalk.capture_import.settings import ImportSettings
-from groundwalk.capture_import.thumbnails import encode_thumbnail, spread
-from groundwalk.capture_import.video import rgb_pixels
 
 # Files of larger groups aren't decoded in colour, as only one of them is needed.
 _MAX_IN_COLOUR = 3

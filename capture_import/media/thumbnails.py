@@ -9,7 +9,7 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.images import decode_rgb, shrunk
+from groundwalk.capture_import.media.images import decode_rgb, shrunk
 
 T = TypeVar("T")
 

@@ -1,0 +1,1 @@
+"""Checks of a recording: rows, images, clock, and the convention of its poses."""

@@ -1,0 +1,1 @@
+"""Images, videos, depth images and archives: reading, turning, blurring and writing them."""
