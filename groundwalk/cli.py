@@ -36,11 +36,12 @@ class Command:
             command: Any = get_command(import_module(f"groundwalk.{self.module}").app)
             return command.commands[self.subcommand] if self.subcommand else command
         app = new_app("")
-        help_text = None if for_completion else stage_help(self._stage())
-        app.command(self.name, help=help_text)(stage_command(self.name, self._stage))
+        help_text = None if for_completion else stage_help(self.load_stage())
+        app.command(self.name, help=help_text)(stage_command(self.name, self.load_stage))
         return get_command(app)
 
-    def _stage(self) -> Any:
+    def load_stage(self) -> Any:
+        """The stage behind the command."""
         return import_module(f"groundwalk.{self.module}").STAGE
 
 
@@ -92,6 +93,11 @@ def all_commands() -> Iterator[Command]:
     """Every command, in the order of --help."""
     for commands in COMMANDS.values():
         yield from commands
+
+
+def stages() -> list[Any]:
+    """The stages of the pipeline in their order; loads their libraries."""
+    return [command.load_stage() for command in COMMANDS["Stages"]]
 
 
 class _LoadedWhenRun(TyperGroup):

@@ -237,10 +237,6 @@ def _prepare(r: StageRun[SfmSettings]) -> _Scene:
     for frame_id, image in zip(frames["frame_id"], frames["image"], strict=True):
         # Links give COLMAP one image folder, and its model names that mean the same on every machine.
         source, name = r.image_path(image), image_name(frame_id, image)
-        if not source.is_file():
-            raise UserError(
-                f"frame {frame_id} has lost its image", where=source, do=f"make scene={r.scene.name} import"
-            )
         link = images / name
         if not link.is_symlink():
             link.parent.mkdir(parents=True, exist_ok=True)
@@ -543,4 +539,5 @@ STAGE = Stage(
     plugins=lambda settings: {**MAPPERS.versions([settings.mapper]), **RETRIEVALS.versions([settings.retrieval])},
     help="Structure from motion: features, pairs from time, VIO and looks, checked against VIO; models over all "
     "sessions, one where the images allow it, and their quality.",
+    reads_images=lambda settings: True,
 )
