@@ -254,4 +254,5 @@ STAGE = Stage(
     help="Ground truth: SfM's model put into a metric map with +y up, checked against the phones' VIO. Metric scale "
     "and vertical come from all sessions together; writes each frame's pose with covariance and quality, where each "
     "session's VIO frame lies, how VIO drifts, and the consistency checks.",
+    reads_images=lambda settings: bool(settings.rulers),
 )

@@ -7,6 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import hash_files
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import read_table
 
 Image = NDArray[np.uint8]
 _IMPORTED = "import:"
@@ -18,6 +21,23 @@ def image_file(image: str, captures: Path, imported: Path) -> Path:
     if image.startswith(_IMPORTED):
         return imported / image.removeprefix(_IMPORTED)
     return captures / image
+
+
+def verify_images(captures: Path, imported: Path) -> None:
+    """UserError where an image of import's frames isn't the one that import saw; those that it copied are among its
+    outputs, and verified as these."""
+    frames = read_table(imported / "frames.parquet", schema("import", "frames"))
+    frames = frames[~frames["image"].str.startswith(_IMPORTED)]
+    expected = dict(zip(frames["image"], frames["image_sha256"], strict=True))
+    hashes = hash_files(captures, [captures / name for name in expected if (captures / name).is_file()])
+    wrong = [name for name, digest in expected.items() if hashes.get(Path(name).as_posix()) != digest]
+    if wrong:
+        raise UserError(
+            f"{len(wrong)} of {len(expected)} images aren't as import saw them",
+            where=captures / wrong[0],
+            found="another sha256 than in import.frames" if (captures / wrong[0]).is_file() else "no such file",
+            do="put the image back, or import the scene again",
+        )
 
 
 def read_image(path: Path) -> Image:

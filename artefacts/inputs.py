@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import hash_files, sha256_of
 from groundwalk.artefacts.hints import link_command, run_command
+from groundwalk.artefacts.images import verify_images
 from groundwalk.artefacts.locks import locked
 from groundwalk.artefacts.manifests import MANIFEST, load_manifest, load_verified
 from groundwalk.artefacts.settings import STAGES, DataRoot, SceneConfig
@@ -40,6 +41,7 @@ class Inputs:
     profile: str
     data: DataRoot
     files: tuple[str, ...] = ()
+    reads_images: bool = False
     hashes: dict[str, Any] = field(default_factory=dict)
     _locks: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
     _captures: dict[str, tuple[int, int]] = field(default_factory=dict)
@@ -56,9 +58,11 @@ class Inputs:
         self._locks.close()
 
     def verify(self) -> None:
-        """UserError where an artefact among the inputs isn't as its stage wrote it."""
+        """UserError where an input isn't as its stage wrote it, or an image not as import saw it."""
         for _, _, folder in self._sources():
             load_verified(folder)
+        for leaf in self.data.leaves(self.scene) if self.reads_images else ():
+            verify_images(self.data.captures(leaf), self.data.run(self.profile, leaf, "import"))
 
     def refuse_outdated(self) -> None:
         """UserError where an artefact among the inputs was made from others than are there now."""

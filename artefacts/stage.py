@@ -73,6 +73,8 @@ class Stage(Generic[S]):
     reads_shipped: tuple[str, ...] = ()  # folders of data/, whose files come with groundwalk
     files: Callable[[S], Iterable[str]] = lambda settings: ()
     """Further files that the settings name, relative to the data folder."""
+    reads_images: Callable[[S], bool] = lambda settings: False
+    """Whether it reads the images of import.frames, which are then verified before."""
     plugins: Callable[[S], Mapping[str, str]] = lambda settings: {}
     """Package and version of what other packages bring to a run with these settings, by id."""
 
@@ -195,7 +197,7 @@ def execute(
         )
     settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, overrides or [])
     final = data.run(profile, scene_name, stage.name)
-    with locked(final), Inputs(stage, scene, profile, data, tuple(stage.files(settings))) as inputs:
+    with locked(final), _inputs(stage, scene, profile, data, settings) as inputs:
         finish_interrupted_swap(final, MANIFEST)
         inputs.refuse_outdated()
         parts: dict[str, Any] = {
@@ -233,6 +235,10 @@ def execute(
             f"{title}: done in {progress.format_seconds(elapsed)} → {_relative(final)}", markup=False
         )
         return final
+
+
+def _inputs(stage: Stage[S], scene: SceneConfig, profile: str, data: DataRoot, settings: S) -> Inputs:
+    return Inputs(stage, scene, profile, data, tuple(stage.files(settings)), stage.reads_images(settings))
 
 
 def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: PeakMemory) -> dict[str, Any]:

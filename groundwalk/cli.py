@@ -99,6 +99,11 @@ def all_commands() -> Iterator[Command]:
         yield from commands
 
 
+def stages() -> list[Any]:
+    """The stages of the pipeline in their order; loads their libraries."""
+    return [command.stage() for command in COMMANDS["Stages"]]
+
+
 class _LoadedWhenRun(TyperGroup):
     """A group whose commands are names and help lines until one is resolved."""
 

@@ -281,4 +281,5 @@ STAGE = Stage(
     help="Build maps of points from the training frames, and localise the other frames in them. A group of scenes has "
     "its scenes' maps.",
     plugins=lambda settings: LOCALISERS.versions(settings.models),
+    reads_images=lambda settings: True,
 )

@@ -144,4 +144,5 @@ STAGE = Stage(
     plugins=lambda settings: {**MAPPERS.versions([settings.mapper]), **RETRIEVALS.versions([settings.retrieval])},
     help="Structure from motion: features, pairs from time, VIO and similar images, checked against VIO; models over "
     "all sessions, one where the images allow it, and their quality.",
+    reads_images=lambda settings: True,
 )

@@ -348,4 +348,5 @@ STAGE = Stage(
     help="Train absolute pose regressors, and predict the pose of every frame. A group of scenes shares one network.",
     files=lambda settings: settings.predictions,
     plugins=lambda settings: REGRESSORS.versions(settings.models),
+    reads_images=lambda settings: True,
 )

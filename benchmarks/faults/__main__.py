@@ -1,0 +1,124 @@
+"""`make test-faults`, or `python -m benchmarks.faults`: all faults, and docs/results/faults.{md,csv}."""
+
+import csv
+import random
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from benchmarks.faults import artefacts, captures, machine, names, predictions, stops
+from benchmarks.faults.case import Case, Outcome
+from benchmarks.faults.sandbox import Sandbox, digest, make_sandbox, run_case, workers
+from benchmarks.results import circumstances, markdown_table
+from groundwalk.artefacts import progress
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.settings import STAGES
+
+app = new_app("Faults on purpose, and what became of them.")
+WORK = Path("build/faults")
+
+
+def single_cases(base: Sandbox, captures_count: int = 500, machine_count: int = 8) -> list[Case]:
+    """Every fault that is one command."""
+    return [
+        *artefacts.cases(base),
+        *artefacts.image_cases(),
+        *artefacts.own_cases(),
+        *names.cases(),
+        *predictions.cases(),
+        *captures.archive_cases(),
+        *captures.cases(captures_count),
+        *machine.cases(machine_count),
+    ]
+
+
+def run_all(base: Sandbox, work: Path, seed: int, only: str, fraction: float) -> list[Outcome]:
+    """Outcomes of a fraction of the cases whose kind has `only` in it."""
+    chosen = [case for case in single_cases(base) if only in case.kind]
+    chosen = random.Random(seed).sample(chosen, max(1, round(fraction * len(chosen)))) if chosen else []
+    jobs: list[Callable[[], Iterable[Outcome]]] = [
+        partial(_one, case, base, work / f"case{number}", seed) for number, case in enumerate(chosen)
+    ]
+    if only in "stopped checkpoint damaged":
+        count = max(1, round(fraction * 10))
+        jobs += [partial(stops.stops, base, work / f"stops-{stage}", stage, count, seed) for stage in STAGES]
+    if only in "two at once":
+        jobs += [partial(stops.pairs, base, work / f"pairs-{stage}", stage) for stage in STAGES]
+    with ThreadPoolExecutor(workers()) as pool:
+        ended = pool.map(lambda job: list(job()), jobs)
+        return [outcome for outcomes in progress.track(ended, "faults", len(jobs)) for outcome in outcomes]
+
+
+def _one(case: Case, base: Sandbox, folder: Path, seed: int) -> Iterator[Outcome]:
+    yield run_case(case, base, folder, digest(f"{seed} {case.kind} {case.name}"))
+
+
+@app.command()
+def main(
+    seed: Annotated[int, typer.Option(help="Seed of all that is random.")] = 0,
+    only: Annotated[str, typer.Option(help="Only kinds with this in their name.")] = "",
+    fraction: Annotated[float, typer.Option(help="Of the cases, drawn at random.")] = 1.0,
+    work: Annotated[Path, typer.Option(help="Where the undisturbed run and its copies lie.")] = WORK,
+    out: Annotated[Path, typer.Option(help="Folder for the tables.")] = Path("docs/results"),
+) -> None:
+    """Try the faults and write the tables; exits with 1 where a promise was broken."""
+    base = make_sandbox(work.absolute() / "base")
+    tried = work.absolute() / "tried"
+    shutil.rmtree(tried, ignore_errors=True)
+    tried.mkdir()
+    outcomes = run_all(base, tried, seed, only, fraction)
+    _write(outcomes, out, seed)
+    bad = [outcome for outcome in outcomes if outcome.problems]
+    for outcome in bad:
+        print(f"{outcome.case.kind}: {outcome.case.name} ({outcome.done}): {'; '.join(outcome.problems)}")
+    print(f"{len(outcomes)} cases, {len(bad)} with problems, seed {seed}")
+    raise typer.Exit(1 if bad else 0)
+
+
+def _write(outcomes: list[Outcome], out: Path, seed: int) -> None:
+    kinds = dict.fromkeys(o.case.kind for o in outcomes)
+    rows = [
+        ["fault", "cases", "done", "refused", "stopped", "tracebacks", "lost or changed", "outside", "other", "MiB"]
+    ]
+    for kind in [*kinds, "all"]:
+        of_kind = [o for o in outcomes if kind in (o.case.kind, "all")]
+        tracebacks = sum(any(p.startswith("traceback") for p in o.problems) for o in of_kind)
+        changed, outside = sum(bool(o.changed) for o in of_kind), sum(bool(o.outside) for o in of_kind)
+        with_problem = sum(bool(o.problems) for o in of_kind)
+        counts = [
+            sum(o.status == 0 for o in of_kind),
+            sum(o.status == 2 for o in of_kind),
+            sum(o.status not in (0, 2) for o in of_kind),
+            tracebacks,
+            changed,
+            outside,
+            with_problem - tracebacks - changed - outside,
+        ]
+        peak = max(o.peak_bytes for o in of_kind) / 2**20
+        rows.append([kind, str(len(of_kind)), *map(str, counts), f"{peak:,.0f}"])
+    text = "\n\n".join(
+        [
+            "# Faults on purpose",
+            "Written by `make test-faults` (`python -m benchmarks.faults`), not to be edited; `faults.csv` has every "
+            "case. A simulated scene of the smallest size. What is promised: docs/explanation/promises.md.",
+            f"{circumstances()} Seed {seed}. MiB: largest memory of one command, with all libraries loaded before.",
+            markdown_table(rows),
+        ]
+    )
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "faults.md").write_text(text + "\n", encoding="utf-8")
+    with (out / "faults.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["fault", "case", "done", "exit_status", "peak_mib", "problems"])
+        for o in outcomes:
+            words = [text.encode("unicode_escape").decode() for text in (o.case.name, o.done)]
+            writer.writerow([o.case.kind, *words, o.status, round(o.peak_bytes / 2**20), "; ".join(o.problems)])
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,102 @@
+"""A machine that gives no more: full disks, files too large, too many open files, folders that can't be written."""
+
+import ctypes
+import os
+import resource
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.random import Generator
+
+from benchmarks.faults.artefacts import arguments
+from benchmarks.faults.case import DONE, REFUSED, Case
+from benchmarks.faults.sandbox import Sandbox
+from groundwalk.cli import stages
+
+_CLONE_NEWNS = 0x20000
+_OPEN_FILES = (12, 20, 40, 80)
+
+
+def _unmade(folder: Path, _: Generator, stage: str) -> str:
+    shutil.rmtree(Sandbox(folder).run_of(stage))
+    return f"{stage} isn't there"
+
+
+def limit_file_size(size: int) -> None:
+    """Before a command: no file may grow beyond so many bytes."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+def limit_open_files(count: int) -> None:
+    """Before a command: so many more files at once than now."""
+    now = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
+    resource.setrlimit(resource.RLIMIT_NOFILE, (now + count, now + count))
+
+
+def can_mount() -> bool:
+    """Whether this process may mount a small disk."""
+    return os.geteuid() == 0 and subprocess.run(["unshare", "-m", "true"], capture_output=True).returncode == 0
+
+
+def mount_full(stage: str, free_bytes: int) -> None:
+    """Before a command: the scene's runs lie on a disk of their own with so many bytes free."""
+    _own_mounts()
+    runs = Sandbox(Path.cwd()).run_of(stage).parent
+    aside = runs.with_name("aside")
+    aside.mkdir()
+    _mount("--bind", str(runs), str(aside))
+    used = sum(path.stat().st_size + 4096 for path in runs.rglob("*"))
+    _mount("-t", "tmpfs", "-o", f"size={used + free_bytes}", "tmpfs", str(runs))
+    shutil.copytree(aside, runs, dirs_exist_ok=True, symlinks=True)
+    _mount("-o", "remount", "tmpfs", str(runs))
+
+
+def mount_read_only(stage: str) -> None:
+    """Before a command: the scene's runs can't be written."""
+    _own_mounts()
+    runs = str(Sandbox(Path.cwd()).run_of(stage).parent)
+    _mount("--bind", runs, runs)
+    _mount("-o", "remount,ro,bind", runs)
+
+
+def _own_mounts() -> None:
+    """Mounts of this process are its own from now on, and end with it."""
+    if ctypes.CDLL(None, use_errno=True).unshare(_CLONE_NEWNS):
+        raise OSError(ctypes.get_errno(), "unshare")
+    _mount("--make-rprivate", "/")
+
+
+def _mount(*options: str) -> None:
+    subprocess.run(["mount", *options], check=True, capture_output=True)
+
+
+def cases(count: int) -> Iterator[Case]:
+    """`count` limits a stage, of each kind in turn."""
+    rng = np.random.default_rng(0)
+    mounts = can_mount()
+    for stage in stages():
+        for number in range(count):
+            size = int(10 ** rng.uniform(3, 7))
+            tries = [
+                (f"files of {size} bytes at most", partial(limit_file_size, size)),
+                (f"{_OPEN_FILES[number % 4]} open files", partial(limit_open_files, _OPEN_FILES[number % 4])),
+            ]
+            if mounts:
+                tries.append((f"{size} bytes free", partial(mount_full, stage.name, size)))
+                tries.append(("read-only", partial(mount_read_only, stage.name)))
+            words, before = tries[number % len(tries)]
+            yield Case(
+                "machine",
+                f"{stage.name}, {words}",
+                partial(_unmade, stage=stage.name),
+                arguments(stage.name),
+                (DONE, REFUSED),
+                stage.name,
+                before=before,
+            )

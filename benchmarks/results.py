@@ -1,0 +1,22 @@
+"""What every page of docs/results says of its run, and its tables."""
+
+import os
+import platform
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+
+from groundwalk.artefacts.stage import git_revision
+
+
+def markdown_table(rows: Iterable[Sequence[str]]) -> str:
+    """Rows of cells as a Markdown table, the first its heading."""
+    first, *rest = rows
+    return "\n".join("| " + " | ".join(row) + " |" for row in [first, ["---"] * len(first), *rest])
+
+
+def circumstances() -> str:
+    """Revision, date and machine of this run, in a sentence."""
+    return (
+        f"Revision {git_revision()}, {datetime.now(UTC):%Y-%m-%d}; {platform.machine()}, {os.cpu_count()} cores, "
+        f"load {os.getloadavg()[0]:.1f} as it ended."
+    )
