@@ -41,7 +41,7 @@ py := .venv/bin/python
 installed := .venv/.installed
 run := data/runs/$(profile)/$(scene)
 capture := data/captures/$(scene)
-stages := import sfm align train fuse report
+stages := import sfm align localise train fuse report
 arguments := --scene "$$scene" --profile "$$profile"
 scene_goals := all $(stages) simulate view clean
 FORCE:
@@ -106,13 +106,15 @@ $(eval $(call check_name,member))
 ifeq ($(members),)
 # Anything newer than the last import, whatever its name, makes import look again.
 changed := $(shell find -L "$(capture)" -newer "$(run)/import/manifest.json" -print -quit 2>/dev/null)
-all: $(run)/report/manifest.json ## Everything: import, sfm, align, train, fuse, report
+all: $(run)/report/manifest.json ## Everything: import, sfm, align, localise, train, fuse, report
 $(run)/import/manifest.json: $(settings) $(simulated) $(if $(changed)$(link),FORCE) | $(installed) $(link)
 	@$(py) -m groundwalk.capture_import $(arguments)
 $(run)/sfm/manifest.json: $(run)/import/manifest.json $(settings)
 	@$(py) -m groundwalk.sfm $(arguments)
 $(run)/align/manifest.json: $(run)/sfm/manifest.json $(settings)
 	@$(py) -m groundwalk.alignment $(arguments)
+$(run)/localise/manifest.json: $(run)/align/manifest.json $(settings)
+	@$(py) -m groundwalk.localisation $(arguments)
 $(run)/train/manifest.json: $(run)/align/manifest.json $(settings) $(predictions)
 	@$(py) -m groundwalk.training $(arguments)
 else
@@ -124,7 +126,7 @@ member_manifests := $(foreach member,$(members),data/runs/$(profile)/$(member)/r
 $(run)/train/manifest.json: $(member_manifests) $(settings) $(predictions)
 	@$(py) -m groundwalk.training $(arguments)
 endif
-$(run)/fuse/manifest.json: $(run)/train/manifest.json $(settings)
+$(run)/fuse/manifest.json: $(if $(members),,$(run)/localise/manifest.json) $(run)/train/manifest.json $(settings)
 	@$(py) -m groundwalk.fusion $(arguments)
 $(run)/report/manifest.json: $(run)/fuse/manifest.json $(settings) $(wildcard data/published/*)
 	@$(py) -m groundwalk.reports $(arguments)
@@ -133,9 +135,10 @@ $(run)/report/manifest.json: $(run)/fuse/manifest.json $(settings) $(wildcard da
 import: $(run)/import/manifest.json ## Stage 1: any capture -> checked frames
 sfm: $(run)/sfm/manifest.json ## Stage 2: frames -> COLMAP model
 align: $(run)/align/manifest.json ## Stage 3: model and VIO -> metric, gravity-aligned ground truth; drift
-train: $(run)/train/manifest.json ## Stage 4: absolute pose regressors, and their predictions
-fuse: $(run)/fuse/manifest.json ## Stage 5: predictions and VIO -> fused poses and errors
-report: $(run)/report/manifest.json ## Stage 6: tables, figures, page.html
+localise: $(run)/localise/manifest.json ## Stage 4: maps of points, and the poses that structure localisers give in them
+train: $(run)/train/manifest.json ## Stage 5: absolute pose regressors, and their predictions
+fuse: $(run)/fuse/manifest.json ## Stage 6: predictions and VIO -> fused poses and errors
+report: $(run)/report/manifest.json ## Stage 7: tables, figures, page.html
 
 paper: ## All six scenes in the paper profile (profile=tiny: a rehearsal), then one regressor for all outdoors and one indoors
 	@for group in outdoor indoor; do \
@@ -172,6 +175,9 @@ test-slow: $(installed) ## Whole-pipeline cases
 bench: $(installed) ## Time, memory and bytes of each stage (profile=demo scene=Church unless named)
 	@$(py) -m benchmarks.stages --scene "$${scene:-Church}" --profile "$$profile"
 
+bench-localise: $(installed) ## Structure localisers Map and HLoc against the figures to reach (docs/results); finished runs
+	@$(py) -m benchmarks.localise
+
 bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures to reach (build/fusion)
 	@$(py) -m benchmarks.fusion $(if $(wildcard build/trained/runs),--data build/trained)
 
@@ -198,15 +204,19 @@ bench-import: $(installed) ## Import: speed, memory, figures of each format, ner
 fuzz-import: $(installed) ## Fuzz the capture formats for some seconds (seconds=60); needs the extra `fuzz`
 	@$(py) -m benchmarks.import_fuzz "$$seconds"
 
-docs: $(installed) ## Write docs/artefacts.md from the table schemas
-	@$(py) -m groundwalk.artefacts docs > docs/artefacts.md
+docs: $(installed) ## Write the generated pages of docs/reference: tables, settings, commands, checks
+	@$(py) -m groundwalk docs
+
+docs-site: $(installed) ## Build the documentation as a site, strictly, into build/site
+	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet --strict
+	@echo "Look at build/site/index.html"
 
 lock: ## Resolve the dependencies again into constraints.txt (needs uv)
 	uv pip compile --universal --extra dev --python-version 3.11 --no-annotate --upgrade pyproject.toml -o constraints.txt
 
 as_names := sed 's:.*/::; s:\.toml$$::' | tr '\n' ' '
 help: ## This text
-	@echo "make scene=<scene> [profile=demo|paper|tiny] [captures=<folder>] <target>"
+	@echo "make scene=<scene> [profile=demo|standard|paper|tiny] [captures=<folder>] <target>"
 	@echo
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14 | sed 's/^/  /'
 	@echo
@@ -219,4 +229,4 @@ help: ## This text
 	@echo "your own captures:  make scene=<name> captures=<folder> all"
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
-.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check types test test-slow bench bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs lock help
+.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check types test test-slow bench bench-localise bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help

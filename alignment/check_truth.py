@@ -17,6 +17,7 @@ from scipy.stats import chi2
 
 from groundwalk.alignment.uncertainty import SharedSd, shared_covariance
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import QualityClass
 from groundwalk.artefacts.cli import DataOption, ProfileOption
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.artefacts.schemas import schema
@@ -31,22 +32,28 @@ _BOUND = float(chi2.ppf(0.95, 3))
 
 
 @dataclass(frozen=True)
-class Target:
-    """One line of the check: what was found, what it must keep (at most `limit`, or from it to `most`), its unit."""
+class TruthTarget:
+    """One line of the check: a value, between `minimum` and `maximum`, and its unit."""
 
     name: str
-    found: float
-    limit: float
+    value: float
     unit: str
-    at_least: bool = False
-    most: float = 100.0
+    maximum: float
+    minimum: float = 0.0
 
     @property
-    def met(self) -> bool:
-        return self.limit <= self.found <= self.most if self.at_least else self.found <= self.limit
+    def is_met(self) -> bool:
+        return self.minimum <= self.value <= self.maximum
+
+    @property
+    def limits(self) -> str:
+        """In words."""
+        if not self.minimum:
+            return f"≤ {self.maximum:g} {self.unit}"
+        return f"≥ {self.minimum:g}{f' to {self.maximum:g}' if self.maximum < 100 else ''} {self.unit}"
 
 
-def compare_with_truth(map_T_cam: Array, true_T_cam: Array, frames: int) -> list[Target]:
+def compare_with_truth(map_T_cam: Array, true_T_cam: Array, frames: int) -> list[TruthTarget]:
     """The targets for poses (N, 4, 4) with ground truth, out of `frames`, and the true poses of the same frames.
 
     Position and rotation errors are after one similarity fit (Umeyama). Scale and vertical are the map's own: what
@@ -58,37 +65,37 @@ def compare_with_truth(map_T_cam: Array, true_T_cam: Array, frames: int) -> list
     up_in_true = true_S_map.rotation[:, 1]
     tilt_deg = float(np.degrees(np.arctan2(np.hypot(up_in_true[0], up_in_true[2]), up_in_true[1])))
     return [
-        Target("frames with ground truth", 100 * len(map_T_cam) / frames, 98.0, "%", at_least=True),
-        Target("position error, median", 100 * float(np.median(metres)), 2.0, "cm"),
-        Target("position error, 95th percentile", 100 * float(np.percentile(metres, 95)), 5.0, "cm"),
-        Target("rotation error, median", float(np.median(degrees)), 0.1, "deg"),
-        Target("rotation error, 95th percentile", float(np.percentile(degrees, 95)), 0.3, "deg"),
+        TruthTarget("frames with ground truth", 100 * len(map_T_cam) / frames, "%", 100.0, minimum=98.0),
+        TruthTarget("position error, median", 100 * float(np.median(metres)), "cm", 2.0),
+        TruthTarget("position error, 95th percentile", 100 * float(np.percentile(metres, 95)), "cm", 5.0),
+        TruthTarget("rotation error, median", float(np.median(degrees)), "deg", 0.1),
+        TruthTarget("rotation error, 95th percentile", float(np.percentile(degrees, 95)), "deg", 0.3),
         # The map is too large where truth must be shrunk onto it.
-        Target("metric scale error", 100 * abs(1 / true_S_map.scale - 1), 0.5, "%"),
-        Target("vertical error", tilt_deg, 0.2, "deg"),
+        TruthTarget("metric scale error", 100 * abs(1 / true_S_map.scale - 1), "%", 0.5),
+        TruthTarget("vertical error", tilt_deg, "deg", 0.2),
     ]
 
 
-def compare_with_bounds(map_T_cam: Array, true_T_cam: Array, covariance: Array, shared: SharedSd) -> list[Target]:
-    """How many frames lie within their own 95 % bounds; poses (N, 4, 4), covariances (N, 6, 6) as align gives them.
+def compare_with_bounds(map_T_cam: Array, true_T_cam: Array, covariance: Array, shared: SharedSd) -> list[TruthTarget]:
+    """How many frames lie within their 95 % bounds; poses (N, 4, 4), covariances (N, 6, 6) as align gives them.
 
     SfM's part is compared after what all frames share has been fitted: a similarity, and one turn of all cameras in
-    their own axes. The whole is compared after what is free has been fitted, heading and origin; what frames share is
-    one draw, so it has no upper limit.
+    their axes. The whole is compared after what is free has been fitted, heading and origin; what frames share is one
+    draw, so it has no upper limit.
     """
     xyz = map_T_cam[:, :3, 3]
-    own = covariance - shared_covariance(map_T_cam, xyz.mean(axis=0), shared)
+    of_sfm = covariance - shared_covariance(map_T_cam, xyz.mean(axis=0), shared)
     true_S_map = fit_sim3(true_T_cam[:, :3, 3], xyz)
     true_T_map = fit_yaw(true_T_cam[:, :3, 3], xyz)
     similar = true_S_map.poses(map_T_cam)
     turns = Rotation.from_matrix(np.swapaxes(similar[:, :3, :3], 1, 2) @ true_T_cam[:, :3, :3])
     similar[:, :3, :3] = similar[:, :3, :3] @ turns.mean().as_matrix()
-    found = {
-        "SfM's part": (similar, true_S_map.rotation, own, 98.0),
+    parts = {
+        "SfM's part": (similar, true_S_map.rotation, of_sfm, 98.0),
         "whole": (true_T_map @ map_T_cam, true_T_map[:3, :3], covariance, 100.0),
     }
     targets = []
-    for part, (placed, turn, stated, most) in found.items():
+    for part, (placed, turn, stated, maximum) in parts.items():
         rotation = true_T_cam[:, :3, :3] @ np.swapaxes(placed[:, :3, :3], 1, 2)
         errors = {
             "position": (true_T_cam[:, :3, 3] - placed[:, :3, 3], slice(3, 6)),
@@ -97,20 +104,26 @@ def compare_with_bounds(map_T_cam: Array, true_T_cam: Array, covariance: Array, 
         for name, (error, axes) in errors.items():
             normalised = np.linalg.solve(turn @ stated[:, axes, axes] @ turn.T, error[..., None])[..., 0]
             within = 100 * float(np.mean(np.sum(error * normalised, axis=1) <= _BOUND))
-            targets.append(Target(f"{name} within 95 % bounds, {part}", within, 90.0, "%", at_least=True, most=most))
+            targets.append(TruthTarget(f"{name} within 95 % bounds, {part}", within, "%", maximum, minimum=90.0))
     return targets
 
 
-def shared_sd(figures: dict[str, Any]) -> SharedSd:
-    """What all frames share, by the figures of align's manifest."""
+def truth_targets(gt: pd.DataFrame, true_T_cam: Array, figures: dict[str, Any]) -> tuple[list[TruthTarget], int]:
+    """The targets for align.ground_truth (N rows), and how many frames their bounds are about; `true_T_cam` (N, 4, 4),
+    `figures` of align's manifest. Without a metric scale there are no bounds. Raises GeometryError where there are too
+    few poses."""
+    has_pose = (gt["quality"] != QualityClass.NONE).to_numpy()
+    map_T_cam, true_T_cam, covariance = poses_of(gt, "map_cam")[has_pose], true_T_cam[has_pose], gt["covariance"]
+    targets = compare_with_truth(map_T_cam, true_T_cam, len(gt))
+    # The manifest has scale and vertical of the first model only.
+    has_bounds = (covariance.notna() & (gt["component"] == 0)).to_numpy()[has_pose]
+    if not has_bounds.any() or figures["scale_sd"] is None:
+        return targets, 0
+    stated = np.stack(list(covariance[has_pose][has_bounds])).reshape(-1, 6, 6)
     vertical, camera = (float(np.radians(figures[name])) for name in ("vertical_sd_deg", "camera_sd_deg"))
-    if figures["scale_sd"] is None:
-        raise UserError(
-            "the map has no metric scale to compare with the truth",
-            found="scale_source none in align's manifest",
-            do="simulate longer walks",
-        )
-    return SharedSd(figures["scale_sd"], vertical, camera)
+    shared = SharedSd(figures["scale_sd"], vertical, camera)
+    bounds = compare_with_bounds(map_T_cam[has_bounds], true_T_cam[has_bounds], stated, shared)
+    return targets + bounds, int(has_bounds.sum())
 
 
 def check_truth(
@@ -121,58 +134,51 @@ def check_truth(
     """Compare a simulated scene's ground truth with its true poses; exits with 1 where a target is missed."""
     root = DataRoot(data)
     gt = read_table(root.run(profile, scene, "align") / "ground_truth.parquet", schema("align", "ground_truth"))
-    sessions = read_table(root.run(profile, scene, "import") / "sessions.parquet", schema("import", "sessions"))
-    truth_path = root.captures(scene) / "true_poses.parquet"
-    if not truth_path.is_file():
-        raise UserError(
-            f"nobody knows the true poses of scene {scene}",
-            where=truth_path,
-            expected="the simulator's true_poses.parquet",
-            do="this check is for simulated scenes",
-        )
-    truth = read_table(truth_path, schema("simulate", "true_poses"))
-    map_T_cam, true_T_cam = _joined(gt, truth, sessions, truth_path)
     figures = load_manifest(root.run(profile, scene, "align"))["figures"]
-    stated = gt.loc[gt["quality"] != "none", "covariance"]
-    # Scale and vertical are the manifest's for the first model only.
-    known = (stated.notna() & (gt.loc[stated.index, "component"] == 0)).to_numpy()
+    if figures["scale_sd"] is None:
+        raise UserError(
+            "the map has no metric scale to compare with the truth",
+            found="scale_source none in align's manifest",
+            do="simulate longer walks",
+        )
     try:
-        targets = compare_with_truth(map_T_cam, true_T_cam, len(gt))
-        if known.any():
-            covariance = np.stack(list(stated[known])).reshape(-1, 6, 6)
-            targets += compare_with_bounds(map_T_cam[known], true_T_cam[known], covariance, shared_sd(figures))
+        targets, _ = truth_targets(gt, _true_poses(gt, scene, profile, root), figures)
     except GeometryError as error:
         raise UserError("too little ground truth to compare", where=scene, found=error) from None
-    table = Table(title=f"{scene}, {profile}: {len(map_T_cam)} of {len(gt)} frames against the truth")
-    for heading in ("", "found", "target", ""):
+    count = int((gt["quality"] != QualityClass.NONE).sum())
+    table = Table(title=f"{scene}, {profile}: {count} of {len(gt)} frames against the truth")
+    for heading in ("", "value", "target", ""):
         table.add_column(heading, justify="left" if not heading else "right")
     for target in targets:
-        sign = "≥" if target.at_least else "≤"
-        upper = f" to {target.most:g}" if target.at_least and target.most < 100 else ""
-        table.add_row(
-            target.name,
-            f"{target.found:.3f} {target.unit}",
-            f"{sign} {target.limit:g}{upper} {target.unit}",
-            "ok" if target.met else "missed",
-        )
+        value, status = f"{target.value:.3f} {target.unit}", "ok" if target.is_met else "missed"
+        table.add_row(target.name, value, target.limits, status)
     Console().print(table)
-    if not all(target.met for target in targets):
+    if not all(target.is_met for target in targets):
         raise typer.Exit(1)
 
 
-def _joined(gt: pd.DataFrame, truth: pd.DataFrame, sessions: pd.DataFrame, where: Path) -> tuple[Array, Array]:
-    """Ground truth and true poses (N, 4, 4) of the frames that have the former."""
+def _true_poses(gt: pd.DataFrame, scene: str, profile: str, root: DataRoot) -> Array:
+    """map_T_cam (N, 4, 4) of the frames, by the simulator."""
+    path = root.captures(scene) / "true_poses.parquet"
+    if not path.is_file():
+        raise UserError(
+            f"scene {scene} has no true poses",
+            where=path,
+            expected="the simulator's true_poses.parquet",
+            do="this check is for simulated scenes",
+        )
+    sessions = read_table(root.run(profile, scene, "import") / "sessions.parquet", schema("import", "sessions"))
     recording = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
-    known = gt[gt["quality"] != "none"]
-    keys = pd.DataFrame({"session_id": known["session_id"].map(recording), "t_ns": known["t_ns"]})
+    keys = pd.DataFrame({"session_id": gt["session_id"].map(recording), "t_ns": gt["t_ns"]})
+    truth = read_table(path, schema("simulate", "true_poses"))
     true = keys.merge(truth, on=["session_id", "t_ns"], how="left", validate="many_to_one")
-    missing = int(true["map_cam_qw"].isna().sum())
+    missing = int(true["map_cam_qw"].isna()[(gt["quality"] != QualityClass.NONE).to_numpy()].sum())
     if missing:
         raise UserError(
             "some frames have no true pose",
-            where=where,
+            where=path,
             expected="a row for each frame's session and time",
             found=f"{missing} of {len(keys)} frames without one",
             do="import and align the captures that these true poses belong to",
         )
-    return poses_of(known, "map_cam"), poses_of(true, "map_cam")
+    return poses_of(true, "map_cam")

@@ -1,4 +1,4 @@
-"""LiDAR depth as a judge of the map: how it compares with the depth of SfM's points. It is never a source.
+"""A depth sensor against the map, at the points of SfM; its depth gives nothing to the map.
 
 Depth images are as import has them: 16-bit PNG, millimetres along the camera's z axis, with the field of view of the
 image; their confidence is 0, 1, 2 or 0, 127, 255.
@@ -15,31 +15,26 @@ import numpy as np
 import pandas as pd
 import pycolmap
 
-from groundwalk.alignment.checks import DEPTH, About, Check, check
-from groundwalk.alignment.components import Placed
-from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.components import PlacedComponent
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import poses_of
-from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.depth_images import pixel_rays, ratio_statistics, sample_depth, smooth_pixels
 from groundwalk.geometry.poses import Array, inverse, transform
 
-# The sensor of phones reaches 5 m: beyond, its depth is a guess of the phone's.
-REACH_M = 5.0
-_BINS_M = (0.0, 0.5, 1.0, 2.0, 3.0, REACH_M, np.inf)
-_HIGH = 2
+# Phones' sensors reach 5 m: beyond, depth is interpolated.
+MAX_RANGE_M = 5.0
+_BINS_M = (0.0, 0.5, 1.0, 2.0, 3.0, MAX_RANGE_M, np.inf)
+HIGH_CONFIDENCE = 2
 # A point that two frames see may be a wrong match.
-_LEAST_TRACK = 3
-# Fewer samples or frames judge nothing.
-_LEAST_SAMPLES, _LEAST_FRAMES = 100, 3
-_MOST_CLOUD_POINTS = 60_000
+_MIN_TRACK = 3
+_MAX_CLOUD_POINTS = 60_000
 
 
 @dataclass(frozen=True)
 class DepthSamples:
     """Points of SfM's models that a frame sees where the sensor has depth (N rows): the frame's row in the frames
-    table, its session and model, depth by the map and by the sensor in metres, confidence 0 to 2 (-1: not known)."""
+    table, its session and model, depth by the map and by the sensor in metres, confidence 0 to 2 (-1: unknown)."""
 
     frame: np.ndarray
     session: np.ndarray
@@ -49,10 +44,10 @@ class DepthSamples:
     confidence: np.ndarray
 
     @staticmethod
-    def none() -> "DepthSamples":
+    def empty() -> "DepthSamples":
         """No samples."""
-        whole, real = np.empty(0, np.int64), np.empty(0)
-        return DepthSamples(whole, np.empty(0, str), whole, real, real, whole)
+        integers, numbers = np.empty(0, np.int64), np.empty(0)
+        return DepthSamples(integers, np.empty(0, str), integers, numbers, numbers, integers)
 
     @property
     def ratio(self) -> Array:
@@ -61,7 +56,7 @@ class DepthSamples:
 
 
 def read_depth(path: Path, confidence: Path | None) -> tuple[Array, np.ndarray]:
-    """A depth image in metres (H, W), 0 where there is none, and its confidence 0 to 2 (H, W), -1 where not known."""
+    """A depth image in metres (H, W), 0 where there is none, and its confidence 0 to 2 (H, W), -1 where unknown."""
     millimetres = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if millimetres is None:
         raise UserError("a depth image can't be read", where=path, do="import the scene again")
@@ -70,14 +65,14 @@ def read_depth(path: Path, confidence: Path | None) -> tuple[Array, np.ndarray]:
     if levels is None:
         return metres, np.full(metres.shape, -1)
     level = np.asarray(levels, dtype=np.int64)
-    return metres, np.where(level > _HIGH, (level + 1) // 127, level).clip(0, _HIGH)
+    return metres, np.where(level > HIGH_CONFIDENCE, (level + 1) // 127, level).clip(0, HIGH_CONFIDENCE)
 
 
 def sample_frames(
     frames: pd.DataFrame,
     images: pd.DataFrame,
     used: np.ndarray,
-    placed: list[Placed],
+    placed: list[PlacedComponent],
     model_folder: Callable[[str], Path],
     image_path: Callable[[str], Path],
 ) -> DepthSamples:
@@ -91,7 +86,7 @@ def sample_frames(
     parts: list[pd.DataFrame] = []
     for each in placed:
         model = pycolmap.Reconstruction(model_folder(each.component.model_id))
-        points = {i: p.xyz for i, p in model.points3D.items() if p.track.length() >= _LEAST_TRACK}
+        points = {i: p.xyz for i, p in model.points3D.items() if p.track.length() >= _MIN_TRACK}
         for image in model.images.values():
             row = row_of.get(unquote(str(Path(image.name).with_suffix(""))))
             seen = [(p.xy, points[p.point3D_id]) for p in image.points2D if p.point3D_id in points]
@@ -101,20 +96,21 @@ def sample_frames(
             depth, confidence = _depth_of(frames.iloc[row], image_path)
             size = (int(frames["width"].iloc[row]), int(frames["height"].iloc[row]))
             sensor_m, nearest = sample_depth(depth, xy, size)
-            own = pd.DataFrame({"sensor_m": sensor_m, "confidence": confidence[nearest[:, 0], nearest[:, 1]]})
-            own["map_m"] = each.map_S_sfm.scale * transform(inverse(sfm_T_cam[row]), xyz)[:, 2]
-            own["frame"], own["component"] = row, each.component.index
-            parts.append(own[own["sensor_m"].notna() & (own["map_m"] > 0)])
-    columns = ["frame", "component", "map_m", "sensor_m", "confidence"]
-    found = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns, dtype=float)
-    frame = found["frame"].to_numpy(np.int64)
+            sample = pd.DataFrame({"sensor_m": sensor_m, "confidence": confidence[nearest[:, 0], nearest[:, 1]]})
+            sample["map_m"] = each.map_S_sfm.scale * transform(inverse(sfm_T_cam[row]), xyz)[:, 2]
+            sample["frame"], sample["component"] = row, each.component.index
+            parts.append(sample[sample["sensor_m"].notna() & (sample["map_m"] > 0)])
+    if not parts:
+        return DepthSamples.empty()
+    samples = pd.concat(parts, ignore_index=True)
+    frame = samples["frame"].to_numpy(np.int64)
     return DepthSamples(
         frame,
         frames["session_id"].to_numpy(str)[frame],
-        found["component"].to_numpy(np.int64),
-        found["map_m"].to_numpy(float),
-        found["sensor_m"].to_numpy(float),
-        found["confidence"].to_numpy(np.int64),
+        samples["component"].to_numpy(np.int64),
+        samples["map_m"].to_numpy(float),
+        samples["sensor_m"].to_numpy(float),
+        samples["confidence"].to_numpy(np.int64),
     )
 
 
@@ -123,14 +119,14 @@ def agreement_table(samples: DepthSamples, seed: int) -> pd.DataFrame:
     rng = np.random.default_rng(seed)
     rows = []
     for session_id, component in sorted(set(zip(samples.session, samples.component.tolist(), strict=True))):
-        own = (samples.session == session_id) & (samples.component == component)
-        for confidence in (None, *(c for c in range(_HIGH + 1))):
-            sure = own if confidence is None else own & (samples.confidence == confidence)
-            for near, far in ((0.0, REACH_M), *pairwise(_BINS_M)):
-                inside = sure & (samples.map_m >= near) & (samples.map_m < far)
+        of_session = (samples.session == session_id) & (samples.component == component)
+        for confidence in (None, *range(HIGH_CONFIDENCE + 1)):
+            selected = of_session if confidence is None else of_session & (samples.confidence == confidence)
+            for near, far in ((0.0, MAX_RANGE_M), *pairwise(_BINS_M)):
+                inside = selected & (samples.map_m >= near) & (samples.map_m < far)
                 if not inside.any():
                     continue
-                of = ratio_statistics(samples.ratio[inside], samples.frame[inside], rng)
+                statistics = ratio_statistics(samples.ratio[inside], samples.frame[inside], rng)
                 rows.append(
                     {
                         "session_id": session_id,
@@ -140,81 +136,33 @@ def agreement_table(samples: DepthSamples, seed: int) -> pd.DataFrame:
                         "confidence": confidence,
                         "frames": len(np.unique(samples.frame[inside])),
                         "samples": int(inside.sum()),
-                        "median_ratio": of.median,
-                        "mad": of.mad,
-                        "median_ratio_se": of.se,
+                        "median_ratio": statistics.median,
+                        "mad": statistics.mad,
+                        "median_ratio_se": statistics.se,
                     }
                 )
     table = pd.DataFrame(rows, columns=schema("align", "depth_agreement").column_names)
     return table.astype({"confidence": "Int64", "far_m": float})
 
 
-def check_depth(agreement: pd.DataFrame, settings: AlignSettings) -> tuple[list[Check], list[str]]:
-    """Checks of each session's scale and geometry by its depth, and lines for the user. A failure takes no frame out:
-    nobody can tell from it whether the map or the sensor is wrong."""
-    checks: list[Check] = []
-    lines = []
-    sessions = agreement[["session_id", "component"]].drop_duplicates()
-    for session_id, component in sessions.itertuples(index=False, name=None):
-        of_session = agreement[(agreement["session_id"] == session_id) & (agreement["component"] == component)]
-        # High confidence where the phone states any.
-        level = _HIGH if of_session["confidence"].notna().any() else None
-        sure = of_session[of_session["confidence"].isna() if level is None else of_session["confidence"] == level]
-        sure = sure[(sure["samples"] >= _LEAST_SAMPLES) & (sure["frames"] >= _LEAST_FRAMES)]
-        is_whole = (sure["near_m"] == 0.0) & (sure["far_m"] == REACH_M)
-        if not is_whole.any():
-            reason = f"too little depth within {REACH_M:g} m to judge the map by"
-            lines.append(f"{session_id}: {reason}")
-            about = About(int(of_session["frames"].max()), session_id, int(component))
-            limit, status = settings.depth_scale_limit, Status.UNDECIDED
-            checks.append(check("session_depth_scale", None, None, limit, about, DEPTH, reason, status=status))
-            continue
-        whole, bins = sure[is_whole].iloc[0], sure[~is_whole & (sure["far_m"] <= REACH_M)]
-        about = About(int(whole["frames"]), session_id, int(component))
-        off, sd = float(whole["median_ratio"]) - 1, float(whole["median_ratio_se"])
-        text = (
-            f"the sensor's depth is {abs(off):.2%} {'more' if off > 0 else 'less'} than the map's "
-            f"(± {sd:.2%}, {whole['samples']} points in {whole['frames']} frames)"
-        )
-        lines.append(f"{session_id}: {text}")
-        checks.append(check("session_depth_scale", abs(off), sd, settings.depth_scale_limit, about, DEPTH, text))
-        if len(bins) > 1:
-            checks.append(_check_by_distance(bins, about, settings))
-    return checks, lines
-
-
-def _check_by_distance(bins: pd.DataFrame, about: About, settings: AlignSettings) -> Check:
-    """The largest difference between the ratios of two distances, rows of the depth_agreement table."""
-    ordered = bins.sort_values("median_ratio")
-    low, high = ordered.iloc[0], ordered.iloc[-1]
-    return check(
-        "session_depth_by_distance",
-        float(high["median_ratio"] - low["median_ratio"]),
-        float(np.hypot(low["median_ratio_se"], high["median_ratio_se"])),
-        settings.depth_spread_limit,
-        about,
-        DEPTH,
-        f"depth by the sensor over depth by the map differs with distance: {low['median_ratio']:.3f} from "
-        f"{low['near_m']:g} m, {high['median_ratio']:.3f} from {high['near_m']:g} m",
-    )
-
-
 def depth_clouds(
     frames: pd.DataFrame, map_T_cam: Array, used: np.ndarray, image_path: Callable[[str], Path]
 ) -> dict[str, Array]:
     """Back-projected depth of each session, points (N, 3) in the map, thinned out; within reach, of high confidence
-    where that is known, and away from edges."""
+    where that is stated, and away from edges."""
     rows = [i for i in np.flatnonzero(used) if _is_path(frames["depth"].iloc[i])]
     clouds: dict[str, list[Array]] = {}
     for row in rows:
         frame = frames.iloc[row]
         depth, confidence = _depth_of(frame, image_path)
-        step = max(1, int(np.ceil(np.sqrt(depth.size * len(rows) / _MOST_CLOUD_POINTS))))
-        pixels, share = pixel_rays((depth.shape[0], depth.shape[1]), step)
+        step = max(1, int(np.ceil(np.sqrt(depth.size * len(rows) / _MAX_CLOUD_POINTS))))
+        pixels, fractions = pixel_rays((depth.shape[0], depth.shape[1]), step)
         i, j = pixels.T
-        good = (depth[i, j] < REACH_M) & smooth_pixels(depth)[i, j] & np.isin(confidence[i, j], (-1, _HIGH))
+        good = (
+            (depth[i, j] < MAX_RANGE_M) & smooth_pixels(depth)[i, j] & np.isin(confidence[i, j], (-1, HIGH_CONFIDENCE))
+        )
         matrix = np.array([[frame.fx, 0, frame.cx], [0, frame.fy, frame.cy], [0, 0, 1.0]])
-        xy = share[good] * [frame.width, frame.height]
+        xy = fractions[good] * [frame.width, frame.height]
         if not len(xy):
             continue
         rays = cv2.undistortPoints(xy[:, None], matrix, np.asarray([*frame.distortion, 0, 0, 0, 0][:8], float))[:, 0]

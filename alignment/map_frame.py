@@ -1,7 +1,7 @@
 """The map frame: metric and +y up from all VIO sessions together, without leaning on VIO positions over distance.
 
 Scale compares SfM and VIO step by step, so that VIO's drift over a whole walk can't bend it. The
-vertical is the mean of each recording's own. Both count a recording once: its errors are the phone's, and more
+vertical is the mean over recordings. Both count a recording once: its errors are the phone's, and more
 frames of it don't make them smaller.
 """
 
@@ -10,15 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundwalk.alignment.segments import Segment
+from groundwalk.artefacts.choices import ScaleSource, VerticalSource
 from groundwalk.consistency.scale import Scale, recording_scale, robust_mean
 from groundwalk.geometry.fits import direction_angles, fit_robust, mean_direction
 from groundwalk.geometry.poses import Array
 
-# What gave the map its scale or vertical, as align.ground_truth names it; rulers go by their names.
-BY_VIO, BY_GRAVITY, BY_REFERENCE = "vio", "gravity", "reference"
-BY_REFERENCE_UNIT_UNKNOWN, BY_REFERENCE_UP_UNKNOWN = "reference, unit unknown", "reference, up unknown"
-
-# Residuals that nobody minds, where a robust fit stops telling items apart.
+# Residuals below which a robust fit no longer tells items apart.
 _UP_FLOOR = np.radians(0.2)  # of a frame's vertical against its recording's
 _RECORDING_FLOOR = 4.0  # sigmas, of a recording against the others
 # Neighbouring frames' gravity has the same error: so many parts of a recording count as independent.
@@ -27,32 +24,30 @@ _PARTS = 8
 
 @dataclass(frozen=True)
 class MapScale:
-    """Metres per SfM unit by all recordings: logarithm, standard error (NaN: not known, the unit stays SfM's), each
-    recording's own, and its weight (0 to 1). `rulers` names the rulers that logarithm and standard error are by
-    instead, where there are any; `reference` says that they are by reference poses, BY_REFERENCE or
-    BY_REFERENCE_UNIT_UNKNOWN."""
+    """Metres per SfM unit by all recordings: logarithm, standard error (NaN: unknown, the unit stays SfM's), and each
+    recording's scale. `rulers` names the rulers that logarithm and standard error are by instead, where there are any;
+    `reference` says that they are by reference poses."""
 
     log: float
     sd: float
     recordings: dict[str, Scale]
-    weights: dict[str, float]
     rulers: tuple[str, ...] = ()
-    reference: str = ""
+    reference: ScaleSource | None = None
 
     @property
     def is_known(self) -> bool:
         """The map is metric."""
-        return bool(np.isfinite(self.sd)) and self.reference != BY_REFERENCE_UNIT_UNKNOWN
+        return bool(np.isfinite(self.sd)) and self.reference is not ScaleSource.REFERENCE_UNIT_UNKNOWN
 
     def source(self, max_sd: float) -> str:
-        """What gives it, in the words of the tables; above a standard error of `max_sd` it is called uncertain."""
+        """What gives it, as tables have it; above a standard error of `max_sd` it is called uncertain."""
         if not self.is_known:
-            return self.reference or "none"
-        by = f"ruler: {', '.join(self.rulers)}" if self.rulers else self.reference or BY_VIO
+            return self.reference or ScaleSource.NONE
+        by = f"ruler: {', '.join(self.rulers)}" if self.rulers else self.reference or ScaleSource.VIO
         return by if self.sd <= max_sd else f"{by}, uncertain"
 
 
-NO_SCALE = MapScale(0.0, float("nan"), {}, {})
+NO_SCALE = MapScale(0.0, float("nan"), {})
 
 
 @dataclass(frozen=True)
@@ -65,59 +60,59 @@ class RecordingVertical:
 
 @dataclass(frozen=True)
 class Vertical:
-    """The map's up (3,) in SfM's axes, sigma of its tilt in radians (per axis), and each recording's own. `source`:
-    what gives it, as align.ground_truth names it."""
+    """The map's up (3,) in SfM's axes, standard error of its tilt in radians (per axis), each recording's vertical, and
+    what gives it."""
 
     up_sfm: Array
     sd: float
     recordings: dict[str, RecordingVertical]
-    source: str = BY_GRAVITY
+    source: VerticalSource = VerticalSource.GRAVITY
 
 
 def common_scale(segments: list[Segment], *, step_m: float, step_sd: float, phone_sd: float) -> MapScale:
-    """Metres per SfM unit, one robust estimate over all recordings; not known where no recording moves enough.
+    """Metres per SfM unit, one robust estimate over all recordings; unknown where no recording moves enough.
 
     `step_m`: VIO path over which steps are compared, at most. `step_sd` and `phone_sd`: what the scale of a step of a
-    metre and of a phone are expected to be off by, as shares; the scatter that is found adds to them. Raises
+    metre and of a phone are expected to be off by, as fractions; the observed scatter adds to them. Raises
     GeometryError where SfM puts frames in one place that VIO says are apart.
     """
-    found = {}
+    scales = {}
     for recording in sorted({s.recording for s in segments}):
-        pairs = [s.trajectory_pair for s in segments if s.recording == recording]
-        scale = recording_scale(pairs, step_m=step_m, step_sd=step_sd)
+        parts = [s.trajectory_pair for s in segments if s.recording == recording]
+        scale = recording_scale(parts, step_m=step_m, step_sd=step_sd)
         if scale is not None:
-            found[recording] = scale
-    if not found:
+            scales[recording] = scale
+    if not scales:
         return NO_SCALE
-    logs = np.array([s.log for s in found.values()])
-    sds = np.array([np.hypot(s.sd, phone_sd) for s in found.values()])
+    logs = np.array([s.log for s in scales.values()])
+    sds = np.array([np.hypot(s.sd, phone_sd) for s in scales.values()])
     mean, robust = robust_mean(logs, sds**-2, sds, _RECORDING_FLOOR)
     weight = robust * sds**-2
-    # Scatter beyond what each sigma says is the phones' doing.
+    # Scatter beyond each standard error is of the phones.
     excess = max(1.0, float(np.sum(weight * ((logs - mean) / sds) ** 2) / np.sum(weight)))
     sd = float(np.sqrt(excess * np.sum((weight * sds) ** 2)) / weight.sum())
-    return MapScale(mean, sd, found, dict(zip(found, robust.tolist(), strict=True)))
+    return MapScale(mean, sd, scales)
 
 
 def common_vertical(segments: list[Segment], *, phone_sd: float) -> Vertical | None:
-    """The direction of up in SfM's axes: the robust mean of each recording's own; None where no frame has both gravity
+    """The direction of up in SfM's axes: the robust mean over recordings; None where no frame has both gravity
     and an SfM pose.
 
-    `phone_sd`: expected error of one recording's vertical in radians (per axis); the scatter that is found adds to it.
+    `phone_sd`: expected error of one recording's vertical in radians (per axis); the observed scatter adds to it.
     """
-    own: dict[str, RecordingVertical] = {}
+    verticals: dict[str, RecordingVertical] = {}
     for recording in sorted({s.recording for s in segments}):
         ups = np.concatenate([_ups(s) for s in segments if s.recording == recording])
         if len(ups):
-            own[recording] = _recording_vertical(ups, phone_sd)
-    if not own:
+            verticals[recording] = _recording_vertical(ups, phone_sd)
+    if not verticals:
         return None
-    ups = np.stack([vertical.up_sfm for vertical in own.values()])
+    ups = np.stack([vertical.up_sfm for vertical in verticals.values()])
     up, robust = _robust_direction(ups, _RECORDING_FLOOR * phone_sd)
     angles = direction_angles(ups, up)
     # Two axes of tilt an angle; one prior observation of each keeps few recordings from looking certain.
     variance = (np.sum(robust * angles**2) + 2 * phone_sd**2) / (2 * robust.sum())
-    return Vertical(up, float(np.sqrt(variance / robust.sum())), own)
+    return Vertical(up, float(np.sqrt(variance / robust.sum())), verticals)
 
 
 def _recording_vertical(ups: Array, phone_sd: float) -> RecordingVertical:
@@ -141,5 +136,5 @@ def _robust_direction(directions: Array, floor: float) -> tuple[Array, Array]:
 
 
 def _ups(segment: Segment) -> Array:
-    known = segment.registered & np.isfinite(segment.up_cam).all(axis=1)
-    return np.einsum("nij,nj->ni", segment.sfm_T_cam[known, :3, :3], segment.up_cam[known])
+    has_up = segment.registered & np.isfinite(segment.up_cam).all(axis=1)
+    return np.einsum("nij,nj->ni", segment.sfm_T_cam[has_up, :3, :3], segment.up_cam[has_up])

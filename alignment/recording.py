@@ -1,34 +1,35 @@
-"""recording.rrd: the model in the map, ground truth by quality, VIO beside it, and how they part over time."""
+"""recording.rrd: the model in the map, ground truth by quality, VIO beside it, and their distance over time."""
 
 import numpy as np
 import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 
-from groundwalk.alignment.ground_truth import Aligned
+from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.sessions import SessionFit
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts import StageRun
+from groundwalk.artefacts.choices import QualityClass
 from groundwalk.artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
 from groundwalk.geometry.poses import Array, quaternion_from_matrix, transform
 
-_QUALITY_COLOURS = {"A": GROUND_TRUTH, "B": (110, 200, 170), "C": NEUTRAL}
-# Sessions in the residuals' two plots; grey, green and orange are taken.
+_QUALITY_COLOURS = {QualityClass.A: GROUND_TRUTH, QualityClass.B: (110, 200, 170), QualityClass.C: NEUTRAL}
+# Sessions in the residuals' two plots; grey, green and orange mean something else.
 _SESSION_COLOURS = [(0, 114, 178), (204, 121, 167), (86, 180, 233), (240, 228, 66), (170, 110, 40), (150, 110, 220)]
 _DEPTH_COLOUR = (120, 94, 240)
-# Sessions have clocks of their own; from each one's start their curves lie over each other.
+# Sessions have different clocks; from each one's start their curves lie over each other.
 _TIMELINE = "session_time"
 # Ellipsoids are drawn so many times too large: a centimetre on a walk of 50 m can't be seen.
 _ELLIPSOID_TIMES = 10
-# 95 % of three normal axes lie within so many sigma.
+# 95 % of three normal axes lie within so many standard deviations.
 _BOUND_95 = 2.7955
-# Cameras are drawn this long, as a share of the ground truth's extent, within these metres.
-_CAMERA_SHARE, _CAMERA_RANGE_M = 0.04, (0.03, 0.3)
+# Cameras are drawn this long, as a fraction of the ground truth's extent, within these metres.
+_CAMERA_FRACTION, _CAMERA_RANGE_M = 0.04, (0.03, 0.3)
 
 
 def write_recording(
     r: StageRun[AlignSettings],
-    aligned: Aligned,
+    result: AlignResult,
     frames: pd.DataFrame,
     points: pd.DataFrame,
     depth_clouds: dict[str, Array],
@@ -47,77 +48,79 @@ def write_recording(
         rrb.TimePanel(timeline=_TIMELINE, state="collapsed"),
         collapse_panels=True,
     )
-    xyz = aligned.ground_truth[["map_cam_tx", "map_cam_ty", "map_cam_tz"]]
+    xyz = result.ground_truth[["map_cam_tx", "map_cam_ty", "map_cam_tz"]]
     extent_m = float(np.linalg.norm(xyz.max() - xyz.min()))
-    camera_m = float(np.clip(_CAMERA_SHARE * extent_m, *_CAMERA_RANGE_M))
+    camera_m = float(np.clip(_CAMERA_FRACTION * extent_m, *_CAMERA_RANGE_M))
     with r.recording(blueprint) as rec:
         rec.log("map", UP_AXIS, static=True)
-        _log_points(rec, aligned, points)
-        _log_frusta(rec, aligned, frames, camera_m)
-        _log_ellipsoids(rec, aligned.ground_truth)
+        _log_points(rec, result, points)
+        _log_frusta(rec, result, frames, camera_m)
+        _log_ellipsoids(rec, result.ground_truth)
         _log_depth(rec, depth_clouds)
-        sessions = sorted({fit.segment.session_id for fit in aligned.fits})
-        for fit in aligned.fits:
+        sessions = sorted({fit.segment.session_id for fit in result.fits})
+        for fit in result.fits:
             colour = _SESSION_COLOURS[sessions.index(fit.segment.session_id) % len(_SESSION_COLOURS)]
             _log_segment(rec, fit, frames, camera_m, colour)
 
 
-def _log_points(rec: rr.RecordingStream, aligned: Aligned, points: pd.DataFrame) -> None:
-    for placed in aligned.placed:
+def _log_points(rec: rr.RecordingStream, result: AlignResult, points: pd.DataFrame) -> None:
+    for placed in result.placed:
         index = placed.component.index
-        own = points[points["model_id"] == placed.component.model_id] if "model_id" in points else points
-        if "model_id" not in points and index:
-            continue
-        xyz = placed.map_S_sfm.points(own[["x", "y", "z"]].to_numpy(float))
-        shown = rr.Points3D(xyz, colors=own[["r", "g", "b"]].to_numpy(np.uint8), radii=rr.Radius.ui_points(1.5))
-        rec.log(f"map/points/model_{index}", shown, static=True)
+        of_model = points[points["model_id"] == placed.component.model_id]
+        xyz = placed.map_S_sfm.points(of_model[["x", "y", "z"]].to_numpy(float))
+        colours = of_model[["r", "g", "b"]].to_numpy(np.uint8)
+        rec.log(
+            f"map/points/model_{index}",
+            rr.Points3D(xyz, colors=colours, radii=rr.Radius.ui_points(1.5)),
+            static=True,
+        )
 
 
 def _log_depth(rec: rr.RecordingStream, clouds: dict[str, Array]) -> None:
-    """What a depth sensor measured, beside the map's own points."""
+    """A depth sensor's measurements, beside the map's points."""
     for session_id, xyz in clouds.items():
-        shown = rr.Points3D(xyz, colors=_DEPTH_COLOUR, radii=rr.Radius.ui_points(1.0))
-        rec.log(f"map/depth/{session_id}", shown, static=True)
+        cloud = rr.Points3D(xyz, colors=_DEPTH_COLOUR, radii=rr.Radius.ui_points(1.0))
+        rec.log(f"map/depth/{session_id}", cloud, static=True)
         note = "depth sensor, back-projected from the ground-truth poses for comparison: no points of the map"
         rec.log(f"map/depth/{session_id}", rr.AnyValues(note=note), static=True)
 
 
-def _log_frusta(rec: rr.RecordingStream, aligned: Aligned, frames: pd.DataFrame, camera_m: float) -> None:
+def _log_frusta(rec: rr.RecordingStream, result: AlignResult, frames: pd.DataFrame, camera_m: float) -> None:
     """All cameras as wire pyramids, one entity a quality, so that each can be switched off.
 
-    The frames that the gate took out are shown where SfM had them, apart from the ground truth.
+    Frames that a check excluded are shown where SfM had them, apart from the ground truth.
     """
-    quality = aligned.ground_truth["quality"].to_numpy(str)
-    refused = (quality == "none") & np.isfinite(aligned.map_T_cam[:, 0, 0])
-    shown = {f"ground_truth/cameras/quality_{name}": (quality == name, c) for name, c in _QUALITY_COLOURS.items()}
-    for path, (wanted, colour) in (shown | {"refused/cameras": (refused, REJECTED)}).items():
+    quality = result.ground_truth["quality"].to_numpy(str)
+    excluded = (quality == QualityClass.NONE) & np.isfinite(result.map_T_cam[:, 0, 0])
+    classes = {f"ground_truth/cameras/quality_{name}": (quality == name, c) for name, c in _QUALITY_COLOURS.items()}
+    for path, (mask, colour) in (classes | {"excluded/cameras": (excluded, REJECTED)}).items():
         strips = [
             strip
-            for row in np.flatnonzero(wanted)
-            for strip in _pyramid(aligned.map_T_cam[row], frames.iloc[row], camera_m)
+            for row in np.flatnonzero(mask)
+            for strip in _pyramid(result.map_T_cam[row], frames.iloc[row], camera_m)
         ]
         rec.log(f"map/{path}", rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(0.8)), static=True)
 
 
 def _log_ellipsoids(rec: rr.RecordingStream, gt: pd.DataFrame) -> None:
     """Where each position lies with 95 %, enlarged so that it can be seen: the entity's name says how much."""
-    known = gt[gt["covariance"].notna()]
-    if not len(known):
+    gt = gt[gt["covariance"].notna()]
+    if not len(gt):
         return
-    covariance = np.stack(list(known["covariance"])).reshape(-1, 6, 6)[:, 3:, 3:]
+    covariance = np.stack(list(gt["covariance"])).reshape(-1, 6, 6)[:, 3:, 3:]
     variance, axes = np.linalg.eigh(covariance)
     # An ellipsoid's axes may be a mirrored triple; a quaternion needs a turned one.
     axes[:, :, 0] *= np.linalg.det(axes)[:, None]
     half_sizes = _ELLIPSOID_TIMES * _BOUND_95 * np.sqrt(np.maximum(variance, 0.0))
-    shown = rr.Ellipsoids3D(
-        centers=known[["map_cam_tx", "map_cam_ty", "map_cam_tz"]].to_numpy(float),
+    ellipsoids = rr.Ellipsoids3D(
+        centers=gt[["map_cam_tx", "map_cam_ty", "map_cam_tz"]].to_numpy(float),
         half_sizes=half_sizes,
         quaternions=quaternion_from_matrix(axes),
-        colors=[_QUALITY_COLOURS[name] for name in known["quality"]],
+        colors=[_QUALITY_COLOURS[name] for name in gt["quality"]],
         fill_mode=rr.components.FillMode.MajorWireframe,
         line_radii=rr.Radius.ui_points(0.8),
     )
-    rec.log(f"map/ground_truth/bounds_95_times_{_ELLIPSOID_TIMES}", shown, static=True)
+    rec.log(f"map/ground_truth/bounds_95_times_{_ELLIPSOID_TIMES}", ellipsoids, static=True)
 
 
 def _pyramid(map_T_cam: Array, frame: pd.Series, depth_m: float) -> list[Array]:
@@ -137,19 +140,19 @@ def _log_segment(
     if s.component:
         name += f"-model-{s.component}"
     map_T_cam = fit.map_T_cam.copy()
-    map_T_cam[~fit.used] = np.nan
+    map_T_cam[~fit.has_ground_truth] = np.nan
     log_path(rec, f"map/ground_truth/{name}/path", map_T_cam[:, :3, 3], GROUND_TRUTH)
     if not len(fit.compared):
         return
     vio_in_map = fit.map_T_vio @ s.vio_T_cam
     log_path(rec, f"map/vio/{name}/path", vio_in_map[:, :3, 3], VIO)
-    for of in ("position_m", "rotation_deg"):
-        rec.log(f"residuals/{of}/{name}", rr.SeriesLines(colors=colour, names=name), static=True)
+    for residual in ("position_m", "rotation_deg"):
+        rec.log(f"residuals/{residual}/{name}", rr.SeriesLines(colors=colour, names=name), static=True)
     start_ns = frames.loc[frames["session_id"] == s.session_id, "t_ns"].min()
     for number, index in enumerate(fit.compared):
         rec.set_time(_TIMELINE, duration=np.timedelta64(int(s.t_ns[index] - start_ns), "ns"))
         frame = frames.iloc[s.rows[index]]
         log_camera(rec, f"map/ground_truth/{name}/camera", map_T_cam[index], frame, GROUND_TRUTH, 2 * camera_m)
         log_camera(rec, f"map/vio/{name}/camera", vio_in_map[index], frame, VIO, 2 * camera_m)
-        rec.log(f"residuals/position_m/{name}", rr.Scalars(fit.position_m[number]))
-        rec.log(f"residuals/rotation_deg/{name}", rr.Scalars(fit.rotation_deg[number]))
+        rec.log(f"residuals/position_m/{name}", rr.Scalars(fit.rigid.position_m[number]))
+        rec.log(f"residuals/rotation_deg/{name}", rr.Scalars(fit.rigid.rotation_deg[number]))

@@ -1,18 +1,20 @@
-"""Sessions as the alignment sees them: SfM and VIO poses of the same frames, cut where VIO jumped."""
+"""Segments of sessions: SfM and VIO poses of the same frames, cut where VIO jumped."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
+from groundwalk.artefacts.choices import Tracking
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.consistency.trajectories import TrajectoryPair
 from groundwalk.geometry.poses import Array
 
-UNTRACKED = ("limited", "lost")
+# A phone that calls its tracking so may stand still in VIO while it moves.
+_UNTRACKED = (Tracking.LIMITED, Tracking.LOST)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Segment:
     """The frames of a session between two VIO jumps, in order of time.
 
@@ -37,49 +39,43 @@ class Segment:
         return np.isfinite(self.sfm_T_cam[:, 0, 0])
 
     @property
-    def tracked(self) -> np.ndarray:
+    def has_vio(self) -> np.ndarray:
         """(N,) VIO has a pose."""
         return np.isfinite(self.vio_T_cam[:, 0, 0])
 
     @property
-    def both(self) -> np.ndarray:
+    def has_both(self) -> np.ndarray:
         """(N,) SfM and VIO have a pose."""
-        return self.registered & self.tracked
+        return self.registered & self.has_vio
 
     @property
     def travelled_m(self) -> Array:
         """(N,) length of the VIO path since the first frame; a frame without VIO stays where the last one was."""
         xyz = pd.DataFrame(self.vio_T_cam[:, :3, 3]).ffill().bfill().to_numpy()
-        if np.isnan(xyz).any():
-            return np.zeros(len(xyz))
-        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
+        return np.zeros(len(xyz)) if np.isnan(xyz).any() else distance_along(xyz)
 
     @property
     def trajectory_pair(self) -> TrajectoryPair:
-        """The poses of the frames that both know."""
-        return TrajectoryPair(self.sfm_T_cam[self.both], self.vio_T_cam[self.both])
+        """The poses of the frames that both SfM and VIO have."""
+        return TrajectoryPair(self.sfm_T_cam[self.has_both], self.vio_T_cam[self.has_both])
 
     def renumbered(self, row_of: np.ndarray) -> "Segment":
         """The segment with its rows' new positions: row_of (M,) of those in the whole frames table."""
         return replace(self, rows=row_of[self.rows])
 
-    def where(self, wanted: np.ndarray) -> "Segment":
-        """The segment's frames for which `wanted` (N,) holds."""
-        return Segment(
-            self.session_id,
-            self.recording,
-            self.index,
-            self.component,
-            self.rows[wanted],
-            self.t_ns[wanted],
-            self.sfm_T_cam[wanted],
-            self.vio_T_cam[wanted],
-            self.up_cam[wanted],
-        )
+    def where(self, mask: np.ndarray) -> "Segment":
+        """The segment's frames for which `mask` (N,) holds."""
+        arrays = ("rows", "t_ns", "sfm_T_cam", "vio_T_cam", "up_cam")
+        return replace(self, **{name: getattr(self, name)[mask] for name in arrays})
+
+
+def distance_along(xyz: Array) -> Array:
+    """Length of a path (N,) from its first position (N, 3) on."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
 
 
 def frame_components(frames: pd.DataFrame, images: pd.DataFrame) -> tuple[list[str], np.ndarray]:
-    """The models that frames are registered in, largest first, and for each frame (N,) the index of its own.
+    """The models that frames are registered in, largest first, and for each frame (N,) the index of its model.
 
     `images` are SfM's, in the order of `frames`. A frame that isn't registered counts to the model of the registered
     frame of its session that is nearest in time, or to the first.
@@ -109,39 +105,36 @@ def cut_segments(
     """All segments, by session and time; cut at VIO jumps of `jump_m` or `jump_deg` or more, and each of one model.
 
     `frames` and `jumps` are import's tables, `images` SfM's in the order of `frames`; `recordings` names each session's
-    recording, `component` (N,) is `frame_components`'s. A pose that the phone itself calls limited or lost counts as
-    none: it may stand still while the phone moves.
+    recording, `component` (N,) is `frame_components`'s. A pose of limited or lost tracking counts as none.
     """
     sfm_T_cam = poses_of(images, "sfm_cam")
     sfm_T_cam[~images["registered"].to_numpy(bool)] = np.nan
     vio_T_cam = poses_of(frames, "vio_cam")
-    vio_T_cam[frames["tracking"].isin(UNTRACKED).to_numpy()] = np.nan
+    vio_T_cam[frames["tracking"].isin(_UNTRACKED).to_numpy()] = np.nan
     up_cam = -frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
-    t_ns = frames["t_ns"].to_numpy(np.int64)
-    session = frames["session_id"].to_numpy(str)
-    big = jumps[(jumps["jump_m"] >= jump_m) | (jumps["jump_deg"] >= jump_deg)]
-
+    t_ns, session = frames["t_ns"].to_numpy(np.int64), frames["session_id"].to_numpy(str)
+    large = jumps[(jumps["jump_m"] >= jump_m) | (jumps["jump_deg"] >= jump_deg)]
     segments = []
     for session_id in sorted(set(session)):
         rows = np.flatnonzero(session == session_id)
         rows = rows[np.argsort(t_ns[rows], kind="stable")]
-        cuts_ns = np.sort(big.loc[big["session_id"] == session_id, "t_ns"].to_numpy(np.int64))
-        # side="left": the frame at the jump's time is the first one after it.
-        borders = np.searchsorted(t_ns[rows], cuts_ns, side="left")
-        parts = [part for part in np.split(rows, borders) if len(part)]
-        of_one_model = [(i, c, p[component[p] == c]) for i, p in enumerate(parts) for c in np.unique(component[p])]
-        for index, own, part in of_one_model:
-            segments.append(
-                Segment(
-                    session_id,
-                    recordings.get(session_id, session_id),
-                    index,
-                    int(own),
-                    part,
-                    t_ns[part],
-                    sfm_T_cam[part],
-                    vio_T_cam[part],
-                    up_cam[part],
+        # The frame at the jump's time is the first one after it.
+        jumps_ns = np.sort(large.loc[large["session_id"] == session_id, "t_ns"].to_numpy(np.int64))
+        parts = [p for p in np.split(rows, np.searchsorted(t_ns[rows], jumps_ns)) if len(p)]
+        for index, part in enumerate(parts):
+            for number in np.unique(component[part]):
+                of_model = part[component[part] == number]
+                segments.append(
+                    Segment(
+                        session_id=session_id,
+                        recording=recordings.get(session_id, session_id),
+                        index=index,
+                        component=int(number),
+                        rows=of_model,
+                        t_ns=t_ns[of_model],
+                        sfm_T_cam=sfm_T_cam[of_model],
+                        vio_T_cam=vio_T_cam[of_model],
+                        up_cam=up_cam[of_model],
+                    )
                 )
-            )
     return segments

@@ -2,121 +2,215 @@
 
 from typing import Annotated, ClassVar
 
+import numpy as np
 from pydantic import BeforeValidator, Field
 
 from groundwalk.alignment.rulers.settings import Ruler, rulers_of
-from groundwalk.alignment.uncertainty import QualityLimits
-from groundwalk.artefacts import Settings
+from groundwalk.artefacts.settings import Settings
 from groundwalk.artefacts.vio_drift_settings import VioDriftSettings
 from groundwalk.consistency.diagnosis import MAX_ALIASED_FRACTION, MAX_TURN_GAIN_ERROR
 from groundwalk.consistency.scale import STEP_M, STEP_SCALE_SD
-from groundwalk.consistency.windows import POSE_SD, WINDOW_M
+from groundwalk.consistency.windows import POSE_SD, WINDOW_M, PoseSd
 
 
 class QualitySettings(Settings):
-    """What a frame must keep for a quality class."""
+    """Limits of a quality class."""
 
-    position_sd_m: float = Field(gt=0, description="one sigma of SfM's position, least certain axis")
-    rotation_sd_deg: float = Field(gt=0, description="one sigma of SfM's rotation, least certain axis")
-    observations: int = Field(ge=0, description="points of the model seen in the frame, at least")
-    reprojection_deg: float = Field(gt=0, description="mean reprojection error as an angle")
+    max_position_sd_m: float = Field(gt=0, description="largest standard error of SfM's position in any axis, metres")
+    max_rotation_sd_deg: float = Field(
+        gt=0, description="largest standard error of SfM's rotation in any axis, degrees"
+    )
+    min_observations: int = Field(ge=0, description="fewest points of the SfM model seen in the frame")
+    max_reprojection_deg: float = Field(gt=0, description="largest mean reprojection error, as an angle in degrees")
 
-    def limits(self) -> QualityLimits:
-        return QualityLimits(self.position_sd_m, self.rotation_sd_deg, self.observations, self.reprojection_deg)
+    renamed: ClassVar[dict[str, str]] = {
+        "position_sd_m": "max_position_sd_m",
+        "rotation_sd_deg": "max_rotation_sd_deg",
+        "observations": "min_observations",
+        "reprojection_deg": "max_reprojection_deg",
+    }
 
 
 class AlignSettings(VioDriftSettings):
-    """How ground truth is made; docs/ground-truth.md says why these defaults."""
-
-    renamed: ClassVar[dict[str, str]] = {"vio_drift_deg_per_root_m": "vio_drift_deg_per_sqrt_m"}
+    """How ground truth is made; docs/explanation/ground-truth.md says why these defaults."""
 
     window_m: float = Field(WINDOW_M, gt=0, description="VIO path over which SfM and VIO are compared, metres")
     step_m: float = Field(
-        STEP_M, gt=0, description="VIO path of the steps that give the scale, metres; an eighth of a shorter walk"
+        STEP_M,
+        gt=0,
+        description="VIO path of the steps that determine the scale, metres; a walk shorter than eight steps has eight",
     )
-    step_scale_sd: float = Field(STEP_SCALE_SD, gt=0, description="expected scale error of a step of a metre, share")
-    phone_scale_sd: float = Field(0.003, gt=0, description="expected scale error of one recording's VIO, share")
+    step_scale_sd: float = Field(
+        STEP_SCALE_SD, gt=0, description="expected scale error (sd) of a step of one metre, as a fraction"
+    )
+    phone_scale_sd: float = Field(
+        0.003, gt=0, description="expected scale error (sd) of one recording's VIO, as a fraction"
+    )
     max_scale_sd: float = Field(
-        0.02, gt=0, description="a metric scale with a larger standard error, as a share, is called uncertain"
+        0.02, gt=0, description="a metric scale with a larger standard error, as a fraction, is reported as uncertain"
     )
     max_vertical_sd_deg: float = Field(
-        1.0, gt=0, description="a vertical with a larger standard error, degrees an axis, is called uncertain"
+        1.0, gt=0, description="a vertical with a larger standard error, degrees an axis, is reported as uncertain"
     )
-    phone_tilt_sd_deg: float = Field(0.3, gt=0, description="expected gravity error of one recording, degrees an axis")
-    position_sd_m: float = Field(
-        POSE_SD.position_m, gt=0, description="position's weight in fits of VIO to the map, metres"
+    phone_tilt_sd_deg: float = Field(
+        0.3, gt=0, description="expected gravity error (sd) of one recording, degrees an axis"
     )
-    rotation_sd_deg: float = Field(1.0, gt=0, description="rotation's weight in the same fits, degrees")
-    segment_jump_m: float = Field(0.5, gt=0, description="a session is aligned apart before and after such a VIO jump")
-    segment_jump_deg: float = Field(5.0, gt=0, description="the same for a jump in rotation, degrees")
-    session_scale_limit: float = Field(0.03, gt=0, description="gate: a session's scale may differ by this share")
-    session_tilt_limit_deg: float = Field(2.0, gt=0, description="gate: a session's vertical may differ by this")
-    motion_agreeing: float = Field(
-        0.5, ge=0, le=1, description="gate: share of a session's steps that must be alike in SfM and VIO"
+    fit_position_sd_m: float = Field(
+        POSE_SD.position_m, gt=0, description="weight of positions in fits of VIO to the map, as a sd in metres"
     )
-    focal_limit: float = Field(
+    fit_rotation_sd_deg: float = Field(
+        1.0, gt=0, description="weight of rotations in fits of VIO to the map, as a sd in degrees"
+    )
+    segment_jump_m: float = Field(
+        0.5, gt=0, description="a session is aligned in parts before and after a VIO jump of this many metres or more"
+    )
+    segment_jump_deg: float = Field(
+        5.0, gt=0, description="a session is aligned in parts before and after a VIO jump of this many degrees or more"
+    )
+    max_session_scale_error: float = Field(
+        0.03, gt=0, description="a session whose scale differs from the others' by more, as a fraction, fails"
+    )
+    max_session_tilt_deg: float = Field(
+        2.0, gt=0, description="a session whose vertical differs from the others' by more, degrees, fails"
+    )
+    min_motion_agreement: float = Field(
+        0.5, ge=0, le=1, description="a session fails if VIO explains a smaller fraction of its relative poses in SfM"
+    )
+    max_focal_error: float = Field(
         0.03,
         gt=0,
-        description="gate: the images may say that a session's focal length is off by this share",
+        description="a session fails if its focal length by the images differs from the captured one by more, as a "
+        "fraction",
     )
-    turn_gain_limit: float = Field(
+    max_turn_gain_error: float = Field(
         MAX_TURN_GAIN_ERROR,
         gt=0,
-        description="gate: SfM may turn by this share more or less than VIO; a wrong focal length does so",
+        description="a session fails if SfM turns more or less than VIO by more, as a fraction (a wrong focal length)",
     )
-    folded_limit: float = Field(
+    max_aliased_fraction: float = Field(
         MAX_ALIASED_FRACTION,
         ge=0,
-        description="gate: share of a session's frames that may lie where far ones do, by VIO",
+        description="a SfM model fails if a larger fraction of a session's frames lies at places far apart in VIO",
     )
-    unsure_step_m: float = Field(
+    uncertain_step_m: float = Field(
         5.0,
         gt=0,
-        description="gate: frames that SfM isn't sure of (class C) must move as VIO does over this path",
+        description="VIO path, up to three times it, over which uncertain frames (class C) must match VIO, metres",
     )
-    unsure_share: float = Field(0.018, gt=0, description="... and up to three times that, to this share of it")
-    bridge_m: float = Field(10.0, ge=0, description="models that no view ties are joined by VIO over this path at most")
-    bridge_m_per_sqrt_m: float = Field(
-        0.03, gt=0, description="what VIO drifts by there, one sigma: metres over the root of a metre walked"
+    max_uncertain_deviation: float = Field(
+        0.018,
+        gt=0,
+        description="uncertain frames (class C) that differ from VIO by more, as a fraction of the path, get no ground "
+        "truth",
     )
-    bridge_deg_per_sqrt_m: float = Field(0.6, gt=0, description="the same in heading, degrees")
-    reference_limit_m: float = Field(
+    vio_link_m: float = Field(
+        10.0, ge=0, description="longest VIO path by which SfM models without a common view are linked, metres"
+    )
+    vio_link_m_per_sqrt_m: float = Field(
+        0.03,
+        gt=0,
+        description="VIO's position drift (sd) between linked models, metres a square root of a metre of path",
+    )
+    vio_link_deg_per_sqrt_m: float = Field(
+        0.6,
+        gt=0,
+        description="VIO's heading drift (sd) between linked models, degrees a square root of a metre of path",
+    )
+    max_reference_error_m: float = Field(
         0.1,
         ge=0,
-        description="gate: a frame may be this far from its reference pose (where that is metric), metres, ...",
+        description="constant part of the largest distance between a frame and its reference pose, metres (where that "
+        "is metric)",
     )
-    reference_limit_share: float = Field(
-        0.01, ge=0, description="... and this share of the extent of the reference's camera positions"
+    max_reference_error_fraction: float = Field(
+        0.01,
+        ge=0,
+        description="part of the largest distance between a frame and its reference pose that grows with the extent of "
+        "the reference's camera positions, as a fraction of it",
     )
-    reference_limit_deg: float = Field(3.0, gt=0, description="gate: the same in rotation, degrees")
-    depth_scale_limit: float = Field(
-        0.05, gt=0, description="gate: a depth sensor's median depth may differ from the map's by this share"
+    max_reference_error_deg: float = Field(
+        3.0, gt=0, description="largest angle between a frame and its reference pose, degrees"
     )
-    depth_spread_limit: float = Field(
-        0.05, gt=0, description="gate: the same share may differ by this between near and far points"
+    max_depth_scale_error: float = Field(
+        0.05,
+        gt=0,
+        description="a session fails if its depth sensor's median depth differs from the map's by more, as a fraction",
     )
-    least_registered: float = Field(0.5, ge=0, le=1, description="share of frames that SfM must register")
-    least_agreeing: float = Field(0.5, ge=0, le=1, description="share of registered frames that must pass the gate")
-    common_px: float = Field(
-        0.05, ge=0, description="what all keypoints are off by in common, one sigma per image axis; turns all cameras"
+    max_depth_spread: float = Field(
+        0.05,
+        gt=0,
+        description="a session fails if sensor depth over map depth differs by more between near and far points",
+    )
+    min_registered_fraction: float = Field(
+        0.5, ge=0, le=1, description="the run fails if SfM registered a smaller fraction of its frames, or a session's"
+    )
+    min_consistent_fraction: float = Field(
+        0.5, ge=0, le=1, description="the run fails if a smaller fraction of the registered frames passes the checks"
+    )
+    common_keypoint_sd_px: float = Field(
+        0.05,
+        ge=0,
+        description="error (sd) that all keypoints have in common, pixels an image axis; it turns all cameras alike",
     )
     rulers: Annotated[list[Ruler], BeforeValidator(rulers_of)] = Field(
         default_factory=list, description="boards and known distances in the images; [[ruler]] in the scene's file"
     )
-    ruler_size_limit: float = Field(
+    max_ruler_size_error: float = Field(
         0.03,
         gt=0,
-        description="a ruler further from VIO's scale, as a share, doesn't set the scale: a print of another size?",
+        description="a ruler fails, and doesn't set the scale, if its size differs by more from that in the map, as a "
+        "fraction: a print of another size",
     )
     ruler_max_sd: float = Field(
-        0.01, gt=0, description="a ruler's scale must be surer than this share, one sigma, to judge"
+        0.01, gt=0, description="a ruler whose scale has a larger standard error, as a fraction, decides nothing"
     )
     ruler_min_angle_deg: float = Field(
-        5.0, gt=0, description="views of a ruler must be this far apart to judge, degrees"
+        5.0, gt=0, description="a ruler whose views are less than this far apart, degrees, decides nothing"
     )
-    quality_a: QualitySettings = QualitySettings(
-        position_sd_m=0.02, rotation_sd_deg=0.1, observations=100, reprojection_deg=0.15
+    quality_a: QualitySettings = Field(
+        QualitySettings(
+            max_position_sd_m=0.02, max_rotation_sd_deg=0.1, min_observations=100, max_reprojection_deg=0.15
+        ),
+        description="limits of quality class A",
     )
-    quality_b: QualitySettings = QualitySettings(
-        position_sd_m=0.05, rotation_sd_deg=0.3, observations=50, reprojection_deg=0.3
+    quality_b: QualitySettings = Field(
+        QualitySettings(max_position_sd_m=0.05, max_rotation_sd_deg=0.3, min_observations=50, max_reprojection_deg=0.3),
+        description="limits of quality class B; frames beyond are C",
     )
+
+    renamed: ClassVar[dict[str, str]] = {
+        **VioDriftSettings.renamed,
+        "vio_drift_deg_per_root_m": "vio_drift_deg_per_sqrt_m",
+        "least_registered": "min_registered_fraction",
+        "least_agreeing": "min_consistent_fraction",
+        "motion_agreeing": "min_motion_agreement",
+        "session_scale_limit": "max_session_scale_error",
+        "session_tilt_limit_deg": "max_session_tilt_deg",
+        "focal_limit": "max_focal_error",
+        "turn_gain_limit": "max_turn_gain_error",
+        "folded_limit": "max_aliased_fraction",
+        "unsure_step_m": "uncertain_step_m",
+        "unsure_share": "max_uncertain_deviation",
+        "bridge_m": "vio_link_m",
+        "bridge_m_per_sqrt_m": "vio_link_m_per_sqrt_m",
+        "bridge_deg_per_sqrt_m": "vio_link_deg_per_sqrt_m",
+        "reference_limit_m": "max_reference_error_m",
+        "reference_limit_share": "max_reference_error_fraction",
+        "reference_limit_deg": "max_reference_error_deg",
+        "depth_scale_limit": "max_depth_scale_error",
+        "depth_spread_limit": "max_depth_spread",
+        "common_px": "common_keypoint_sd_px",
+        "ruler_size_limit": "max_ruler_size_error",
+        "position_sd_m": "fit_position_sd_m",
+        "rotation_sd_deg": "fit_rotation_sd_deg",
+    }
+
+    @property
+    def fit_sd(self) -> PoseSd:
+        """Weights of positions and rotations in fits of VIO to the map."""
+        return PoseSd(self.fit_position_sd_m, float(np.radians(self.fit_rotation_sd_deg)))
+
+    @property
+    def vio_link_sd(self) -> PoseSd:
+        """VIO's drift over a metre between linked models; it grows with the square root of the path."""
+        return PoseSd(self.vio_link_m_per_sqrt_m, float(np.radians(self.vio_link_deg_per_sqrt_m)))

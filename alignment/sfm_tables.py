@@ -1,4 +1,4 @@
-"""What SfM says of its models: where the frames are, of their focal lengths, and of pairs without any model."""
+"""SfM's tables in the order of the frames: poses, focal lengths, and pairs without any model."""
 
 from dataclasses import dataclass
 
@@ -7,23 +7,24 @@ import pandas as pd
 
 from groundwalk.artefacts.choices import PairStatus
 
-# Fewer pairs of a session's frames say nothing of it.
-_FEWEST_PAIRS = 8
-# Images confirm a focal length where they tell it to this share, and find no other beyond this or so many sigmas.
-_CONFIRMED_SD, _CONFIRMED, _CONFIRMED_SIGMAS = 0.005, 0.01, 3.0
+# Fewer pairs of a session's frames decide nothing.
+_MIN_PAIRS = 8
+# Images confirm a focal length where its relative standard error and its error are at most this, the latter also so
+# many standard errors.
+_CONFIRMED_SD, _CONFIRMED_ERROR, _CONFIRMED_SIGMAS = 0.005, 0.01, 3.0
 
 
 @dataclass(frozen=True)
-class Focal:
-    """What the images of a model say of a session's captured focal length: its factor to the right one, and sigma."""
+class FocalEstimate:
+    """A session's focal length by the images of a model, over the captured one, and its standard error."""
 
     scale: float
     sd: float
 
     @property
-    def confirmed(self) -> bool:
-        """The images tell it well, and it's right."""
-        return self.sd <= _CONFIRMED_SD and abs(self.scale - 1) <= max(_CONFIRMED, _CONFIRMED_SIGMAS * self.sd)
+    def is_confirmed(self) -> bool:
+        """The images determine it well, and it's the captured one."""
+        return self.sd <= _CONFIRMED_SD and abs(self.scale - 1) <= max(_CONFIRMED_ERROR, _CONFIRMED_SIGMAS * self.sd)
 
 
 @dataclass(frozen=True)
@@ -42,17 +43,19 @@ class SfmTables:
         ordered = images.set_index("frame_id").loc[frames["frame_id"]].reset_index()
         return SfmTables(ordered, intrinsics, pairs.assign(**ends))
 
-    def focal(self, model_id: str, session_id: str) -> Focal | None:
-        """None where the images don't tell."""
+    def focal(self, model_id: str, session_id: str) -> FocalEstimate | None:
+        """None where the images don't determine it."""
         table = self.intrinsics
         rows = table[(table["model_id"] == model_id) & (table["session_id"] == session_id)]
         rows = rows[rows["focal_scale_sd"].notna()]
-        return Focal(*rows[["focal_scale", "focal_scale_sd"]].to_numpy(float)[0]) if len(rows) else None
+        return FocalEstimate(*rows[["focal_scale", "focal_scale_sd"]].to_numpy(float)[0]) if len(rows) else None
 
-    def belongs(self, session_id: str) -> bool:
+    def pairs_match_vio(self, session_id: str) -> bool:
         """Most pairs of the session's frames, each by its two images alone, move as VIO does."""
         pairs = self.pairs
-        own = pairs[(pairs["session_a"] == session_id) & (pairs["session_b"] == session_id)]
-        status = own["status"][own["rotation_deg"].notna()]
-        agree = int(np.count_nonzero(status == PairStatus.VERIFIED))
-        return agree >= _FEWEST_PAIRS and agree > int(np.count_nonzero(status == PairStatus.INCONSISTENT_WITH_VIO))
+        within = pairs[(pairs["session_a"] == session_id) & (pairs["session_b"] == session_id)]
+        status = within["status"][within["rotation_deg"].notna()]
+        consistent = int(np.count_nonzero(status == PairStatus.VERIFIED))
+        return consistent >= _MIN_PAIRS and consistent > int(
+            np.count_nonzero(status == PairStatus.INCONSISTENT_WITH_VIO)
+        )

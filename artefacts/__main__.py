@@ -1,4 +1,4 @@
-"""`python -m groundwalk.artefacts`: look at, link and remove what the stages made; the artefact reference."""
+"""`python -m groundwalk.artefacts`: look at, link and remove what the stages made."""
 
 import os
 import subprocess
@@ -13,7 +13,6 @@ from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import RECORDING
 from groundwalk.artefacts.hints import run_command
-from groundwalk.artefacts.reference import reference
 from groundwalk.artefacts.settings import STAGES, DataRoot
 
 app = new_app("Look at, link and remove what the stages made.")
@@ -78,12 +77,6 @@ def clean(scene: SceneOption, profile: ProfileOption = "demo", data: DataOption 
         print(f"removed {path}")
     for path in cleaned.left:
         print(f"left as it is, not made by groundwalk: {path}")
-
-
-@app.command()
-def docs() -> None:
-    """Print the reference of all tables (docs/artefacts.md)."""
-    print(reference(), end="")
 
 
 if __name__ == "__main__":

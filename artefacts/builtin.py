@@ -1,7 +1,7 @@
 """The entries that groundwalk brings itself, group by group, in the order in which they are listed, tried and shown.
 
 Each line is an entry point, name = "module:record". They stand here and not in pyproject.toml because an entry point's
-metadata is written when a package is installed, sorted by name: docs/decisions.md.
+metadata is written when a package is installed, sorted by name: docs/explanation/decisions.md.
 """
 
 BUILTIN: dict[str, dict[str, str]] = {
@@ -37,6 +37,10 @@ BUILTIN: dict[str, dict[str, str]] = {
         "vlad": "groundwalk.sfm.entries:VLAD",
         "pca-vlad": "groundwalk.sfm.entries:PCA_VLAD",
     },
+    "groundwalk.structure_localisers": {
+        "Map": "groundwalk.localisation.entries:MAP",
+        "HLoc": "groundwalk.localisation.entries:HLOC",
+    },
     "groundwalk.regressors": {
         "PN": "groundwalk.training.entries:PN",
         "MS-T": "groundwalk.training.entries:MS_T",
@@ -49,9 +53,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "pose_graph": "groundwalk.fusion.entries:POSE_GRAPH",
         "error_state": "groundwalk.fusion.entries:ERROR_STATE",
         "drift_aware": "groundwalk.fusion.entries:DRIFT_AWARE",
-        "hindsight": "groundwalk.fusion.entries:HINDSIGHT",
         "smoother": "groundwalk.fusion.entries:SMOOTHER",
-        "hindsight_late": "groundwalk.fusion.entries:HINDSIGHT_LATE",
         "vio_oracle": "groundwalk.fusion.entries:VIO_ORACLE",
     },
     "groundwalk.exporters": {

@@ -122,3 +122,150 @@ class ResidualPattern(StrEnum):
 
     RADIUS = "radius"
     ROW = "row"
+
+
+class ScaleSource(StrEnum):
+    """What gives a map its metric scale. A table's text may name rulers instead (`ruler: <names>`), and end with
+    `, uncertain`."""
+
+    VIO = "vio"
+    REFERENCE = "reference"
+    REFERENCE_UNIT_UNKNOWN = "reference, unit unknown"
+    NONE = "none"
+
+
+class VerticalSource(StrEnum):
+    """What gives a map its +y."""
+
+    GRAVITY = "gravity"
+    REFERENCE = "reference"
+    REFERENCE_UP_UNKNOWN = "reference, up unknown"
+
+
+class LengthUnit(StrEnum):
+    """Of poses that a data set states."""
+
+    METRE = "m"
+    UNKNOWN = "unknown"
+
+
+class UpAxis(StrEnum):
+    """Of the world that a capture's poses are in."""
+
+    Y = "+y"
+    UNKNOWN = "unknown"
+
+
+class CheckName(StrEnum):
+    """A consistency check of align."""
+
+    REGISTERED = "registered"
+    SESSION_REGISTERED = "session_registered"
+    COMPONENT_SCALE = "component_scale"
+    COMPONENT_VERTICAL = "component_vertical"
+    COMPONENT_LINK = "component_link"
+    MAP_SCALE = "map_scale"
+    MAP_VERTICAL = "map_vertical"
+    REFERENCE_SCALE = "reference_scale"
+    REFERENCE_VERTICAL = "reference_vertical"
+    RULER_SCALE = "ruler_scale"
+    SESSION_FOCAL_LENGTH = "session_focal_length"
+    SESSION_MOTION = "session_motion"
+    SESSION_TURNS = "session_turns"
+    SESSION_ALIASING = "session_aliasing"
+    SESSION_SCALE = "session_scale"
+    SESSION_VERTICAL = "session_vertical"
+    SESSION_UNCERTAIN = "session_uncertain"
+    SESSION_REFERENCE = "session_reference"
+    SESSION_DEPTH_SCALE = "session_depth_scale"
+    SESSION_DEPTH_BY_DISTANCE = "session_depth_by_distance"
+    WINDOW_POSITION = "window_position"
+    WINDOW_ROTATION = "window_rotation"
+
+
+class FailureCause(StrEnum):
+    """What a failed check says is wrong with the input; where several fail, the first of these names the run."""
+
+    MIRRORED_IMAGES = "mirrored images"
+    MISMATCHED_IMAGES = "images and poses mismatched"
+    WRONG_INTRINSICS = "wrong intrinsics"
+    PERCEPTUAL_ALIASING = "perceptual aliasing"
+    WRONG_VIO_SCALE = "wrong VIO scale"
+    WRONG_VIO_GRAVITY = "wrong VIO gravity"
+    NO_GRAVITY = "no gravity"
+    OTHER_SCENE = "images of another scene"
+    DISCONNECTED_SESSION = "disconnected session"
+    TOO_FEW_REGISTERED = "too few frames registered"
+    VIO_INCONSISTENT = "SfM and VIO inconsistent"
+    REFERENCE_INCONSISTENT = "SfM and reference inconsistent"
+    RULER_INCONSISTENT = "ruler and map inconsistent"
+    DEPTH_INCONSISTENT = "depth sensor and map inconsistent"
+    UNCERTAIN = "uncertain"
+
+
+class CheckUnit(StrEnum):
+    """Of a check's value, standard error and limit."""
+
+    FRACTION = "fraction"
+    METRES = "m"
+    DEGREES = "deg"
+    FRAMES = "frames"
+
+
+class RulerKind(StrEnum):
+    """A printed board, printed tags, or two points a known distance apart."""
+
+    CHARUCO = "charuco"
+    APRILTAG = "apriltag"
+    DISTANCE = "distance"
+
+
+class RulerPart(StrEnum):
+    """Corners of a ruler: all; of one that sets the scale those that may, and those that judge it."""
+
+    ALL = "all"
+    FOR_SCALE = "for_scale"
+    HELD_OUT = "held_out"
+
+
+class ReferenceAlignment(StrEnum):
+    """The transform between a map and reference poses before they are compared."""
+
+    MODEL_SIM3 = "model_sim3"
+    SE3 = "se3"
+    SIM3 = "sim3"
+    NONE = "none"
+
+
+class DriftDefinition(StrEnum):
+    """A measure of VIO drift (docs/explanation/ground-truth.md)."""
+
+    PAPER_RPE = "paper_rpe"
+    PAPER_ROE = "paper_roe"
+    RELATIVE_POSITION = "relative_position"
+    RELATIVE_ROTATION = "relative_rotation"
+    DISTANCE_POSITION = "distance_position"
+    DISTANCE_ROTATION = "distance_rotation"
+    YAW_RATE = "yaw_rate"
+    ATE_SE3 = "ate_se3"
+    ATE_YAW = "ate_yaw"
+    ATE_SIM3 = "ate_sim3"
+
+
+class DriftInterval(StrEnum):
+    """What the interval of a drift measure counts."""
+
+    SECONDS = "s"
+    METRES = "m"
+    PAIR = "pair"
+    PATH = "path"
+
+
+class Refusal(StrEnum):
+    """Why a structure localiser gives no pose."""
+
+    IMAGE_SIZE = "image_size"
+    FEW_FEATURES = "few_features"
+    FEW_MATCHES = "few_matches"
+    NO_POSE = "no_pose"
+    THIN_EVIDENCE = "thin_evidence"

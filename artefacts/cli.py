@@ -38,7 +38,8 @@ SceneOption = Annotated[
 ProfileOption = Annotated[
     str,
     typer.Option(
-        help="Settings for the whole run: demo, paper or tiny (data/profiles).", autocompletion=_complete_profile
+        help="Settings for the whole run: demo, standard, paper or tiny (data/profiles).",
+        autocompletion=_complete_profile,
     ),
 ]
 DataOption = Annotated[Path, typer.Option(help="The data folder, with captures/ and runs/.")]

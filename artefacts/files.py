@@ -11,6 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from groundwalk.artefacts.errors import UserError
+
 KEY_FILE = "key.json"
 RECORDING = "recording.rrd"
 
@@ -36,6 +38,24 @@ def write_json(path: Path, content: object) -> None:
     partial = path.with_name(path.name + ".partial")
     partial.write_text(json.dumps(content, indent=2, allow_nan=False, default=str) + "\n", encoding="utf-8")
     replace_synced(partial, path)
+
+
+def refuse_to_overwrite(out: Path, results: str, note: str, key: str, *, force: bool) -> None:
+    """UserError where the folder `out` holds anything but earlier results, whose file `note` has `key`; or these,
+    unless `force`d."""
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return
+    if key not in read_json(out / note):
+        raise UserError(
+            f"the output folder holds other files than earlier {results}",
+            where=out,
+            expected=f"a new or empty folder, or earlier {results} with their {note}",
+            do="name another folder with --out",
+        )
+    if not force:
+        raise UserError(
+            f"the output folder holds earlier {results}", where=out, do="name another folder, or use --force"
+        )
 
 
 def hash_files(folder: Path, files: Iterable[Path]) -> dict[str, str]:

@@ -1,8 +1,8 @@
-"""docs/artefacts.md, made from the schemas so that it can't fall behind them."""
+"""docs/reference/tables.md, made from the schemas so that it can't fall behind them."""
 
 from groundwalk.artefacts.schemas import Column, TableSchema, all_tables
 
-_HEAD = """# Artefacts
+_HEAD = """# Tables
 
 What each stage leaves in `data/runs/<profile>/<scene>/<stage>/`: the tables below as Parquet, `recording.rrd` (a view
 of them, with its blueprint) and `manifest.json` (inputs with hashes, resolved settings, versions, seed, git revision,

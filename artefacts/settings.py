@@ -11,7 +11,7 @@ from groundwalk.artefacts.errors import UserError
 
 # Profiles, scenes and published tables: data/ beside the packages, in the repository as in a wheel (groundwalk/data).
 SHIPPED_DATA = Path(__file__).resolve().parent.parent / "data"
-STAGES = ("import", "sfm", "align", "train", "fuse", "report")
+STAGES = ("import", "sfm", "align", "localise", "train", "fuse", "report")
 _SECTIONS = ("simulate", *STAGES)
 _NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}"
 # Lists of tables at the top of a scene's file that are a setting of one stage, which alone depends on them.
@@ -49,8 +49,10 @@ class SceneConfig(Settings):
     """A scene, or a group of scenes that share a model (`members`)."""
 
     name: str
-    description: str = ""
-    environment: Literal["outdoor", "indoor", "unknown"] = "unknown"
+    description: str = Field("", description="one line that lists of scenes show")
+    environment: Literal["outdoor", "indoor", "unknown"] = Field(
+        "unknown", description="outdoor or indoor scenes share Table II's averages and MS-T's first loss weights"
+    )
     extent_m: list[float] | None = Field(None, description="published or expected extent, metres")
     can_simulate: bool = Field(False, description="simulation/ knows this place")
     members: list[str] = Field(default_factory=list, description="a group's scenes, or groups")

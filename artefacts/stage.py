@@ -243,7 +243,7 @@ def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: Pe
         "peak_memory_mib": round(memory.peak_bytes / 2**20, 1),
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {name: _version(name) for name in _VERSIONS} | {"python": platform.python_version()},
-        "git_revision": _git_revision(),
+        "git_revision": git_revision(),
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
         "recorded": (run.work / RECORDING).is_file(),
     }
@@ -256,7 +256,8 @@ def _version(package: str) -> str:
         return "not installed"
 
 
-def _git_revision() -> str:
+def git_revision() -> str:
+    """The revision of this checkout, with `-dirty` where it has changes; `unknown` outside one."""
     if CHECKOUT is None:
         return "unknown"
     try:

@@ -60,7 +60,8 @@ def run_values(run: Path, renames: Renames = NOTHING) -> dict[str, list[Any]]:
             name = renames.newer(f"{path.parent.name}.{path.stem}", column)
             choices = renames.values.get(name)
             rows = table[column].to_pylist()
-            values[name] = [choices.get(row, row) for row in rows] if choices else rows
+            # A value that was renamed to an empty text is null.
+            values[name] = [choices.get(row, row) or None for row in rows] if choices else rows
     for path in sorted(run.glob("*/manifest.json")):
         for figure, value in json.loads(path.read_text(encoding="utf-8"))["figures"].items():
             values[renames.newer(f"{path.parent.name}.figures", figure)] = [value]

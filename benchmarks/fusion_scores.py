@@ -7,24 +7,20 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from benchmarks.fusion_inputs import SIMULATED, Case
 from groundwalk.artefacts.settings import SHIPPED_DATA
 from groundwalk.fusion.evaluate import stacked
 from groundwalk.fusion.fuse import Fused, Run, error_rows, fuse, options_json
+from groundwalk.fusion.leaderboard import within_bounds
 from groundwalk.fusion.localiser import MethodOptions
 from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.summary import session_figures, summarise
-from groundwalk.fusion.walks import known
-from groundwalk.geometry.poses import Array
 
 RAW, RULE, OURS = "apr", "mobilearloc", "drift_aware"
 UNTAUGHT = f"{OURS} without error_map"
 ERRORS = ["position_mean_m", "rotation_mean_deg"]
 
-_BOUND = float(chi2.ppf(0.95, 3))
 _BOOTSTRAP = 1000
 
 
@@ -38,11 +34,9 @@ class Variant:
 
 
 def ablations(options: MethodOptions) -> list[Variant]:
-    """Ours without one ingredient each: a switch turned off, odometry never distrusted, or no heavy tails."""
+    """Ours without one ingredient each: a switch turned off, or no heavy tails."""
     values = options.model_dump()
     off: dict[str, dict[str, Any]] = {name: {name: False} for name, value in values.items() if value is True}
-    if len(values.get("distrust", [])) > 1:
-        off["distrust"] = {"distrust": [1.0]}
     if "degrees_of_freedom" in values:
         off["heavy tails"] = {"degrees_of_freedom": 1e6}
     return [
@@ -66,10 +60,10 @@ def score(case: Case, methods: Sequence[Variant]) -> tuple[pd.DataFrame, pd.Data
         make = partial(method(variant.method).localiser, variant.options)
         fused += [fuse(run, w, make(m)) for w, m in zip(case.walks, case.error_maps, strict=True)]
     summary = summarise(stacked(error_rows(f) for f in fused))
-    within = pd.DataFrame([_within(f) for f in fused]).groupby("method").sum()
-    for name in ("position", "rotation"):
-        share = 100 * within[name] / within["covered"].where(within["covered"] > 0)
-        summary[f"{name}_within_pct"] = summary["method"].map(share)
+    for i, name in enumerate(("position", "rotation")):
+        inside = {v.label: [within_bounds(f)[:, i] for f in fused if f.run.method == v.label] for v in methods}
+        share = {label: 100 * np.concatenate(part).mean() for label, part in inside.items() if sum(map(len, part))}
+        summary[f"{name}_within_pct"] = summary["method"].map(share).astype(float)
     sessions = pd.DataFrame([session_figures(f) | _sums(f) for f in fused])
     return summary.assign(kind=case.kind, scene=case.scene), sessions.assign(kind=case.kind, scene=case.scene)
 
@@ -81,25 +75,6 @@ def _sums(fused: Fused) -> dict[str, float]:
 
 
 _SUMS = ["position_sum_m", "rotation_sum_deg", "scored"]
-
-
-def _within(fused: Fused) -> dict[str, Any]:
-    """How many frames have a covariance, and how many errors lie within its 95 % bounds, three axes together."""
-    there = known(fused.live_map_T_cam) & known(fused.walk.map_T_cam)
-    there &= np.array([e.covariance is not None for e in fused.estimates])
-    counts = {"method": fused.run.method, "covered": int(there.sum()), "position": 0, "rotation": 0}
-    if there.any():
-        covariance = np.array([e.covariance for e, ok in zip(fused.estimates, there, strict=True) if ok])
-        ours, true = fused.live_map_T_cam[there], fused.walk.map_T_cam[there]
-        turn = Rotation.from_matrix(ours[:, :3, :3] @ true[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
-        counts["position"] = _count_within(ours[:, :3, 3] - true[:, :3, 3], covariance[:, 3:, 3:])
-        counts["rotation"] = _count_within(turn, covariance[:, :3, :3])
-    return counts
-
-
-def _count_within(errors: Array, covariance: Array) -> int:
-    square = np.einsum("ni,ni->n", errors, np.linalg.solve(covariance, errors[..., None])[..., 0])
-    return int((square <= _BOUND).sum())
 
 
 # ---------------------------------------------------------------- over scenes

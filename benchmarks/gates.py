@@ -1,8 +1,8 @@
-"""Does the gate catch what is broken, and name it? `python -m benchmarks.gates --out build/gates`
+"""Do the checks find what is broken, and name it? `python -m benchmarks.gates --out build/gates`
 
 Thirty broken inputs, five of each kind, ten captures that state a wrong distortion, ten short walks (0.5 to 3 m), whose
 scale must be within its 95 % bounds, and thirty clean ones, all small simulated captures, go through import, sfm and
-align as a user would run them. Caught is what any of the three refuses or what align's gate tells; the name must be
+align as a user would run them. Found is what any of the three refuses or what align's checks name; the cause must be
 right. A clean one must come out without a failed check of the scene or a session. Wrong is a pose more than 25 cm or 2
 degrees from the truth after a fit of origin and heading, which are free; scale and vertical are the map's own. `given`
 are the frames with ground truth, `wrong` those of them that are so, the same of class A and B alone: catching a fault
@@ -38,9 +38,9 @@ from benchmarks.gates_breaking import (
     with_walk_of,
 )
 from benchmarks.gates_captures import CORRIDOR, Capture, write_capture
-from groundwalk.alignment.checks import CAUSES, INTRINSICS, LOOK_ALIKE, MIRRORED, OTHER_SCENE, SHUFFLED, VIO_SCALE
 from groundwalk.alignment.stage import STAGE as ALIGN
 from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.choices import FailureCause
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.artefacts.schemas import schema
@@ -59,7 +59,7 @@ NOTHING = "nothing"
 LENS = "stated distortion wrong"
 SFM_OF_SMALL = ["max_features=800", "sequence_pairs=3", "vio_pairs=4", "retrieval_pairs=4", "transitive_pairs=2"]
 # What keeps a corridor's look-alike stretches apart, switched off: every pair of frames is tried, and a model that
-# moves otherwise than VIO isn't tried again in other ways, so that the gate gets it.
+# is inconsistent with VIO isn't attempted again, so that align's checks get it.
 _ALL_PAIRS = ["sequence_pairs=40", "vio_max_distance_m=1000", "vio_max_angle_deg=180", "vio_pairs=0", "retry=false"]
 _WALKS = ["walk-1", "walk-2", "walk-3"]
 PLACES = ("Office", "Stairs", "Square", "Bar", "Atrium", "Church")
@@ -130,16 +130,16 @@ def cases() -> Iterator[Case]:
         place, next_place = PLACES[k], PLACES[(k + 1) % 5]
         base = Capture(place, 1)
         one = _WALKS[k % 3]
-        yield Case(f"another scene {k + 1}", OTHER_SCENE, base, other=Capture(next_place, 1))
+        yield Case(f"another scene {k + 1}", FailureCause.OTHER_SCENE, base, other=Capture(next_place, 1))
         flips = [(_WALKS, 1), ([one], 1), (_WALKS, 0), (_WALKS, 1), ([one], 0)][k]
-        yield Case(f"mirrored {k + 1}", MIRRORED, base, mirrored(*flips))
+        yield Case(f"mirrored {k + 1}", FailureCause.MIRRORED_IMAGES, base, mirrored(*flips))
         focal = [(_WALKS, 1.1), (_WALKS, 0.9), ([one], 1.1), (_WALKS, 1.1), (_WALKS, 0.9)][k]
-        yield Case(f"intrinsics {k + 1}", INTRINSICS, base, focal_scaled(*focal))
-        yield Case(f"VIO scale {k + 1}", VIO_SCALE, base, vio_scaled(one, (1.1, 0.9)[k % 2]))
-        yield Case(f"look-alike {k + 1}", LOOK_ALIKE, Capture(CORRIDOR, k + 1, 1), sfm=_ALL_PAIRS)
+        yield Case(f"intrinsics {k + 1}", FailureCause.WRONG_INTRINSICS, base, focal_scaled(*focal))
+        yield Case(f"VIO scale {k + 1}", FailureCause.WRONG_VIO_SCALE, base, vio_scaled(one, (1.1, 0.9)[k % 2]))
+        yield Case(f"look-alike {k + 1}", FailureCause.PERCEPTUAL_ALIASING, Capture(CORRIDOR, k + 1, 1), sfm=_ALL_PAIRS)
         shuffle = pictures_shuffled if k % 2 == 0 else times_shuffled
         walks = [_WALKS, _WALKS, [one], [one], _WALKS][k]
-        yield Case(f"shuffled {k + 1}", SHUFFLED, base, shuffle(walks, k))
+        yield Case(f"shuffled {k + 1}", FailureCause.MISMATCHED_IMAGES, base, shuffle(walks, k))
         for number in (2 * k, 2 * k + 1):
             stated = lens_stated(*_WRONG_LENSES[number])
             yield Case(f"stated lens {number + 1}", LENS, Capture(PLACES[number % 6], 1 + number // 6), stated)
@@ -186,28 +186,28 @@ def _found(data: DataRoot, scene: str, case: Case) -> tuple[str, str, str]:
             rejects = read_table(data.run(PROFILE, scene, "import") / "rejects.parquet", schema("import", "rejects"))
             backward = int(rejects["reason"].str.contains(_BACKWARD).sum())
             if backward:
-                return SHUFFLED, stage.name, f"{backward} rows: {_BACKWARD}"
+                return FailureCause.MISMATCHED_IMAGES, stage.name, f"{backward} rows: {_BACKWARD}"
     lenses = read_table(data.run(PROFILE, scene, "sfm") / "lenses.parquet", schema("sfm", "lenses"))
     if lenses["stated_is_wrong"].any():
         lens = lenses[lenses["stated_is_wrong"]].iloc[0]
         return LENS, "sfm", f"stated {lens['stated_k1']:g}, {lens['stated_k2']:g}; {lens['k1']:.3f}, {lens['k2']:.3f}"
-    gate = read_table(data.run(PROFILE, scene, "align") / "gate.parquet", schema("align", "gate"))
-    failed = gate[gate["status"] == "failed"]
+    checks = read_table(data.run(PROFILE, scene, "align") / "checks.parquet", schema("align", "checks"))
+    failed = checks[checks["status"] == "failed"]
     # A window that fails costs its frames; a fault is what a scene or a session is told for.
     failed = failed[~failed["check"].str.startswith("window_")]
     if not len(failed):
         return NOTHING, "", ""
-    row = failed.iloc[int(failed["cause"].map(CAUSES.index).to_numpy().argmin())]
+    row = failed.iloc[int(failed["cause"].map(list(FailureCause).index).to_numpy().argmin())]
     return str(row["cause"]), "align", f"{row['session_id'] or 'scene'}: {row['reason']}"
 
 
 def _named(text: str) -> str:
     """The fault that an error names."""
     if "the images are mirrored" in text or "the images are upside down" in text:
-        return MIRRORED
+        return FailureCause.MIRRORED_IMAGES
     if "the images are unrelated" in text:
-        return SHUFFLED
-    return next((cause for cause in CAUSES if cause in text), "refused without a name")
+        return FailureCause.MISMATCHED_IMAGES
+    return next((cause for cause in FailureCause if cause in text), "refused without a name")
 
 
 def _labels(data: DataRoot, scene: str) -> Labels:

@@ -1,8 +1,8 @@
 """What VIO's drift does to steps and windows of different lengths: `python -m benchmarks.gates_windows`
 
 Simulated walks without pictures: true poses with a few millimetres of noise stand for SfM, VIO drifts as fitted to real
-recordings (docs/vio-drift.md). Prints how far the map's scale and vertical are off, and how far VIO parts from SfM
-within a window: what align's limits must let pass.
+recordings (docs/explanation/vio-drift.md). Prints how far the map's scale and vertical are off, and how far VIO parts
+from SfM within a window: what align's limits must let pass.
 """
 
 from dataclasses import replace
@@ -12,13 +12,12 @@ import numpy as np
 import typer
 
 from benchmarks.pose_walks import PoseWalk, pose_walks
-from groundwalk.alignment.agreement import compare
+from groundwalk.alignment.checks.windows import segment_windows
 from groundwalk.alignment.map_frame import common_scale, common_vertical
 from groundwalk.alignment.segments import Segment
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.cli import new_app
 from groundwalk.consistency.vio_drift import VioDrift
-from groundwalk.consistency.windows import PoseSd
 from groundwalk.geometry.fits import Sim3, direction_angles
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.simulation.vio import FITTED, simulate_vio
@@ -74,15 +73,27 @@ def _segments(walks: list[PoseWalk], seed: int) -> list[Segment]:
         sfm = make_pose(true[:, :3, :3], true[:, :3, 3] + _SFM_SD_M * rng.normal(size=(len(true), 3)))
         up_cam = np.swapaxes(vio.vio_T_cam[:, :3, :3], 1, 2) @ _UP
         rows = np.arange(len(true))
-        segments.append(Segment(walk.name, walk.name, 0, 0, rows, t_ns, sfm, vio.vio_T_cam, up_cam))
+        segments.append(
+            Segment(
+                session_id=walk.name,
+                recording=walk.name,
+                index=0,
+                component=0,
+                rows=rows,
+                t_ns=t_ns,
+                sfm_T_cam=sfm,
+                vio_T_cam=vio.vio_T_cam,
+                up_cam=up_cam,
+            )
+        )
     return segments
 
 
 def _print_residuals(scenes: list[list[Segment]], settings: AlignSettings) -> None:
     none = VioDrift(0.0, 0.0, 0.0, 0.0)
-    sd = PoseSd(settings.position_sd_m, float(np.radians(settings.rotation_sd_deg)))
-    as_it_is = Sim3(1.0, np.eye(3), np.zeros(3))
-    windows = [w for segments in scenes for s in segments for w in compare(s, as_it_is, settings.window_m, none, sd)]
+    metric_S_sfm, length_m, sd = Sim3(1.0, np.eye(3), np.zeros(3)), settings.window_m, settings.fit_sd
+    segments = [segment for of_scene in scenes for segment in of_scene]
+    windows = [w for s in segments for w in segment_windows(s, metric_S_sfm, length_m, none, sd)]
     metres = np.array([w.position_m.max() for w in windows])
     degrees = np.degrees([w.rotation.max() for w in windows])
     limit = settings.vio_drift

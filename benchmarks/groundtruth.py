@@ -8,7 +8,7 @@ that other work on the machine doesn't count, beside them wall seconds. Simulate
 import json
 import os
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +19,7 @@ import typer
 from benchmarks.groundtruth_inputs import (
     PROFILE,
     errors_after_sim3,
+    ground_truth_targets,
     part_of,
     real,
     run_stage,
@@ -28,7 +29,7 @@ from benchmarks.groundtruth_inputs import (
 )
 from benchmarks.stages import Cost, measure
 from benchmarks.stock import stock_command, stock_poses
-from groundwalk.alignment.check_truth import Target, compare_with_bounds, compare_with_truth, shared_sd
+from groundwalk.alignment.check_truth import TruthTarget
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.manifests import load_manifest
@@ -129,39 +130,27 @@ def accuracy(o: Options) -> list[Figure]:
     A scene's errors are few draws, as a model bends in a handful of ways that all of its frames share: the bounds are
     held against the frames of all scenes together.
     """
-    figures, bounds = [], list[tuple[Target, int]]()
+    figures, bounds = [], list[tuple[TruthTarget, int]]()
     for scene in o.scenes:
         root = o.data
         simulated(scene, root, f"frame_fraction={o.share}", *o.simulate)
         run_stage("sfm", scene, root)
         run_stage("alignment", scene, root)
-        folder = root.run(PROFILE, scene, "align")
-        gt = read_table(folder / "ground_truth.parquet", schema("align", "ground_truth"))
-        sfm_figures = load_manifest(folder)["figures"]
-        known = (gt["quality"] != "none").to_numpy()
-        truth, found = true_poses(scene, root)[known], poses_of(gt, "map_cam")[known]
+        gt, targets, bounded = ground_truth_targets(scene, root)
         of = f"{scene}, {len(gt)} frames"
-        targets = compare_with_truth(found, truth, len(gt))
-        stated = gt.loc[known, "covariance"]
-        # What all frames share is the manifest's for the first model only.
-        sure = (stated.notna() & (gt.loc[known, "component"] == 0)).to_numpy()
-        if sure.any():
-            covariance = np.stack(list(stated[sure])).reshape(-1, 6, 6)
-            targets += compare_with_bounds(found[sure], truth[sure], covariance, shared_sd(sfm_figures))
         for t in targets:
             if _WITHIN in t.name:
-                bounds.append((t, int(sure.sum())))
-                figures.append(Figure("accuracy", of, t.name, t.found, t.unit))
-                continue
-            wanted = f"{'≥' if t.at_least else '≤'} {t.limit:g}" + (f" to {t.most:g}" if t.at_least else "")
-            figures.append(Figure("accuracy", of, t.name, t.found, t.unit, wanted, bool(t.met)))
+                bounds.append((t, bounded))
+                figures.append(Figure("accuracy", of, t.name, t.value, t.unit))
+            else:
+                figures.append(Figure("accuracy", of, t.name, t.value, t.unit, t.limits, t.is_met))
         figures += _model_figures("accuracy", of, scene, root)
     for name in dict.fromkeys(t.name for t, _ in bounds):
-        own = [(t, frames) for t, frames in bounds if t.name == name]
-        frames = sum(count for _, count in own)
-        found, limits = sum(t.found * count for t, count in own) / frames, own[0][0]
-        wanted, met = f"≥ {limits.limit:g} to {limits.most:g}", limits.limit <= found <= limits.most
-        figures.append(Figure("accuracy", f"{len(own)} scenes, {frames} frames", name, found, "%", wanted, met))
+        of_name = [(t, frames) for t, frames in bounds if t.name == name]
+        frames = sum(count for _, count in of_name)
+        pooled = replace(of_name[0][0], value=sum(t.value * count for t, count in of_name) / frames)
+        of = f"{len(of_name)} scenes, {frames} frames"
+        figures.append(Figure("accuracy", of, name, pooled.value, "%", pooled.limits, pooled.is_met))
     return figures
 
 
@@ -171,7 +160,7 @@ def real_captures(o: Options) -> list[Figure]:
     figures = []
     for scene, capture, settings in (
         ("chair", "chair", []),
-        ("corridor", "corridor", ["support_share=0"]),
+        ("corridor", "corridor", ["max_support_fraction=0"]),
         ("corridor_support", "corridor", []),
         ("corridor_all", "corridor", ['sampling="all"']),
     ):
@@ -244,7 +233,7 @@ def mappers(o: Options) -> list[Figure]:
                 root = _fresh(o, _church(o, o.sizes[0]), f"mapper_{mapper}")
             else:
                 root = DataRoot(o.out / f"mapper_{mapper}")
-                real(scene, o.shared / "captures" / scene, root, "support_share=0")
+                real(scene, o.shared / "captures" / scene, root, "max_support_fraction=0")
             of = f"{scene}, {mapper}"
             try:
                 run_stage("sfm", scene, root, f"mapper={mapper}", "retry=false", "min_registered_fraction=0")

@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.stages import Cost, measure
+from groundwalk.alignment.check_truth import TruthTarget, truth_targets
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.files import hash_files
-from groundwalk.artefacts.manifests import MANIFEST
+from groundwalk.artefacts.manifests import MANIFEST, load_manifest
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import poses_of, read_table, write_table
 from groundwalk.geometry import GeometryError
@@ -71,6 +72,18 @@ def true_poses(scene: str, root: DataRoot, profile: str = PROFILE) -> Array:
     truth = read_table(root.captures(scene) / "true_poses.parquet", schema("simulate", "true_poses"))
     keys = pd.DataFrame({"session_id": frames["session_id"].map(sessions["recording"]), "t_ns": frames["t_ns"]})
     return poses_of(keys.merge(truth, on=["session_id", "t_ns"], how="left", validate="many_to_one"), "map_cam")
+
+
+def ground_truth_targets(
+    scene: str, root: DataRoot, profile: str = PROFILE
+) -> tuple[pd.DataFrame, list[TruthTarget], int]:
+    """The ground truth of a simulated scene, how it compares with the truth, and how many frames its bounds are
+    about."""
+    folder = root.run(profile, scene, "align")
+    gt = read_table(folder / "ground_truth.parquet", schema("align", "ground_truth"))
+    frames = read_table(root.run(profile, scene, "import") / "frames.parquet", schema("import", "frames"))
+    true_T_cam = true_poses(scene, root, profile)[~frames["support"].to_numpy(bool)]
+    return gt, *truth_targets(gt, true_T_cam, load_manifest(folder)["figures"])
 
 
 def errors_after_sim3(sfm_T_cam: Array, model_N: np.ndarray, true_T_cam: Array) -> tuple[Array, Array]:

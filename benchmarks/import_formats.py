@@ -21,11 +21,18 @@ from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.progress import track
 from groundwalk.capture_import.capture import Intrinsics, Limits
 from groundwalk.capture_import.clock import check_clock
-from groundwalk.capture_import.convention import CONVENTIONS, MatchedPair, check_convention, judge, matched_pairs
-from groundwalk.capture_import.discovery import Found, find_recordings
+from groundwalk.capture_import.convention import (
+    CONVENTIONS,
+    MatchedPair,
+    best_convention,
+    check_convention,
+    matched_pairs,
+)
+from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.images import decode_gray, sharpness
-from groundwalk.capture_import.intake import Intake, Session, measures, scan_all, take_in
+from groundwalk.capture_import.intake import ImportedSession, Intake, measures, take_in
+from groundwalk.capture_import.scan import scan_images
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.views import Views
 from groundwalk.geometry.poses import relative, rotation_angle
@@ -96,7 +103,7 @@ def jump(name: str, folder: Path) -> str:
     walk = make_walk(2 * POSES, every=1)
     walk.vio_T_cam[POSES:, 0, 3] += JUMP_M
     intake, _ = take(name, walk, folder)
-    if intake.sessions[0].recording.poses_are == "reference":
+    if intake.sessions[0].recording.pose_source == "reference":
         return "no VIO"
     return ", ".join(f"{j.jump_m:.2f} m" for session in intake.sessions for j, _ in session.jumps) or "none found"
 
@@ -105,10 +112,10 @@ def convention(name: str, walk: Walk, folder: Path) -> str:
     """Share of matches that fit as declared and in the next best convention; mistakes found, of how many."""
     intake, views = take(name, walk, folder)
     pairs = matched_pairs(intake.sessions[0], views.load)
-    right = judge(pairs)
-    wrong = [judge([_mistaken(pair, change) for pair in pairs]) for _, change in CONVENTIONS[1:]]
+    right = best_convention(pairs)
+    wrong = [best_convention([_mistaken(pair, change) for pair in pairs]) for _, change in CONVENTIONS[1:]]
     found = sum(check.contradicted is not None for check in wrong)
-    return f"{right.declared:.0%} | {right.other_share:.0%} | {found} of {len(wrong)}"
+    return f"{right.declared:.0%} | {right.other_explained:.0%} | {found} of {len(wrong)}"
 
 
 def _mistaken(pair: MatchedPair, change: object) -> MatchedPair:
@@ -139,7 +146,7 @@ def damaged(name: str, count: int, folder: Path) -> tuple[int, int]:
     return imported, count - imported
 
 
-def mistakes_found(session: Session, roots: list[Path]) -> tuple[float, float, int, int]:
+def mistakes_found(session: ImportedSession, roots: list[Path]) -> tuple[float, float, int, int]:
     """As `convention`, for a real session; pairs of images are chosen anew for each mistake."""
     views = Views(roots, Limits())
     right = check_convention(session, views.load)
@@ -153,10 +160,10 @@ def mistakes_found(session: Session, roots: list[Path]) -> tuple[float, float, i
             frame = replace(image.frame, vio_T_cam=pose, intrinsics=Intrinsics.of(k.tolist()))
             images.append(replace(image, frame=frame))
         found += check_convention(replace(session, images=images), views.load).contradicted is not None
-    return right.declared, right.other_share, found, len(CONVENTIONS) - 1
+    return right.declared, right.other_explained, found, len(CONVENTIONS) - 1
 
 
-def smeared(session: Session, length_px: int) -> float:
+def smeared(session: ImportedSession, length_px: int) -> float:
     """Median sharpness of some of a session's images, smeared sideways by pixels of a 1920 px image."""
     found = []
     for path in [image.frame.image.path for image in session.images[:: max(1, len(session.images) // 12)]]:
@@ -165,8 +172,9 @@ def smeared(session: Session, length_px: int) -> float:
     return float(np.median(found))
 
 
-def take_real(found: Found, root: Path) -> Intake:
-    return take_in(found.read(Limits()), ImportSettings(), scan_all([root.resolve()], Limits()))
+def take_real(found: RecordingSource, root: Path) -> Intake:
+    limits, roots = Limits(), [root.resolve()]
+    return take_in(found.read(limits), ImportSettings(), lambda frames: measures(scan_images(frames, roots, limits)))
 
 
 @app.command()

@@ -27,14 +27,16 @@ from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.images import image_file
 from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.build import build_map
 from groundwalk.localisation.calibration import normalised_squares, pose_error
 from groundwalk.localisation.compact import read_map, write_map
-from groundwalk.localisation.features import extract
 from groundwalk.localisation.hloc import HLocLocaliser
 from groundwalk.localisation.inputs import Inputs, grey, read_features, read_inputs, training_of
-from groundwalk.localisation.query import Answer, MapLocaliser
-from groundwalk.localisation.settings import MapSettings
+from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings, StructureSettings
+from groundwalk.localisation.prepared import prepare
+from groundwalk.localisation.query import MapLocaliser
+from groundwalk.localisation.threads import one_thread
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 app = new_app(__doc__ or "")
@@ -42,6 +44,7 @@ app = new_app(__doc__ or "")
 PRIOR_SD_M, PRIOR_SD_DEG = 0.3, 3.0
 _TIMED = 40
 Rows = NDArray[np.int64]
+Chosen = tuple[StructureSettings, MapSettings]
 
 
 @dataclass(frozen=True)
@@ -116,42 +119,52 @@ def main(
     """Build each case's map, ask its queries, and write what came out."""
     revision = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
     values = dict(item.split("=", 1) for item in settings or [])
-    map_settings = MapSettings.model_validate(values, strict=False)
+    unknown = set(values) - set(StructureSettings.model_fields) - set(MapSettings.model_fields)
+    if unknown:
+        raise UserError(f"there is no setting {min(unknown)!r}", where="--set")
+    extraction, map_settings = (
+        model.model_validate({k: v for k, v in values.items() if k in model.model_fields}, strict=False)
+        for model in (StructureSettings, MapSettings)
+    )
+    chosen = (extraction, map_settings)
     figures: list[Figure] = []
     for case in CASES:
         root = DataRoot(simulated or data) if case.scene == "Church" else DataRoot(data)
         if not case.name.startswith(only) or not root.run(profile, case.scene, "align").is_dir():
             continue
-        figures += run_case(case, root, profile, map_settings)
+        with one_thread():
+            figures += run_case(case, root, profile, chosen)
     if not figures:
         raise UserError("there is no run of any case", where=data, do="run import, sfm and align of Church first")
-    write_report(out, figures, map_settings, profile, revision.stdout.strip() or "not in git")
+    write_report(out, figures, chosen, profile, revision.stdout.strip() or "not in git")
 
 
-def run_case(case: Case, root: DataRoot, profile: str, settings: MapSettings) -> list[Figure]:
+def run_case(case: Case, root: DataRoot, profile: str, settings: Chosen) -> list[Figure]:
     """The figures of a case, of both localisers."""
     run = root.run(profile, case.scene)
     inputs = read_inputs(run)
     query = query_rows(case.queries, inputs)
-    training = np.setdiff1d(np.arange(len(inputs.frames)), query)
+    training = np.setdiff1d(training_rows(case.queries, inputs), query)
     captures, imported = root.captures(case.scene), run / "import"
     images = [image_file(name, captures, imported) for name in inputs.frames["image"]]
-    given = training_of(inputs, training, read_features(inputs, training, captures, imported, settings))
+    extraction, map_settings = settings
+    given = training_of(inputs, training, read_features(inputs, training, captures, imported, extraction))
     start = time.process_time()
-    content, structure, _ = build_map(case.scene, given, settings)
+    prepared = prepare(case.scene, given, extraction)
+    content = build_map(prepared, map_settings)
     print(
         f"{case.name}: map in {time.process_time() - start:.0f} s, {content.calibration}, {content.priors}", flush=True
     )
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "map.gwmap"
+        file = Path(folder) / "map.gwm"
         write_map(file, content)
         size, localiser = file.stat().st_size, MapLocaliser(read_map(file))
     gravity = [g if np.isfinite(g).all() else None for g in inputs.gravity]
-    seen = dict(zip(query.tolist(), read_features(inputs, query, captures, imported, settings), strict=True))
-    asked = [localiser.localise_features(seen[row], inputs.logged[row], gravity[row]) for row in seen]
-    without = [localiser.localise_features(seen[row], inputs.logged[row]) for row in seen]
-    hloc = HLocLocaliser(structure, given.features, content.lenses)
-    baseline = [hloc.localise_features(seen[row], inputs.logged[row]) for row in seen]
+    pictures = {row: grey(images[row]) for row in query.tolist()}
+    hloc = HLocLocaliser(prepared, HLocSettings())
+    asked = [localiser.localise(picture, inputs.logged[row], gravity[row]) for row, picture in pictures.items()]
+    without = [localiser.localise(picture, inputs.logged[row]) for row, picture in pictures.items()]
+    baseline = [hloc.localise(picture, inputs.logged[row]) for row, picture in pictures.items()]
     truth = inputs.views.map_T_cam[query]
     figures = [
         *_accuracy(case.name, "Map", asked, truth),
@@ -162,7 +175,7 @@ def run_case(case: Case, root: DataRoot, profile: str, settings: MapSettings) ->
         Figure(case.name, "HLoc", "file", sum(hloc.bytes_by_part().values()) / 1e6, "MB"),
         Figure(case.name, "Map", "points", len(content.xyz), ""),
         Figure(case.name, "Map", "training frames", len(training), ""),
-        *_times(case.name, localiser, hloc, [images[row] for row in query], inputs, query, settings),
+        *_times(case.name, localiser, hloc, list(pictures.values()), inputs, query),
     ]
     for row, answer, true in zip(query.tolist(), asked, truth, strict=True):
         p, r = _errors([answer], true[None])
@@ -182,6 +195,11 @@ def query_rows(queries: str, inputs: Inputs) -> Rows:
         return np.arange(len(inputs.frames))[int(what) // 2 :: int(what)]
     column, value = ("session_id", what) if kind == "session" else ("split", "test")
     return np.flatnonzero((inputs.frames[column] == value).to_numpy())
+
+
+def training_rows(queries: str, inputs: Inputs) -> Rows:
+    """Rows that the map may be built from: where splits say what is asked, those of train, as in the stage."""
+    return np.flatnonzero((inputs.frames["split"] == "train").to_numpy() | (queries != "test"))
 
 
 def _errors(answers: Sequence[Answer], truth: Array) -> tuple[Array, Array]:
@@ -229,10 +247,9 @@ def _times(
     case: str,
     localiser: MapLocaliser,
     hloc: HLocLocaliser,
-    paths: Sequence[Path],
+    pictures: Sequence[NDArray[np.uint8]],
     inputs: Inputs,
     query: Rows,
-    settings: MapSettings,
 ) -> Iterable[Figure]:
     """Milliseconds from a decoded image to its pose, on the clock, and of the processor."""
     rng = np.random.default_rng(0)
@@ -241,7 +258,7 @@ def _times(
     baseline: list[tuple[float, float]] = []
     with_prior: list[Answer] = []
     for row in rows.tolist():
-        image, camera, gravity = grey(paths[row]), inputs.logged[query[row]], inputs.gravity[query[row]]
+        image, camera, gravity = pictures[row], inputs.logged[query[row]], inputs.gravity[query[row]]
         down = gravity if np.isfinite(gravity).all() else None
         shift = make_pose(
             Rotation.from_rotvec(np.radians(PRIOR_SD_DEG) * rng.standard_normal(3)).as_matrix(),
@@ -254,7 +271,7 @@ def _times(
             with_prior += [answer] if prior is not None else []
             timed[name].append(whole | {f", {part}": s for part, s in answer.seconds.items()})
         start, cpu = time.perf_counter(), time.process_time()
-        hloc.localise_features(extract(image, settings.max_features, settings.max_side), camera)
+        hloc.localise(image, camera)
         baseline.append((time.perf_counter() - start, time.process_time() - cpu))
     yield from _accuracy(case, "Map with a prior", with_prior, inputs.views.map_T_cam[query[rows]])
     for name, parts in timed.items():
@@ -268,7 +285,7 @@ def _times(
         yield Figure(case, "HLoc", f"time{part}, p95", float(np.percentile(ms, 95)), "ms")
 
 
-def write_report(out: Path, figures: Sequence[Figure], settings: MapSettings, profile: str, revision: str) -> None:
+def write_report(out: Path, figures: Sequence[Figure], settings: Chosen, profile: str, revision: str) -> None:
     """Write localise.md and localise.csv into the folder."""
     out.mkdir(parents=True, exist_ok=True)
     head = {
@@ -277,7 +294,7 @@ def write_report(out: Path, figures: Sequence[Figure], settings: MapSettings, pr
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the end",
         "profile": profile,
         "seed": "0",
-        "settings": ", ".join(f"{name} {value}" for name, value in settings.model_dump().items()),
+        "settings": ", ".join(f"{name} {value}" for part in settings for name, value in part.model_dump().items()),
     }
     targets = {(case.name, name): bounds for case in CASES for name, bounds in case.targets.items()}
     with (out / "localise.csv").open("w", newline="", encoding="utf-8") as file:
@@ -300,7 +317,8 @@ Church is simulated, chair, charuco and corridor are real; errors are against al
 queries' images took part.
 Shares and percentiles are of all queries, a refused one counts as infinitely wrong. A prior is the ground truth off by
 {PRIOR_SD_M} m and {PRIOR_SD_DEG:g} degrees a coordinate, one sigma. Times are from a decoded image to its pose;
-`processor` is the time of all cores, which what else runs on the machine changes less. HLoc has the same features."""
+`processor` is the time of all cores, which what else runs on the machine changes less. HLoc has the same
+features."""
 
 
 def _target_rows(

@@ -27,16 +27,15 @@ import typer
 from benchmarks.gates import PLACES, SFM_OF_SMALL
 from benchmarks.gates import PROFILE as SMALL
 from benchmarks.gates_captures import Capture, write_capture
-from benchmarks.groundtruth_inputs import PROFILE, errors_after_sim3, simulated, true_poses
+from benchmarks.groundtruth_inputs import PROFILE, errors_after_sim3, ground_truth_targets, simulated, true_poses
 from benchmarks.stages import run_timed
 from benchmarks.stock import stock_command, stock_poses
-from groundwalk.alignment.check_truth import compare_with_bounds, compare_with_truth, shared_sd
 from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import resolve_settings
-from groundwalk.artefacts.tables import poses_of, read_table
+from groundwalk.artefacts.tables import read_table
 from groundwalk.capture_import.stage import STAGE as IMPORT
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.sfm.stage import STAGE as SFM
@@ -138,22 +137,12 @@ def run_walk(number: int, work: Path) -> dict[str, Any]:
 
 def _against_truth(scene: str, profile: str, root: DataRoot) -> dict[str, Any]:
     """Errors and coverage of a scene's ground truth, and the cameras that were estimated beside the true ones."""
-    folder = root.run(profile, scene, "align")
-    gt = read_table(folder / "ground_truth.parquet", schema("align", "ground_truth"))
-    known = (gt["quality"] != "none").to_numpy()
-    truth, map_T_cam = true_poses(scene, root, profile)[known], poses_of(gt, "map_cam")[known]
-    targets = compare_with_truth(map_T_cam, truth, len(gt))
-    stated = gt.loc[known, "covariance"]
-    sure = (stated.notna() & (gt.loc[known, "component"] == 0)).to_numpy()
-    if sure.any() and load_manifest(folder)["figures"]["scale_sd"] is not None:
-        covariance = np.stack(list(stated[sure])).reshape(-1, 6, 6)
-        shared = shared_sd(load_manifest(folder)["figures"])
-        targets += compare_with_bounds(map_T_cam[sure], truth[sure], covariance, shared)
+    gt, targets, _ = ground_truth_targets(scene, root, profile)
     classes = gt["quality"].value_counts()
     return {
         "frames": len(gt),
         **{f"class_{name}": int(classes.get(name, 0)) for name in "ABC"},
-        **{target.name: target.found for target in targets},
+        **{target.name: target.value for target in targets},
         **_cameras(scene, profile, root),
     }
 

@@ -29,8 +29,8 @@ from benchmarks.real_figures import (
 from benchmarks.real_plots import draw_case
 from benchmarks.stages import Cost, run_timed
 from benchmarks.stock import stock_command
-from groundwalk.alignment.checks import CAUSES
 from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.choices import FailureCause
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import resolve_settings
 from groundwalk.artefacts.stage import load_manifest
@@ -231,12 +231,13 @@ def run_stages(
 
 def failed_checks(run: Finished) -> list[tuple[str, str, int]]:
     """Cause, name and number of align's failed checks, in the order in which a cause says most."""
-    if not run.has_table("align", "gate"):
+    if not run.has_table("align", "checks"):
         return []
-    gate = run.table("align", "gate")
-    counts = gate[gate["status"] == "failed"].groupby(["cause", "check"]).size()
+    checks = run.table("align", "checks")
+    counts = checks[checks["status"] == "failed"].groupby(["cause", "check"]).size()
     rows = [(str(cause), str(check), int(count)) for (cause, check), count in counts.items()]
-    return sorted(rows, key=lambda row: (CAUSES.index(row[0]) if row[0] in CAUSES else len(CAUSES), row[1]))
+    priority = list(FailureCause)
+    return sorted(rows, key=lambda row: (priority.index(FailureCause(row[0])), row[1]))
 
 
 def run_case(case: Case, out: Path, pictures: Path) -> Result:

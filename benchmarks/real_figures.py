@@ -80,7 +80,7 @@ class Finished:
         return read_table(self.folder(stage) / f"{name}.parquet", schema(stage, name))
 
     def has_table(self, stage: str, name: str) -> bool:
-        """Whether the stage wrote it: align also writes its gate where it refuses the model."""
+        """Whether the stage wrote it: align also writes its checks where it refuses the model."""
         return (self.folder(stage) / f"{name}.parquet").is_file()
 
     def figures(self, stage: str) -> dict[str, float]:
@@ -238,10 +238,10 @@ def ground_truth_figures(run: Finished) -> list[Figure]:
             figures.append(Figure(name, factor * align[key], unit))
     if align:
         figures.append(Figure("class A or B", align["quality_A"] + align["quality_B"]))
-    if run.has_table("align", "gate"):
-        gate = run.table("align", "gate")
-        figures += [Figure("checks", len(gate)), Figure("checks failed", int((gate["status"] == "failed").sum()))]
-        windows = gate.loc[gate["check"] == "window_position", "value"].max()
+    if run.has_table("align", "checks"):
+        checks = run.table("align", "checks")
+        figures += [Figure("checks", len(checks)), Figure("checks failed", int((checks["status"] == "failed").sum()))]
+        windows = checks.loc[checks["check"] == "window_position", "value"].max()
         if np.isfinite(windows):
             figures.append(Figure("largest residual to VIO in a window", windows, "m"))
     return figures + _stock_model_figures(run, len(frames))

@@ -5,39 +5,31 @@ Read are folders laid out as HR-APR's (github.com/lck666666/HR-APR): `<model>/<d
 with the camera's y axis up and z axis back.
 
 The files say neither which way is up nor what odometry saw. Up is what the true cameras' x axes are square to, as
-people hold a camera level. Odometry is made from the true poses with the drift of docs/vio-drift.md: simulated.
-
-`python -m benchmarks.real_predictions FOLDER` prints every causal method's figures, scene by scene and over all.
+people hold a camera level. Odometry is made from the true poses with the drift of
+docs/explanation/vio-drift.md: simulated.
 """
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import pandas as pd
-import typer
 from numpy.typing import NDArray
 
-from benchmarks import fusion_scores as scores
 from benchmarks.fusion_inputs import Case, Track, drifting_odometry, predicted_walk
 from groundwalk.artefacts import UserError
-from groundwalk.artefacts.cli import new_app
-from groundwalk.fusion.methods import METHODS, resolve_options
 from groundwalk.geometry.fits import rotation_to_up
 from groundwalk.geometry.poses import Array, make_pose, pose_from_tq
 
 REAL = "real"
-METHOD = "hindsight"
+METHOD = "drift_aware"
 DEVELOPMENT = ("chess", "fire", "office", "KingsCollege")
-_BASELINES = ("drift_aware", "window30", "error_state", "pose_graph", "last_good")
 # Which frames of a sequence are a second apart: 7-Scenes has 30 a second, Cambridge Landmarks one or two.
-_STRIDES = {"7Scenes": 30, "Cambridge": 1}
+STRIDES = {"7Scenes": 30, "Cambridge": 1}
 _TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def real_cases(
-    folder: Path, scenes: Sequence[str], seeds: Sequence[int], strides: Mapping[str, int] = _STRIDES
+    folder: Path, scenes: Sequence[str], seeds: Sequence[int], strides: Mapping[str, int] = STRIDES
 ) -> list[Case]:
     """A case for each scene and model: every test sequence is a walk, each seed another phone's odometry."""
     cases = []
@@ -105,54 +97,3 @@ def _sequences(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
     of = np.array([name.split("/")[0] for name in names])
     order = np.argsort(np.array(names), kind="stable")
     return {str(s): order[of[order] == s] for s in dict.fromkeys(of.tolist())}
-
-
-# ---------------------------------------------------------------- command line
-
-app = new_app(__doc__ or "")
-
-
-@app.command()
-def main(
-    folder: Annotated[Path, typer.Argument(help="Folder of <model>/<data set>/<scene>_predict.txt.")],
-    scenes: Annotated[str, typer.Option(help="Scenes, joined by commas.")] = ",".join(DEVELOPMENT),
-    seeds: Annotated[int, typer.Option(min=1, help="Draws of odometry's drift.")] = 3,
-    every: Annotated[
-        int, typer.Option(min=1, help="Every how many frames of 7-Scenes one is taken, as if a second had passed.")
-    ] = _STRIDES["7Scenes"],
-    methods: Annotated[str, typer.Option(help="Methods, joined by commas; the rule is always run.")] = ",".join(
-        name for name, method in METHODS.items() if method.causal
-    ),
-) -> None:
-    """Run the methods and print their figures."""
-    chosen = list(dict.fromkeys([scores.RAW, scores.RULE, *methods.split(",")]))
-    variants = [scores.Variant(name, name, resolve_options(name)) for name in chosen]
-    cases = real_cases(folder, scenes.split(","), range(seeds), _STRIDES | {"7Scenes": every})
-    parts = [scores.score(case, variants)[0] for case in cases]
-    summary = pd.concat(parts, ignore_index=True)
-    print(scores.markdown(_beside_baselines(summary)))
-    print()
-    print(scores.markdown(scores.overview(summary, REAL)))
-
-
-def _beside_baselines(summary: pd.DataFrame) -> pd.DataFrame:
-    """`hindsight` in each scene with each model: errors, and their ratios to others'."""
-    errors = scores.per_scene(summary, REAL)
-    if METHOD not in errors.index:
-        return errors.reset_index()[["method", "scene", "model", *scores.ERRORS]]
-    ours = errors.loc[METHOD]
-    table = ours[["position_mean_m", "rotation_mean_deg"]].copy()
-    baselines = errors[errors.index.get_level_values("method").isin(_BASELINES)]
-    others = {"rule": errors.loc[scores.RULE], "raw": errors.loc[scores.RAW]}
-    if len(baselines):
-        others["best baseline"] = baselines[scores.ERRORS].groupby(["scene", "model"]).min()
-    for name, other in others.items():
-        for column in scores.ERRORS:
-            table[f"{column.split('_')[0]} /{name}"] = ours[column] / other[column].reindex(ours.index)
-    for column in ("position_within_pct", "rotation_within_pct"):
-        table[column.replace("_within_pct", " within 95 %")] = ours[column]
-    return table.reset_index()
-
-
-if __name__ == "__main__":
-    app()

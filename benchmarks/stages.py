@@ -25,6 +25,7 @@ MODULES = {
     "import": "groundwalk.capture_import",
     "sfm": "groundwalk.sfm",
     "align": "groundwalk.alignment",
+    "localise": "groundwalk.localisation",
     "train": "groundwalk.training",
     "fuse": "groundwalk.fusion",
     "report": "groundwalk.reports",

@@ -1,4 +1,4 @@
-"""Unpacking archives that nobody has checked."""
+"""Unpacking unchecked archives."""
 
 import lzma
 import shutil
@@ -15,7 +15,7 @@ from groundwalk.capture_import.capture import Limits
 
 SUFFIXES = (".zip", ".r3d")
 _CHUNK = 1 << 20
-_KEPT_FREE_BYTES = 256 << 20
+_MIN_FREE_BYTES = 256 << 20
 # An archive may unpack to this much whatever its ratio.
 _ANY_RATIO_BYTES = 100 << 20
 # What the standard library raises for members that are damaged or use what it doesn't know.
@@ -51,11 +51,11 @@ def unpack(archive: Path, target: Path, limits: Limits) -> None:
             if len(members) > limits.max_archive_files:
                 raise _refused(archive, f"more than {limits.max_archive_files} files")
             _require_space(archive, partial, sum(member.file_size for member in members))
-            left = _bytes_left(archive, target, limits)
+            remaining = _bytes_left(archive, target, limits)
             for member in members:
                 place = _place(archive, partial, member)
                 if not member.is_dir():
-                    left -= _extract(archive, content, member, place, left)
+                    remaining -= _extract(archive, content, member, place, remaining)
     except _BROKEN as error:
         raise as_user_error(error) or UserError(
             "an archive can't be unpacked", where=archive, found=error, do="export it again"
@@ -66,11 +66,11 @@ def unpack(archive: Path, target: Path, limits: Limits) -> None:
 
 def _require_space(archive: Path, folder: Path, needed: int) -> None:
     free = shutil.disk_usage(folder).free
-    if needed + _KEPT_FREE_BYTES > free:
+    if needed + _MIN_FREE_BYTES > free:
         raise UserError(
-            f"there is too little space to unpack an archive into {folder}",
+            f"too little free space to unpack an archive into {folder}",
             where=archive,
-            expected=f"{(needed + _KEPT_FREE_BYTES) / 2**20:,.0f} MiB",
+            expected=f"{(needed + _MIN_FREE_BYTES) / 2**20:,.0f} MiB",
             found=f"{free / 2**20:,.0f} MiB free",
             do="free some space",
         )
@@ -96,14 +96,14 @@ def _place(archive: Path, folder: Path, member: zipfile.ZipInfo) -> Path:
     return folder.joinpath(*name.parts)
 
 
-def _extract(archive: Path, content: zipfile.ZipFile, member: zipfile.ZipInfo, place: Path, left: int) -> int:
+def _extract(archive: Path, content: zipfile.ZipFile, member: zipfile.ZipInfo, place: Path, max_bytes: int) -> int:
     """Write one member; returns its bytes."""
     place.parent.mkdir(parents=True, exist_ok=True)
     size = 0
     with content.open(member) as source, place.open("xb") as target:
         while chunk := source.read(_CHUNK):
             size += len(chunk)
-            if size > left:
+            if size > max_bytes:
                 raise _refused(archive, f"more bytes than the limit, in {member.filename!r}")
             target.write(chunk)
     return size

@@ -1,8 +1,8 @@
-"""Faces and licence plates: found, and made unrecognisable before an image goes anywhere.
+"""Faces and licence plates: detected, and made unrecognisable before an image goes anywhere.
 
 The detectors are the boosted cascades that OpenCV 4 has in its package (P. Viola and M. Jones, "Rapid object detection
-using a boosted cascade of simple features", CVPR 2001); OpenCV 5 left them out. They find frontal and side faces and
-plates of European form; docs/captures.md says how much they miss.
+using a boosted cascade of simple features", CVPR 2001); OpenCV 5 left them out. They detect frontal and side faces
+and plates of European form; docs/reference/capture-formats.md says how many they miss.
 """
 
 import threading
@@ -22,17 +22,17 @@ from groundwalk.capture_import.upright import turned_pixels
 
 Kind = Literal["face", "plate"]
 
-# Cascade, and whether its mirror image is looked for as well.
+# Cascade, and whether its mirror image is detected as well.
 _CASCADES: tuple[tuple[Kind, str, bool], ...] = (
     ("face", "haarcascade_frontalface_default.xml", False),
     ("face", "haarcascade_profileface.xml", True),
     ("plate", "haarcascade_russian_plate_number.xml", False),
 )
-_SMALLEST: dict[Kind, tuple[int, int]] = {"face": (24, 24), "plate": (60, 12)}
+_MIN_SIZE: dict[Kind, tuple[int, int]] = {"face": (24, 24), "plate": (60, 12)}
 _LONG_SIDE = 1920
 # Detections that must agree: few, as a face that is missed costs more than a wall that is blurred.
 _NEIGHBOURS = 3
-# A region is widened by this share on every side, and keeps so many colours across.
+# A region is widened by this fraction on every side, and has so many colours across afterwards.
 _MARGIN = 0.2
 _CELLS = 5
 
@@ -48,12 +48,12 @@ class Region:
     height: int
 
 
-# Finds regions in an upright image (H, W, 3) in RGB.
+# Detects regions in an upright image (H, W, 3) in RGB.
 Detector = Callable[[NDArray[np.uint8]], list[Region]]
 
 
 class CascadeDetector:
-    """OpenCV's cascades; each thread has its own, as they can't be shared. UserError where OpenCV comes without."""
+    """OpenCV's cascades, loaded once a thread, as they can't be shared. UserError where OpenCV comes without."""
 
     def __init__(self) -> None:
         folder = Path(cv2.data.haarcascades)
@@ -66,32 +66,34 @@ class CascadeDetector:
                 where=folder,
                 do="make install, which has it, or set blur = false in [import]",
             )
-        self._own = threading.local()
+        self._of_thread = threading.local()
 
     def __call__(self, rgb: NDArray[np.uint8]) -> list[Region]:
         gray = cv2.cvtColor(shrunk(rgb, _LONG_SIDE), cv2.COLOR_RGB2GRAY)
         scale = rgb.shape[1] / gray.shape[1]
-        found = []
+        regions = []
         for kind, cascade, mirrored in self._cascades():
             for flipped in (False, True) if mirrored else (False,):
                 image = cv2.flip(gray, 1) if flipped else gray
                 boxes = cascade.detectMultiScale(
-                    image, scaleFactor=1.1, minNeighbors=_NEIGHBOURS, minSize=_SMALLEST[kind]
+                    image, scaleFactor=1.1, minNeighbors=_NEIGHBOURS, minSize=_MIN_SIZE[kind]
                 )
                 for x, y, width, height in boxes:
                     left = gray.shape[1] - x - width if flipped else x
-                    found.append(Region(kind, *(round(float(v) * scale) for v in (left, y, width, height))))
-        return found
+                    regions.append(Region(kind, *(round(float(v) * scale) for v in (left, y, width, height))))
+        return regions
 
     def _cascades(self) -> list[tuple[Kind, Any, bool]]:
-        if not hasattr(self._own, "cascades"):
-            self._own.cascades = [(k, cv2.CascadeClassifier(str(path)), mirrored) for k, path, mirrored in self._paths]
-        cascades: list[tuple[Kind, Any, bool]] = self._own.cascades
+        if not hasattr(self._of_thread, "cascades"):
+            self._of_thread.cascades = [
+                (k, cv2.CascadeClassifier(str(path)), mirrored) for k, path, mirrored in self._paths
+            ]
+        cascades: list[tuple[Kind, Any, bool]] = self._of_thread.cascades
         return cascades
 
 
 def blur_people(rgb: NDArray[np.uint8], detect: Detector, quarters: int) -> tuple[NDArray[np.uint8], list[Region]]:
-    """An image (H, W, 3) with what `detect` finds made unrecognisable, and what was found.
+    """An image (H, W, 3) with what `detect` finds made unrecognisable, and these regions.
 
     `quarters` clockwise turns put the image upright, as detectors know no faces that lie on their side; the image comes
     back as it was turned, the regions as they are in the upright one.

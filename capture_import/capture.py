@@ -7,12 +7,9 @@ world whose +y is up. What a row of the log can't be read from is a `Reject`, ne
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
+from groundwalk.artefacts.choices import Clock, PoseSource, SessionSplit, Tracking
 from groundwalk.geometry.poses import Array
-
-Tracking = Literal["normal", "limited", "lost", "unknown"]
-Clock = Literal["boot", "unix", "video", "frame_index"]
 
 
 @dataclass(frozen=True)
@@ -30,7 +27,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class ImageFile:
-    """An image that lies in the capture as a file of its own."""
+    """An image that is a file of the capture."""
 
     path: Path
 
@@ -48,10 +45,10 @@ ImageRef = ImageFile | VideoFrame
 
 @dataclass(frozen=True)
 class DepthFile:
-    """A depth image of a frame, and how sure the sensor is of each of its pixels.
+    """A depth image of a frame, and the sensor's confidence in each of its pixels.
 
     `path` is a 16-bit PNG of one channel: millimetres along the camera's z axis, 0: none. It shows what the frame's
-    image shows, at its own resolution. `confidence` is an 8-bit PNG of the same size: 0, 1, 2 or 0, 127, 255 for low,
+    image shows, at another resolution. `confidence` is an 8-bit PNG of the same size: 0, 1, 2 or 0, 127, 255 for low,
     medium and high.
     """
 
@@ -101,14 +98,14 @@ class RawFrame:
     vio_T_cam: Array | None
     image: ImageRef | None = None
     intrinsics: Intrinsics | None = None
-    tracking: Tracking = "unknown"
+    tracking: Tracking = Tracking.UNKNOWN
     exposure_s: float | None = None
     depth: DepthFile | None = None
 
 
 @dataclass(frozen=True)
 class Reject:
-    """A row or file that is left out, and why."""
+    """A row or file that is excluded, and why."""
 
     session_id: str
     source: str
@@ -120,9 +117,9 @@ class Reject:
 class RawSession:
     """One recording, in the order of its log.
 
-    `poses_are` says what the poses are: the phone's own odometry, or a reference from elsewhere, as in public data
-    sets, which must never pass for VIO. `gravity_aligned` is False where the world's +y isn't known to be up, `metric`
-    where a reference states no unit. `split` is what a public data set says the recording is for.
+    `pose_source`: the phone's odometry, or a reference from elsewhere, as in public data sets, which must never pass
+    for VIO. `is_gravity_aligned` is False where the world's +y may not be up, `is_metric` where a reference states no
+    unit. `split` is what a public data set states that the recording is for.
     """
 
     session_id: str
@@ -132,8 +129,8 @@ class RawSession:
     folder: Path
     frames: Sequence[RawFrame]
     rejects: Sequence[Reject] = ()
-    poses_are: Literal["vio", "reference"] = "vio"
-    gravity_aligned: bool = True
-    metric: bool = True
-    split: Literal["train", "test"] | None = None
+    pose_source: PoseSource = PoseSource.VIO
+    is_gravity_aligned: bool = True
+    is_metric: bool = True
+    split: SessionSplit | None = None
     notes: Sequence[str] = field(default_factory=tuple)

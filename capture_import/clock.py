@@ -1,4 +1,4 @@
-"""Do image times and pose times run on the same clock? A constant offset shows where the phone turns."""
+"""Do image times and pose times run on the same clock? Turns of the phone show a constant offset."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import RawFrame
 from groundwalk.capture_import.images import Gray
-from groundwalk.capture_import.intake import Session
+from groundwalk.capture_import.intake import ImportedSession
 from groundwalk.capture_import.scan import LoadGray
 from groundwalk.geometry.poses import Array, interpolate, relative
 
 CLOCK_LONG_SIDE = 192
-_MOST_IMAGES = 240
-_FEWEST_IMAGES = 20
-# Slower images don't show when a turn began.
-_LONGEST_INTERVAL_S = 0.15
-_WIDEST_S = 0.5
+_MAX_IMAGES = 240
+_MIN_IMAGES = 20
+# Images further apart don't show when a turn began.
+_MAX_INTERVAL_S = 0.15
+_SEARCH_S = 0.5
 _STEP_S = 0.005
-# Motion in the image is rotation for far things only; below this the two don't belong together clearly enough.
-_CLEAR = 0.8
+# Motion in the image is rotation for far things only; a lower correlation decides nothing.
+_MIN_CORRELATION = 0.8
 # An offset beyond this moves the pose noticeably: at 60 deg/s by 2 degrees.
-NOTICEABLE_S = 0.033
+MAX_OFFSET_S = 0.033
 
 
 @dataclass(frozen=True)
@@ -35,41 +35,41 @@ class ClockCheck:
     correlation: float
 
 
-def check_clock(session: Session, load: LoadGray) -> ClockCheck:
+def check_clock(session: ImportedSession, load: LoadGray) -> ClockCheck:
     """Find the constant offset at which the rotation of the poses best explains the motion of the images."""
-    views = list(load(dense_stretch([image.frame for image in session.images]), CLOCK_LONG_SIDE))
-    if len(views) < _FEWEST_IMAGES:
+    views = list(load(dense_part([image.frame for image in session.images]), CLOCK_LONG_SIDE))
+    if len(views) < _MIN_IMAGES:
         return ClockCheck(None, np.nan)
     t_ns = np.array([frame.t_ns for frame, _ in views], dtype=np.int64)
     times, poses = session.t_ns, session.poses
     # Offsets for which all images lie within the poses.
-    reach = np.arange(-_WIDEST_S, _WIDEST_S + _STEP_S / 2, _STEP_S)
+    reach = np.arange(-_SEARCH_S, _SEARCH_S + _STEP_S / 2, _STEP_S)
     inside = (t_ns[0] + reach * 1e9 >= times[0]) & (t_ns[-1] + reach * 1e9 <= times[-1])
     offsets = reach[inside]
     if len(offsets) < 3:
         return ClockCheck(None, np.nan)
     width_of = {image.frame.number: image.check.width for image in session.images}
-    seen = _image_motion([(frame, gray, gray.shape[1] / width_of[frame.number]) for frame, gray in views])
+    motion = _image_motion([(frame, gray, gray.shape[1] / width_of[frame.number]) for frame, gray in views])
     at_ns = t_ns + np.round(offsets[:, None] * 1e9).astype(np.int64)
-    scores = np.array([_correlation(seen, turn) for turn in _turns(times, poses, at_ns)])
+    scores = np.array([_correlation(motion, turn) for turn in _turns(times, poses, at_ns)])
     best = int(np.argmax(scores))
-    clear = scores[best] > _CLEAR and 0 < best < len(offsets) - 1
-    return ClockCheck(float(offsets[best]) if clear else None, float(scores[best]))
+    is_clear = scores[best] > _MIN_CORRELATION and 0 < best < len(offsets) - 1
+    return ClockCheck(float(offsets[best]) if is_clear else None, float(scores[best]))
 
 
-def dense_stretch(frames: Sequence[RawFrame]) -> Sequence[RawFrame]:
-    """Of frames with images, the middle part of the longest stretch without a long interval, so far from the first and
-    the last frame, where there are enough, that it can be shifted; none where it's too short to tell anything."""
+def dense_part(frames: Sequence[RawFrame]) -> Sequence[RawFrame]:
+    """Of frames with images, the middle of the longest part without a long interval, so far from the first and the last
+    frame, where there are enough, that it can be shifted; none where it's too short."""
     t_s = np.array([frame.t_ns for frame in frames]) * 1e-9
-    breaks = [0, *(np.flatnonzero(np.diff(t_s) > _LONGEST_INTERVAL_S) + 1), len(frames)]
+    breaks = [0, *(np.flatnonzero(np.diff(t_s) > _MAX_INTERVAL_S) + 1), len(frames)]
     longest = int(np.argmax(np.diff(breaks)))
     start, stop = breaks[longest], breaks[longest + 1]
-    if stop - start < _FEWEST_IMAGES:
+    if stop - start < _MIN_IMAGES:
         return []
-    inner = np.searchsorted(t_s, [t_s[0] + _WIDEST_S, t_s[-1] - _WIDEST_S]).clip(start, stop)
-    if inner[1] - inner[0] >= _FEWEST_IMAGES:
+    inner = np.searchsorted(t_s, [t_s[0] + _SEARCH_S, t_s[-1] - _SEARCH_S]).clip(start, stop)
+    if inner[1] - inner[0] >= _MIN_IMAGES:
         start, stop = int(inner[0]), int(inner[1])
-    spare = max(0, stop - start - _MOST_IMAGES) // 2
+    spare = max(0, stop - start - _MAX_IMAGES) // 2
     return frames[start + spare : stop - spare]
 
 
@@ -81,7 +81,7 @@ def _image_motion(views: Sequence[tuple[RawFrame, Gray, float]]) -> Array:
     for frame, gray, scale in views:
         current = gray.astype(np.float32)
         camera = frame.intrinsics
-        assert camera is not None  # intake keeps images with intrinsics
+        assert camera is not None  # intake drops images without
         if last is not None and last.shape == current.shape:
             if window is None or window.shape != current.shape:
                 window = cv2.createHanningWindow((current.shape[1], current.shape[0]), cv2.CV_32F)

@@ -29,6 +29,6 @@ def add_commands(app: App) -> None:
         path: Annotated[Path, typer.Argument(help="A capture: a folder of recordings, or one recording.")],
         format: Annotated[str, typer.Option(help="The capture's format, as `formats` lists it.")] = "auto",
     ) -> None:
-        """Print what a capture holds, its health and a verdict, without importing it."""
+        """Print what a capture holds, its health and whether it can be used, without importing it."""
         for line in inspect_capture(path, format):
             typer.echo(printable(line))

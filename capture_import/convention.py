@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.capture_import.capture import RawFrame
-from groundwalk.capture_import.intake import Image, Session
+from groundwalk.capture_import.intake import Image, ImportedSession
 from groundwalk.capture_import.scan import LoadGray
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import (
@@ -34,20 +34,20 @@ _RATIO = 0.8
 # Points this near to their epipolar line, in pixels of the working image, are explained: odometry is off by some tenths
 # of a degree from one image to the next.
 _NEAR_PX = 2.0
-_MOST_PAIRS = 8
-# Pairs are looked for in so many stretches of the session, so that an image that is missing moves one of them at most.
-_STRETCHES = 64
-_FEWEST_MATCHES = 30
-_FEWEST_PAIRS = 4
-_LONGEST_S = 4.0
-_MOST_TURN_DEG = 35.0
-_SHORTEST_M = 0.08
-# Another convention is taken for the true one where it explains so much more, and most of what there is.
-_CLEARLY = 0.2
-_MOST = 0.6
+_MAX_PAIRS = 8
+# Pairs are searched in so many parts of the session, so that a missing image moves one of them at most.
+_PARTS = 64
+_MIN_MATCHES = 30
+_MIN_PAIRS = 4
+_MAX_INTERVAL_S = 4.0
+_MAX_TURN_DEG = 35.0
+_MIN_STEP_M = 0.08
+# Another convention is the true one where it explains so much more, as a fraction of all matches, and most of them.
+_MIN_GAIN = 0.2
+_MIN_MOST = 0.6
 
-# Below this share even the best convention is in doubt.
-SUSPECT = 0.5
+# Where fewer matches are explained, even the best convention is doubtful.
+MIN_EXPLAINED = 0.5
 
 # A camera for the check: its pose (4, 4) and fx, fy, cx, cy of the working image.
 Camera = tuple[Array, Array]
@@ -58,16 +58,16 @@ Features = tuple[Array, NDArray[np.float32]]
 
 @dataclass(frozen=True)
 class ConventionCheck:
-    """Which share of matches the declared convention explains, and the best of the others.
+    """The fraction of matches that the declared convention explains, and the best of the others.
 
-    `contradicted` is the name of a convention that fits clearly better; None where the declared one holds up, or where
-    too few pairs have parallax to tell.
+    `contradicted` is the name of a convention that fits clearly better; None where the declared one fits, or where too
+    few pairs have parallax.
     """
 
     pairs: int
     declared: float
     other: str
-    other_share: float
+    other_explained: float
     contradicted: str | None
 
 
@@ -79,37 +79,37 @@ class MatchedPair:
     cameras: tuple[Camera, Camera]
 
 
-def check_convention(session: Session, load: LoadGray) -> ConventionCheck:
-    """Hold a session's poses against its images."""
-    return judge(matched_pairs(session, load))
+def check_convention(session: ImportedSession, load: LoadGray) -> ConventionCheck:
+    """Compare a session's poses with its images."""
+    return best_convention(matched_pairs(session, load))
 
 
-def matched_pairs(session: Session, load: LoadGray) -> list[MatchedPair]:
+def matched_pairs(session: ImportedSession, load: LoadGray) -> list[MatchedPair]:
     """A session's pairs of images with parallax and enough matches."""
     frames = [image.frame for image in session.images]
     pairs = parallax_pairs(frames)
     features = _features([frames[i] for i in sorted({i for pair in pairs for i in pair})], load)
     matched = []
     for a, b in pairs:
-        found_a, found_b = features.get(frames[a].number), features.get(frames[b].number)
-        if found_a is None or found_b is None:
+        features_a, features_b = features.get(frames[a].number), features.get(frames[b].number)
+        if features_a is None or features_b is None:
             continue
-        matches = _match(found_a[1], found_b[1])
-        if len(matches) >= _FEWEST_MATCHES:
-            points = found_a[0][matches[:, 0]], found_b[0][matches[:, 1]]
+        matches = _match(features_a[1], features_b[1])
+        if len(matches) >= _MIN_MATCHES:
+            points = features_a[0][matches[:, 0]], features_b[0][matches[:, 1]]
             matched.append(MatchedPair(points, (_camera(session.images[a]), _camera(session.images[b]))))
     return matched
 
 
-def judge(pairs: Sequence[MatchedPair]) -> ConventionCheck:
-    """Which convention the cameras of the pairs fit best in."""
+def best_convention(pairs: Sequence[MatchedPair]) -> ConventionCheck:
+    """The convention in which the cameras of the pairs fit best."""
     if not pairs:
         return ConventionCheck(0, np.nan, "", np.nan, None)
     table = np.array([[_explained(p.points, *map(change, p.cameras)) for _, change in CONVENTIONS] for p in pairs])
     mean = table.mean(axis=0)
     best = 1 + int(np.argmax(mean[1:]))
     wins = np.mean(table[:, best] > table[:, 0])
-    contradicted = len(pairs) >= _FEWEST_PAIRS and mean[best] > max(_MOST, mean[0] + _CLEARLY) and wins > 0.75
+    contradicted = len(pairs) >= _MIN_PAIRS and mean[best] > max(_MIN_MOST, mean[0] + _MIN_GAIN) and wins > 0.75
     name = CONVENTIONS[best][0]
     return ConventionCheck(len(pairs), float(mean[0]), name, float(mean[best]), name if contradicted else None)
 
@@ -123,20 +123,20 @@ def parallax_pairs(frames: Sequence[RawFrame]) -> list[tuple[int, int]]:
     t_s = np.array([frame.t_ns for frame in frames]) * 1e-9
     borders: list[int] = []
     if len(frames):
-        borders = np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], _STRETCHES + 1)).tolist()
-    partners = ((_with_parallax(poses, t_s, range(a, b))) for a, b in pairwise(borders))
-    found = [pair for pair in partners if pair is not None]
-    spread = np.unique(np.linspace(0, len(found) - 1, min(len(found), _MOST_PAIRS)).astype(int))
-    return [found[i] for i in spread]
+        borders = np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], _PARTS + 1)).tolist()
+    candidates = (_with_parallax(poses, t_s, range(a, b)) for a, b in pairwise(borders))
+    pairs = [pair for pair in candidates if pair is not None]
+    spread = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), _MAX_PAIRS)).astype(int))
+    return [pairs[i] for i in spread]
 
 
 def _with_parallax(poses: Array, t_s: Array, firsts: range) -> tuple[int, int] | None:
     """The first of the frames `firsts` with one behind it that it makes a pair with, and that one."""
     for a in firsts:
-        behind = slice(a + 1, int(np.searchsorted(t_s, t_s[a] + _LONGEST_S, side="right")))
+        behind = slice(a + 1, int(np.searchsorted(t_s, t_s[a] + _MAX_INTERVAL_S, side="right")))
         steps = relative(poses[a], poses[behind])
-        turned = np.flatnonzero(np.degrees(rotation_angle(steps[:, :3, :3])) > _MOST_TURN_DEG)
-        moved = np.flatnonzero(np.linalg.norm(steps[: turned[0] if len(turned) else None, :3, 3], axis=1) > _SHORTEST_M)
+        turned = np.flatnonzero(np.degrees(rotation_angle(steps[:, :3, :3])) > _MAX_TURN_DEG)
+        moved = np.flatnonzero(np.linalg.norm(steps[: turned[0] if len(turned) else None, :3, 3], axis=1) > _MIN_STEP_M)
         if len(moved):
             return a, a + 1 + int(moved[0])
     return None
@@ -166,13 +166,13 @@ def _match(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]:
 
 def _camera(image: Image) -> Camera:
     pose, intrinsics = image.frame.vio_T_cam, image.frame.intrinsics
-    assert pose is not None and intrinsics is not None  # intake keeps images with both
+    assert pose is not None and intrinsics is not None  # intake drops images without
     scale = min(1.0, CONVENTION_LONG_SIDE / max(image.check.width, image.check.height))
     return pose, scale * np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
 
 
 def _explained(points: tuple[Array, Array], camera_a: Camera, camera_b: Camera) -> float:
-    """Share of matches near to their epipolar lines (Sampson's distance) and in front of both cameras."""
+    """Fraction of matches near to their epipolar lines (Sampson's distance) and in front of both cameras."""
     (world_T_a, k_a), (world_T_b, k_b) = camera_a, camera_b
     b_T_a = relative(world_T_b, world_T_a)
     rays_a, rays_b = _rays(points[0], k_a), _rays(points[1], k_b)

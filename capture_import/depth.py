@@ -1,4 +1,4 @@
-"""Depth images of the kept frames: checked, and left in the capture or written to the artefact like images."""
+"""Depth images of the selected frames: checked, and used in the capture or written to the artefact like images."""
 
 import os
 import stat
@@ -32,7 +32,7 @@ class PlacedDepth:
 
 
 def place_depths(images: Sequence[Image], session_id: str, where: Placement) -> tuple[list[PlacedDepth], list[Reject]]:
-    """Check and place the depth images of a session's kept images, in their order.
+    """Check and place the depth images of a session's selected images, in their order.
 
     They stay in the capture folder, or go where images go: copied, linked, and always written to the artefact from an
     archive or where images are turned, as they are then turned, too. One that can't be used is a reject; its frame
@@ -44,7 +44,7 @@ def place_depths(images: Sequence[Image], session_id: str, where: Placement) -> 
             placed.append(result)
             continue
         placed.append(PlacedDepth())
-        rejects.append(Reject(session_id, result[0], image.frame.t_ns, f"{result[1]}; its image is kept"))
+        rejects.append(Reject(session_id, result[0], image.frame.t_ns, f"{result[1]}; its image is used without"))
     return placed, rejects
 
 

@@ -15,15 +15,15 @@ from groundwalk.capture_import.archive import SUFFIXES, unpack
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import FORMATS, Format
 
-_DEEPEST = 5
-_LONGEST_ID_BYTES = 120
-# The simulator's truth is for checks alone; import doesn't so much as open it.
+_MAX_DEPTH = 5
+_MAX_ID_BYTES = 120
+# The simulator's truth is for checks alone; import never opens it.
 _IGNORED = {"true_poses.parquet", "true_cameras.parquet", "SIMULATED.json", "LICENSE", "README.md", "__MACOSX"}
 _IMAGES = (".jpg", ".jpeg", ".png")
 
 
 @dataclass(frozen=True)
-class Found:
+class RecordingSource:
     """A recording: where it is, in which format, and its id."""
 
     path: Path
@@ -48,37 +48,37 @@ class _Hit:
     parts: tuple[str, ...]
 
 
-def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str = "auto") -> list[Found]:
+def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str = "auto") -> list[RecordingSource]:
     """The recordings in `root`, sorted by id: `root` itself, or folders, files and archives below it.
 
     Archives are unpacked into the folder `unpacked`, but not archives inside archives. A recording's id is its
     folder's (or file's) name; where two have the same, the path from `root` with dashes. UserError where there is none,
     where one fits two formats, where a link leads out of `root`, or where a name isn't UTF-8.
     """
-    known = _chosen(format_name)
+    formats = _formats(format_name)
     root = root.resolve()
     if not root.exists():
-        raise UserError("there is no capture", where=root, expected="a folder of phone captures")
+        raise UserError("the capture doesn't exist", where=root, expected="a folder of phone captures")
     try:
-        hits = _Search(root, unpacked, limits, known).run(root, (), 0)
+        hits = _Search(root, unpacked, limits, formats).run(root, (), 0)
     except OSError as error:
         raise _unreadable(root, error) from None
     if not hits:
-        looked_for = "\n".join(f"            {f.label}: {f.looks_for}" for f in known)
+        looked_for = "\n".join(f"            {f.label}: {f.looks_for}" for f in formats)
         raise UserError(
             "no capture in a known format",
             where=root,
             found=_content(root),
             expected="one of\n" + looked_for,
-            do="see docs/captures.md; any app can join by writing our own frames.jsonl",
+            do="see docs/reference/capture-formats.md; any app can write groundwalk's frames.jsonl",
         )
     names = [_plain((hit.parts or (root.stem if root.is_file() else root.name,))[-1]) for hit in hits]
     counts = Counter(names)
-    found = []
+    sources = []
     for hit, name in zip(hits, names, strict=True):
         unique = name if counts[name] == 1 else _plain("-".join(hit.parts))
-        found.append(Found(hit.path, hit.format, unique))
-    return sorted(found, key=lambda f: f.session_id)
+        sources.append(RecordingSource(hit.path, hit.format, unique))
+    return sorted(sources, key=lambda f: f.session_id)
 
 
 def _unreadable(path: Path, error: OSError) -> UserError:
@@ -91,7 +91,7 @@ def _unreadable(path: Path, error: OSError) -> UserError:
 
 
 def _check(raw: RawSession) -> None:
-    """TypeError or ValueError where a reader returned something else than what the checks of import expect."""
+    """TypeError or ValueError where a reader returned something else than import's checks expect."""
     if not isinstance(raw, RawSession):
         raise TypeError(f"read returned a {type(raw).__name__}, not a RawSession")
     if raw.format not in FORMATS:
@@ -103,7 +103,7 @@ def _check(raw: RawSession) -> None:
             raise ValueError(f"{frame.source}: vio_T_cam has shape {np.shape(frame.vio_T_cam)}, not (4, 4)")
 
 
-def _chosen(format_name: str) -> tuple[Format, ...]:
+def _formats(format_name: str) -> tuple[Format, ...]:
     return tuple(FORMATS.values()) if format_name == "auto" else (FORMATS.find(format_name),)
 
 
@@ -112,14 +112,14 @@ class _Search:
     root: Path
     unpacked: Path
     limits: Limits
-    known: tuple[Format, ...]
+    formats: tuple[Format, ...]
     in_archive: bool = False
     failed: set[str] = field(default_factory=set)
 
     def run(self, path: Path, parts: tuple[str, ...], depth: int) -> list[_Hit]:
         """Recordings at or below `path`; `parts` is the way to it by the names that a user sees."""
         _refuse_link_out(self.root, path)
-        fits = [f for f in self.known if self._fits(f, path)]
+        fits = [f for f in self.formats if self._fits(f, path)]
         if len(fits) > 1:
             raise UserError(
                 "a recording fits more than one format",
@@ -133,20 +133,20 @@ class _Search:
             return [_Hit(path, fits[0], parts)]
         if path.is_file() and path.suffix.lower() in SUFFIXES and not self.in_archive:
             return self._in_archive(path, parts, depth)
-        if not path.is_dir() or depth == _DEEPEST:
+        if not path.is_dir() or depth == _MAX_DEPTH:
             return []
         inside = sorted(p for p in path.iterdir() if not p.name.startswith(".") and p.name not in _IGNORED)
         return [hit for p in inside for hit in self.run(p, (*parts, p.stem if p.is_file() else p.name), depth + 1)]
 
-    def _fits(self, known: Format, path: Path) -> bool:
+    def _fits(self, format: Format, path: Path) -> bool:
         """Whether a format fits; one of another package that fails is named once, and fits nothing."""
-        if known.id in self.failed:
+        if format.id in self.failed:
             return False
         try:
-            with FORMATS.guard(known.id):
-                return known.detect(path)
+            with FORMATS.guard(format.id):
+                return format.detect(path)
         except PluginError as error:
-            self.failed.add(known.id)
+            self.failed.add(format.id)
             progress.console.print(f"warning: {printable(str(error))}", markup=False)
             return False
 
@@ -156,7 +156,7 @@ class _Search:
         digest = hashlib.sha256(os.fsencode(path.relative_to(self.root))).hexdigest()
         target = self.unpacked.resolve() / digest[:32]
         unpack(path, target, self.limits)
-        return _Search(target, target, self.limits, self.known, True, self.failed).run(target, parts, depth + 1)
+        return _Search(target, target, self.limits, self.formats, True, self.failed).run(target, parts, depth + 1)
 
 
 def _refuse_link_out(root: Path, path: Path) -> None:
@@ -199,10 +199,10 @@ def _refuse_odd_name(root: Path, path: Path) -> None:
 def _plain(name: str) -> str:
     """`name` with everything replaced that could not be part of an id, and cut where files couldn't be named by it."""
     plain = "".join(c if c.isalnum() or c in "-_." else "_" for c in name).strip(".") or "capture"
-    if len(plain.encode()) <= _LONGEST_ID_BYTES:
+    if len(plain.encode()) <= _MAX_ID_BYTES:
         return plain
     digest = hashlib.sha256(name.encode(errors="surrogateescape")).hexdigest()[:8]
-    return f"{plain.encode()[: _LONGEST_ID_BYTES - 9].decode(errors='ignore')}-{digest}"
+    return f"{plain.encode()[: _MAX_ID_BYTES - 9].decode(errors='ignore')}-{digest}"
 
 
 def _content(root: Path) -> str:

@@ -1,4 +1,4 @@
-"""Which rows of a log can be trusted: poses, times, and jumps of the odometry."""
+"""Which rows of a log are sound: poses, times, and VIO jumps."""
 
 from bisect import bisect_left
 from collections.abc import Sequence
@@ -9,23 +9,24 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
+from groundwalk.artefacts.choices import Tracking
 from groundwalk.capture_import.capture import Intrinsics, RawFrame, RawSession, Reject
 from groundwalk.geometry.poses import Array, interpolate, inverse, nearest_rotation, rigidity_error
 
 # Float32 logs are off by 1e-6, rounded text logs by 1e-3 at most; a wrong convention by far more.
 _RIGID_TOLERANCE = 5e-3
 # An hour-long walk drifts metres; a position beyond this is a broken number.
-_FARTHEST_M = 1e5
+_MAX_POSITION_M = 1e5
 
-# Motion that no hand does: beyond what an acceleration of 4 m/s^2 or 600 deg/s^2 changes between two poses, beyond
-# the noise of a pose, and far beyond what the same hand does around that moment.
+# A jump is motion that no hand does: beyond what an acceleration of 4 m/s^2 or 600 deg/s^2 changes between two poses,
+# beyond the noise of a pose, and far beyond what the same hand does around that moment.
 _ACCELERATION_M_S2 = 4.0
 _ACCELERATION_DEG_S2 = 600.0
 _NOISE_M = 0.03
 _NOISE_DEG = 3.0
-_TIMES_USUAL = 8.0
+_MIN_RATIO = 8.0
 _CONTEXT = 4
-_USUAL_STEPS = 60
+_MEDIAN_STEPS = 60
 
 
 @dataclass(frozen=True)
@@ -40,15 +41,15 @@ class Jump:
 
 
 @dataclass(frozen=True)
-class Checked:
+class SoundRows:
     """A session's sound rows: times strictly rising, every pose rigid, every image with intrinsics and a pose."""
 
     frames: list[RawFrame]
     rejects: list[Reject]
 
 
-def check_session(session: RawSession, max_gap_s: float) -> Checked:
-    """Keep the sound rows of a session and say why the others aren't.
+def check_session(session: RawSession, max_gap_s: float) -> SoundRows:
+    """The sound rows of a session, and why the others aren't.
 
     Poses come out orthonormal. A row without a pose gets one interpolated between the poses around it, unless these
     are further apart than `max_gap_s`.
@@ -67,10 +68,9 @@ def check_session(session: RawSession, max_gap_s: float) -> Checked:
             readable.append(_orthonormal(frame))
 
     ordered = []
-    keep = _longest_rising([f.t_ns for f in readable])
     last_ns = None
-    for frame, kept in zip(readable, keep, strict=True):
-        if kept:
+    for frame, is_rising in zip(readable, _longest_rising([f.t_ns for f in readable]), strict=True):
+        if is_rising:
             ordered.append(frame)
             last_ns = frame.t_ns
         else:
@@ -82,15 +82,15 @@ def check_session(session: RawSession, max_gap_s: float) -> Checked:
             reject(frame, f"no pose within {max_gap_s:g} s on both sides")
         else:
             frames.append(posed)
-    return Checked(frames, rejects)
+    return SoundRows(frames, rejects)
 
 
 def find_jumps(t_ns: NDArray[np.int64], poses: Array) -> list[Jump]:
     """Steps between poses (N, 4, 4) at rising times (N,) that no hand can do.
 
-    Each step is held against the motion that the steps around it extrapolate (their median velocity, so that one
-    neighbouring jump doesn't matter); what is left must be explained by acceleration, pose noise, or how much this
-    residual usually is in the neighbourhood.
+    Each step is compared with the motion that the steps around it extrapolate (their median velocity, so that one
+    neighbouring jump doesn't matter); the residual must be explained by acceleration, pose noise, or the median
+    residual in the neighbourhood.
     """
     if len(poses) < 4:
         return []
@@ -101,10 +101,10 @@ def find_jumps(t_ns: NDArray[np.int64], poses: Array) -> list[Jump]:
     rate = np.degrees(Rotation.from_matrix(steps).as_rotvec()) / dt[:, None]
     beyond_m = _beyond_context(velocity, dt)
     beyond_deg = _beyond_context(rate, dt)
-    limit_m = np.maximum(_NOISE_M + _ACCELERATION_M_S2 * dt**2, _TIMES_USUAL * _running_median(beyond_m))
-    limit_deg = np.maximum(_NOISE_DEG + _ACCELERATION_DEG_S2 * dt**2, _TIMES_USUAL * _running_median(beyond_deg))
-    found = np.flatnonzero((beyond_m > limit_m) | (beyond_deg > limit_deg))
-    return [Jump(int(i) + 1, int(t_ns[i + 1]), float(dt[i]), float(beyond_m[i]), float(beyond_deg[i])) for i in found]
+    limit_m = np.maximum(_NOISE_M + _ACCELERATION_M_S2 * dt**2, _MIN_RATIO * _running_median(beyond_m))
+    limit_deg = np.maximum(_NOISE_DEG + _ACCELERATION_DEG_S2 * dt**2, _MIN_RATIO * _running_median(beyond_deg))
+    jumps = np.flatnonzero((beyond_m > limit_m) | (beyond_deg > limit_deg))
+    return [Jump(int(i) + 1, int(t_ns[i + 1]), float(dt[i]), float(beyond_m[i]), float(beyond_deg[i])) for i in jumps]
 
 
 def gravity_of(world_T_cam: Array) -> Array:
@@ -118,9 +118,9 @@ def _pose_fault(pose: Array | None) -> str | None:
         return None
     if not np.isfinite(pose).all():
         return "pose has a value that isn't finite"
-    if np.abs(pose[:3, 3]).max() > _FARTHEST_M:
-        return "pose is farther than 100 km from the origin"
-    if np.abs(pose).max() > _FARTHEST_M:
+    if np.abs(pose[:3, 3]).max() > _MAX_POSITION_M:
+        return "pose is more than 100 km from the origin"
+    if np.abs(pose).max() > _MAX_POSITION_M:
         return "pose isn't rigid"
     error = float(rigidity_error(pose))
     if error > _RIGID_TOLERANCE:
@@ -149,7 +149,7 @@ def size_fault(camera: Intrinsics, width: int, height: int) -> str | None:
     if not (0 < camera.cx < width and 0 < camera.cy < height):
         return f"principal point {camera.cx:.1f}, {camera.cy:.1f} is outside the image of {width}x{height}"
     if not 0.1 < camera.fx / max(width, height) < 20 or not 0.5 < camera.fx / camera.fy < 2:
-        return f"focal length {camera.fx:.1f}, {camera.fy:.1f} isn't one of a phone for {width}x{height}"
+        return f"focal length {camera.fx:.1f}, {camera.fy:.1f} isn't plausible for an image of {width}x{height}"
     return None
 
 
@@ -175,12 +175,12 @@ def _longest_rising(times: Sequence[int]) -> list[bool]:
         elif t < tails[at]:
             tails[at], tail_index[at] = t, i
         previous[i] = tail_index[at - 1] if at else -1
-    keep = [False] * len(times)
+    is_rising = [False] * len(times)
     i = tail_index[-1] if tail_index else -1
     while i >= 0:
-        keep[i] = True
+        is_rising[i] = True
         i = previous[i]
-    return keep
+    return is_rising
 
 
 def _with_poses(frames: list[RawFrame], max_gap_s: float) -> list[RawFrame | None]:
@@ -201,12 +201,12 @@ def _with_poses(frames: list[RawFrame], max_gap_s: float) -> list[RawFrame | Non
         around = slice(after - 1, after + 1)
         pose = interpolate(times[around], poses[around], np.array([frame.t_ns]))[0]
         # The worse state of the two poses holds between them.
-        tracking = max((posed[after - 1].tracking, posed[after].tracking), key=_BADNESS.index)
+        tracking = max((posed[after - 1].tracking, posed[after].tracking), key=_WORST_LAST.index)
         out.append(replace(frame, vio_T_cam=pose, tracking=tracking))
     return out
 
 
-_BADNESS = ("unknown", "normal", "limited", "lost")
+_WORST_LAST = (Tracking.UNKNOWN, Tracking.NORMAL, Tracking.LIMITED, Tracking.LOST)
 
 
 def _beyond_context(rate_N3: Array, dt: Array) -> Array:
@@ -219,5 +219,5 @@ def _beyond_context(rate_N3: Array, dt: Array) -> Array:
 
 
 def _running_median(values: Array) -> Array:
-    medians: Array = median_filter(values, size=_USUAL_STEPS + 1, mode="nearest")
+    medians: Array = median_filter(values, size=_MEDIAN_STEPS + 1, mode="nearest")
     return medians

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
 
+from groundwalk.artefacts.choices import SessionSplit
 from groundwalk.capture_import.parsing import BadRow, parse_json, read_text
 
 _SUFFIXES = (".jpg", ".jpeg", ".png")
 # How far below images/ a recording's folder may lie.
-_DEEPEST = 3
+_MAX_DEPTH = 3
 _EXPORT_NOTE = "export.json"
 
 
@@ -23,7 +23,7 @@ def data_set_of(path: Path, is_data_set: Callable[[Path], bool]) -> Path | None:
         return None if _nested(path / "images") else path
     if not _has_images(path):
         return None
-    for parent in path.parents[1 : 2 + _DEEPEST]:
+    for parent in path.parents[1 : 2 + _MAX_DEPTH]:
         if path.is_relative_to(parent / "images") and is_data_set(parent):
             return parent if _nested(parent / "images") else None
     return None
@@ -31,26 +31,27 @@ def data_set_of(path: Path, is_data_set: Callable[[Path], bool]) -> Path | None:
 
 def rows_of(data_set: Path, recording: Path, names: list[tuple[str, Path]]) -> list[tuple[str, Path]]:
     """The (source, image) rows of a data set that lie in a recording's folder, in the order of their images' names."""
-    own = [row for row in names if recording == data_set or row[1].parent == recording]
-    return sorted(own, key=lambda row: row[1].as_posix())
+    rows = [row for row in names if recording == data_set or row[1].parent == recording]
+    return sorted(rows, key=lambda row: row[1].as_posix())
 
 
 def lost_rows(names: list[tuple[str, Path]]) -> list[str]:
-    """A note about rows of a data set that lie in none of its recordings, as their folders aren't there."""
+    """A note about rows of a data set whose image folders are missing."""
     lost = [source for source, image in names if not image.parent.is_dir()]
-    return [f"{len(lost)} rows name images in folders that aren't there, {lost[0]} for one"] if lost else []
+    return [f"{len(lost)} rows name images in missing folders, such as {lost[0]}"] if lost else []
 
 
-def split_of(images: list[Path], test: set[Path]) -> Literal["train", "test"] | None:
+def split_of(images: list[Path], test: set[Path]) -> SessionSplit | None:
     """What a recording with these images is for, where the data set names its `test` images; None where it's mixed."""
     tested = sum(image in test for image in images)
     if not test or 0 < tested < len(images):
         return None
-    return "test" if tested else "train"
+    return SessionSplit.TEST if tested else SessionSplit.TRAIN
 
 
 def is_metric_export(data_set: Path) -> bool:
-    """It's an export of ours, whose world is metric with +y up; other files of these kinds state no unit."""
+    """Whether it's an export of groundwalk, whose world is metric with +y up; other files of these kinds state no
+    unit."""
     try:
         note = parse_json(read_text(data_set / _EXPORT_NOTE, 1 << 20))
     except BadRow:

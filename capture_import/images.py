@@ -28,7 +28,7 @@ class BadImage(ValueError):
 
 @dataclass(frozen=True)
 class ImageCheck:
-    """What a look at one image gave."""
+    """Size, sharpness and hash of an image."""
 
     width: int
     height: int
@@ -39,7 +39,7 @@ class ImageCheck:
 def check_image(
     data: bytes, max_megapixels: float, in_colour: bool = False
 ) -> tuple[ImageCheck, Gray, NDArray[np.uint8] | None]:
-    """Decode an image wholly, once, and measure it: also gives it in grey (H, W) and, where asked for, in colour
+    """Decode an image wholly, once, and measure it: also gives it in grey (H, W) and, `in_colour`, in colour
     (H, W, 3), in the working size.
 
     Raises BadImage for one that is empty, no JPEG or PNG, larger than the limit, truncated or corrupt.
@@ -94,27 +94,27 @@ def without_metadata(data: bytes) -> bytes:
 
 
 def _without_jpeg_metadata(data: bytes) -> bytes:
-    kept, at = [data[:2]], 2
+    parts, at = [data[:2]], 2
     while at + 4 <= len(data) and data[at] == 0xFF:
         marker, size = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
         if marker == _START_OF_SCAN:
-            return b"".join([*kept, data[at:]])
+            return b"".join([*parts, data[at:]])
         segment = data[at : at + 2 + size]
-        personal = marker == _COMMENT or (0xE1 <= marker <= 0xEF and marker != _ADOBE)
-        if not personal or segment[4:].startswith(b"ICC_PROFILE"):
-            kept.append(segment)
+        is_personal = marker == _COMMENT or (0xE1 <= marker <= 0xEF and marker != _ADOBE)
+        if not is_personal or segment[4:].startswith(b"ICC_PROFILE"):
+            parts.append(segment)
         at += 2 + size
     return data
 
 
 def _without_png_metadata(data: bytes) -> bytes:
-    kept, at = [data[:8]], 8
+    parts, at = [data[:8]], 8
     while at + 12 <= len(data):
         size, name = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
         if name not in _PNG_METADATA:
-            kept.append(data[at : at + 12 + size])
+            parts.append(data[at : at + 12 + size])
         at += 12 + size
-    return b"".join(kept)
+    return b"".join(parts)
 
 
 def encode_jpeg(rgb: NDArray[np.uint8]) -> bytes:
@@ -145,9 +145,9 @@ def _sharpness_along(image: Gray, axis: int) -> float:
 
     differences = cv2.absdiff(part(before + 1), part(before))
     # Two neighbouring means differ by the pixel that comes in and the one that goes out.
-    kept = cv2.absdiff(part(_REBLUR), part(0))
-    # Unsigned, so that what grew counts as nothing lost.
-    lost = cv2.addWeighted(differences, _REBLUR, kept, -1, 0, dtype=cv2.CV_16U)
+    blurred = cv2.absdiff(part(_REBLUR), part(0))
+    # Unsigned: a difference that grew counts as none lost.
+    lost = cv2.addWeighted(differences, _REBLUR, blurred, -1, 0, dtype=cv2.CV_16U)
     total = _REBLUR * cv2.sumElems(differences)[0]
     return float(cv2.sumElems(lost)[0] / total) if total > 0 else 0.0
 

@@ -1,4 +1,4 @@
-"""What a capture holds, its health and a verdict, for reading on a terminal."""
+"""What a capture holds, its health and whether it can be used, for reading on a terminal."""
 
 import tempfile
 from collections import Counter
@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from groundwalk.artefacts.choices import PoseSource
 from groundwalk.artefacts.progress import track
 from groundwalk.capture_import.clock import check_clock
-from groundwalk.capture_import.convention import SUSPECT, ConventionCheck, check_convention
-from groundwalk.capture_import.discovery import Found, find_recordings
+from groundwalk.capture_import.convention import MIN_EXPLAINED, ConventionCheck, check_convention
+from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.intake import Intake, measures, path_length, take_in
 from groundwalk.capture_import.selection import select
 from groundwalk.capture_import.settings import ImportSettings
@@ -27,15 +28,15 @@ def inspect_capture(path: Path, format_name: str = "auto") -> Iterator[str]:
     root = path.resolve()
     with tempfile.TemporaryDirectory() as unpacked:
         roots = [root if root.is_dir() else root.parent, Path(unpacked).resolve()]
-        for found in find_recordings(path, Path(unpacked), settings.limits, format_name):
-            yield from _inspect(found, Views(roots, settings.limits), settings)
+        for source in find_recordings(path, Path(unpacked), settings.limits, format_name):
+            yield from _inspect(source, Views(roots, settings.limits), settings)
 
 
-def _inspect(found: Found, views: Views, settings: ImportSettings) -> Iterator[str]:
-    raw = found.read(settings.limits)
+def _inspect(source: RecordingSource, views: Views, settings: ImportSettings) -> Iterator[str]:
+    raw = source.read(settings.limits)
     count = sum(f.image is not None for f in raw.frames)
     intake = take_in(raw, settings, lambda f: track(measures(views.scan(f)), "checking images", len(f)))
-    yield f"{found.session_id} · {found.format.label} · {raw.device} · clock: {raw.clock}"
+    yield f"{source.session_id} · {source.format.label} · {raw.device} · clock: {raw.clock}"
     yield f"  log        {len(raw.frames)} rows, {count} with an image"
     yield from _health(intake, settings)
     for note in raw.notes:
@@ -45,12 +46,12 @@ def _inspect(found: Found, views: Views, settings: ImportSettings) -> Iterator[s
     if check.pairs:
         yield (
             f"  convention {check.declared:.0%} of matched points in {check.pairs} pairs of images fit the poses; "
-            f"the next best convention explains {check.other_share:.0%}"
+            f"the next best convention explains {check.other_explained:.0%}"
         )
     clock = check_clock(longest, views.load)
     if clock.offset_s is not None:
         yield f"  clock      images fit the poses at {clock.offset_s:+.3f} s (correlation {clock.correlation:.2f})"
-    yield f"  verdict    {_verdict(intake, raw.poses_are, check)}"
+    yield f"  status     {_status(intake, raw.pose_source, check)}"
 
 
 def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:
@@ -88,25 +89,25 @@ def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:
             effect = ", splits the session" if splits else ""
             yield f"  jump       at {at:.1f} s: {jump.jump_m:.2f} m, {jump.jump_deg:.1f} deg{effect}"
     for reason, n in Counter(reject.reason for reject in intake.rejects).most_common(8):
-        yield f"  left out   {n} x {printable(reason)}"
+        yield f"  rejected   {n} x {printable(reason)}"
 
 
-def _verdict(intake: Intake, poses_are: str, check: ConventionCheck) -> str:
+def _status(intake: Intake, pose_source: PoseSource, check: ConventionCheck) -> str:
     images = sum(len(s.images) for s in intake.sessions)
     poses = sum(len(s.frames) for s in intake.sessions)
     if not poses:
         return "unusable: no sound pose"
     if not images:
-        return "poses only: good for the study of odometry, not for a data set"
+        return "poses only: of use to study odometry, not as a data set"
     if check.contradicted:
         return f"wrong convention: {check.contradicted}"
     faults = []
-    if check.pairs and check.declared < SUSPECT:
+    if check.pairs and check.declared < MIN_EXPLAINED:
         faults.append("its poses fit its images badly")
-    if poses_are == "reference":
+    if pose_source == PoseSource.REFERENCE:
         faults.append("its poses are a reference, not VIO")
     if len(intake.sessions) > 1:
         faults.append(f"VIO jumps split it into {len(intake.sessions)} sessions")
     if intake.rejects:
-        faults.append(f"{len(intake.rejects)} rows are left out")
+        faults.append(f"{len(intake.rejects)} rows are rejected")
     return "good" if not faults else "usable: " + "; ".join(faults)

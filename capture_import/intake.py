@@ -1,17 +1,17 @@
-"""From a recording as the phone left it to sessions whose every row can be trusted."""
+"""From a recording as the phone wrote it to sessions of sound rows, cut at large VIO jumps."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from groundwalk.capture_import.capture import Limits, RawFrame, RawSession, Reject
+from groundwalk.artefacts.choices import PoseSource, Tracking
+from groundwalk.capture_import.capture import RawFrame, RawSession, Reject
 from groundwalk.capture_import.health import Jump, check_session, find_jumps, size_fault
 from groundwalk.capture_import.images import ImageCheck
-from groundwalk.capture_import.scan import Look, scan_images
+from groundwalk.capture_import.scan import ImageScan
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.geometry.poses import Array
 
@@ -20,14 +20,14 @@ Scan = Callable[[list[RawFrame]], Iterable[ImageCheck | str]]
 
 @dataclass(frozen=True)
 class Image:
-    """A sound image: its row of the log, with a pose, and what it measures."""
+    """A sound image: its row of the log, with a pose, its size, sharpness and hash."""
 
     frame: RawFrame
     check: ImageCheck
 
 
 @dataclass(frozen=True)
-class Session:
+class ImportedSession:
     """A recording, or the part of one between two large jumps of its odometry.
 
     `frames` are all rows with a sound pose, in time order; `images` those of them with a sound image.
@@ -50,22 +50,22 @@ class Session:
 
 @dataclass(frozen=True)
 class Intake:
-    """What came of one recording."""
+    """The sessions of one recording, and its rejects."""
 
-    sessions: list[Session]
+    sessions: list[ImportedSession]
     rejects: list[Reject]
 
 
 def take_in(raw: RawSession, settings: ImportSettings, scan: Scan) -> Intake:
     """Check a recording's rows and images, find its jumps, and cut it at the large ones.
 
-    `scan` looks at the images of the given frames (`scan_images`, or a cached result).
+    `scan` checks the images of the given frames (`scan_images`, or a cached result).
     """
     checked = check_session(raw, settings.max_pose_gap_s)
     rejects = list(checked.rejects)
     tracked = []
     for frame in checked.frames:
-        if frame.tracking == "lost":
+        if frame.tracking == Tracking.LOST:
             rejects.append(Reject(raw.session_id, frame.source, frame.t_ns, "not tracking"))
         else:
             tracked.append(frame)
@@ -73,18 +73,13 @@ def take_in(raw: RawSession, settings: ImportSettings, scan: Scan) -> Intake:
     return Intake(list(_cut_at_jumps(raw, tracked, images, settings)), rejects + bad)
 
 
-def scan_all(roots: Sequence[Path], limits: Limits) -> Scan:
-    """The scan that looks at every image, with links kept inside `roots`."""
-    return lambda frames: measures(scan_images(frames, roots, limits))
+def measures(scans: Iterable[ImageScan | str]) -> Iterator[ImageCheck | str]:
+    """The scans' checks, without pixels."""
+    return (scan.check if isinstance(scan, ImageScan) else scan for scan in scans)
 
 
-def measures(looks: Iterable[Look | str]) -> Iterator[ImageCheck | str]:
-    """What the images measure, without what they show."""
-    return (look.check if isinstance(look, Look) else look for look in looks)
-
-
-def path_length(session: Session) -> float:
-    """Metres that the session's poses walk."""
+def path_length(session: ImportedSession) -> float:
+    """Length of the session's path, metres."""
     return float(np.linalg.norm(np.diff(session.poses[:, :3, 3], axis=0), axis=1).sum())
 
 
@@ -103,11 +98,11 @@ def _sound_images(
             images.append(Image(frame, result))
     if not images:
         return images, rejects
-    usual = float(np.median([i.check.sharpness for i in images]))
+    median = float(np.median([i.check.sharpness for i in images]))
     sharp = []
     for image in images:
-        if image.check.sharpness < settings.blurred_below * usual:
-            reason = f"too blurred: sharpness {image.check.sharpness:.2f}, usual here {usual:.2f}"
+        if image.check.sharpness < settings.min_relative_sharpness * median:
+            reason = f"too blurred: sharpness {image.check.sharpness:.2f}, median of the session {median:.2f}"
             rejects.append(Reject(session_id, image.frame.source, image.frame.t_ns, reason))
         else:
             sharp.append(image)
@@ -116,18 +111,18 @@ def _sound_images(
 
 def _cut_at_jumps(
     raw: RawSession, frames: list[RawFrame], images: list[Image], settings: ImportSettings
-) -> Iterator[Session]:
-    whole = Session(raw.session_id, raw, frames, images, [])
-    jumps = find_jumps(whole.t_ns, whole.poses) if raw.poses_are == "vio" else []
-    large = [j for j in jumps if j.jump_m > settings.split_jump_m or j.jump_deg > settings.split_jump_deg]
+) -> Iterator[ImportedSession]:
+    whole = ImportedSession(raw.session_id, raw, frames, images, [])
+    jumps = find_jumps(whole.t_ns, whole.poses) if raw.pose_source == PoseSource.VIO else []
+    large = [j for j in jumps if j.jump_m > settings.max_jump_m or j.jump_deg > settings.max_jump_deg]
     borders = [0, *(j.index for j in large), len(frames)]
     for part, (start, stop) in enumerate(pairwise(borders), start=1):
         numbers = {f.number for f in frames[start:stop]}
-        yield Session(
+        yield ImportedSession(
             session_id=raw.session_id if part == 1 else f"{raw.session_id}.part{part}",
             recording=raw,
             frames=frames[start:stop],
             images=[i for i in images if i.frame.number in numbers],
-            # A large jump is a row of the session that it ends, so that every session's own poses are without one.
+            # A large jump is a row of the session that it ends, so that no session's poses have one inside.
             jumps=[(j, j in large) for j in jumps if start < j.index <= stop and j.index < len(frames)],
         )

@@ -1,4 +1,4 @@
-"""Typed reading of logs that nobody has checked: numbers, matrices and JSON, with one exception for what is wrong."""
+"""Typed reading of unchecked logs: numbers, matrices and JSON, with one exception for what is wrong."""
 
 import json
 import math
@@ -17,8 +17,8 @@ from groundwalk.geometry.poses import Array, pose_from_tq
 
 Row = TypeVar("Row")
 
-_MOST_NS = 2**63 - 1
-_LONGEST_LINE = 1 << 20
+_MAX_NS = 2**63 - 1
+_MAX_LINE = 1 << 20
 
 
 class BadRow(ValueError):
@@ -110,7 +110,7 @@ def numbers(row: Mapping[str, Any], key: str, count: int) -> Array:
 def seconds_to_ns(seconds: float, name: str = "time") -> int:
     """Seconds as int64 nanoseconds; BadRow where they aren't finite or don't fit."""
     ns = seconds * 1e9
-    if not math.isfinite(ns) or abs(ns) > _MOST_NS:
+    if not math.isfinite(ns) or abs(ns) > _MAX_NS:
         raise BadRow(f"{name} {seconds} is no time")
     return round(ns)
 
@@ -144,16 +144,16 @@ def refuse_unreadable(path: Path, frames: Sequence[RawFrame], rejects: Sequence[
         )
 
 
-def lines_of(path: Path, limits: Limits, keep: Callable[[str], bool] = bool) -> list[tuple[str, str]]:
-    """The lines of a text log that `keep` wants, as (source, line), without empty lines and comments.
+def lines_of(path: Path, limits: Limits, is_row: Callable[[str], bool] = bool) -> list[tuple[str, str]]:
+    """The lines of a text log for which `is_row` holds, as (source, line), without empty lines and comments.
 
-    The log is read line by line, so that what isn't kept takes no memory. UserError where it can't be read, or where
+    The log is read line by line, so that other lines take no memory. UserError where it can't be read, or where
     it goes beyond the limits.
     """
     rows: list[tuple[str, str]] = []
     size = 0
     for number, line in numbered_lines(path, limits):
-        if not line.strip() or line.startswith("#") or not keep(line):
+        if not line.strip() or line.startswith("#") or not is_row(line):
             continue
         rows.append((f"{path.name} line {number}", line))
         size += sys.getsizeof(line)
@@ -169,9 +169,9 @@ def numbered_lines(path: Path, limits: Limits) -> Iterator[tuple[int, str]]:
     try:
         _refuse_odd_file(path, limits.max_text_bytes)
         with path.open(encoding="utf-8-sig") as file:
-            for number, line in enumerate(iter(lambda: file.readline(_LONGEST_LINE + 1), ""), start=1):
-                if len(line) > _LONGEST_LINE:
-                    raise BadRow(f"line {number} is longer than {_LONGEST_LINE} characters")
+            for number, line in enumerate(iter(lambda: file.readline(_MAX_LINE + 1), ""), start=1):
+                if len(line) > _MAX_LINE:
+                    raise BadRow(f"line {number} is longer than {_MAX_LINE} characters")
                 yield number, line.removesuffix("\n")
     except BadRow as error:
         raise _unreadable(path, error) from None

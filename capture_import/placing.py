@@ -1,4 +1,4 @@
-"""Where the kept images are: in the capture as they are, or in the artefact."""
+"""Where the selected images are: in the capture as they are, or in the artefact."""
 
 import contextlib
 import hashlib
@@ -23,9 +23,9 @@ from groundwalk.capture_import.video import decode, rgb_pixels
 
 
 @dataclass(frozen=True)
-class Placed:
-    """An image's `frames.image` entry, the hash of its file, and what was made unrecognisable in it; None where nothing
-    was looked for."""
+class PlacedImage:
+    """An image's `frames.image` entry, the hash of its file, and what was made unrecognisable in it; None without a
+    detector."""
 
     entry: str
     sha256: str
@@ -37,8 +37,8 @@ class Placement:
     """How a session's images are placed.
 
     `root` is the capture folder, `work` the artefact's; `spooled` holds the video frames that were written while the
-    video was checked. Images are turned by `quarters` clockwise where they're wanted upright; `to_upright` turns would
-    put gravity down, turned or not.
+    video was checked. Images are turned by `quarters` clockwise; `to_upright` quarter turns clockwise put gravity
+    down.
     """
 
     root: Path
@@ -51,8 +51,8 @@ class Placement:
     detect: Detector | None = None
 
 
-def place_images(images: Sequence[Image], session_id: str, where: Placement) -> list[Placed]:
-    """Place a session's kept images, in order.
+def place_images(images: Sequence[Image], session_id: str, where: Placement) -> list[PlacedImage]:
+    """Place a session's selected images, in order.
 
     Frames of a video, images from an archive, and images that are turned or blurred are always written to the artefact,
     without metadata; other files of the capture folder are left there, copied or hard-linked.
@@ -69,8 +69,8 @@ def place_images(images: Sequence[Image], session_id: str, where: Placement) -> 
     return placed
 
 
-def _place_video(images: Sequence[Image], folder: Path, where: Placement) -> list[Placed]:
-    placed: dict[int, Placed] = {}
+def _place_video(images: Sequence[Image], folder: Path, where: Placement) -> list[PlacedImage]:
+    placed: dict[int, PlacedImage] = {}
     missing: dict[int, Image] = {}
     for image in images:
         ref = image.frame.image
@@ -83,15 +83,15 @@ def _place_video(images: Sequence[Image], folder: Path, where: Placement) -> lis
     if missing:
         video = next(ref.path for image in images if isinstance(ref := image.frame.image, VideoFrame))
         frames = decode(video, set(missing), where.limits)
-        rendered = in_parallel(lambda found: (found[0], _rendered(rgb_pixels(found[1]), where)), frames)
+        rendered = in_parallel(lambda frame: (frame[0], _rendered(rgb_pixels(frame[1]), where)), frames)
         for index, (rgb, blurred) in rendered:
             placed[index] = _write(missing[index], encode_jpeg(rgb), folder, where, blurred)
     return [placed[i.frame.image.index] for i in images if isinstance(i.frame.image, VideoFrame)]
 
 
-def _place_file(image: Image, folder: Path, where: Placement) -> Placed:
+def _place_file(image: Image, folder: Path, where: Placement) -> PlacedImage:
     ref = image.frame.image
-    assert isinstance(ref, ImageFile)  # place_images has seen to the videos
+    assert isinstance(ref, ImageFile)  # place_images handles videos
     blurred: tuple[Kind, ...] | None = None
     if where.quarters or where.detect is not None:
         rgb, blurred = _rendered(decode_rgb(ref.path.read_bytes(), long_side=2**31), where)
@@ -99,12 +99,12 @@ def _place_file(image: Image, folder: Path, where: Placement) -> Placed:
             return _write(image, encode_jpeg(rgb), folder, where, blurred)
     in_capture = ref.path.is_relative_to(where.root)
     if where.how == "reference" and in_capture:
-        return Placed(ref.path.relative_to(where.root).as_posix(), image.check.sha256, blurred)
+        return PlacedImage(ref.path.relative_to(where.root).as_posix(), image.check.sha256, blurred)
     data = ref.path.read_bytes()
-    bare = without_metadata(data)
-    if where.how == "link" and in_capture and bare == data:
-        return Placed(_linked(ref.path, image, folder, where), image.check.sha256, blurred)
-    return _write(image, bare, folder, where, blurred, suffix=ref.path.suffix.lower())
+    pixels_only = without_metadata(data)
+    if where.how == "link" and in_capture and pixels_only == data:
+        return PlacedImage(_linked(ref.path, image, folder, where), image.check.sha256, blurred)
+    return _write(image, pixels_only, folder, where, blurred, suffix=ref.path.suffix.lower())
 
 
 def _rendered(rgb: NDArray[np.uint8], where: Placement) -> tuple[NDArray[np.uint8], tuple[Kind, ...] | None]:
@@ -138,11 +138,11 @@ def _write(
     where: Placement,
     blurred: tuple[Kind, ...] | None = None,
     suffix: str = ".jpg",
-) -> Placed:
+) -> PlacedImage:
     target = folder / f"{image.frame.number:06d}{suffix}"
     target.unlink(missing_ok=True)  # a hard link from a killed run must not be written through
     target.write_bytes(data)
-    return Placed(_entry(target, where.work), hashlib.sha256(data).hexdigest(), blurred)
+    return PlacedImage(_entry(target, where.work), hashlib.sha256(data).hexdigest(), blurred)
 
 
 def _entry(target: Path, work: Path) -> str:

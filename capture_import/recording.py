@@ -10,25 +10,31 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from groundwalk.artefacts.choices import PoseSource, Tracking
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, set_time
 from groundwalk.artefacts.tables import dataset_frames
 from groundwalk.capture_import.capture import Reject
 from groundwalk.capture_import.images import image_size
-from groundwalk.capture_import.intake import Session
+from groundwalk.capture_import.intake import ImportedSession
 from groundwalk.capture_import.spool import thumbnail_path
 from groundwalk.capture_import.tables import printable
-from groundwalk.capture_import.thumbnails import MOST, spread, thumbnail_of
+from groundwalk.capture_import.thumbnails import MAX_THUMBNAILS, spread, thumbnail_of
 from groundwalk.geometry.poses import Array, transform
 
-_TRACKING_COLOURS = {"normal": VIO, "unknown": VIO, "limited": REJECTED, "lost": NEUTRAL}
+_TRACKING_COLOURS = {
+    Tracking.NORMAL: VIO,
+    Tracking.UNKNOWN: VIO,
+    Tracking.LIMITED: REJECTED,
+    Tracking.LOST: NEUTRAL,
+}
 # Enough to see each place; more would make the recording of a long walk slow to open.
-_MOST_FRUSTA = 150
+_MAX_FRUSTA = 150
 _BATCH = 64
 
 
 def blueprint(session_ids: Sequence[str]) -> rrb.Blueprint:
-    """A tab a session: its path and cameras, the image at the time cursor, speed and sharpness, what was left out."""
+    """A tab a session: its path and cameras, the image at the time cursor, speed and sharpness, rejects."""
     return rrb.Blueprint(
         rrb.Tabs(*[_session_view(session_id) for session_id in session_ids], name="sessions"),
         rrb.TimePanel(state="collapsed"),
@@ -39,7 +45,7 @@ def blueprint(session_ids: Sequence[str]) -> rrb.Blueprint:
 
 def log_session(
     stream: rr.RecordingStream,
-    session: Session,
+    session: ImportedSession,
     frames: pd.DataFrame,
     rejects: Sequence[Reject],
     image_path: Callable[[str], Path],
@@ -53,20 +59,21 @@ def log_session(
     if not len(poses):
         return
     start = int(t_ns[0])
-    _log_path(stream, f"{at}/{session.recording.poses_are}", session)
+    _log_path(stream, f"{at}/{session.recording.pose_source}", session)
     support, frames = frames[frames["support"]], dataset_frames(frames)
     _log_curves(stream, at, session, frames)
     _log_marks(stream, at, session, rejects, start)
     numbers, cameras = _numbers(frames), _cameras(session, frames)
     size = float(np.clip(np.ptp(poses[:, :3, 3], axis=0).max() / 15, 0.05, 1.5))
-    for name, of, depth_m in (("frames", frames, size / 4), ("support_frames", support, size / 8)):
-        outlined = of.iloc[_spread(np.arange(len(of)), _MOST_FRUSTA)]
+    for name, rows, depth_m in (("frames", frames, size / 4), ("support_frames", support, size / 8)):
+        outlined = rows.iloc[_spread(np.arange(len(rows)), _MAX_FRUSTA)]
         _log_frusta(stream, f"{at}/{name}", outlined, _cameras(session, outlined), depth_m)
     thumbnails = [thumbnail_path(spooled, number) for number in numbers]
     ready = [i for i, thumbnail in enumerate(thumbnails) if thumbnail.is_file()]
-    shown = np.array(spread(ready if len(ready) >= min(len(frames), MOST) / 2 else range(len(frames))), dtype=int)
-    for first in range(0, len(shown), _BATCH):
-        batch = shown[first : first + _BATCH]
+    candidates = ready if len(ready) >= min(len(frames), MAX_THUMBNAILS) / 2 else range(len(frames))
+    images = np.array(spread(candidates), dtype=int)
+    for first in range(0, len(images), _BATCH):
+        batch = images[first : first + _BATCH]
         jpegs = list(in_parallel(lambda i: _thumbnail(thumbnails[i], image_path(frames["image"].iloc[i])), batch))
         _log_images(stream, f"{at}/camera", frames.iloc[batch], cameras[batch], jpegs, start, size)
 
@@ -75,8 +82,8 @@ def _numbers(frames: pd.DataFrame) -> list[int]:
     return [int(frame_id.rpartition("/")[2]) for frame_id in frames["frame_id"]]
 
 
-def _cameras(session: Session, frames: pd.DataFrame) -> Array:
-    """The session's own poses (N, 4, 4) of these rows of the frames table."""
+def _cameras(session: ImportedSession, frames: pd.DataFrame) -> Array:
+    """The session's poses (N, 4, 4) of these rows of the frames table."""
     pose_of = {image.frame.number: image.frame.vio_T_cam for image in session.images}
     return np.array([pose_of[number] for number in _numbers(frames)], dtype=float).reshape(-1, 4, 4)
 
@@ -89,7 +96,7 @@ def _session_view(session_id: str) -> rrb.Container:
             rrb.Spatial2DView(origin=f"{at}/camera/image", name="image"),
             rrb.TimeSeriesView(origin=f"{at}/speed", name="speed, m/s"),
             rrb.TimeSeriesView(origin=f"{at}/sharpness", name="sharpness"),
-            rrb.TextLogView(origin=f"{at}/log", name="left out, and jumps"),
+            rrb.TextLogView(origin=f"{at}/log", name="rejects and jumps"),
             row_shares=[3, 1.5, 1.5, 1.5],
         ),
         column_shares=[3, 2],
@@ -97,9 +104,9 @@ def _session_view(session_id: str) -> rrb.Container:
     )
 
 
-def _spread(indices: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+def _spread(indices: NDArray[np.int64], max_count: int) -> NDArray[np.int64]:
     """At most so many of the indices, evenly spread."""
-    return indices[np.linspace(0, len(indices) - 1, min(len(indices), most)).astype(int)]
+    return indices[np.linspace(0, len(indices) - 1, min(len(indices), max_count)).astype(int)]
 
 
 def _log_frusta(stream: rr.RecordingStream, at: str, frames: pd.DataFrame, cameras: Array, depth_m: float) -> None:
@@ -157,20 +164,20 @@ def _thumbnail(ready: Path, image: Path) -> bytes:
     return ready.read_bytes() if ready.is_file() else thumbnail_of(image)
 
 
-def _log_path(stream: rr.RecordingStream, at: str, session: Session) -> None:
-    """The path, in one strip for each stretch of the same tracking state; a reference in the colour of ground truth."""
+def _log_path(stream: rr.RecordingStream, at: str, session: ImportedSession) -> None:
+    """The path, in one strip for each part of the same tracking state; a reference in the colour of ground truth."""
     positions = session.poses[:, :3, 3]
     states = np.array([f.tracking for f in session.frames])
     borders = [0, *(np.flatnonzero(states[1:] != states[:-1]) + 1), len(states)]
     # A strip reaches to the first pose of the next one, so that the path has no gaps.
     strips = [positions[a : b + 1] for a, b in pairwise(borders)]
     colours = [_TRACKING_COLOURS[states[a]] for a in borders[:-1]]
-    if session.recording.poses_are == "reference":
+    if session.recording.pose_source == PoseSource.REFERENCE:
         colours = [_colour(session)] * len(strips)
     stream.log(at, rr.LineStrips3D(strips, colors=colours, radii=rr.Radius.ui_points(1.5)), static=True)
 
 
-def _log_curves(stream: rr.RecordingStream, at: str, session: Session, frames: pd.DataFrame) -> None:
+def _log_curves(stream: rr.RecordingStream, at: str, session: ImportedSession, frames: pd.DataFrame) -> None:
     t_ns, positions = session.t_ns, session.poses[:, :3, 3]
     if len(t_ns) > 1:
         speed = np.linalg.norm(np.diff(positions, axis=0), axis=1) / (np.diff(t_ns) * 1e-9)
@@ -180,8 +187,8 @@ def _log_curves(stream: rr.RecordingStream, at: str, session: Session, frames: p
         _log_curve(stream, f"{at}/sharpness", since_ns, frames["sharpness"].to_numpy(), "sharpness", NEUTRAL)
 
 
-def _colour(session: Session) -> tuple[int, int, int]:
-    return VIO if session.recording.poses_are == "vio" else GROUND_TRUTH
+def _colour(session: ImportedSession) -> tuple[int, int, int]:
+    return VIO if session.recording.pose_source == PoseSource.VIO else GROUND_TRUTH
 
 
 def _log_curve(
@@ -192,7 +199,9 @@ def _log_curve(
     stream.send_columns(at, indexes=[times], columns=rr.Scalars.columns(scalars=values))
 
 
-def _log_marks(stream: rr.RecordingStream, at: str, session: Session, rejects: Sequence[Reject], start: int) -> None:
+def _log_marks(
+    stream: rr.RecordingStream, at: str, session: ImportedSession, rejects: Sequence[Reject], start: int
+) -> None:
     """Rejects and jumps: a point where the phone was, and a line in the log."""
     t_ns, positions = session.t_ns, session.poses[:, :3, 3]
     places, labels = [], []

@@ -1,4 +1,4 @@
-"""Looking at every image of a recording, once: sound or not, how large, how sharp, and what it shows in small."""
+"""One scan of every image of a recording: sound or not, size, sharpness, and a small copy."""
 
 import stat
 from collections.abc import Callable, Container, Iterator, Sequence
@@ -28,16 +28,16 @@ _HEADER_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
-class Look:
-    """What one look at a sound image gives.
+class ImageScan:
+    """A sound image.
 
-    `gray` (H, W) has the working size. `picture` is a video's frame, or the small colour image (H, W, 3) of a file for
-    which one was asked.
+    `gray` (H, W) has the working size. `colour` is a video's frame, or the small colour image (H, W, 3) of a file that
+    was scanned in colour.
     """
 
     check: ImageCheck
     gray: Gray
-    picture: av.VideoFrame | NDArray[np.uint8] | None = None
+    colour: av.VideoFrame | NDArray[np.uint8] | None = None
 
 
 # Frames whose images are sound, in order, with their images (H, W) scaled down to the long side.
@@ -46,8 +46,8 @@ LoadGray = Callable[[Sequence[RawFrame], int], Iterator[tuple[RawFrame, Gray]]]
 
 def scan_images(
     frames: Sequence[RawFrame], roots: Sequence[Path], limits: Limits, in_colour: Container[int] = ()
-) -> Iterator[Look | str]:
-    """For each frame, in order: a look at its image, or why it can't be used.
+) -> Iterator[ImageScan | str]:
+    """For each frame, in order: the scan of its image, or why it can't be used.
 
     Files are decoded on all cores and a video in one go, so that memory holds a few images at once. Files must lie in
     one of `roots`; those at the places `in_colour` are decoded in colour.
@@ -89,26 +89,26 @@ def load_gray(
     yield from in_parallel(lambda file: (file[0], decode_gray(read_image(file[1], roots, limits), long_side)), files)
 
 
-def _scan_file(frame: RawFrame, in_colour: bool, roots: Sequence[Path], limits: Limits) -> Look | str:
+def _scan_file(frame: RawFrame, in_colour: bool, roots: Sequence[Path], limits: Limits) -> ImageScan | str:
     assert isinstance(frame.image, ImageFile)  # a recording has files or a video, never both
     try:
-        return Look(*check_image(read_image(frame.image.path, roots, limits), limits.max_megapixels, in_colour))
+        return ImageScan(*check_image(read_image(frame.image.path, roots, limits), limits.max_megapixels, in_colour))
     except BadImage as error:
         return str(error)
 
 
-def _scan_video(frames: Sequence[RawFrame], limits: Limits) -> Iterator[Look | str]:
+def _scan_video(frames: Sequence[RawFrame], limits: Limits) -> Iterator[ImageScan | str]:
     refs = [frame.image for frame in frames if isinstance(frame.image, VideoFrame)]
     assert len(refs) == len(frames) and len({ref.path for ref in refs}) == 1  # one video a recording
     images = decode(refs[0].path, {ref.index for ref in refs}, limits)
-    at, look = -1, None
+    at, scan = -1, None
     for ref in refs:
         while at < ref.index and (decoded := next(images, None)) is not None:
             at, image = decoded
             gray = gray_pixels(image, WORKING_LONG_SIDE)
             # A frame has no file to hash until it's written.
-            look = Look(ImageCheck(image.width, image.height, sharpness(gray), sha256=""), gray, image)
-        if look is not None and at == ref.index:
-            yield look
+            scan = ImageScan(ImageCheck(image.width, image.height, sharpness(gray), sha256=""), gray, image)
+        if scan is not None and at == ref.index:
+            yield scan
         else:
             yield "video frame is missing or out of order" if at > ref.index else "video ends before this frame"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import RawFrame
-from groundwalk.capture_import.intake import Image, Session
+from groundwalk.capture_import.intake import Image, ImportedSession
 from groundwalk.capture_import.sampling import (
     motion_candidates,
     rate_candidates,
@@ -21,8 +21,8 @@ from groundwalk.capture_import.sampling import (
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.geometry.poses import Array
 
-# Sampling this much denser than its settings that still keeps too few images can't be helped by being denser.
-_DENSEST = 2.0**12
+# Sampling that is this much denser and still gives too few frames won't by being denser.
+_MAX_DENSITY = 2.0**12
 _HALVINGS = 10
 # Images are grouped for the choice of support frames into so many times as many groups as are used in the end.
 _CELLS_A_FRAME = 4.0
@@ -36,13 +36,13 @@ class Selection:
     support: NDArray[np.bool_]
 
 
-def select(sessions: Sequence[Session], settings: ImportSettings, density: float = 1.0) -> dict[str, Selection]:
-    """What is used of each session, by its id; sampled so many times more densely than the settings say."""
+def select(sessions: Sequence[ImportedSession], settings: ImportSettings, density: float = 1.0) -> dict[str, Selection]:
+    """The selection of each session, by its id; sampled so many times more densely than by the settings."""
     return {session.session_id: _select(session, settings, density) for session in sessions}
 
 
-def density_for(sessions: Sequence[Session], settings: ImportSettings) -> float:
-    """How many times more densely than its settings say a capture has to be sampled for `min_frames`: 1 where that is
+def density_for(sessions: Sequence[ImportedSession], settings: ImportSettings) -> float:
+    """How many times more densely than by its settings a capture has to be sampled for `min_frames`: 1 where that is
     enough, infinity where it takes every image."""
     images = sum(len(session.images) for session in sessions)
 
@@ -56,7 +56,7 @@ def density_for(sessions: Sequence[Session], settings: ImportSettings) -> float:
     low, high = 1.0, 2.0
     while not enough(high):
         low, high = high, 2 * high
-        if high > _DENSEST:
+        if high > _MAX_DENSITY:
             return math.inf
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
@@ -65,7 +65,7 @@ def density_for(sessions: Sequence[Session], settings: ImportSettings) -> float:
 
 
 def windows_of(frames: Sequence[RawFrame], settings: ImportSettings) -> list[NDArray[np.int64]]:
-    """Indices of the images from each group of which sampling keeps the sharpest, where it's as dense as its settings;
+    """Indices of the images from each group of which sampling uses the sharpest, at the density of the settings;
     `frames` are the rows with an image, in order of time."""
     if not frames or settings.sampling == "all":
         return [np.array([i]) for i in range(len(frames))]
@@ -79,30 +79,30 @@ def cells_of(frames: Sequence[RawFrame], with_image: Sequence[RawFrame], setting
     travelled = travelled_steps(_poses(frames), settings.support_step_m, settings.support_step_deg)
     at = dict(zip([frame.number for frame in frames], travelled.tolist(), strict=True))
     windows = windows_of(with_image, settings)
-    most = _CELLS_A_FRAME * (1 + settings.support_share) * len(windows)
-    return support_cells(np.array([at[frame.number] for frame in with_image]), windows, most)
+    max_cells = _CELLS_A_FRAME * (1 + settings.max_support_fraction) * len(windows)
+    return support_cells(np.array([at[frame.number] for frame in with_image]), windows, max_cells)
 
 
-def _select(session: Session, settings: ImportSettings, density: float) -> Selection:
-    kept = _sampled(session, settings, density)
+def _select(session: ImportedSession, settings: ImportSettings, density: float) -> Selection:
+    frames = _sampled(session, settings, density)
     support = np.empty(0, dtype=np.int64)
-    most = math.floor(settings.support_share * len(kept))
-    if most:
+    max_support = math.floor(settings.max_support_fraction * len(frames))
+    if max_support:
         images = [image.frame for image in session.images]
         support = sample_support(
             _poses(images),
             _sharpness(session.images),
             cells_of(session.frames, images, settings),
-            kept,
+            frames,
             settings.support_step_m,
             settings.support_step_deg,
-            most,
+            max_support,
         )
-    used = np.sort(np.concatenate([kept, support]))
+    used = np.sort(np.concatenate([frames, support]))
     return Selection([session.images[i] for i in used], np.isin(used, support))
 
 
-def _sampled(session: Session, settings: ImportSettings, density: float) -> NDArray[np.int64]:
+def _sampled(session: ImportedSession, settings: ImportSettings, density: float) -> NDArray[np.int64]:
     """Indices of the session's images that become frames of the dataset."""
     images = session.images
     if not images or settings.sampling == "all" or math.isinf(density):
@@ -113,7 +113,7 @@ def _sampled(session: Session, settings: ImportSettings, density: float) -> NDAr
         return sample_rate(t_ns, sharpness, settings.rate_hz * density)
     if density == 1:
         return sample_motion(poses, sharpness, settings.step_m, settings.step_deg)
-    # Steps from one image that is kept to the next come in whole images, twice as many all at once; ticks don't.
+    # Steps from one frame to the next come in whole images, twice as many all at once; ticks don't.
     travelled = travelled_steps(poses, settings.step_m, settings.step_deg)
     return sample_rate((1e9 * travelled).astype(np.int64), sharpness, density)
 

@@ -1,6 +1,6 @@
 """Settings of the import stage."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -9,27 +9,34 @@ from groundwalk.capture_import.capture import Limits
 
 
 class ImportSettings(Settings):
-    """Which frames are kept, and what counts as broken."""
+    """Which images become frames, and what counts as broken."""
 
     format: str = Field("auto", description="capture format, as `formats` lists it, or auto")
-    sampling: Literal["rate", "motion", "all"] = Field("rate", description="how images are thinned out")
+    sampling: Literal["rate", "motion", "all"] = Field(
+        "rate", description="which images become frames: by rate, by motion, or all"
+    )
     rate_hz: float = Field(1.0, gt=0, le=240, description="sampling by rate: images a second")
     step_m: float = Field(0.5, gt=0, description="sampling by motion: metres between images")
     step_deg: float = Field(20.0, gt=0, description="sampling by motion: degrees between images")
     min_frames: int = Field(
-        60, ge=0, description="a capture that would keep fewer frames is sampled more densely, to about so many"
+        60,
+        ge=0,
+        description="a capture with fewer frames by the settings above is sampled more densely, to about this many",
     )
     support_step_m: float = Field(
-        0.3, ge=0, description="images are added for SfM alone until neighbours are so many metres apart; 0: no matter"
+        0.3,
+        ge=0,
+        description="largest distance between neighbouring images of SfM, metres; support frames fill; 0: any",
     )
     support_step_deg: float = Field(
-        15.0, ge=0, description="images are added for SfM alone until neighbours turn by so many degrees; 0: no matter"
+        15.0, ge=0, description="largest angle between neighbouring images of SfM, degrees; support frames fill; 0: any"
     )
-    support_share: float = Field(
-        1.0, ge=0, description="most images added for SfM alone (support frames), per frame of the dataset; 0: none"
+    max_support_fraction: float = Field(
+        1.0, ge=0, description="most support frames (images for SfM alone), as a fraction of the frames of the dataset"
     )
     split_by: Literal["session", "time"] = Field(
-        "session", description="session: by whole recordings where there are several; time: each in time"
+        "session",
+        description="split for testing by whole recordings where there are several, or each recording in time",
     )
     images: Literal["reference", "copy", "link"] = Field(
         "reference", description="use images where the capture has them, or copy or hard-link them"
@@ -37,20 +44,30 @@ class ImportSettings(Settings):
     upright: bool = Field(
         False, description="turn images upright by gravity, a quarter turn at a time, with intrinsics and poses"
     )
-    blur: bool = Field(False, description="make faces and licence plates unrecognisable where a detector finds them")
-    max_pose_gap_s: float = Field(0.5, gt=0, description="poses are interpolated over no longer gap")
-    blurred_below: float = Field(
-        0.5, ge=0, lt=1, description="an image is too blurred below this share of its session's median sharpness"
+    blur: bool = Field(False, description="make faces and licence plates that a detector finds unrecognisable")
+    max_pose_gap_s: float = Field(0.5, gt=0, description="longest gap in which poses are interpolated, seconds")
+    min_relative_sharpness: float = Field(
+        0.5,
+        ge=0,
+        lt=1,
+        description="an image less sharp than this fraction of its session's median sharpness is rejected as blurred",
     )
-    split_jump_m: float = Field(0.5, gt=0, description="a session is split where VIO jumps farther")
-    split_jump_deg: float = Field(15.0, gt=0, description="a session is split where VIO jumps by more")
+    max_jump_m: float = Field(0.5, gt=0, description="a session is split at VIO jumps of more metres")
+    max_jump_deg: float = Field(15.0, gt=0, description="a session is split at VIO jumps of more degrees")
     check_convention: bool = Field(
-        True, description="hold poses and intrinsics against matched images, and stop where another convention fits"
+        True, description="compare poses and intrinsics with matched images, and stop where another convention fits"
     )
     reference_is_metric: bool = Field(
-        False, description="reference poses whose file states no unit (COLMAP, nerfstudio) are in metres"
+        False, description="the unit of reference poses whose file states none (COLMAP, nerfstudio) is the metre"
     )
-    max_megapixels: float = Field(100.0, gt=0, description="a larger image is refused")
+    max_megapixels: float = Field(100.0, gt=0, description="largest image that is read, megapixels")
+
+    renamed: ClassVar[dict[str, str]] = {
+        "support_share": "max_support_fraction",
+        "blurred_below": "min_relative_sharpness",
+        "split_jump_m": "max_jump_m",
+        "split_jump_deg": "max_jump_deg",
+    }
 
     @property
     def limits(self) -> Limits:

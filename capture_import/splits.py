@@ -16,8 +16,8 @@ LEAK_S = 5.0
 
 
 @dataclass(frozen=True)
-class Split:
-    """The split of each frame ("train", "val", "test", or "unused"), how it was made, and how near test frames come in
+class SplitResult:
+    """The split of each frame (or "unused"), how it was made, and how near test frames come in
     time to training frames of the same recording (None where no recording has both)."""
 
     of_frame: NDArray[np.object_]
@@ -25,15 +25,14 @@ class Split:
     leak_s: float | None
 
 
-def split_frames(frames: pd.DataFrame, rules: SplitRules, by_time: bool) -> Split:
-    """Split frames (columns session_id, recording, said, t_ns; sorted by session and time).
+def split_frames(frames: pd.DataFrame, rules: SplitRules, by_time: bool) -> SplitResult:
+    """Split frames (columns session_id, recording, stated_split, t_ns; sorted by session and time).
 
-    Sessions are split as `rules` lists them; else as a public data set says (`said`), or by their names where these
-    begin with train and test; else the last
-    sessions, about `test_fraction` of the frames, are for testing. A single recording, or any with `by_time`, is split
-    in time: its last `test_fraction` is for testing. Validation is a block of each training walk, at another place in
-    each; in a walk split in time it's the block before the test frames, at least five seconds where the walk allows,
-    and so keeps training and test apart.
+    Sessions are split as `rules` lists them; else as a public data set states, or by their names where these begin with
+    train and test; else the last sessions, about `test_fraction` of the frames, are for testing. A single recording, or
+    any with `by_time`, is split in time: its last `test_fraction` is for testing. Validation is a block of each
+    training walk, at another place in each; in a walk split in time it's the block before the test frames, at least
+    five seconds where the walk allows, and so keeps training and test apart.
 
     UserError for unknown or doubly listed sessions, or for listed ones that leak.
     """
@@ -46,9 +45,9 @@ def split_frames(frames: pd.DataFrame, rules: SplitRules, by_time: bool) -> Spli
         for recording in recordings:
             rows = np.flatnonzero(frames["recording"] == recording)
             split[rows] = _time_split(frames["t_ns"].to_numpy()[rows], rules)
-        return Split(split, "by time within each recording", leak_seconds(frames, split))
+        return SplitResult(split, "by time within each recording", leak_seconds(frames, split))
     else:
-        of_session, how = _as_said(frames) or _by_name(frames) or _by_fraction(frames, rules.test_fraction)
+        of_session, how = _as_stated(frames) or _by_name(frames) or _by_fraction(frames, rules.test_fraction)
     split = frames["session_id"].map(of_session).to_numpy(dtype=object)
     _hold_out(frames, split, rules.val_fraction)
     leak = leak_seconds(frames, split)
@@ -60,7 +59,7 @@ def split_frames(frames: pd.DataFrame, rules: SplitRules, by_time: bool) -> Spli
             found=f"{leak:.2f} s",
             do="put whole recordings on one side, or set allow_leak = true in [split]",
         )
-    return Split(split, how, leak)
+    return SplitResult(split, how, leak)
 
 
 def nearest_split(frames: pd.DataFrame, split_frames: pd.DataFrame) -> NDArray[np.object_]:
@@ -91,19 +90,19 @@ def leak_seconds(frames: pd.DataFrame, split: NDArray[np.object_]) -> float | No
 
 def _listed(frames: pd.DataFrame, rules: SplitRules) -> dict[str, str]:
     names = {s: {s, r} for s, r in zip(frames["session_id"], frames["recording"], strict=True)}
-    known = set().union(*names.values())
+    all_names = set().union(*names.values())
     test, train = set(rules.test or []), set(rules.train or [])
     for name in sorted(test | train):
-        if name not in known or (name in test and name in train):
+        if name not in all_names or (name in test and name in train):
             raise UserError(
-                "a session is listed for training and testing" if name in known else "there is no such session",
+                "a session is listed for training and testing" if name in all_names else "there is no such session",
                 where="[split] of the scene's config",
                 found=name,
-                expected="one of " + ", ".join(sorted(known)),
+                expected="one of " + ", ".join(sorted(all_names)),
             )
-    # One list alone says what the other one is; with both, what neither names is left out.
+    # One list alone defines the other one; with both, what neither names is unused.
     rest = "unused" if test and train else ("train" if test else "test")
-    # A part's own name goes before its recording's.
+    # A part's name goes before its recording's.
     return {s: _side(s, test, train) or _side(r, test, train) or rest for s, r in _pairs(frames)}
 
 
@@ -111,10 +110,10 @@ def _side(name: str, test: set[str], train: set[str]) -> str | None:
     return "test" if name in test else "train" if name in train else None
 
 
-def _as_said(frames: pd.DataFrame) -> tuple[dict[str, str], str] | None:
-    said = dict(zip(frames["session_id"], frames["said"], strict=True))
-    complete = {"train", "test"} == set(said.values())
-    return (said, "as the data set says") if complete else None
+def _as_stated(frames: pd.DataFrame) -> tuple[dict[str, str], str] | None:
+    stated = dict(zip(frames["session_id"], frames["stated_split"], strict=True))
+    complete = {"train", "test"} == set(stated.values())
+    return (stated, "as the data set states") if complete else None
 
 
 def _by_name(frames: pd.DataFrame) -> tuple[dict[str, str], str] | None:
@@ -127,10 +126,10 @@ def _by_name(frames: pd.DataFrame) -> tuple[dict[str, str], str] | None:
 def _by_fraction(frames: pd.DataFrame, fraction: float) -> tuple[dict[str, str], str]:
     counts = frames["recording"].value_counts().sort_index()
     # The number of recordings from the end whose frames come nearest to the fraction; one is left to train on.
-    shares = np.cumsum(counts.to_numpy()[::-1])[:-1] / len(frames)
-    taken = int(np.argmin(np.abs(shares - fraction))) + 1
-    test = set(counts.index[-taken:])
-    return {s: "test" if r in test else "train" for s, r in _pairs(frames)}, f"the last {taken} of the recordings"
+    fractions = np.cumsum(counts.to_numpy()[::-1])[:-1] / len(frames)
+    count = int(np.argmin(np.abs(fractions - fraction))) + 1
+    test = set(counts.index[-count:])
+    return {s: "test" if r in test else "train" for s, r in _pairs(frames)}, f"the last {count} of the recordings"
 
 
 def _pairs(frames: pd.DataFrame) -> Sequence[tuple[str, str]]:
@@ -154,7 +153,7 @@ def _time_split(t_ns: NDArray[np.int64], rules: SplitRules) -> NDArray[np.object
 
 def _hold_out(frames: pd.DataFrame, split: NDArray[np.object_], fraction: float) -> None:
     """Turn a contiguous block of each training session into validation, in place; the block wanders from session to
-    session, so that what one walk hides another shows."""
+    session, so that another walk shows the place."""
     if fraction == 0:
         return
     sessions = [s for s in frames["session_id"].unique() if (split[frames["session_id"] == s] == "train").any()]

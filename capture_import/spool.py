@@ -1,8 +1,9 @@
-"""What will probably be needed of the images that sampling keeps, written while they are decoded for their check.
+"""JPEGs and thumbnails of the images that sampling will probably select, written while they are decoded for their
+check.
 
-Decoding is most of what import costs, and which images are kept is known for sure only when all of them are measured.
-So the sharpest of each group of candidates is written on the way: a video's frame as JPEG, and a thumbnail of what the
-recording will show. What isn't here in the end is decoded again.
+Decoding is most of what import costs, and the selection is certain only when all images are measured. So the sharpest
+of each group of candidates is written at once: a video's frame as JPEG, and a thumbnail for the Rerun recording. Other
+selected images are decoded again.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -13,20 +14,20 @@ import numpy as np
 
 from groundwalk.capture_import.capture import RawFrame, VideoFrame
 from groundwalk.capture_import.images import encode_jpeg
-from groundwalk.capture_import.scan import Look
+from groundwalk.capture_import.scan import ImageScan
 from groundwalk.capture_import.selection import cells_of, windows_of
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.thumbnails import encode_thumbnail, spread
 from groundwalk.capture_import.video import rgb_pixels
 
 # Files of larger groups aren't decoded in colour, as only one of them is needed.
-_FEW = 3
+_MAX_IN_COLOUR = 3
 
 
 class Spool:
     """Takes the images of one recording in order, and writes the best of each group of candidates.
 
-    `in_colour` are the places of the files that are wanted in colour.
+    `in_colour` are the places of the files to decode in colour.
     """
 
     def __init__(self, folder: Path, frames: Sequence[RawFrame], settings: ImportSettings) -> None:
@@ -34,60 +35,64 @@ class Spool:
         self._folder = folder
         self._frames = frames
         windows = windows_of(frames, settings)
-        self._shown = set(spread(range(len(windows))))
-        files = (window for number, window in enumerate(windows) if number in self._shown and len(window) <= _FEW)
+        self._in_recording = set(spread(range(len(windows))))
+        files = (
+            window
+            for number, window in enumerate(windows)
+            if number in self._in_recording and len(window) <= _MAX_IN_COLOUR
+        )
         self.in_colour = frozenset(int(i) for window in files for i in window)
         self._groups = [_Groups(windows, self._write_frame)]
-        if settings.support_share and any(isinstance(frame.image, VideoFrame) for frame in frames):
+        if settings.max_support_fraction and any(isinstance(frame.image, VideoFrame) for frame in frames):
             cells = cells_of(frames, frames, settings)
             borders = np.flatnonzero(np.diff(cells)) + 1
             self._groups.append(_Groups(np.split(np.arange(len(cells)), borders), self._write_support))
 
-    def take(self, place: int, look: Look) -> None:
-        """Take what the image of the row at this place looks like."""
+    def add(self, place: int, scan: ImageScan) -> None:
+        """Add the image of the row at this place."""
         for groups in self._groups:
-            groups.take(place, look)
+            groups.add(place, scan)
 
     def flush(self) -> None:
         """Write the best of the last groups."""
         for groups in self._groups:
             groups.flush()
 
-    def _write_frame(self, window: int, place: int, look: Look) -> None:
-        self._write_support(window, place, look)
-        picture = look.picture
-        if window in self._shown and picture is not None:
-            rgb = rgb_pixels(picture) if isinstance(picture, av.VideoFrame) else picture
+    def _write_frame(self, window: int, place: int, scan: ImageScan) -> None:
+        self._write_support(window, place, scan)
+        colour = scan.colour
+        if window in self._in_recording and colour is not None:
+            rgb = rgb_pixels(colour) if isinstance(colour, av.VideoFrame) else colour
             thumbnail_path(self._folder, self._frames[place].number).write_bytes(encode_thumbnail(rgb))
 
-    def _write_support(self, _: int, place: int, look: Look) -> None:
+    def _write_support(self, _: int, place: int, scan: ImageScan) -> None:
         """A video's frame as JPEG, unless it's there."""
         self._folder.mkdir(parents=True, exist_ok=True)
         image = self._frames[place].image
-        if isinstance(look.picture, av.VideoFrame) and isinstance(image, VideoFrame):
+        if isinstance(scan.colour, av.VideoFrame) and isinstance(image, VideoFrame):
             path = spooled_path(self._folder, image)
             if not path.is_file():
-                path.write_bytes(encode_jpeg(rgb_pixels(look.picture)))
+                path.write_bytes(encode_jpeg(rgb_pixels(scan.colour)))
 
 
 class _Groups:
-    """Finds the sharpest look of each group of places as they come by in order, and hands it to `write`, with the
+    """Finds the sharpest scan of each group of places as they come in order, and hands it to `write`, with the
     number of its group and its place, when the group is over."""
 
-    def __init__(self, groups: Iterable[Iterable[int]], write: Callable[[int, int, Look], None]) -> None:
+    def __init__(self, groups: Iterable[Iterable[int]], write: Callable[[int, int, ImageScan], None]) -> None:
         self._group_of = {int(i): number for number, group in enumerate(groups) for i in group}
         self._write = write
         self._group = -1
-        self._best: tuple[int, Look] | None = None
+        self._best: tuple[int, ImageScan] | None = None
 
-    def take(self, place: int, look: Look) -> None:
+    def add(self, place: int, scan: ImageScan) -> None:
         group = self._group_of.get(place, -1)
         if group != self._group:
             self.flush()
             self._group = group
-        better = self._best is None or look.check.sharpness > self._best[1].check.sharpness
-        if group >= 0 and look.picture is not None and better:
-            self._best = (place, look)
+        is_sharper = self._best is None or scan.check.sharpness > self._best[1].check.sharpness
+        if group >= 0 and scan.colour is not None and is_sharper:
+            self._best = (place, scan)
 
     def flush(self) -> None:
         if self._best is not None:

@@ -12,19 +12,19 @@ from groundwalk.artefacts.files import write_json
 from groundwalk.artefacts.tables import dataset_frames
 from groundwalk.capture_import.blurring import CascadeDetector, Detector
 from groundwalk.capture_import.capture import RawFrame, Reject
-from groundwalk.capture_import.clock import NOTICEABLE_S, ClockCheck, check_clock
-from groundwalk.capture_import.convention import SUSPECT, ConventionCheck, check_convention
+from groundwalk.capture_import.clock import MAX_OFFSET_S, ClockCheck, check_clock
+from groundwalk.capture_import.convention import MIN_EXPLAINED, ConventionCheck, check_convention
 from groundwalk.capture_import.depth import place_depths
-from groundwalk.capture_import.discovery import Found, find_recordings
+from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.images import ImageCheck
-from groundwalk.capture_import.intake import Intake, Scan, Session, measures, take_in
+from groundwalk.capture_import.intake import ImportedSession, Intake, Scan, measures, take_in
 from groundwalk.capture_import.placing import Placement, place_images
 from groundwalk.capture_import.recording import blueprint, log_session
-from groundwalk.capture_import.scan import Look
+from groundwalk.capture_import.scan import ImageScan
 from groundwalk.capture_import.selection import Selection, density_for, select
 from groundwalk.capture_import.settings import ImportSettings
-from groundwalk.capture_import.splits import LEAK_S, Split, nearest_split, split_frames
+from groundwalk.capture_import.splits import LEAK_S, SplitResult, nearest_split, split_frames
 from groundwalk.capture_import.spool import Spool
 from groundwalk.capture_import.tables import (
     frames_table,
@@ -46,13 +46,13 @@ def run(r: StageRun[ImportSettings]) -> None:
     with r.step("images"):
         unpacked = r.scratch / "unpacked"
         unpacked.mkdir(exist_ok=True)
-        found = find_recordings(root, unpacked, r.settings.limits, r.settings.format)
+        sources = find_recordings(root, unpacked, r.settings.limits, r.settings.format)
         roots = [root, unpacked.resolve()]
     intakes, fits = [], []
-    for recording in found:
+    for source in sources:
         views = Views(roots, r.settings.limits)
         with r.step("images"):
-            intakes.append(_take_in(r, recording, views))
+            intakes.append(_take_in(r, source, views))
         if r.settings.check_convention:
             with r.step("poses against images"):
                 fits.append(_check_poses(r, intakes[-1], views))
@@ -80,8 +80,8 @@ def run(r: StageRun[ImportSettings]) -> None:
         split = split_frames(dataset, r.scene.split, r.settings.split_by == "time")
         frames["split"] = nearest_split(frames, dataset.assign(split=split.of_frame))
         frames = frames[frames["split"] != "unused"].reset_index(drop=True)
-        table = sessions_table(sessions, frames, metric=r.settings.reference_is_metric)
-        r.write("frames", frames.drop(columns=["recording", "said"]))
+        table = sessions_table(sessions, frames, reference_is_metric=r.settings.reference_is_metric)
+        r.write("frames", frames.drop(columns=["recording", "stated_split"]))
         r.write("sessions", table)
         r.write("rejects", rejects_table(rejects))
         r.write("jumps", jumps_table(sessions))
@@ -96,15 +96,19 @@ def run(r: StageRun[ImportSettings]) -> None:
 
     with r.step("recording"), r.recording(blueprint([s.session_id for s in sessions])) as stream:
         for session in r.track(sessions, "writing the recording"):
-            left_out = _rejects_of(session, sessions, rejects)
+            rejected = _rejects_of(session, sessions, rejects)
             spooled = _spooled(r, session.recording.session_id)
-            log_session(stream, session, by_session[session.session_id], left_out, _image_path(r.work, root), spooled)
+            log_session(stream, session, by_session[session.session_id], rejected, _image_path(r.work, root), spooled)
 
 
 def _placed_frames(
-    r: StageRun[ImportSettings], session: Session, selection: Selection, turns: tuple[int, int], detect: Detector | None
+    r: StageRun[ImportSettings],
+    session: ImportedSession,
+    selection: Selection,
+    turns: tuple[int, int],
+    detect: Detector | None,
 ) -> tuple[pd.DataFrame, list[Reject]]:
-    """Place a session's kept images and their depth: rows of the frames table, and depth images that can't be used.
+    """Place a session's selected images and their depth: rows of the frames table, and depth images that can't be used.
 
     `turns` are the quarter turns that images are turned by, and those that would put gravity down.
     """
@@ -124,8 +128,10 @@ def _placed_frames(
     return frames_table(session, selection, places, depths), rejects
 
 
-def _rejects_of(session: Session, sessions: Sequence[Session], rejects: Sequence[Reject]) -> list[Reject]:
-    """What was left out of a session: of its recording, from its first pose to that of the recording's next part."""
+def _rejects_of(
+    session: ImportedSession, sessions: Sequence[ImportedSession], rejects: Sequence[Reject]
+) -> list[Reject]:
+    """The rejects of a session: of its recording, from its first pose to that of the recording's next part."""
     starts = [s.frames[0].t_ns for s in sessions if s.recording is session.recording and s.frames]
     if not session.frames:
         return []
@@ -145,49 +151,49 @@ def _image_path(work: Path, root: Path) -> Callable[[str], Path]:
     return lambda entry: work / entry.removeprefix("import:") if entry.startswith("import:") else root / entry
 
 
-def _take_in(r: StageRun[ImportSettings], found: Found, views: Views) -> Intake:
-    raw = found.read(r.settings.limits)
+def _take_in(r: StageRun[ImportSettings], source: RecordingSource, views: Views) -> Intake:
+    raw = source.read(r.settings.limits)
     for note in raw.notes:
         r.say(f"{raw.session_id}: {note}")
 
     def scan(frames: list[RawFrame]) -> Iterator[ImageCheck | str]:
-        if r.settings.blur or r.settings.upright:  # images that are yet to be changed aren't written ahead
+        if r.settings.blur or r.settings.upright:  # images that change later aren't written ahead
             yield from measures(views.scan(frames))
             return
         spool = Spool(_spooled(r, raw.session_id), frames, r.settings)
-        for place, look in enumerate(views.scan(frames, spool.in_colour)):
-            if isinstance(look, Look):
-                spool.take(place, look)
-                yield look.check
+        for place, result in enumerate(views.scan(frames, spool.in_colour)):
+            if isinstance(result, ImageScan):
+                spool.add(place, result)
+                yield result.check
             else:
-                yield look
+                yield result
         spool.flush()
 
-    return take_in(raw, r.settings, _remembered(r, found.session_id, scan))
+    return take_in(raw, r.settings, _cached(r, source.session_id, scan))
 
 
 def _spooled(r: StageRun[ImportSettings], recording: str) -> Path:
     return r.scratch / "spooled" / recording
 
 
-def _remembered(r: StageRun[ImportSettings], session_id: str, scan: Scan) -> Scan:
-    """`scan`, with a finished recording's result kept in scratch: the safe point of a killed run."""
+def _cached(r: StageRun[ImportSettings], session_id: str, scan: Scan) -> Scan:
+    """`scan`, with a finished recording's result stored in scratch: a killed run resumes from there."""
     path = r.scratch / f"{session_id}.json"
 
-    def remembered(frames: list[RawFrame]) -> Iterable[ImageCheck | str]:
+    def cached(frames: list[RawFrame]) -> Iterable[ImageCheck | str]:
         if path.is_file():
             return [e if isinstance(e, str) else ImageCheck(**e) for e in json.loads(path.read_text())]
         results = list(r.track(scan(frames), f"{session_id}: checking images", len(frames)))
         write_json(path, [e if isinstance(e, str) else dataclasses.asdict(e) for e in results])
         return results
 
-    return remembered
+    return cached
 
 
 def _check_poses(r: StageRun[ImportSettings], intake: Intake, views: Views) -> tuple[ConventionCheck, ClockCheck]:
-    """Hold a recording's longest session against its images: poses, intrinsics and clock.
+    """Compare a recording's longest session with its images: poses, intrinsics and clock.
 
-    UserError where another convention fits; a clock that is off is told.
+    UserError where another convention fits; an offset of the clock is a warning.
     """
     session = max(intake.sessions, key=lambda s: len(s.images))
     check = check_convention(session, views.load)
@@ -195,17 +201,17 @@ def _check_poses(r: StageRun[ImportSettings], intake: Intake, views: Views) -> t
         raise UserError(
             "the poses don't fit the images as their format declares them",
             where=session.recording.folder,
-            expected=f"matched points that fit (they're {check.declared:.0%} in {check.pairs} pairs of images)",
-            found=f"{check.other_share:.0%} fit where {check.contradicted}",
-            do="look whether another app or version wrote this; check_convention = false in [import] skips this",
+            expected=f"most matched points to fit ({check.declared:.0%} do in {check.pairs} pairs of images)",
+            found=f"{check.other_explained:.0%} fit where {check.contradicted}",
+            do="check which app and version wrote the capture; check_convention = false in [import] skips this check",
         )
-    if check.pairs and check.declared < SUSPECT:
+    if check.pairs and check.declared < MIN_EXPLAINED:
         r.say(
-            f"warning: {session.session_id}: only {check.declared:.0%} of matched points fit the poses; no usual "
-            "mistake explains it"
+            f"warning: {session.session_id}: only {check.declared:.0%} of matched points fit the poses, and no other "
+            "convention fits better"
         )
     clock = check_clock(session, views.load)
-    if clock.offset_s is not None and abs(clock.offset_s) > NOTICEABLE_S:
+    if clock.offset_s is not None and abs(clock.offset_s) > MAX_OFFSET_S:
         r.say(
             f"warning: {session.session_id}: images fit the poses {clock.offset_s:+.3f} s from their stated "
             f"times (correlation {clock.correlation:.2f})"
@@ -220,18 +226,19 @@ def _report_fits(r: StageRun[ImportSettings], fits: Sequence[tuple[ConventionChe
     r.figure("clock_offset_s", max(offsets, key=abs, default=None))
 
 
-def _select_images(r: StageRun[ImportSettings], sessions: Sequence[Session]) -> dict[str, Selection]:
-    """What is used of each session; says so where sampling has to be denser than its settings."""
+def _select_images(r: StageRun[ImportSettings], sessions: Sequence[ImportedSession]) -> dict[str, Selection]:
+    """The selection of each session; a line for the user where sampling is denser than by its settings."""
     density = density_for(sessions, r.settings)
     used = select(sessions, r.settings, density)
     if density == 1:
         return used
-    usual, count = (_dataset_size(of) for of in (select(sessions, r.settings), used))
-    if usual < count:
+    by_settings, count = (_dataset_size(selected) for selected in (select(sessions, r.settings), used))
+    if by_settings < count:
         images = sum(len(s.images) for s in sessions)
         r.say(
-            f"sampling would keep {usual} of {images} images, fewer than {r.settings.min_frames} (import.min_frames): "
-            + ("all are kept" if count == images else f"sampled {density:.2f} times as densely, {count} are kept")
+            f"sampling by its settings selects {by_settings} of {images} images, fewer than {r.settings.min_frames} "
+            "(import.min_frames): "
+            + ("all are used" if count == images else f"sampled {density:.2f} times as densely, {count} are used")
         )
     return used
 
@@ -240,13 +247,13 @@ def _dataset_size(used: dict[str, Selection]) -> int:
     return sum(int((~selection.support).sum()) for selection in used.values())
 
 
-def _refuse_same_ids(sessions: Sequence[Session], root: Path) -> None:
+def _refuse_same_ids(sessions: Sequence[ImportedSession], root: Path) -> None:
     ids = [session.session_id for session in sessions]
     if same := sorted({i for i in ids if ids.count(i) > 1}):
         raise UserError("two recordings have the same name", where=root, found=same[0], do="rename one of them")
 
 
-def _refuse_empty(sessions: Sequence[Session], rejects: Sequence[Reject], root: Path) -> None:
+def _refuse_empty(sessions: Sequence[ImportedSession], rejects: Sequence[Reject], root: Path) -> None:
     if any(s.images for s in sessions):
         return
     poses = sum(len(s.frames) for s in sessions)
@@ -267,21 +274,21 @@ def _most_common(rejects: Sequence[Reject]) -> Iterator[tuple[str, int]]:
 
 def _report(
     r: StageRun[ImportSettings],
-    sessions: Sequence[Session],
+    sessions: Sequence[ImportedSession],
     frames: pd.DataFrame,
     table: pd.DataFrame,
     rejects: Sequence[Reject],
-    split: Split,
+    split: SplitResult,
 ) -> None:
     images = sum(len(s.images) for s in sessions)
     for row in table.itertuples():
         r.say(
             f"{row.session_id}: {row.poses} poses, {row.images} images, {row.frames} frames and {row.support_frames} "
-            f"support frames kept, {row.path_m:.1f} m in {row.duration_s:.0f} s ({row.split})"
+            f"support frames selected, {row.path_m:.1f} m in {row.duration_s:.0f} s ({row.split})"
         )
     if rejects:
         reasons = "; ".join(f"{n} x {printable(reason)}" for reason, n in _most_common(rejects))
-        r.say(f"{len(rejects)} rows left out: {reasons} (all in rejects.parquet)")
+        r.say(f"{len(rejects)} rows rejected: {reasons} (all in rejects.parquet)")
     cuts = sum(splits for s in sessions for _, splits in s.jumps)
     jumps = sum(len(s.jumps) for s in sessions)
     if jumps:

@@ -7,21 +7,22 @@ from typing import get_args
 import numpy as np
 import pandas as pd
 
+from groundwalk.artefacts.choices import LengthUnit, PoseSource, SessionSplit, Split, UpAxis
 from groundwalk.artefacts.tables import dataset_frames, pose_frame
 from groundwalk.capture_import.blurring import Kind
 from groundwalk.capture_import.capture import Reject
 from groundwalk.capture_import.depth import PlacedDepth
 from groundwalk.capture_import.health import gravity_of
-from groundwalk.capture_import.intake import Session, path_length
-from groundwalk.capture_import.placing import Placed
+from groundwalk.capture_import.intake import ImportedSession, path_length
+from groundwalk.capture_import.placing import PlacedImage
 from groundwalk.capture_import.selection import Selection
 
 
 def frames_table(
-    session: Session, used: Selection, places: Sequence[Placed], depths: Sequence[PlacedDepth]
+    session: ImportedSession, used: Selection, places: Sequence[PlacedImage], depths: Sequence[PlacedDepth]
 ) -> pd.DataFrame:
     """Rows of `frames`, all but the split; and what the split is made from: the recording's name in `recording`, and
-    what a public data set says it's for in `said`."""
+    what a public data set states that it's for in `stated_split`."""
     raw = session.recording
     rows = []
     for image, support, place, depth in zip(used.images, used.support, places, depths, strict=True):
@@ -33,7 +34,7 @@ def frames_table(
                 "frame_id": f"{session.session_id}/{image.frame.number:06d}",
                 "session_id": session.session_id,
                 "recording": raw.session_id,
-                "said": raw.split,
+                "stated_split": raw.split,
                 "t_ns": image.frame.t_ns,
                 "clock": raw.clock,
                 "image": place.entry,
@@ -58,8 +59,8 @@ def frames_table(
         for kind in get_args(Kind)
     }
     poses = np.array([image.frame.vio_T_cam for image in used.images], dtype=float).reshape(-1, 4, 4)
-    gravity = gravity_of(poses) if raw.gravity_aligned else np.full((len(poses), 3), np.nan)
-    if raw.poses_are == "reference":
+    gravity = gravity_of(poses) if raw.is_gravity_aligned else np.full((len(poses), 3), np.nan)
+    if raw.pose_source == PoseSource.REFERENCE:
         poses = np.full_like(poses, np.nan)
     return pd.concat(
         [
@@ -72,9 +73,9 @@ def frames_table(
     )
 
 
-def reference_table(session: Session, frames: pd.DataFrame) -> pd.DataFrame:
+def reference_table(session: ImportedSession, frames: pd.DataFrame) -> pd.DataFrame:
     """Rows of `reference` for a session's rows of `frames`: none where the poses are the phone's."""
-    if session.recording.poses_are == "vio":
+    if session.recording.pose_source == PoseSource.VIO:
         frames = frames.iloc[:0]
     pose_of = {f"{session.session_id}/{i.frame.number:06d}": i.frame.vio_T_cam for i in session.images}
     poses = np.array([pose_of[frame_id] for frame_id in frames["frame_id"]], dtype=float).reshape(-1, 4, 4)
@@ -82,9 +83,11 @@ def reference_table(session: Session, frames: pd.DataFrame) -> pd.DataFrame:
     return pd.concat([keys, pose_frame("map_cam", poses)], axis=1)
 
 
-def sessions_table(sessions: Sequence[Session], frames: pd.DataFrame, *, metric: bool) -> pd.DataFrame:
-    """One row a session; `frames` is the frames table with its splits. `metric`: the user says that references without
-    a unit are in metres."""
+def sessions_table(
+    sessions: Sequence[ImportedSession], frames: pd.DataFrame, *, reference_is_metric: bool
+) -> pd.DataFrame:
+    """One row a session; `frames` is the frames table with its splits. `reference_is_metric`: references
+    without a stated unit are in metres."""
     rows = []
     for session in sessions:
         used = frames[frames["session_id"] == session.session_id]
@@ -104,11 +107,11 @@ def sessions_table(sessions: Sequence[Session], frames: pd.DataFrame, *, metric:
                 "frames": len(dataset),
                 "support_frames": len(used) - len(dataset),
                 "split": _session_split(set(dataset["split"])),
-                "poses_are": session.recording.poses_are,
+                "pose_source": session.recording.pose_source,
                 "reference_unit": None
-                if session.recording.poses_are == "vio"
-                else ("m" if metric or session.recording.metric else "unknown"),
-                "up": "+y" if session.recording.gravity_aligned else "unknown",
+                if session.recording.pose_source == PoseSource.VIO
+                else (LengthUnit.METRE if reference_is_metric or session.recording.is_metric else LengthUnit.UNKNOWN),
+                "up": UpAxis.Y if session.recording.is_gravity_aligned else UpAxis.UNKNOWN,
             }
         )
     return pd.DataFrame(rows)
@@ -126,15 +129,15 @@ def rejects_table(rejects: Sequence[Reject]) -> pd.DataFrame:
     )
 
 
-def jumps_table(sessions: Sequence[Session]) -> pd.DataFrame:
+def jumps_table(sessions: Sequence[ImportedSession]) -> pd.DataFrame:
     """Rows of `jumps`."""
     rows = [(s.session_id, j.t_ns, j.dt_s, j.jump_m, j.jump_deg, splits) for s in sessions for j, splits in s.jumps]
     return pd.DataFrame(rows, columns=["session_id", "t_ns", "dt_s", "jump_m", "jump_deg", "splits"])
 
 
-def vio_table(session: Session) -> pd.DataFrame:
+def vio_table(session: ImportedSession) -> pd.DataFrame:
     """Rows of `vio`: none where the poses aren't the phone's."""
-    frames = session.frames if session.recording.poses_are == "vio" else []
+    frames = session.frames if session.recording.pose_source == PoseSource.VIO else []
     columns = pd.DataFrame(
         {
             "session_id": [session.session_id] * len(frames),
@@ -151,9 +154,9 @@ def printable(text: str) -> str:
     return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
 
-def _session_split(splits: set[str]) -> str:
+def _session_split(splits: set[str]) -> SessionSplit:
     if not splits:
-        return "unused"
-    if splits <= {"train", "val"}:
-        return "train"
-    return "test" if splits == {"test"} else "mixed"
+        return SessionSplit.UNUSED
+    if splits <= {Split.TRAIN, Split.VAL}:
+        return SessionSplit.TRAIN
+    return SessionSplit.TEST if splits == {Split.TEST} else SessionSplit.MIXED

@@ -14,7 +14,7 @@ from groundwalk.capture_import.images import decode_rgb, shrunk
 T = TypeVar("T")
 
 # More images of a session would make the recording of a long walk slow to open.
-MOST = 300
+MAX_THUMBNAILS = 300
 _LONG_SIDE = 320
 _QUALITY = 70
 
@@ -31,5 +31,5 @@ def thumbnail_of(path: Path) -> bytes:
 
 
 def spread(items: Sequence[T]) -> Sequence[T]:
-    """Every so-manieth of the items, so that there are at most as many as the recording shows."""
-    return items[:: max(1, math.ceil(len(items) / MOST))]
+    """Evenly spread items, at most as many as the Rerun recording shows."""
+    return items[:: max(1, math.ceil(len(items) / MAX_THUMBNAILS))]

@@ -7,19 +7,19 @@ from numpy.typing import NDArray
 
 from groundwalk.capture_import.capture import Intrinsics, RawFrame
 from groundwalk.capture_import.health import gravity_of
-from groundwalk.capture_import.intake import Image, Session
+from groundwalk.capture_import.intake import Image, ImportedSession
 from groundwalk.geometry.poses import Array, inverse, make_pose
 
 # A quarter turn clockwise: what was right is down, what was down is left.
 _CLOCKWISE: Array = make_pose([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0, 0, 0])
 
 
-def quarters_to_upright(session: Session) -> int:
+def quarters_to_upright(session: ImportedSession) -> int:
     """How many quarter turns clockwise (0 to 3) put gravity down in most of a session's images.
 
-    One answer a session, so that its images and all its poses keep one set of axes. 0 where up isn't known.
+    One answer a session, so that its images and all its poses have the same axes. 0 where up is unknown.
     """
-    if not session.recording.gravity_aligned or not session.images:
+    if not session.recording.is_gravity_aligned or not session.images:
         return 0
     poses = np.array([image.frame.vio_T_cam for image in session.images], dtype=float)
     gravity = gravity_of(poses).sum(axis=0)
@@ -27,7 +27,7 @@ def quarters_to_upright(session: Session) -> int:
     return int(np.argmax(downs))
 
 
-def turned(session: Session, quarters: int) -> Session:
+def turned(session: ImportedSession, quarters: int) -> ImportedSession:
     """The session with camera axes, poses and intrinsics turned by quarters clockwise."""
     if quarters == 0:
         return session
@@ -35,7 +35,7 @@ def turned(session: Session, quarters: int) -> Session:
     images = []
     for image in session.images:
         camera, width, height = image.frame.intrinsics, image.check.width, image.check.height
-        assert camera is not None  # intake keeps images with intrinsics
+        assert camera is not None  # intake drops images without
         for _ in range(quarters):
             camera, width, height = _turned_camera(camera, height), height, width
         frame = replace(_turned_pose(image.frame, quarters), intrinsics=camera)
@@ -49,7 +49,7 @@ def turned_pixels(image: NDArray[np.uint8], quarters: int) -> NDArray[np.uint8]:
 
 
 def _turned_pose(frame: RawFrame, quarters: int) -> RawFrame:
-    assert frame.vio_T_cam is not None  # intake keeps rows with poses
+    assert frame.vio_T_cam is not None  # intake drops rows without
     return replace(frame, vio_T_cam=frame.vio_T_cam @ inverse(np.linalg.matrix_power(_CLOCKWISE, quarters)))
 
 

@@ -16,7 +16,7 @@ from groundwalk.capture_import.images import shrunk
 # Pixel formats whose first plane is the brightness, a byte a pixel.
 _BRIGHTNESS_FIRST = {f"yuv{j}{chroma}p" for j in ("", "j") for chroma in (420, 422, 444)} | {"nv12", "nv21", "gray"}
 # Phones write a key frame every second or so: seeking over less decodes the same frames again.
-_SKIPPED_S = 3.0
+_MIN_GAP_S = 3.0
 
 
 def frame_times(path: Path, limits: Limits) -> NDArray[np.int64]:
@@ -49,11 +49,11 @@ def require_row_per_frame(path: Path, log: str, rows: int, limits: Limits) -> No
         )
 
 
-def decode(path: Path, wanted: set[int], limits: Limits) -> Iterator[tuple[int, av.VideoFrame]]:
-    """The wanted frames of a video in the order of display, each with its index.
+def decode(path: Path, indices: set[int], limits: Limits) -> Iterator[tuple[int, av.VideoFrame]]:
+    """The frames of a video with these `indices` in the order of display, each with its index.
 
-    A frame is told by its time, so that frames which a damaged file has lost don't shift those behind them; the caller
-    notices which ones it didn't get. Long stretches without a wanted frame are skipped.
+    A frame is identified by its time, so that frames which a damaged file has lost don't shift those after them; the
+    caller notices which are missing. Long parts without such a frame are skipped.
     """
     try:
         with av.open(path) as container:
@@ -64,9 +64,9 @@ def decode(path: Path, wanted: set[int], limits: Limits) -> Iterator[tuple[int, 
         with av.open(path) as container:
             stream = _stream(container, path, limits)
             stream.thread_type = "AUTO"
-            for run in _runs(np.array([[i, ticks[i]] for i in sorted(wanted) if 0 <= i < len(ticks)]), second):
+            for run in _runs(np.array([[i, ticks[i]] for i in sorted(indices) if 0 <= i < len(ticks)]), second):
                 first, last = run[[0, -1], 0]
-                # Containers seek by the time of decoding: the key frame found may be shown after the wanted frame.
+                # Containers seek by the time of decoding: the key frame may be shown after the first frame.
                 for back in (0, second):
                     if ticks[first] - second > ticks[0]:
                         container.seek(ticks[first] - back, stream=stream)
@@ -75,7 +75,7 @@ def decode(path: Path, wanted: set[int], limits: Limits) -> Iterator[tuple[int, 
                     if start is None or start[0] <= first:
                         break
                 for index, frame in chain([start] if start else [], frames):
-                    if index in wanted and index >= first:
+                    if index in indices and index >= first:
                         yield index, frame
                     if index >= last:
                         break
@@ -105,10 +105,10 @@ def _ticks(container: av.container.InputContainer, stream: av.VideoStream) -> li
 
 
 def _runs(index_tick_N2: NDArray[np.int64], second: int) -> list[NDArray[np.int64]]:
-    """Frames (N, 2) cut where nothing is wanted for so long that seeking is cheaper than decoding."""
+    """Frames (N, 2) cut at gaps so long that seeking is cheaper than decoding."""
     if not len(index_tick_N2):
         return []
-    return np.split(index_tick_N2, np.flatnonzero(np.diff(index_tick_N2[:, 1]) > _SKIPPED_S * second) + 1)
+    return np.split(index_tick_N2, np.flatnonzero(np.diff(index_tick_N2[:, 1]) > _MIN_GAP_S * second) + 1)
 
 
 def _base(stream: av.VideoStream) -> Fraction:

@@ -1,10 +1,10 @@
 """COLMAP: `sparse/0` with cameras, images and points in the map, `images/`, and lists of image names by split.
 
-Each of SfM's models that nothing visual ties to the others has a folder of its own: `sparse/1`, ...
+Each of SfM's models without a common view with the others has a separate folder: `sparse/1`, ...
 
 Format: https://colmap.github.io/format.html (world-to-camera poses, quaternions w first in text; pixel centres at 0.5,
-as ours). The world is the map: metric, +y up. Cameras are SfM's, a frame's own each, with its lens (OPENCV). What a
-rolling shutter did to observations of points is taken out of them, so they may lie pixels from the images' features;
+as ours). The world is the map: metric, +y up. Cameras are SfM's, one a frame, with its lens (OPENCV). Observations
+of points are without the effect of a rolling shutter, so they may lie pixels from the images' features;
 the images are as the phone took them.
 """
 
@@ -24,8 +24,10 @@ def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool =
         names |= _write_model(sfm_model, folder / "sparse" / str(number), text=text)
     ordered = [names[frame_id] for frame_id in dataset.frames["frame_id"]]
     for split in ("train", "val", "test"):
-        own = [name for name, of in zip(ordered, dataset.frames["split"], strict=True) if of == split]
-        (folder / f"{split}.txt").write_text("".join(f"{name}\n" for name in own), encoding="utf-8")
+        named = zip(ordered, dataset.frames["split"], strict=True)
+        (folder / f"{split}.txt").write_text(
+            "".join(f"{name}\n" for name, of in named if of == split), encoding="utf-8"
+        )
     for source, name in zip(dataset.images, ordered, strict=True):
         source.place(folder / "images" / name, images)
     return [f"images/{name}" for name in ordered]
@@ -34,21 +36,21 @@ def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool =
 def _write_model(sfm_model: SfmModel, folder: Path, *, text: bool) -> dict[str, str]:
     """One of SfM's models in the map, without the frames that have no ground truth; returns image names by frame."""
     if not sfm_model.folder.is_dir():
-        raise UserError("SfM's model isn't there", where=sfm_model.folder, do="run the sfm stage again")
+        raise UserError("a SfM model is missing", where=sfm_model.folder, do="run the sfm stage again")
     model = pycolmap.Reconstruction(sfm_model.folder)
     to_map = sfm_model.map_S_sfm
     model.transform(pycolmap.Sim3d(to_map.scale, pycolmap.Rotation3d(to_map.rotation), to_map.translation))
     by_frame = {unquote(str(Path(image.name).with_suffix(""))): image for image in model.images.values()}
-    wanted = set(sfm_model.frame_ids)
-    if missing := wanted - by_frame.keys():
+    exported = set(sfm_model.frame_ids)
+    if missing := exported - by_frame.keys():
         raise UserError(
-            "SfM's model lacks frames that have ground truth",
+            "a SfM model lacks frames that have ground truth",
             where=sfm_model.folder,
-            found=f"{len(missing)} are missing, {min(missing)} for one",
+            found=f"{len(missing)} missing, such as {min(missing)}",
             do="run the sfm and align stages again",
         )
     for frame_id, image in by_frame.items():
-        if frame_id not in wanted:
+        if frame_id not in exported:
             model.deregister_frame(image.frame_id)
     folder.mkdir(parents=True)
     (model.write_text if text else model.write_binary)(folder)

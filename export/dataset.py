@@ -1,4 +1,4 @@
-"""What is exported: the frames that have ground truth, with their images, and SfM's model brought into the map."""
+"""The exported data: the frames that have ground truth, with their images, and SfM's model brought into the map."""
 
 import shutil
 from dataclasses import dataclass, replace
@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.choices import QualityClass, ScaleSource, VerticalSource
+from groundwalk.artefacts.hints import run_command
 from groundwalk.artefacts.images import image_file
 from groundwalk.artefacts.manifests import MANIFEST, load_verified
 from groundwalk.artefacts.schemas import schema
@@ -23,8 +25,8 @@ from groundwalk.geometry.poses import Array
 Images = Literal["link", "copy", "none"]
 
 JPEG_QUALITY = 95
-# An estimated lens is never none to the bit.
-_NO_LENS_PX = 0.1
+# An estimated lens that moves no pixel further is none.
+_MAX_SHIFT_PX = 0.1
 
 
 @dataclass(frozen=True)
@@ -84,12 +86,12 @@ class ImageSource:
 
 @dataclass(frozen=True)
 class Dataset:
-    """`frames` (N rows) have ground truth, `left_out` have none; both are import.frames with align's quality, reason
+    """`frames` (N rows) have ground truth, `excluded` have none; both are import.frames with align's quality, reason
     and component, and the cameras that the poses go with. `images` are the N images, `map_T_cam` (N, 4, 4) their poses,
     `models` SfM's, largest first."""
 
     frames: pd.DataFrame
-    left_out: pd.DataFrame
+    excluded: pd.DataFrame
     map_T_cam: Array
     images: list[ImageSource]
     models: list[SfmModel]
@@ -98,12 +100,12 @@ class Dataset:
     @property
     def world(self) -> str:
         """Unit and axes of the map, in words."""
-        scale, vertical = (str(self.frames[f"{of}_source"].iloc[0]) for of in ("scale", "vertical"))
-        if scale == "none":
-            unit = "SfM's unit, as nothing gives a scale"
+        scale, vertical = (str(self.frames[f"{name}_source"].iloc[0]) for name in ("scale", "vertical"))
+        if scale == ScaleSource.NONE:
+            unit = "SfM's unit, without a metric scale"
         else:
-            unit = "a reference's unit, which isn't known" if "unknown" in scale else "metres"
-        axes = "a reference's axes, up not known" if "unknown" in vertical else "+y up"
+            unit = "a reference's unknown unit" if scale == ScaleSource.REFERENCE_UNIT_UNKNOWN else "metres"
+        axes = "a reference's axes, up unknown" if vertical == VerticalSource.REFERENCE_UP_UNKNOWN else "+y up"
         return f"{unit}, {axes}"
 
     @property
@@ -116,8 +118,8 @@ class Dataset:
         """How many images are written without distortion."""
         return sum(image.undistorted is not None for image in self.images)
 
-    def without_distortion(self, beyond: int = 0) -> "Dataset":
-        """The dataset for a format that holds `beyond` coefficients of distortion.
+    def without_distortion(self, max_coefficients: int = 0) -> "Dataset":
+        """The dataset for a format that holds `max_coefficients` of distortion.
 
         Frames that have more become those of a pinhole of the same image size (`pinhole_within`), images and cameras
         alike; their poses stay. A lens that moves no corner of its image by 0.1 px is none. UserError where a frame's
@@ -125,9 +127,9 @@ class Dataset:
         """
         images, cameras = list(self.images), [camera_of(frame) for frame in self.frames.itertuples(index=False)]
         for row, camera in enumerate(cameras):
-            if len(np.trim_zeros(camera.distortion, "b")) <= beyond:
+            if len(np.trim_zeros(camera.distortion, "b")) <= max_coefficients:
                 continue
-            if _lens_shift_px(camera) <= _NO_LENS_PX:
+            if _lens_shift_px(camera) <= _MAX_SHIFT_PX:
                 cameras[row] = replace(camera, distortion=())
                 continue
             try:
@@ -153,18 +155,16 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
     for stage, folder in folders.items():
         if not (folder / MANIFEST).is_file():
             raise UserError(
-                f"stage {stage} of scene {scene} hasn't been run",
-                where=folder,
-                do=f"make scene={scene} profile={profile} align",
+                f"stage {stage} of scene {scene} hasn't been run", where=folder, do=run_command(scene, profile, "align")
             )
     manifests = {stage: load_verified(folder) for stage, folder in folders.items()}
     for stage in ("import", "sfm"):
         used = manifests["align"].get("inputs", {}).get(f"{scene}/{stage}")
         if used != manifests[stage]["outputs"]:
             raise UserError(
-                f"the ground truth was made from another {stage} run than the one that is here",
+                f"the ground truth was made from another run of stage {stage}",
                 where=folders["align"],
-                do=f"make scene={scene} profile={profile} align",
+                do=run_command(scene, profile, "align"),
             )
     ground_truth = read_table(folders["align"] / "ground_truth.parquet", schema("align", "ground_truth"))
     images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
@@ -174,23 +174,23 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
         validate="one_to_one",
     )
     frames = with_cameras(frames, ground_truth)
-    known = (frames["quality"] != "none").to_numpy()
-    if not known.any():
-        raise UserError("there is nothing to export: no frame has ground truth", where=folders["align"])
-    map_T_cam = poses_of(ground_truth.set_index("frame_id").loc[frames["frame_id"]], "map_cam")[known]
-    sfm_T_cam = poses_of(images.set_index("frame_id").loc[frames["frame_id"]], "sfm_cam")[known]
-    component = frames.loc[known, "component"].to_numpy(int)
-    ids = frames.loc[known, "frame_id"].to_numpy(str)
+    has_pose = (frames["quality"] != QualityClass.NONE).to_numpy()
+    if not has_pose.any():
+        raise UserError("nothing to export: no frame has ground truth", where=folders["align"])
+    map_T_cam = poses_of(ground_truth.set_index("frame_id").loc[frames["frame_id"]], "map_cam")[has_pose]
+    sfm_T_cam = poses_of(images.set_index("frame_id").loc[frames["frame_id"]], "sfm_cam")[has_pose]
+    component = frames.loc[has_pose, "component"].to_numpy(int)
+    ids = frames.loc[has_pose, "frame_id"].to_numpy(str)
     # Components are numbered by their frames, COLMAP's folders by the size of what was mapped: the same in most runs.
     models = read_table(folders["sfm"] / "models.parquet", schema("sfm", "models")).set_index("model_id")["folder"]
     folder_of = images.set_index("frame_id").loc[ids, "model_id"].map(models).to_numpy()
     return Dataset(
-        frames[known].reset_index(drop=True),
-        frames[~known].reset_index(drop=True),
+        frames[has_pose].reset_index(drop=True),
+        frames[~has_pose].reset_index(drop=True),
         map_T_cam,
         [
             ImageSource(image_file(image, root.captures(scene), folders["import"]))
-            for image in frames.loc[known, "image"]
+            for image in frames.loc[has_pose, "image"]
         ],
         [
             SfmModel(
@@ -217,7 +217,7 @@ def number(value: float) -> str:
 
 
 def _similarity(map_T_cam: Array, sfm_T_cam: Array) -> Sim3:
-    """The map_S_sfm that align applied to these frames: exact, so that two frames far apart tell it."""
+    """The map_S_sfm that align applied to these frames: exact, so that two frames far apart determine it."""
     apart = np.linalg.norm(sfm_T_cam[:, :3, 3] - sfm_T_cam[0, :3, 3], axis=1)
     far = int(np.argmax(apart))
     scale = float(np.linalg.norm(map_T_cam[far, :3, 3] - map_T_cam[0, :3, 3]) / apart[far]) if apart[far] > 0 else 1.0

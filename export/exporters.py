@@ -37,8 +37,8 @@ def written(name: str, dataset: Dataset, folder: Path, images: Images) -> list[s
     """Write a layout; PluginError where one of another package fails or doesn't say where it put the images."""
     exporter = EXPORTERS.find(name)
     with EXPORTERS.guard(name):
-        placed = exporter.write(dataset, folder, images)
-        if not isinstance(placed, list) or len(placed) != len(dataset.frames):
-            found = f"{len(placed)} paths" if isinstance(placed, list) else f"a {type(placed).__name__}"
-            raise ValueError(f"write returned {found}, expected a list of {len(dataset.frames)} image paths")
-    return placed
+        paths = exporter.write(dataset, folder, images)
+        if not isinstance(paths, list) or len(paths) != len(dataset.frames):
+            returned = f"{len(paths)} paths" if isinstance(paths, list) else f"a {type(paths).__name__}"
+            raise ValueError(f"write returned {returned}, expected a list of {len(dataset.frames)} image paths")
+    return paths

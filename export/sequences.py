@@ -10,10 +10,10 @@ def sequences(dataset: Dataset) -> list[tuple[bool, np.ndarray]]:
 
     Validation frames are part of the training walks, so they count as training.
     """
-    frames, found = dataset.frames, []
+    frames, result = dataset.frames, []
     for session_id in sorted(frames["session_id"].unique()):
         for test in (False, True):
             rows = np.flatnonzero((frames["session_id"] == session_id) & (dataset.in_test == test))
             if len(rows):
-                found.append((test, rows[np.argsort(frames["t_ns"].to_numpy()[rows], kind="stable")]))
-    return found
+                result.append((test, rows[np.argsort(frames["t_ns"].to_numpy()[rows], kind="stable")]))
+    return result

@@ -26,8 +26,8 @@ class Model:
 
     prior: of the covariance of normalised errors. dof: degrees of freedom of Student's t. independent: what one
     prediction counts of an independent one, as neighbours are wrong alike. apart_m: motion after which two predictions
-    are half as good as two independent ones of that kind. shared: share of their position covariance that a
-    walk's predictions have in common.
+    are half as good as two independent ones of that kind. shared: share of their errors that predictions of one place
+    have in common, which fades over `shared_m`: bounds.
     """
 
     prior: Prior
@@ -35,6 +35,7 @@ class Model:
     independent: float
     apart_m: float
     shared: float
+    shared_m: float
 
 
 @dataclass(frozen=True)

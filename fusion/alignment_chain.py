@@ -50,9 +50,13 @@ class Solution(NamedTuple):
                 block[column:, column] = self.factor[: 4 - column, 4 * index + column]
             inverse = np.linalg.inv(block)
             return np.asarray(inverse.T @ inverse)
-        unit = np.zeros((4 * count, 4))
+        return self.columns(index)[4 * index : 4 * index + 4]
+
+    def columns(self, index: int) -> Array:
+        """The columns (4N, 4) of the inverse of the information that are one keyframe's."""
+        unit = np.zeros((4 * len(self.increments), 4), order="F")
         unit[4 * index : 4 * index + 4] = np.eye(4)
-        return np.asarray(dpbtrs(self.factor, unit, lower=1)[0])[4 * index : 4 * index + 4]
+        return np.asarray(dpbtrs(self.factor, unit, lower=1, overwrite_b=1)[0])
 
 
 def errors(position: Array, yaw: Array, measured_position: Array, measured_yaw: Array, tilt: Array) -> Array:

@@ -4,8 +4,6 @@ from groundwalk.artefacts import recording
 from groundwalk.fusion.apr import Apr, AprOptions
 from groundwalk.fusion.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.error_state import ErrorState, ErrorStateOptions
-from groundwalk.fusion.hindsight import Hindsight, HindsightOptions
-from groundwalk.fusion.hindsight_late import LateHindsight, LateHindsightOptions
 from groundwalk.fusion.last_good import LastGood, LastGoodOptions
 from groundwalk.fusion.methods import Method
 from groundwalk.fusion.mobilearloc import MobileARLoc, MobileARLocOptions
@@ -80,7 +78,7 @@ ERROR_STATE = Method(
 DRIFT_AWARE = Method(
     id="drift_aware",
     label="drift_aware",
-    meaning="slowly drifting alignment, from all the history",
+    meaning="slowly drifting alignment, fitted to all kept predictions anew with each one",
     colour=(102, 166, 30),
     make=DriftAware,
     options=DriftAwareOptions,
@@ -89,35 +87,13 @@ DRIFT_AWARE = Method(
     learns=True,
     shown=True,
 )
-HINDSIGHT = Method(
-    id="hindsight",
-    label="Hindsight",
-    meaning="alignment fitted to all kept predictions anew with each one",
-    colour=(51, 34, 136),
-    make=Hindsight,
-    options=HindsightOptions,
-    causal=True,
-    gives_covariance=True,
-    learns=True,
-)
 SMOOTHER = Method(
     id="smoother",
     label="smoother",
-    meaning="drift_aware from the whole walk: for labelling",
+    meaning="drift_aware that answers lag_s late, or after the whole walk",
     colour=(117, 112, 179),
     make=Smoother,
     options=SmootherOptions,
-    causal=False,
-    gives_covariance=True,
-    learns=True,
-)
-HINDSIGHT_LATE = Method(
-    id="hindsight_late",
-    label="Hindsight, late",
-    meaning="hindsight that answers lag_s later, or from the whole walk",
-    colour=(136, 34, 85),
-    make=LateHindsight,
-    options=LateHindsightOptions,
     causal=False,
     gives_covariance=True,
     learns=True,

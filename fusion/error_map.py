@@ -55,14 +55,6 @@ class Expected(NamedTuple):
     tilt: float
     yaw_per_m: tuple[float, float] = (0.0, 0.0)
 
-    def by_themselves(self) -> "Expected":
-        """The same of yaw errors that come without an error to the side: their variance is the whole one."""
-        coupled = np.square(self.yaw_per_m)
-        shared, noise = self.shared.copy(), self.noise.copy()
-        shared[0] += coupled @ shared[1::2]
-        noise[0] += coupled @ noise[1::2]
-        return self._replace(shared=shared, noise=noise, yaw_per_m=(0.0, 0.0))
-
 
 @dataclass(frozen=True)
 class Reach:

@@ -20,6 +20,7 @@ from groundwalk.fusion.mobilearloc import MobileARLocOptions
 from groundwalk.fusion.quaternion_order import refuse_scalar_first
 from groundwalk.fusion.summary import session_figures, summarise
 from groundwalk.fusion.sweep import around, sweep
+from groundwalk.fusion.validation import validation_rows
 from groundwalk.fusion.walks import Evaluated, Walk, check_frames, check_predictions, evaluated, poses_for
 
 
@@ -28,7 +29,7 @@ class FuseSettings(Settings):
         default_factory=lambda: list(METHODS.builtin), min_length=1, description="fusion methods to run, by id"
     )
     options: dict[str, dict[str, Any]] = Field(
-        {}, description="a method's options that differ from its defaults: options.window30.frames=20 (docs/fusion.md)"
+        {}, description="a method's options that differ from its defaults: options.window30.frames=20"
     )
     splits: list[str] = Field(["test"], min_length=1, description="frames to evaluate: test, val, train")
     learn_from: str = Field(
@@ -38,14 +39,14 @@ class FuseSettings(Settings):
 
 @dataclass(frozen=True)
 class Inputs:
-    """One scene's frames, ground truth and predictions; `trained` are the models whose predictions the train stage
-    made, so that the order of their quaternions is known."""
+    """One scene's frames, ground truth and predictions; `made_here` are the models whose predictions the stages train
+    and localise made, so that the order of their quaternions is known."""
 
     scene: str
     frames: pd.DataFrame
     truth: pd.DataFrame
     predictions: pd.DataFrame
-    trained: frozenset[str] = frozenset()
+    made_here: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,9 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
     rule = next((chosen for chosen in options.values() if isinstance(chosen, MobileARLocOptions)), None)
     if rule is not None:
         tables["sweep"] = sweep(walks, around(rule))
+    validated = [validation_rows(walks, model, options) for model, walks in held_out_walks(inputs, settings)]
+    if validated:
+        tables["validation"] = stacked(validated)
     if error_maps:
         tables["error_maps"] = stacked(m.table().assign(scene=s, model=r) for (s, r), m in error_maps.items())
     gates = {name: chosen.gates for name, chosen in options.items()}
@@ -164,13 +168,28 @@ def learnt(inputs: Inputs, model: str, settings: FuseSettings) -> ErrorMap | Non
     return ErrorMap.learnt(poses_for(rows, rows, "map_cam"), poses_for(rows, inputs.truth, "map_cam"))
 
 
+def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator[tuple[str, list[Walk]]]:
+    """Each model's name and walks of held-out frames of each scene, where half of them or more have ground truth and a
+    prediction and they aren't evaluated anyhow."""
+    if not settings.learn_from or settings.learn_from in settings.splits:
+        return
+    for scene in inputs:
+        held = scene.frames[scene.frames["split"] == settings.learn_from]
+        true = held["frame_id"].isin(scene.truth["frame_id"])
+        for model, predictions in scene.predictions.groupby("model", sort=False):
+            both = true & held["frame_id"].isin(predictions["frame_id"])
+            if len(held) and both.mean() >= 0.5:
+                found = evaluated(scene.scene, held, scene.truth, pd.DataFrame(predictions), [settings.learn_from])
+                yield str(model), found.walks
+
+
 def joined_walks(inputs: Inputs, splits: list[str]) -> Iterator[tuple[str, Evaluated]]:
     """Each model's name and walks. UserError for inputs that can't be evaluated."""
     check_frames(inputs.frames, inputs.truth, f"of {inputs.scene}")
     check_predictions(inputs.frames, inputs.predictions, f"of {inputs.scene}")
     for model, predictions in inputs.predictions.groupby("model", sort=False):
         found = evaluated(inputs.scene, inputs.frames, inputs.truth, predictions, splits)
-        if model not in inputs.trained:
+        if model not in inputs.made_here:
             refuse_scalar_first(found.walks, f"of {inputs.scene}")
         yield str(model), found
 
@@ -184,6 +203,7 @@ def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
 
 _MEANINGS = {
     "frames_too_uncertain_for_levels": "ground truth of class C, in means and medians alone",
+    "predictions_refused": "the localiser's evidence was too thin; they count as failed",
     "frames_of_unstated_quality": "the accuracy levels leave none of them out",
 }
 

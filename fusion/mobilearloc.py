@@ -3,7 +3,7 @@
 Two stages take turns. *Alignment* waits for N+1 consecutive frames whose predictions move as odometry does; their
 averages align the two frames. *Optimisation* then passes on predictions that go on moving as odometry does, replaces
 the others by odometry carried through the alignment, and goes back to alignment when N reliable predictions in a row
-say that the alignment has drifted. docs/fusion.md lists the paper's open points beside the options.
+say that the alignment has drifted. docs/explanation/fusion.md lists the paper's open points beside the options.
 """
 
 from collections import deque

@@ -20,7 +20,8 @@ _ANYWHERE = 40.0 * 40.0 * 3.0 * 2 * np.pi
 _DIMENSIONS = 6
 # Odds below exp(_SIGN) against a loss of odometry's frame: it jumped, or was gone.
 _SIGN = 1.0
-_WITHOUT_SIGN = 0.35
+_WITHOUT_SIGN = 0.5
+_WITHOUT_SIGN_LEAST = 7  # predictions that must agree where odometry gave no sign: a look aside takes some seconds
 _HOPELESS = 5.0  # nats behind, where a rival needn't be worked out
 _BACK = 3.0  # log odds against an earlier alignment's holding again
 
@@ -84,6 +85,7 @@ def best_rival(
     shift = weight @ measured[:, :3] - _turned(yaw, weight @ vio)
     gains = np.diag(gained(robust.costs(judged.squared(yaw, shift), _DIMENSIONS, dof))).copy()
     gains -= newness
+    gains[~sign & (np.arange(count) > count - _WITHOUT_SIGN_LEAST)] = -np.inf
     if begins_anew:
         gains[0] = -np.inf
     begin = int(np.argmax(gains))

@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from groundwalk.artefacts import Stage, StageRun
+from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines, stacked
 from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.record import blueprint, record
@@ -15,7 +15,7 @@ def run(r: StageRun[FuseSettings]) -> None:
             r.dataset_frames(leaf),
             r.read("align", "ground_truth", scene=leaf),
             _predictions(r, leaf),
-            _trained(r, leaf),
+            _made_here(r, leaf),
         )
         for leaf in r.leaves
     ]
@@ -34,28 +34,38 @@ def run(r: StageRun[FuseSettings]) -> None:
 
 
 def _predictions(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:
-    """A scene's predictions: its own training's, but for models that a group around it has trained."""
-    own = r.read("train", "predictions", scene=leaf)
-    if not r.scene.is_group or "train" not in r.scene.stages:
-        return own
-    shared = r.read("train", "predictions")
-    shared = shared[shared["scene"] == leaf]
-    return stacked([shared, own[~own["model"].isin(shared["model"])]])
+    """A scene's predictions: its own training's, but for models that a group around it has trained, and its structure
+    localisers'. UserError where two of them have one name."""
+    parts = [r.read("train", "predictions", scene=leaf)]
+    if r.scene.is_group and "train" in r.scene.stages:
+        shared = r.read("train", "predictions")
+        shared = shared[shared["scene"] == leaf]
+        parts = [shared, parts[0][~parts[0]["model"].isin(shared["model"])]]
+    localised = r.read("localise", "predictions", scene=leaf)
+    trained = {str(model) for part in parts for model in part["model"]}
+    if twice := trained.intersection(localised["model"]):
+        raise UserError(
+            f"scene {leaf}: a regressor and a structure localiser are called {min(twice)!r}",
+            do="give the regressor's predictions another name, or leave the localiser out of [localise] models",
+        )
+    return stacked([*parts, localised])
 
 
-def _trained(r: StageRun[FuseSettings], leaf: str) -> frozenset[str]:
-    """The models of a scene's predictions that were trained here, not imported."""
+def _made_here(r: StageRun[FuseSettings], leaf: str) -> frozenset[str]:
+    """The models of a scene's predictions that were trained or built here, not imported."""
     group = r.scene.is_group and "train" in r.scene.stages
     cards = stacked([r.read("train", "models", scene=leaf), *([r.read("train", "models")] if group else [])])
-    return frozenset(cards.loc[cards["file"] != "", "model"])
+    built = r.read("localise", "models", scene=leaf)["model"]
+    return frozenset(cards.loc[cards["file"] != "", "model"]) | frozenset(built)
 
 
 STAGE = Stage(
     name="fuse",
-    version=8,
+    version=9,
     settings=FuseSettings,
-    needs=("import", "align", "train"),
+    needs=("import", "align", "localise", "train"),
     run=run,
-    help="Fuse the regressors' predictions with odometry, and measure every method against the ground truth.",
+    help="Fuse regressors' and structure localisers' predictions with odometry, and measure every method against the "
+    "ground truth.",
     plugins=lambda settings: METHODS.versions(settings.methods),
 )

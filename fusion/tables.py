@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.files import RECORDING, fresh_folder, write_json
+from groundwalk.artefacts.files import RECORDING, fresh_folder, refuse_to_overwrite, write_json
 from groundwalk.artefacts.progress import console
 from groundwalk.artefacts.recording import open_recording
 from groundwalk.artefacts.schemas import schema
@@ -84,7 +84,7 @@ def _written(out: Path, force: bool) -> Iterator[Path]:
     """A folder beside `out` to write into; it becomes `out` when the block ends well, and is dropped otherwise."""
     out = out.absolute()
     try:
-        _refuse_to_overwrite(out, force)
+        refuse_to_overwrite(out, "results", _NOTE, "inputs", force=force)
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError("the output folder can't be made", where=out, found=error.strerror) from None
@@ -93,20 +93,6 @@ def _written(out: Path, force: bool) -> Iterator[Path]:
             yield folder
     except OSError as error:
         raise UserError("the results can't be written", where=error.filename or out, found=error.strerror) from None
-
-
-def _refuse_to_overwrite(out: Path, force: bool) -> None:
-    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
-        return
-    if not (out / _NOTE).is_file():
-        raise UserError(
-            "the output folder holds something else than results",
-            where=out,
-            expected=f"a new or empty folder, or earlier results with their {_NOTE}",
-            do="name another folder with --out",
-        )
-    if not force:
-        raise UserError("there are results already", where=out, do="name another folder, or replace them with --force")
 
 
 def _write_note(folder: Path, files: Files, scene: str, settings: FuseSettings, counts: dict[str, int]) -> None:

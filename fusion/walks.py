@@ -131,7 +131,7 @@ def evaluated(
         raise UserError(
             f"scene {scene}: no evaluated frame has ground truth",
             found=f"{len(ordered)} frames of split {', '.join(splits)}",
-            do="look at the align stage's gate table, or give ground truth of the evaluated frames",
+            do="look at the align stage's table checks, or give ground truth of the evaluated frames",
         )
     gravity = _gravity(ordered)
     # A new piece begins where the session or the split changes in time.
@@ -156,6 +156,7 @@ def evaluated(
             )
         )
     listed = ordered["frame_id"].isin(predictions["frame_id"]).to_numpy()
+    refused = _refused(ordered, predictions)
     unknown = int((~predictions["frame_id"].isin(frames["frame_id"])).sum())
     frame_counts = {
         "frames": len(ordered),
@@ -171,7 +172,8 @@ def evaluated(
     prediction_counts = {
         "prediction_quaternions_not_of_unit_length": _not_unit(evaluated_predictions),
         "frames_without_prediction": int((~listed).sum()),
-        "predictions_not_finite": int((listed & ~known(apr_T)).sum()),
+        "predictions_refused": int(refused.sum()),
+        "predictions_not_finite": int((listed & ~known(apr_T) & ~refused).sum()),
         "prediction_covariances_not_positive_definite": unsound,
         "predictions_outside_the_place": _outside(apr_T, true_T),
         "predictions_of_unknown_frames": unknown,
@@ -202,6 +204,14 @@ def _covariances(frames: pd.DataFrame, predictions: pd.DataFrame) -> tuple[Array
         else:
             unsound += 1
     return found, unsound
+
+
+def _refused(frames: pd.DataFrame, predictions: pd.DataFrame) -> Flags:
+    """For which rows of `frames` a localiser refused to give a pose, (N,)."""
+    if "refusal" not in predictions.columns:
+        return np.zeros(len(frames), bool)
+    refused = predictions.loc[predictions["refusal"].notna(), "frame_id"]
+    return np.asarray(frames["frame_id"].isin(refused), bool)
 
 
 def _outside(apr_T: Array, true_T: Array) -> int:
@@ -324,7 +334,7 @@ def _refuse_unknown_quality(truth: pd.DataFrame, what: str) -> None:
         raise UserError(
             f"{what.strip()}: an unknown quality class",
             where="column quality",
-            expected=f"{', '.join(_QUALITIES)} (docs/ground-truth.md), or no such column",
+            expected=f"{', '.join(_QUALITIES)} (docs/explanation/ground-truth.md), or no such column",
             found=unknown.iloc[0],
         )
 

@@ -1,6 +1,6 @@
 """Visual-localisation datasets from phone captures.
 
-`groundwalk.open("Church")` reads a run; docs/python.md describes what it gives.
+`groundwalk.open("Church")` reads a run; docs/reference/python.md describes what it gives.
 
 The packages lie at the top of the repository (`sfm/`, `fusion/`, ...) and have one name each, `groundwalk.sfm`,
 `groundwalk.fusion`, ...: a wheel puts them into `groundwalk/`, and in a checkout they are found beside it.

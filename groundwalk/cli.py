@@ -36,11 +36,12 @@ class Command:
             command: Any = get_command(import_module(f"groundwalk.{self.module}").app)
             return command.commands[self.subcommand] if self.subcommand else command
         app = new_app("")
-        help_text = None if for_completion else stage_help(self._stage())
-        app.command(self.name, help=help_text)(stage_command(self.name, self._stage))
+        help_text = None if for_completion else stage_help(self.stage())
+        app.command(self.name, help=help_text)(stage_command(self.name, self.stage))
         return get_command(app)
 
-    def _stage(self) -> Any:
+    def stage(self) -> Any:
+        """The stage that a stage's command runs."""
         return import_module(f"groundwalk.{self.module}").STAGE
 
 
@@ -66,6 +67,7 @@ COMMANDS = {
         _stage("import", "capture_import", "Import phone captures as checked frames with VIO poses."),
         _stage("sfm", "sfm", "Structure from motion with COLMAP."),
         _stage("align", "alignment", "Make metric, gravity-aligned ground truth; measure VIO drift."),
+        _stage("localise", "localisation", "Build maps of points; localise every query frame."),
         _stage("train", "training", "Train absolute pose regressors; predict every frame's pose."),
         _stage("fuse", "fusion", "Fuse predictions with VIO; measure pose errors."),
         _stage("report", "reports", "Make tables, figures and one page."),
@@ -74,8 +76,11 @@ COMMANDS = {
         Command("inspect", "Show what a capture holds, without import.", "capture_import.__main__", "inspect"),
         Command("formats", "List the capture formats.", "capture_import.__main__", "formats"),
         Command("export", "Write ground truth for COLMAP and other tools.", "export.__main__"),
+        Command("locate", "Localise images in a scene's map.", "localisation.locate"),
         Command("export-model", "Write a trained regressor as ONNX.", "training.__main__", "export"),
         Command("evaluate", "Fuse predictions from Parquet files; measure errors.", "fusion.__main__", "evaluate"),
+        Command("leaderboard", "Compare all fusion methods scene by scene.", "fusion.__main__", "leaderboard"),
+        Command("fusion", "Leaderboard, evaluate and sweep under one name.", "fusion.__main__"),
         Command("sweep", "Try other thresholds of the MobileARLoc rule.", "fusion.__main__", "sweep"),
         Command(
             "check-truth",
@@ -83,7 +88,7 @@ COMMANDS = {
             "alignment.__main__",
             "check-truth",
         ),
-        Command("docs", "Print the reference of all tables.", "artefacts.__main__", "docs"),
+        Command("docs", "Write the generated pages of the docs.", "commands", "docs"),
     ],
 }
 

@@ -1,4 +1,4 @@
-"""The commands that aren't one package's: `run` and `scenes`."""
+"""The commands that aren't one package's: `run`, `scenes` and `docs`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -61,6 +61,15 @@ def scenes(data: DataOption = Path("data")) -> None:
     for name in root.scenes():
         table.add_row(name, _captures(root, name), "; ".join(_finished(root, name)))
     console.print(table)
+
+
+@app.command()
+def docs(out: Annotated[Path, typer.Option(help="The folder of the docs.")] = Path("docs")) -> None:
+    """Write the generated pages of the docs: reference of tables, settings, commands and checks."""
+    from groundwalk.reference import write_reference
+
+    for path in write_reference(out):
+        print(path)
 
 
 def _captures(data: DataRoot, scene: str) -> str:

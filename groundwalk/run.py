@@ -1,13 +1,15 @@
 """Reading a scene's run: its tables as DataFrames, images as arrays, poses as matrices."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from groundwalk.artefacts.errors import UserError
@@ -23,6 +25,9 @@ from groundwalk.geometry.fits import sim3_between
 from groundwalk.geometry.poses import Array
 
 if TYPE_CHECKING:
+    from groundwalk.geometry.cameras import Camera
+    from groundwalk.localisation.answers import Answer
+    from groundwalk.localisation.localisers import FileLocaliser
     from groundwalk.torch_dataset import TorchDataset, Transform
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -56,6 +61,7 @@ class Run:
     manifests: dict[str, dict[str, Any]]
     outdated: dict[str, str]
     _tables: dict[tuple[str, str], pd.DataFrame] = field(default_factory=dict)
+    _localisers: dict[str, "FileLocaliser"] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         kind = "simulated, " if self.simulated else ""
@@ -95,10 +101,46 @@ class Run:
         return self.table("align", "ground_truth")
 
     @property
+    @_with_columns("localise", "predictions")
     @_with_columns("train", "predictions")
     def predictions(self) -> pd.DataFrame:
-        """The regressors' poses, one row a frame and model."""
-        return self.table("train", "predictions")
+        """The poses of regressors (stage train) and structure localisers (stage localise), one row a frame and model,
+        of the stages of both that are finished. What only localisers say is null for regressors; a frame that a
+        localiser refused has a `refusal`, its `reason` and no pose.
+        """
+        stages = [stage for stage in ("train", "localise") if stage in self.manifests] or ["train"]
+        parts = [self.table(stage, "predictions") for stage in stages]
+        columns = [column for part in parts for column in part.columns]
+        filled = [part for part in parts if len(part)] or parts[:1]
+        return pd.concat(filled, ignore_index=True).reindex(columns=list(dict.fromkeys(columns)))
+
+    def localise(
+        self,
+        image: "Image | str | PathLike[str]",
+        *,
+        intrinsics: "Camera | Mapping[str, float] | ArrayLike",
+        gravity: "ArrayLike | None" = None,
+        prior: "ArrayLike | None" = None,
+        model: str | None = None,
+    ) -> "Answer":
+        """Where an image was taken, by a structure localiser of the stage localise: an `Answer` with map_T_cam (4, 4),
+        metres, its covariance (6, 6) of (rotation, position) in the map's axes, rad and m, and inliers; or without a
+        pose, but with a `refusal` and its `reason`.
+
+        image: RGB (H, W, 3) or grey (H, W), uint8, or a file, as the sensor delivers it. intrinsics: in pixels of that
+        image, a geometry.cameras.Camera, a mapping with fx, fy, cx, cy (and width, height), K (3, 3) or the four
+        numbers; the lens is known to the map. gravity: (3,), down, in camera axes (x right, y down, z forward). prior:
+        about where the camera is, map_T_cam (4, 4). model: the localiser's id, the first with a file unless given.
+
+        UserError where the stage isn't finished, or intrinsics and the rest can't be what they should.
+        """
+        from groundwalk.localisation.one_query import ask, known_of, query_of
+
+        where = "intrinsics of groundwalk.Run.localise"
+        query = query_of(
+            image if isinstance(image, np.ndarray) else Path(image), known_of(intrinsics, gravity, prior), where
+        )
+        return ask(self._localiser(model), query)
 
     @property
     @_with_columns("fuse", "poses")
@@ -131,7 +173,7 @@ class Run:
         return pd.concat(placed or [points[:0]], ignore_index=True)
 
     def table(self, stage: str, table: str) -> pd.DataFrame:
-        """Any table; docs/artefacts.md lists them.
+        """Any table; docs/reference/tables.md lists them.
 
         A column that an older version of the table didn't have is null. UserError where the stage isn't finished, was
         made from inputs that were replaced since, or was run again after this run was opened, and for a table of
@@ -185,6 +227,27 @@ class Run:
         from groundwalk.summary import summary
 
         return summary(self)
+
+    def _localiser(self, model: str | None) -> "FileLocaliser":
+        """The structure localiser of that id, from its file, which is read once."""
+        models = self.table("localise", "models")
+        files = dict(models.loc[models["file"] != "", ["model", "file"]].itertuples(index=False, name=None))
+        name = model or next(iter(files), "")
+        if name not in files:
+            raise UserError(
+                f"scene {self.scene} has no structure localiser {model!r} that is kept in a file"
+                if model
+                else f"scene {self.scene} has no structure localiser that is kept in a file",
+                expected=f"one of {', '.join(files)}" if files else None,
+                do="name one that is, in [localise] models",
+            )
+        if name not in self._localisers:
+            from groundwalk.localisation.locate import read_localiser
+
+            localiser = read_localiser(self.folder / "localise" / files[name], self.scene)
+            self._refuse_replaced("localise")
+            self._localisers[name] = localiser
+        return self._localisers[name]
 
     @cached_property
     def _images(self) -> dict[str, tuple[str, str]]:

@@ -1,83 +1,61 @@
 """Building a compact map from frames with known poses."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
-from groundwalk.localisation.calibration import UNCALIBRATED, Trial, calibrated, held_out_trials
-from groundwalk.localisation.compact import CompactMap, Lens, compact_map
-from groundwalk.localisation.features import Features
-from groundwalk.localisation.frames import Views
+from groundwalk.localisation.calibration import UNCALIBRATED, Trial, calibrated, held_out_trial
+from groundwalk.localisation.compact import CompactMap, compact_map
+from groundwalk.localisation.localiser_settings import MapSettings
 from groundwalk.localisation.pose import Priors
-from groundwalk.localisation.settings import MapSettings
-from groundwalk.localisation.structure import Matches, Structure, match_views, structure_of
+from groundwalk.localisation.prepared import Prepared, Track, Training, untracked
+from groundwalk.localisation.query import MapLocaliser
+from groundwalk.localisation.structure import Structure, structure_of
 
 # Least that priors are taken to be wide: what few frames scatter by says little.
 _MIN_ANGULAR_SD, _MIN_VELOCITY_SD, _MIN_FOCAL_SD, _MIN_GRAVITY_SD = 0.05, 0.2, 0.002, np.radians(0.05)
 _PIXEL_SD = 0.1
 _ENOUGH_TRIALS = 60
-_SAME_LENS = 0.02
+# Fewer have no principal components and no words.
+MIN_POINTS = 100
 
 
-@dataclass(frozen=True)
-class Training:
-    """N training frames: their views, cameras as the phone logged them, gravity (N, 3) in the camera, NaN where it's
-    not known, and features."""
-
-    views: Views
-    logged: tuple[Camera, ...]
-    gravity: Array
-    features: tuple[Features, ...]
+def map_localiser(prepared: Prepared, settings: MapSettings, track: Track = untracked) -> MapLocaliser:
+    """The localiser of the calibrated map."""
+    return MapLocaliser(build_map(prepared, settings, track))
 
 
-def build_map(
-    scene: str,
-    training: Training,
-    settings: MapSettings,
-    track: Callable[[Sequence[NDArray[np.int64]]], Sequence[NDArray[np.int64]]] = lambda pairs: pairs,
-) -> tuple[CompactMap, Structure, Matches]:
-    """The calibrated map of the training frames, their structure and matches; `track` shows progress over pairs."""
-    matches = match_views(training.views, training.features, settings.pairs_per_frame, track)
+def build_map(prepared: Prepared, settings: MapSettings, track: Track = untracked) -> CompactMap:
+    """The calibrated map of the training frames."""
+    training = prepared.training
     folds = settings.calibration_every
     fold = np.arange(len(training.views)) % folds
     trials: list[Trial] = []
     # In a small scene each frame is held out once, in a large one every n-th says enough.
     for number in range(folds):
-        if len(trials) < _ENOUGH_TRIALS:
-            partial = _compact(scene, training, structure_of(training.views, matches, fold != number), settings)
-            rows = np.flatnonzero(fold == number)
-            trials += held_out_trials(
-                partial,
-                [training.features[row] for row in rows],
-                [training.logged[row] for row in rows],
-                training.gravity[rows],
-                training.views.map_T_cam[rows],
-            )
-    calibration = calibrated(trials)
-    structure = structure_of(training.views, matches)
-    return replace(_compact(scene, training, structure, settings), calibration=calibration), structure, matches
+        if len(trials) >= _ENOUGH_TRIALS:
+            break
+        rows = np.flatnonzero(fold == number)
+        structure = structure_of(training.views, prepared.matches, fold != number)
+        if len(structure.points.xyz) >= MIN_POINTS:
+            localiser = MapLocaliser(_compact(prepared, structure, settings))
+            trials += [
+                held_out_trial(
+                    localiser,
+                    training.features[row],
+                    training.logged[row],
+                    training.gravity[row],
+                    training.views.map_T_cam[row],
+                )
+                for row in track(rows.tolist(), "Map: calibrating by held-out training frames", len(rows))
+            ]
+    return replace(_compact(prepared, prepared.structure, settings), calibration=calibrated(trials))
 
 
-def _compact(scene: str, training: Training, structure: Structure, settings: MapSettings) -> CompactMap:
-    return compact_map(scene, structure, lenses_of(training.views), priors_of(training), UNCALIBRATED, settings)
-
-
-def lenses_of(views: Views) -> tuple[Lens, ...]:
-    """The lenses of N views: those with the same distortion and readout time, and about the same focal length."""
-    lenses: list[Lens] = []
-    for camera, readout_s in zip(views.cameras, views.readout_s.tolist(), strict=True):
-        focal = (camera.fx + camera.fy) / 2 / max(camera.width, camera.height)
-        for lens in lenses:
-            same = abs(np.log(focal / lens.focal)) < _SAME_LENS
-            if same and lens.distortion == camera.distortion and lens.readout_s == readout_s:
-                break
-        else:
-            lenses.append(Lens(focal, camera.distortion, readout_s))
-    return tuple(lenses)
+def _compact(prepared: Prepared, structure: Structure, settings: MapSettings) -> CompactMap:
+    given = prepared.lenses, priors_of(prepared.training), UNCALIBRATED
+    return compact_map(prepared.scene, structure, *given, settings, prepared.settings)
 
 
 def priors_of(training: Training) -> Priors:

@@ -11,9 +11,10 @@ from scipy.stats import chi2
 
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, transform
-from groundwalk.localisation.compact import Calibration, CompactMap
+from groundwalk.localisation.answers import Answer
+from groundwalk.localisation.compact import Calibration
 from groundwalk.localisation.features import Features
-from groundwalk.localisation.query import Answer, MapLocaliser, with_lens
+from groundwalk.localisation.query import MapLocaliser, with_lens
 
 UNCALIBRATED = Calibration(min_inliers=6, covariance_factor=1.0, position_floor_m=0.0, rotation_floor_rad=0.0)
 _MARGIN = 1.25
@@ -33,23 +34,16 @@ class Trial:
     inliers_elsewhere: int
 
 
-def held_out_trials(
-    content: CompactMap,
-    features: Sequence[Features],
-    cameras: Sequence[Camera],
-    gravity: Array,
-    map_T_cam: Array,
-) -> list[Trial]:
-    """The answers of H frames that took no part in `content`, with their true poses (H, 4, 4); gravity (H, 3) is NaN
+def held_out_trial(
+    localiser: MapLocaliser, features: Features, camera: Camera, gravity: Array, map_T_cam: Array
+) -> Trial:
+    """The answer of a frame that took no part in the localiser's map, with its true pose (4, 4); gravity (3,) is NaN
     where unknown. For the inliers elsewhere, the map's points within the frame's view are hidden."""
-    localiser = MapLocaliser(content)
-    trials = []
-    for f, camera, g, truth in zip(features, cameras, gravity, map_T_cam, strict=True):
-        down = g if np.isfinite(g).all() else None
-        hidden = in_view(content.xyz, truth, with_lens(camera, content.lenses)[0])
-        elsewhere = localiser.localise_features(f, camera, down, hidden=hidden).inliers
-        trials.append(Trial(localiser.localise_features(f, camera, down), truth, elsewhere))
-    return trials
+    content = localiser.map
+    down = gravity if np.isfinite(gravity).all() else None
+    hidden = in_view(content.xyz, map_T_cam, with_lens(camera, content.lenses)[0])
+    elsewhere = localiser.localise_features(features, camera, down, hidden=hidden).inliers
+    return Trial(localiser.localise_features(features, camera, down), map_T_cam, elsewhere)
 
 
 def calibrated(trials: Sequence[Trial]) -> Calibration:

@@ -1,4 +1,4 @@
-"""The compact map `Map`: which points it keeps, what it knows of each, and its file (docs/map-format.md)."""
+"""The compact map `Map`: which points it keeps, what it knows of each, and its file (docs/reference/map-format.md)."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,10 +11,10 @@ from groundwalk.artefacts.errors import UserError
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.vlad import k_means, nearest_centres
 from groundwalk.localisation.features import unit
-from groundwalk.localisation.map_file import Sections, read_sections, write_sections
+from groundwalk.localisation.localiser_settings import MapSettings, StructureSettings
+from groundwalk.localisation.map_file import Sections, packed, read_sections, write_sections
 from groundwalk.localisation.pose import Priors
 from groundwalk.localisation.selection import covering_points
-from groundwalk.localisation.settings import MapSettings
 from groundwalk.localisation.structure import Structure
 
 Ints = NDArray[np.int64]
@@ -82,8 +82,9 @@ def compact_map(
     priors: Priors,
     calibration: Calibration,
     settings: MapSettings,
+    extraction: StructureSettings,
 ) -> CompactMap:
-    """The map of a structure's most useful points, as many as the settings say."""
+    """The map of a structure's most useful points, as many as the settings say; `extraction` is that of features."""
     points = structure.points
     sift = _mean_descriptors(structure)
     chosen = covering_points(points.point, _cells(structure), _quality(structure), settings.max_points)
@@ -117,13 +118,24 @@ def compact_map(
         lenses=lenses,
         priors=priors,
         calibration=calibration,
-        max_features=settings.max_features,
-        max_side=settings.max_side,
+        max_features=extraction.max_features,
+        max_side=extraction.max_side,
     )
 
 
 def write_map(path: Path, content: CompactMap) -> None:
     """Write the map's file."""
+    write_sections(path, *_to_sections(content))
+
+
+def bytes_by_section(content: CompactMap) -> dict[str, int]:
+    """The sizes of the sections of the map's file, and of what holds them."""
+    arrays, metadata = _to_sections(content)
+    sizes = {name: array.nbytes for name, array in arrays.items()}
+    return sizes | {"metadata and container": len(packed(arrays, metadata)) - sum(sizes.values())}
+
+
+def _to_sections(content: CompactMap) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     origin = np.floor(content.xyz.min(axis=0))
     extent = float((content.xyz - origin).max())
     small = extent < 65.0
@@ -149,7 +161,7 @@ def write_map(path: Path, content: CompactMap) -> None:
         "max_features": content.max_features,
         "max_side": content.max_side,
     }
-    write_sections(path, arrays, metadata)
+    return arrays, metadata
 
 
 def read_map(path: Path, scene: str | None = None) -> CompactMap:

@@ -5,6 +5,7 @@ object retrieval", CVPR 2012) in bytes.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -25,6 +26,20 @@ class Features:
 
     def __len__(self) -> int:
         return len(self.px)
+
+
+def keep_features(path: Path, features: Features) -> None:
+    """Keep features in a safe point."""
+    partial = path.with_name(path.name + ".partial")
+    with partial.open("wb") as file:
+        np.savez(file, px=features.px, size_px=features.size_px, descriptors=features.descriptors)
+    partial.replace(path)
+
+
+def load_features(path: Path) -> Features:
+    """The features of a safe point."""
+    with np.load(path) as kept:
+        return Features(kept["px"], kept["size_px"], kept["descriptors"])
 
 
 def extract(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Features:

@@ -8,34 +8,43 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from groundwalk.artefacts.choices import Refusal
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.vlad import aggregate, k_means
-from groundwalk.localisation.compact import Lens
-from groundwalk.localisation.features import Features, unit
+from groundwalk.localisation.answers import Answer, Clock, of_another_size, refused, seen_by
+from groundwalk.localisation.features import Features, extract, unit
+from groundwalk.localisation.localiser_settings import HLocSettings
 from groundwalk.localisation.matching import mutual_matches
-from groundwalk.localisation.query import Answer, Clock, refusal, with_lens
-from groundwalk.localisation.structure import Structure
+from groundwalk.localisation.prepared import Prepared, Track, untracked
+from groundwalk.localisation.query import with_lens
 
 _WORDS, _SAMPLES = 64, 25_600
-_RATIO, _MAX_PX, _MIN_INLIERS = 0.85, 12.0, 12
+_RATIO, _MAX_PX, _MIN_MATCHES = 0.85, 12.0, 4
 
 
 class HLocLocaliser:
-    """HLoc of a structure's frames."""
+    """HLoc of a scene's training frames."""
 
-    def __init__(
-        self, structure: Structure, features: tuple[Features, ...], lenses: tuple[Lens, ...], *, retrieved: int = 20
-    ) -> None:
-        self.structure, self.features, self.lenses, self.retrieved = structure, features, lenses, retrieved
+    def __init__(self, prepared: Prepared, settings: HLocSettings, track: Track = untracked) -> None:
+        self.structure, self.lenses, self.settings = prepared.structure, prepared.lenses, settings
+        self.extraction, features = prepared.settings, prepared.training.features
         self._unit = [unit(f.descriptors) for f in features]
         every = np.concatenate(self._unit)
         rng = np.random.default_rng(0)
         self._words = k_means(every[np.sort(rng.permutation(len(every))[:_SAMPLES])], _WORDS, rng)
-        self._images = np.stack([aggregate(d, self._words) for d in self._unit])
+        self._images = np.stack(
+            [aggregate(d, self._words) for d in track(self._unit, "HLoc: describing images", len(features))]
+        )
         self._first = np.cumsum([0, *(len(f) for f in features)])
         self._point = np.full(len(every), -1)
-        self._point[structure.points.feature] = structure.points.point
+        points = self.structure.points
+        self._point[points.feature] = points.point
+
+    @property
+    def xyz(self) -> Array:
+        """The points (P, 3) of the training frames' tracks."""
+        return self.structure.points.xyz
 
     def bytes_by_part(self) -> dict[str, int]:
         """What a query needs, in bytes: keypoints as two floats, descriptors as bytes, image descriptors as floats,
@@ -49,26 +58,53 @@ class HLocLocaliser:
             "tracks": 4 * count,
         }
 
-    def localise_features(self, features: Features, camera: Camera, *, seed: int = 0) -> Answer:
-        """The answer for an image's features, taken with `camera` as the phone logged it; without covariance."""
+    def localise(
+        self,
+        grey: NDArray[np.uint8],
+        camera: Camera,
+        gravity: Array | None = None,
+        prior: Array | None = None,
+        *,
+        seed: int = 0,
+    ) -> Answer:
+        """The answer for a grey image (H, W) taken with `camera` as the phone logged it, without covariance. Gravity
+        and a prior aren't used."""
+        refusal = of_another_size(grey, camera)
+        if refusal:
+            return refusal
         clock = Clock()
+        with clock.part("features"):
+            features = extract(grey, self.extraction.max_features, self.extraction.max_side)
+        return self.localise_features(features, camera, seed=seed, clock=clock)
+
+    def localise_features(
+        self, features: Features, camera: Camera, *, seed: int = 0, clock: Clock | None = None
+    ) -> Answer:
+        """The same of an image's features."""
+        clock = clock or Clock()
         camera, _ = with_lens(camera, self.lenses)
+        if not len(features):
+            return refused(Refusal.FEW_FEATURES, "no features: dark or blurred?", clock)
         with clock.part("retrieval"):
             query = unit(features.descriptors)
             alike = self._images @ aggregate(query, self._words)
-            views = np.argsort(-alike, kind="stable")[: self.retrieved]
+            views = np.argsort(-alike, kind="stable")[: self.settings.retrieved]
         with clock.part("matching"):
-            found = [self._matches(query, int(view)) for view in views]
-            pairs = np.unique(np.concatenate(found), axis=0)
-        px, xyz = features.px[pairs[:, 0]].astype(float), self.structure.points.xyz[pairs[:, 1]]
+            matches = [self._matches(query, int(view)) for view in views]
+            pairs = np.unique(np.concatenate(matches), axis=0)
+        px, xyz = features.px.astype(float), self.xyz
+        every = np.arange(len(xyz))
         with clock.part("ransac"):
-            pose = _absolute_pose(px, xyz, camera, seed) if len(pairs) >= _MIN_INLIERS else None
-        if pose is None or pose[1].sum() < _MIN_INLIERS:
-            inliers = 0 if pose is None else int(pose[1].sum())
-            return refusal("thin_evidence", f"{inliers} inliers, {_MIN_INLIERS} needed", clock, len(pairs), inliers)
-        map_T_cam, inlier = pose
+            pose = None
+            if len(pairs) >= _MIN_MATCHES:
+                pose = _absolute_pose(px[pairs[:, 0]], xyz[pairs[:, 1]], camera, seed)
+        inlier = np.zeros(len(pairs), bool) if pose is None else pose[1]
+        seen, needed = seen_by(px, every, pairs, pairs[inlier]), self.settings.min_inliers
         count = int(inlier.sum())
-        return Answer(map_T_cam, None, "", "", len(pairs), count, px[inlier], pairs[inlier, 1], clock.seconds)
+        if pose is None or count < needed:
+            reason = f"{count} inliers, {needed} needed"
+            return refused(Refusal.THIN_EVIDENCE, reason, clock, len(pairs), count, seen)
+        return Answer(pose[0], None, None, "", len(pairs), count, seen, clock.seconds)
 
     def _matches(self, query: NDArray[np.float32], view: int) -> NDArray[np.int64]:
         """Keypoints of the query and points (M, 2) by matches with an image."""

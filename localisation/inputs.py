@@ -13,13 +13,13 @@ from groundwalk.artefacts.images import image_file, read_image
 from groundwalk.artefacts.motion import rates_by_vio
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import camera_of, poses_of, read_table
+from groundwalk.artefacts.tables import camera_of, dataset_frames, poses_of, read_table
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
-from groundwalk.localisation.build import Training
 from groundwalk.localisation.features import Features, extract
 from groundwalk.localisation.frames import Views, subset
-from groundwalk.localisation.settings import MapSettings
+from groundwalk.localisation.localiser_settings import StructureSettings
+from groundwalk.localisation.prepared import Training
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,7 @@ def read_inputs(run: Path) -> Inputs:
     images = read_table(run / "sfm" / "images.parquet", schema("sfm", "images"))
     log = read_table(run / "import" / "vio.parquet", schema("import", "vio"))
     truth = truth[(truth["quality"] != "none").to_numpy()]
+    truth = truth[truth["frame_id"].isin(dataset_frames(frames)["frame_id"])]
     frames = frames.set_index("frame_id", drop=False).loc[truth["frame_id"]].reset_index(drop=True)
     placed = frames.assign(**{name: truth[name].to_numpy() for name in ("fx", "fy", "cx", "cy", "distortion")})
     readout = images.set_index("frame_id").loc[truth["frame_id"], "readout_s"].to_numpy(float, na_value=0.0)
@@ -59,7 +60,7 @@ def read_inputs(run: Path) -> Inputs:
 
 
 def read_features(
-    inputs: Inputs, rows: NDArray[np.int64], captures: Path, imported: Path, settings: MapSettings
+    inputs: Inputs, rows: NDArray[np.int64], captures: Path, imported: Path, settings: StructureSettings
 ) -> list[Features]:
     """Features of the images of some rows; `captures` is the scene's capture folder, `imported` import's artefact."""
     return list(

@@ -1,4 +1,7 @@
-"""One file of named arrays: versioned, checksummed, memory-mappable. docs/map-format.md describes every byte."""
+"""One file of named arrays: versioned, checksummed, memory-mappable.
+
+docs/reference/map-format.md describes every byte.
+"""
 
 import hashlib
 import json
@@ -32,7 +35,14 @@ class Sections:
 
 
 def write_sections(path: Path, arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, Any]) -> None:
-    """Write a map file; the same content gives the same bytes. A killed write leaves no file of that name."""
+    """Write a map file. A killed write leaves no file of that name."""
+    partial = path.with_name(path.name + ".partial")
+    partial.write_bytes(packed(arrays, metadata))
+    replace_synced(partial, path)
+
+
+def packed(arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, Any]) -> bytes:
+    """The bytes of a map file; the same for the same content."""
     text = json.dumps(metadata, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
     everything = {**arrays, _METADATA: np.frombuffer(text, np.uint8)}
     table, body = [], bytearray()
@@ -48,10 +58,7 @@ def write_sections(path: Path, arrays: Mapping[str, NDArray[Any]], metadata: Map
         body += content
     rest = b"".join(table) + bytes(body)
     digest = hashlib.sha256(rest).digest()
-    header = _HEADER.pack(MAGIC, MAJOR, MINOR, len(everything), _HEADER.size + len(rest), digest)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(header + rest)
-    replace_synced(partial, path)
+    return _HEADER.pack(MAGIC, MAJOR, MINOR, len(everything), _HEADER.size + len(rest), digest) + rest
 
 
 def read_sections(path: Path, *, verify: bool = True) -> Sections:

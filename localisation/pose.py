@@ -16,8 +16,9 @@ from groundwalk.geometry.poses import Array, make_pose, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH
 from groundwalk.localisation.frames import row_times
 
-_CONVERGED = 1e-7
+_CONVERGED = 1e-5  # rad, m
 _MIN_POINTS = 6
+_SCORED, _FINALISTS = 100, 20
 _UNKNOWNS = 13
 
 
@@ -109,12 +110,24 @@ def upright_ransac(
         return None
     cam_R_map = up_R_cam.T @ rotation
     cam_t = translation @ up_R_cam
-    cam = (cam_R_map.reshape(-1, 3) @ xyz_M3.T).reshape(-1, 3, count) + cam_t[:, :, None]
+    finalists = np.arange(len(cam_R_map))
+    if count > 2 * _SCORED:
+        # A part of the points says which poses are worth scoring with all.
+        part = rng.choice(count, _SCORED, replace=False)
+        cost = np.minimum(_squared(cam_R_map, cam_t, ideal_M2[part], xyz_M3[part]), max_error**2).sum(axis=1)
+        finalists = np.argsort(cost, kind="stable")[:_FINALISTS]
+    error = _squared(cam_R_map[finalists], cam_t[finalists], ideal_M2, xyz_M3)
+    winner = int(np.minimum(error, max_error**2).sum(axis=1).argmin())
+    best = int(finalists[winner])
+    return make_pose(cam_R_map[best].T, -cam_R_map[best].T @ cam_t[best]), error[winner] <= max_error**2
+
+
+def _squared(cam_R_map: Array, cam_t: Array, ideal_M2: Array, xyz_M3: Array) -> Array:
+    """Squared reprojection errors (S, M) at unit focal length of poses (S, 3, 3), (S, 3), infinite behind them."""
+    cam = (cam_R_map.reshape(-1, 3) @ xyz_M3.T).reshape(-1, 3, len(xyz_M3)) + cam_t[:, :, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         error = (cam[:, 0] / cam[:, 2] - ideal_M2[:, 0]) ** 2 + (cam[:, 1] / cam[:, 2] - ideal_M2[:, 1]) ** 2
-    error = np.where(cam[:, 2] > 0, error, np.inf)
-    best = int(np.minimum(error, max_error**2).sum(axis=1).argmin())
-    return make_pose(cam_R_map[best].T, -cam_R_map[best].T @ cam_t[best]), error[best] <= max_error**2
+    return np.asarray(np.where(cam[:, 2] > 0, error, np.inf))
 
 
 def upright_poses(ray_a: Array, ray_b: Array, xyz_a: Array, xyz_b: Array) -> tuple[Array, Array]:
@@ -181,7 +194,7 @@ def refine(
         scale = max(priors.pixel_sd, float(np.sqrt(np.median(squared) / (2 * np.log(2)))))
         weight = 1 / (1 + squared / (CAUCHY_WIDTH * scale) ** 2) / scale**2
         rows = jacobian.reshape(-1, _UNKNOWNS)
-        weighted = rows * np.repeat(weight, 2)[:, None]
+        weighted = (jacobian * weight[:, None, None]).reshape(-1, _UNKNOWNS)
         hessian = weighted.T @ rows + np.diag(prior**2)
         gradient = weighted.T @ residual.ravel() + prior**2 * np.r_[np.zeros(6), rest]
         if gravity is not None:
@@ -221,7 +234,7 @@ def _linear(
     """Residuals (M, 2), px, and their derivatives (M, 2, 13)."""
     still = (seen.xyz - position) @ rotation
     angular, velocity, factor = rest[:3], rest[3:6], np.exp(rest[6])
-    cam = still - time_s[:, None] * (velocity + np.cross(angular, still))
+    cam = still - time_s[:, None] * (velocity + still @ skew(angular).T)
     x, y, depth = cam.T
     depth = np.where(depth > 1e-3, depth, 1e-3)
     u, v, per_depth, pixels = x / depth, y / depth, focal * factor / depth, focal * factor

@@ -1,17 +1,17 @@
 """One image against a compact map: its pose with covariance, or a refusal with its reason."""
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from groundwalk.artefacts.choices import Refusal
 from groundwalk.geometry.cameras import Camera
-from groundwalk.geometry.poses import Array
-from groundwalk.localisation.compact import CompactMap, Lens
+from groundwalk.geometry.poses import Array, skew
+from groundwalk.localisation.answers import Answer, Clock, of_another_size, refused, seen_by
+from groundwalk.localisation.compact import CompactMap, Lens, bytes_by_section, read_map, write_map
 from groundwalk.localisation.features import Features, extract
 from groundwalk.localisation.frames import row_times
 from groundwalk.localisation.pose import Fit, Observed, Priors, ransac, refine, upright_ransac
@@ -23,39 +23,23 @@ _PROBES, _VOTERS = 3, 400
 _VIEWS = 12
 _VOTE_RATIO, _RATIO = 0.9, 0.9
 _RANSAC_PX, _TRIALS, _UPRIGHT_TRIALS = 6.0, 2000, 400
-_PRIOR_SHARE = 0.75
+# Shares of the features and of the image's side that an attempt takes.
+_NEAR_PRIOR, _QUICK, _WHOLE = (0.4, 0.5), (0.5, 0.625), (1.0, 1.0)
+_SURE_M = 0.01
 _GUIDED_PX, _MIN_SIMILARITY = 5.0, 0.6
 _INLIER_SIGMAS, _MIN_INLIER_PX = 4.0, 1.5
 _MIN_FEATURES, _MIN_MATCHES, _MIN_POSE = 30, 8, 6
 _SAME_LENS = 1.08
 
 
-@dataclass(frozen=True)
-class Answer:
-    """A pose map_T_cam (4, 4) with its covariance (6, 6) of (rotation, position) in the map's axes, rad and m; or
-    neither and why it is `refused`, its code and the figures. Inliers of the candidates (matches); `pixel_px` (I, 2)
-    and `points` (I,) are the inliers' keypoints and rows of the map; seconds by part."""
-
-    map_T_cam: Array | None
-    covariance: Array | None
-    refused: str
-    reason: str
-    candidates: int
-    inliers: int
-    pixels: Array
-    points: Ints
-    seconds: dict[str, float]
+def write_localiser(path: Path, localiser: "MapLocaliser") -> None:
+    """Write the localiser's map."""
+    write_map(path, localiser.map)
 
 
-@dataclass
-class Clock:
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def part(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+def read_localiser(path: Path) -> "MapLocaliser":
+    """The localiser of a map's file; UserError where that isn't one, or is damaged."""
+    return MapLocaliser(read_map(path))
 
 
 class MapLocaliser:
@@ -67,6 +51,20 @@ class MapLocaliser:
         order = np.argsort(content.seen, kind="stable")
         self._seen_by = views[order]
         self._seen_by_bounds = np.searchsorted(content.seen[order], np.arange(len(content.xyz) + 1))
+
+    @property
+    def xyz(self) -> Array:
+        """The map's points (P, 3)."""
+        return self.map.xyz
+
+    @property
+    def scene(self) -> str:
+        """The scene of the map."""
+        return self.map.scene
+
+    def bytes_by_part(self) -> dict[str, int]:
+        """The sizes of the file's sections."""
+        return bytes_by_section(self.map)
 
     def localise(
         self,
@@ -82,15 +80,29 @@ class MapLocaliser:
         gravity: unit vector (3,), down, in the camera, or None.
         prior: about where the camera is, map_T_cam (4, 4), or None.
         """
-        if grey.shape[:2] != (camera.height, camera.width):
-            found = f"image {grey.shape[1]} x {grey.shape[0]} px, intrinsics for {camera.width} x {camera.height} px"
-            return refusal("image_size", found, Clock())
+        refusal = of_another_size(grey, camera)
+        if refusal:
+            return refusal
         clock = Clock()
-        with clock.part("features"):
-            # Where a prior says which points to look for, fewer features of a smaller image do.
-            share = _PRIOR_SHARE if prior is not None else 1.0
-            features = extract(grey, self.map.max_features, round(share * self.map.max_side))
-        return self.localise_features(features, camera, gravity, prior, seed=seed, clock=clock)
+        best: Answer | None = None
+        # A smaller image is enough for most; where the answer isn't sure, the whole one is asked without a prior, which
+        # may be what is wrong.
+        for attempt in (_NEAR_PRIOR if prior is not None else _QUICK, _WHOLE):
+            with clock.part("features"):
+                count, side = (round(part * of) for part, of in zip(attempt, self._extraction, strict=True))
+                features = extract(grey, count, side)
+            guess = prior if attempt == _NEAR_PRIOR else None
+            answer = self.localise_features(features, camera, gravity, guess, seed=seed, clock=clock)
+            if best is None or answer.map_T_cam is not None or best.map_T_cam is None:
+                best = answer
+            if answer.covariance is not None and np.trace(answer.covariance[3:, 3:]) <= _SURE_M**2:
+                break
+        assert best is not None
+        return best
+
+    @property
+    def _extraction(self) -> tuple[int, int]:
+        return self.map.max_features, self.map.max_side
 
     def localise_features(
         self,
@@ -106,7 +118,9 @@ class MapLocaliser:
         """The same of an image's features; points that are `hidden` (P,) are taken as not there."""
         clock = clock or Clock()
         if len(features) < _MIN_FEATURES:
-            return refusal("few_features", f"{len(features)} features, {_MIN_FEATURES} needed: dark or blurred?", clock)
+            return refused(
+                Refusal.FEW_FEATURES, f"{len(features)} features, {_MIN_FEATURES} needed: dark or blurred?", clock
+            )
         camera, readout_s = with_lens(camera, self.map.lenses)
         with clock.part("retrieval"):
             query = self.map.projected(features.descriptors)
@@ -125,22 +139,25 @@ class MapLocaliser:
                 gravity,
             )
             matches = matches[np.isfinite(asked.ideal[matches[:, 0]]).all(axis=1)]
+        none = np.empty((0, 2), np.int64)
+        seen = seen_by(asked.px, rows, matches, none)
         if len(matches) < _MIN_MATCHES:
-            return refusal("few_matches", f"{len(matches)} matches, {_MIN_MATCHES} needed", clock, len(matches))
+            return refused(
+                Refusal.FEW_MATCHES, f"{len(matches)} matches, {_MIN_MATCHES} needed", clock, len(matches), 0, seen
+            )
         with clock.part("ransac"):
             found = asked.pose(matches, seed)
         if found is None or found[1].sum() < _MIN_POSE:
-            return refusal("no_pose", f"no pose explains {_MIN_POSE} of {len(matches)} matches", clock, len(matches))
+            reason = f"no pose explains {_MIN_POSE} of {len(matches)} matches"
+            return refused(Refusal.NO_POSE, reason, clock, len(matches), 0, seen)
         with clock.part("refinement"):
             fit, inliers = self._refined(found[0], matches[found[1]], product, asked)
-        limit = self.map.calibration.min_inliers
+        seen, limit = seen_by(asked.px, rows, matches, inliers), self.map.calibration.min_inliers
         if fit is None or len(inliers) < limit:
-            return refusal(
-                "thin_evidence", f"{len(inliers)} inliers, {limit} needed", clock, len(matches), len(inliers)
-            )
-        pixels, points = asked.px[inliers[:, 0]], rows[inliers[:, 1]]
+            reason = f"{len(inliers)} inliers, {limit} needed"
+            return refused(Refusal.THIN_EVIDENCE, reason, clock, len(matches), len(inliers), seen)
         covariance = self._calibrated(fit.covariance)
-        return Answer(fit.map_T_cam, covariance, "", "", len(matches), len(inliers), pixels, points, clock.seconds)
+        return Answer(fit.map_T_cam, covariance, None, "", len(matches), len(inliers), seen, clock.seconds)
 
     def _views_by_votes(self, query: Floats, hidden: NDArray[np.bool_] | None) -> Ints:
         """Training frames that saw most of the points that look like the query's features."""
@@ -278,7 +295,7 @@ def _predicted(fit: Fit, xyz: Array, camera: Camera, readout_s: float) -> Array:
     shown = camera.project(at * fit.focal_factor)
     # The row says when a point was exposed; where it was then differs by some pixels, not by many rows.
     time_s = row_times(shown, camera.height, readout_s)[:, None]
-    cam = still[ahead] - time_s * (fit.velocity + np.cross(fit.angular, still[ahead]))
+    cam = still[ahead] - time_s * (fit.velocity + still[ahead] @ skew(fit.angular).T)
     shown = camera.project(cam[:, :2] / cam[:, 2:] * fit.focal_factor)
     inside = ((shown >= 0) & (shown <= [camera.width, camera.height])).all(axis=1)
     px[ahead[inside]] = shown[inside]
@@ -306,9 +323,3 @@ def _ratio_matches(product: Floats, ratio: float) -> Ints:
 def _scale(camera: Camera) -> float:
     """Pixels of an image by those of one 640 wide."""
     return max(1.0, max(camera.width, camera.height) / 640)
-
-
-def refusal(code: str, reason: str, clock: Clock, candidates: int = 0, inliers: int = 0) -> Answer:
-    """An answer without a pose."""
-    nothing = np.empty((0, 2)), np.empty(0, np.int64)
-    return Answer(None, None, code, reason, candidates, inliers, *nothing, clock.seconds)

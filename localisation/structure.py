@@ -1,6 +1,6 @@
 """Points triangulated from training frames alone, whose poses are fixed."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,13 +44,14 @@ class Matches:
     pairs: Ints
 
 
-def match_views(
+def matched_features(
     views: Views,
     features: Sequence[Features],
     per_view: int,
-    track: Callable[[Sequence[Ints]], Sequence[Ints]] = lambda pairs: pairs,
-) -> Matches:
-    """Matches of frames that see the same by their poses, of which the rays meet."""
+    track: Callable[[Sequence[Ints]], Iterable[Ints]] = lambda pairs: pairs,
+) -> Ints:
+    """Matches (M, 2) of frames that see the same by their poses, of which the rays meet: features, numbered over all
+    frames."""
     first = np.cumsum([0, *(len(f) for f in features)])
     extent = np.array([[c.width / c.fx, c.height / c.fy] for c in views.cameras]) / 2
     positions = views.map_T_cam[:, :3, 3]
@@ -65,8 +66,13 @@ def match_views(
         error = epipolar_error_px(every[rows[:, 0]], every[rows[:, 1]])
         return rows[error < MAX_EPIPOLAR_PX]
 
-    found = list(in_parallel(matched, track(list(pairs))))
-    return Matches(tuple(features), every, first, np.concatenate([np.empty((0, 2), np.int64), *found]))
+    return np.concatenate([np.empty((0, 2), np.int64), *in_parallel(matched, track(list(pairs)))])
+
+
+def matches_of(views: Views, features: Sequence[Features], pairs: Ints) -> Matches:
+    """The frames' features as rays, with the pairs (M, 2) that `matched_features` gave."""
+    first = np.cumsum([0, *(len(f) for f in features)])
+    return Matches(tuple(features), _all_rays(views, features), first, pairs)
 
 
 def structure_of(views: Views, matches: Matches, used: NDArray[np.bool_] | None = None) -> Structure:

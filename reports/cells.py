@@ -21,7 +21,7 @@ _PUBLISHED_FILES = {
 }
 # What stands behind the model in a heading of the paper's tables.
 _PAPER_LABELS = {"": "", RAW_METHOD: "", PAPER_METHOD: "+VIO"}
-_PUBLISHED_MODELS = {"hloc": "HLoc", "pn": "PN", "mst": "MS-T"}
+PUBLISHED_MODELS = {"hloc": "HLoc", "pn": "PN", "mst": "MS-T"}
 
 
 def column_name(model: str, method: str, over: str, *what: str, labels: Mapping[str, str] = _PAPER_LABELS) -> str:
@@ -75,14 +75,14 @@ def _dataset(scene: SceneInputs) -> Iterator[dict[str, object]]:
     length, width, height = scene.extent_m()
     text = EMPTY if math.isnan(length) else f"{length:.1f}×{width:.1f}×{height:.1f}"
     yield cell("extent", length, "m", known, text=text)
-    for _, card in scene.cards.iterrows():
-        model = str(card["model"])
-        mib = float(card["bytes"]) / 2**20
-        yield cell(f"{model} storage", mib, "MiB", (1, "train.models"), model=model, text=number(mib, 1))
-        runtime = scene.runtime_ms(model)
-        runs = int((scene.predictions["model"] == model).sum())
-        source = (runs, "train.predictions")
-        yield cell(f"{model} runtime", runtime, "ms", source, model=model, text=number(runtime, 1))
+    for stage, models in (("train", scene.cards), ("localise", scene.localisers)):
+        for _, card in models.iterrows():
+            model = str(card["model"])
+            mib = float(card["bytes"]) / 2**20
+            yield cell(f"{model} storage", mib, "MiB", (1, f"{stage}.models"), model=model, text=number(mib, 1))
+            runtime = scene.runtime_ms(model)
+            source = (int((scene.predictions["model"] == model).sum()), f"{stage}.predictions")
+            yield cell(f"{model} runtime", runtime, "ms", source, model=model, text=number(runtime, 1))
 
 
 def _scores(scene: SceneInputs) -> Iterator[dict[str, object]]:
@@ -142,7 +142,7 @@ def published_cells(tables: PrintedTables, scenes: list[SceneInputs]) -> pd.Data
         length = float(extent.split("x")[0])
         text = extent.replace("x", "×")
         add(TABLE_I, s, "scene", "extent", length, text, "m", statistic="value", quantity="extent")
-        for key, model in _PUBLISHED_MODELS.items():
+        for key, model in PUBLISHED_MODELS.items():
             for what, unit in (("storage", "MB"), ("runtime", "ms")):
                 value = float(s[f"{key}_{what}_{unit.lower()}"])
                 keys = {"model": model, "statistic": "value", "quantity": f"{model} {what}"}

@@ -49,6 +49,10 @@ def headline(scene: SceneInputs, cells: pd.DataFrame) -> list[tuple[str, str, st
     for model in scene.models:
         label = scene.label(model)
         of_model = ours[ours["model"] == model]
+        best = scene.ahead(model)
+        if best is not None:
+            facts.append(_ahead_fact(of_model, label, best, scene))
+            continue
         alone = _median_pair(of_model, RAW_METHOD, "rp+opt", over)
         if scene.fused_method is None:
             facts.append((alone, f"{label}, median", "no method that fuses was run"))
@@ -58,6 +62,16 @@ def headline(scene: SceneInputs, cells: pd.DataFrame) -> list[tuple[str, str, st
         name = f"{label}{scene.method_labels[scene.fused_method]}"
         facts.append((fused, f"{name}, median", f"{label} alone on {frames_of} frames: {alone}"))
     return facts
+
+
+def _ahead_fact(medians: pd.DataFrame, label: str, method: str, scene: SceneInputs) -> tuple[str, str, str]:
+    """The figure of the method that is ahead on held-out frames, over all test frames."""
+    alone = _median_pair(medians, RAW_METHOD, "all", "all")
+    if method in scene.raw_methods:
+        return alone, f"{label}, median", "on frames held out of training no method that fuses beats it"
+    fused = _median_pair(medians, method, "all", "all")
+    more = f"ahead on frames held out of training; {label} alone on all test frames: {alone}"
+    return fused, f"{label}{scene.method_labels[method]}, median", more
 
 
 def _median_pair(medians: pd.DataFrame, method: str, row: str, over: str) -> str:
@@ -105,7 +119,9 @@ def alignment(scene: SceneInputs) -> Grid:
     rows = []
     for s in _records(scene.align_sessions.sort_values(["session_id", "segment"])):
         fit = [number(s.scale, 4), number(s.up_error_deg, 2), number(s.position_rms_m, 3), number(s.position_max_m, 3)]
-        rows.append([s.session_id, s.segment, f"{s.used} of {s.frames}", *fit, number(s.rotation_rms_deg, 2)])
+        rows.append(
+            [s.session_id, s.segment, f"{s.with_ground_truth} of {s.frames}", *fit, number(s.rotation_rms_deg, 2)]
+        )
     caption = "Each session's VIO fitted rigidly to the map: metres of VIO per metre of the map, and what is left."
     return _grid(f"alignment-{scene.name}", "VIO against the map", caption, columns, rows, 2)
 
@@ -126,8 +142,8 @@ def quality(scene: SceneInputs) -> Grid:
         if figures.get(name) is not None
     ]
     caption = (
-        "Frames by quality class (docs/ground-truth.md), and one sigma of each frame's own pose along its least "
-        "certain axis, the median of the class. Errors smaller than that aren't told apart."
+        "Frames by quality class (docs/explanation/ground-truth.md), and one sigma of each frame's own pose along its "
+        "least certain axis, the median of the class. Errors smaller than that aren't told apart."
     )
     if shared:
         caption += f" What all frames share comes on top: {', '.join(shared)} (one sigma)."
@@ -168,24 +184,24 @@ def drift(scene: SceneInputs) -> Grid:
         figures = [f"{v:.3g}" for v in (d.mean, d.median, d.rms, d.p95, d.max)]
         rows.append([d.definition, over, d.unit, d.samples, *figures])
     caption = (
-        "All sessions together; docs/ground-truth.md defines each measure. paper_rpe and paper_roe are the paper's "
-        "equations 4 and 5."
+        "All sessions together; docs/explanation/ground-truth.md defines each measure. paper_rpe and paper_roe are the "
+        "paper's equations 4 and 5."
     )
     return _grid(f"drift-{scene.name}", "VIO drift", caption, columns, rows, 3)
 
 
-def gate(scene: SceneInputs) -> Grid | None:
-    """What the gate let through or not, one line a check; None where nothing was checked."""
+def consistency(scene: SceneInputs) -> Grid | None:
+    """Consistency checks of the ground truth, one line a check; None where nothing was checked."""
     rows = []
-    for check, of_check in scene.gate.groupby("check", sort=False):
+    for check, of_check in scene.align_checks.groupby("check", sort=False):
         open_ones = of_check[of_check["status"] != "passed"]
         status = "; ".join(dict.fromkeys(open_ones["status"] + ": " + open_ones["reason"])) or "passed"
         counts = [int((of_check["status"] == name).sum()) for name in ("failed", "undecided")]
         unit = of_check["unit"].iloc[0]
         rows.append([check, status, unit, len(of_check), *counts, _range(of_check["value"]), _range(of_check["limit"])])
-    columns = ["check", "status", "unit", "checked", "failed", "undecided", "found", "limit"]
+    columns = ["check", "status", "unit", "checks", "failed", "undecided", "value", "limit"]
     caption = "What had to hold before ground truth was given out."
-    return _grid(f"gate-{scene.name}", "Gate", caption, columns, rows, 3) if rows else None
+    return _grid(f"consistency-{scene.name}", "Consistency checks", caption, columns, rows, 3) if rows else None
 
 
 def models(scene: SceneInputs) -> Grid:
@@ -208,6 +224,26 @@ def models(scene: SceneInputs) -> Grid:
     return _grid(f"models-{scene.name}", "Models", "What was trained, and how.", columns, rows, len(columns))
 
 
+def localisers(scene: SceneInputs) -> Grid | None:
+    """What each structure localiser keeps, costs and refused; None where there is none."""
+    test = scene.predictions[scene.predictions["split"] == "test"]
+    rows = []
+    for card in _records(scene.localisers):
+        said = test[test["model"] == card.model]
+        codes = said["refusal"].value_counts()
+        refused = ", ".join(f"{count} {code}" for code, count in codes.items()) or "none"
+        answered = said[said["refusal"].isna()]
+        figures = [number(float(values.median()), 0) for values in (answered["inliers"], said["cpu_ms"])]
+        row = [card.label, card.meaning, f"{card.bytes / 2**20:.2f}", card.points, card.train_frames]
+        rows.append([*row, *figures, number(card.build_cpu_seconds, 0), f"{refused} of {len(said)}"])
+    columns = ["localiser", "what it is", "MiB", "points", "training frames", "inliers", "a query (CPU ms)"]
+    columns += ["built in (CPU s)", "test frames refused"]
+    caption = (
+        "Built from the training frames alone; a refused frame counts as failed in all tables. Inliers: the median."
+    )
+    return _grid(f"localisers-{scene.name}", "Structure localisers", caption, columns, rows, 2) if rows else None
+
+
 def _of_trained(cards: list[Any], text: Callable[[Any], str]) -> list[str]:
     """A line of the model cards; nothing is known of how imported predictions came about."""
     return [text(card) if card.file else EMPTY for card in cards]
@@ -220,7 +256,7 @@ def checks(findings: pd.DataFrame, source: str) -> Grid | None:
         for f in _records(findings[(findings["source"] == source) & (findings["verdict"] != AGREES)])
     ]
     columns = ["rule", "table", "scene", "subset", "column", "by the rule", "printed", "verdict", "why"]
-    caption = "Each number is taken as the interval that its rounding leaves open; docs/reports.md explains the rules."
+    caption = "Each number is taken as the interval that its rounding leaves open; rules: docs/explanation/reports.md."
     return _grid(f"checks-{source}", "What doesn't agree", caption, columns, rows, len(columns)) if rows else None
 
 

@@ -166,10 +166,10 @@ def error_distributions(scene: SceneInputs) -> NamedFigure:
             in_time = errors[f"live_{quantity}_{unit}"].to_numpy(float)
             for level in levels:
                 ax.axvline(level, color=style.NEUTRAL, lw=0.8, ls=(0, (1, 2)))
-            _cumulative(ax, raw, len(raw), style.APR, "-", "regressor, all frames")
+            _cumulative(ax, raw, len(raw), style.APR, "-", "alone, all frames")
             if shown := _fused_label(scene):
                 count, every = int(scored.sum()), f"{shown} in time, all frames, missing = failed"
-                _cumulative(ax, raw[scored], count, style.APR, "--", f"regressor, the frames that {shown} answers")
+                _cumulative(ax, raw[scored], count, style.APR, "--", f"alone, the frames that {shown} answers")
                 _cumulative(ax, fused[scored], count, style.FUSED, "--", f"{shown}, the frames that it answers")
                 _cumulative(ax, in_time, len(in_time), style.FUSED, "-", every)
             ax.set(xscale="log", ylim=(0, 102), title=f"{scene.label(model)}: {quantity}")

@@ -22,8 +22,9 @@ LEAK_S = 5.0
 class SceneInputs:
     """The tables of one scene that the report is made from.
 
+    `predictions` are the regressors' and the structure localisers', `cards` and `localisers` say what these are.
     `manifests` has those of all stages that went in, by a name to show. `sweep` is None where the
-    paper's rule wasn't run.
+    paper's rule wasn't run, `validation` where no frames were held out of training.
     """
 
     name: str
@@ -38,16 +39,19 @@ class SceneInputs:
     ground_truth: pd.DataFrame
     align_sessions: pd.DataFrame
     drift: pd.DataFrame
-    gate: pd.DataFrame
+    align_checks: pd.DataFrame
     predictions: pd.DataFrame
     history: pd.DataFrame
     cards: pd.DataFrame
+    localisers: pd.DataFrame
+    storage: pd.DataFrame
     poses: pd.DataFrame
     errors: pd.DataFrame
     sweep: pd.DataFrame | None
     intervals: pd.DataFrame
     fused_sessions: pd.DataFrame
     methods: pd.DataFrame
+    validation: pd.DataFrame | None
     manifests: dict[str, dict[str, Any]]
 
     @property
@@ -76,8 +80,8 @@ class SceneInputs:
 
     def label(self, model: str) -> str:
         """The model as tables and pages print it."""
-        labels = self.cards.set_index("model")["label"].dropna()
-        return str(labels.get(model, model))
+        both = pd.concat([table[["model", "label"]] for table in (self.cards, self.localisers)])
+        return str(both.set_index("model")["label"].dropna().get(model, model))
 
     @property
     def method_labels(self) -> dict[str, str]:
@@ -96,6 +100,13 @@ class SceneInputs:
         causal one that fuses; None where there is none."""
         fusing = self.methods.loc[self.methods["fuses"] & self.methods["causal"], "method"].tolist()
         return PAPER_METHOD if PAPER_METHOD in fusing else next(iter(fusing), None)
+
+    def ahead(self, model: str) -> str | None:
+        """The method that is ahead on held-out frames for a model, maybe a raw one; None where that isn't known."""
+        if self.validation is None:
+            return None
+        rows = self.validation[(self.validation["model"] == model) & self.validation["ahead"]]
+        return str(rows["method"].iloc[0]) if len(rows) else None
 
     def fused_errors(self, model: str) -> pd.DataFrame:
         """The rows of `fused_method` for a model; where it was run with several options, those of the first."""
@@ -179,7 +190,8 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         part = r.read("fuse", table, scene=fused_by)
         return part[part["scene"] == leaf].reset_index(drop=True)
 
-    manifests = {stage: r.manifest(stage, leaf) for stage in ("import", "sfm", "align")}
+    localised = r.read("localise", "predictions", scene=leaf)
+    manifests = {stage: r.manifest(stage, leaf) for stage in ("import", "sfm", "align", "localise")}
     manifests |= {f"train of {owner}" if owner != leaf else "train": r.manifest("train", owner) for owner in trainers}
     manifests |= {f"fuse of {fused_by}" if fused_by != leaf else "fuse": r.manifest("fuse", fused_by)}
     frames, images = r.dataset_frames(leaf), r.read("sfm", "images", scene=leaf)
@@ -196,16 +208,19 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         ground_truth=r.read("align", "ground_truth", scene=leaf),
         align_sessions=r.read("align", "sessions", scene=leaf),
         drift=r.read("align", "drift", scene=leaf),
-        gate=r.read("align", "gate", scene=leaf),
-        predictions=trained("predictions"),
+        align_checks=r.read("align", "checks", scene=leaf),
+        predictions=pd.concat([p for p in (trained("predictions"), localised) if len(p)], ignore_index=True),
         history=trained("history"),
         cards=trained("models"),
+        localisers=r.read("localise", "models", scene=leaf),
+        storage=r.read("localise", "storage", scene=leaf),
         poses=fused("poses"),
         errors=fused("errors"),
         sweep=fused("sweep") if (r.folder("fuse", fused_by) / "sweep.parquet").is_file() else None,
         intervals=fused("intervals"),
         fused_sessions=fused("sessions"),
         methods=r.read("fuse", "methods", scene=fused_by),
+        validation=fused("validation") if (r.folder("fuse", fused_by) / "validation.parquet").is_file() else None,
         manifests=manifests,
     )
 

@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from groundwalk.reports.checks import AGREES, CAUTION, DISAGREES, Finding
 from groundwalk.reports.inputs import LEAK_S, SceneInputs
 
+WRONG_M, WRONG_DEG = 1.0, 5.0
+
 
 def run_findings(scene: SceneInputs) -> Iterator[Finding]:
     """What was found of one scene's ground truth, split and errors."""
@@ -19,6 +21,7 @@ def run_findings(scene: SceneInputs) -> Iterator[Finding]:
             AGREES if scored == known else DISAGREES,
             "each test frame with ground truth has one row for each method, answered or not",
         )
+    yield from _localiser_findings(scene)
     uses_vio = int(truth["gt_uses_vio"].sum())
     yield Finding(
         *("ground_truth_without_vio", "align.ground_truth", scene.name, "all", "gt_uses_vio"),
@@ -32,3 +35,16 @@ def run_findings(scene: SceneInputs) -> Iterator[Finding]:
         *(f"{LEAK_S:g} s apart or more", apart, CAUTION if leak is not None and leak < LEAK_S else AGREES),
         "a test frame next to a training frame shows nearly the same picture",
     )
+
+
+def _localiser_findings(scene: SceneInputs) -> Iterator[Finding]:
+    """Whether structure localisers refused what they couldn't localise."""
+    test = scene.errors[(scene.errors["split"] == "test") & scene.errors["method"].isin(scene.raw_methods)]
+    for model in scene.localisers["model"]:
+        errors = test[test["model"] == model].drop_duplicates("frame_id")
+        wrong = int(((errors["apr_position_m"] > WRONG_M) | (errors["apr_rotation_deg"] > WRONG_DEG)).sum())
+        yield Finding(
+            *("no_wrong_answer", "localise.predictions", scene.name, "all", f"{model} pose"),
+            *("0 frames", f"{wrong} of {len(errors)} frames", CAUTION if wrong else AGREES),
+            f"a structure localiser refuses rather than be off by more than {WRONG_M:g} m or {WRONG_DEG:g} degrees",
+        )

@@ -84,8 +84,9 @@ def _section(r: StageRun[ReportSettings], scene: SceneInputs, all_cells: pd.Data
         "quality": details.quality(scene),
         "alignment": details.alignment(scene),
         "drift": details.drift(scene),
-        "gate": details.gate(scene),
+        "consistency": details.consistency(scene),
         "models": details.models(scene),
+        "localisers": details.localisers(scene),
         "users": details.users(scene),
     }
     return page.SceneSection(
@@ -112,10 +113,10 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
 
 STAGE = Stage(
     name="report",
-    version=4,
+    version=5,
     settings=ReportSettings,
     reads_shipped=("published",),
-    needs=("import", "sfm", "align", "train", "fuse"),
+    needs=("import", "sfm", "align", "localise", "train", "fuse"),
     run=run,
     help="Report: Tables I to III beside the paper's numbers, all methods over all frames, figures, checks, a page.",
 )

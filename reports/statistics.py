@@ -83,7 +83,7 @@ def scene_scores(errors: pd.DataFrame, scene: str, offline: set[str]) -> pd.Data
         raise UserError(
             f"scene {scene} has no test frame with ground truth",
             expected="errors of test frames in fuse.errors",
-            do="look at the align stage's gate table, and at the split in the scene's config",
+            do="look at the align stage's table checks, and at the split in the scene's config",
         )
     models = test.groupby("model", sort=False)
     rows = [row for model, of_model in models for row in _model_rows(str(model), of_model, offline)]

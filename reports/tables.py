@@ -6,7 +6,16 @@ from collections.abc import Callable
 
 import pandas as pd
 
-from groundwalk.reports.cells import AVERAGE, LEVELS, TABLE_I, TABLE_II, TABLE_III, TABLE_IV, column_name
+from groundwalk.reports.cells import (
+    AVERAGE,
+    LEVELS,
+    PUBLISHED_MODELS,
+    TABLE_I,
+    TABLE_II,
+    TABLE_III,
+    TABLE_IV,
+    column_name,
+)
 from groundwalk.reports.grids import EMPTY, OURS, PUBLISHED, Block, Grid, Row
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
@@ -16,6 +25,7 @@ SUBSET_TITLES = {
     "opt": "Only optimised poses",
     "rp+opt": "Reliable predictions and optimised poses",
 }
+_PARTS = 4  # parts of a structure localiser's storage that are named, the largest
 _ENVIRONMENTS = ("outdoor", "indoor", "unknown")
 _WAYS = ((RAW_METHOD, "all"), (RAW_METHOD, "subset"), (PAPER_METHOD, "subset"))
 _PUBLISHED_NOTE = (
@@ -44,23 +54,38 @@ class Tables:
 
     def dataset(self) -> Grid:
         """Table I: frames, extent, storage and time."""
-        models = ["HLoc", *self.models]
+        models = list(dict.fromkeys([*PUBLISHED_MODELS.values(), *self.models]))
         columns = [("", "scene"), ("", "numbers"), ("images", "train"), ("images", "test"), ("", "extent (m)")]
         heads = [self.labels.get(m, m) for m in models]
         columns += [("storage (MB)", m) for m in heads] + [("time an image (ms)", m) for m in heads]
         names = ["train images", "test images", "extent"]
         names += [f"{m} {what}" for what in ("storage", "runtime") for m in models]
         blocks = self._blocks(TABLE_I, "scene", "", names, lambda look, name: look(name))
-        cards = pd.concat([scene.cards for scene in self.scenes.values()])
+        every = [table for scene in self.scenes.values() for table in (scene.cards, scene.localisers)]
+        cards = pd.concat([table[["device", "model"]] for table in every if len(table)])
         devices = cards.groupby("device", sort=False)["model"].unique()
         notes = [
             "Extent of ours: length × width × height of the box about the camera positions with ground truth. A MB is "
             "2^20 bytes, ours and the paper's alike.",
             "Time of ours: median of single inferences on "
             + "; ".join(f"{device} ({', '.join(names)})" for device, names in devices.items())
-            + ". Published times were taken on an NVIDIA RTX 3090. HLoc isn't part of this toolkit.",
+            + ". A regressor's is of a cropped image, a structure localiser's of a decoded image with its features. "
+            "Published times were taken on an NVIDIA RTX 3090.",
+            *self._storage_notes(),
         ]
-        return self._grid("table1", "Table I", "Datasets, and what a regressor costs", columns, blocks, notes)
+        return self._grid("table1", "Table I", "Datasets, and what a localiser costs", columns, blocks, notes)
+
+    def _storage_notes(self) -> list[str]:
+        """What a structure localiser's storage is made of."""
+        notes = []
+        for scene in self.scenes.values():
+            for model, parts in scene.storage.groupby("model", sort=False):
+                largest = parts.sort_values("bytes", ascending=False, kind="stable").head(_PARTS)
+                shown = [f"{part} {n / 2**20:.2f}" for part, n in zip(largest["part"], largest["bytes"], strict=True)]
+                rest = parts["bytes"].sum() - largest["bytes"].sum()
+                shown += [f"others {rest / 2**20:.2f}"] if rest else []
+                notes.append(f"{scene.name}, storage of {scene.label(str(model))} in MB: {', '.join(shown)}.")
+        return notes
 
     def errors(self) -> Grid:
         """Table II: mean and median error over each subset."""
@@ -226,7 +251,7 @@ class Tables:
 
     def _coverage_notes(self) -> list[str]:
         notes = [
-            "“Same frames” is the raw regressor over just the frames of the subset: like for like with “+VIO”, the "
+            "“Same frames” is the model alone over just the frames of the subset: like for like with “+VIO”, the "
             "paper's rule. The plain column is over all test frames, as in the paper.",
         ]
         for scene in self.scenes.values():
@@ -240,7 +265,21 @@ class Tables:
             if scene.ground_truth["gt_uses_vio"].any():
                 note += " VIO positions took part in this ground truth, which flatters methods that use VIO."
             notes.append(note)
-        return [*notes, *self._uncertain_notes()]
+        return [*notes, *self._refusal_notes(), *self._uncertain_notes()]
+
+    def _refusal_notes(self) -> list[str]:
+        """How many test frames each structure localiser refused."""
+        notes = []
+        for scene in self.scenes.values():
+            said = scene.predictions[scene.predictions["split"] == "test"]
+            said = said[said["model"].isin(scene.localisers["model"])]
+            for model, rows in said.groupby("model", sort=False):
+                refused = int(rows["refusal"].notna().sum())
+                if refused:
+                    label = scene.label(str(model))
+                    note = f"{scene.name}: {label} refused {refused} of {len(rows)} test frames: failures in medians "
+                    notes.append(note + "and levels; its means are over the others.")
+        return notes
 
     def _card_notes(self) -> list[str]:
         cards: dict[str, list[str]] = {}

@@ -62,7 +62,9 @@ class SfmSettings(VioDriftSettings):
     retrieval_pairs: int = Field(
         10, ge=0, description="frames of other sessions, of most similar images, that a frame is matched to"
     )
-    retrieval: RetrievalName = Field("vlad", description="what describes images to find similar ones (docs/sfm.md)")
+    retrieval: RetrievalName = Field(
+        "vlad", description="what describes images to find similar ones (docs/explanation/sfm.md)"
+    )
     retrieval_words: int = Field(64, ge=2, description="visual words of retrieval, learned from the scene")
     transitive_pairs: int = Field(5, ge=0, description="pairs a frame gains where both match a third one; 0: none")
     min_inliers: int = Field(15, ge=8, description="verified matches that a pair needs")

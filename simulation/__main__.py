@@ -26,7 +26,9 @@ def main(
     set_: SetOption = None,
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
     force: Annotated[bool, typer.Option("--force", help="Simulate even if it's up to date.")] = False,
-    processes: Annotated[int, typer.Option(help="Processes that render.", min=1)] = os.cpu_count() or 1,
+    processes: Annotated[
+        int, typer.Option(help="Processes that render.", min=1, show_default="one a core")
+    ] = os.cpu_count() or 1,
     data: DataOption = Path("data"),
 ) -> None:
     """Simulate one scene, or each scene of a group."""

@@ -5,7 +5,7 @@ degrees and metres a metre, that vary over `correlation_m`, and the recorded pos
 integrated with these errors. So two poses close by keep their relative pose and the error grows with distance.
 Because it hangs on the path and not on the frames, one seed gives one drift whatever the frame rate.
 
-`docs/vio-drift.md` says how each number was measured; `python -m benchmarks.vio_drift.fit` measures it again.
+`docs/explanation/vio-drift.md` says how each number was measured; `benchmarks.vio_drift.fit` measures it again.
 """
 
 import tomllib

@@ -8,6 +8,10 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from groundwalk.alignment.examination import examine, refusal
+from groundwalk.alignment.ground_truth import AlignResult, build
+from groundwalk.alignment.inputs import AlignInputs
+from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
 from groundwalk.alignment.uncertainty import covariance_in_map
 from groundwalk.artefacts import DataRoot
@@ -70,6 +74,11 @@ class Scene:
     def recordings(self) -> dict[str, str]:
         return {s: s for s in self.frames["session_id"]}
 
+    def inputs(self, **changes) -> AlignInputs:
+        """What the alignment works on."""
+        tables = {"frames": self.frames, "sfm": self.sfm, "jumps": self.jumps, "recordings": self.recordings}
+        return AlignInputs(**tables | changes)
+
     def in_gauge(self, other_S_sfm: Sim3) -> "Scene":
         """The same scene with SfM's poses and covariances in another gauge."""
         images = self.images.copy()
@@ -94,6 +103,15 @@ class Scene:
     def set_vio(self, vio_T_cam: np.ndarray) -> None:
         table = pose_frame("vio_cam", vio_T_cam)
         self.frames[table.columns] = table
+
+
+def align(inputs: AlignInputs, settings: AlignSettings) -> AlignResult:
+    """The whole alignment; UserError where it gives no ground truth."""
+    examination = examine(inputs, settings)
+    error = refusal(examination, inputs.frames, settings)
+    if error is not None:
+        raise error
+    return build(inputs.frames, inputs.sfm.images, examination, settings)
 
 
 def _walk(rng: np.random.Generator, w: Walks) -> np.ndarray:
@@ -193,7 +211,7 @@ def filled(table: pd.DataFrame, stage: str, name: str, **values) -> pd.DataFrame
     """The table with the columns that the schema asks for; those that this stage doesn't read get a plain value."""
     plain = {"float64": 0.5, "int64": 1, "string": "", "bool": False, "list<float64>": [], "list<string>": []}
     missing = {c.name: c for c in schema(stage, name).columns if c.name not in table}
-    extra = {k: values.get(k, plain[c.dtype]) for k, c in missing.items()}
+    extra = {k: values.get(k, next(iter(c.choices)) if c.choices else plain[c.dtype]) for k, c in missing.items()}
     return table.assign(**{k: [v] * len(table) if isinstance(v, list) else v for k, v in extra.items()})
 
 

@@ -20,7 +20,7 @@ GRAPH: dict[str, set[str]] = {
     "alignment": {"artefacts", "consistency", "geometry"},
     "export": {"artefacts", "geometry"},
     "training": {"artefacts", "geometry", "scoring"},
-    "localisation": {"artefacts", "geometry"},
+    "localisation": {"artefacts", "geometry", "scoring"},
     "fusion": {"artefacts", "geometry", "scoring"},
     "reports": {"artefacts", "geometry", "scoring"},
 }

@@ -37,7 +37,6 @@ RETIRED_NAMES = {
 }
 # Tables and settings that still have such a name: a list that may only become shorter.
 PENDING = {"share_pct", "found", "verdict", "kept"}
-PENDING |= {"gate", "support_share", "unsure_share", "reference_limit_share", "least_registered", "least_agreeing"}
 
 
 def settings_texts() -> Iterator[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""Stage 4: train the absolute pose regressors, and predict the pose of every frame."""
+"""Stage 5: train the absolute pose regressors, and predict the pose of every frame."""
 
 import json
 import platform

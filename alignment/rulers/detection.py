@@ -1,6 +1,6 @@
 """Corners of printed boards and tags in images, by OpenCV, in import's pixel convention."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,20 +21,20 @@ BoardRuler = CharucoRuler | AprilTagRuler
 # OpenCV puts (0, 0) at the centre of the top-left pixel.
 _CENTRE_OF_FIRST_PIXEL = 0.5
 _TAG_CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
-# Where nothing is detected, so many images, evenly spread, are searched for what else may be in them.
+# Where nothing is detected, so many images, evenly spread, are searched for another board or print.
 _SEARCHED = 12
 # Every dictionary is tried on so many of these.
 _SEARCHED_FOR_DICTIONARY = 3
-_FEWEST_MARKERS = 4
-# Half the side of the window in which a corner is refined: the share that it may take up of the nearest marker's
-# distance, and its least and largest size, pixels. Then iterations and their end.
-_WINDOW_SHARE = 0.75
+_MIN_MARKERS = 4
+# Half the side of the window in which a corner is refined: as a fraction of the nearest marker's distance, and its
+# smallest and largest size, pixels. Then iterations and their end.
+_WINDOW_FRACTION = 0.75
 _WINDOW_PX = (2, 8)
 _REFINE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
 
 
 @dataclass(frozen=True)
-class Detected:
+class Detection:
     """Corners in one image: indices (K,) into the ruler's nominal corners, pixels (K, 2), and how many markers."""
 
     corner: NDArray[np.int64]
@@ -61,27 +61,27 @@ def held_out_corners(ruler: BoardRuler, corners: Corners) -> NDArray[np.bool_]:
     return np.isin(corners.part, list(ids)[1::2])
 
 
-def detect(ruler: BoardRuler, image: Grey) -> Detected:
+def detect(ruler: BoardRuler, image: Grey) -> Detection:
     """A ruler's corners in a grey image, refined to fractions of a pixel; none where it isn't seen."""
     if isinstance(ruler, CharucoRuler):
         xy, ids, _, markers = cv2.aruco.CharucoDetector(_board(ruler)).detectBoard(image)
         count = 0 if markers is None else len(markers)
         if ids is None or not len(ids):
-            return Detected(np.empty(0, dtype=np.int64), np.empty((0, 2)), count)
+            return Detection(np.empty(0, dtype=np.int64), np.empty((0, 2)), count)
         at = _refined(ruler, image, np.asarray(xy, dtype=np.float32).reshape(-1, 2)) + _CENTRE_OF_FIRST_PIXEL
-        return Detected(ids.ravel().astype(np.int64), at, count)
-    found = _markers(ruler.dictionary, image)
-    tags = [tag for tag, _ in found]
-    # An id that is seen twice can't be told from its copy.
-    kept = [(tag, xy) for tag, xy in found if tags.count(tag) == 1 and (not ruler.ids or tag in ruler.ids)]
-    corner = np.array([4 * tag + k for tag, _ in kept for k in range(4)], dtype=np.int64)
-    return Detected(corner, np.array([xy for _, xy in kept]).reshape(-1, 2) + _CENTRE_OF_FIRST_PIXEL, len(kept))
+        return Detection(ids.ravel().astype(np.int64), at, count)
+    tags = _markers(ruler.dictionary, image)
+    seen = [tag for tag, _ in tags]
+    # An id that is seen twice is ambiguous.
+    tags = [(tag, xy) for tag, xy in tags if seen.count(tag) == 1 and (not ruler.ids or tag in ruler.ids)]
+    corner = np.array([4 * tag + k for tag, _ in tags for k in range(4)], dtype=np.int64)
+    return Detection(corner, np.array([xy for _, xy in tags]).reshape(-1, 2) + _CENTRE_OF_FIRST_PIXEL, len(tags))
 
 
-def detect_all(rulers: Sequence[BoardRuler], paths: Sequence[Path]) -> list[list[Detected]]:
+def detect_all(rulers: Sequence[BoardRuler], paths: Sequence[Path]) -> list[list[Detection]]:
     """Each image's detections, one for each ruler, on all cores. UserError for an image that can't be read."""
 
-    def detect_in(path: Path) -> list[Detected]:
+    def detect_in(path: Path) -> list[Detection]:
         image = read_grey(path)
         return [detect(ruler, image) for ruler in rulers]
 
@@ -89,38 +89,36 @@ def detect_all(rulers: Sequence[BoardRuler], paths: Sequence[Path]) -> list[list
 
 
 def explain_absence(ruler: BoardRuler, paths: Sequence[Path]) -> str:
-    """Why a ruler isn't detected in any of these images: what is there instead, in a few of them, in words."""
+    """Why a ruler isn't detected in any of these images, by searching a few of them for other boards, in words."""
     step = max(1, len(paths) // _SEARCHED)
     images = [read_grey(path) for path in paths[::step][:_SEARCHED]]
 
-    def seen(of: BoardRuler, change: Callable[[Grey], Grey] = np.asarray) -> int:
-        return sum(len(detect(of, change(image)).corner) > 0 for image in images)
-
-    def mirrored(image: Grey) -> Grey:
-        return np.ascontiguousarray(image[:, ::-1])
-
-    if count := seen(ruler, mirrored):
+    if count := _count_images(ruler, [np.ascontiguousarray(image[:, ::-1]) for image in images]):
         return (
             f"mirrored: it is detected in {count} of {len(images)} images once these are mirrored; print it unmirrored"
         )
     if isinstance(ruler, CharucoRuler):
         for change in _other_layouts(ruler):
-            if count := seen(ruler.model_copy(update=change)):
+            if count := _count_images(ruler.model_copy(update=change), images):
                 stated = ", ".join(f"{key} = {str(value).lower()}" for key, value in change.items())
                 return f"another layout: with {stated} it is detected in {count} of {len(images)} images"
-    own = max(len(_markers(ruler.dictionary, image)) for image in images)
-    if own >= _FEWEST_MARKERS and isinstance(ruler, CharucoRuler):
+    markers = max(len(_markers(ruler.dictionary, image)) for image in images)
+    if markers >= _MIN_MARKERS and isinstance(ruler, CharucoRuler):
         return (
-            f"another layout: up to {own} markers of {ruler.dictionary} in an image, but not {ruler.squares_x} x "
+            f"another layout: up to {markers} markers of {ruler.dictionary} in an image, but not {ruler.squares_x} x "
             f"{ruler.squares_y} squares of them; count the squares"
         )
     # Most markers in an image; of dictionaries that hold them all, the smallest.
     few = images[:: max(1, len(images) // _SEARCHED_FOR_DICTIONARY)]
     counts = {name: max(len(_markers(name, image)) for image in few) for name in DICTIONARIES}
     best = min(counts, key=lambda name: (-counts[name], len(dictionary(name).bytesList)))
-    if counts[best] >= _FEWEST_MARKERS:
+    if counts[best] >= _MIN_MARKERS:
         return f"another dictionary: up to {counts[best]} markers of {best} in an image, none of {ruler.dictionary}"
     return f"no marker of {ruler.dictionary}, or of any other dictionary, in {len(images)} images"
+
+
+def _count_images(ruler: BoardRuler, images: Sequence[Grey]) -> int:
+    return sum(len(detect(ruler, image).corner) > 0 for image in images)
 
 
 def read_grey(path: Path) -> Grey:
@@ -140,18 +138,18 @@ def _board(ruler: CharucoRuler) -> cv2.aruco.CharucoBoard:
 
 
 def _refined(ruler: CharucoRuler, image: Grey, xy: NDArray[np.float32]) -> Array:
-    """Corners (K, 2) to a fraction of a pixel, in windows that no marker reaches into: in OpenCV's own, wider ones
-    markers pull corners by up to half a pixel."""
+    """Corners (K, 2) to a fraction of a pixel, in windows that no marker reaches into: in OpenCV's wider ones markers
+    pull corners by up to half a pixel."""
     if len(xy) < 2:
         return xy.astype(float)
     apart = np.linalg.norm(xy[:, None] - xy, axis=2)
     np.fill_diagonal(apart, np.inf)
-    margin = _WINDOW_SHARE * 0.5 * (1 - ruler.marker_mm / ruler.square_mm)
+    margin = _WINDOW_FRACTION * 0.5 * (1 - ruler.marker_mm / ruler.square_mm)
     windows = np.clip(margin * apart.min(axis=1), *_WINDOW_PX).astype(int)
     result = xy.copy()
     for window in np.unique(windows):
-        own = windows == window
-        result[own] = cv2.cornerSubPix(image, np.ascontiguousarray(xy[own]), (int(window),) * 2, (-1, -1), _REFINE)
+        same = windows == window
+        result[same] = cv2.cornerSubPix(image, np.ascontiguousarray(xy[same]), (int(window),) * 2, (-1, -1), _REFINE)
     return result.astype(float)
 
 

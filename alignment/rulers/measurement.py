@@ -1,7 +1,8 @@
-"""Where rulers are seen, and what each SfM model says of their size, in the model's own units."""
+"""Rulers in the images, and their size in each SfM model, in the model's units."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,17 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.alignment.quality import sfm_covariances
-from groundwalk.alignment.rulers.detection import detect_all, explain_absence, held_out_corners, nominal_corners
+from groundwalk.alignment.rulers.detection import (
+    BoardRuler,
+    Detection,
+    detect_all,
+    explain_absence,
+    held_out_corners,
+    nominal_corners,
+)
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler, Ruler
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import RulerPart
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.lens import distort, undistort
@@ -21,8 +30,8 @@ from groundwalk.geometry.rulers import Corners, Observations, RulerFit, measure
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# What an observation may be off by at least, pixels in an image axis: detected, and read off by a person.
-_DETECTED_SD_PX, _READ_OFF_SD_PX = 0.1, 1.0
+# Smallest standard error of an observation, pixels in an image axis: detected, and read off by a person.
+_DETECTION_SD_PX, _READ_OFF_SD_PX = 0.1, 1.0
 # OpenCV takes so many distortion coefficients.
 _LENGTHS = (0, 4, 5, 8, 12, 14)
 # Where a lens model has no inverse, iterations end elsewhere: such corners are left out.
@@ -30,9 +39,9 @@ _UNDISTORTED_PX = 0.05
 
 
 @dataclass(frozen=True)
-class Sighting:
+class RulerDetections:
     """A ruler in the images: M observations by row of the frames table, corner, and pixel (M, 2). `held_out` (K,) are
-    corners that never set the scale. `absence` says why there is no observation."""
+    corners that never set the scale. `absence`: why there is no observation."""
 
     ruler: Ruler
     corners: Corners
@@ -44,103 +53,102 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Reading:
-    """What a model says of a ruler. `seen` (M,) are the sighting's observations in frames of the model, and `fits`, by
-    part ("all", and "used" and "held out" of a ruler that is to set the scale), what they measure. `problem` says why
-    that decides nothing; `notes` what else is to be known."""
+class RulerMeasurement:
+    """A ruler in a model. `in_model` (M,) are the observations in frames of the model, and `fits` the measurements by
+    part of the ruler. `problem`: why they decide nothing; `notes`: remarks for the user."""
 
-    sighting: Sighting
+    detections: RulerDetections
     model_id: str
-    seen: Mask
-    fits: dict[str, RulerFit] = field(default_factory=dict)
+    in_model: Mask
+    fits: dict[RulerPart, RulerFit] = field(default_factory=dict)
     problem: str = ""
     notes: tuple[str, ...] = ()
 
     @property
     def ruler(self) -> Ruler:
-        return self.sighting.ruler
+        return self.detections.ruler
 
     @property
     def frames(self) -> int:
         """Frames of the model that see the ruler."""
-        return len(np.unique(self.sighting.row[self.seen]))
+        return len(np.unique(self.detections.row[self.in_model]))
 
-    def log_metres(self, part: str = "all") -> float:
+    def log_metres(self, part: RulerPart = RulerPart.ALL) -> float:
         """Logarithm of metres per unit of the model, by this part of the ruler."""
         return -self.fits[part].log_scale
 
-    def sd(self, part: str = "all") -> float:
-        """Standard error of that: of the measurement and of the stated size."""
+    def sd(self, part: RulerPart = RulerPart.ALL) -> float:
+        """Its standard error: of the measurement and of the stated size."""
         return float(np.hypot(self.fits[part].sd, 0.01 * self.ruler.length_sd_percent))
 
-    def size_mm(self, metres_per_unit: float, part: str = "all") -> float:
+    def size_mm(self, metres_per_unit: float, part: RulerPart = RulerPart.ALL) -> float:
         """The stated size as it measures in a map of this scale."""
         return self.ruler.size_mm * metres_per_unit * float(np.exp(self.fits[part].log_scale))
 
 
-def find_rulers(rulers: Sequence[Ruler], frames: pd.DataFrame, image_path: Callable[[str], Path]) -> list[Sighting]:
+def find_rulers(
+    rulers: Sequence[Ruler], frames: pd.DataFrame, image_path: Callable[[str], Path]
+) -> list[RulerDetections]:
     """Look for rulers in all images of import's table `frames`; distances are where the settings say.
 
-    Raises UserError for an image that can't be read, or a distance's frame that there isn't.
+    Raises UserError for an image that can't be read, or a distance's frame that doesn't exist.
     """
     boards = [ruler for ruler in rulers if not isinstance(ruler, DistanceRuler)]
     paths = [image_path(image) for image in frames["image"]] if boards else []
-    detected = detect_all(boards, paths)
-    sightings = []
-    for ruler in rulers:
-        if isinstance(ruler, DistanceRuler):
-            sightings.append(_read_off(ruler, frames))
-            continue
-        index = boards.index(ruler)
-        own = [(row, of_all[index]) for row, of_all in enumerate(detected) if len(of_all[index].corner)]
-        corners = nominal_corners(ruler)
-        sightings.append(
-            Sighting(
-                ruler,
-                corners,
-                held_out_corners(ruler, corners),
-                np.repeat([row for row, _ in own], [len(d.corner) for _, d in own]).astype(np.int64),
-                np.concatenate([np.empty(0, dtype=np.int64), *(d.corner for _, d in own)]),
-                np.concatenate([np.empty((0, 2)), *(d.xy for _, d in own)]),
-                "" if own else explain_absence(ruler, paths),
-            )
-        )
-    return sightings
+    by_image = detect_all(boards, paths)
+    return [
+        _read_off(ruler, frames)
+        if isinstance(ruler, DistanceRuler)
+        else _detections(ruler, [of_image[boards.index(ruler)] for of_image in by_image], paths)
+        for ruler in rulers
+    ]
 
 
-def read_rulers(
-    sightings: Sequence[Sighting], frames: pd.DataFrame, images: pd.DataFrame, *, least_angle: float, largest_sd: float
-) -> list[Reading]:
+def _detections(ruler: BoardRuler, by_image: Sequence[Detection], paths: Sequence[Path]) -> RulerDetections:
+    """A board's detections, one an image of these paths, together."""
+    seen = [(row, d) for row, d in enumerate(by_image) if len(d.corner)]
+    corners = nominal_corners(ruler)
+    return RulerDetections(
+        ruler,
+        corners,
+        held_out_corners(ruler, corners),
+        np.repeat([row for row, _ in seen], [len(d.corner) for _, d in seen]).astype(np.int64),
+        np.concatenate([np.empty(0, dtype=np.int64), *(d.corner for _, d in seen)]),
+        np.concatenate([np.empty((0, 2)), *(d.xy for _, d in seen)]),
+        "" if seen else explain_absence(ruler, paths),
+    )
+
+
+def measure_rulers(
+    detections: Sequence[RulerDetections],
+    frames: pd.DataFrame,
+    images: pd.DataFrame,
+    *,
+    min_angle: float,
+    max_sd: float,
+) -> list[RulerMeasurement]:
     """Each ruler in each model that has frames of it; one without a model where none has.
 
-    `frames` is import's table with SfM's focal lengths, `images` SfM's in its order. Views less than `least_angle`
-    (radians) apart, or a standard error above `largest_sd`, decide nothing.
+    `frames` is import's table with SfM's focal lengths, `images` SfM's in its order. Views less than `min_angle`
+    (radians) apart, or a standard error above `max_sd`, decide nothing.
     """
-    readings = []
+    measurements = []
     poses, covariance = poses_of(images, "sfm_cam"), sfm_covariances(images["covariance"])
     registered, model_id = images["registered"].to_numpy(bool), images["model_id"].to_numpy(object)
-    for sighting in sightings:
-        models = pd.unique(model_id[sighting.row[registered[sighting.row]]])
+    for ruler in detections:
+        models = pd.unique(model_id[ruler.row[registered[ruler.row]]])
         if not len(models):
-            problem = sighting.absence or "seen in frames only that SfM didn't register"
-            readings.append(Reading(sighting, "", np.zeros(len(sighting.row), dtype=bool), problem=problem))
+            problem = ruler.absence or "seen only in frames that SfM didn't register"
+            measurements.append(RulerMeasurement(ruler, "", np.zeros(len(ruler.row), dtype=bool), problem=problem))
             continue
-        xy, focal_px = undistorted(frames, sighting.row, sighting.xy_px)
+        xy, focal_px = undistorted(frames, ruler.row, ruler.xy_px)
+        observations = Observations(ruler.corner, ruler.row, xy, focal_px)
         for model in models:
-            seen = registered[sighting.row] & (model_id[sighting.row] == model) & np.isfinite(xy).all(axis=1)
-            observations = Observations(sighting.corner, sighting.row, xy, focal_px)
-            readings.append(
-                _read(
-                    Reading(sighting, str(model), seen),
-                    observations,
-                    poses,
-                    covariance,
-                    frames,
-                    least_angle,
-                    largest_sd,
-                )
-            )
-    return readings
+            in_model = registered[ruler.row] & (model_id[ruler.row] == model) & np.isfinite(xy).all(axis=1)
+            measurement = RulerMeasurement(ruler, str(model), in_model)
+            fits = _fit_parts(measurement, observations, poses, covariance)
+            measurements.append(_judged(replace(measurement, fits=fits), frames, min_angle, max_sd))
+    return measurements
 
 
 def undistorted(frames: pd.DataFrame, rows: Indices, xy_px: Array) -> tuple[Array, Array]:
@@ -148,13 +156,13 @@ def undistorted(frames: pd.DataFrame, rows: Indices, xy_px: Array) -> tuple[Arra
     length (M,) there. NaN where a frame's lens model can't be inverted."""
     xy, focal_px = np.full((len(rows), 2), np.nan), np.empty(len(rows))
     for row in np.unique(rows):
-        own = rows == row
+        same = rows == row
         matrix, distortion = camera_of(frames, int(row))
-        focal_px[own] = np.sqrt(matrix[0, 0] * matrix[1, 1])
-        distorted = (xy_px[own] - matrix[:2, 2]) / matrix.diagonal()[:2]
+        focal_px[same] = np.sqrt(matrix[0, 0] * matrix[1, 1])
+        distorted = (xy_px[same] - matrix[:2, 2]) / matrix.diagonal()[:2]
         ideal = undistort(distorted, distortion)
-        good = np.linalg.norm(distort(ideal, distortion) - distorted, axis=1) * focal_px[own] < _UNDISTORTED_PX
-        xy[own] = np.where(good[:, None], ideal, np.nan)
+        good = np.linalg.norm(distort(ideal, distortion) - distorted, axis=1) * focal_px[same] < _UNDISTORTED_PX
+        xy[same] = np.where(good[:, None], ideal, np.nan)
     return xy, focal_px
 
 
@@ -167,94 +175,85 @@ def camera_of(frames: pd.DataFrame, row: int) -> tuple[Array, Array]:
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), padded
 
 
-def _read_off(ruler: DistanceRuler, frames: pd.DataFrame) -> Sighting:
+def _read_off(ruler: DistanceRuler, frames: pd.DataFrame) -> RulerDetections:
     row_of = {frame_id: row for row, frame_id in enumerate(frames["frame_id"])}
     rows, corner, xy = [], [], []
     for index, point in enumerate(ruler.points):
-        for seen in point.observations:
-            if seen.frame not in row_of:
+        for observation in point.observations:
+            if observation.frame not in row_of:
                 raise UserError(
-                    f"ruler {ruler.name!r}: point {point.name!r} is seen in a frame that there isn't",
+                    f"ruler {ruler.name!r}: point {point.name!r} is seen in a frame that doesn't exist",
                     where="[[ruler]] of the scene's file",
-                    found=seen.frame,
+                    found=observation.frame,
                     expected=f"a frame_id of import.frames, such as {frames['frame_id'].iloc[0]}",
-                    do="name a frame that import kept; sampling leaves images out",
+                    do="name a frame of import.frames; sampling drops images",
                 )
-            rows.append(row_of[seen.frame])
+            rows.append(row_of[observation.frame])
             corner.append(index)
-            xy.append(seen.xy)
+            xy.append(observation.xy)
     corners = Corners(np.array([[0.0, 0.0, 0.0], [ruler.length_m, 0.0, 0.0]]), np.zeros(2, dtype=np.int64))
-    return Sighting(
+    return RulerDetections(
         ruler, corners, np.zeros(2, dtype=bool), np.array(rows), np.array(corner), np.array(xy, dtype=float)
     )
 
 
-def _read(
-    reading: Reading,
-    observations: Observations,
-    poses: Array,
-    covariance: Array,
-    frames: pd.DataFrame,
-    least_angle: float,
-    largest_sd: float,
-) -> Reading:
-    sighting, seen = reading.sighting, reading.seen
-    parts = {"all": seen}
-    if sighting.ruler.use_for_scale:
-        held_out = sighting.held_out[sighting.corner]
-        parts |= {"used": seen & ~held_out, "held out": seen & held_out}
-    read_off = isinstance(sighting.ruler, DistanceRuler)
-    fits: dict[str, RulerFit] = {}
-    for part, chosen in parts.items():
-        try:
-            fits[part] = measure(
-                sighting.corners,
-                observations.where(chosen),
-                poses,
-                covariance,
-                min_pixel_sd=_READ_OFF_SD_PX if read_off else _DETECTED_SD_PX,
-            )
-        except GeometryError:
-            continue
-    if "all" not in fits or (sighting.ruler.use_for_scale and "used" not in fits):
-        return Reading(sighting, reading.model_id, seen, {}, _too_few(reading, frames))
-    result = Reading(sighting, reading.model_id, seen, fits, "", _notes(reading, fits["all"], frames))
-    return Reading(sighting, result.model_id, seen, fits, _weakness(result, least_angle, largest_sd), result.notes)
+def _fit_parts(
+    measurement: RulerMeasurement, observations: Observations, poses: Array, covariance: Array
+) -> dict[RulerPart, RulerFit]:
+    """The parts of a ruler that its observations determine."""
+    detections, in_model = measurement.detections, measurement.in_model
+    parts = {RulerPart.ALL: in_model}
+    if measurement.ruler.use_for_scale:
+        is_held_out = detections.held_out[detections.corner]
+        parts |= {RulerPart.FOR_SCALE: in_model & ~is_held_out, RulerPart.HELD_OUT: in_model & is_held_out}
+    sd_px = _READ_OFF_SD_PX if isinstance(measurement.ruler, DistanceRuler) else _DETECTION_SD_PX
+    fits: dict[RulerPart, RulerFit] = {}
+    for part, rows in parts.items():
+        with suppress(GeometryError):
+            fits[part] = measure(detections.corners, observations.where(rows), poses, covariance, min_pixel_sd=sd_px)
+    return fits
 
 
-def _too_few(reading: Reading, frames: pd.DataFrame) -> str:
-    ids = frames["frame_id"].to_numpy(str)[np.unique(reading.sighting.row[reading.seen])]
-    shown = ", ".join(ids[:3]) + (", ..." if len(ids) > 3 else "")
-    what = "its points" if isinstance(reading.ruler, DistanceRuler) else "its corners"
-    return f"seen in {len(ids)} frame{'s' * (len(ids) != 1)} ({shown}); two of {what} must be seen in 2 or more frames"
+def _judged(measurement: RulerMeasurement, frames: pd.DataFrame, min_angle: float, max_sd: float) -> RulerMeasurement:
+    """With its problem and notes; without fits where they are too few."""
+    fits = measurement.fits
+    if RulerPart.ALL not in fits or (measurement.ruler.use_for_scale and RulerPart.FOR_SCALE not in fits):
+        return replace(measurement, fits={}, problem=_too_few(measurement, frames))
+    notes = _notes(measurement, fits[RulerPart.ALL], frames)
+    return replace(measurement, problem=_weakness(measurement, min_angle, max_sd), notes=notes)
 
 
-def _weakness(reading: Reading, least_angle: float, largest_sd: float) -> str:
+def _too_few(measurement: RulerMeasurement, frames: pd.DataFrame) -> str:
+    ids = frames["frame_id"].to_numpy(str)[np.unique(measurement.detections.row[measurement.in_model])]
+    names = ", ".join(ids[:3]) + (", ..." if len(ids) > 3 else "")
+    what = "its points" if isinstance(measurement.ruler, DistanceRuler) else "its corners"
+    return f"seen in {len(ids)} frame{'s' * (len(ids) != 1)} ({names}); two of {what} must be seen in 2 or more frames"
+
+
+def _weakness(measurement: RulerMeasurement, min_angle: float, max_sd: float) -> str:
     """Why a measurement decides nothing; empty where it does."""
-    fit = reading.fits["used" if "used" in reading.fits else "all"]
-    if fit.angle < least_angle:
+    fit = measurement.fits.get(RulerPart.FOR_SCALE, measurement.fits[RulerPart.ALL])
+    if fit.angle < min_angle:
         return (
-            f"seen from {np.degrees(fit.angle):.1f} degrees apart only, at least {np.degrees(least_angle):.1f} are "
+            f"its views are only {np.degrees(fit.angle):.1f} degrees apart, at least {np.degrees(min_angle):.1f} are "
             "needed; walk around it"
         )
-    if fit.sd > largest_sd:
-        return (
-            f"its scale has a standard error of {fit.sd:.2%}, at most {largest_sd:.2%} decides; take more views of it"
-        )
+    if fit.sd > max_sd:
+        return f"its scale has a standard error of {fit.sd:.2%}, at most {max_sd:.2%} is needed; take more views of it"
     return ""
 
 
-def _notes(reading: Reading, fit: RulerFit, frames: pd.DataFrame) -> tuple[str, ...]:
+def _notes(measurement: RulerMeasurement, fit: RulerFit, frames: pd.DataFrame) -> tuple[str, ...]:
     """Sessions whose frames see the ruler elsewhere than the others do."""
-    rows = reading.sighting.row[reading.seen]
+    rows = measurement.detections.row[measurement.in_model]
     table = pd.DataFrame(
         {"session": frames["session_id"].to_numpy(str)[rows], "row": rows, "inlier": fit.inlier}
     ).groupby("session")
-    found = table.agg(frames=("row", "nunique"), share=("inlier", "mean"))
-    found = found[(found["frames"] >= 2) & (found["share"] < 0.5)]
+    sessions = table.agg(frames=("row", "nunique"), inliers=("inlier", "mean"))
+    elsewhere = sessions[(sessions["frames"] >= 2) & (sessions["inliers"] < 0.5)]
     return tuple(
-        f"{1 - share:.0%} of its observations in {count} frames of {session} are outliers: was it moved there?"
-        for session, count, share in zip(found.index, found["frames"], found["share"], strict=True)
+        f"{1 - inliers:.0%} of its observations in {count} frames of {session} are outliers: was it moved there?"
+        for session, count, inliers in zip(elsewhere.index, elsewhere["frames"], elsewhere["inliers"], strict=True)
     )
 
 

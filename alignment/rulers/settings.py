@@ -15,7 +15,7 @@ APRILTAG = "DICT_APRILTAG_36H11"
 def _dictionary(name: Any) -> Any:
     if not isinstance(name, str) or name.upper() not in map(str.upper, DICTIONARIES):
         raise ValueError(f"not a dictionary that OpenCV knows; one of {', '.join(DICTIONARIES)}")
-    return next(known for known in DICTIONARIES if known.upper() == name.upper())
+    return next(candidate for candidate in DICTIONARIES if candidate.upper() == name.upper())
 
 
 Dictionary = Annotated[str, BeforeValidator(_dictionary)]
@@ -26,7 +26,7 @@ class RulerSettings(Settings):
 
     name: str = Field("", description="name of the ruler in tables and messages; by default its kind")
     use_for_scale: bool = Field(
-        False, description="set the map's scale by this ruler; every second corner is held out and judges it"
+        False, description="set the map's scale by this ruler; every second corner is held out and checks it"
     )
     length_sd_percent: float = Field(
         0.2, gt=0, le=10, description="standard error of the stated size, percent, as printed and measured"
@@ -62,10 +62,10 @@ class CharucoRuler(RulerSettings):
         if self.marker_mm >= self.square_mm:
             raise ValueError(f"marker_mm {self.marker_mm:g} must be less than square_mm {self.square_mm:g}")
         needed = self.squares_x * self.squares_y // 2
-        held = len(dictionary(self.dictionary).bytesList)
-        if needed > held:
+        available = len(dictionary(self.dictionary).bytesList)
+        if needed > available:
             raise ValueError(
-                f"{self.squares_x} x {self.squares_y} squares need {needed} markers, {self.dictionary} has {held}"
+                f"{self.squares_x} x {self.squares_y} squares need {needed} markers, {self.dictionary} has {available}"
             )
         return self
 
@@ -85,10 +85,10 @@ class AprilTagRuler(RulerSettings):
 
     @model_validator(mode="after")
     def _consistent(self) -> "AprilTagRuler":
-        held = len(dictionary(self.dictionary).bytesList)
-        unknown = [tag for tag in self.ids if not 0 <= tag < held]
+        count = len(dictionary(self.dictionary).bytesList)
+        unknown = [tag for tag in self.ids if not 0 <= tag < count]
         if unknown:
-            raise ValueError(f"id {unknown[0]}: {self.dictionary} has ids 0 to {held - 1}")
+            raise ValueError(f"id {unknown[0]}: {self.dictionary} has ids 0 to {count - 1}")
         return self
 
 
@@ -107,10 +107,10 @@ class NamedPoint(Settings):
 
     @model_validator(mode="after")
     def _consistent(self) -> "NamedPoint":
-        frames = [seen.frame for seen in self.observations]
-        if len(set(frames)) < len(frames):
-            twice = next(frame for frame in frames if frames.count(frame) > 1)
-            raise ValueError(f"point {self.name!r} has two observations in frame {twice}")
+        frames = [observation.frame for observation in self.observations]
+        repeated = [frame for frame in frames if frames.count(frame) > 1]
+        if repeated:
+            raise ValueError(f"point {self.name!r} has two observations in frame {repeated[0]}")
         return self
 
 
@@ -151,16 +151,16 @@ def rulers_of(tables: Any) -> list[Ruler]:
             raise UserError(
                 f"two rulers are named {ruler.name!r}",
                 where=_where(index + 1),
-                do="give each [[ruler]] a name of its own",
+                do="give each [[ruler]] another name",
             )
-    used = [(ruler.name, ruler.dictionary) for ruler in rulers if not isinstance(ruler, DistanceRuler)]
-    for index, (name, of_markers) in enumerate(used):
-        same = [other for other, markers in used[:index] if _family(markers) == _family(of_markers)]
+    boards = [(ruler.name, ruler.dictionary) for ruler in rulers if not isinstance(ruler, DistanceRuler)]
+    for index, (name, markers) in enumerate(boards):
+        same = [other for other, other_markers in boards[:index] if _family(other_markers) == _family(markers)]
         if same:
             raise UserError(
-                f"rulers {same[0]!r} and {name!r} have markers of the same dictionary and can't be told apart",
+                f"rulers {same[0]!r} and {name!r} have markers of the same dictionary",
                 where=_where(names.index(name) + 1),
-                found=of_markers,
+                found=markers,
                 do="print one of them with another dictionary",
             )
     return rulers

@@ -30,6 +30,7 @@ _MODULES = {
     "import": "import_",
     "sfm": "sfm",
     "align": "align",
+    "localise": "localise",
     "train": "train",
     "fuse": "fuse",
     "report": "report",

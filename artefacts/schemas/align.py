@@ -1,6 +1,20 @@
 """What the align stage writes: the ground truth, how VIO compares with it, and what was checked."""
 
-from groundwalk.artefacts.choices import CameraOrigin, QualityClass, Split
+from groundwalk.artefacts.choices import (
+    CameraOrigin,
+    CheckName,
+    CheckUnit,
+    DriftDefinition,
+    DriftInterval,
+    FailureCause,
+    LengthUnit,
+    QualityClass,
+    ReferenceAlignment,
+    RulerKind,
+    RulerPart,
+    Split,
+    VerticalSource,
+)
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 from groundwalk.consistency.decisions import Status
 
@@ -30,23 +44,35 @@ TABLES = [
                 "covariance",
                 "list<float64>",
                 "6x6, row-major, of (rotation, position) with true rotation = exp(rotation) @ map_R_cam and true "
-                "position = map_t_cam + position: SfM's part, the map's scale and vertical, and VIO's where it ties "
+                "position = map_t_cam + position: SfM's part, the map's scale and vertical, and VIO's where it links "
                 "models; null where SfM has none",
                 "rad, m",
                 "map",
                 True,
             ),
-            Column("position_sd_m", "float64", "without scale and vertical, largest axis, one sigma", "m", "map", True),
             Column(
-                "rotation_sd_deg", "float64", "without scale and vertical, largest axis, one sigma", "deg", "map", True
+                "position_sd_m",
+                "float64",
+                "standard error in the least certain axis, without scale and vertical",
+                "m",
+                "map",
+                True,
             ),
-            Column("quality", "string", "quality class (docs/ground-truth.md)", choices=QualityClass),
+            Column(
+                "rotation_sd_deg",
+                "float64",
+                "standard error about the least certain axis, without scale and vertical",
+                "deg",
+                "map",
+                True,
+            ),
+            Column("quality", "string", "quality class (docs/explanation/ground-truth.md)", choices=QualityClass),
             Column("reason", "string", "why quality is B, C or none, with the figure and its limit; empty for A"),
             Column("gt_uses_vio", "bool", "VIO positions took part: in the bundle adjustment, or in placing its model"),
             Column(
                 "scale_source",
                 "string",
-                "what its metric scale is by: vio, ruler: names, or reference (import.reference, in metres); with "
+                "what gives it its metric scale: vio, ruler: names, or reference (import.reference, in metres); with "
                 "', uncertain' where its standard error is above max_scale_sd; none: all lengths are in SfM's unit; "
                 "reference, unit unknown: all lengths are in the reference's unit; null without ground truth",
                 nullable=True,
@@ -57,6 +83,7 @@ TABLES = [
                 "what gave the map its +y: gravity; reference (whose +y is up); or reference, up unknown: the map has "
                 "the reference's axes; null without ground truth",
                 nullable=True,
+                choices=VerticalSource,
             ),
             Column("fx", "float64", "focal length, x, that goes with the pose; as calibrated where SfM has none", "px"),
             Column("fy", "float64", "focal length, y, that goes with the pose; as calibrated where SfM has none", "px"),
@@ -77,9 +104,9 @@ TABLES = [
             _SEGMENT,
             _COMPONENT,
             Column(
-                "bridge_m",
+                "vio_link_m",
                 "float64",
-                "VIO path without a frame of either over which this model is tied to the map; null for the first",
+                "VIO path without a registered frame over which this model is linked to the map; null for the first",
                 "m",
                 "vio",
                 True,
@@ -88,13 +115,13 @@ TABLES = [
             Column("t_end_ns", "int64", "last frame", "ns"),
             Column("frames", "int64", "frames of this part"),
             Column("registered", "int64", "frames that SfM registered"),
-            Column("used", "int64", "frames with ground truth"),
+            Column("with_ground_truth", "int64", "frames with ground truth"),
             Column("path_m", "float64", "length of the VIO path through the frames", "m", "vio"),
             *pose_columns("map_vio", "map_T_vio, rigid fit", nullable=True),
             *pose_columns("map_vio_yaw", "map_T_vio, fit of yaw and translation only", nullable=True),
-            Column("scale_source", "string", "what the map's metric scale is by, as in ground_truth"),
+            Column("scale_source", "string", "what gives the map its metric scale, as in ground_truth"),
             Column("scale", "float64", "metres of this session's VIO per metre of the map", "", "", True),
-            Column("scale_sd", "float64", "one sigma of scale, from the scatter of its windows", "", "", True),
+            Column("scale_sd", "float64", "standard error of scale, by the scatter of its steps", "", "", True),
             Column(
                 "up_error_deg", "float64", "angle between this session's vertical and the map's", "deg", "map", True
             ),
@@ -106,17 +133,18 @@ TABLES = [
             Column("rotation_max_deg", "float64", "residual of the rigid fit", "deg", "map", True),
             Column("yaw_position_rms_m", "float64", "residual of the yaw and translation fit", "m", "map", True),
             Column("yaw_rotation_rms_deg", "float64", "residual of the yaw and translation fit", "deg", "map", True),
-            Column("sim3_position_rms_m", "float64", "residual with a scale of its own, all frames", "m", "map", True),
+            Column("sim3_position_rms_m", "float64", "residual of a fit with scale, all frames", "m", "map", True),
             Column(
                 "sim3_rotation_median_deg",
                 "float64",
-                "residual after a fit of rotations, all",
+                "residual of a fit of rotations alone, all frames",
                 "deg",
                 "map",
                 True,
             ),
         ],
-        version="2.0",
+        version="3.0",
+        renamed={"bridge_m": "vio_link_m", "used": "with_ground_truth"},
     ),
     TableSchema(
         "align",
@@ -125,10 +153,10 @@ TABLES = [
         "the samples of all sessions.",
         [
             Column("session_id", "string", "capture session, or 'all'"),
-            Column("definition", "string", "what was measured; docs/ground-truth.md defines each name"),
+            Column("definition", "string", "measure (docs/explanation/ground-truth.md)", choices=DriftDefinition),
             Column("interval", "float64", "length of the compared pieces; null for a whole path", "", "", True),
-            Column("interval_unit", "string", "s, m, pair or path"),
-            Column("unit", "string", "unit of the figures: m, deg, %, deg/m, deg/min, deg/100m"),
+            Column("interval_unit", "string", "what the interval counts", choices=DriftInterval),
+            Column("unit", "string", "unit of the samples: m, deg, %, deg/m, deg/min, deg/100m"),
             Column("samples", "int64", "number of compared pieces"),
             Column("mean", "float64", "mean of the samples"),
             Column("median", "float64", "median of the samples"),
@@ -139,10 +167,11 @@ TABLES = [
     ),
     TableSchema(
         "align",
-        "gate",
-        "What was checked before the ground truth was given out: one row a check of the scene, a session or a window.",
+        "checks",
+        "Consistency checks before ground truth was given out: one row a check of the scene, a model, a session or a "
+        "window.",
         [
-            Column("check", "string", "name of the check"),
+            Column("check", "string", "name of the check", choices=CheckName),
             Column("session_id", "string", "capture session; empty for the scene"),
             Column("component", "int64", "SfM model, as in ground_truth; null for the scene", nullable=True),
             Column("t_start_ns", "int64", "first frame of the window", "ns", "", True),
@@ -150,45 +179,55 @@ TABLES = [
             Column("frames", "int64", "frames under this check"),
             Column("value", "float64", "the estimate", "", "", True),
             Column("sd", "float64", "its standard error; null for counts and known lengths", "", "", True),
-            Column("limit", "float64", "what is allowed"),
-            Column("unit", "string", "unit of value, sd and limit"),
-            Column("status", "string", "passed and failed are by two sd or more", choices=Status),
-            Column("cause", "string", "what a failure means, by name (docs/ground-truth.md)", nullable=True),
-            Column("reason", "string", "in words, unless it passed"),
-            Column("advice", "string", "what to do where it failed, what would decide it where it is undecided"),
+            Column(
+                "limit", "float64", "largest value that passes; smallest for fractions of frames or steps that agree"
+            ),
+            Column("unit", "string", "unit of value, sd and limit", choices=CheckUnit),
+            Column("status", "string", "passed or failed by two sd or more, else undecided", choices=Status),
+            Column(
+                "cause",
+                "string",
+                "what is wrong with the input (docs/reference/checks.md); null where it passed",
+                nullable=True,
+                choices=FailureCause,
+            ),
+            Column("reason", "string", "the cause in words, with figures; empty where it passed"),
+            Column("advice", "string", "what to do where it failed; what would decide it where it is undecided"),
         ],
         version="2.0",
     ),
     TableSchema(
         "align",
         "rulers",
-        "Rulers that the scene's file names: one row a ruler, model, and part of its corners (docs/rulers.md).",
+        "Rulers that the scene's file names: one row a ruler, model, and part of its corners (docs/how-to/ruler.md).",
         [
             Column("ruler", "string", "name"),
-            Column("kind", "string", "charuco, apriltag or distance"),
+            Column("kind", "string", "kind of ruler", choices=RulerKind),
             _COMPONENT,
-            Column("part", "string", "all corners; used: those that may set the scale; held out: the others"),
-            Column("used_for_scale", "bool", "the map's scale is by this ruler (its used part)"),
-            Column("frames", "int64", "frames that took part; those that see it where nothing is measured"),
+            Column("part", "string", "which of its corners are measured", choices=RulerPart),
+            Column("used_for_scale", "bool", "this ruler (its part for_scale) sets the map's scale"),
+            Column("frames", "int64", "frames that took part; where nothing is measured, those that see it"),
             Column("corners", "int64", "corners seen from two frames or more"),
             Column("outliers", "int64", "observations left out: wrong detections or poses"),
             Column("view_angle_deg", "float64", "largest angle between two views of its middle", "deg", "", True),
             Column("stated_mm", "float64", "size of a square or tag, or the distance, as stated", "mm"),
-            Column("measured_mm", "float64", "the same as measured in the map", "mm", "map", True),
+            Column("measured_mm", "float64", "that size as measured in the map", "mm", "map", True),
             Column(
                 "scale_error_percent", "float64", "map's scale against the ruler; positive: too large", "%", "", True
             ),
-            Column("scale_sd_percent", "float64", "one sigma of the ruler: measurement and stated size", "%", "", True),
-            Column("map_scale_sd_percent", "float64", "one sigma of the map's scale", "%", "", True),
+            Column(
+                "scale_sd_percent", "float64", "standard error of the ruler: measurement and stated size", "%", "", True
+            ),
+            Column("map_scale_sd_percent", "float64", "standard error of the map's scale", "%", "", True),
             Column("vio_scale_error_percent", "float64", "scale by VIO alone against the ruler", "%", "", True),
-            Column("vio_scale_sd_percent", "float64", "one sigma of the scale by VIO alone", "%", "", True),
+            Column("vio_scale_sd_percent", "float64", "standard error of the scale by VIO alone", "%", "", True),
             Column("reprojection_px", "float64", "triangulated corners from observations, RMS", "px", "", True),
             Column("corner_rms_mm", "float64", "triangulated corners from nominal ones, RMS", "mm", "", True),
             Column("flatness_mm", "float64", "corners from their best plane, RMS", "mm", "", True),
-            Column("status", "string", "as in gate", choices=Status),
-            Column("reason", "string", "why, where it failed or is undecided; what else is to be known"),
+            Column("status", "string", "as in checks", choices=Status),
+            Column("reason", "string", "why it failed or is undecided; remarks"),
         ],
-        version="2.0",
+        version="3.0",
     ),
     TableSchema(
         "align",
@@ -199,36 +238,37 @@ TABLES = [
             _SESSION,
             _COMPONENT,
             Column("frames", "int64", "frames of the session"),
-            Column("compared", "int64", "of these, in this model and with a reference pose"),
+            Column("compared_frames", "int64", "of these, in this model and with a reference pose"),
             Column(
                 "fit",
                 "string",
-                "what was fitted before: sim3 of the model (the reference gives the map), or the session's reference "
-                "to the map: se3, sim3 where its unit is unknown, none where it can't be",
+                "alignment before: the model's to the reference that gives the map (model_sim3), or the session's "
+                "reference's to the map: se3, sim3 where its unit is unknown, none where there are too few poses",
+                choices=ReferenceAlignment,
             ),
-            Column("unit", "string", "unit of the positions: m, or unknown (the reference's)"),
+            Column("unit", "string", "unit of the positions: m, or the reference's unknown one", choices=LengthUnit),
             Column("position_rms_m", "float64", "distance between the positions", "m", "map", True),
             Column("position_median_m", "float64", "distance between the positions", "m", "map", True),
             Column("position_max_m", "float64", "distance between the positions", "m", "map", True),
             Column("rotation_median_deg", "float64", "angle between the rotations", "deg", "map", True),
             Column("rotation_max_deg", "float64", "angle between the rotations", "deg", "map", True),
             Column("scale", "float64", "reference's unit per metre of the map, by a fit of these frames", "", "", True),
-            Column("scale_sd", "float64", "one sigma of scale, frames taken as independent", "", "", True),
+            Column("scale_sd", "float64", "standard error of scale, for independent frames", "", "", True),
         ],
+        version="2.0",
+        renamed={"compared": "compared_frames"},
     ),
     TableSchema(
         "align",
         "depth_agreement",
-        "How a phone's depth sensor agrees with the map, at the points of SfM that its frames with ground truth see: "
+        "How a phone's depth sensor agrees with the map, at the SfM points that its frames with ground truth see: "
         "one row a session, SfM model, distance and confidence; no rows without depth. Depth gives nothing to the map.",
         [
             _SESSION,
             _COMPONENT,
             Column("near_m", "float64", "depth by the map, from", "m"),
             Column("far_m", "float64", "depth by the map, below; null: no limit", "m", "", True),
-            Column(
-                "confidence", "int64", "the sensor's: 0 low, 1 medium, 2 high; null: all, or not known", "", "", True
-            ),
+            Column("confidence", "int64", "the sensor's: 0 low, 1 medium, 2 high; null: all, or unknown", "", "", True),
             Column("frames", "int64", "frames that the samples are from"),
             Column("samples", "int64", "points of SfM, each as often as a frame sees it, away from edges of depth"),
             Column("median_ratio", "float64", "median of the sensor's depth over the map's"),

@@ -84,7 +84,7 @@ TABLES = [
             Column(
                 "quality",
                 "string",
-                "class of the frame's ground truth, A, B or C (docs/ground-truth.md); null where it states none",
+                "class of the frame's ground truth: A, B or C; null where it states none",
                 nullable=True,
             ),
             Column("status", "string", _STATUS),
@@ -104,7 +104,7 @@ TABLES = [
         "The numbers behind the decisions: one row a frame, method, model and number.",
         [
             *_KEYS,
-            Column("signal", "string", "rpe_m, roe_deg, similarity, ... (docs/fusion.md)"),
+            Column("signal", "string", "rpe_m, roe_deg, similarity, ... (docs/explanation/fusion.md)"),
             Column("value", "float64", "its value"),
         ],
     ),
@@ -144,6 +144,22 @@ TABLES = [
             Column("high", "float64", "97.5 % bound; null as low", "", "", True),
             Column("sessions", "int64", "sessions that were drawn from"),
             Column("draws", "int64", "different draws that there are: 3 for two sessions, which says little"),
+        ],
+    ),
+    TableSchema(
+        "fuse",
+        "validation",
+        "Each causal method on the frames held out of training: which is ahead is told without the test walks. Missing "
+        "where no frames were held out.",
+        [
+            _METHOD,
+            _MODEL,
+            _SCENE,
+            Column("frames", "int64", "held-out frames with ground truth"),
+            Column("coverage_pct", "float64", "share of them that it answered", "%"),
+            Column("position_mean_m", "float64", "mean APE over the answered frames", "m", "", True),
+            Column("rotation_mean_deg", "float64", "mean AOE over the answered frames", "deg", "", True),
+            Column("ahead", "bool", "its geometric mean of both, over the coverage, is the least"),
         ],
     ),
     TableSchema(

@@ -1,6 +1,6 @@
-"""Frames of a capture with the phone's own poses, and everything that was left out."""
+"""Frames of a capture with the phone's poses, and everything that was rejected."""
 
-from groundwalk.artefacts.choices import Clock, PoseSource, SessionSplit, Split, Tracking
+from groundwalk.artefacts.choices import Clock, LengthUnit, PoseSource, SessionSplit, Split, Tracking, UpAxis
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _SESSION = Column("session_id", "string", "recording; a part of one where VIO jumped (`walk`, `walk.part2`)")
@@ -40,8 +40,8 @@ TABLES = [
                 choices=Split,
             ),
             Column("support", "bool", "support frame: used by SfM and the checks of its model, not in the dataset"),
-            Column("blurred_faces", "int64", "regions blurred as faces; null: none were looked for", nullable=True),
-            Column("blurred_plates", "int64", "regions blurred as plates; null: none were looked for", nullable=True),
+            Column("blurred_faces", "int64", "regions blurred as faces; null: no detector ran", nullable=True),
+            Column("blurred_plates", "int64", "regions blurred as plates; null: no detector ran", nullable=True),
             Column(
                 "depth",
                 "string",
@@ -52,7 +52,7 @@ TABLES = [
             Column(
                 "depth_confidence",
                 "string",
-                "how sure the sensor is of the depth: path as in `image`; PNG of 8 bits, 0, 1, 2 or 0, 127, 255 for "
+                "the sensor's confidence in the depth: path as in `image`; PNG of 8 bits, 0, 1, 2 or 0, 127, 255 for "
                 "low, medium, high. Null where there is none",
                 nullable=True,
             ),
@@ -73,30 +73,32 @@ TABLES = [
             Column("path_m", "float64", "length of the VIO path", "m"),
             Column("poses", "int64", "poses in the log"),
             Column("images", "int64", "sound images with a pose, before sampling"),
-            Column("frames", "int64", "images kept by sampling: frames of the dataset"),
+            Column("frames", "int64", "images selected by sampling: frames of the dataset"),
             Column("support_frames", "int64", "images added for SfM alone"),
             Column("split", "string", "what it is for; val blocks lie in train sessions", choices=SessionSplit),
             Column(
-                "poses_are",
+                "pose_source",
                 "string",
-                "whose they are; those of a reference are in table `reference`",
+                "whose poses they are; those of a reference are in table `reference`",
                 nullable=True,
                 choices=PoseSource,
             ),
             Column(
                 "reference_unit",
                 "string",
-                "unit of the reference poses: m, or unknown where their file states none; null for VIO",
+                "unit of the reference poses, unknown where their file states none; null for VIO",
                 nullable=True,
+                choices=LengthUnit,
             ),
-            Column("up", "string", "up in the world of the poses: +y or unknown", nullable=True),
+            Column("up", "string", "up in the world of the poses", nullable=True, choices=UpAxis),
         ],
-        version="2.1",
+        version="3.0",
+        renamed={"poses_are": "pose_source"},
     ),
     TableSchema(
         "import",
         "rejects",
-        "Everything that was left out for a reason; images thinned out by sampling aren't here.",
+        "Rows and files of the captures that were rejected; images that sampling didn't select aren't here.",
         [
             _SESSION,
             Column("source", "string", "file or row in the capture"),
@@ -114,7 +116,7 @@ TABLES = [
             Column("dt_s", "float64", "time between the two poses", "s"),
             Column("jump_m", "float64", "displacement beyond the motion around it", "m"),
             Column("jump_deg", "float64", "rotation beyond the motion around it", "deg"),
-            Column("splits", "bool", "so large that the session was split here"),
+            Column("splits", "bool", "larger than max_jump_m or max_jump_deg: the session was split here"),
         ],
     ),
     TableSchema(

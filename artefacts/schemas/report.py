@@ -42,7 +42,7 @@ TABLES = [
         "What was checked of the printed tables and of the run, and what was found.",
         [
             _SOURCE,
-            Column("check", "string", "name of the rule (docs/reports.md)"),
+            Column("check", "string", "name of the rule (docs/explanation/reports.md)"),
             Column("table", "string", "I to IV, or the artefact's table"),
             Column("scene", "string", "scene, or which scenes"),
             Column("subset", "string", "set of test frames"),

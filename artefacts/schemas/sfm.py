@@ -77,7 +77,7 @@ TABLES = [
             Column("stated_k1", "float64", "k1 that the capture states; 0: none"),
             Column("stated_k2", "float64", "k2 that the capture states; 0: none"),
             Column("origin", "string", "where k1 and k2 are from", choices=CameraOrigin),
-            Column("stated_is_wrong", "bool", "the images contradict the stated distortion (docs/sfm.md says when)"),
+            Column("stated_is_wrong", "bool", "the images contradict the stated distortion (docs/explanation/sfm.md)"),
             Column(
                 "held_out_stated_px",
                 "float64",

@@ -56,7 +56,7 @@ TABLES = [
             Column("sx", "float64", "learned log-variance of the position loss; null: there is none", nullable=True),
             Column("sq", "float64", "learned log-variance of the rotation loss; null: there is none", nullable=True),
             Column("seconds", "float64", "wall time of the epoch", "s"),
-            Column("kept", "bool", "the epoch whose weights were kept: least held-out score (docs/training.md)"),
+            Column("kept", "bool", "the epoch whose weights were kept: least held-out score"),
         ],
         version="1.1",
     ),

@@ -36,7 +36,7 @@ _MAXWELL_MEDIAN = 1.5382
 
 
 @dataclass(frozen=True)
-class Estimate:
+class DriftEstimate:
     """A parameter with its 68 % interval and the number of independent samples (contrasts, sessions, frames, events).
 
     Where the interval reaches zero, `value` is its upper end and `best` is the most likely value: a bound, not a
@@ -49,7 +49,7 @@ class Estimate:
     samples: int
 
     @classmethod
-    def exactly(cls, value: float, samples: int = 0) -> "Estimate":
+    def exactly(cls, value: float, samples: int = 0) -> "DriftEstimate":
         """A number without an interval: chosen, or taken from elsewhere."""
         return cls(value, value, value, samples)
 
@@ -57,11 +57,11 @@ class Estimate:
     def value(self) -> float:
         return self.best if self.low > 0 else self.high
 
-    def scaled(self, factor: float) -> "Estimate":
-        return Estimate(self.best * factor, self.low * factor, self.high * factor, self.samples)
+    def scaled(self, factor: float) -> "DriftEstimate":
+        return DriftEstimate(self.best * factor, self.low * factor, self.high * factor, self.samples)
 
 
-def sizes(observed: Array, free: Array, effects: Sequence[Array], *, intervals: bool = True) -> list[Estimate]:
+def sizes(observed: Array, free: Array, effects: Sequence[Array], *, intervals: bool = True) -> list[DriftEstimate]:
     """Restricted-maximum-likelihood sizes of effects in observations (N,) with a free linear part (N, P): standard
     deviations by which the effects' covariances (N, N) are scaled. Intervals come from the profile likelihood; without
     `intervals`, which is quicker, they are left at the value."""
@@ -92,7 +92,7 @@ def sizes(observed: Array, free: Array, effects: Sequence[Array], *, intervals: 
     out = []
     for i, unit in enumerate(units):
         if not intervals:
-            out.append(Estimate.exactly(float(np.exp(at[i]) * unit), len(y)))
+            out.append(DriftEstimate.exactly(float(np.exp(at[i]) * unit), len(y)))
             continue
 
         def rise(log_size: float, i: int = i) -> float:
@@ -100,7 +100,7 @@ def sizes(observed: Array, free: Array, effects: Sequence[Array], *, intervals: 
 
         low = np.exp(brentq(rise, bounds[0], at[i], xtol=1e-4)) if rise(bounds[0]) > 0 else 0.0
         high = np.exp(brentq(rise, at[i], bounds[1], xtol=1e-4))
-        out.append(Estimate(float(np.exp(at[i]) * unit), float(low * unit), float(high * unit), len(y)))
+        out.append(DriftEstimate(float(np.exp(at[i]) * unit), float(low * unit), float(high * unit), len(y)))
     return out
 
 
@@ -138,9 +138,9 @@ class PositionFit:
     """`scale`: relative, over sessions. `walk`: m/sqrt(m), each horizontal axis. `correlation_m`: see `fit_position`.
     `tag`: m, where a tag is seen."""
 
-    scale: Estimate
-    walk: Estimate
-    tag: Estimate
+    scale: DriftEstimate
+    walk: DriftEstimate
+    tag: DriftEstimate
     correlation_m: float
 
 
@@ -156,7 +156,7 @@ def fit_position(walks: Sequence[TagWalk], rpe_m: float) -> PositionFit:
     place = _indicator(s.pair)
     session = _same(s.walk)
 
-    def fit(correlation_m: float, *, intervals: bool) -> list[Estimate]:
+    def fit(correlation_m: float, *, intervals: bool) -> list[DriftEstimate]:
         walk = np.diag(wander_variance(s.path_m, correlation_m) / length**2)
         return sizes(np.log(length), place, [session, walk, np.diag(2 / length**2)], intervals=intervals)
 
@@ -174,9 +174,9 @@ def fit_position(walks: Sequence[TagWalk], rpe_m: float) -> PositionFit:
 class HeightFit:
     """`tilt`: rad, each horizontal axis, over sessions. `walk`: m/sqrt(m). `tag`: m."""
 
-    tilt: Estimate
-    walk: Estimate
-    tag: Estimate
+    tilt: DriftEstimate
+    walk: DriftEstimate
+    tag: DriftEstimate
 
 
 def fit_height(walks: Sequence[TagWalk]) -> HeightFit:
@@ -201,11 +201,11 @@ class YawFit:
     """`bias`: deg/m, over sessions. `walk`: deg/sqrt(m), over all sessions. `sideways`: m, of a segment's end.
     `spread`: over sessions, of the logarithm of the walk. `walk_by_session`: deg/sqrt(m), the bias within."""
 
-    bias: Estimate
-    walk: Estimate
-    sideways: Estimate
-    spread: Estimate
-    walk_by_session: list[Estimate]
+    bias: DriftEstimate
+    walk: DriftEstimate
+    sideways: DriftEstimate
+    spread: DriftEstimate
+    walk_by_session: list[DriftEstimate]
 
 
 def fit_yaw_drift(walks: Sequence[TagWalk]) -> YawFit:
@@ -228,7 +228,7 @@ def fit_yaw_drift(walks: Sequence[TagWalk]) -> YawFit:
     return YawFit(bias, walk, sideways, _log_spread(one_by_one), one_by_one)
 
 
-def _log_spread(estimates: Sequence[Estimate]) -> Estimate:
+def _log_spread(estimates: Sequence[DriftEstimate]) -> DriftEstimate:
     """Spread of the logarithm of a size over sessions, beyond what its uncertainty makes (method of moments)."""
     measured = [e for e in estimates if e.low > 0]
     logs = np.log([e.best for e in measured])
@@ -237,7 +237,7 @@ def _log_spread(estimates: Sequence[Estimate]) -> Estimate:
     variance = float(np.var(logs, ddof=1))
     low, high = (variance * degrees / chi2.ppf(q, degrees) for q in reversed(_CHI2_SIGMA))
     best, low, high = (float(np.sqrt(max(v - noise, 0.0))) for v in (variance, low, high))
-    return Estimate(best, low, high, len(measured))
+    return DriftEstimate(best, low, high, len(measured))
 
 
 @dataclass(frozen=True)
@@ -245,11 +245,11 @@ class SteadyFit:
     """White noise of a frame (m and deg, each axis) and corrections of at least JUMP_MIN_M: how many, in how long, and
     their mean length."""
 
-    jitter_m: Estimate
-    jitter_deg: Estimate
+    jitter_m: DriftEstimate
+    jitter_deg: DriftEstimate
     jumps: int
     duration_s: float
-    jump_mean_m: Estimate
+    jump_mean_m: DriftEstimate
 
 
 def fit_steady(logs: Sequence[SteadyLog]) -> SteadyFit:
@@ -292,21 +292,21 @@ def fit_steady(logs: Sequence[SteadyLog]) -> SteadyFit:
         _precise(jitter_deg, len(third)),
         len(peaks),
         duration_s,
-        Estimate(mean, mean - error, mean + error, len(peaks)),
+        DriftEstimate(mean, mean - error, mean + error, len(peaks)),
     )
 
 
-def _precise(value: float, samples: int) -> Estimate:
+def _precise(value: float, samples: int) -> DriftEstimate:
     """A robust spread: its median has a relative error of about 0.74 over the square root of the samples (Maxwell)."""
     error = value * 0.74 / np.sqrt(samples)
-    return Estimate(float(value), float(value - error), float(value + error), samples)
+    return DriftEstimate(float(value), float(value - error), float(value + error), samples)
 
 
-def rate(events: int, duration: float) -> Estimate:
+def rate(events: int, duration: float) -> DriftEstimate:
     """Events of a Poisson process a unit of duration, with the exact 68 % interval."""
     low = chi2.ppf(_CHI2_SIGMA[0], 2 * events) / 2 if events else 0.0
     high = chi2.ppf(_CHI2_SIGMA[1], 2 * (events + 1)) / 2
-    return Estimate(events / duration, float(low / duration), float(high / duration), events)
+    return DriftEstimate(events / duration, float(low / duration), float(high / duration), events)
 
 
 @dataclass(frozen=True)

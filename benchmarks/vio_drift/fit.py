@@ -12,7 +12,7 @@ from rich.table import Table
 
 from benchmarks.vio_drift.estimators import (
     JUMP_MIN_M,
-    Estimate,
+    DriftEstimate,
     TruthCheck,
     YawFit,
     check_against_truth,
@@ -32,14 +32,14 @@ RPE_1M_M = 0.02
 
 _TAG_WALKS = "5 ARKit walks past AprilTags (Invisible Map)"
 _STEADY = "2 ARKit logs at 60 Hz (ARKit Data Logger)"
-_HEADER = "# Written by `python -m benchmarks.vio_drift.fit`; docs/vio-drift.md says how each number was measured.\n"
+_HEADER = "# Written by `python -m benchmarks.vio_drift.fit`; docs/explanation/vio-drift.md says how it was measured.\n"
 
 
 @dataclass(frozen=True)
 class Parameter:
     """A fitted parameter of the model and where it comes from."""
 
-    estimate: Estimate
+    estimate: DriftEstimate
     source: str
 
 
@@ -48,7 +48,7 @@ class Fit:
     """All parameters by their name in VioModel, and what else the recordings say."""
 
     parameters: Mapping[str, Parameter]
-    tag_m: tuple[Estimate, Estimate]
+    tag_m: tuple[DriftEstimate, DriftEstimate]
     yaw: YawFit
     truth: Sequence[TruthCheck]
 
@@ -73,16 +73,18 @@ def fit(recordings: Recordings) -> Fit:
         "position_walk_m_per_sqrt_m": Parameter(position.walk, _TAG_WALKS),
         "height_walk_m_per_sqrt_m": Parameter(height.walk, _TAG_WALKS),
         "correlation_m": Parameter(
-            Estimate.exactly(position.correlation_m),
+            DriftEstimate.exactly(position.correlation_m),
             f"the position walk above with {RPE_1M_M} m of error over 1 m: Kim et al., Sensors 22(24), 9873, 2022",
         ),
         "jitter_m": Parameter(steady.jitter_m, _STEADY),
         "jitter_deg": Parameter(steady.jitter_deg, _STEADY),
         "jumps_per_min": Parameter(rate(steady.jumps, steady.duration_s / 60), _STEADY),
-        "jump_min_m": Parameter(Estimate.exactly(JUMP_MIN_M), "the least step that stands out of the noise at 60 Hz"),
+        "jump_min_m": Parameter(
+            DriftEstimate.exactly(JUMP_MIN_M), "the least step that stands out of the noise at 60 Hz"
+        ),
         "jump_mean_m": Parameter(steady.jump_mean_m, _STEADY),
         "interruptions_per_min": Parameter(rate(len(still_s), walked_min), _TAG_WALKS),
-        "interruption_s": Parameter(Estimate.exactly(mean_still, len(still_s)), _TAG_WALKS),
+        "interruption_s": Parameter(DriftEstimate.exactly(mean_still, len(still_s)), _TAG_WALKS),
     }
     return Fit(
         {f.name: by_name[f.name] for f in fields(VioModel)},
@@ -139,9 +141,9 @@ app = new_app("Measure the drift of phone odometry on real recordings and write 
 
 @app.command()
 def main(
-    trajectories: Annotated[Path, typer.Option(help="Folder of the recordings that docs/vio-drift.md lists.")],
+    trajectories: Annotated[Path, typer.Option(help="Folder of recordings (docs/explanation/vio-drift.md).")],
     out: Annotated[Path, typer.Option(help="TOML file to write.")] = FIT_FILE,
-    plots: Annotated[Path | None, typer.Option(help="Folder for the pictures of docs/vio-drift.md.")] = None,
+    plots: Annotated[Path | None, typer.Option(help="Folder for the pictures of drift.")] = None,
 ) -> None:
     """Fit, print a table and write the TOML file."""
     recordings = read_recordings(trajectories)

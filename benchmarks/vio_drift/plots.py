@@ -1,4 +1,5 @@
-"""Pictures of docs/vio-drift.md: how errors grow in the recordings and in simulated walks past the same tags."""
+"""Pictures of docs/explanation/vio-drift.md: how errors grow in the recordings and in simulated walks past
+the same tags."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise

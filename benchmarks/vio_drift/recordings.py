@@ -1,5 +1,5 @@
 """Reads the real recordings that the drift model is fitted to: ARKit walks past AprilTags, ARKit at 60 Hz, and
-odometry beside ground truth. Formats: docs/vio-drift.md."""
+odometry beside ground truth. Formats: docs/explanation/vio-drift.md."""
 
 import json
 from collections import defaultdict
@@ -162,7 +162,7 @@ def read_recordings(folder: Path) -> Recordings:
                 "the recordings to fit to aren't there",
                 where=folder / where,
                 expected=pattern,
-                do="point --trajectories at the folder of recordings that docs/vio-drift.md lists",
+                do="point --trajectories at the folder of recordings that docs/explanation/vio-drift.md lists",
             )
         return paths
 

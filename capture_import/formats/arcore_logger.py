@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -42,7 +43,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     if tagged := len(lines) - len(rows):
         notes.append(f"{tagged} rows only add a tag to the pose before them: not read")
     device = "Android, ARCore Data Logger"
-    return RawSession(session_id, FORMAT.id, device, "boot", path.parent, frames, rejects, notes=notes)
+    return RawSession(session_id, FORMAT.id, device, Clock.BOOT, path.parent, frames, rejects, notes=notes)
 
 
 def _without_tags(lines: Iterable[tuple[str, str]]) -> Iterator[tuple[str, tuple[int, str]]]:

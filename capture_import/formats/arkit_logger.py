@@ -6,6 +6,7 @@ Documented at https://github.com/PyojinKim/ARKit-Data-Logger (README, "Output Fo
 
 from pathlib import Path
 
+from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -30,7 +31,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     rows = [(source, (i, line)) for i, (source, line) in enumerate(lines_of(path, limits))]
     frames, rejects = collect(rows, session_id, _read_row)
     refuse_unreadable(path, frames, rejects, "time and 12 numbers a row")
-    return RawSession(session_id, FORMAT.id, "iOS, ARKit Data Logger", "boot", path.parent, frames, rejects)
+    return RawSession(session_id, FORMAT.id, "iOS, ARKit Data Logger", Clock.BOOT, path.parent, frames, rejects)
 
 
 def _read_row(source: str, row: tuple[int, str]) -> RawFrame:

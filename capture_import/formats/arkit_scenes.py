@@ -15,6 +15,7 @@ from pathlib import Path
 
 from scipy.spatial.transform import Rotation
 
+from groundwalk.artefacts.choices import Clock, PoseSource
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
@@ -53,11 +54,11 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         session_id,
         FORMAT.id,
         "iPad Pro, ARKitScenes",
-        "boot",
+        Clock.BOOT,
         path,
         join_by_time(poses, images),
         [*rejects, *more],
-        poses_are="reference",
+        pose_source=PoseSource.REFERENCE,
     )
 
 

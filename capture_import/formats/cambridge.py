@@ -14,11 +14,11 @@ A folder of images (`seq1`) is one recording; it's wholly for training or for te
 import csv
 import re
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import Clock, PoseSource, SessionSplit
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.images import BadImage, image_size
@@ -37,7 +37,7 @@ from groundwalk.geometry.poses import make_pose
 
 _FRAMES_A_SECOND = 2.0
 _CAMERA = ("width", "height", "fx", "fy", "cx", "cy")
-_LISTS: dict[str, Literal["train", "test"]] = {"dataset_train.txt": "train", "dataset_test.txt": "test"}
+_LISTS: dict[str, SessionSplit] = {"dataset_train.txt": SessionSplit.TRAIN, "dataset_test.txt": SessionSplit.TEST}
 
 
 def detect(path: Path) -> bool:
@@ -90,12 +90,12 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         session_id,
         FORMAT.id,
         "Cambridge Landmarks",
-        "frame_index",
+        Clock.FRAME_INDEX,
         path,
         sorted(frames, key=lambda frame: frame.number),
         rejects,
-        poses_are="reference",
-        gravity_aligned=False,
+        pose_source=PoseSource.REFERENCE,
+        is_gravity_aligned=False,
         split=splits.pop() if len(splits) == 1 else None,
     )
 

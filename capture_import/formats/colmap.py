@@ -25,6 +25,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import Clock, PoseSource
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_folders import data_set_of, is_metric_export, lost_rows, rows_of, split_of
@@ -142,13 +143,13 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         session_id,
         FORMAT.id,
         "unknown",
-        "frame_index",
+        Clock.FRAME_INDEX,
         path,
         frames,
         rejects,
-        poses_are="reference",
-        gravity_aligned=ours,
-        metric=ours,
+        pose_source=PoseSource.REFERENCE,
+        is_gravity_aligned=ours,
+        is_metric=ours,
         split=split_of([file for _, file in rows], _tested(data_set, limits)),
         notes=notes,
     )

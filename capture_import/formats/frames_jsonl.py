@@ -1,5 +1,6 @@
-"""Our own format: `frames.jsonl`, one JSON object a line, with images beside it. docs/captures.md describes it.
+"""Our own format: `frames.jsonl`, one JSON object a line, with images beside it.
 
+docs/reference/capture-formats.md describes it.
 The first line says what the recording is, each other line is one instant:
 
     {"groundwalk": "frames", "version": 1, "device": "iPhone 14 Pro", "clock": "boot"}
@@ -8,18 +9,17 @@ The first line says what the recording is, each other line is one instant:
 """
 
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import Clock, Tracking
 from groundwalk.capture_import.capture import (
-    Clock,
     DepthFile,
     ImageFile,
     Intrinsics,
     Limits,
     RawFrame,
     RawSession,
-    Tracking,
 )
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -56,9 +56,9 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         t_ns = row.get("t_ns")
         if not isinstance(t_ns, int) or abs(t_ns) >= 2**63:
             raise BadRow("t_ns is no whole number of nanoseconds")
-        tracking = row.get("tracking", "unknown")
-        if tracking not in get_args(Tracking):
-            raise BadRow(f"tracking is none of {', '.join(get_args(Tracking))}")
+        tracking = row.get("tracking", Tracking.UNKNOWN)
+        if tracking not in [*Tracking]:
+            raise BadRow(f"tracking is none of {', '.join(Tracking)}")
         return RawFrame(
             number=index,
             source=source,
@@ -66,7 +66,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             vio_T_cam=row_major_pose(numbers(row, "vio_T_cam", 16)) if row.get("vio_T_cam") is not None else None,
             image=ImageFile(inside(path, row["image"])) if row.get("image") is not None else None,
             intrinsics=_intrinsics(row) if row.get("image") is not None else None,
-            tracking=tracking,
+            tracking=Tracking(tracking),
             exposure_s=optional_number(row, "exposure_s"),
             depth=_depth(path, row) if row.get("depth") is not None else None,
         )
@@ -74,7 +74,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     rows = [(source, (i, line)) for i, (source, line) in enumerate(lines[1:])]
     frames, rejects = collect(rows, session_id, read_row)
     refuse_unreadable(path, frames, rejects, "rows with t_ns, vio_T_cam, image and intrinsics")
-    return RawSession(session_id, FORMAT.id, header["device"], header["clock"], path, frames, rejects)
+    return RawSession(session_id, FORMAT.id, header["device"], Clock(header["clock"]), path, frames, rejects)
 
 
 def _header(path: Path, line: str) -> dict[str, Any]:
@@ -82,18 +82,18 @@ def _header(path: Path, line: str) -> dict[str, Any]:
         header = parse_json(line)
     except BadRow:
         header = {}
-    device, clock = header.get("device", "unknown"), header.get("clock", "boot")
+    device, clock = header.get("device", "unknown"), header.get("clock", Clock.BOOT)
     if (
         header.get("groundwalk") != "frames"
         or header.get("version") != _VERSION
         or not isinstance(device, str)
-        or clock not in get_args(Clock)
+        or clock not in [*Clock]
     ):
         raise UserError(
             "the first line of frames.jsonl isn't its header",
             where=path / "frames.jsonl",
             expected=f'{{"groundwalk": "frames", "version": {_VERSION}, "device": "...", "clock": "boot"}}, '
-            f"clock one of {', '.join(get_args(Clock))}",
+            f"clock one of {', '.join(Clock)}",
             found=line[:120] or "an empty file",
         )
     return {"device": device, "clock": clock}

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -41,7 +42,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         raise UserError("pose_data is no list", where=path, expected="objects with timestamp and pose")
     frames, rejects = collect([(f"pose {i}", (i, row)) for i, row in enumerate(rows)], session_id, _read_row)
     refuse_unreadable(path, frames, rejects, "timestamp and 16 numbers of pose")
-    return RawSession(session_id, FORMAT.id, "iOS", "boot", path.parent, frames, rejects)
+    return RawSession(session_id, FORMAT.id, "iOS", Clock.BOOT, path.parent, frames, rejects)
 
 
 def _read_row(source: str, row: tuple[int, Any]) -> RawFrame:

@@ -12,6 +12,7 @@ Documented at https://github.com/Varvrar/ios_logger (README, "Dataset format"). 
 
 from pathlib import Path
 
+from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
@@ -58,7 +59,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     indexed = [(source, (i, line)) for i, (source, line) in enumerate(rows)]
     images, more = collect(indexed, session_id, read_image)
     return RawSession(
-        session_id, FORMAT.id, "iOS, ios_logger", "unix", path, join_by_time(poses, images), [*rejects, *more]
+        session_id, FORMAT.id, "iOS, ios_logger", Clock.UNIX, path, join_by_time(poses, images), [*rejects, *more]
     )
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
@@ -74,7 +75,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
 
     frames, rejects = collect([(f"frame {i}", row) for i, row in enumerate(rows)], session_id, read_row)
     refuse_unreadable(path, frames, rejects, "timestamp, transform_matrix, fl_x, fl_y, cx, cy, w, h, file_path")
-    return RawSession(session_id, FORMAT.id, "iOS, NeRFCapture", "boot", path, join_by_time([], frames), rejects)
+    return RawSession(session_id, FORMAT.id, "iOS, NeRFCapture", Clock.BOOT, path, join_by_time([], frames), rejects)
 
 
 FORMAT = Format(

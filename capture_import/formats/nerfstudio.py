@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import Clock, PoseSource
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_folders import data_set_of, is_metric_export, lost_rows, rows_of, split_of
@@ -92,13 +93,13 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         session_id,
         FORMAT.id,
         "unknown",
-        "frame_index",
+        Clock.FRAME_INDEX,
         path,
         frames,
         unread,
-        poses_are="reference",
-        gravity_aligned=ours,
-        metric=ours,
+        pose_source=PoseSource.REFERENCE,
+        is_gravity_aligned=ours,
+        is_metric=ours,
         split=split_of([image for _, image in rows], _tested(data_set, content)),
         notes=[*lost_rows(images), *(f"{source} names no image: {reason}" for source, reason in rejects[:1])],
     )

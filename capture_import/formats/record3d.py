@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from groundwalk.artefacts import UserError
-from groundwalk.capture_import.capture import Clock, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from groundwalk.artefacts.choices import Clock
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
     BadRow,
@@ -66,7 +67,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     notes = []
     if len(found) != len(poses):
         notes.append(f"{len(found)} images and {len(poses)} poses: joined by number")
-    clock: Clock = "video" if isinstance(times, list) else "frame_index"
+    clock = Clock.VIDEO if isinstance(times, list) else Clock.FRAME_INDEX
     return RawSession(session_id, FORMAT.id, "iOS, Record3D", clock, path, frames, rejects, notes=notes)
 
 

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, Tracking, VideoFrame
+from groundwalk.artefacts.choices import Clock, Tracking
+from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
 from groundwalk.capture_import.parsing import (
@@ -55,7 +56,9 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         )
         for i, t in enumerate(_on_clock(frame_times(video, limits), times))
     ]
-    return RawSession(session_id, FORMAT.id, "iOS, ScanCapture", "boot", path, join_by_time(frames, images), rejects)
+    return RawSession(
+        session_id, FORMAT.id, "iOS, ScanCapture", Clock.BOOT, path, join_by_time(frames, images), rejects
+    )
 
 
 def _read_row(source: str, line: str) -> RawFrame:
@@ -85,10 +88,10 @@ def _pixels(value: float) -> int:
 def _tracking(status: str) -> Tracking:
     lowered = status.lower()
     if lowered.startswith("normal"):
-        return "normal"
+        return Tracking.NORMAL
     if lowered.startswith("limited"):
-        return "limited"
-    return "lost" if lowered.startswith("not") else "unknown"
+        return Tracking.LIMITED
+    return Tracking.LOST if lowered.startswith("not") else Tracking.UNKNOWN
 
 
 def _on_clock(video_ns: NDArray[np.int64], pose_ns: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -17,6 +17,7 @@ Latitude and longitude may be in `info.json` and the frames; they're never read.
 import re
 from pathlib import Path
 
+from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -54,7 +55,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         session_id=session_id,
         format=FORMAT.id,
         device=_device(path),
-        clock="boot",
+        clock=Clock.BOOT,
         folder=path,
         frames=frames,
         rejects=rejects,

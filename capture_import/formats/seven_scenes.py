@@ -13,8 +13,8 @@ Documented at https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-s
 
 import re
 from pathlib import Path
-from typing import Literal
 
+from groundwalk.artefacts.choices import Clock, PoseSource, SessionSplit
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -48,12 +48,12 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         session_id,
         FORMAT.id,
         "Kinect",
-        "frame_index",
+        Clock.FRAME_INDEX,
         path,
         frames,
         rejects,
-        poses_are="reference",
-        gravity_aligned=False,
+        pose_source=PoseSource.REFERENCE,
+        is_gravity_aligned=False,
         split=_split(path),
         notes=["nominal intrinsics: the colour camera wasn't calibrated"] if nominal else [],
     )
@@ -84,11 +84,11 @@ def _camera(file: Path) -> Intrinsics:
     return Intrinsics(matrix[0], matrix[4], matrix[2], matrix[5])
 
 
-def _split(path: Path) -> Literal["train", "test"] | None:
+def _split(path: Path) -> SessionSplit | None:
     number = re.search(r"(\d+)$", path.name)
-    splits: tuple[tuple[str, Literal["train", "test"]], ...] = (
-        ("TrainSplit.txt", "train"),
-        ("TestSplit.txt", "test"),
+    splits: tuple[tuple[str, SessionSplit], ...] = (
+        ("TrainSplit.txt", SessionSplit.TRAIN),
+        ("TestSplit.txt", SessionSplit.TEST),
     )
     for name, split in splits:
         try:

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from groundwalk.artefacts import UserError
-from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, Tracking, VideoFrame
+from groundwalk.artefacts.choices import Clock, Tracking
+from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
 from groundwalk.capture_import.parsing import (
@@ -37,7 +38,11 @@ from groundwalk.geometry.poses import Array, inverse, rigidity_error
 
 # A world with +z up, seen with +y up.
 _YUP_T_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-_STATES: dict[str, Tracking] = {"TRACKING": "normal", "INIT": "limited", "LOST_TRACKING": "lost"}
+_STATES = {
+    "TRACKING": Tracking.NORMAL,
+    "INIT": Tracking.LIMITED,
+    "LOST_TRACKING": Tracking.LOST,
+}
 
 
 def detect(path: Path) -> bool:
@@ -64,7 +69,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             source=source,
             t_ns=seconds_to_ns(number(row, "time")),
             vio_T_cam=pose if device_T_cam is None else pose @ device_T_cam,
-            tracking=_STATES.get(str(row.get("status")), "unknown"),
+            tracking=_STATES.get(str(row.get("status")), Tracking.UNKNOWN),
         )
 
     poses, rejects = collect(lines_of(path / "output.jsonl", limits), session_id, read_pose)
@@ -81,7 +86,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         session_id,
         FORMAT.id,
         "Spectacular AI",
-        "boot",
+        Clock.BOOT,
         path,
         join_by_time(poses, images),
         rejects,

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import DepthFile, Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -72,7 +73,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     notes = [] if per_frame else ["one camera matrix, the last frame's, stands for all frames"]
     if note := _check_join(frames, len(rows), frame_times(video, limits), path):
         notes.append(note)
-    return RawSession(session_id, FORMAT.id, "iOS, Stray Scanner", "boot", path, frames, rejects, notes=notes)
+    return RawSession(session_id, FORMAT.id, "iOS, Stray Scanner", Clock.BOOT, path, frames, rejects, notes=notes)
 
 
 def _camera_matrix(path: Path) -> Intrinsics:

@@ -1,7 +1,8 @@
 """Each lens of a scene before mapping: which frames share it, its distortion and readout time, from pairs of images.
 
 ARKit and most apps state a pinhole matrix while the images have a lens's distortion, alike on the phones that were
-measured (docs/sfm.md, Cameras). The estimate is shrunk to a prior: what the capture states, or else what phones have.
+measured (docs/explanation/sfm.md, Cameras). The estimate is shrunk to a prior: what the capture states, or else what
+phones have.
 """
 
 import json
@@ -26,7 +27,7 @@ from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.matching import match_pairs
 from groundwalk.sfm.settings import SfmSettings
 
-# k1 and k2 of phones' main cameras (docs/sfm.md, Cameras), in OpenCV's convention, and how they scatter together.
+# k1 and k2 of phones' main cameras (docs/explanation/sfm.md, Cameras), in OpenCV's convention, and their covariance.
 _PHONE = np.array([0.08, -0.12])
 _PHONE_COVARIANCE = np.array([[0.05**2, -0.8 * 0.05 * 0.08], [-0.8 * 0.05 * 0.08, 0.08**2]])
 # What a capture states is meant to be right.

@@ -111,7 +111,7 @@ def pipeline_options(source: MappingInput) -> pycolmap.IncrementalPipelineOption
     options.triangulation.random_seed = source.seed
     options.min_model_size = MIN_MODEL_FRAMES
     options.extract_colors = False
-    # A fraction of the time of COLMAP's own steps, poses as good (docs/sfm.md); the whole is adjusted at the end.
+    # A fraction of the time of COLMAP's own steps, poses as good; the whole is adjusted at the end.
     options.ba_global_frames_ratio = options.ba_global_points_ratio = 2.0
     options.ba_global_max_refinements = 1
     options.ba_global_max_num_iterations = 2

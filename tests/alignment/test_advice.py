@@ -7,10 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
-from test_gate import NOISE, mirror, of_walk, shuffle, turn_otherwise
+from test_checks import NOISE, mirror, of_walk, shuffle, turn_otherwise
 
-from groundwalk.alignment.checks import ANY_SCENE, KINDS, Check, with_status
-from groundwalk.alignment.examination import Examination, examine
+from groundwalk.alignment.checks.definitions import ANY_SCENE, DEFINITIONS
+from groundwalk.alignment.checks.results import CheckResult, with_status
+from groundwalk.alignment.examination import Examination, examine, refusal
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.consistency.decisions import Status
@@ -20,10 +21,10 @@ _LOOSE = {"lower": 0.0, "raise": 1e3}
 
 
 def run(scene, **settings) -> Examination:
-    return examine(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(**settings))
+    return examine(scene.inputs(), AlignSettings(**settings))
 
 
-def failures(found: Examination) -> list[Check]:
+def failures(found: Examination) -> list[CheckResult]:
     return with_status(found.checks, Status.FAILED)
 
 
@@ -95,16 +96,16 @@ def cut_in_two(scene) -> None:
 _BROKEN = {
     "registered": lose_most,
     "session_registered": lose,
-    "session_focal": lambda scene: scene.set_focal("walk1", 1.1, 0.005),
+    "session_focal_length": lambda scene: scene.set_focal("walk1", 1.1, 0.005),
     "session_motion": lambda scene: shuffle(scene, of_walk(scene, 1)),
     "session_turns": lambda scene: turn_otherwise(scene, of_walk(scene, 1), 0.9),
-    "session_folded": fold,
+    "session_aliasing": fold,
     "session_scale": scale_vio,
     "session_vertical": tilt,
     "window_position": displace,
     "window_rotation": turn_one,
-    "session_unsure": stretch_unsure,
-    "component_tied": cut_in_two,
+    "session_uncertain": stretch_unsure,
+    "component_link": cut_in_two,
 }
 
 
@@ -113,9 +114,11 @@ def test_a_setting_that_is_advised_settles_its_check(walks, name: str) -> None:
     scene = walks.make(**NOISE | {"sfm_m": 0.003, "sfm_deg": 0.02})
     _BROKEN[name](scene)
     check = next(c for c in failures(run(scene)) if c.name == name)
-    # The remedy of its kind: a cause may have a better one.
-    (verb, setting), *_ = re.findall(r"(raise|lower) \[align\] (\w+) in data/scenes/<scene>.toml", KINDS[name].remedy)
-    assert setting in AlignSettings.model_fields and ANY_SCENE in KINDS[name].remedy and check.advice
+    # The check's remedy: a cause may have a better one.
+    (verb, setting), *_ = re.findall(
+        r"(raise|lower) \[align\] (\w+) in data/scenes/<scene>.toml", DEFINITIONS[name].remedy
+    )
+    assert setting in AlignSettings.model_fields and ANY_SCENE in DEFINITIONS[name].remedy and check.advice
     assert name not in {c.name for c in failures(run(scene, **{setting: _LOOSE[verb]}))}
 
 
@@ -125,7 +128,7 @@ def test_without_the_session_that_is_named_all_passes(walks, name: str) -> None:
     _BROKEN[name](scene)
     check = next(c for c in failures(run(scene)) if c.name == name)
     assert "take the session out" in check.advice
-    assert not failures(run(without(scene, check.about.session_id)))
+    assert not failures(run(without(scene, check.subject.session_id)))
 
 
 def test_a_mirrored_session_is_to_be_written_unmirrored(walks) -> None:
@@ -141,13 +144,14 @@ def test_a_run_that_is_refused_goes_through_with_the_share_that_it_names(walks) 
     scene = walks.make(**NOISE)
     for number in (0, 1):
         shuffle(scene, of_walk(scene, number))
-    found = run(scene)
-    assert found.refusal is not None and "lower [align] least_agreeing in data/scenes/" in found.refusal.details["do"]
-    assert run(scene, least_agreeing=0.2).refusal is None
+    advice = refusal(run(scene), scene.frames, AlignSettings()).details["do"]
+    assert "lower [align] min_consistent_fraction in data/scenes/" in advice
+    lower = {"min_consistent_fraction": 0.2}
+    assert refusal(run(scene, **lower), scene.frames, AlignSettings(**lower)) is None
 
 
 def test_every_check_has_advice_and_every_setting_that_it_names_exists() -> None:
-    for kind in KINDS.values():
-        assert kind.remedy or kind.decides
-        for setting in re.findall(r"\[align\] (\w+)", kind.remedy + kind.decides):
+    for definition in DEFINITIONS.values():
+        assert definition.remedy or definition.evidence
+        for setting in re.findall(r"\[align\] (\w+)", definition.remedy + definition.evidence):
             assert setting in AlignSettings.model_fields

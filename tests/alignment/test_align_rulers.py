@@ -1,4 +1,4 @@
-"""Rulers from pixels to a verdict: boards that judge the map's scale, set it, or are wrong themselves."""
+"""Rulers from pixels to a check: boards that judge the map's scale, set it, or are wrong themselves."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,14 +7,22 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from synthetic_walks import align
 
 from groundwalk.alignment.examination import examine
-from groundwalk.alignment.ground_truth import Aligned, align
-from groundwalk.alignment.reference import Reference
+from groundwalk.alignment.ground_truth import AlignResult
+from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.rulers.detection import detect, explain_absence, held_out_corners, nominal_corners
-from groundwalk.alignment.rulers.measurement import Reading, Sighting, camera_of, find_rulers, read_rulers, undistorted
+from groundwalk.alignment.rulers.measurement import (
+    RulerDetections,
+    RulerMeasurement,
+    camera_of,
+    find_rulers,
+    measure_rulers,
+    undistorted,
+)
+from groundwalk.alignment.rulers.scale_check import describe, rulers_table
 from groundwalk.alignment.rulers.settings import CharucoRuler, Ruler, rulers_of
-from groundwalk.alignment.rulers.verdict import describe, rulers_table
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.stage import STAGE
 from groundwalk.artefacts import DataRoot, UserError, execute
@@ -51,7 +59,7 @@ def ruler(**changes) -> Ruler:
 
 def sighted(
     scene, of: Ruler, *, printed: float = 1.0, mirror: bool = False, near: int = 20, frames: int = 60
-) -> Sighting:
+) -> RulerDetections:
     """The board 5 m in front of frame `near`, facing it, as the frames of its walk see it. `printed`: its true
     size as a share of the stated one."""
     nominal = nominal_corners(of)
@@ -74,26 +82,26 @@ def sighted(
         corner += range(len(xy))
         pixels.append(xy + rng.normal(0, 0.2, xy.shape))
     assert len(pixels) >= min(frames, 3)
-    return Sighting(
+    return RulerDetections(
         of, nominal, held_out_corners(of, nominal), np.array(rows), np.array(corner), np.concatenate(pixels)
     )
 
 
-def read(scene, *sightings: Sighting) -> list[Reading]:
+def read(scene, *sightings: RulerDetections) -> list[RulerMeasurement]:
     settings = AlignSettings()
-    return read_rulers(
+    return measure_rulers(
         sightings,
         scene.frames,
         scene.images,
-        least_angle=float(np.radians(settings.ruler_min_angle_deg)),
-        largest_sd=settings.ruler_max_sd,
+        min_angle=float(np.radians(settings.ruler_min_angle_deg)),
+        max_sd=settings.ruler_max_sd,
     )
 
 
-def aligned_by(scene, *sightings: Sighting) -> tuple[Aligned, pd.DataFrame]:
+def aligned_by(scene, *sightings: RulerDetections) -> tuple[AlignResult, pd.DataFrame]:
     readings = read(scene, *sightings)
-    aligned = align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), readings)
-    return aligned, aligned.gate[aligned.gate["check"] == "ruler_scale"].reset_index(drop=True)
+    aligned = align(scene.inputs(rulers=readings), AlignSettings())
+    return aligned, aligned.checks[aligned.checks["check"] == "ruler_scale"].reset_index(drop=True)
 
 
 def stretch_vio(scene, factor: float) -> None:
@@ -102,7 +110,7 @@ def stretch_vio(scene, factor: float) -> None:
     scene.set_vio(poses)
 
 
-def scale_error(scene, aligned: Aligned) -> float:
+def scale_error(scene, aligned: AlignResult) -> float:
     """The map's scale against the truth."""
     path, true = aligned.map_T_cam[:60, :3, 3], scene.true_T_cam[:60, :3, 3]
     return float(
@@ -120,7 +128,7 @@ def test_a_board_agrees_with_a_right_scale(scene) -> None:
 def test_a_wrong_vio_scale_is_named_with_figures(scene) -> None:
     stretch_vio(scene, 1.05)
     _, checks = aligned_by(scene, sighted(scene, ruler()))
-    assert checks["status"].tolist() == ["failed"] and checks["cause"].iloc[0] == "ruler and map disagree"
+    assert checks["status"].tolist() == ["failed"] and checks["cause"].iloc[0] == "ruler and map inconsistent"
     assert "its squares measure 21" in checks["reason"].iloc[0]
     assert "200 mm stated (+5." in checks["reason"].iloc[0] or "200 mm stated (+4." in checks["reason"].iloc[0]
 
@@ -149,10 +157,10 @@ def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(scene) -> None
     # VIO that may be off by so much tells no scale.
     still = AlignSettings(step_scale_sd=1e3)
     readings = read(scene, sighted(scene, ruler()))
-    plain = align(scene.frames, scene.sfm, scene.jumps, scene.recordings, still, readings)
+    plain = align(scene.inputs(rulers=readings), still)
     assert set(plain.ground_truth["scale_source"]) == {"none"}
     readings = read(scene, sighted(scene, ruler(use_for_scale=True)))
-    aligned = align(scene.frames, scene.sfm, scene.jumps, scene.recordings, still, readings)
+    aligned = align(scene.inputs(rulers=readings), still)
     assert abs(scale_error(scene, aligned)) < 0.003
     assert set(aligned.ground_truth["scale_source"]) == {"ruler: charuco"}
     assert aligned.sessions["scale"].isna().all()
@@ -180,7 +188,7 @@ def test_views_from_nearly_one_place_are_undecided(scene, walks) -> None:
         scene.true_T_cam[row] = scene.true_T_cam[20] @ make_pose(np.eye(3), [0.005 * (row - 20), 0.0, 0.0])
     scene.set_sfm(walks.gauge.poses(scene.true_T_cam))
     (reading,) = read(scene, sighted(scene, ruler()))
-    assert "degrees apart only" in reading.problem
+    assert "degrees apart" in reading.problem
 
 
 def test_two_rulers_that_disagree_are_both_named(scene) -> None:
@@ -190,22 +198,22 @@ def test_two_rulers_that_disagree_are_both_named(scene) -> None:
     )
     assert checks["status"].tolist() == ["failed", "failed"]
     for reason, name in zip(checks["reason"], ("small", "charuco"), strict=True):
-        assert f"disagrees with ruler {name}" in reason and "mm stated" in reason and "%" in reason
+        assert f"inconsistent with ruler {name}" in reason and "mm stated" in reason and "%" in reason
     assert set(aligned.ground_truth["scale_source"]) == {"vio"}
 
 
 def by_reference(scene, *, metric: bool) -> Reference:
     scene.frames[[c for c in scene.frames if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
-    return Reference(scene.true_T_cam, metric=metric, up_known=True, gives_map=True)
+    return Reference(scene.true_T_cam, is_metric=metric, is_up_known=True, gives_map=True)
 
 
 @pytest.mark.parametrize("printed", [1.0, 0.9])
 def test_a_board_judges_the_scale_of_a_reference_and_never_sets_it(scene, printed: float) -> None:
     reference = by_reference(scene, metric=True)
     readings = read(scene, sighted(scene, ruler(use_for_scale=True), printed=printed))
-    found = examine(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), readings, reference)
+    found = examine(scene.inputs(rulers=readings, reference=reference), AlignSettings())
     (judged,) = found.rulers
-    assert judged.check.status == ("passed" if printed == 1.0 else "failed") and not judged.used
+    assert judged.result.status == ("passed" if printed == 1.0 else "failed") and not judged.sets_scale
     assert found.components[0].scale.source(np.inf) == "reference"
     text = describe(judged)
     assert "the map's scale is the reference's; map's scale " in text and "not used for scale" in text
@@ -216,16 +224,16 @@ def test_a_board_judges_the_scale_of_a_reference_and_never_sets_it(scene, printe
 def test_a_board_says_nothing_of_a_reference_without_unit(scene) -> None:
     reference = by_reference(scene, metric=False)
     readings = read(scene, sighted(scene, ruler()))
-    aligned = align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), readings, reference)
-    (row,) = aligned.gate[aligned.gate["check"] == "ruler_scale"].to_dict("records")
-    assert row["status"] == "undecided" and "the reference's unit, which isn't known" in row["reason"]
+    aligned = align(scene.inputs(rulers=readings, reference=reference), AlignSettings())
+    (row,) = aligned.checks[aligned.checks["check"] == "ruler_scale"].to_dict("records")
+    assert row["status"] == "undecided" and "the reference's unknown unit" in row["reason"]
 
 
 def test_the_table_has_a_row_a_part(scene) -> None:
     readings = read(scene, sighted(scene, ruler(use_for_scale=True)))
-    found = examine(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), readings)
+    found = examine(scene.inputs(rulers=readings), AlignSettings())
     table = rulers_table(found.rulers)
-    assert table["part"].tolist() == ["all", "used", "held out"] and table["used_for_scale"].all()
+    assert table["part"].tolist() == ["all", "for_scale", "held_out"] and table["used_for_scale"].all()
     assert (table["corner_rms_mm"] < 10).all() and (table["reprojection_px"] < 0.5).all()
     np.testing.assert_allclose(table["scale_error_percent"], 0, atol=0.3)
 

@@ -37,7 +37,7 @@ def test_the_stage_writes_what_its_schemas_say(aligned: DataRoot) -> None:
     assert len(tables["ground_truth"]) == 40 and len(tables["residuals"]) == 40
     assert set(tables["drift"]["session_id"]) == {"walk0", "walk1", "all"}
     _check_recording(folder / "recording.rrd", tables["ground_truth"])
-    assert (folder / "gate.png").read_bytes().startswith(b"\x89PNG")
+    assert (folder / "checks.png").read_bytes().startswith(b"\x89PNG")
     figures = load_manifest(folder)["figures"]
     assert figures["registered"] == 40 and figures["checks_failed"] == 0
     before = (folder / "ground_truth.parquet").read_bytes()
@@ -61,7 +61,7 @@ def _check_recording(path: Path, gt: pd.DataFrame) -> None:
     }
     assert {name for name in paths if "/cameras" in name} == {
         *(f"/map/ground_truth/cameras/quality_{name}" for name in "ABC"),
-        "/map/refused/cameras",
+        "/map/excluded/cameras",
     }
 
     def value(path: str, column: str) -> list:
@@ -83,19 +83,19 @@ def _check_recording(path: Path, gt: pd.DataFrame) -> None:
     )
 
 
-def test_a_refused_run_says_where_its_picture_is(data: DataRoot) -> None:
+def test_a_refused_run_says_where_its_plot_is(data: DataRoot) -> None:
     path = data.run("tiny", "Place", "sfm") / "images.parquet"
     images = read_table(path, schema("sfm", "images"))
     poses = pose_columns_of(images, "sfm_cam")
     # All steps in another order than VIO's.
     images[poses] = images[poses].to_numpy()[np.random.default_rng(1).permutation(len(images))]
     write_table(path, images, schema("sfm", "images"))
-    with pytest.raises(UserError, match="times shuffled") as error:
+    with pytest.raises(UserError, match="images and poses mismatched") as error:
         execute(STAGE, "Place", "tiny", data)
-    picture = Path(str(error.value.details["do"]).removeprefix("look at ").split(";")[0])
-    assert picture.name == "gate.png" and picture.read_bytes().startswith(b"\x89PNG")
-    gate = read_table(picture.with_name("gate.parquet"), schema("align", "gate"))
-    assert "times shuffled" in set(gate["cause"])
+    plot = Path(str(error.value.details["do"]).removeprefix("look at ").split(";")[0])
+    assert plot.name == "checks.png" and plot.read_bytes().startswith(b"\x89PNG")
+    checks = read_table(plot.with_name("checks.parquet"), schema("align", "checks"))
+    assert "images and poses mismatched" in set(checks["cause"])
     assert not (data.run("tiny", "Place", "align") / "manifest.json").exists()
 
 
@@ -125,14 +125,14 @@ def test_truth_is_compared_up_to_heading_and_origin_only() -> None:
     rng = np.random.default_rng(2)
     true = make_pose(yaw_rotation(rng.normal(size=50)), rng.normal(0, 10, (50, 3)))
     moved = make_pose(yaw_rotation(2.0), [5.0, -3, 1]) @ true
-    found = {t.name: t.found for t in compare_with_truth(moved, true, 100)}
+    found = {t.name: t.value for t in compare_with_truth(moved, true, 100)}
     assert found.pop("frames with ground truth") == 50
     assert max(found.values()) < 1e-5
     tilted = (
         make_pose([[1, 0, 0], [0, np.cos(0.01), -np.sin(0.01)], [0, np.sin(0.01), np.cos(0.01)]], [0, 0, 0]) @ moved
     )
     tilted[:, :3, 3] *= 0.99
-    found = {t.name: t.found for t in compare_with_truth(tilted, true, 50)}
+    found = {t.name: t.value for t in compare_with_truth(tilted, true, 50)}
     assert found["vertical error"] == pytest.approx(np.degrees(0.01), abs=1e-6)
     assert found["metric scale error"] == pytest.approx(1.0, abs=1e-6)
     assert found["position error, median"] < 1e-6
@@ -159,5 +159,5 @@ def test_bounds_hold_where_the_covariance_is_honest_and_only_there() -> None:
         targets = {t.name: t for t in compare_with_bounds(moved, true, both @ covariance @ both.T, shared)}
         for name in ("position", "rotation"):
             target = targets[f"{name} within 95 % bounds, SfM's part"]
-            assert low < target.found < high
-            assert target.met == (times == 1.0)
+            assert low < target.value < high
+            assert target.is_met == (times == 1.0)

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from synthetic_walks import align
 
-from groundwalk.alignment import checks
-from groundwalk.alignment.components import Bridge, bridge_covariance
-from groundwalk.alignment.ground_truth import align
+from groundwalk.alignment.components import VioLink
 from groundwalk.alignment.settings import AlignSettings
+from groundwalk.alignment.vio_links import link_covariance
+from groundwalk.artefacts.choices import FailureCause
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.fits import Sim3, fit_sim3
 from groundwalk.geometry.poses import make_pose, yaw_rotation
@@ -31,7 +32,7 @@ def drop(scene, rows: np.ndarray) -> None:
 
 
 def run(scene, **settings):
-    return align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(**settings))
+    return align(scene.inputs(), AlignSettings(**settings))
 
 
 def errors(aligned, scene) -> np.ndarray:
@@ -51,11 +52,11 @@ def test_without_drift_two_models_of_one_walk_come_out_as_one(walks) -> None:
     assert gt["gt_uses_vio"].tolist() == [False] * 35 + [True] * 25
     assert errors(aligned, scene).max() < 1e-8
     assert aligned.sessions[["segment", "component", "frames"]].to_numpy().tolist() == [[0, 0, 35], [0, 1, 25]]
-    assert aligned.sessions["bridge_m"].isna().tolist() == [True, False]
-    assert (aligned.gate["status"] == "passed").all()
+    assert aligned.sessions["vio_link_m"].isna().tolist() == [True, False]
+    assert (aligned.checks["status"] == "passed").all()
 
 
-def test_a_bridge_is_as_good_as_its_covariance_says(walks) -> None:
+def test_a_link_is_as_good_as_its_covariance_says(walks) -> None:
     far, stated = [], []
     for seed in range(5):
         scene = walks.make(**NOISE | {"seed": seed, "sessions": 1, "drift_m": 0.028, "drift_yaw_deg": 0.5})
@@ -65,7 +66,7 @@ def test_a_bridge_is_as_good_as_its_covariance_says(walks) -> None:
         scene.set_focal("walk0", 1.0, 0.01)
         aligned = run(scene)
         gt = aligned.ground_truth
-        assert aligned.sessions["bridge_m"].iloc[1] == pytest.approx(4.8, rel=0.2)
+        assert aligned.sessions["vio_link_m"].iloc[1] == pytest.approx(4.8, rel=0.2)
         end = int(np.flatnonzero((gt["component"] == 1).to_numpy(bool, na_value=False))[-1])
         assert gt["position_sd_m"].iloc[end] > 0.1 > gt["position_sd_m"].iloc[10]
         assert gt["quality"].iloc[end] == "C" and gt["quality"].iloc[10] == "A"
@@ -75,28 +76,28 @@ def test_a_bridge_is_as_good_as_its_covariance_says(walks) -> None:
     assert 0.3 < ratio < 1.6
 
 
-def test_bridge_covariance_is_that_of_samples() -> None:
+def test_link_covariance_is_that_of_samples() -> None:
     rng = np.random.default_rng(1)
-    bridge = Bridge("walk", 1.0, 2.0, np.array([1.0, 2, 3]), 0.05, 0.02)
+    link = VioLink("walk", 1.0, 2.0, np.array([1.0, 2, 3]), 0.05, 0.02)
     pose = make_pose(Rotation.random(rng=rng).as_matrix(), [4.0, 2.5, -6])
     turn = 0.02 * rng.normal(size=40_000)
-    moved = np.einsum("nij,j->ni", yaw_rotation(turn), pose[:3, 3] - bridge.anchor) + bridge.anchor
+    moved = np.einsum("nij,j->ni", yaw_rotation(turn), pose[:3, 3] - link.anchor) + link.anchor
     moved += 0.05 * rng.normal(size=moved.shape)
     samples = np.hstack([np.stack([0 * turn, turn, 0 * turn], axis=1), moved - pose[:3, 3]])
-    expected = bridge_covariance(pose[None, :3, 3], bridge)[0]
+    expected = link_covariance(pose[None, :3, 3], link)[0]
     np.testing.assert_allclose(np.cov(samples.T), expected, atol=0.02 * expected.max())
 
 
-def test_a_longer_way_than_vio_may_be_trusted_for_is_no_bridge(walks) -> None:
+def test_a_longer_way_than_vio_may_be_trusted_for_is_no_link(walks) -> None:
     scene = walks.make(**NOISE | {"sessions": 1})
     split(scene, np.arange(45, 60))
     drop(scene, np.arange(30, 45))
     aligned = run(scene)
     gt = aligned.ground_truth
     assert (gt["quality"].iloc[45:] == "none").all() and (gt["component"].iloc[:30] == 0).all()
-    assert "VIO alone for" in gt["reason"].iloc[50]
-    (row,) = aligned.gate[(aligned.gate["status"] == "failed")].to_dict("records")
-    assert (row["cause"], row["component"]) == (checks.BROKEN_OFF, 1)
+    assert "VIO path without a registered frame" in gt["reason"].iloc[50]
+    (row,) = aligned.checks[(aligned.checks["status"] == "failed")].to_dict("records")
+    assert (row["cause"], row["component"]) == (FailureCause.DISCONNECTED_SESSION, 1)
 
 
 def test_sessions_that_place_a_model_differently_are_believed_neither(walks) -> None:
@@ -118,4 +119,4 @@ def test_a_model_without_motion_is_left_out(walks) -> None:
     scene.set_vio(vio)
     split(scene, np.arange(50, 60))
     gt = run(scene).ground_truth
-    assert (gt["quality"].iloc[50:] == "none").all() and "no scale" in gt["reason"].iloc[55]
+    assert (gt["quality"].iloc[50:] == "none").all() and "no metric scale" in gt["reason"].iloc[55]

@@ -10,12 +10,12 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from groundwalk.alignment.checks import with_status
-from groundwalk.alignment.components import Component, Placed
+from groundwalk.alignment.checks.depth import check_depth
+from groundwalk.alignment.checks.results import with_status
+from groundwalk.alignment.components import Component, PlacedComponent
 from groundwalk.alignment.depth import (
     DepthSamples,
     agreement_table,
-    check_depth,
     depth_clouds,
     has_depth,
     read_depth,
@@ -83,16 +83,23 @@ def scene(tmp_path: Path):
     table = pd.DataFrame(frames).assign(fx=500.0, fy=500.0, cx=320.0, cy=240.0, distortion=[[]] * COUNT)
     table["depth"] = [f"depth{i}.png" for i in range(COUNT)]
     table["depth_confidence"] = [f"conf{i}.png" for i in range(COUNT)]
-    placed = Placed(
-        Component(0, "m", [], [], MapScale(0.0, 0.0, {}, {}), Vertical(np.zeros(3), 0.0, {}), NO_SCALE), GAUGE.inverse()
+    component = Component(
+        index=0,
+        model_id="m",
+        segments=[],
+        pieces=[],
+        scale=MapScale(0.0, 0.0, {}),
+        vertical=Vertical(np.zeros(3), 0.0, {}),
+        vio_scale=NO_SCALE,
     )
+    placed = PlacedComponent(component, GAUGE.inverse())
     return table, pose_frame("sfm_cam", sfm_T_cam), placed
 
 
 def samples_of(scene, tmp_path: Path, scale: float = 1.0) -> DepthSamples:
     frames, images, placed = scene
     to_map = placed.map_S_sfm
-    wrong = Placed(placed.component, Sim3(scale * to_map.scale, to_map.rotation, to_map.translation))
+    wrong = PlacedComponent(placed.component, Sim3(scale * to_map.scale, to_map.rotation, to_map.translation))
     used = np.ones(len(frames), dtype=bool)
     return sample_frames(frames, images, used, [wrong], lambda _: tmp_path / "model", lambda entry: tmp_path / entry)
 
@@ -118,7 +125,7 @@ def test_the_ratio_is_that_of_the_scales(scene, tmp_path: Path, scale: float) ->
 def test_an_error_that_grows_with_distance_is_named(scene, tmp_path: Path) -> None:
     samples = samples_of(scene, tmp_path)
     samples = replace(samples, sensor_m=samples.sensor_m * (1 + 0.06 * (samples.map_m - 2)))
-    checks, _ = check_depth(agreement_table(samples, seed=0), AlignSettings(depth_scale_limit=0.2))
+    checks, _ = check_depth(agreement_table(samples, seed=0), AlignSettings(max_depth_scale_error=0.2))
     (failed,) = with_status(checks, Status.FAILED)
     assert failed.name == "session_depth_by_distance" and "differs with distance" in failed.reason
 
@@ -127,7 +134,7 @@ def test_what_its_standard_error_leaves_open_is_undecided(scene, tmp_path: Path)
     table = agreement_table(samples_of(scene, tmp_path, 1.06), seed=0)
     checks, _ = check_depth(table.assign(median_ratio_se=0.01), AlignSettings())
     (of_scale,) = [c for c in checks if c.name == "session_depth_scale"]
-    assert of_scale.status is Status.UNDECIDED and not len(of_scale.refused) and not len(of_scale.doubtful)
+    assert of_scale.status is Status.UNDECIDED and not of_scale.exclusions and not len(of_scale.undecided_rows)
 
 
 def test_too_little_depth_judges_nothing(scene, tmp_path: Path) -> None:
@@ -135,7 +142,7 @@ def test_too_little_depth_judges_nothing(scene, tmp_path: Path) -> None:
     frames.loc[2:, "depth"] = None
     samples = samples_of((frames, images, placed), tmp_path, 1.3)
     (result,), (line,) = check_depth(agreement_table(samples, seed=0), AlignSettings())
-    assert (result.name, result.about.session_id, result.status) == ("session_depth_scale", "walk", "undecided")
+    assert (result.name, result.subject.session_id, result.status) == ("session_depth_scale", "walk", "undecided")
     assert "too little depth" in line and result.value is None
     frames["depth"] = None
     assert not has_depth(frames)

@@ -4,8 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
+from synthetic_walks import align
 
-from groundwalk.alignment.ground_truth import Aligned, align
+from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.tables import poses_of
@@ -26,15 +27,15 @@ PHONES = {
 }
 
 
-def run(scene, **settings) -> Aligned:
-    return align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(**settings))
+def run(scene, **settings) -> AlignResult:
+    return align(scene.inputs(), AlignSettings(**settings))
 
 
-def ground_truth(aligned: Aligned) -> np.ndarray:
+def ground_truth(aligned: AlignResult) -> np.ndarray:
     return poses_of(aligned.ground_truth, "map_cam")
 
 
-def against_truth(aligned: Aligned, scene) -> tuple[Sim3, np.ndarray, np.ndarray]:
+def against_truth(aligned: AlignResult, scene) -> tuple[Sim3, np.ndarray, np.ndarray]:
     """true_S_map, and the errors after it in metres and degrees of the frames with ground truth."""
     gt = ground_truth(aligned)
     known = np.isfinite(gt[:, 0, 0])
@@ -59,7 +60,7 @@ def test_without_noise_the_truth_comes_back_exactly(walks) -> None:
     np.testing.assert_allclose(first.map_T_vio_yaw, np.eye(4), atol=1e-9)
     np.testing.assert_allclose(first.map_T_vio, np.eye(4), atol=1e-9)
     np.testing.assert_allclose(ground_truth(aligned)[:60], poses_of(scene.frames, "vio_cam")[:60], atol=1e-9)
-    assert (aligned.gate["status"] == "passed").all()
+    assert (aligned.checks["status"] == "passed").all()
     assert (aligned.ground_truth["quality"] == "A").all()
 
 
@@ -73,7 +74,7 @@ def test_any_gauge_of_sfm_gives_the_same_ground_truth(walks, seed: int) -> None:
     np.testing.assert_allclose(
         np.stack(a.ground_truth["covariance"]), np.stack(b.ground_truth["covariance"]), atol=1e-9
     )
-    pd.testing.assert_frame_equal(a.gate, b.gate, rtol=1e-6, atol=1e-9)
+    pd.testing.assert_frame_equal(a.checks, b.checks, rtol=1e-6, atol=1e-9)
     pd.testing.assert_frame_equal(a.sessions, b.sessions, rtol=1e-6, atol=1e-9)
 
 
@@ -87,7 +88,7 @@ def test_scale_and_vertical_come_from_all_sessions_together(walks) -> None:
         assert 1 / true_S_map.scale == pytest.approx(scene.phone_scales.mean(), abs=0.0015)
         assert np.degrees(np.arccos(true_S_map.rotation[1, 1])) < 0.2
         assert np.median(metres) < 0.02 and np.median(degrees) < 0.1
-        assert (aligned.gate["status"] == "passed").all()
+        assert (aligned.checks["status"] == "passed").all()
         own = aligned.sessions["scale"] * aligned.main.map_S_sfm.scale * walks.gauge.scale
         np.testing.assert_allclose(own, scene.phone_scales, atol=0.005)
 
@@ -116,7 +117,7 @@ def test_a_session_with_another_scale_is_named_and_left_out_of_the_mean(walks) -
     scene.set_vio(vio)
     aligned = run(scene)
     assert abs(against_truth(aligned, scene)[0].scale - 1) < 0.005
-    failed = aligned.gate[(aligned.gate["status"] == "failed") & (aligned.gate["check"] == "session_scale")]
+    failed = aligned.checks[(aligned.checks["status"] == "failed") & (aligned.checks["check"] == "session_scale")]
     assert failed["session_id"].tolist() == ["walk2"]
     scale = aligned.sessions.set_index("session_id")["scale"]
     assert scale["walk2"] == pytest.approx(1.1, abs=0.01)
@@ -139,7 +140,7 @@ def test_a_jumping_session_is_aligned_by_segment(walks) -> None:
         ["walk2", 0, 60],
     ]
     assert sessions["position_max_m"].max() < 1e-8
-    assert (aligned.gate["status"] == "passed").all()
+    assert (aligned.checks["status"] == "passed").all()
     np.testing.assert_allclose(aligned.fits[1].map_T_vio, aligned.fits[2].map_T_vio @ jump, atol=1e-8)
 
 
@@ -152,7 +153,7 @@ def test_an_unannounced_jump_costs_the_frames_around_it_only(walks) -> None:
     aligned = run(scene)
     refused = np.flatnonzero(aligned.ground_truth["quality"] == "none")
     assert len(refused) > 0 and refused.min() >= 80 and refused.max() < 100
-    assert set(aligned.ground_truth["reason"].iloc[refused]) == {"SfM and VIO disagree here"}
+    assert set(aligned.ground_truth["reason"].iloc[refused]) == {"pose in SfM inconsistent with VIO"}
 
 
 def test_a_folded_model_is_refused_with_figures(walks) -> None:
@@ -162,7 +163,7 @@ def test_a_folded_model_is_refused_with_figures(walks) -> None:
     for start in range(0, len(sfm), 5):
         sfm[start : start + 5, :3, 3] += sfm[0, :3, 3] - sfm[start, :3, 3]
     scene.set_sfm(sfm)
-    with pytest.raises(UserError, match="model is wrong") as error:
+    with pytest.raises(UserError, match="fails its consistency checks") as error:
         run(scene)
     assert "checks failed" in str(error.value)
 
@@ -193,7 +194,7 @@ def test_support_frames_help_to_judge_the_model_and_are_in_no_table(walks) -> No
     assert aligned.ground_truth["frame_id"].tolist() == dataset
     assert aligned.ground_truth["quality"].tolist() == whole.ground_truth["quality"][~support].tolist()
     assert set(aligned.residuals["frame_id"]) == set(dataset)
-    assert aligned.sessions[["frames", "registered", "used"]].to_numpy().tolist() == [[40, 40, 40]] * 5
+    assert aligned.sessions[["frames", "registered", "with_ground_truth"]].to_numpy().tolist() == [[40, 40, 40]] * 5
     np.testing.assert_allclose(aligned.sessions["scale"], whole.sessions["scale"], rtol=1e-12)
     per_pair = aligned.drift[(aligned.drift["definition"] == "paper_rpe") & (aligned.drift["interval_unit"] == "pair")]
     assert per_pair.set_index("session_id")["samples"]["all"] == 5 * 39
@@ -205,7 +206,7 @@ def test_support_frames_that_are_not_registered_cost_the_dataset_nothing(walks) 
     scene.images.loc[scene.frames["support"], "registered"] = False
     aligned = run(scene)
     assert len(aligned.ground_truth) == 60 and (aligned.ground_truth["quality"] != "none").all()
-    registered = aligned.gate[aligned.gate["check"] == "registered"]
+    registered = aligned.checks[aligned.checks["check"] == "registered"]
     assert registered[["frames", "value"]].to_numpy().tolist() == [[60, 1.0]]
     scene.images["registered"] = scene.frames["support"]
     with pytest.raises(UserError, match="too few frames") as error:
@@ -230,7 +231,7 @@ def without_scale(scene) -> None:
     assert turned[:, 1, 1].min() > np.cos(np.radians(0.5))
     assert np.isfinite(np.stack(gt["covariance"])).all()
     assert aligned.drift.empty and aligned.residuals.empty
-    scale = aligned.gate[aligned.gate["check"] == "map_scale"]
+    scale = aligned.checks[aligned.checks["check"] == "map_scale"]
     assert scale["status"].tolist() == ["undecided"] and "ruler" in scale["advice"].iloc[0]
 
 

@@ -7,9 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
+from synthetic_walks import align
 
-from groundwalk.alignment.ground_truth import Aligned, align
-from groundwalk.alignment.reference import Reference, describe_agreement
+from groundwalk.alignment.ground_truth import AlignResult
+from groundwalk.alignment.reference.agreement import describe_agreement
+from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.stage import STAGE
 from groundwalk.artefacts import DataRoot, UserError, execute
@@ -29,18 +31,18 @@ def without_vio(scene):
 
 
 def stated(scene, map_T_cam: np.ndarray, **changes) -> Reference:
-    return replace(Reference(map_T_cam, metric=True, up_known=False, gives_map=True), **changes)
+    return replace(Reference(map_T_cam, is_metric=True, is_up_known=False, gives_map=True), **changes)
 
 
-def run(scene, reference: Reference) -> Aligned:
-    return align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(), reference=reference)
+def run(scene, reference: Reference) -> AlignResult:
+    return align(scene.inputs(reference=reference), AlignSettings())
 
 
 @pytest.mark.parametrize("unit", [1.0, 7.3])
 def test_the_map_is_the_references_frame(walks, unit: float) -> None:
     scene = without_vio(walks.make(sfm_m=0.005, sfm_deg=0.02, sessions=2))
     world = replace(WORLD, scale=unit)
-    reference = stated(scene, world.poses(scene.true_T_cam), metric=unit == 1.0)
+    reference = stated(scene, world.poses(scene.true_T_cam), is_metric=unit == 1.0)
     aligned = run(scene, reference)
     gt = aligned.ground_truth
     found = poses_of(gt, "map_cam")
@@ -50,15 +52,15 @@ def test_the_map_is_the_references_frame(walks, unit: float) -> None:
     assert set(gt["scale_source"]) == {"reference" if unit == 1.0 else "reference, unit unknown"}
     assert set(gt["vertical_source"]) == {"reference, up unknown"}
     assert not gt["gt_uses_vio"].any()
-    status = aligned.gate.set_index("check")["status"]
+    status = aligned.checks.set_index("check")["status"]
     assert status["reference_scale"] == ("passed" if unit == 1.0 else "undecided")
     assert status["reference_vertical"] == "passed" and (status["session_reference"] == "passed").all()
     table = aligned.reference_agreement
-    assert table["compared"].tolist() == [60, 60] and set(table["fit"]) == {"sim3 of the model"}
+    assert table["compared_frames"].tolist() == [60, 60] and set(table["fit"]) == {"model_sim3"}
     assert (table["position_rms_m"] < 0.012 * unit).all() and (table["rotation_median_deg"] < 0.05).all()
     np.testing.assert_allclose(table["scale"].astype(float), 1.0, atol=1e-3)
     text = "\n".join(describe_agreement(table, gt))
-    assert ("states no unit" in text) == (unit != 1.0) and "60 reference poses" in text
+    assert ("no stated unit" in text) == (unit != 1.0) and "60 reference poses" in text
 
 
 def test_models_that_nothing_else_ties_lie_where_the_reference_has_them(walks) -> None:
@@ -80,8 +82,8 @@ def test_frames_that_are_elsewhere_get_no_ground_truth(walks) -> None:
     aligned = run(scene, stated(scene, reference))
     wrong = aligned.ground_truth["quality"] == "none"
     assert np.flatnonzero(wrong).tolist() == list(range(10, 15))
-    assert "reference poses disagree" in aligned.ground_truth["reason"][10]
-    assert aligned.gate["status"].eq("passed").all()
+    assert "SfM and reference inconsistent" in aligned.ground_truth["reason"][10]
+    assert aligned.checks["status"].eq("passed").all()
 
 
 def test_what_the_reference_does_not_confirm_is_class_c_and_turned_cameras_are_named(walks) -> None:
@@ -105,18 +107,18 @@ def test_a_session_in_another_world_is_refused_by_name(walks) -> None:
     aligned = run(scene, stated(scene, reference))
     assert set(aligned.ground_truth.loc[own, "quality"]) == {"none"}
     assert "its world is another one" in aligned.ground_truth.loc[own, "reason"].iloc[0]
-    (failed,) = aligned.gate[aligned.gate["status"] == "failed"].to_dict("records")
+    (failed,) = aligned.checks[aligned.checks["status"] == "failed"].to_dict("records")
     assert (failed["check"], failed["session_id"]) == ("session_reference", "walk1")
-    assert failed["cause"] == "SfM and the reference disagree"
+    assert failed["cause"] == "SfM and reference inconsistent"
 
 
 def test_a_reference_that_nothing_agrees_with_is_refused(walks) -> None:
     scene = without_vio(walks.make(sessions=2))
     shuffled = WORLD.poses(scene.true_T_cam)[np.random.default_rng(0).permutation(len(scene.frames))]
-    with pytest.raises(UserError, match="SfM and the reference disagree"):
+    with pytest.raises(UserError, match="SfM and reference inconsistent"):
         run(scene, stated(scene, shuffled))
     still = np.broadcast_to(np.eye(4), (len(scene.frames), 4, 4))
-    with pytest.raises(UserError, match="can't be put onto the reference") as error:
+    with pytest.raises(UserError, match="can't be aligned to the reference") as error:
         run(scene, stated(scene, still))
     assert "one place" in str(error.value)
 
@@ -125,7 +127,7 @@ def test_a_reference_that_nothing_agrees_with_is_refused(walks) -> None:
 def test_beside_vio_a_reference_is_compared_and_gives_nothing(walks, metric: bool) -> None:
     scene = walks.make(sessions=2)
     plain = run(scene, None)
-    reference = stated(scene, replace(WORLD, scale=1.02).poses(scene.true_T_cam), metric=metric, gives_map=False)
+    reference = stated(scene, replace(WORLD, scale=1.02).poses(scene.true_T_cam), is_metric=metric, gives_map=False)
     beside = run(scene, reference)
     pd.testing.assert_frame_equal(plain.ground_truth, beside.ground_truth)
     assert set(beside.ground_truth["scale_source"]) == {"vio"} and not len(plain.reference_agreement)
@@ -147,11 +149,11 @@ def test_the_stage_says_what_gave_scale_and_vertical(data: DataRoot) -> None:
     )
     write_table(folder / "reference.parquet", reference, schema("import", "reference"))
     sessions = read_table(folder / "sessions.parquet", schema("import", "sessions"))
-    sessions = sessions.assign(poses_are="reference", reference_unit="m", up="+y")
+    sessions = sessions.assign(pose_source="reference", reference_unit="m", up="+y")
     write_table(folder / "sessions.parquet", sessions, schema("import", "sessions"))
     out = execute(STAGE, "Place", "tiny", data)
     tables = {t.name: read_table(out / f"{t.name}.parquet", t) for t in stage_tables("align")}
-    assert (out / "gate.png").is_file() and (out / "recording.rrd").stat().st_size > 1000
+    assert (out / "checks.png").is_file() and (out / "recording.rrd").stat().st_size > 1000
     figures = load_manifest(out)["figures"]
     assert (figures["scale_source"], figures["vertical_source"]) == ("reference", "reference")
     assert figures["with_ground_truth"] == 40 and figures["reference_position_rms_m"] < 0.02

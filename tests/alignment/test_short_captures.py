@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from synthetic_walks import align
 
-from groundwalk.alignment.checks import with_status
+from groundwalk.alignment.checks.results import with_status
 from groundwalk.alignment.examination import examine
-from groundwalk.alignment.ground_truth import align
 from groundwalk.alignment.sessions import fit_session
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.decisions import Status
@@ -22,7 +22,7 @@ def walk(walks, seed: int, path_m: float, **changes):
 
 
 def aligned(scene, **settings):
-    return align(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings(**settings))
+    return align(scene.inputs(), AlignSettings(**settings))
 
 
 def scale_error(walks, aligned) -> float:
@@ -53,7 +53,7 @@ def test_how_densely_a_short_walk_is_sampled_hardly_matters_to_its_scale(walks) 
 
 
 def undecided_scale(scene):
-    found = examine(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings())
+    found = examine(scene.inputs(), AlignSettings())
     return [c for c in with_status(found.checks, Status.UNDECIDED) if c.name == "map_scale"]
 
 
@@ -66,7 +66,7 @@ def test_a_longer_walk_a_second_session_or_a_larger_limit_decide_the_scale(walks
     assert not undecided_scale(walk(walks, 0, 4.0))
     assert not undecided_scale(walk(walks, 0, 2.3, sessions=2))
     loose = aligned(scene, max_scale_sd=0.05)
-    assert (loose.gate["status"] == "passed").all() and set(loose.ground_truth["scale_source"]) == {"vio"}
+    assert (loose.checks["status"] == "passed").all() and set(loose.ground_truth["scale_source"]) == {"vio"}
 
 
 def test_a_short_walk_that_sfm_bends_is_refused(walks) -> None:
@@ -74,8 +74,8 @@ def test_a_short_walk_that_sfm_bends_is_refused(walks) -> None:
     scene = walk(walks, 2, 0.65)
     bend = np.linspace(-1, 1, len(scene.frames)) ** 2
     scene.images["sfm_cam_tx"] += walks.gauge.scale * 0.2 * bend
-    result = aligned(scene, least_agreeing=0.0)
-    assert (result.gate["status"] == "failed").any() and (result.ground_truth["quality"] == "none").any()
+    result = aligned(scene, min_consistent_fraction=0.0)
+    assert (result.checks["status"] == "failed").any() and (result.ground_truth["quality"] == "none").any()
 
 
 def test_rotations_are_compared_after_a_fit_of_rotations_even_on_a_straight_path(walks) -> None:
@@ -89,7 +89,7 @@ def test_rotations_are_compared_after_a_fit_of_rotations_even_on_a_straight_path
     vio = make_pose(segment.vio_T_cam[:, :3, :3], np.linspace([0, 0, 0], [0, 0, -1.0], len(segment.rows)))
     moved = type(segment)(**{**vars(segment), "vio_T_cam": vio})
     fit = fit_session(moved, straight, np.ones(len(segment.rows), bool), POSE_SD)
-    assert np.median(fit.sim3_rotation_deg) < 1e-6 and 0 < np.median(fit.sim3_position_m) < 0.01
+    assert np.median(fit.sim3.rotation_deg) < 1e-6 and 0 < np.median(fit.sim3.position_m) < 0.01
 
 
 def test_drift_of_a_short_walk_is_measured_over_short_distances(walks) -> None:

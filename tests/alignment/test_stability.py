@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_gate import of_walk, shuffle, turn_otherwise
+from test_checks import of_walk, shuffle, turn_otherwise
 
-from groundwalk.alignment.checks import with_status
-from groundwalk.alignment.examination import examine
+from groundwalk.alignment.checks.results import with_status
+from groundwalk.alignment.examination import examine, refusal
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.consistency.decisions import Status
@@ -19,9 +19,9 @@ SHORT = {"speed_m": 0.04, "sfm_m": 0.001}
 
 def status(scene) -> Status:
     """Failed where a session gets no ground truth, undecided where a check of what was captured is."""
-    found = examine(scene.frames, scene.sfm, scene.jumps, scene.recordings, AlignSettings())
-    lost = [not found.used[of_walk(scene, walk)].any() for walk in range(3)]
-    if found.refusal is not None or any(lost):
+    found = examine(scene.inputs(), AlignSettings())
+    lost = [not found.has_ground_truth[of_walk(scene, walk)].any() for walk in range(3)]
+    if refusal(found, scene.frames, AlignSettings()) is not None or any(lost):
         return Status.FAILED
     return Status.UNDECIDED if with_status(found.checks, Status.UNDECIDED) else Status.PASSED
 

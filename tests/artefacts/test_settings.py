@@ -66,7 +66,7 @@ def test_a_scene_name_cannot_lead_out_of_the_data_folder(data: DataRoot, name: s
 
 def test_every_shipped_profile_and_scene_is_valid() -> None:
     data = DataRoot(Path("nowhere"))
-    assert {"demo", "paper", "tiny"} <= set(data.names("profiles"))
+    assert {"demo", "standard", "paper", "tiny"} <= set(data.names("profiles"))
     for name in data.names("profiles"):
         assert data.profile(name)["description"]
     for name in data.names("scenes"):

@@ -10,7 +10,6 @@ import pytest
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import Split
-from groundwalk.artefacts.reference import reference
 from groundwalk.artefacts.schemas import Column, TableSchema, all_tables, pose_columns
 from groundwalk.artefacts.tables import pose_frame, poses_of, read_table, write_table
 from groundwalk.geometry.poses import make_pose
@@ -88,9 +87,7 @@ def test_reader_refuses_another_major_version_and_what_is_no_table(tmp_path: Pat
         read_table(path, SCHEMA)
 
 
-def test_reference_is_up_to_date_and_complete() -> None:
-    page = Path(__file__).resolve().parents[2] / "docs" / "artefacts.md"
-    assert page.read_text(encoding="utf-8") == reference(), "run `make docs`"
+def test_each_column_has_a_meaning() -> None:
     assert all(column.meaning for table in all_tables() for column in table.columns)
 
 

@@ -97,8 +97,8 @@ def test_verdicts():
     logs = {"import": "", "sfm": "working\nerror: too few frames for a model\n  where:    x\n"}
     assert verdict_of({"import": 0, "sfm": 2}, logs, []) == Verdict(REFUSED, "sfm", "too few frames for a model")
     logs = {"import": "", "sfm": "", "align": "error: the SfM model is wrong\n"}
-    refused = verdict_of({"import": 0, "sfm": 0, "align": 2}, logs, ["intrinsics wrong", "broken off"])
-    assert refused == Verdict(REFUSED, "align", "intrinsics wrong")
+    refused = verdict_of({"import": 0, "sfm": 0, "align": 2}, logs, ["wrong intrinsics", "disconnected session"])
+    assert refused == Verdict(REFUSED, "align", "wrong intrinsics")
     crashed = verdict_of({"import": 1}, {"import": "Traceback\nValueError: no"}, [])
     assert (crashed.outcome, crashed.cause) == (CRASHED, "ValueError: no")
 
@@ -154,7 +154,7 @@ def result() -> Result:
     ]
     targets = [Target("accepted", 1, at_least=True), Target("processor", 0.5, way=RATIO), Target("models", 1)]
     run = ("chair", "chair", ["rate_hz=2"], 0, "0123", "abc", "2026-01-01", "a machine", 0.5)
-    return Result(*run, Verdict(PASSED), ["intrinsics wrong (session_focal, 1)"], figures, targets)
+    return Result(*run, Verdict(PASSED), ["wrong intrinsics (session_focal_length, 1)"], figures, targets)
 
 
 def test_a_result_is_read_back_as_it_was(tmp_path):
@@ -164,7 +164,7 @@ def test_a_result_is_read_back_as_it_was(tmp_path):
 
 def test_the_report_says_met_and_missed_and_its_tables_are_whole(tmp_path):
     tried = [Tried("chair", "whole", 30, Verdict(PASSED), PASSED, 30, {"A": 1, "B": 2, "C": 27})]
-    tried.append(Tried("chair", "every 3rd image", 10, Verdict(REFUSED, "align", "broken off"), PASSED))
+    tried.append(Tried("chair", "every 3rd image", 10, Verdict(REFUSED, "align", "disconnected session"), PASSED))
     write_report(tmp_path, [result()], tried)
     text = (tmp_path / "real.md").read_text(encoding="utf-8")
     assert "| chair | accepted | 1 | ≥ 1 | met |" in text

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from benchmarks.vio_drift.estimators import Estimate, fit_height, fit_position, fit_steady, fit_yaw_drift, rate
+from benchmarks.vio_drift.estimators import DriftEstimate, fit_height, fit_position, fit_steady, fit_yaw_drift, rate
 from benchmarks.vio_drift.fit import fit, to_toml
 from benchmarks.vio_drift.recordings import SteadyLog, TagWalk, read_recordings
 from benchmarks.vio_drift.rewalk import rewalk
@@ -226,7 +226,7 @@ def test_no_event_bounds_a_rate() -> None:
     none = rate(0, 10.0)
     assert none.low == 0.0
     assert none.value == none.high > 0.1
-    assert Estimate(1.0, 0.5, 2.0, 3).value == 1.0
+    assert DriftEstimate(1.0, 0.5, 2.0, 3).value == 1.0
 
 
 def test_the_committed_fit_names_every_parameter() -> None:

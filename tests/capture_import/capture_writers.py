@@ -2,7 +2,7 @@
 
 import json
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +12,9 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
+from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.intake import Scan, measures
+from groundwalk.capture_import.scan import scan_images
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose, tq_from_pose
 
 WIDTH, HEIGHT = 96, 72
@@ -392,3 +395,8 @@ WRITERS = {
     "colmap": Written(write_colmap, clock=False),
     "nerfstudio": Written(write_nerfstudio, clock=False),
 }
+
+
+def scan_all(roots: Sequence[Path], limits: Limits) -> Scan:
+    """The scan of every image, with links inside `roots`."""
+    return lambda frames: measures(scan_images(frames, roots, limits))

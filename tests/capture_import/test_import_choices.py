@@ -13,7 +13,7 @@ from groundwalk.artefacts import UserError
 from groundwalk.artefacts.settings import SplitRules
 from groundwalk.capture_import.capture import RawFrame, RawSession
 from groundwalk.capture_import.images import ImageCheck
-from groundwalk.capture_import.intake import Image, Session
+from groundwalk.capture_import.intake import Image, ImportedSession
 from groundwalk.capture_import.sampling import sample_motion, sample_rate, sample_support, support_cells
 from groundwalk.capture_import.selection import density_for, select
 from groundwalk.capture_import.settings import ImportSettings
@@ -28,7 +28,9 @@ def frames_of(**recordings: np.ndarray) -> pd.DataFrame:
         session = name.replace("__", ".")
         t_ns = np.round(np.asarray(seconds) * 1e9).astype(np.int64)
         parts.append(
-            pd.DataFrame({"session_id": session, "recording": session.split(".")[0], "said": None, "t_ns": t_ns})
+            pd.DataFrame(
+                {"session_id": session, "recording": session.split(".")[0], "stated_split": None, "t_ns": t_ns}
+            )
         )
     return pd.concat(parts, ignore_index=True)
 
@@ -156,7 +158,7 @@ def test_a_phone_that_stands_still_keeps_every_image() -> None:
     assert np.isinf(density_for([session], settings))
 
 
-def session_of(seconds: np.ndarray, speed_m_s: float = 1.0) -> Session:
+def session_of(seconds: np.ndarray, speed_m_s: float = 1.0) -> ImportedSession:
     """A straight walk with an image at each of the seconds, equally sharp."""
     x = speed_m_s * seconds
     poses = make_pose(np.eye(3), np.stack([x, 0 * x, 0 * x], axis=-1))
@@ -165,7 +167,7 @@ def session_of(seconds: np.ndarray, speed_m_s: float = 1.0) -> Session:
         for number, (s, pose) in enumerate(zip(seconds, poses, strict=True))
     ]
     raw = RawSession("walk", "none", "", "boot", Path(), frames)
-    return Session("walk", raw, frames, [Image(frame, ImageCheck(96, 72, 0.5, "")) for frame in frames], [])
+    return ImportedSession("walk", raw, frames, [Image(frame, ImageCheck(96, 72, 0.5, "")) for frame in frames], [])
 
 
 def test_a_single_walk_is_split_in_time_with_validation_between() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from capture_writers import scan_all
 
 from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
@@ -14,7 +15,7 @@ from groundwalk.capture_import.clock import check_clock
 from groundwalk.capture_import.convention import CONVENTIONS, check_convention
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.images import check_image
-from groundwalk.capture_import.intake import Image, Session, scan_all, take_in
+from groundwalk.capture_import.intake import Image, ImportedSession, take_in
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.capture_import.views import Views
@@ -28,7 +29,7 @@ UNDONE_BY = {
 }
 
 
-def room(tmp_path: Path, count: int = 10, step_m: float = 0.12, pace: float = 1.0) -> Session:
+def room(tmp_path: Path, count: int = 10, step_m: float = 0.12, pace: float = 1.0) -> ImportedSession:
     """A walk along two textured walls at different depths, seen by a camera that looks around."""
     rng = np.random.default_rng(3)
     texture = cv2.resize(rng.integers(0, 255, (150, 150), dtype=np.uint8), (1200, 1200), interpolation=cv2.INTER_CUBIC)
@@ -49,7 +50,7 @@ def room(tmp_path: Path, count: int = 10, step_m: float = 0.12, pace: float = 1.
         frame = RawFrame(i, path.name, i * 10**8, pose, ImageFile(path), camera)
         images.append(Image(frame, check_image(path.read_bytes(), 1.0)[0]))
     raw = RawSession("room", "test", "phone", "boot", tmp_path, [i.frame for i in images])
-    return Session("room", raw, [i.frame for i in images], images, [])
+    return ImportedSession("room", raw, [i.frame for i in images], images, [])
 
 
 def _wall(texture: np.ndarray, k: Array, world_T_cam: Array, depth: float, left: float, right: float) -> np.ndarray:
@@ -64,7 +65,7 @@ def _wall(texture: np.ndarray, k: Array, world_T_cam: Array, depth: float, left:
     return cv2.warpPerspective(strip, k @ cam_R_world @ world @ plane, (320, 240), flags=cv2.INTER_AREA)
 
 
-def with_mistake(session: Session, name: str) -> Session:
+def with_mistake(session: ImportedSession, name: str) -> ImportedSession:
     change = dict(CONVENTIONS)[name]
     images = []
     for image in session.images:

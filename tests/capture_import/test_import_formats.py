@@ -11,6 +11,7 @@ from capture_writers import (
     WRITERS,
     image,
     make_walk,
+    scan_all,
     write_arcore_logger,
     write_cambridge,
     write_record3d,
@@ -21,16 +22,16 @@ from capture_writers import (
 
 from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.capture_import.capture import Limits
-from groundwalk.capture_import.discovery import Found, find_recordings
+from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.images import decode_rgb
-from groundwalk.capture_import.intake import Intake, scan_all, take_in
+from groundwalk.capture_import.intake import Intake, take_in
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import relative, rotation_angle
 
 
-def find_one(root: Path) -> Found:
+def find_one(root: Path) -> RecordingSource:
     found = find_recordings(root, root.parent / "unpacked", Limits())
     assert len(found) == 1
     return found[0]
@@ -148,7 +149,7 @@ def test_public_data_sets_keep_their_split_and_have_no_vio(tmp_path: Path) -> No
     (place / "TrainSplit.txt").write_text("sequence1\n")
     (place / "TestSplit.txt").write_text("sequence2\n")
     raws = [found.read(Limits()) for found in find_recordings(place, tmp_path / "unpacked", Limits())]
-    assert [(raw.split, raw.poses_are, raw.gravity_aligned) for raw in raws] == [
+    assert [(raw.split, raw.pose_source, raw.is_gravity_aligned) for raw in raws] == [
         ("train", "reference", False),
         ("test", "reference", False),
     ]

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from capture_mutations import mutate
-from capture_writers import WRITERS, make_walk
+from capture_writers import WRITERS, make_walk, scan_all
 
 from groundwalk.artefacts import UserError
 from groundwalk.capture_import.archive import unpack
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.discovery import find_recordings
-from groundwalk.capture_import.intake import scan_all, take_in
+from groundwalk.capture_import.intake import take_in
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.tables import rejects_table
 from groundwalk.geometry.poses import rigidity_error

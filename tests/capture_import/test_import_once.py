@@ -12,11 +12,11 @@ from groundwalk.artefacts import DataRoot, execute
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.capture_import import recording, views
 from groundwalk.capture_import.capture import Limits, RawFrame
-from groundwalk.capture_import.clock import CLOCK_LONG_SIDE, dense_stretch
+from groundwalk.capture_import.clock import CLOCK_LONG_SIDE, dense_part
 from groundwalk.capture_import.convention import CONVENTION_LONG_SIDE, parallax_pairs
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.images import decode_gray
-from groundwalk.capture_import.scan import Look, scan_images
+from groundwalk.capture_import.scan import ImageScan, scan_images
 from groundwalk.capture_import.spool import Spool, thumbnail_path
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.capture_import.thumbnails import MOST, spread, thumbnail_of
@@ -33,7 +33,7 @@ def test_what_the_checks_want_is_put_aside(tmp_path: Path, monkeypatch: pytest.M
     write(tmp_path / "place" / "walk", make_walk(60, every=1))  # type: ignore[operator]
     frames = frames_of(tmp_path / "place")
     kept = Views([tmp_path], Limits())
-    assert len([look for look in kept.scan(frames) if isinstance(look, Look)]) == 60
+    assert len([look for look in kept.scan(frames) if isinstance(look, ImageScan)]) == 60
     missed: list[RawFrame] = []
     again = views.load_gray
 
@@ -53,7 +53,7 @@ def test_what_the_checks_want_is_put_aside(tmp_path: Path, monkeypatch: pytest.M
         assert frame is other
         np.testing.assert_array_equal(gray, decoded)
     missed.clear()
-    stretch = dense_stretch(frames)
+    stretch = dense_part(frames)
     assert len(list(kept.load(stretch, CLOCK_LONG_SIDE))) == len(stretch) >= 20
     assert not missed
     # Others are decoded again, in between.
@@ -80,7 +80,7 @@ def test_a_thumbnail_shows_its_image(tmp_path: Path) -> None:
     frames = frames_of(tmp_path / "place")
     spool = Spool(tmp_path / "spool", frames, STAGE.settings(sampling="all"))
     for place, look in enumerate(scan_images(frames, [tmp_path], Limits(), spool.in_colour)):
-        assert isinstance(look, Look)
+        assert isinstance(look, ImageScan)
         spool.take(place, look)
     spool.flush()
     for i, frame in enumerate(frames):

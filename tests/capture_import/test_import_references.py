@@ -160,7 +160,7 @@ def test_applied_transform_is_undone(tmp_path: Path) -> None:
 def test_a_file_with_times_is_a_phone_capture_of_its_own(tmp_path: Path) -> None:
     write_nerf_capture(tmp_path / "walk", make_walk(4))
     (session,) = read_all(tmp_path)
-    assert (session.format, session.poses_are) == ("nerf_capture", "vio")
+    assert (session.format, session.pose_source) == ("nerf_capture", "vio")
 
 
 @pytest.mark.parametrize("write", [write_colmap, write_nerfstudio])
@@ -198,7 +198,7 @@ def test_a_reference_is_no_vio_and_its_unit_is_stated(tmp_path: Path, metric: bo
     folder = execute(STAGE, "place", "tiny", DataRoot(tmp_path), settings)
     sessions = pd.read_parquet(folder / "sessions.parquet")
     unit = "m" if metric else "unknown"
-    assert sessions[["poses_are", "reference_unit", "up"]].iloc[0].tolist() == ["reference", unit, "unknown"]
+    assert sessions[["pose_source", "reference_unit", "up"]].iloc[0].tolist() == ["reference", unit, "unknown"]
     frames = pd.read_parquet(folder / "frames.parquet")
     assert frames["vio_cam_tx"].isna().all() and frames["gravity_x"].isna().all()
     reference = pd.read_parquet(folder / "reference.parquet")

@@ -74,7 +74,7 @@ def test_few_frames_are_all_kept_and_the_leak_is_told(tmp_path: Path) -> None:
 
 def test_sampling_takes_one_frame_a_second(tmp_path: Path) -> None:
     write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(201))
-    frames = run_import(tmp_path, "place", "min_frames=0", "support_share=0")["frames"]
+    frames = run_import(tmp_path, "place", "min_frames=0", "max_support_fraction=0")["frames"]
     steps = np.diff(frames["t_ns"]) * 1e-9
     assert len(frames) == 21 and steps.min() >= 0.5 and steps.max() <= 1.5
 
@@ -82,7 +82,7 @@ def test_sampling_takes_one_frame_a_second(tmp_path: Path) -> None:
 def test_support_frames_are_added_between_frames_that_stay_the_same(tmp_path: Path) -> None:
     write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(201))
     write_scanner_app(tmp_path / "captures" / "place" / "xlater", make_walk(101, seed=1))
-    alone = run_import(tmp_path, "place", "min_frames=0", "support_share=0")
+    alone = run_import(tmp_path, "place", "min_frames=0", "max_support_fraction=0")
     tables = run_import(tmp_path, "place", "min_frames=0")
     frames, sessions = tables["frames"], tables["sessions"].set_index("session_id")
     dataset, support = frames[~frames["support"]], frames[frames["support"]]
@@ -117,9 +117,9 @@ def test_the_order_of_files_in_the_folder_does_not_matter(tmp_path: Path) -> Non
 def test_a_capture_with_too_few_frames_is_thinned_evenly_to_so_many(tmp_path: Path) -> None:
     write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(301, every=1))  # 30 s, 31 frames at 1 Hz
     for settings in ((), ("sampling='motion'", "step_m=3")):
-        frames = run_import(tmp_path, "place", "support_share=0", *settings)["frames"]
+        frames = run_import(tmp_path, "place", "max_support_fraction=0", *settings)["frames"]
         assert 60 <= len(frames) <= 64
-    steps = np.diff(run_import(tmp_path, "place", "support_share=0")["frames"]["t_ns"])[:-1] * 1e-9
+    steps = np.diff(run_import(tmp_path, "place", "max_support_fraction=0")["frames"]["t_ns"])[:-1] * 1e-9
     assert steps.min() >= 0.25 and steps.max() <= 0.75
 
 

@@ -83,7 +83,7 @@ def test_brightness_is_read_as_the_converter_reads_it(tmp_path: Path) -> None:
 def test_frames_written_ahead_are_the_frames_that_are_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, share: float
 ) -> None:
-    settings = ["min_frames=0", "rate_hz=1", f"support_share={share}"]
+    settings = ["min_frames=0", "rate_hz=1", f"max_support_fraction={share}"]
     write_stray_scanner(tmp_path / "ahead" / "captures" / "place" / "walk", make_walk(240, rate_hz=30.0, every=1))
     shutil.copytree(tmp_path / "ahead", tmp_path / "again")
     with monkeypatch.context() as patch:

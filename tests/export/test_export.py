@@ -266,7 +266,7 @@ def test_our_importer_reads_what_other_tools_read(scene: DataRoot, name: str) ->
     assert [(s.session_id, s.split, len(s.frames)) for s in sessions] == [("walk0", None, 19), ("walk1", "test", 20)]
     for session in sessions:
         assert not session.rejects and not session.notes
-        assert (session.poses_are, session.metric, session.gravity_aligned) == ("reference", True, True)
+        assert (session.pose_source, session.metric, session.gravity_aligned) == ("reference", True, True)
         for raw in session.frames:
             frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
             found[frame_id] = raw.vio_T_cam
@@ -279,7 +279,7 @@ def test_our_importer_reads_what_other_tools_read(scene: DataRoot, name: str) ->
 
 @pytest.mark.parametrize(
     ("scale_source", "unit"),
-    [("reference, unit unknown", "a reference's unit, which isn't known"), ("none", "SfM's unit")],
+    [("reference, unit unknown", "a reference's unknown unit"), ("none", "SfM's unit")],
 )
 def test_a_map_of_unknown_unit_is_not_exported_as_metres(scene: DataRoot, scale_source: str, unit: str) -> None:
     path = scene.run("tiny", "Place", "align") / "ground_truth.parquet"
@@ -311,7 +311,7 @@ def test_intrinsics_that_a_format_has_no_place_for_lie_beside(scene: DataRoot) -
 def test_frames_without_ground_truth_are_left_out_and_listed(scene: DataRoot, name: str) -> None:
     out = _export(scene, name, "--images", "none")
     note = json.loads((out / "export.json").read_text())
-    assert (note["frames"], note["left_out"], note["simulated"], note["format"]) == (FRAMES, 1, True, name)
+    assert (note["frames"], note["excluded"], note["simulated"], note["format"]) == (FRAMES, 1, True, name)
     listed = pd.read_csv(out / "frames.csv", keep_default_na=False).set_index("frame_id")
     assert len(listed) == FRAMES + 1
     assert listed.loc[UNREGISTERED, ["image", "quality"]].tolist() == ["", "none"]
@@ -344,7 +344,7 @@ def test_images_are_linked_or_copied(scene: DataRoot) -> None:
 def test_nothing_is_overwritten_unasked_and_never_what_is_no_export(scene: DataRoot) -> None:
     out = _export(scene, "tum")
     (out / "mark").touch()
-    with pytest.raises(UserError, match="already"):
+    with pytest.raises(UserError, match="holds earlier exports"):
         _export(scene, "tum")
     assert (out / "mark").exists()
     _export(scene, "tum", "--force")
@@ -353,7 +353,7 @@ def test_nothing_is_overwritten_unasked_and_never_what_is_no_export(scene: DataR
     other = scene.root.parent / "out" / "colmap"
     other.mkdir()
     (other / "thesis.txt").touch()
-    with pytest.raises(UserError, match="something else"):
+    with pytest.raises(UserError, match="other files"):
         _export(scene, "colmap", "--force")
     assert (other / "thesis.txt").exists()
 

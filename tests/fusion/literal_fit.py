@@ -1,4 +1,4 @@
-"""The fit of `hindsight` as it is defined, slow and literal: scipy's least squares over all predictions, in turns
+"""The fit of `drift_aware` as it is defined, slow and literal: scipy's least squares over all predictions, in turns
 with what each counts and how their errors go together. It shares no code with fusion/."""
 
 from itertools import pairwise

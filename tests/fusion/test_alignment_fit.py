@@ -1,4 +1,6 @@
-"""The pieces of `hindsight`'s fit, each alone, and the whole beside its slow, literal definition."""
+"""The pieces of `drift_aware`'s fit, each alone, and the whole beside its slow, literal definition."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +13,10 @@ from upright_walks import upright_walk
 from groundwalk.fusion import robust
 from groundwalk.fusion.aligner import counted
 from groundwalk.fusion.alignment_chain import Chain, applied, errors, solve
-from groundwalk.fusion.hindsight import Hindsight, HindsightOptions
+from groundwalk.fusion.bounds import alignment_covariance, turned
+from groundwalk.fusion.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.keyframes import Keyframes
-from groundwalk.fusion.odometry_quality import drift_factors
+from groundwalk.fusion.odometry_quality import OdometryQuality
 from groundwalk.fusion.prediction_noise import Prior, scatter, side_turn_correlation, whitening, whitening_of_covariance
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import yaw_rotation
@@ -144,8 +147,8 @@ def test_predictions_made_standing_still_count_as_one():
 @pytest.mark.parametrize("seed", range(2))
 def test_the_fit_is_what_it_is_defined_to_be(seed):
     t_ns, _, vio, apr = upright_walk(seed, 9)
-    options = HindsightOptions(rivals=False, distrust=False)
-    fast = Hindsight(options)
+    options = DriftAwareOptions(rivals=False, distrust=False)
+    fast = DriftAware(options)
     for t, v, a in zip(t_ns, vio, apr, strict=True):
         fast.step(int(t), v, a)
     for _ in range(10):
@@ -160,21 +163,43 @@ def test_the_fit_is_what_it_is_defined_to_be(seed):
     assert np.abs(found - slow[:, :3]).max() < 1e-2
 
 
-def table_of(vio, measured, drift=1e-3):
-    table = Keyframes(None)
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vio, axis=0), axis=1))])
+def judged(vio, measured, size=0.25):
+    """Factors of drift after predictions (N, 3) beside odometry (N, 3)."""
+    quality = OdometryQuality()
     for i in range(len(vio)):
-        added = np.array([drift, drift, drift, 1e-5])
-        table.add(vio=vio[i], measured=[*measured[i], 0, 0, 0], drift=added, along=along[i], time_s=float(i))
-    return table
+        way = vio[i] - vio[i - 1] if i else np.zeros(3)
+        drift = np.array([1e-3, 1e-3, 1e-3, 1e-5])
+        quality.update(
+            np.append(measured[i], 0.0), np.array([size, 1e-3]), way, float(np.linalg.norm(way)), drift, 0.0, 0.0
+        )
+    return quality.factors
 
 
 def test_drift_is_told_from_predictions_that_are_wrong_alike():
+    """Whatever size was expected of their errors."""
     rng = np.random.default_rng(6)
     vio = np.column_stack([2.0 * np.arange(90), np.zeros(90), np.zeros(90)])
     alike = np.zeros((90, 3))
     for i in range(1, 90):
         alike[i] = 0.6 * alike[i - 1] + rng.normal(0, 0.5, 3)
-    assert np.allclose(drift_factors(table_of(vio, vio + alike)), 1)
     drifted = np.cumsum(rng.normal(0, 1.0, (90, 3)), axis=0)
-    assert drift_factors(table_of(vio, vio + drifted))[0] > 100
+    for size in (0.01, 0.25, 10.0):
+        assert judged(vio, vio + alike, size)[0] < 4
+        assert judged(vio, vio + drifted, size)[0] > 50
+
+
+def test_bounds_are_the_fits_own_where_errors_are_independent_and_grow_as_they_are_shared():
+    t_ns, _, vio, apr = upright_walk(0, 30)
+    localiser = DriftAware(DriftAwareOptions(keyframes=40))
+    for t, v, a in zip(t_ns, vio, apr, strict=True):
+        localiser.step(int(t), v, a)
+    keyframes, model = localiser._keyframes, localiser._model
+    fit = localiser._iterated()
+    for at in (5, 29):
+        own = turned(fit.solution.covariance(at), keyframes.column("state")[at, 3])
+        alone, some, all_alike = (
+            alignment_covariance(keyframes, fit, replace(model, shared=share, shared_m=1e6), at)
+            for share in (0.0, 0.5, 1.0)
+        )
+        assert np.allclose(alone, own, rtol=1e-6, atol=1e-12)
+        assert (np.diag(own) < np.diag(some)).all() and (np.diag(some) < np.diag(all_alike)).all()

@@ -210,7 +210,7 @@ def test_error_state_refuses_outliers_and_begins_anew():
 def test_offline_methods_say_so():
     for method in METHODS.values():
         assert isinstance(method.make(method.options()), Offline) == (not method.causal)
-    assert [m.id for m in METHODS.values() if not m.causal] == ["smoother", "hindsight_late", "vio_oracle"]
+    assert [m.id for m in METHODS.values() if not m.causal] == ["smoother", "vio_oracle"]
 
 
 def test_oracle_is_exact_for_odometry_without_drift_between_jumps():

@@ -73,10 +73,26 @@ def test_methods_learn_from_held_out_frames_and_never_from_those_that_are_judged
         r.tables["errors"].set_index(["method", "frame_id"])["live_position_m"] for r in (learnt, not_learnt)
     )
     changed = (ours - without).abs().groupby("method").max() > 1e-9
-    assert set(changed.index[changed]) == {"drift_aware", "smoother", "hindsight", "hindsight_late"}
+    assert set(changed.index[changed]) == {"drift_aware", "smoother"}
     # Predictions say themselves what was held out, where frames don't.
     relabelled = frames.assign(split=frames["split"].replace("val", "train"))
     pd.testing.assert_frame_equal(run(relabelled, truth, predictions).tables["error_maps"], table)
+
+
+def test_held_out_frames_say_which_method_is_ahead():
+    frames, truth, predictions = held_out_tables()
+    found = run(frames, truth, predictions).tables["validation"]
+    assert set(found["frames"]) == {80} and list(found.loc[found["ahead"], "method"]) != []
+    assert found.groupby("model")["ahead"].sum().tolist() == [1]
+    assert not set(found["method"]) & {"smoother", "vio_oracle"}
+    # Its figures are those of an evaluation of these frames, in which nothing is learnt from them.
+    summary = run(frames, truth, predictions, splits=["val"]).tables["summary"]
+    summary = summary[(summary["subset"] == "all") & (summary["scored"] == "method")].set_index("method")
+    for figure in ("coverage_pct", "position_mean_m", "rotation_mean_deg"):
+        assert np.allclose(found[figure], summary.loc[found["method"], figure])
+    assert "validation" not in run(frames, truth, predictions, splits=["test", "val"]).tables
+    unseen = predictions[predictions["split"] == "test"]
+    assert "validation" not in run(frames, truth, unseen).tables
 
 
 def test_offline_methods_do_not_shrink_what_causal_ones_are_compared_on():
@@ -432,8 +448,8 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path, monkeypa
     files = parquet_files(tmp_path, *tables([1]))
     out = tmp_path / "out"
     for folder, message in (
-        (tmp_path, "something else"),
-        (files.frames, "something else"),
+        (tmp_path, "other files"),
+        (files.frames, "other files"),
         (files.frames / "out", "can't be made"),
     ):
         with pytest.raises(UserError, match=message):
@@ -447,7 +463,7 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path, monkeypa
     note = json.loads((out / "evaluation.json").read_text())
     assert note["counts"]["frames"] == 40 and note["settings"]["methods"] == ["apr"]
     assert note["inputs"]["frames"]["sha256"] == hashlib.sha256(files.frames.read_bytes()).hexdigest()
-    with pytest.raises(UserError, match="results already"):
+    with pytest.raises(UserError, match="holds earlier results"):
         write(files, out)
     (out / "stale.parquet").touch()
 

@@ -2,11 +2,12 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 import pytest
 from tables import tables
 
-from groundwalk.artefacts import DataRoot, StageRun
+from groundwalk.artefacts import DataRoot, StageRun, UserError
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import read_table
 from groundwalk.fusion.stage import STAGE, FuseSettings
@@ -32,11 +33,18 @@ def stage_run(tmp_path, scene, inputs):
     return r
 
 
-def scene_inputs(scene, seeds, models):
+def scene_inputs(scene, seeds, models, localisers=()):
+    """Localisers' predictions are the true poses, but for every fourth frame, which they refuse."""
     frames, truth, predictions = tables(seeds, models)
+    refused = np.arange(len(truth)) % 4 == 0
+    poses = [column for column in truth if column.startswith("map_cam")]
+    said = truth.assign(scene=scene, refusal=np.where(refused, "few_matches", None))
+    said.loc[refused, poses] = np.nan
+    localised = [said.assign(model=model) for model in localisers] or [said[:0].assign(model="")]
     return {
         ("import", scene): frames,
         ("align", scene): truth,
+        ("localise", scene): pd.concat(localised),
         ("train", scene): predictions.assign(scene=scene, inference_ms=1.0),
     }
 
@@ -71,3 +79,24 @@ def test_a_group_uses_its_own_models_and_its_members_others(group):
     assert set(errors["scene"]) == {"A", "B"} and not errors.duplicated(["method", "model", "frame_id"]).any()
     worst = errors.groupby("model")["apr_position_m"].median()
     assert worst["PN"] < 10 and worst["MS-T"] > 100
+
+
+def test_structure_localisers_are_fused_and_their_refusals_fail(tmp_path):
+    inputs = scene_inputs("A", [1, 2], ("PN",), ("Map",))
+    r = stage_run(tmp_path, "A", inputs)
+    STAGE.run(r)
+    errors = read_table(r.work / "errors.parquet", schema("fuse", "errors"))
+    mine = errors[(errors["model"] == "Map") & (errors["method"] == "apr")]
+    assert len(mine) == 80 and mine["apr_position_m"].isna().sum() == 20
+    assert mine["apr_position_m"].max() < 1e-9
+    assert r.figures["predictions_refused"] == 20
+    assert r.figures["predictions_not_finite"] == inputs["train", "A"]["map_cam_tx"].isna().sum()
+    summary = read_table(r.work / "summary.parquet", schema("fuse", "summary"))
+    alone = summary.query("model == 'Map' and method == 'apr' and subset == 'all' and scored == 'method'").iloc[0]
+    assert (alone["answered"], alone["frames"], alone["high_pct"]) == (60, 80, 75)
+    assert "Map" in set(errors.loc[errors["method"] == "mobilearloc", "model"])
+
+
+def test_a_regressor_and_a_localiser_of_one_name_are_refused(tmp_path):
+    with pytest.raises(UserError, match="a regressor and a structure localiser are called 'PN'"):
+        STAGE.run(stage_run(tmp_path, "A", scene_inputs("A", [1], ("PN",), ("PN",))))

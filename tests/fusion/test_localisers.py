@@ -16,7 +16,7 @@ from groundwalk.scoring.errors import position_error
 CAUSAL = [name for name, method in METHODS.items() if method.causal]
 RATE = 60
 # A method that keeps predictions grows until it has as many as it ever will: 64 of them, one a second.
-FULL_AT = {"hindsight": 5_000}
+FULL_AT = {"drift_aware": 5_000}
 
 
 def made(name: str) -> Localiser:

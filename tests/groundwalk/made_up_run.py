@@ -19,16 +19,19 @@ NEEDS = {
     "import": (),
     "sfm": ("import",),
     "align": ("import", "sfm"),
+    "localise": ("import", "sfm", "align"),
     "train": ("import", "align"),
-    "fuse": ("import", "align", "train"),
+    "fuse": ("import", "align", "localise", "train"),
 }
 DEFAULTS = {"float64": 0.0, "int64": 0, "bool": False, "string": "", "list<float64>": [], "list<string>": []}
 
 
 def filled(stage: str, table: str, count: int, **columns: object) -> pd.DataFrame:
-    """A table of its schema: null where that may be, zero or nothing elsewhere, but for the columns given."""
+    """A table of its schema: null where that may be, else the first choice, zero or nothing, but for columns given."""
     of = schema(stage, table)
-    values = {c.name: [None if c.nullable else DEFAULTS[c.dtype]] * count for c in of.columns}
+    values = {
+        c.name: [None if c.nullable else next(iter(c.choices or ()), DEFAULTS[c.dtype])] * count for c in of.columns
+    }
     values |= {f"{prefix}_qw": [1.0] * count for prefix in pose_prefixes(of)}
     return pd.DataFrame(values, dtype=object).assign(**columns)  # type: ignore[arg-type]
 
@@ -92,7 +95,15 @@ class MadeUpRun:
         truth = filled("align", "ground_truth", FRAMES, **self._keys, **pose_frame("map_cam", poses), quality="A")
         truth = truth.assign(fx=31.0, fy=31.0, cx=16.0, cy=12.0, distortion=[[0.1, -0.2]] * FRAMES)
         truth.loc[LOST, "quality"] = "none"
-        return {"ground_truth": truth.assign(scale_source="vio", vertical_source="gravity")}
+        sessions = filled("align", "sessions", 2, session_id=["walk-0", "walk-1"])
+        return {"ground_truth": truth.assign(scale_source="vio", vertical_source="gravity"), "sessions": sessions}
+
+    def _localise(self) -> dict[str, pd.DataFrame]:
+        """Poses of the test frames, of which the last one is refused."""
+        poses = np.where((np.arange(FRAMES) == FRAMES - 1)[:, None, None], np.nan, self.map_T_cam)
+        predicted = filled("localise", "predictions", FRAMES, **self._keys, **pose_frame("map_cam", poses), model="Map")
+        predicted.loc[FRAMES - 1, ["refusal", "reason"]] = "few_features", "3 features, 30 needed"
+        return {"predictions": predicted[predicted["split"] == "test"]}
 
     def _train(self) -> dict[str, pd.DataFrame]:
         predicted = pose_frame("map_cam", self.map_T_cam)

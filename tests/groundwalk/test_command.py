@@ -85,7 +85,7 @@ def test_each_package_s_command_is_one_of_groundwalk_s(packages: dict[str, Any])
 def test_a_stage_s_command_has_its_package_s_name_for_it() -> None:
     stages = [command for command in all_commands() if command.is_stage]
     assert tuple(command.name for command in stages) == STAGES
-    assert all(command._stage().name == command.name for command in stages)
+    assert all(command.stage().name == command.name for command in stages)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_a_stage_s_command_has_its_package_s_name_for_it() -> None:
     [
         ("groundwalk s", 1, ["scenes", "simulate", "sfm", "sweep"]),
         ("groundwalk sfm --scene C", 3, ["Church"]),
-        ("groundwalk train --profile ", 3, ["demo", "paper", "tiny"]),
+        ("groundwalk train --profile ", 3, ["demo", "paper", "standard", "tiny"]),
         ("groundwalk align --fo", 2, ["--force"]),
     ],
 )

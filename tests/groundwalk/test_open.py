@@ -49,7 +49,7 @@ def test_each_property_is_its_table(make_run: Make) -> None:
     made = make_run()
     run = open_place(made)
     for name, (stage, table) in PROPERTIES.items():
-        if name not in ("frames", "points"):
+        if name not in ("frames", "points", "predictions"):
             expected = pd.read_parquet(made.folder / stage / f"{table}.parquet")
             pd.testing.assert_frame_equal(getattr(run, name), expected)
     assert len(run.frames) == FRAMES and len(run.table("import", "frames")) == FRAMES + 1
@@ -57,6 +57,17 @@ def test_each_property_is_its_table(make_run: Make) -> None:
     changed = run.errors
     changed["position_m"] = 7.0
     assert (run.errors["position_m"] == 0.5).all()
+
+
+def test_predictions_are_those_of_regressors_and_localisers(make_run: Make) -> None:
+    made = make_run()
+    both = open_place(made).predictions
+    assert both.groupby("model", sort=False).size().to_dict() == {"PN": FRAMES, "Map": FRAMES // 2}
+    assert both.loc[both["model"] == "PN", ["inliers", "refusal"]].isna().all(axis=None)
+    refused = both[both["refusal"].notna()]
+    assert refused["reason"].tolist() == ["3 features, 30 needed"] and refused["map_cam_tx"].isna().all()
+    shutil.rmtree(made.folder / "train")
+    assert set(open_place(made).predictions["model"]) == {"Map"}
 
 
 def test_the_docs_of_a_property_say_each_columns_unit() -> None:
@@ -262,7 +273,7 @@ def test_a_group_names_its_scenes(make_run: Make) -> None:
         _ = groundwalk.open("two", profile="tiny", data=made.data.root).predictions
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/python.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/reference/python.md"])
 def test_the_documented_lines_run(page: str, make_run: Make, capsys: pytest.CaptureFixture[str]) -> None:
     made = make_run()
     _, _, block = (ROOT / page).read_text(encoding="utf-8").partition("```python\nimport groundwalk\n")

@@ -76,7 +76,7 @@ def test_the_installed_command_works_outside_the_checkout(run: Run) -> None:
     done = run("groundwalk", "--help")
     assert done.returncode == 0 and "simulate" in done.stdout, done.stderr
     done = run("groundwalk", "scenes")
-    assert {"demo", "paper", "tiny", "Church", "outdoor"} <= set(done.stdout.split()), done.stderr
+    assert {"demo", "standard", "paper", "tiny", "Church", "outdoor"} <= set(done.stdout.split()), done.stderr
     done = run("python", "-c", "import groundwalk; print(groundwalk.CHECKOUT, groundwalk.__file__)")
     assert done.stdout.split()[0] == "None" and str(ROOT) not in done.stdout
     done = run("python", "-c", "import groundwalk; groundwalk.open('Church')")

@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
-from groundwalk.localisation.build import Training
 from groundwalk.localisation.features import Features
 from groundwalk.localisation.frames import Views
+from groundwalk.localisation.prepared import Training
 
 LENS = (0.09, -0.12, 0.0, 0.0)
 LOGGED = Camera(640, 480, 480.0, 480.0, 321.0, 239.0)

@@ -12,23 +12,25 @@ from groundwalk.localisation.build import build_map
 from groundwalk.localisation.calibration import Trial, calibrated
 from groundwalk.localisation.compact import read_map, write_map
 from groundwalk.localisation.hloc import HLocLocaliser
+from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings, StructureSettings
 from groundwalk.localisation.map_file import read_sections, write_sections
+from groundwalk.localisation.prepared import prepare
 from groundwalk.localisation.query import MapLocaliser
-from groundwalk.localisation.settings import MapSettings
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 
-SETTINGS = MapSettings(pairs_per_frame=6, max_points=900)
+EXTRACTION, SETTINGS = StructureSettings(pairs_per_frame=6), MapSettings(max_points=900)
 
 
 @pytest.fixture(scope="module")
 def built():
     scene, views = place(), walk(15)
-    return scene, training(scene, views), *build_map("room", training(scene, views), SETTINGS)
+    prepared = prepare("room", training(scene, views), EXTRACTION)
+    return scene, prepared, build_map(prepared, SETTINGS)
 
 
 @pytest.fixture(scope="module")
 def file(built, tmp_path_factory):
-    path = tmp_path_factory.mktemp("map") / "map.gwmap"
+    path = tmp_path_factory.mktemp("map") / "map.gwm"
     write_map(path, built[2])
     return path
 
@@ -45,57 +47,57 @@ def test_queries_are_localised(built, file):
             answer = localiser.localise_features(seen, LOGGED, gravity, prior)
             assert answer.map_T_cam is not None, answer.reason
             assert position_error(answer.map_T_cam, truth) < 0.05 and rotation_error_deg(answer.map_T_cam, truth) < 0.6
-            assert answer.inliers == len(answer.points) == len(answer.pixels) <= len(seen)
+            assert answer.inliers == answer.seen.inlier.sum() <= len(seen)
             assert np.linalg.eigvalsh(answer.covariance).min() > 0
 
 
 def test_hloc_localises_the_same(built):
-    hloc = HLocLocaliser(built[3], built[1].features, built[2].lenses, retrieved=5)
+    hloc = HLocLocaliser(built[1], HLocSettings(retrieved=5))
     views = walk(3, seed=9, moving=False)
     for view in range(3):
         answer = hloc.localise_features(features(built[0], views, view, seed=5), LOGGED)
         assert position_error(answer.map_T_cam, views.map_T_cam[view]) < 0.05
     parts = hloc.bytes_by_part()
-    assert parts["descriptors"] == 128 * sum(len(f) for f in built[1].features)
+    assert parts["descriptors"] == 128 * sum(len(f) for f in built[1].training.features)
 
 
 def test_bad_queries_are_refused_with_their_reason(built, file):
     localiser = MapLocaliser(read_map(file))
     black = np.zeros((480, 640), np.uint8)
-    assert localiser.localise(black, LOGGED).refused == "few_features"
-    assert localiser.localise(np.zeros((640, 480), np.uint8), LOGGED).refused == "image_size"
+    assert localiser.localise(black, LOGGED).refusal == "few_features"
+    assert localiser.localise(np.zeros((640, 480), np.uint8), LOGGED).refusal == "image_size"
     noise = np.random.default_rng(0).integers(0, 255, (480, 640), np.uint8)
     for answer in (
         localiser.localise(noise, LOGGED),
         localiser.localise_features(features(place(seed=7), walk(3), 1), LOGGED),
         localiser.localise_features(features(place(seed=7), walk(3), 1), LOGGED, np.array([0, 1.0, 0])),
     ):
-        assert answer.map_T_cam is None and answer.covariance is None and answer.refused and answer.reason
+        assert answer.map_T_cam is None and answer.covariance is None and answer.refusal and answer.reason
 
 
 def test_hidden_points_take_no_part(built, file):
     localiser = MapLocaliser(read_map(file))
-    answer = localiser.localise_features(built[1].features[3], LOGGED)
+    answer = localiser.localise_features(built[1].training.features[3], LOGGED)
     hidden = np.zeros(len(localiser.map.xyz), bool)
-    hidden[answer.points[::2]] = True
-    again = localiser.localise_features(built[1].features[3], LOGGED, hidden=hidden)
-    assert not hidden[again.points].any()
+    hidden[answer.seen.points[answer.seen.inlier][::2]] = True
+    again = localiser.localise_features(built[1].training.features[3], LOGGED, hidden=hidden)
+    assert not hidden[again.seen.points].any()
 
 
 def test_calibration_asks_for_more_inliers_than_wrong_answers_had(built, file):
     localiser = MapLocaliser(read_map(file))
-    views = built[1].views
+    views = built[1].training.views
     trials = [
         Trial(localiser.localise_features(f, LOGGED), views.map_T_cam[row], 20 + row)
-        for row, f in enumerate(built[1].features)
+        for row, f in enumerate(built[1].training.features)
     ]
     assert calibrated(trials).min_inliers == 43  # 1.25 times 34
     assert calibrated(trials[:3]).min_inliers == 30
 
 
 def test_same_training_frames_give_the_same_bytes(built, file, tmp_path):
-    write_map(tmp_path / "again.gwmap", build_map("room", training(built[0], walk(15)), SETTINGS)[0])
-    assert (tmp_path / "again.gwmap").read_bytes() == file.read_bytes()
+    write_map(tmp_path / "again.gwm", build_map(prepare("room", training(built[0], walk(15)), EXTRACTION), SETTINGS))
+    assert (tmp_path / "again.gwm").read_bytes() == file.read_bytes()
 
 
 def test_a_map_comes_back_as_it_was_written(built, file):
@@ -124,7 +126,7 @@ def test_a_map_comes_back_as_it_was_written(built, file):
     ],
 )
 def test_files_that_are_no_whole_map_are_refused(file, tmp_path, change, message):
-    damaged = tmp_path / "damaged.gwmap"
+    damaged = tmp_path / "damaged.gwm"
     damaged.write_bytes(change(file.read_bytes()))
     with pytest.raises(UserError, match=message):
         read_map(damaged)
@@ -150,8 +152,8 @@ def test_sections_are_aligned_and_named(file):
 def test_a_killed_write_leaves_no_map(built, tmp_path, monkeypatch):
     monkeypatch.setattr("groundwalk.localisation.map_file.replace_synced", _killed)
     with pytest.raises(KeyboardInterrupt):
-        write_map(tmp_path / "map.gwmap", built[2])
-    assert not (tmp_path / "map.gwmap").exists()
+        write_map(tmp_path / "map.gwm", built[2])
+    assert not (tmp_path / "map.gwm").exists()
 
 
 def _killed(*_):
@@ -173,3 +175,19 @@ print(sorted({{"torch", "open3d", "pycolmap"}} & set(sys.modules)))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_sure_answer_is_of_the_small_image_and_others_of_the_whole(built, file, monkeypatch):
+    localiser, sizes = MapLocaliser(read_map(file)), []
+    views = walk(3, seed=9, moving=False)
+    seen = features(built[0], views, 1, seed=5)
+    monkeypatch.setattr("groundwalk.localisation.query.extract", lambda _, *size: sizes.append(size) or seen)
+    picture = np.zeros((480, 640), np.uint8)
+    for sure_m, expected in ((10.0, [(512, 400)]), (0.0, [(512, 400), (1024, 640)])):
+        monkeypatch.setattr("groundwalk.localisation.query._SURE_M", sure_m)
+        sizes.clear()
+        assert localiser.localise(picture, LOGGED).map_T_cam is not None
+        assert sizes == expected
+    sizes.clear()
+    localiser.localise(picture, LOGGED, prior=views.map_T_cam[1])
+    assert sizes == [(410, 320), (1024, 640)]

@@ -9,7 +9,7 @@ from groundwalk.geometry.poses import inverse
 from groundwalk.localisation.frames import rays
 from groundwalk.localisation.matching import covisible_pairs, mutual_matches
 from groundwalk.localisation.selection import covering_points
-from groundwalk.localisation.structure import match_views, structure_of
+from groundwalk.localisation.structure import matched_features, matches_of, structure_of
 from groundwalk.localisation.tracks import Rays, epipolar_error_px, tracks, triangulate
 
 
@@ -89,10 +89,11 @@ def test_pairs_are_of_frames_that_see_the_same():
 def test_structure_is_of_true_points():
     scene, views = place(), walk(10)
     given = training(scene, views)
-    structure = structure_of(views, match_views(views, given.features, 6))
+    pairs = matched_features(views, given.features, 6)
+    structure = structure_of(views, matches_of(views, given.features, pairs))
     away = cKDTree(scene.xyz).query(structure.points.xyz)[0]
     assert len(away) > 400 and np.median(away) < 0.02 and np.quantile(away, 0.99) < 0.3
-    fewer = structure_of(views, match_views(views, given.features, 6), np.arange(10) != 4)
+    fewer = structure_of(views, matches_of(views, given.features, pairs), np.arange(10) != 4)
     assert not (fewer.view[fewer.points.feature] == 4).any()
 
 

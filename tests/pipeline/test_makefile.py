@@ -160,7 +160,7 @@ def test_every_stage_s_manifest_is_precious(folder: Path) -> None:
     database = make(folder, "-pn", "scene=Church", "profile=tiny", "all").stdout
     precious = next(line for line in database.splitlines() if line.startswith(".PRECIOUS:")).split()[1:]
     recipes = make(folder, "-n", "scene=Church", "profile=tiny", "all").stdout
-    assert recipes.count(".venv/bin/python -m") == 7
-    stages = ("import", "sfm", "align", "train", "fuse", "report")
+    assert recipes.count(".venv/bin/python -m") == 8
+    stages = ("import", "sfm", "align", "localise", "train", "fuse", "report")
     expected = {f"data/runs/tiny/Church/{stage}/manifest.json" for stage in stages}
     assert set(precious) == expected | {"data/captures/Church/SIMULATED.json"}

@@ -30,9 +30,11 @@ class MadeUpScene:
     """One scene's tables: walks around a 40 x 30 m place, a heavy-tailed regressor, a fused method."""
 
     def __init__(
-        self, name: str, seed: int, train: int = 60, test: int = 30, mixed: bool = False, uncertain: float = 0.0
-    ) -> None:
-        self.name = name
+        self, name: str, seed: int, train: int = 60, test: int = 30, mixed: bool = False, uncertain: float = 0.0,
+        localisers: tuple[str, ...] = (),
+    ) -> None:  # fmt: skip
+        self.name, self.localisers = name, localisers
+        self.models = (*MODELS, *localisers)
         self.rng = np.random.default_rng(seed)
         splits = {"walk_1": "train", "walk_2": "train", "walk_3": "test", "walk_4": "test"}
         rows, poses = [], []
@@ -90,14 +92,18 @@ class MadeUpScene:
         lost = truth.index[truth["split"] == "test"][3]
         truth.loc[lost, [c for c in truth if c.startswith("map_cam")]] = np.nan
         truth.loc[lost, ["quality", "reason"]] = "none", "not registered"
-        predictions, poses, errors = [], [], []
-        for model in MODELS:
+        localised, predictions, poses, errors = [], [], [], []
+        for model in self.models:
             raw = self.disturbed(0.6, 2.0)
-            predictions.append(
-                pd.concat([frames, pose_frame("map_cam", raw)], axis=1).assign(
-                    model=model, scene=self.name, covariance=None, picked_scene=self.name, inference_ms=12.0
+            if model in self.localisers:
+                raw = np.where(self.refused[:, None, None], np.nan, self.map_T_cam)
+                localised.append(self._localised(model, raw))
+            else:
+                predictions.append(
+                    pd.concat([frames, pose_frame("map_cam", raw)], axis=1).assign(
+                        model=model, scene=self.name, covariance=None, picked_scene=self.name, inference_ms=12.0
+                    )
                 )
-            )
             for method, options, *_ in METHODS:
                 fused, errs = self._fused(model, method, options, raw)
                 poses.append(fused)
@@ -105,7 +111,13 @@ class MadeUpScene:
         return {
             "import": {"frames": imported, "sessions": self._sessions(), "rejects": self._rejects()},
             "sfm": {"images": self._images(lost)},
-            "align": {"ground_truth": truth, "sessions": self._aligned(), "drift": self._drift(), "gate": self._gate()},
+            "align": {
+                "ground_truth": truth,
+                "sessions": self._aligned(),
+                "drift": self._drift(),
+                "checks": self._checks(),
+            },
+            "localise": self._localise(localised),
             "train": {"predictions": pd.concat(predictions), "history": self._history(), "models": self._cards()},
             "fuse": {
                 "poses": pd.concat(poses),
@@ -117,10 +129,41 @@ class MadeUpScene:
             },
         }
 
+    @property
+    def refused(self) -> Array:
+        """The frames (N,) that each structure localiser refuses: every sixth."""
+        return np.arange(len(self.frames)) % 6 == 0
+
+    def _localised(self, model: str, poses: Array) -> pd.DataFrame:
+        refusal = pd.Series(np.where(self.refused, "thin_evidence", None), dtype=object)
+        return pd.concat([self.frames, pose_frame("map_cam", poses)], axis=1).assign(
+            model=model, scene=self.name, picked_scene=self.name, covariance=None, inference_ms=60.0, cpu_ms=80.0,
+            inliers=90, candidates=120, refusal=refusal, reason=refusal,
+        )  # fmt: skip
+
+    def _localise(self, localised: list[pd.DataFrame]) -> dict[str, pd.DataFrame]:
+        keys = {name: schema("localise", name).column_names for name in ("predictions", "models", "storage")}
+        models = [
+            {"model": model, "label": model, "meaning": "a made-up map", "file": "map.gwm", "bytes": 3 << 19,
+             "points": 2000, "train_frames": 108, "seed": 0, "config": "{}", "device": "made-up cores",
+             "inference_ms": 60.0, "cpu_ms": 80.0, "build_cpu_seconds": 7.0}
+            for model in self.localisers
+        ]  # fmt: skip
+        storage = [
+            {"model": model, "part": part, "bytes": size << 19}
+            for model in self.localisers
+            for part, size in (("descriptors", 2), ("points", 1))
+        ]
+        tables = {"predictions": localised, "models": [pd.DataFrame(models)], "storage": [pd.DataFrame(storage)]}
+        return {
+            name: pd.concat(rows)[keys[name]] if self.localisers else pd.DataFrame(columns=keys[name])
+            for name, rows in tables.items()
+        }
+
     def _fused_sessions(self) -> pd.DataFrame:
         """As good as odometry can be, but that `apr` never answers in walk_4."""
         rows = []
-        for model, (method, options, *_), session in product(MODELS, METHODS, ("walk_3", "walk_4")):
+        for model, (method, options, *_), session in product(self.models, METHODS, ("walk_3", "walk_4")):
             never = method == "apr" and session == "walk_4"
             row = {"method": method, "options": options, "model": model, "scene": self.name, "session_id": session}
             row |= {
@@ -142,7 +185,7 @@ class MadeUpScene:
         rows = [
             figures | counts | usual | {"scene": self.name, "model": model, "varied": varied, varied: value}
             | {"subset": subset, "position_mean_m": 1.0 + i, "rotation_mean_deg": 3.0 + i, "coverage_pct": 60.0 + i}
-            for model in MODELS
+            for model in self.models
             for varied, tried in values.items()
             for i, value in enumerate(tried)
             for subset in ("rp+opt", "all")
@@ -151,7 +194,7 @@ class MadeUpScene:
 
     def _intervals(self) -> pd.DataFrame:
         rows = []
-        for model in MODELS:
+        for model in self.models:
             for method, value in (("apr", 2.0), ("mobilearloc", 1.5), ("smoother", 1.0)):
                 key = {"method": method, "options": "{}", "model": model, "scene": self.name, "subset": "all"}
                 key |= {"value": value, "low": 0.8 * value, "high": None if method == "apr" else 1.3 * value}
@@ -210,7 +253,7 @@ class MadeUpScene:
                     "images": n,
                     "frames": n,
                     "support_frames": 0,
-                    "poses_are": "vio",
+                    "pose_source": "vio",
                     "reference_unit": None,
                     "up": "+y",
                     "split": split,
@@ -264,15 +307,15 @@ class MadeUpScene:
             frame[name] = figure if name == "samples" else figure * frame["factor"]
         return frame.drop(columns="factor")
 
-    def _gate(self) -> pd.DataFrame:
-        row = {"check": "window_motion", "session_id": "walk_1", "t_start_ns": 0, "t_end_ns": SECOND, "frames": 10}
+    def _checks(self) -> pd.DataFrame:
+        row = {"check": "window_position", "session_id": "walk_1", "t_start_ns": 0, "t_end_ns": SECOND, "frames": 10}
         row |= {"value": 0.01, "limit": 0.1, "unit": "m", "sd": None, "status": "passed", "reason": ""}
-        row |= {"advice": "", "component": 0, "cause": ""}
+        row |= {"advice": "", "component": 0, "cause": None}
         failed = row | {
             "session_id": "walk_2",
             "value": 0.3,
             "status": "failed",
-            "reason": "VIO and the model disagree",
+            "reason": "pose in SfM inconsistent with VIO",
         }
         undecided = failed | {"check": "ruler_scale", "value": None, "limit": 0.03, "status": "undecided"}
         undecided["reason"] = "board: seen once"

@@ -138,6 +138,35 @@ def test_without_sure_ground_truth_no_level_is_scored(chair: tuple[DataRoot, Pat
     assert int(rows[1][1]) + int(rows[2][1]) == 24 and "no level can be scored" in page
 
 
+def test_structure_localisers_stand_beside_the_regressors(make_run: MakeRun) -> None:
+    data = make_run(Yard={"train": 30, "test": 24, "localisers": ("Map",)})
+    (data.root / "scenes").mkdir(exist_ok=True)
+    (data.root / "scenes" / "Yard.toml").write_text('environment = "outdoor"\n')
+    folder = execute(STAGE, "Yard", "tiny", data)
+    said = table_of(data, "Yard", "localise", "predictions")
+    said = said[(said["split"] == "test")]
+    refused = int(said["refusal"].notna().sum())
+    assert refused == 8
+    one = cells_of(folder, source="ours", table="I", model="Map").set_index("quantity")["text"]
+    assert (one["Map storage"], one["Map runtime"]) == ("1.5", "60.0")
+    errors = table_of(data, "Yard", "fuse", "errors")
+    errors = errors[(errors["split"] == "test") & (errors["model"] == "Map")].drop_duplicates("frame_id")
+    levels = cells_of(folder, source="ours", table="III", row="rp", model="Map", method="apr", over="all")
+    high = levels.loc[levels["quantity"] == "high", "value"].iloc[0]
+    assert high == pytest.approx(100 * errors["apr_position_m"].notna().mean()) and high < 90  # a refusal fails
+    assert "Map, same frames" in (folder / "tables" / "table2.md").read_text()
+    table = (folder / "tables" / "table1.md").read_text()
+    assert "Yard, storage of Map in MB: descriptors 1.00, points 0.50." in table
+    for number in (2, 3):
+        text = (folder / "tables" / f"table{number}.md").read_text()
+        assert f"Yard: Map refused {refused} of {len(said)} test frames" in text
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    assert "Structure localisers" in page and f"{refused} thin_evidence of {len(said)}" in page
+    findings = read_table(folder / "checks.parquet", schema("report", "checks"))
+    wrong = findings[findings["check"] == "no_wrong_answer"]
+    assert wrong["column"].tolist() == ["Map pose"] and wrong["verdict"].tolist() == ["agrees"]
+
+
 def test_the_page_shows_what_a_user_sees(church: tuple[DataRoot, Path]) -> None:
     _, folder = church
     page = (folder / "page.html").read_text(encoding="utf-8")
@@ -151,9 +180,18 @@ def test_the_page_shows_what_a_user_sees(church: tuple[DataRoot, Path]) -> None:
 def test_checks_that_are_undecided_are_not_counted_as_failed(church: tuple[DataRoot, Path]) -> None:
     _, folder = church
     page = (folder / "page.html").read_text(encoding="utf-8")
-    table = page[page.index('id="gate-Church"') :]
+    table = page[page.index('id="consistency-Church"') :]
     rows = [re.findall(r"<td[^>]*>(.*?)</td>", r) for r in re.findall(r"<tr.*?</tr>", table[: table.index("</table>")])]
-    assert ["window_motion", "failed: VIO and the model disagree", "m", "2", "1", "0", "0.01 to 0.3", "0.1"] in rows
+    assert [
+        "window_position",
+        "failed: pose in SfM inconsistent with VIO",
+        "m",
+        "2",
+        "1",
+        "0",
+        "0.01 to 0.3",
+        "0.1",
+    ] in rows
     assert ["ruler_scale", "undecided: board: seen once", "m", "1", "0", "1", "–", "0.03"] in rows
 
 
@@ -336,6 +374,30 @@ def test_a_run_without_the_papers_rule(make_run: MakeRun, methods: list[str], he
     assert set(cells_of(report, source="ours", table="IV")["method"]) == set(methods)
     assert headline in (report / "page.html").read_text()
     assert "the paper's rule, wasn't run" in (report / "tables" / "table2.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("ahead", "headline", "more"),
+    [
+        ("mobilearloc", "PN+VIO, median", "ahead on frames held out"),
+        ("apr", "PN, median", "no method that fuses beats it"),
+    ],
+)
+def test_the_headline_leads_with_what_is_ahead_on_held_out_frames(
+    make_run: MakeRun, ahead: str, headline: str, more: str
+) -> None:
+    data = make_run(Bar={"train": 12, "test": 8})
+    folder = data.run("tiny", "Bar", "fuse")
+    figures = {"frames": 4, "coverage_pct": 100.0, "position_mean_m": 1.0, "rotation_mean_deg": 2.0}
+    rows = [
+        {"method": name, "model": model, "scene": "Bar", "ahead": name == ahead} | figures
+        for model in ("PN", "MS-T")
+        for name in ("apr", "mobilearloc")
+    ]
+    write_table(folder / "validation.parquet", pd.DataFrame(rows), schema("fuse", "validation"))
+    write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})
+    page = (execute(STAGE, "Bar", "tiny", data) / "page.html").read_text()
+    assert headline in page and more in page
 
 
 def test_bad_input_is_a_clear_error(make_run: MakeRun) -> None:

@@ -1,0 +1,1 @@
+"""Consistency checks before ground truth is given out: each compares one estimate with its limit."""

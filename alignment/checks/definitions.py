@@ -1,0 +1,160 @@
+"""What each check estimates, in which unit, and what to do where it failed or is undecided."""
+
+from dataclasses import dataclass
+
+from groundwalk.artefacts.choices import CheckName, CheckUnit, FailureCause
+
+ANY_SCENE = "<scene>"
+"""Stands in advice for the scene's name."""
+
+
+def setting_of(name: str) -> str:
+    """Where a user sets a setting of the stage."""
+    return f"[align] {name} in data/scenes/{ANY_SCENE}.toml"
+
+
+_EXCLUDE_SESSION = "take the session out of the captures' folder"
+ADVICE_BY_CAUSE = {
+    FailureCause.MIRRORED_IMAGES: f"write the images as the camera sees them, not mirrored; or {_EXCLUDE_SESSION}",
+    FailureCause.MISMATCHED_IMAGES: f"give each image the time and pose that it was taken at; or {_EXCLUDE_SESSION}",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckDefinition:
+    """What a check estimates; the value must be at most the limit, or at least (`limit_is_minimum`). `remedy`: what to
+    do where it failed; `evidence`: what would decide it."""
+
+    estimate: str
+    unit: CheckUnit
+    remedy: str = ""
+    evidence: str = ""
+    limit_is_minimum: bool = False
+
+
+DEFINITIONS = {
+    CheckName.REGISTERED: CheckDefinition(
+        estimate="registered frames",
+        unit=CheckUnit.FRACTION,
+        remedy=f"capture with more overlap between images, or lower {setting_of('min_registered_fraction')}",
+        limit_is_minimum=True,
+    ),
+    CheckName.SESSION_REGISTERED: CheckDefinition(
+        estimate="registered frames",
+        unit=CheckUnit.FRACTION,
+        remedy=f"{_EXCLUDE_SESSION}, or lower {setting_of('min_registered_fraction')}",
+        limit_is_minimum=True,
+    ),
+    CheckName.COMPONENT_SCALE: CheckDefinition(
+        estimate="metric scale of the SfM model",
+        unit=CheckUnit.FRACTION,
+        remedy="capture it again with a longer walk",
+    ),
+    CheckName.COMPONENT_VERTICAL: CheckDefinition(
+        estimate="frames with gravity", unit=CheckUnit.FRAMES, remedy="use a capture format with gravity or phone poses"
+    ),
+    CheckName.MAP_SCALE: CheckDefinition(
+        estimate="standard error of the metric scale",
+        unit=CheckUnit.FRACTION,
+        evidence="a longer walk, a second session or a ruler",
+    ),
+    CheckName.MAP_VERTICAL: CheckDefinition(
+        estimate="standard error of the vertical", unit=CheckUnit.DEGREES, evidence="a second session"
+    ),
+    CheckName.REFERENCE_SCALE: CheckDefinition(
+        estimate="standard error of the metric scale by the reference poses",
+        unit=CheckUnit.FRACTION,
+        evidence="more frames with reference poses, and their unit (reference_is_metric = true in [import] says the "
+        "metre)",
+    ),
+    CheckName.REFERENCE_VERTICAL: CheckDefinition(
+        estimate="standard error of the vertical by the reference poses",
+        unit=CheckUnit.DEGREES,
+        evidence="more frames with reference poses",
+    ),
+    CheckName.SESSION_FOCAL_LENGTH: CheckDefinition(
+        estimate="focal length estimated from the images against the captured one",
+        unit=CheckUnit.FRACTION,
+        remedy=f"correct the captured focal length, or raise {setting_of('max_focal_error')}: SfM used the estimated "
+        "one",
+        evidence="a walk that also turns and goes sideways",
+    ),
+    CheckName.SESSION_MOTION: CheckDefinition(
+        estimate="steps that VIO explains",
+        unit=CheckUnit.FRACTION,
+        remedy=f"{_EXCLUDE_SESSION}, or lower {setting_of('min_motion_agreement')}",
+        evidence="a longer walk with turns",
+        limit_is_minimum=True,
+    ),
+    CheckName.SESSION_TURNS: CheckDefinition(
+        estimate="turns in SfM against VIO's",
+        unit=CheckUnit.FRACTION,
+        remedy=f"correct the captured focal length, or raise {setting_of('max_turn_gain_error')}",
+        evidence="a walk with more turns",
+    ),
+    CheckName.SESSION_ALIASING: CheckDefinition(
+        estimate="frames at places that are far apart in VIO",
+        unit=CheckUnit.FRACTION,
+        remedy=f"capture again with distinctive views of each place, or raise {setting_of('max_aliased_fraction')}",
+    ),
+    CheckName.SESSION_SCALE: CheckDefinition(
+        estimate="the session's scale against the others'",
+        unit=CheckUnit.FRACTION,
+        remedy=f"{_EXCLUDE_SESSION}, or raise {setting_of('max_session_scale_error')}",
+        evidence="a longer walk in this session",
+    ),
+    CheckName.SESSION_VERTICAL: CheckDefinition(
+        estimate="the session's vertical against the others'",
+        unit=CheckUnit.DEGREES,
+        remedy=f"{_EXCLUDE_SESSION}, or raise {setting_of('max_session_tilt_deg')}",
+        evidence="a longer walk in this session",
+    ),
+    CheckName.RULER_SCALE: CheckDefinition(
+        estimate="the map's scale against the ruler",
+        unit=CheckUnit.FRACTION,
+        remedy=f"measure the print and correct its size in [[ruler]] of data/scenes/{ANY_SCENE}.toml",
+        evidence="views of the whole ruler from several directions, a longer walk, or use_for_scale = true in its "
+        "[[ruler]]",
+    ),
+    CheckName.WINDOW_POSITION: CheckDefinition(
+        estimate="largest distance between SfM and VIO in a window",
+        unit=CheckUnit.METRES,
+        remedy=f"capture again with more overlap there, or raise {setting_of('vio_drift_m')}",
+        evidence="more images there",
+    ),
+    CheckName.WINDOW_ROTATION: CheckDefinition(
+        estimate="largest angle between SfM and VIO in a window",
+        unit=CheckUnit.DEGREES,
+        remedy=f"capture again with more overlap there, or raise {setting_of('vio_drift_deg')}",
+        evidence="more images there",
+    ),
+    CheckName.SESSION_REFERENCE: CheckDefinition(
+        estimate="frames away from their reference poses",
+        unit=CheckUnit.FRACTION,
+        remedy=f"correct the data set's poses or intrinsics, {_EXCLUDE_SESSION}, or raise "
+        f"{setting_of('max_reference_error_m')}, max_reference_error_fraction or max_reference_error_deg",
+    ),
+    CheckName.SESSION_DEPTH_SCALE: CheckDefinition(
+        estimate="the depth sensor's depth against the map's",
+        unit=CheckUnit.FRACTION,
+        remedy="measure a length in the scene with a ruler, to see whether map or sensor is wrong; or raise "
+        f"{setting_of('max_depth_scale_error')}",
+        evidence="more frames with depth, nearer to the surfaces in view",
+    ),
+    CheckName.SESSION_DEPTH_BY_DISTANCE: CheckDefinition(
+        estimate="the depth sensor's depth against the map's, between near and far points",
+        unit=CheckUnit.FRACTION,
+        remedy=f"check the captured focal length and lens; or raise {setting_of('max_depth_spread')}",
+        evidence="more frames with depth",
+    ),
+    CheckName.SESSION_UNCERTAIN: CheckDefinition(
+        estimate="uncertain frames that are inconsistent with VIO",
+        unit=CheckUnit.FRACTION,
+        remedy=f"capture with more overlap between images, or raise {setting_of('max_uncertain_deviation')}",
+    ),
+    CheckName.COMPONENT_LINK: CheckDefinition(
+        estimate="VIO path between the SfM models",
+        unit=CheckUnit.METRES,
+        remedy=f"capture images between the two places, or raise {setting_of('vio_link_m')}",
+    ),
+}

@@ -1,0 +1,154 @@
+"""Results of checks: value, limit and status, and the frames that lose their ground truth or its class by them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundwalk.alignment.checks.definitions import ADVICE_BY_CAUSE, DEFINITIONS
+from groundwalk.artefacts.choices import CheckName, CheckUnit, FailureCause
+from groundwalk.consistency.decisions import Status, decide
+
+Rows = NDArray[np.intp]
+"""Positions in the frames table."""
+NO_ROWS: Rows = np.empty(0, dtype=np.intp)
+_PRIORITY = list(FailureCause)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What a check is about: a number of frames, their session and SfM model (empty and None: the whole scene), and the
+    times of a window's frames."""
+
+    frames: int
+    session_id: str = ""
+    component: int | None = None
+    t_ns: np.ndarray | None = None
+
+
+class Quantity(NamedTuple):
+    """A value and its standard error, which counts and known lengths don't have. No value: there is no estimate; NaN:
+    it is unknown."""
+
+    value: float | None = None
+    sd: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failure:
+    """What a failure means. `rows` then get no ground truth; where the check is undecided they are of class C at best,
+    unless `lowers_class` is false."""
+
+    cause: FailureCause
+    reason: str
+    rows: Rows = field(default_factory=lambda: NO_ROWS)
+    lowers_class: bool = True
+
+
+class Exclusion(NamedTuple):
+    """Frames that get no ground truth, and why; `is_of_model`: for a fault elsewhere in their SfM model."""
+
+    rows: Rows
+    reason: str
+    is_of_model: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckResult:
+    """A check's outcome. `exclusions` get no ground truth, `undecided_rows` class C at best."""
+
+    name: CheckName
+    subject: Subject
+    status: Status
+    value: float | None
+    sd: float | None
+    limit: float
+    cause: FailureCause | None
+    reason: str
+    exclusions: tuple[Exclusion, ...] = ()
+    undecided_rows: Rows = field(default_factory=lambda: NO_ROWS)
+
+    @property
+    def advice(self) -> str:
+        """What to do where it failed, or what would decide it; empty where it passed."""
+        definition = DEFINITIONS[self.name]
+        if self.status is Status.FAILED and self.cause in ADVICE_BY_CAUSE:
+            return ADVICE_BY_CAUSE[self.cause]
+        return {Status.FAILED: definition.remedy, Status.UNDECIDED: definition.evidence}.get(self.status, "")
+
+
+def evaluate(
+    name: CheckName,
+    subject: Subject,
+    estimate: Quantity,
+    limit: float,
+    failure: Failure,
+    status: Status | None = None,
+) -> CheckResult:
+    """Compare an estimate with its limit: passed, failed, or undecided where its standard error leaves both open or it
+    is NaN; no estimate fails. `status` where the caller has decided already."""
+    definition, (value, sd), reason = DEFINITIONS[name], estimate, failure.reason
+    if status is None:
+        is_minimum = definition.limit_is_minimum
+        status = Status.FAILED if value is None else decide(value, sd or 0.0, limit, at_least=is_minimum)
+        reason = "" if status is Status.UNDECIDED else reason
+    if status is Status.UNDECIDED and not reason:
+        figures = _with_unit(estimate, definition.unit), _with_unit(Quantity(limit), definition.unit)
+        reason = "{}: {} (limit {})".format(definition.estimate, *figures)
+    if value is None or np.isnan(value):
+        value = sd = None
+    passed = status is Status.PASSED
+    return CheckResult(
+        name=name,
+        subject=subject,
+        status=status,
+        value=value,
+        sd=None if sd is None or np.isnan(sd) else sd,
+        limit=limit,
+        cause=None if passed else failure.cause,
+        reason="" if passed else reason,
+        exclusions=(Exclusion(failure.rows, reason),) if status is Status.FAILED and len(failure.rows) else (),
+        undecided_rows=failure.rows if status is Status.UNDECIDED and failure.lowers_class else NO_ROWS,
+    )
+
+
+def with_status(results: Sequence[CheckResult], status: Status) -> list[CheckResult]:
+    """The results with this status."""
+    return [result for result in results if result.status is status]
+
+
+def exclusion_reasons(results: Sequence[CheckResult], registered: np.ndarray) -> np.ndarray:
+    """Why frames (N,) get no ground truth, empty where they do: SfM has no pose, or a check of their own excludes them,
+    or one of their model; of several the first."""
+    reasons = np.where(registered, "", "SfM didn't register it").astype(object)
+    exclusions = [exclusion for result in results for exclusion in result.exclusions]
+    for rows, reason, _ in sorted(exclusions, key=lambda exclusion: exclusion.is_of_model):
+        reasons[rows[reasons[rows] == ""]] = reason
+    return reasons
+
+
+def undecided_reasons(results: Sequence[CheckResult], count: int) -> np.ndarray:
+    """The first undecided check by which frames (count,) are of class C at best; empty where none is."""
+    reasons = np.full(count, "", dtype=object)
+    for result in results:
+        rows = result.undecided_rows[reasons[result.undecided_rows] == ""]
+        reasons[rows] = f"check {result.name} undecided: {result.reason}"
+    return reasons
+
+
+def main_failure(results: Sequence[CheckResult]) -> CheckResult | None:
+    """The failed check that names the run: by its cause, then by its frames."""
+    failed = [
+        (_PRIORITY.index(r.cause), -r.subject.frames, r) for r in results if r.status is Status.FAILED and r.cause
+    ]
+    return min(failed, key=lambda entry: entry[:2])[2] if failed else None
+
+
+def _with_unit(estimate: Quantity, unit: CheckUnit) -> str:
+    value, sd = estimate
+    if value is None or np.isnan(value):
+        return "unknown"
+    factor, symbol = (100, "%") if unit is CheckUnit.FRACTION else (1, unit)
+    return f"{factor * value:.3g}{'' if sd is None else f' ± {factor * sd:.2g}'} {symbol}"

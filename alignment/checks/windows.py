@@ -1,0 +1,107 @@
+"""Do SfM and VIO agree window by window? Where they don't, the model is wrong or VIO jumped."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from groundwalk.alignment.checks.results import CheckResult, Exclusion, Failure, Quantity, Subject, evaluate
+from groundwalk.alignment.components import Component
+from groundwalk.alignment.segments import Segment
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.artefacts.choices import CheckName, FailureCause
+from groundwalk.consistency.decisions import SIGMAS, beyond, within
+from groundwalk.consistency.vio_drift import VioDrift
+from groundwalk.consistency.windows import PoseSd, WindowResiduals, compare_windows
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array
+
+
+@dataclass(frozen=True)
+class SegmentWindow(WindowResiduals):
+    """A window of a segment: `inside` (n,) are indices of its frames."""
+
+    segment: Segment
+
+
+def segment_windows(
+    segment: Segment,
+    metric_S_sfm: Sim3,
+    window_m: float,
+    drift: VioDrift,
+    sd: PoseSd,
+    frame_sd: tuple[Array, Array] | None = None,
+) -> list[SegmentWindow]:
+    """The windows of a segment, each with VIO rigidly fitted to SfM at the common metric scale; `frame_sd`: standard
+    errors of its frames in SfM, metres and radians (N,), NaN where unknown."""
+    compared, (sfm_T_cam, vio_T_cam) = np.flatnonzero(segment.has_both), segment.trajectory_pair
+    sds = None if frame_sd is None else (np.nan_to_num(frame_sd[0][compared]), np.nan_to_num(frame_sd[1][compared]))
+    windows = compare_windows(metric_S_sfm.poses(sfm_T_cam), vio_T_cam, window_m, drift, sd, frame_sd=sds)
+    return [SegmentWindow(**{**vars(w), "inside": compared[w.inside]}, segment=segment) for w in windows]
+
+
+def component_windows(
+    component: Component, settings: AlignSettings, frame_sd: tuple[Array, Array]
+) -> list[SegmentWindow]:
+    """The windows of a metric model; `frame_sd` as for `segment_windows`, over the rows of the frames table."""
+    if not component.scale.is_known:
+        return []
+    metric_S_sfm, drift, sd = component.metric_S_sfm, settings.vio_drift, settings.fit_sd
+    return [
+        window
+        for piece in component.pieces
+        for window in segment_windows(
+            piece,
+            metric_S_sfm,
+            settings.window_m,
+            drift,
+            sd,
+            (frame_sd[0][piece.rows], frame_sd[1][piece.rows]),
+        )
+    ]
+
+
+def check_window(window: SegmentWindow) -> list[CheckResult]:
+    """Both checks of a window: its largest residuals against what VIO may drift by over its path."""
+    degrees = float(np.degrees(1.0))
+    return [
+        _check_residuals(CheckName.WINDOW_POSITION, window, window.position_m, window.position_sd_m, window.limit_m),
+        _check_residuals(
+            CheckName.WINDOW_ROTATION, window, window.rotation, window.rotation_sd, window.limit_rotation, degrees
+        ),
+    ]
+
+
+def _check_residuals(
+    name: CheckName, window: SegmentWindow, residuals: Array, sds: Array, limit: float, unit: float = 1.0
+) -> CheckResult:
+    rows, t_ns = window.segment.rows[window.inside], window.segment.t_ns[window.inside]
+    wrong, right = beyond(residuals, sds, limit), within(residuals, sds, limit)
+    # The frame that decides: beyond the limit for certain, else the one that may be furthest.
+    worst = int(np.argmax(residuals + SIGMAS * sds * (-1.0 if wrong.any() else 1.0)))
+    result = evaluate(
+        name,
+        Subject(len(rows), window.segment.session_id, window.segment.component, t_ns),
+        Quantity(unit * float(residuals[worst]), unit * float(sds[worst])),
+        unit * limit,
+        Failure(
+            cause=FailureCause.VIO_INCONSISTENT,
+            reason=f"{int(window.wrong.sum())} of {len(rows)} frames: pose in SfM inconsistent with VIO",
+        ),
+    )
+    return replace(
+        result,
+        exclusions=(Exclusion(rows[wrong], "pose in SfM inconsistent with VIO"),),
+        undecided_rows=rows[~wrong & ~right],
+    )
+
+
+def max_residuals(count: int, windows: Sequence[SegmentWindow]) -> tuple[Array, Array]:
+    """The largest residual over its windows of each row of the frames table, metres and radians (count,), NaN where it
+    is in none."""
+    metres, radians = np.full(count, np.nan), np.full(count, np.nan)
+    for window in windows:
+        rows = window.segment.rows[window.inside]
+        metres[rows] = np.fmax(metres[rows], window.position_m)
+        radians[rows] = np.fmax(radians[rows], window.rotation)
+    return metres, radians

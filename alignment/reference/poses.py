@@ -1,0 +1,60 @@
+"""Reference poses of frames, and what is known of their unit and vertical."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from groundwalk.artefacts.choices import LengthUnit, ScaleSource, UpAxis, VerticalSource
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.poses import Array
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Stated poses map_T_cam (N, 4, 4) of the rows of the frames table, NaN where there is none; whether their unit is
+    the metre, and whether their +y is up. `gives_map`: no frame has VIO, so that the map is the reference's frame."""
+
+    map_T_cam: Array
+    is_metric: bool
+    is_up_known: bool
+    gives_map: bool
+
+    @staticmethod
+    def of(frames: pd.DataFrame, reference: pd.DataFrame, sessions: pd.DataFrame) -> "Reference | None":
+        """From import's tables; None where no frame has a reference pose."""
+        map_T_cam = poses_of(reference.set_index("frame_id").reindex(frames["frame_id"]), "map_cam")
+        has_pose = np.isfinite(map_T_cam[:, 0, 0])
+        if not has_pose.any():
+            return None
+        referenced = sessions[sessions["session_id"].isin(set(frames["session_id"][has_pose]))]
+        return Reference(
+            map_T_cam,
+            is_metric=bool((referenced["reference_unit"] == LengthUnit.METRE).all()),
+            is_up_known=bool((referenced["up"] == UpAxis.Y).all()),
+            gives_map=bool(frames["vio_cam_tx"].isna().all()),
+        )
+
+    def where(self, mask: np.ndarray) -> "Reference":
+        """The rows for which `mask` (N,) holds."""
+        return replace(self, map_T_cam=self.map_T_cam[mask])
+
+    @property
+    def scale_source(self) -> ScaleSource:
+        """What gives a map in this reference's frame its scale."""
+        return ScaleSource.REFERENCE if self.is_metric else ScaleSource.REFERENCE_UNIT_UNKNOWN
+
+    @property
+    def vertical_source(self) -> VerticalSource:
+        """What gives a map in this reference's frame its vertical."""
+        return VerticalSource.REFERENCE if self.is_up_known else VerticalSource.REFERENCE_UP_UNKNOWN
+
+    @property
+    def unit(self) -> LengthUnit:
+        return LengthUnit.METRE if self.is_metric else LengthUnit.UNKNOWN
+
+    @property
+    def extent(self) -> float:
+        """Diagonal of the box around the camera positions, in the reference's unit."""
+        xyz = self.map_T_cam[np.isfinite(self.map_T_cam[:, 0, 0]), :3, 3]
+        return float(np.linalg.norm(xyz.max(axis=0) - xyz.min(axis=0)))

@@ -1,0 +1,185 @@
+"""All SfM models in one map: what no view ties to the first is linked to it by VIO over a short path."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from groundwalk.alignment.components import Component, PlacedComponent, VioLink
+from groundwalk.alignment.segments import Segment, distance_along
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.consistency.windows import PoseSd, fit_rigid
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array, heading, inverse, transform
+
+_MIN_FRAMES = 3
+
+
+@dataclass(frozen=True)
+class UnlinkedComponent:
+    """A component that isn't in the map, and why: `gap_m` is the shortest VIO path to the map, if there is any."""
+
+    component: Component
+    gap_m: float | None
+    reason: str
+
+
+class _Candidate(NamedTuple):
+    """A possible link of a component and its place by it."""
+
+    link: VioLink
+    map_S_metric: Sim3
+
+
+def place_components(
+    components: list[Component], used: np.ndarray, settings: AlignSettings
+) -> tuple[list[PlacedComponent], list[UnlinkedComponent]]:
+    """Put components (largest first) into one map. `used` (N,): frames of the frames table to fit.
+
+    The first component gives origin and heading. Each other one is linked by VIO alone, through a session that has
+    frames in it and in the map, over the shortest path of at most `vio_link_m`; half a window around it is fitted on
+    both sides. Links through several sessions must agree within VIO's drift.
+    """
+    first = components[0]
+    # Without a scale positions say nothing of the heading.
+    sd = settings.fit_sd if first.scale.is_known else PoseSd(np.inf, settings.fit_sd.rotation)
+    placed = [PlacedComponent(first, _origin(first.segments, first.metric_S_sfm, used, sd) @ first.metric_S_sfm)]
+    waiting = list(components[1:])
+    candidates: dict[int, list[_Candidate]] = {}
+    while waiting:
+        candidates = {c.index: _candidates(placed, c, used, settings) for c in waiting}
+        near = [c for c in waiting if _is_linked(candidates[c.index], settings)]
+        if not near:
+            break
+        nearest = min(near, key=lambda c: candidates[c.index][0].link.gap_m)
+        link, map_S_metric = candidates[nearest.index][0]
+        placed.append(PlacedComponent(nearest, map_S_metric @ nearest.metric_S_sfm, link))
+        waiting.remove(nearest)
+    return placed, [_unlinked(c, candidates[c.index], settings) for c in waiting]
+
+
+def link_covariance(map_xyz: Array, link: VioLink) -> Array:
+    """Covariances (N, 6, 6) at positions (N, 3) of a linked component: by its link's heading and position."""
+    arm = np.asarray(map_xyz, dtype=float) - link.anchor
+    jacobian = np.zeros((len(arm), 6, 4))
+    jacobian[:, 1, 0] = 1.0
+    jacobian[:, 3:, 0] = np.cross([0.0, 1.0, 0.0], arm)
+    jacobian[:, 3:, 1:] = np.eye(3)
+    variance = np.array([link.heading_sd, *[link.position_sd_m] * 3]) ** 2
+    return np.einsum("nij,j,nkj->nik", jacobian, variance, jacobian)
+
+
+def _is_linked(candidates: list[_Candidate], settings: AlignSettings) -> bool:
+    is_near = bool(candidates) and candidates[0].link.gap_m <= settings.vio_link_m
+    return is_near and not _contradiction(candidates, settings)
+
+
+def _unlinked(component: Component, candidates: list[_Candidate], settings: AlignSettings) -> UnlinkedComponent:
+    if not candidates:
+        sessions = ", ".join(sorted({s.session_id for s in component.segments}))
+        return UnlinkedComponent(component, None, f"no view and no VIO path links {sessions} to the map")
+    gap_m = candidates[0].link.gap_m
+    if gap_m <= settings.vio_link_m:
+        return UnlinkedComponent(
+            component, gap_m, f"VIO links contradict each other: {_contradiction(candidates, settings)}"
+        )
+    reason = f"no view links it to the map; VIO path without a registered frame {gap_m:.1f} m"
+    return UnlinkedComponent(component, gap_m, reason)
+
+
+def _candidates(
+    placed: list[PlacedComponent], component: Component, used: np.ndarray, settings: AlignSettings
+) -> list[_Candidate]:
+    """Links of a component to those in the map, by every piece of a session that has frames in both; shortest first."""
+    candidates = [
+        _candidate(each, component, _usable(a, used), _usable(b, used), settings)
+        for each in placed
+        for a in (each.component.pieces if each.component.scale.is_known else [])
+        for b in component.pieces
+        if (a.session_id, a.index) == (b.session_id, b.index)
+    ]
+    return sorted((c for c in candidates if c is not None), key=lambda candidate: candidate.link.gap_m)
+
+
+def _usable(piece: Segment, used: np.ndarray) -> Segment:
+    return piece.where(piece.has_both & used[piece.rows])
+
+
+def _candidate(
+    placed: PlacedComponent, component: Component, a: Segment, b: Segment, settings: AlignSettings
+) -> _Candidate | None:
+    """A link through the frames `a` of a placed component and `b` of another; None where they are too few."""
+    if min(len(a.rows), len(b.rows)) < _MIN_FRAMES:
+        return None
+    window_m, drift = settings.window_m / 2, settings.vio_link_sd
+    # Drift bends the path within a window more than it turns the camera: rotations determine the heading.
+    bending = PoseSd(drift.position_m * np.sqrt(window_m), drift.rotation * np.sqrt(window_m))
+    along_a, along_b = _along(a, b)
+    nearest = np.unravel_index(np.argmin(np.abs(along_a[:, None] - along_b)), (len(along_a), len(along_b)))
+    gap_m = float(abs(along_a[nearest[0]] - along_b[nearest[1]]))
+    middle = (along_a[nearest[0]] + along_b[nearest[1]]) / 2
+    near_a, near_b = (_near(along, middle, (window_m + gap_m) / 2) for along in (along_a, along_b))
+    map_T_cam = placed.map_S_sfm.poses(a.sfm_T_cam[near_a])
+    metric_T_cam = component.metric_S_sfm.poses(b.sfm_T_cam[near_b])
+    map_T_vio, _, _ = fit_rigid(map_T_cam, a.vio_T_cam[near_a], bending, yaw_only=True)
+    metric_T_vio, _, _ = fit_rigid(metric_T_cam, b.vio_T_cam[near_b], bending, yaw_only=True)
+    map_T_metric = map_T_vio @ inverse(metric_T_vio)
+    path_m = float(abs(along_a[near_a].mean() - along_b[near_b].mean()))
+    link = VioLink(
+        a.session_id,
+        gap_m,
+        path_m,
+        transform(map_T_vio, b.vio_T_cam[near_b, :3, 3]).mean(axis=0),
+        float(np.hypot(settings.fit_sd.position_m, drift.position_m * np.sqrt(path_m))),
+        float(drift.rotation * np.sqrt(path_m)),
+    )
+    return _Candidate(link, Sim3(1.0, map_T_metric[:3, :3], map_T_metric[:3, 3]))
+
+
+def _contradiction(candidates: list[_Candidate], settings: AlignSettings) -> str | None:
+    """Where another link that isn't too long puts the component elsewhere than the first one does; None if none
+    does."""
+    link, map_S_metric = candidates[0]
+    anchor, drift = map_S_metric.inverse().points(link.anchor), settings.vio_drift
+    for other, other_S_metric in candidates[1:]:
+        if other.gap_m > settings.vio_link_m:
+            continue
+        limit_m, limit_rad = (float(law(link.path_m + other.path_m)) for law in (drift.metres, drift.radians))
+        turn = abs(float(heading(other_S_metric.rotation @ map_S_metric.rotation.T)))
+        shift_m = float(np.linalg.norm(other_S_metric.points(anchor) - link.anchor))
+        arm_m = float(np.linalg.norm(link.anchor - other.anchor))
+        if turn > limit_rad or shift_m > limit_m + arm_m * limit_rad:
+            apart = f"{shift_m:.2f} m and {np.degrees(turn):.1f} degrees apart"
+            return f"{link.session_id} and {other.session_id} put it {apart}"
+    return None
+
+
+def _along(a: Segment, b: Segment) -> tuple[Array, Array]:
+    """How far along the VIO path through the frames of both each frame lies, in metres."""
+    t_ns = np.concatenate([a.t_ns, b.t_ns])
+    xyz = np.concatenate([a.vio_T_cam, b.vio_T_cam])[:, :3, 3]
+    order = np.argsort(t_ns, kind="stable")
+    along = np.empty(len(t_ns))
+    along[order] = distance_along(xyz[order])
+    return along[: len(a.rows)], along[len(a.rows) :]
+
+
+def _near(along: Array, middle: float, reach_m: float) -> np.ndarray:
+    """Indices of the frames within reach of a place on the path; at least the nearest few."""
+    distance = np.abs(along - middle)
+    near = np.flatnonzero(distance <= reach_m)
+    return near if len(near) >= _MIN_FRAMES else np.argsort(distance, kind="stable")[:_MIN_FRAMES]
+
+
+def _origin(segments: list[Segment], metric_S_sfm: Sim3, used: np.ndarray, sd: PoseSd) -> Sim3:
+    """Origin and heading: those of the VIO frame of the first segment with three frames or more in both; without one,
+    the place of the first frame, with the heading as it comes."""
+    for segment in segments:
+        both = segment.has_both & used[segment.rows]
+        if both.sum() >= _MIN_FRAMES:
+            metric_T_cam = metric_S_sfm.poses(segment.sfm_T_cam[both])
+            metric_T_vio, _, _ = fit_rigid(metric_T_cam, segment.vio_T_cam[both], sd, yaw_only=True)
+            vio_T_metric = inverse(metric_T_vio)
+            return Sim3(1.0, vio_T_metric[:3, :3], vio_T_metric[:3, 3])
+    first = next(s.where(s.registered & used[s.rows]) for s in segments if np.any(s.registered & used[s.rows]))
+    return Sim3(1.0, np.eye(3), -metric_S_sfm.poses(first.sfm_T_cam[:1])[0, :3, 3])

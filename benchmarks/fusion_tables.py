@@ -1,0 +1,113 @@
+"""The fusion benchmark's walks as tables in a folder, for `groundwalk fusion leaderboard`.
+
+`python -m benchmarks.fusion_tables OUT` writes simulated walks; with `--predictions FOLDER` also published predictions
+of real regressors (benchmarks/real_predictions.py) at each number of frames a second that `--every` names. Frames held
+out of the simulated regressors' training go along as split `val`."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import typer
+
+from benchmarks import fusion_inputs as inputs
+from benchmarks.fusion_inputs import Case
+from benchmarks.real_predictions import DEVELOPMENT, STRIDES, real_cases
+from benchmarks.regressor_errors.fit import REGRESSORS
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.tables import pose_frame
+from groundwalk.fusion.walks import Walk
+from groundwalk.simulation.scenes import NAMES
+
+KINDS = (inputs.SIMULATED, *inputs.BAD_ODOMETRY, inputs.KIDNAPPED)
+app = new_app(__doc__ or "")
+
+
+@app.command()
+def main(
+    out: Annotated[Path, typer.Argument(help="Folder to write; a folder a group of walks in it.")],
+    predictions: Annotated[Path | None, typer.Option(help="Folder of published predictions.")] = None,
+    published_scenes: Annotated[str, typer.Option(help="Their scenes, joined by commas.")] = ",".join(DEVELOPMENT),
+    every: Annotated[str, typer.Option(help="Frames of 7-Scenes that are a second, joined by commas.")] = "30,10",
+    kinds: Annotated[str, typer.Option(help="Kinds of simulated walks, joined by commas.")] = ",".join(KINDS),
+    seeds: Annotated[int, typer.Option(min=1, help="Draws of odometry's drift for published predictions.")] = 3,
+) -> None:
+    """Write the tables."""
+    lines = []
+    if predictions is not None:
+        for stride in map(int, every.split(",")):
+            group = f"real predictions, 7-Scenes' {stride} frames a second"
+            strides = STRIDES | {"7Scenes": stride}
+            write_cases(out / group, real_cases(predictions, published_scenes.split(","), range(seeds), strides))
+        lines.append(
+            f"real predictions: github.com/lck666666/HR-APR, scenes {published_scenes.replace(',', ', ')}; odometry is "
+            f"simulated from the true poses with the fitted drift, seeds 0 to {seeds - 1}; the method was tuned on them"
+        )
+    for kind in kinds.split(","):
+        draws = [inputs.simulated_case(kind, scene, model, [0]) for scene in NAMES for model in REGRESSORS]
+        write_cases(out / kind, draws, held_out=True)
+    lines.append(
+        "other groups: simulated walks, odometry and predictions (as wrong as the published PN and MS-T), seed 0, with "
+        "held-out frames of training walks"
+    )
+    (out / "about.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def write_cases(folder: Path, cases: Sequence[Case], held_out: bool = False) -> None:
+    """The three tables of each scene: its models' cases have the same walks."""
+    for scene in dict.fromkeys(case.scene for case in cases):
+        of_scene = [case for case in cases if case.scene == scene]
+        walks = of_scene[0].walks
+        frames = [_keys(w).join([pose_frame("vio_cam", w.vio_T_cam), _gravity(w)]) for w in walks]
+        truth = [_keys(w).join(pose_frame("map_cam", w.map_T_cam)) for w in walks]
+        apr = [
+            _keys(w).join(pose_frame("map_cam", w.map_T_cam_apr)).assign(model=case.model)
+            for case in of_scene
+            for w in case.walks
+        ]
+        if held_out:
+            learnt = [_held_out(case) for case in of_scene]
+            frames.append(learnt[0][0])
+            truth.append(learnt[0][1])
+            apr += [part[2] for part in learnt]
+        place = folder / scene
+        place.mkdir(parents=True, exist_ok=True)
+        for name, parts in (("frames", frames), ("ground_truth", truth), ("predictions", apr)):
+            _stacked(parts).to_parquet(place / f"{name}.parquet", index=False)
+
+
+def _stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    return pd.concat(parts, ignore_index=True)
+
+
+def _keys(walk: Walk) -> pd.DataFrame:
+    return pd.DataFrame(
+        {"frame_id": walk.frame_id, "session_id": walk.session_id, "split": walk.split, "t_ns": walk.t_ns}
+    )
+
+
+def _gravity(walk: Walk) -> pd.DataFrame:
+    return pd.DataFrame(walk.gravity, columns=["gravity_x", "gravity_y", "gravity_z"])
+
+
+def _held_out(case: Case) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+    """Frames, ground truth and predictions of the training walks' held-out frames."""
+    tables: tuple[list[pd.DataFrame], ...] = ([], [], [])
+    for name, map_T_cam, apr in inputs.held_out_predictions(case):
+        count = len(map_T_cam)
+        keys = pd.DataFrame(
+            {"session_id": name, "split": "val", "t_ns": np.arange(count) * 10**9},
+            index=range(count),
+        )
+        keys["frame_id"] = [f"{name}/{i:06d}" for i in range(count)]
+        tables[0].append(keys.join(pose_frame("vio_cam", np.full((count, 4, 4), np.nan))))
+        tables[1].append(keys.join(pose_frame("map_cam", map_T_cam)))
+        tables[2].append(keys.join(pose_frame("map_cam", apr)).assign(model=case.model))
+    frames, truth, predictions = map(_stacked, tables)
+    return frames, truth, predictions
+
+
+if __name__ == "__main__":
+    app()

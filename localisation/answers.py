@@ -1,0 +1,115 @@
+"""What a localiser says of an image: a pose with its evidence, or a refusal with its reason."""
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundwalk.artefacts.choices import Refusal
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.poses import Array
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """M keypoints px (M, 2) that were matched with points: their rows in the localiser's points (M,), and which are
+    inliers (M,)."""
+
+    px: Array
+    points: Ints
+    inlier: NDArray[np.bool_]
+
+
+NOTHING_SEEN = Seen(np.empty((0, 2)), np.empty(0, np.int64), np.empty(0, bool))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A pose map_T_cam (4, 4) with its covariance (6, 6) of (rotation, position) in the map's axes, rad and m, where
+    the localiser gives one; or neither, with the `refusal` and its `reason`, the figures.
+
+    `candidates` keypoints were matched with points, `inliers` keypoints agree with the pose; `seen` has both. Seconds
+    by part.
+    """
+
+    map_T_cam: Array | None
+    covariance: Array | None
+    refusal: Refusal | None
+    reason: str
+    candidates: int
+    inliers: int
+    seen: Seen
+    seconds: dict[str, float]
+
+
+@dataclass
+class Clock:
+    """Seconds by part."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def refused(
+    refusal: Refusal, reason: str, clock: Clock, candidates: int = 0, inliers: int = 0, seen: Seen = NOTHING_SEEN
+) -> Answer:
+    """An answer without a pose."""
+    return Answer(None, None, refusal, reason, candidates, inliers, seen, clock.seconds)
+
+
+def of_another_size(grey: NDArray[np.uint8], camera: Camera) -> Answer | None:
+    """The refusal of an image (H, W) whose intrinsics are for another size or orientation; None where they fit."""
+    if grey.shape[:2] == (camera.height, camera.width):
+        return None
+    sizes = f"image {grey.shape[1]} x {grey.shape[0]} px, intrinsics for {camera.width} x {camera.height} px"
+    return refused(Refusal.IMAGE_SIZE, sizes, Clock())
+
+
+def seen_by(px: Array, points: Ints, matches: Ints, inliers: Ints) -> Seen:
+    """What a query saw: `matches` (M, 2) and `inliers` (I, 2) are keypoints, rows of `px` (K, 2), and points, rows of
+    `points` (C,); a match is an inlier or left out where its keypoint has one."""
+    outliers = matches[~np.isin(matches[:, 0], inliers[:, 0])]
+    both = np.concatenate([inliers, outliers])
+    return Seen(px[both[:, 0]], points[both[:, 1]], np.arange(len(both)) < len(inliers))
+
+
+def write_answer(path: Path, answer: Answer, cost_s: tuple[float, float]) -> None:
+    """Keep an answer, and its seconds on the clock and of all cores, in a safe point."""
+    partial = path.with_name(path.name + ".partial")
+    evidence = {name: getattr(answer, name) for name in ("refusal", "reason", "candidates", "inliers", "seconds")}
+    with partial.open("wb") as file:
+        np.savez(
+            file,
+            map_T_cam=np.empty(0) if answer.map_T_cam is None else answer.map_T_cam,
+            covariance=np.empty(0) if answer.covariance is None else answer.covariance,
+            px=answer.seen.px,
+            points=answer.seen.points,
+            inlier=answer.seen.inlier,
+            evidence=np.array(json.dumps(evidence)),
+            cost_s=np.array(cost_s),
+        )
+    partial.replace(path)
+
+
+def read_answer(path: Path) -> tuple[Answer, tuple[float, float]]:
+    """The answer and its seconds of a safe point."""
+    with np.load(path) as kept:
+        pose, covariance = (kept[name] if kept[name].size else None for name in ("map_T_cam", "covariance"))
+        seen = Seen(kept["px"], kept["points"], kept["inlier"])
+        wall_s, cpu_s = kept["cost_s"].tolist()
+        evidence = json.loads(str(kept["evidence"]))
+        refusal = evidence.pop("refusal")
+        answer = Answer(pose, covariance, refusal and Refusal(refusal), **evidence, seen=seen)
+        return answer, (wall_s, cpu_s)

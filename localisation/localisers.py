@@ -1,0 +1,93 @@
+"""The structure localisers: what a record of one says, what one does, and those that there are."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundwalk.artefacts.registry import Colour, Entry, Registry, callable_faults, colour_faults
+from groundwalk.localisation.localiser_settings import LocaliserSettings
+
+if TYPE_CHECKING:
+    from groundwalk.geometry.cameras import Camera
+    from groundwalk.geometry.poses import Array
+    from groundwalk.localisation.answers import Answer
+    from groundwalk.localisation.prepared import Prepared, Track
+
+
+class Localiser(Protocol):
+    """Answers queries from points of a map."""
+
+    @property
+    def xyz(self) -> "Array":
+        """The points (P, 3) in the map."""
+        ...
+
+    def bytes_by_part(self) -> dict[str, int]:
+        """What a query needs, in bytes."""
+        ...
+
+    def localise(
+        self,
+        grey: NDArray[np.uint8],
+        camera: "Camera",
+        gravity: "Array | None" = None,
+        prior: "Array | None" = None,
+        *,
+        seed: int = 0,
+    ) -> "Answer":
+        """The answer for a grey image (H, W). camera: as the phone logged it; gravity: unit vector (3,), down, in the
+        camera; prior: about where the camera is, map_T_cam (4, 4). What a localiser has no use for it ignores."""
+        ...
+
+
+class FileLocaliser(Localiser, Protocol):
+    """A localiser out of a file of its own."""
+
+    @property
+    def scene(self) -> str:
+        """The scene of the map."""
+        ...
+
+
+@dataclass(frozen=True)
+class LocaliserFile:
+    """How a localiser is kept: its file's suffix, `write(path, localiser)` and `read(path)`, which raises UserError for
+    a file that it can't use."""
+
+    suffix: str
+    write: Callable[[Path, Any], None]
+    read: Callable[[Path], FileLocaliser]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StructureLocaliser(Entry):
+    """A structure localiser: `build(prepared, settings, track)` makes it from training frames and
+    shows progress with `track`.
+
+    colour: of its poses in recordings. settings: its section [localise.localisers.<id>]. gives_covariance: its answers
+    have one. file: how it's kept for queries outside the stage; None where it isn't.
+    """
+
+    noun: ClassVar[str] = "structure localiser"
+
+    colour: Colour
+    settings: type[LocaliserSettings]
+    build: Callable[["Prepared", Any, "Track"], Localiser] = field(repr=False)
+    gives_covariance: bool
+    file: LocaliserFile | None
+
+    def faults(self) -> Iterable[str]:
+        yield from super().faults()
+        yield from colour_faults(self.colour)
+        yield from callable_faults(self, ["build"])
+        if not (isinstance(self.settings, type) and issubclass(self.settings, LocaliserSettings)):
+            yield f"settings is {self.settings!r}, not a class derived from LocaliserSettings"
+        if not (self.file is None or isinstance(self.file, LocaliserFile)):
+            yield f"file is {self.file!r}, not a LocaliserFile or None"
+
+
+LOCALISERS = Registry("groundwalk.structure_localisers", StructureLocaliser)

@@ -1,0 +1,284 @@
+"""Stage 4: build structure localisers from the training frames, and localise the others."""
+
+import json
+import platform
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from groundwalk.artefacts import Stage, StageRun, UserError
+from groundwalk.artefacts.cores import usable_cores
+from groundwalk.artefacts.parallel import in_parallel
+from groundwalk.artefacts.registry import PluginError
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import camera_of, pose_frame, poses_of
+from groundwalk.geometry.poses import Array
+from groundwalk.localisation.answers import Answer, read_answer, write_answer
+from groundwalk.localisation.build import MIN_POINTS
+from groundwalk.localisation.features import Features, extract, keep_features, load_features
+from groundwalk.localisation.inputs import grey, read_inputs, training_of
+from groundwalk.localisation.localisers import LOCALISERS, Localiser
+from groundwalk.localisation.prepared import Prepared, match, prepared_from
+from groundwalk.localisation.record import blueprint, record
+from groundwalk.localisation.settings import LocaliseSettings
+from groundwalk.localisation.threads import one_thread
+from groundwalk.scoring.errors import position_error, rotation_error_deg
+
+_MIN_FRAMES = 5
+_WRONG_M, _WRONG_DEG = 1.0, 5.0
+
+
+@dataclass(frozen=True)
+class Result:
+    """A localiser's row of `models`, its rows of `storage`, and its answers, one a query."""
+
+    model: dict[str, Any]
+    storage: dict[str, int]
+    xyz: Array
+    answers: list[Answer]
+    cost_s: Array
+
+
+def run(r: StageRun[LocaliseSettings]) -> None:
+    with one_thread():
+        localise(r)
+
+
+def localise(r: StageRun[LocaliseSettings]) -> None:
+    """Build the localisers, and write what they say of each query."""
+    queries = r.dataset_frames()
+    queries = queries[queries["split"].isin(r.settings.splits)].sort_values(["session_id", "t_ns"])
+    queries = queries.reset_index(drop=True)
+    results: dict[str, Result] = {}
+    faults: list[PluginError] = []
+    usable = [name for name in r.settings.models if name in LOCALISERS]
+    if usable:
+        prepared = prepare(r)
+        for name in usable:
+            try:
+                with LOCALISERS.guard(name):
+                    results[name] = localised(r, name, prepared, queries)
+            except PluginError as fault:
+                faults.append(fault)
+    say_faults(r, faults, len(results))
+    write_results(r, queries, results)
+
+
+def prepare(r: StageRun[LocaliseSettings]) -> Prepared:
+    """The training frames with ground truth, their features, matches and points; UserError where they are too few."""
+    inputs = read_inputs(r.data.run(r.profile, r.scene.name))
+    rows = np.flatnonzero((inputs.frames["split"] == "train").to_numpy())
+    if len(rows) < _MIN_FRAMES:
+        raise UserError(
+            f"scene {r.scene.name} has too few frames to build a map from",
+            where=r.folder("align"),
+            expected=f"{_MIN_FRAMES} frames of split train with ground truth",
+            found=f"{len(rows)} of {int((r.dataset_frames()['split'] == 'train').sum())}",
+            do="check the scene's split rules, and what align says about its ground truth; or leave structure "
+            "localisers out: [localise] models = []",
+        )
+    training = training_of(inputs, rows, features_of(r, inputs.frames["image"].iloc[rows]))
+    file = r.scratch / "matches.npy"
+    with r.step("match"):
+        if not file.exists():
+            pairs = match(training, r.settings, r.track)
+            begun = file.with_suffix(".partial.npy")
+            np.save(begun, pairs)
+            begun.replace(file)
+        pairs = np.load(file)
+    with r.step("points"):
+        prepared = prepared_from(r.scene.name, training, r.settings, pairs)
+    points = len(prepared.structure.points.xyz)
+    r.figure("points", points)
+    r.say(f"{points} points, seen by {len(rows)} training frames")
+    if points < MIN_POINTS:
+        raise UserError(
+            f"scene {r.scene.name} has too few points to localise by",
+            expected=f"{MIN_POINTS} points that two training frames see",
+            found=f"{points} by {len(rows)} frames",
+            do="capture with more overlap and texture; or leave structure localisers out: [localise] models = []",
+        )
+    return prepared
+
+
+def features_of(r: StageRun[LocaliseSettings], images: "pd.Series[str]") -> list[Features]:
+    """The features of the training images; those that a run before extracted are read."""
+    folder = r.scratch / "features"
+    folder.mkdir(exist_ok=True)
+
+    def kept(item: tuple[int, str]) -> Features:
+        file = folder / f"{item[0]}.npz"
+        if not file.exists():
+            grey_image = grey(r.image_path(item[1]))
+            keep_features(file, extract(grey_image, r.settings.max_features, r.settings.max_side))
+        return load_features(file)
+
+    with r.step("features"):
+        return list(in_parallel(kept, r.track(list(enumerate(images)), "reading training frames", len(images))))
+
+
+def localised(r: StageRun[LocaliseSettings], name: str, prepared: Prepared, queries: pd.DataFrame) -> Result:
+    """A localiser, built, and what it says of each query."""
+    entry = LOCALISERS[name]
+    settings = r.settings.localisers[name]
+    file, path = "" if entry.file is None else f"{name.lower()}{entry.file.suffix}", None
+    with r.step(f"build {name}"):
+        began = time.process_time()
+        if entry.file is None:
+            localiser: Localiser = entry.build(prepared, settings, r.track)
+        else:
+            path = r.work / file
+            if not path.exists():
+                entry.file.write(path, entry.build(prepared, settings, r.track))
+            localiser = entry.file.read(path)
+        build_s = time.process_time() - began
+    answers, cost_s = answered(r, name, localiser, queries)
+    storage = localiser.bytes_by_part()
+    medians = np.median(1000 * cost_s, axis=0).tolist() if len(cost_s) else [None, None]
+    shared = {key: getattr(r.settings, key) for key in ("max_features", "max_side", "pairs_per_frame")}
+    model = {
+        "model": name,
+        "label": entry.label,
+        "meaning": entry.meaning,
+        "file": file,
+        "bytes": sum(storage.values()) if path is None else path.stat().st_size,
+        "points": len(localiser.xyz),
+        "train_frames": len(prepared.training.views),
+        "seed": r.seed,
+        "config": json.dumps(shared | settings.model_dump(mode="json"), sort_keys=True),
+        "device": f"{platform.machine()} CPU, {usable_cores()} threads",
+        "inference_ms": medians[0],
+        "cpu_ms": medians[1],
+        "build_cpu_seconds": build_s,
+    }
+    report_accuracy(r, name, queries, answers)
+    return Result(model, storage, localiser.xyz, answers, cost_s)
+
+
+def answered(
+    r: StageRun[LocaliseSettings], name: str, localiser: Localiser, queries: pd.DataFrame
+) -> tuple[list[Answer], Array]:
+    """What a localiser says of each query, and what that cost (Q, 2), s: on the clock and of all cores."""
+    folder = r.scratch / name
+    folder.mkdir(exist_ok=True)
+    gravity = queries[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
+    answers: list[Answer] = []
+    costs: list[tuple[float, float]] = []
+    with r.step(f"localise {name}"):
+        for row in r.track(range(len(queries)), f"{name}: localising", len(queries)):
+            file = folder / f"{row}.npz"
+            if not file.exists():
+                down = gravity[row] if np.isfinite(gravity[row]).all() else None
+                image, camera = grey(r.image_path(queries["image"].iloc[row])), camera_of(queries.iloc[row])
+                wall, cpu = time.perf_counter(), time.process_time()
+                answer = localiser.localise(image, camera, down, seed=r.seed)
+                cost_s = time.perf_counter() - wall, time.process_time() - cpu
+                write_answer(file, answer, cost_s)
+            answer, cost = read_answer(file)
+            answers.append(answer)
+            costs.append(cost)
+    return answers, np.array(costs).reshape(-1, 2)
+
+
+def report_accuracy(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFrame, answers: list[Answer]) -> None:
+    """Keep, as figures, how many test frames were answered and how well; a refused frame is infinitely wrong."""
+    truth = r.read("align", "ground_truth").set_index("frame_id").reindex(queries["frame_id"])
+    true = poses_of(truth, "map_cam")
+    tested = np.flatnonzero((queries["split"] == "test").to_numpy() & np.isfinite(true).all(axis=(1, 2)))
+    if not len(tested):
+        return
+    position, rotation = errors_of([answers[row] for row in tested], true[tested])
+    given = np.isfinite(position)
+    wrong = int((given & ((position > _WRONG_M) | (rotation > _WRONG_DEG))).sum())
+    within = 100 * float(((position <= 0.25) & (rotation <= 2)).mean())
+    median = float(np.percentile(position, 50, method="lower"))
+    r.figure(f"{name} test frames", len(tested))
+    r.figure(f"{name} test refused", int((~given).sum()))
+    r.figure(f"{name} test wrong", wrong)
+    r.figure(f"{name} test within 0.25 m and 2 deg, %", within)
+    r.figure(f"{name} test median position_m", median if np.isfinite(median) else None)
+    shown = f"median {100 * median:.2g} cm" if np.isfinite(median) else "no median, as most are refused"
+    r.say(
+        f"{name}: {shown}, {within:.1f} % within 0.25 m and 2 deg of {len(tested)} test frames; {int((~given).sum())} "
+        f"refused, {wrong} off by more than {_WRONG_M:g} m or {_WRONG_DEG:g} deg"
+    )
+
+
+def errors_of(answers: list[Answer], truth: Array) -> tuple[Array, Array]:
+    """Position errors, m, and rotation errors, deg, of answers to frames with true poses (N, 4, 4); infinite where
+    refused."""
+    position, rotation = np.full(len(answers), np.inf), np.full(len(answers), np.inf)
+    for row, answer in enumerate(answers):
+        if answer.map_T_cam is not None:
+            position[row] = position_error(answer.map_T_cam, truth[row])
+            rotation[row] = rotation_error_deg(answer.map_T_cam, truth[row])
+    return position, rotation
+
+
+def say_faults(r: StageRun[LocaliseSettings], faults: list[PluginError], results: int) -> None:
+    """Name each plug-in that took no part, also in the manifest; UserError where no localiser is left."""
+    broken = [
+        error for name in r.settings.models for error in LOCALISERS.problems.get(name, []) if name not in LOCALISERS
+    ]
+    for fault in (*broken, *faults):
+        r.say(f"warning: {fault}")
+        r.figure(f"left out: {fault.what}", f"{fault.details['where']}: {fault.reason}")
+    if r.settings.models and not results:
+        raise (*broken, *faults)[0]
+
+
+def write_results(r: StageRun[LocaliseSettings], queries: pd.DataFrame, results: dict[str, Result]) -> None:
+    for name, rows in (
+        ("predictions", [prediction_rows(r, name, queries, result) for name, result in results.items()]),
+        ("models", [pd.DataFrame([result.model]) for result in results.values()]),
+        (
+            "storage",
+            [
+                pd.DataFrame({"model": name, "part": list(result.storage), "bytes": list(result.storage.values())})
+                for name, result in results.items()
+            ],
+        ),
+    ):
+        columns = schema("localise", name).column_names
+        filled = [part for part in rows if len(part)]
+        r.write(name, pd.concat(filled, ignore_index=True)[columns] if filled else pd.DataFrame(columns=columns))
+    truth = r.read("align", "ground_truth")
+    with r.step("recording"), r.recording(blueprint(list(results))) as stream:
+        answers = {name: result.answers for name, result in results.items()}
+        points = {name: result.xyz for name, result in results.items()}
+        record(stream, queries, truth, points, answers, lambda image: r.image_path(str(image)))
+
+
+def prediction_rows(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFrame, result: Result) -> pd.DataFrame:
+    """A localiser's rows of `predictions`."""
+    none = np.full((4, 4), np.nan)
+    poses = np.array([none if a.map_T_cam is None else a.map_T_cam for a in result.answers]).reshape(-1, 4, 4)
+    answers = pd.DataFrame(
+        {
+            "covariance": [None if a.covariance is None else a.covariance.ravel().tolist() for a in result.answers],
+            "inference_ms": 1000 * result.cost_s[:, 0],
+            "cpu_ms": 1000 * result.cost_s[:, 1],
+            "inliers": [a.inliers for a in result.answers],
+            "candidates": [a.candidates for a in result.answers],
+            "refusal": [a.refusal for a in result.answers],
+            "reason": [a.reason or None for a in result.answers],
+        }
+    )
+    keys = queries[["frame_id", "session_id", "split", "t_ns"]]
+    table = pd.concat([keys, pose_frame("map_cam", poses), answers], axis=1)
+    return table.assign(model=name, scene=r.scene.name, picked_scene=r.scene.name)
+
+
+STAGE = Stage(
+    name="localise",
+    version=1,
+    settings=LocaliseSettings,
+    needs=("import", "sfm", "align"),
+    run=run,
+    help="Build maps of points from the training frames, and localise the other frames in them. A group of scenes has "
+    "its scenes' maps.",
+    plugins=lambda settings: LOCALISERS.versions(settings.models),
+)

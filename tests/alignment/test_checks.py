@@ -1,0 +1,285 @@
+"""Which faults the checks find, by which cause, and what passes: synthetic walks, broken one way at a time."""
+
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from groundwalk.alignment.checks.results import CheckResult, main_failure, with_status
+from groundwalk.alignment.checks.summary import checks_table
+from groundwalk.alignment.examination import Examination, examine, refusal
+from groundwalk.alignment.plot import draw_checks
+from groundwalk.alignment.settings import AlignSettings
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import FailureCause
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.consistency.decisions import Status
+from groundwalk.geometry.poses import make_pose
+
+FRAMES = 30
+NOISE = {"frames": FRAMES, "sfm_m": 0.01, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1, "phone_scale": 0.002}
+
+
+def run(scene) -> Examination:
+    return examine(scene.inputs(), AlignSettings())
+
+
+def error(scene, found: Examination) -> UserError | None:
+    return refusal(found, scene.frames, AlignSettings())
+
+
+def of_walk(scene, number: int) -> np.ndarray:
+    """Rows of one walk."""
+    return np.flatnonzero(scene.frames["session_id"] == f"walk{number}")
+
+
+def faults(found: Examination) -> set[tuple[str, str]]:
+    """Causes and sessions of all failed checks but those of windows."""
+    return {(c.cause, c.subject.session_id) for c in failed(found) if not c.name.startswith("window")}
+
+
+def failed(found: Examination) -> list[CheckResult]:
+    return with_status(found.checks, Status.FAILED)
+
+
+def without_ground_truth(found: Examination) -> set[int]:
+    """Numbers of the walks that get no ground truth at all."""
+    return {walk for walk, used in enumerate(found.has_ground_truth.reshape(-1, FRAMES)) if not used.any()}
+
+
+def test_clean_walks_pass_every_check(walks) -> None:
+    for seed in range(2):
+        scene = walks.make(**NOISE | {"seed": seed})
+        found = run(scene)
+        assert not failed(found) and error(scene, found) is None and found.has_ground_truth.all()
+
+
+def mirror(scene, rows: np.ndarray, axis: int) -> None:
+    """SfM poses as mirrored images give them: the mirror image of the motion, in a gauge of its own."""
+    flip = np.ones(4)
+    flip[axis] = -1
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[rows] = np.diag(flip) @ sfm[rows] @ np.diag(flip)
+    scene.set_sfm(sfm)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_mirrored_images_are_named(walks, axis: int) -> None:
+    scene = walks.make(**NOISE)
+    mirror(scene, of_walk(scene, 1), axis)
+    found = run(scene)
+    assert (FailureCause.MIRRORED_IMAGES, "walk1") in faults(found) and without_ground_truth(found) == {1}
+    mirror(scene, np.concatenate([of_walk(scene, 0), of_walk(scene, 2)]), axis)
+    found = run(scene)
+    assert FailureCause.MIRRORED_IMAGES in error(scene, found).what and not found.has_ground_truth.any()
+
+
+def shuffle(scene, rows: np.ndarray) -> None:
+    """SfM poses of images that were swapped among each other."""
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[rows] = sfm[np.random.default_rng(0).permutation(rows)]
+    scene.set_sfm(sfm)
+
+
+def test_shuffled_images_are_named(walks) -> None:
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 2)
+    shuffle(scene, rows)
+    found = run(scene)
+    assert faults(found) == {(FailureCause.MISMATCHED_IMAGES, "walk2")} and without_ground_truth(found) == {2}
+    assert "no relation" in found.exclusion[rows[0]]
+
+
+def turn_otherwise(scene, rows: np.ndarray, gain: float) -> None:
+    """SfM poses that turn `gain` times as far from one to the next, their steps right in their own axes."""
+    sfm = poses_of(scene.images, "sfm_cam")
+    turned = [sfm[rows[0]]]
+    for a, b in pairwise(rows):
+        motion = np.linalg.inv(sfm[a]) @ sfm[b]
+        vector = Rotation.from_matrix(motion[:3, :3]).as_rotvec() * gain
+        turned.append(turned[-1] @ make_pose(Rotation.from_rotvec(vector).as_matrix(), motion[:3, 3]))
+    sfm[rows] = turned
+    scene.set_sfm(sfm)
+
+
+@pytest.mark.parametrize("gain", [0.91, 1.11])
+def test_wrong_intrinsics_are_named(walks, gain: float) -> None:
+    """SfM that turns about a tenth too little or too much, its steps right: what a wrong focal length does."""
+    scene = walks.make(**NOISE)
+    turn_otherwise(scene, of_walk(scene, 0), gain)
+    found = run(scene)
+    assert (FailureCause.WRONG_INTRINSICS, "walk0") in faults(found) and not found.has_ground_truth.any()
+    assert FailureCause.WRONG_INTRINSICS in error(scene, found).what
+
+
+def test_a_wrong_vio_scale_costs_that_session_its_ground_truth(walks) -> None:
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 1)
+    vio = poses_of(scene.frames, "vio_cam")
+    vio[rows, :3, 3] *= 0.9
+    scene.set_vio(vio)
+    found = run(scene)
+    assert faults(found) == {(FailureCause.WRONG_VIO_SCALE, "walk1")} and without_ground_truth(found) == {1}
+    assert "less than the others" in found.exclusion[rows[0]]
+
+
+def test_folded_places_cost_the_whole_model(walks) -> None:
+    """The second half of a walk laid on its first half, as look-alike places do."""
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 0)
+    sfm = poses_of(scene.images, "sfm_cam")
+    half = FRAMES // 2
+    sfm[rows[half:]] = sfm[rows[:half]]
+    vio = poses_of(scene.frames, "vio_cam")
+    step = make_pose(np.eye(3), vio[rows[half], :3, 3] - vio[rows[0], :3, 3])
+    vio[rows[half:]] = step @ vio[rows[:half]]
+    scene.set_vio(vio)
+    scene.set_sfm(sfm)
+    found = run(scene)
+    assert (FailureCause.PERCEPTUAL_ALIASING, "walk0") in faults(found) and not found.has_ground_truth.any()
+    assert FailureCause.PERCEPTUAL_ALIASING in error(scene, found).what
+
+
+def test_a_single_wrong_frame_is_no_fold(walks) -> None:
+    scene = walks.make(**NOISE)
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[25] = sfm[5]
+    scene.set_sfm(sfm)
+    found = run(scene)
+    assert not faults(found) and not found.has_ground_truth[25] and found.has_ground_truth.sum() == len(sfm) - 1
+
+
+def test_a_session_of_another_scene_is_named(walks) -> None:
+    """It comes as a model of its own that no session shares, or not at all."""
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 2)
+    scene.images.loc[rows, "model_id"] = "incremental/1"
+    found = run(scene)
+    assert faults(found) == {(FailureCause.OTHER_SCENE, "")} and without_ground_truth(found) == {2}
+    assert "walk2" in main_failure(found.checks).reason
+
+    scene.images.loc[rows, "registered"] = False
+    scene.images.loc[rows, "model_id"] = None
+    found = run(scene)
+    assert faults(found) == {(FailureCause.OTHER_SCENE, "walk2")} and without_ground_truth(found) == {2}
+
+
+def cut_off(scene, rows: np.ndarray) -> dict[str, str]:
+    """These rows as a session of their own, as import cuts them off at a VIO jump; the recording of each session."""
+    recordings = scene.recordings
+    session = scene.frames["session_id"].iloc[rows[0]]
+    scene.frames.loc[rows, "session_id"] = f"{session}.part2"
+    return recordings | {f"{session}.part2": session}
+
+
+def test_focal_lengths_that_the_images_deny_are_named_where_motion_hides_them(walks) -> None:
+    scene = walks.make(**NOISE)
+    scene.set_focal("walk0", 1.16, 0.005)
+    scene.set_focal("walk1", 1.01, 0.005)
+    found = run(scene)
+    assert (
+        (FailureCause.WRONG_INTRINSICS, "walk0") in faults(found)
+        and error(scene, found) is not None
+        and not found.has_ground_truth.any()
+    )
+
+
+def test_a_focal_length_that_is_near_passes_and_one_hardly_known_is_undecided(walks) -> None:
+    scene = walks.make(**NOISE)
+    scene.set_focal("walk0", 1.025, 0.001)
+    scene.set_focal("walk1", 1.05, 0.015)
+    found = run(scene)
+    status = {c.subject.session_id: c.status for c in found.checks if c.name == "session_focal_length"}
+    assert status == {"walk0": Status.PASSED, "walk1": Status.UNDECIDED}
+    # Its standard error is in the frames' covariances: no frame has a lower class for it.
+    assert found.has_ground_truth.all() and not found.problem.any()
+
+
+def test_turns_are_odometrys_fault_where_the_images_confirm_the_focal_length(walks) -> None:
+    scene = walks.make(**NOISE)
+    turn_otherwise(scene, of_walk(scene, 1), 0.9)
+    assert (FailureCause.WRONG_INTRINSICS, "walk1") in faults(run(scene))
+    scene.set_focal("walk1", 1.001, 0.001)
+    assert (FailureCause.WRONG_INTRINSICS, "walk1") not in faults(run(scene))
+
+
+def test_images_whose_pairs_move_as_vio_belong_to_its_poses(walks) -> None:
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 1)
+    shuffle(scene, rows)
+    assert (FailureCause.MISMATCHED_IMAGES, "walk1") in faults(run(scene))
+    ids = scene.frames["frame_id"].to_numpy()[rows]
+    scene.pairs = pd.DataFrame({"frame_id_a": ids[:-1], "frame_id_b": ids[1:]}).assign(
+        status="verified", rotation_deg=0.1
+    )
+    named = {cause for cause, session in faults(run(scene)) if session == "walk1"}
+    assert named and FailureCause.MISMATCHED_IMAGES not in named
+
+
+@pytest.mark.parametrize("registered", [False, True])
+def test_what_a_vio_jump_cut_off_is_no_other_scene(walks, registered: bool) -> None:
+    """A few frames that nothing ties to the map, by view or by VIO: not in the model, or in one of their own."""
+    scene = walks.make(**NOISE)
+    rows = of_walk(scene, 2)[-8:]
+    recordings = cut_off(scene, rows)
+    scene.images.loc[rows, "model_id"] = "incremental/1" if registered else None
+    scene.images.loc[rows, "registered"] = registered
+    found = examine(scene.inputs(recordings=recordings), AlignSettings())
+    assert {cause for cause, _ in faults(found)} == ({FailureCause.DISCONNECTED_SESSION} if registered else set())
+    assert found.has_ground_truth.sum() == 3 * FRAMES - 8
+
+
+def test_a_few_unsure_frames_are_no_fault_of_their_session(walks) -> None:
+    scene = walks.make(frames=FRAMES, sfm_m=0.002, sfm_deg=0.02)
+    unsure = [12, 14]
+    covariance = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
+    scene.images.loc[unsure, "covariance"] = pd.Series(covariance, dtype=object).iloc[unsure]
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[unsure, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])
+    scene.set_sfm(sfm)
+    found = run(scene)
+    assert np.flatnonzero(~found.has_ground_truth).tolist() == unsure and not faults(found)
+
+
+def test_the_picture_is_drawn_for_a_refused_run_too(walks, tmp_path) -> None:
+    scene = walks.make(**NOISE)
+    mirror(scene, np.arange(3 * FRAMES), 0)
+    found = run(scene)
+    draw_checks(tmp_path / "checks.png", found, "Place", simulated=True)
+    assert (tmp_path / "checks.png").read_bytes().startswith(b"\x89PNG")
+    table = checks_table(found.checks)
+    assert list(table.columns) == schema("align", "checks").column_names
+    assert isinstance(table["component"].dtype, pd.Int64Dtype)
+    assert set(table.loc[table["status"] != "passed", "cause"]) <= set(FailureCause)
+
+
+def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks) -> None:
+    """A stretch whose scale is off by 3 %: within what VIO may drift by, so that only its own uncertainty tells."""
+    scene = walks.make(frames=60, sfm_m=0.003, sfm_deg=0.02)
+    rows = of_walk(scene, 0)
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[rows, :3, 3] = sfm[rows[0], :3, 3] + 1.03 * (sfm[rows, :3, 3] - sfm[rows[0], :3, 3])
+    scene.set_sfm(sfm)
+    assert run(scene).has_ground_truth.all()
+
+    unsure = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
+    scene.images.loc[rows, "covariance"] = pd.Series(unsure, dtype=object).iloc[rows]
+    found = run(scene)
+    assert found.has_ground_truth[60:].all() and not found.has_ground_truth[rows].any()
+    assert "uncertain pose" in found.exclusion[rows[0]]
+    (unsure,) = [c for c in failed(found) if c.name == "session_uncertain"]
+    assert unsure.subject.session_id == "walk0" and unsure.cause == FailureCause.VIO_INCONSISTENT
+
+
+def test_one_unsure_frame_that_is_off_goes_alone(walks) -> None:
+    scene = walks.make(frames=30, sfm_m=0.002, sfm_deg=0.02)
+    scene.images["covariance"] = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
+    assert run(scene).has_ground_truth.all()
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[14, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])
+    scene.set_sfm(sfm)
+    found = run(scene)
+    assert np.flatnonzero(~found.has_ground_truth).tolist() == [14]

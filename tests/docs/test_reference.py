@@ -1,0 +1,88 @@
+"""The generated pages follow the code, and every profile's settings are settings that there are."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from groundwalk.artefacts import DataRoot, Settings
+from groundwalk.artefacts.settings import SHIPPED_DATA, SceneConfig, SplitRules, resolve_settings
+from groundwalk.capture_import.formats import FORMATS
+from groundwalk.cli import all_commands
+from groundwalk.reference import RULERS, reference_pages
+from groundwalk.simulation.settings import SimulateSettings
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+REFERENCE = DOCS / "reference"
+SECTIONS = {"simulate": SimulateSettings} | {c.name: c.stage().settings for c in all_commands() if c.is_stage}
+
+
+@pytest.mark.parametrize("name", reference_pages())
+def test_a_generated_page_is_up_to_date(name: str) -> None:
+    assert (DOCS / name).read_text(encoding="utf-8") == reference_pages()[name], "run `make docs`"
+
+
+def fields(model: type[Settings], name: str) -> Iterator[tuple[str, Any]]:
+    for key, field in model.model_fields.items():
+        default = field.get_default(call_default_factory=True) if not field.is_required() else None
+        if isinstance(default, Settings):
+            yield from fields(type(default), f"{name}.{key}")
+        else:
+            yield f"{name}.{key}", field
+
+
+def test_each_setting_has_a_description_and_a_row() -> None:
+    page = (REFERENCE / "settings.md").read_text(encoding="utf-8")
+    models = {"split": SplitRules, **SECTIONS, **RULERS}
+    named = [pair for name, model in models.items() for pair in fields(model, name)]
+    named += [pair for pair in fields(SceneConfig, "scene") if not pair[0].startswith(("scene.name", "scene.split"))]
+    assert len(named) > 100
+    for name, field in named:
+        if name.rpartition(".")[2] != "kind":
+            assert field.description, f"{name} has no description"
+            assert f"| `{name.partition('.')[2]}` |" in page
+
+
+def test_each_command_and_option_has_a_row() -> None:
+    page = (REFERENCE / "commands.md").read_text(encoding="utf-8")
+    for command in all_commands():
+        _, _, section = page.partition(f"\n### groundwalk {command.name}\n")
+        section = section.partition("\n##")[0]
+        for parameter in command.load().params:
+            assert f"| `{parameter.opts[0]}`" in section, f"{command.name} {parameter.opts[0]}"
+
+
+def test_each_capture_format_is_in_the_table() -> None:
+    lines = (REFERENCE / "capture-formats.md").read_text(encoding="utf-8").splitlines()
+    start = lines.index(next(line for line in lines if line.startswith("| name | app")))
+    rows = [line.split("`")[1] for line in lines[start + 2 :][: len(FORMATS.builtin)]]
+    assert rows == list(FORMATS.builtin)
+
+
+def test_each_package_is_in_the_architecture() -> None:
+    page = (DOCS / "explanation" / "architecture.md").read_text(encoding="utf-8")
+    packages = [path.parent.name for path in DOCS.parent.glob("*/__init__.py") if path.parent.name != "benchmarks"]
+    assert len(packages) > 8
+    for name in packages:
+        assert f"| `{name}/` |" in page, name
+
+
+@pytest.mark.parametrize("profile", DataRoot(SHIPPED_DATA).names("profiles"))
+def test_each_profile_s_settings_are_settings_of_their_stages(profile: str) -> None:
+    for section, model in SECTIONS.items():
+        resolved = resolve_settings(model, section, DataRoot(SHIPPED_DATA), profile, "Church", [])
+        assert isinstance(resolved, model)
+
+
+def test_the_standard_profile_lies_between_demo_and_paper() -> None:
+    def of(profile: str, section: str) -> Any:
+        return resolve_settings(SECTIONS[section], section, DataRoot(SHIPPED_DATA), profile, "Church", [])
+
+    demo, standard, paper = (of(profile, "simulate") for profile in ("demo", "standard", "paper"))
+    assert demo.frame_fraction < standard.frame_fraction < paper.frame_fraction
+    assert demo.width <= standard.width <= paper.width
+    demo, standard, paper = (of(profile, "train") for profile in ("demo", "standard", "paper"))
+    assert demo.crop < standard.crop == paper.crop == 224
+    for name, of_paper in paper.regressors.items():
+        assert demo.regressors[name].epochs < standard.regressors[name].epochs < of_paper.epochs

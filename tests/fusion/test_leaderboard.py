@@ -1,0 +1,92 @@
+"""The leaderboard: cases from folders, its figures beside the stage's, who is ahead, and its files."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from tables import tables
+from typer.testing import CliRunner
+
+from groundwalk.artefacts import UserError
+from groundwalk.cli import app
+from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate
+from groundwalk.fusion.leaderboard import ahead, cases_in, entrants, ratios, scores
+from groundwalk.fusion.leaderboard_report import lag_ratios
+from groundwalk.fusion.validation import ahead_of
+
+NAMES = ("frames", "ground_truth", "predictions")
+
+
+def laid(folder, place, seeds, models=("PN",)):
+    (folder / place).mkdir(parents=True)
+    parts = tables(list(seeds), models)
+    for name, table in zip(NAMES, parts, strict=True):
+        table.to_parquet(folder / place / f"{name}.parquet", index=False)
+    return parts
+
+
+def test_figures_are_the_stages(tmp_path):
+    parts = laid(tmp_path, "walks/Place", [1, 2])
+    (tmp_path / "about.txt").write_text("made up, seed 1\n")
+    cases, sources = cases_in(tmp_path)
+    assert [(c.group, c.scene, c.model, len(c.walks)) for c in cases] == [("walks", "Place", "PN", 2)]
+    assert "1 scenes" in sources[0] and sources[1] == "made up, seed 1"
+    rows = scores(cases, entrants(["last_good"])).set_index("method")
+    summary = evaluate([Inputs("Place", *parts)], FuseSettings(methods=["apr", "mobilearloc", "last_good"]))
+    summary = summary.tables["summary"]
+    summary = summary[(summary["subset"] == "all") & (summary["scored"] == "method")].set_index("method")
+    assert list(rows.index) == ["apr", "mobilearloc", "last_good"]
+    for figure in ("frames", "coverage_pct", "position_mean_m", "rotation_mean_deg", "high_pct", "low_pct"):
+        assert np.allclose(rows[figure], summary.loc[rows.index, figure]), figure
+    assert (rows["position_median_m"] <= rows["position_p95_m"]).all()
+    assert rows["step_p99_ms"].gt(0).all() and rows["position_within_pct"].isna().all()
+
+
+def made_up(rows):
+    columns = ["method", "causal", "coverage_pct", "position_mean_m", "rotation_mean_deg"]
+    rest = dict.fromkeys(["high_pct", "medium_pct", "low_pct", "step_median_ms", "step_p99_ms"], 1.0)
+    rest |= dict.fromkeys(["position_within_pct", "rotation_within_pct"], 95.0)
+    return pd.DataFrame(rows, columns=columns).assign(group="g", scene="s", model="m", **rest)
+
+
+def test_ahead_is_the_causal_method_of_least_error_and_missing_answers_are_failures():
+    rows = made_up(
+        [("apr", True, 100.0, 4.0, 4.0), ("mobilearloc", True, 100.0, 2.0, 2.0), ("vio_oracle", False, 100.0, 0.1, 0.1)]
+    )
+    assert ahead(rows)["ahead"].tolist() == ["mobilearloc"]
+    assert ratios(rows).set_index("method").loc["vio_oracle (offline)", "position /rule"] == pytest.approx(0.05)
+    rows.loc[1, "coverage_pct"] = 40.0
+    assert ahead(rows)["ahead"].tolist() == ["apr"]
+    rows.loc[0, ["position_mean_m", "rotation_mean_deg"]] = np.nan
+    assert ahead_of(rows[rows["causal"]]) == "mobilearloc"
+
+
+def test_lags_are_held_against_none():
+    rows = made_up([("smoother, 0 s late", False, 100.0, 2.0, 4.0), ("smoother, 5 s late", False, 100.0, 1.0, 3.0)])
+    lags = lag_ratios(rows).set_index("lag s")
+    assert lags.loc[5.0, "position"] == pytest.approx(0.5) and lags.loc[5.0, "rotation"] == pytest.approx(0.75)
+
+
+def test_the_command_writes_table_figures_and_plot(tmp_path):
+    laid(tmp_path / "in", "walks/Place", [1])
+    found = CliRunner().invoke(
+        app,
+        [
+            "fusion",
+            "leaderboard",
+            f"{tmp_path}/in",
+            f"--out={tmp_path}/out",
+            f"--data={tmp_path}",
+            "--methods=smoother",
+        ],
+    )
+    assert found.exit_code == 0, found.output
+    text = (tmp_path / "out" / "fusion.md").read_text()
+    assert "## walks: 1 scenes, 1 cases, 1 walks" in text and "smoother (offline)" in text and "revision" in text
+    rows = pd.read_csv(tmp_path / "out" / "fusion.csv")
+    assert {"apr", "smoother, 5 s late"} <= set(rows["method"]) and rows["revision"].notna().all()
+    assert (tmp_path / "out" / "fusion_lag.png").stat().st_size > 0
+
+
+def test_an_empty_folder_is_named(tmp_path):
+    with pytest.raises(UserError, match="no predictions in the folder"):
+        cases_in(tmp_path)

@@ -1,0 +1,154 @@
+"""The stage: maps of training frames alone, an answer or a refusal for each query, runs that resume."""
+
+import json
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import COUNT, TEST, VAL, Boards, other_board_picture
+
+from groundwalk.artefacts import UserError, execute
+from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.localisation.localisers import LOCALISERS
+from groundwalk.localisation.query import MapLocaliser
+from groundwalk.localisation.stage import STAGE
+from groundwalk.scoring.errors import position_error, rotation_error_deg
+
+SMALL = ["max_features=300", "pairs_per_frame=5", "localisers.Map.max_points=400"]
+MakeBoards = Callable[..., Boards]
+TIMED = ["inference_ms", "cpu_ms"]
+
+
+def run(made: Boards, *settings: str) -> dict:
+    """Run the stage; its manifest."""
+    return load_manifest(execute(STAGE, "Boards", "tiny", made.data, [*SMALL, *settings]))
+
+
+def of_frame(predictions: pd.DataFrame, row: int, model: str = "Map") -> pd.Series:
+    mine = predictions[(predictions["frame_id"] == f"walk/{row:06d}") & (predictions["model"] == model)]
+    assert len(mine) == 1
+    return mine.iloc[0]
+
+
+def test_every_query_is_localised_and_what_it_cost_is_said(boards: Boards) -> None:
+    manifest = run(boards)
+    predictions, models, storage = (boards.table(name) for name in ("predictions", "models", "storage"))
+    queries = np.flatnonzero(TEST | VAL)
+    assert models["model"].tolist() == list(LOCALISERS)
+    for model in models["model"]:
+        for row in queries:
+            said = of_frame(predictions, row, model)
+            pose = poses_of(said.to_frame().T, "map_cam")[0]
+            assert position_error(pose, boards.map_T_cam[row]) < 0.02, (model, row)
+            assert rotation_error_deg(pose, boards.map_T_cam[row]) < 0.5
+            assert said["split"] == ("val" if VAL[row] else "test")
+            assert said["scene"] == said["picked_scene"] == "Boards" and pd.isna(said["refusal"])
+            assert said["inliers"] >= 10 and said["inference_ms"] > 0
+        assert len(predictions[predictions["model"] == model]) == len(queries)
+        mine = models[models["model"] == model].iloc[0]
+        assert storage.loc[storage["model"] == model, "bytes"].sum() == mine["bytes"] > 1000
+        assert mine["train_frames"] == COUNT - len(queries) and mine["points"] >= 100
+        given = predictions.loc[predictions["model"] == model, "covariance"].notna()
+        assert given.all() if LOCALISERS[model].gives_covariance else not given.any()
+        assert manifest["figures"][f"{model} test refused"] == 0
+        assert manifest["figures"][f"{model} test within 0.25 m and 2 deg, %"] == 100
+    folder = boards.data.run("tiny", "Boards", "localise")
+    assert (folder / "recording.rrd").stat().st_size > 1000
+    assert (folder / models["file"][0]).stat().st_size == models["bytes"][0] and models["file"][1] == ""
+    assert json.loads(models["config"][0])["max_points"] == 400
+    assert {"features", "match", "build Map", "localise HLoc", "recording"} <= set(manifest["seconds"])
+
+
+def test_the_map_is_the_same_without_the_images_of_other_splits(make_boards: MakeBoards) -> None:
+    made = make_boards()
+    run(made)
+    with_all = made.map_bytes()
+    for row in np.flatnonzero(TEST | VAL):
+        made.image(row).unlink()
+    run(made, 'models=["Map"]', 'splits=["train"]')
+    assert made.map_bytes() == with_all
+    with pytest.raises(UserError, match="image can't be read"):
+        run(made, 'models=["Map"]', 'splits=["train", "test"]')
+
+
+def test_bad_images_are_refused_as_rows(make_boards: MakeBoards) -> None:
+    made = make_boards()
+    black, blurred, elsewhere, whole = np.flatnonzero(TEST)[:4]
+    picture = cv2.imread(str(made.image(blurred)), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(made.image(black)), np.zeros_like(picture))
+    cv2.imwrite(str(made.image(blurred)), cv2.GaussianBlur(picture, (0, 0), 25))
+    cv2.imwrite(str(made.image(elsewhere)), other_board_picture(made.map_T_cam[elsewhere]))
+    figures = run(made)["figures"]
+    predictions = made.table("predictions")
+    for model in LOCALISERS:
+        for row in (black, blurred, elsewhere):
+            said = of_frame(predictions, row, model)
+            assert said["refusal"] and said["reason"] and np.isnan(said["map_cam_tx"])
+            assert said["covariance"] is None
+        assert of_frame(predictions, black, model)["refusal"] == "few_features"
+        assert pd.isna(of_frame(predictions, whole, model)["refusal"])
+        assert figures[f"{model} test refused"] == 3 and figures[f"{model} test wrong"] == 0
+
+
+def test_a_killed_run_resumes_and_ends_in_the_same_tables(
+    make_boards: MakeBoards, boards: Boards, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, asked = make_boards(), []
+
+    def killed_at_the_third(self, *arguments, **more):  # type: ignore[no-untyped-def]
+        asked.append(more)
+        if len(asked) == 3:
+            raise KeyboardInterrupt
+        return localise(self, *arguments, **more)
+
+    localise = MapLocaliser.localise
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(MapLocaliser, "localise", killed_at_the_third)
+        run(made)
+    assert not made.data.run("tiny", "Boards", "localise").exists()
+    assert (made.data.run("tiny", "Boards", ".localise.partial") / "scratch" / "Map" / "1.npz").is_file()
+
+    calls = []
+    counted = lambda self, *a, **m: calls.append(m) or localise(self, *a, **m)  # noqa: E731
+    monkeypatch.setattr(MapLocaliser, "localise", counted)
+    monkeypatch.setattr("groundwalk.localisation.build.build_map", None)  # the map is there
+    assert run(made)["resumed"]
+    assert len(calls) == int((TEST | VAL).sum()) - 2
+    run(boards)
+    assert made.map_bytes() == boards.map_bytes()
+    for name in ("predictions", "storage"):
+        tables = [b.table(name).drop(columns=TIMED, errors="ignore") for b in (made, boards)]
+        pd.testing.assert_frame_equal(*tables)
+
+
+def test_no_localisers_give_empty_tables(make_boards: MakeBoards) -> None:
+    made = make_boards()
+    run(made, "models=[]")
+    for name in ("predictions", "models", "storage"):
+        assert list(made.table(name).columns) == schema("localise", name).column_names and made.table(name).empty
+
+
+def test_what_a_user_can_get_wrong_is_said(make_boards: MakeBoards) -> None:
+    made = make_boards(4)
+    with pytest.raises(UserError, match=r"(?s)too few frames to build a map from.*found: +3 of 3"):
+        run(made)
+    for setting, message in (
+        ('models=["Mapp"]', "there is no structure localiser 'Mapp'"),
+        ("localisers.HLoc.retreived=3", "retreived"),
+        ('splits=["tset"]', "splits"),
+        ("localisers.Map=3", "not a section"),
+    ):
+        with pytest.raises(UserError, match=message):
+            run(made, setting)
+
+
+def test_a_place_without_texture_is_no_map(make_boards: MakeBoards) -> None:
+    made = make_boards()
+    for row in range(COUNT):
+        cv2.imwrite(str(made.image(row)), np.full((240, 320), 128, np.uint8))
+    with pytest.raises(UserError, match=r"(?s)too few points to localise by.*found: +0 by"):
+        run(made)

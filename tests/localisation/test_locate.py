@@ -1,0 +1,173 @@
+"""New images in a map, by the command and from Python: poses, refusals with reasons, and clear errors."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from conftest import CAMERA, TEST, Boards, other_board_picture
+
+import groundwalk
+from groundwalk import UserError
+from groundwalk.artefacts import execute
+from groundwalk.artefacts.images import read_image
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.poses import make_pose, pose_from_tq
+from groundwalk.localisation.locate import app
+from groundwalk.localisation.stage import STAGE
+from groundwalk.scoring.errors import position_error
+
+SMALL = ["max_features=300", "pairs_per_frame=5", "localisers.Map.max_points=400"]
+ROW = int(np.flatnonzero(TEST)[1])
+DOWN = [0.0, 1.0, 0.0]
+NUMBERS = [CAMERA[name] for name in ("fx", "fy", "cx", "cy")]
+K = [[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]]
+
+
+@pytest.fixture(scope="module")
+def run(boards: Boards) -> groundwalk.Run:
+    execute(STAGE, "Boards", "tiny", boards.data, SMALL)
+    return groundwalk.open("Boards", profile="tiny", data=boards.data.root)
+
+
+@pytest.fixture(scope="module")
+def map_file(run: groundwalk.Run) -> Path:
+    return run.folder / "localise" / "map.gwm"
+
+
+@pytest.fixture
+def picture(boards: Boards) -> np.ndarray:
+    return np.asarray(cv2.imread(str(boards.image(ROW)), cv2.IMREAD_GRAYSCALE))
+
+
+@pytest.mark.parametrize("intrinsics", [CAMERA, Camera(**CAMERA), K, NUMBERS, np.array(NUMBERS)])
+def test_a_run_localises_an_image(run: groundwalk.Run, boards: Boards, intrinsics: Any) -> None:
+    truth, file = boards.map_T_cam[ROW], boards.image(ROW)
+    for image in (file, str(file), read_image(file)):
+        answer = run.localise(image, intrinsics=intrinsics, gravity=DOWN, prior=truth)
+        assert answer.map_T_cam is not None and position_error(answer.map_T_cam, truth) < 0.02
+        assert answer.covariance is not None and np.linalg.eigvalsh(answer.covariance).min() > 0
+        assert answer.inliers == answer.seen.inlier.sum() >= 10 and answer.refusal is None
+
+
+def test_a_wrong_prior_does_not_make_the_answer_wrong(run: groundwalk.Run, boards: Boards) -> None:
+    truth = boards.map_T_cam[ROW]
+    away = truth @ make_pose(np.diag([-1.0, 1.0, -1.0]), np.array([4.0, 0, -9.0]))
+    answer = run.localise(boards.image(ROW), intrinsics=CAMERA, gravity=DOWN, prior=away)
+    assert answer.map_T_cam is not None and position_error(answer.map_T_cam, truth) < 0.02
+
+
+def test_a_run_refuses_what_it_cannot_localise(run: groundwalk.Run, boards: Boards, picture: np.ndarray) -> None:
+    turned = np.ascontiguousarray(np.rot90(picture))
+    for image, refusals in (
+        (np.zeros_like(picture), {"few_features"}),
+        (cv2.GaussianBlur(picture, (0, 0), 25), {"few_features"}),
+        (other_board_picture(boards.map_T_cam[ROW]), {"few_matches", "no_pose", "thin_evidence"}),
+        (turned, {"image_size"}),
+        (cv2.resize(picture, (160, 120)), {"image_size"}),
+    ):
+        answer = run.localise(image, intrinsics=CAMERA, gravity=DOWN)
+        assert answer.refusal in refusals and answer.reason
+        assert answer.map_T_cam is None and answer.covariance is None
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"intrinsics": None}, "no intrinsics: fx, fy, cx, cy"),
+        ({"intrinsics": {"fx": 300.0}}, "no intrinsics: fy, cx, cy"),
+        ({"intrinsics": [300.0, 300.0]}, "these are no intrinsics"),
+        ({"intrinsics": "wide"}, "these are no intrinsics"),
+        ({"intrinsics": [np.nan, 300.0, 160, 120]}, "fx is no finite number"),
+        ({"intrinsics": [3.0, 3.0, 160, 120]}, "focal lengths can't be"),
+        ({"intrinsics": [300.0, 300.0, 960, 720]}, "principal point isn't in the image"),
+        ({"gravity": [0, 0, 0]}, "gravity has no direction"),
+        ({"gravity": [0, 1]}, "gravity isn't"),
+        ({"prior": np.eye(3)}, "prior isn't"),
+        ({"prior": 2 * np.eye(4)}, "prior's rotation is none"),
+        ({"model": "HLoc"}, "no structure localiser 'HLoc' that is kept in a file"),
+        ({"image": np.zeros((4, 4, 4), np.uint8)}, "this isn't an image"),
+        ({"image": "nowhere.png"}, "image can't be read"),
+    ],
+)
+def test_what_a_caller_can_get_wrong_is_said(run: groundwalk.Run, boards: Boards, given: Any, message: str) -> None:
+    arguments = {"image": boards.image(ROW), "intrinsics": CAMERA} | given
+    with pytest.raises(UserError, match=message):
+        run.localise(arguments.pop("image"), **arguments)
+
+
+def test_a_run_without_the_stage_says_so(boards: Boards, tmp_path: Path) -> None:
+    run = groundwalk.Run(tmp_path, None, {"import": {"scene": {"name": "Boards"}, "profile": "tiny"}}, {})
+    with pytest.raises(UserError, match="stage localise of scene Boards has not been run"):
+        run.localise(boards.image(ROW), intrinsics=CAMERA)
+
+
+def locate(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "groundwalk", "locate", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True)
+
+
+def test_the_command_answers_a_folder_with_intrinsics_beside(map_file: Path, boards: Boards, tmp_path: Path) -> None:
+    picture = cv2.imread(str(boards.image(ROW)))
+    cv2.imwrite(str(tmp_path / "a.png"), picture)
+    cv2.imwrite(str(tmp_path / "black.png"), np.zeros_like(picture))
+    cv2.imwrite(str(tmp_path / "small.png"), cv2.resize(picture, (160, 120)))
+    (tmp_path / "intrinsics.json").write_text(json.dumps(CAMERA | {"gravity": DOWN}))
+    # Half the image has half the focal length, and a file of its own says so.
+    half = {name: value / 2 for name, value in CAMERA.items()}
+    (tmp_path / "small.json").write_text(json.dumps(half))
+    cv2.imwrite(str(tmp_path / "wide.png"), cv2.resize(picture, (160, 120)))
+    done = locate(tmp_path, "--map", map_file, "--out", tmp_path / "said.jsonl")
+    assert done.returncode == 0, done.stderr
+    said = {row["image"]: row for row in map(json.loads, (tmp_path / "said.jsonl").read_text().splitlines())}
+    assert list(said) == ["a.png", "black.png", "small.png", "wide.png"]
+    pose = pose_from_tq(np.array([said["a.png"]["position_m"]]), np.array([said["a.png"]["quaternion"]]))[0]
+    assert position_error(pose, boards.map_T_cam[ROW]) < 0.02 and len(said["a.png"]["covariance"]) == 36
+    assert (said["black.png"]["refusal"], said["wide.png"]["refusal"]) == ("few_features", "image_size")
+    assert said["black.png"]["position_m"] is None and said["a.png"]["reason"] is None
+    assert said["small.png"]["refusal"] != "image_size"
+
+
+def test_the_command_answers_one_image_on_standard_output(map_file: Path, boards: Boards) -> None:
+    options = ("--intrinsics", ",".join(map(str, NUMBERS)), "--gravity", "0,1,0", "--scene", "Boards")
+    done = locate(boards.image(ROW), "--map", map_file, *options)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["inliers"] >= 10 and "1 of 1 images localised" in done.stderr
+
+
+def test_the_command_says_what_is_wrong(
+    map_file: Path, boards: Boards, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = map_file.read_bytes()
+    files = {"cut": whole[:-100], "newer": whole[:8] + b"\x02" + whole[9:], "other": b"PK" + whole[2:]}
+    for name, content in files.items():
+        (tmp_path / f"{name}.gwm").write_bytes(content)
+    (tmp_path / "map.bin").write_bytes(whole)
+    (tmp_path / "empty").mkdir()
+    bad = tmp_path / "bad"
+    bad.mkdir()
+    (bad / "a.png").write_bytes(boards.image(ROW).read_bytes())
+    (bad / "a.json").write_text("[1, 2]")
+    image, known = boards.image(ROW), ("--intrinsics", "300,300,160,120")
+    for arguments, message in (
+        ((image, "--map", map_file), "no intrinsics: fx, fy, cx, cy"),
+        ((image, "--map", map_file, "--intrinsics", "300"), "--intrinsics has something else than numbers"),
+        ((image, "--map", map_file, *known, "--gravity", "a,b,c"), "--gravity has something else than numbers"),
+        ((image, "--map", map_file, *known, "--scene", "Church"), "a map is of another scene"),
+        ((image, "--map", tmp_path / "cut.gwm", *known), "a map is cut short"),
+        ((image, "--map", tmp_path / "newer.gwm", *known), "a map has another version"),
+        ((image, "--map", tmp_path / "other.gwm", *known), "this isn't a map file"),
+        ((image, "--map", tmp_path / "none.gwm", *known), "there is no such map"),
+        ((image, "--map", tmp_path / "map.bin", *known), "this isn't a map's file"),
+        ((tmp_path / "empty", "--map", map_file, *known), "there are no images to localise"),
+        ((tmp_path / "none.png", "--map", map_file, *known), "there are no images to localise"),
+        ((tmp_path / "map.bin", "--map", map_file, *known), "an image can't be read"),
+        ((bad, "--map", map_file), "a file with intrinsics has something else"),
+    ):
+        with pytest.raises(SystemExit, match="2"):
+            app(list(map(str, arguments)))
+        assert message in capsys.readouterr().err, arguments
