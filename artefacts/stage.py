@@ -226,10 +226,8 @@ def execute(
         elapsed = time.monotonic() - start
         inputs.refuse_changed()
         shutil.rmtree(work / _SCRATCH, ignore_errors=True)
-        recorded = (work / RECORDING).is_file()
         circumstances = _circumstances(run, elapsed, resumed, memory)
-        manifest = {"key": key, **parts, **circumstances, "recorded": recorded, "outputs": output_hashes(work)}
-        write_json(work / MANIFEST, manifest)
+        write_json(work / MANIFEST, {"key": key, **parts, **circumstances, "outputs": output_hashes(work)})
         swap_in(work, final)
         progress.console.print(
             f"{title}: done in {progress.format_seconds(elapsed)} → {_relative(final)}", markup=False
@@ -253,6 +251,7 @@ def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: Pe
         "versions": {name: _version(name) for name in _VERSIONS} | {"python": platform.python_version()},
         "git_revision": git_revision(),
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        "recorded": (run.work / RECORDING).is_file(),
     }
 
 

@@ -22,17 +22,17 @@ from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import resolve_settings
 from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.geometry.poses import Array
+from groundwalk.sfm.cameras.model_adjustment import camera_log
 from groundwalk.sfm.database import create_database, image_name, read_descriptors
 from groundwalk.sfm.extensions import RETRIEVALS
-from groundwalk.sfm.features import extract_features
-from groundwalk.sfm.mappers import MappingInput
-from groundwalk.sfm.mapping import build_models, read_built, selected_models
-from groundwalk.sfm.mapping_input import VerifiedPairs
-from groundwalk.sfm.matching import match_pairs
+from groundwalk.sfm.mapping.build import build_models, read_built, selected_models
+from groundwalk.sfm.mapping.mappers import MappingInput
+from groundwalk.sfm.mapping.source import VerifiedPairs
 from groundwalk.sfm.model import load_models
-from groundwalk.sfm.model_adjustment import camera_log
-from groundwalk.sfm.pairs import Pairs, sequence_pairs, unique_pairs, view_overlap
-from groundwalk.sfm.retrieval import retrieval_pairs
+from groundwalk.sfm.pairs.candidates import Pairs, sequence_pairs, unique_pairs, view_overlap
+from groundwalk.sfm.pairs.features import extract_features
+from groundwalk.sfm.pairs.matching import match_pairs
+from groundwalk.sfm.pairs.retrieval import retrieval_pairs
 from groundwalk.sfm.settings import SfmSettings
 
 _REACH_M = 12.0

@@ -19,8 +19,8 @@ from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import read_table
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import Ints, create_database, image_id, image_name
-from groundwalk.sfm.features import extract_features
 from groundwalk.sfm.model import load_models
+from groundwalk.sfm.pairs.features import extract_features
 from groundwalk.sfm.settings import SfmSettings
 
 CameraChoice = Literal["captured", "opencv"]

@@ -11,7 +11,7 @@ from groundwalk.artefacts.registry import Entry, Registry, callable_faults
 
 if TYPE_CHECKING:
     from groundwalk.sfm.database import Descriptors
-    from groundwalk.sfm.mappers import Mapper
+    from groundwalk.sfm.mapping.mappers import Mapper
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from groundwalk.geometry.poses import Array, inverse, make_pose
-from groundwalk.sfm.adjustment import Bundle
+from groundwalk.sfm.cameras.adjustment import Bundle
 from groundwalk.sfm.database import image_id
 
 Ints = NDArray[np.int64]

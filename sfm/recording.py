@@ -27,8 +27,8 @@ from groundwalk.artefacts.tables import camera_of, poses_of
 from groundwalk.artefacts.undistortion import undistorted_image
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.matching import MatchedPairs
 from groundwalk.sfm.model import Model
+from groundwalk.sfm.pairs.matching import MatchedPairs
 from groundwalk.sfm.settings import SfmSettings
 
 _TIMELINE = "frame"

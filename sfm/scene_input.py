@@ -13,15 +13,15 @@ from groundwalk.artefacts.child import Task, in_child
 from groundwalk.artefacts.choices import Tracking
 from groundwalk.artefacts.hints import run_command
 from groundwalk.artefacts.tables import poses_of
-from groundwalk.sfm.calibration import Calibration, calibrate, with_lenses, write_calibrated_database
+from groundwalk.sfm.cameras.calibration import Calibration, calibrate, with_lenses, write_calibrated_database
+from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log
 from groundwalk.sfm.database import create_database, has_features, image_name, keypoint_counts
-from groundwalk.sfm.features import extract_features, features_name
-from groundwalk.sfm.matching import ONE_THREAD, try_networks
-from groundwalk.sfm.model_adjustment import CameraLog, camera_log
-from groundwalk.sfm.networks import model_files, require_model_files
-from groundwalk.sfm.odometry import Odometry, odometry
-from groundwalk.sfm.pair_selection import pairs_within_sessions
-from groundwalk.sfm.pairs import unique_pairs
+from groundwalk.sfm.pairs.candidates import unique_pairs
+from groundwalk.sfm.pairs.features import extract_features, features_name
+from groundwalk.sfm.pairs.matching import ONE_THREAD, try_networks
+from groundwalk.sfm.pairs.networks import model_files, require_model_files
+from groundwalk.sfm.pairs.odometry import Odometry, odometry
+from groundwalk.sfm.pairs.selection import pairs_within_sessions
 from groundwalk.sfm.settings import SfmSettings
 
 MIN_FRAMES = 3

@@ -10,18 +10,18 @@ from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.choices import AttemptName, AttemptOutcome
 from groundwalk.artefacts.tables import with_cameras
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.adjustment import Adjusted
-from groundwalk.sfm.attempt_models import AttemptModels, attempt_models
-from groundwalk.sfm.attempts import Attempt, run_attempts
-from groundwalk.sfm.covariance import Covariances, covariances
+from groundwalk.sfm.cameras.adjustment import Adjusted
+from groundwalk.sfm.cameras.model_adjustment import cameras_of_frames, load_adjusted
 from groundwalk.sfm.extensions import MAPPERS, RETRIEVALS
-from groundwalk.sfm.mapping import BuiltModel
-from groundwalk.sfm.mapping_input import held_out_check, read_matches
-from groundwalk.sfm.messages import report_cameras, report_models, report_patterns
+from groundwalk.sfm.mapping.attempt_models import AttemptModels, attempt_models
+from groundwalk.sfm.mapping.attempts import Attempt, run_attempts
+from groundwalk.sfm.mapping.build import BuiltModel
+from groundwalk.sfm.mapping.source import held_out_check, read_matches
 from groundwalk.sfm.model import blobs_of
-from groundwalk.sfm.model_adjustment import cameras_of_frames, load_adjusted
+from groundwalk.sfm.quality.covariance import Covariances, covariances
+from groundwalk.sfm.quality.messages import report_cameras, report_models, report_patterns
+from groundwalk.sfm.quality.residuals import draw_residuals, residual_patterns
 from groundwalk.sfm.recording import write_recording
-from groundwalk.sfm.residuals import draw_residuals, residual_patterns
 from groundwalk.sfm.scene_input import SceneInput, prepare_scene
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.sfm.tables import (

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.adjustment import Adjusted, Cameras, Ints
-from groundwalk.sfm.attempts import Attempt
-from groundwalk.sfm.calibration import distortion_lists
-from groundwalk.sfm.covariance import Covariances
-from groundwalk.sfm.mapping import BuiltModel, selected_models
-from groundwalk.sfm.mapping_input import HeldOutCheck
-from groundwalk.sfm.matching import MatchedPairs
+from groundwalk.sfm.cameras.adjustment import Adjusted, Cameras, Ints
+from groundwalk.sfm.cameras.calibration import distortion_lists
+from groundwalk.sfm.cameras.model_adjustment import CameraLog
+from groundwalk.sfm.mapping.attempts import Attempt
+from groundwalk.sfm.mapping.build import BuiltModel, selected_models
+from groundwalk.sfm.mapping.source import HeldOutCheck
 from groundwalk.sfm.model import Model
-from groundwalk.sfm.model_adjustment import CameraLog
+from groundwalk.sfm.pairs.matching import MatchedPairs
+from groundwalk.sfm.quality.covariance import Covariances
 
 # Images determine the product of readout and angular velocity: the common error of VIO's, which filters smooth.
 _RATE_SCALE_SD = 0.02

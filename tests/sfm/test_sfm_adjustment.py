@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse
-from groundwalk.sfm.adjustment import (
+from groundwalk.sfm.cameras.adjustment import (
     Adjusted,
     Bundle,
     CameraPriors,
@@ -22,8 +22,8 @@ from groundwalk.sfm.adjustment import (
     shared_columns,
     with_step,
 )
-from groundwalk.sfm.covariance import covariances
-from groundwalk.sfm.residuals import LENS, SHUTTER, draw_residuals, pattern_of, residual_patterns
+from groundwalk.sfm.quality.covariance import covariances
+from groundwalk.sfm.quality.residuals import LENS, SHUTTER, draw_residuals, pattern_of, residual_patterns
 
 _FRAMES, _POINTS, _NOISE_PX = 24, 2500, 0.2
 _LENS, _READOUT_S = (0.092, -0.125), 0.02

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pytest
 
 from groundwalk.artefacts.choices import AttemptName, AttemptOutcome
-from groundwalk.sfm.attempts import Attempt, outcome_of, run_attempts, steps_of
+from groundwalk.sfm.mapping.attempts import Attempt, outcome_of, run_attempts, steps_of
 from groundwalk.sfm.settings import SfmSettings
 
 _FRAMES = 100

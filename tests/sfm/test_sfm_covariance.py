@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.poses import Array, inverse, make_pose
-from groundwalk.sfm.adjustment import Adjusted, Bundle, CameraPriors, Cameras
-from groundwalk.sfm.covariance import covariances
+from groundwalk.sfm.cameras.adjustment import Adjusted, Bundle, CameraPriors, Cameras
 from groundwalk.sfm.model import blobs_of
+from groundwalk.sfm.quality.covariance import covariances
 
 _FRAMES, _POINTS, _RUNS = 8, 300, 25
 _NOISE_PX = 0.7

@@ -3,7 +3,7 @@
 import numpy as np
 
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform, yaw_rotation
-from groundwalk.sfm.from_vio import join_sessions
+from groundwalk.sfm.mapping.from_vio import join_sessions
 
 _POINTS = 60
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundwalk.sfm.held_out import choose_held_out
+from groundwalk.sfm.mapping.held_out import choose_held_out
 
 
 def test_whole_tracks_are_left_out_and_about_the_share_of_them() -> None:

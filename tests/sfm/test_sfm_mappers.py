@@ -4,7 +4,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from groundwalk.sfm.mappers import MappingInput, pipeline_options
+from groundwalk.sfm.mapping.mappers import MappingInput, pipeline_options
 
 
 @pytest.mark.parametrize(("size", "expected_px"), [((320, 240), 1.0), ((1440, 1920), 1.92)])

@@ -5,8 +5,8 @@ import pycolmap
 
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.sfm.cameras.model_adjustment import CameraLog, adjust_model, camera_log, with_lenses_of
 from groundwalk.sfm.model import load_models
-from groundwalk.sfm.model_adjustment import CameraLog, adjust_model, camera_log, with_lenses_of
 from groundwalk.sfm.settings import SfmSettings
 
 

@@ -9,8 +9,8 @@ import pycolmap
 from conftest import Room
 
 from groundwalk.sfm.database import create_database, has_results, image_id, image_name, read_pair_results
-from groundwalk.sfm.features import extract_features
-from groundwalk.sfm.matching import match_pairs, verification_options
+from groundwalk.sfm.pairs.features import extract_features
+from groundwalk.sfm.pairs.matching import match_pairs, verification_options
 from groundwalk.sfm.settings import SfmSettings
 
 SETTINGS = SfmSettings(first_octave=-1, max_features=400)

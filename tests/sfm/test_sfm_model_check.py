@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
-from groundwalk.sfm.model_check import ModelCheck, check_models
-from groundwalk.sfm.odometry import odometry
+from groundwalk.sfm.pairs.odometry import odometry
+from groundwalk.sfm.quality.model_check import ModelCheck, check_models
 
 _DRIFT = VioDrift.in_degrees(0.1, 0.03, 3.0, 2.5)
 _GAUGE = Sim3(0.37, Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix(), np.array([3.0, -7.0, 1.0]))

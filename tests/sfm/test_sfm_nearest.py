@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.sfm.nearest import mutual_matches
+from groundwalk.sfm.pairs.nearest import mutual_matches
 
 
 def sift_like(rng: np.random.Generator, count: int) -> NDArray[np.float32]:

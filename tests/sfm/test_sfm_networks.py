@@ -10,10 +10,10 @@ from conftest import Room
 
 from groundwalk.artefacts import UserError, execute
 from groundwalk.sfm.database import create_database, image_id, read_descriptors
-from groundwalk.sfm.features import extract_features, extraction_options, features_name
-from groundwalk.sfm.matching import match_pairs, matching_options
-from groundwalk.sfm.networks import require_model_files
-from groundwalk.sfm.retrieval import vlad
+from groundwalk.sfm.pairs.features import extract_features, extraction_options, features_name
+from groundwalk.sfm.pairs.matching import match_pairs, matching_options
+from groundwalk.sfm.pairs.networks import require_model_files
+from groundwalk.sfm.pairs.retrieval import vlad
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.sfm.stage import STAGE
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.poses import Array, make_pose, relative, yaw_rotation
-from groundwalk.sfm.odometry import Odometry, PairLimits, compare_with_vio, drift_between, odometry
+from groundwalk.sfm.pairs.odometry import Odometry, PairLimits, compare_with_vio, drift_between, odometry
 
 _LIMITS = PairLimits(
     VioDrift.in_degrees(0.1, 0.03, 3.0, 2.5), gravity_rad=float(np.radians(5.0)), direction_rad=float(np.radians(15.0))

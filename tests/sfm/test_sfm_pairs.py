@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
-from groundwalk.sfm.pairs import (
+from groundwalk.sfm.pairs.candidates import (
     first_origins,
     sequence_pairs,
     strongest_pairs,

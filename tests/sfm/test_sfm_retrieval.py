@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from groundwalk.sfm.extensions import RETRIEVALS
-from groundwalk.sfm.retrieval import pca_vlad, retrieval_pairs, vlad
+from groundwalk.sfm.pairs.retrieval import pca_vlad, retrieval_pairs, vlad
 
 _LANDMARKS, _SEEN, _FRAMES = 600, 120, 30
 

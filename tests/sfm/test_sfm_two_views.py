@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.poses import Array, make_pose, rotation_angle
-from groundwalk.sfm.two_views import pose_near
+from groundwalk.sfm.pairs.two_views import pose_near
 
 _FOCAL_PX = 500.0
 

@@ -5,11 +5,11 @@ import pandas as pd
 
 from groundwalk.artefacts import StageRun
 from groundwalk.artefacts.choices import PairStatus
-from groundwalk.sfm.attempt_models import AttemptModels
-from groundwalk.sfm.attempts import Attempt
-from groundwalk.sfm.mapping_input import HeldOutCheck
+from groundwalk.sfm.mapping.attempt_models import AttemptModels
+from groundwalk.sfm.mapping.attempts import Attempt
+from groundwalk.sfm.mapping.source import HeldOutCheck
 from groundwalk.sfm.model import Model
-from groundwalk.sfm.residuals import pattern_of
+from groundwalk.sfm.quality.residuals import pattern_of
 from groundwalk.sfm.settings import SfmSettings
 
 

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import Array, inverse, make_pose, relative
 from groundwalk.sfm.database import image_id
-from groundwalk.sfm.odometry import Odometry, PairLimits, VioComparison, compare_with_vio
-from groundwalk.sfm.pairs import Pairs
+from groundwalk.sfm.pairs.candidates import Pairs
+from groundwalk.sfm.pairs.odometry import Odometry, PairLimits, VioComparison, compare_with_vio
 
 # COLMAP's bound for a match that fits, px, and the fraction of a pair's matches that another pose has to explain.
 _MAX_ERROR_PX = 4.0

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from groundwalk.geometry.vlad import aggregate, k_means
 from groundwalk.sfm.database import Descriptors
-from groundwalk.sfm.pairs import Pairs, unique_pairs
+from groundwalk.sfm.pairs.candidates import Pairs, unique_pairs
 
 Floats = NDArray[np.float32]
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import pycolmap
 
 from groundwalk.artefacts.child import Report
+from groundwalk.sfm.cameras.model_adjustment import CameraLog, adjust_model, save_adjusted, with_lenses_of
 from groundwalk.sfm.database import read_keypoints
 from groundwalk.sfm.extensions import MAPPERS
-from groundwalk.sfm.mappers import MappingInput, continued
-from groundwalk.sfm.mapping_input import VerifiedPairs, write_mapping_input
-from groundwalk.sfm.model_adjustment import CameraLog, adjust_model, save_adjusted, with_lenses_of
+from groundwalk.sfm.mapping.mappers import MappingInput, continued
+from groundwalk.sfm.mapping.source import VerifiedPairs, write_mapping_input
 from groundwalk.sfm.settings import SfmSettings
 
 _CONTINUED_MIN_INLIERS = 15
@@ -24,7 +24,7 @@ _BUILT = "built.json"
 @dataclass(frozen=True)
 class BuiltModel:
     """A model that mapping built: by which mapping, its number there, its size, and, where it was selected, its folder;
-    beside that `<folder>.npz` has what `groundwalk.sfm.model_adjustment.load_adjusted` reads."""
+    beside that `<folder>.npz` has what `groundwalk.sfm.cameras.model_adjustment.load_adjusted` reads."""
 
     mapping: str
     number: int

@@ -7,7 +7,7 @@ import numpy as np
 import pycolmap
 
 from groundwalk.artefacts.child import Report
-from groundwalk.sfm.networks import options_of_network
+from groundwalk.sfm.pairs.networks import options_of_network
 from groundwalk.sfm.settings import SfmSettings
 
 # COLMAP starts anew for each chunk, and cores wait for its last image; progress is reported at its end.

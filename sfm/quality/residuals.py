@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from groundwalk.artefacts.choices import ResidualPattern
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.adjustment import Adjusted, Ints, project, summed
+from groundwalk.sfm.cameras.adjustment import Adjusted, Ints, project, summed
 
 LENS, SHUTTER = "lens", "rolling shutter or stabilised video"
 _CAUSE = {ResidualPattern.RADIUS: LENS, ResidualPattern.ROW: SHUTTER}

@@ -20,7 +20,7 @@ from groundwalk.consistency.windows import POSE_SD, WINDOW_M, compare_windows
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.odometry import Odometry
+from groundwalk.sfm.pairs.odometry import Odometry
 
 # The limits are a decimetre and more: a few rounds of each fit are enough.
 _TOLERANCE = 0.05

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from groundwalk.artefacts.choices import PairOrigin
 from groundwalk.sfm.database import read_descriptors
 from groundwalk.sfm.extensions import described_by
-from groundwalk.sfm.odometry import Odometry, drift_between
-from groundwalk.sfm.pairs import (
+from groundwalk.sfm.pairs.candidates import (
     Pairs,
     sequence_pairs,
     strongest_pairs,
@@ -19,7 +18,8 @@ from groundwalk.sfm.pairs import (
     vio_pairs,
     within_vio_limits,
 )
-from groundwalk.sfm.retrieval import retrieval_pairs
+from groundwalk.sfm.pairs.odometry import Odometry, drift_between
+from groundwalk.sfm.pairs.retrieval import retrieval_pairs
 from groundwalk.sfm.settings import SfmSettings
 
 Proposals = list[tuple[PairOrigin, Pairs]]

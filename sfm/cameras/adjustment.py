@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from groundwalk.geometry.lens import distort_with_slope
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN, cauchy_weights
-from groundwalk.sfm.normal_equations import block_rows, similarities
+from groundwalk.sfm.cameras.normal_equations import block_rows, similarities
 
 Ints = NDArray[np.int64]
 

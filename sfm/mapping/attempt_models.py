@@ -11,20 +11,20 @@ from groundwalk.artefacts.child import Task
 from groundwalk.artefacts.choices import AttemptName, PairOrigin
 from groundwalk.consistency.motions import MISTAKE_REASONS, compare_motions
 from groundwalk.geometry.poses import relative
-from groundwalk.sfm.attempts import Attempt, outcome_of
 from groundwalk.sfm.database import has_results, keypoint_counts, read_pair_results
-from groundwalk.sfm.mappers import MappingInput
-from groundwalk.sfm.mapping import BuiltModel, build_models, read_built, selected_models
-from groundwalk.sfm.mapping_input import VerifiedPairs
-from groundwalk.sfm.matching import ONE_THREAD, MatchedPairs, match_pairs
+from groundwalk.sfm.mapping.attempts import Attempt, outcome_of
+from groundwalk.sfm.mapping.build import BuiltModel, build_models, read_built, selected_models
+from groundwalk.sfm.mapping.mappers import MappingInput
+from groundwalk.sfm.mapping.source import VerifiedPairs
 from groundwalk.sfm.model import Model, load_models
-from groundwalk.sfm.model_check import check_models
-from groundwalk.sfm.odometry import PairLimits, nothing_compared
-from groundwalk.sfm.pair_selection import Proposals, pairs_across_sessions, pairs_of_chains, pairs_within_sessions
-from groundwalk.sfm.pairs import first_origins
+from groundwalk.sfm.pairs.candidates import first_origins
+from groundwalk.sfm.pairs.matching import ONE_THREAD, MatchedPairs, match_pairs
+from groundwalk.sfm.pairs.odometry import PairLimits, nothing_compared
+from groundwalk.sfm.pairs.selection import Proposals, pairs_across_sessions, pairs_of_chains, pairs_within_sessions
+from groundwalk.sfm.pairs.two_views import compare_pairs
+from groundwalk.sfm.quality.model_check import check_models
 from groundwalk.sfm.scene_input import SceneInput, calibrated_features
 from groundwalk.sfm.settings import SfmSettings
-from groundwalk.sfm.two_views import compare_pairs
 
 _MIN_COMPARED_PAIRS = 8
 

@@ -1,4 +1,4 @@
-"""Adjusting a COLMAP model with the cameras of phones (`groundwalk.sfm.adjustment`), and the file of the result."""
+"""Adjusting a COLMAP model with the cameras of phones (module `adjustment`), and the file of the result."""
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -10,7 +10,7 @@ import pycolmap
 
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.poses import Array, inverse, make_pose
-from groundwalk.sfm.adjustment import (
+from groundwalk.sfm.cameras.adjustment import (
     Adjusted,
     Bundle,
     CameraPriors,
@@ -20,9 +20,9 @@ from groundwalk.sfm.adjustment import (
     marginal_readout,
     project,
 )
-from groundwalk.sfm.calibration import Calibration, prior_lenses
+from groundwalk.sfm.cameras.calibration import Calibration, prior_lenses
+from groundwalk.sfm.cameras.motion import Motion, motion_by_vio
 from groundwalk.sfm.database import Ints, image_id
-from groundwalk.sfm.motion import Motion, motion_by_vio
 from groundwalk.sfm.settings import SfmSettings
 
 # Shorter steps of VIO say too little of the length of an sfm unit.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from groundwalk.sfm.pairs import Pairs
+from groundwalk.sfm.pairs.candidates import Pairs
 
 Ints = NDArray[np.int64]
 

@@ -20,11 +20,11 @@ from groundwalk.artefacts.child import Report
 from groundwalk.artefacts.choices import CameraOrigin
 from groundwalk.geometry.lens import distort, max_shift, undistort
 from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.sfm.cameras.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
+from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.database import Ints, create_database, image_id
-from groundwalk.sfm.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
-from groundwalk.sfm.matching import match_pairs
-from groundwalk.sfm.motion import Motion
-from groundwalk.sfm.pairs import Pairs
+from groundwalk.sfm.pairs.candidates import Pairs
+from groundwalk.sfm.pairs.matching import match_pairs
 from groundwalk.sfm.settings import SfmSettings
 
 # k1 and k2 of phones' main cameras (docs/explanation/sfm.md, Cameras), in OpenCV's convention, and their covariance.

@@ -10,7 +10,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.from_vio import map_from_vio
+from groundwalk.sfm.mapping.from_vio import map_from_vio
 
 MIN_MODEL_FRAMES = 3
 _LEAF_IMAGES = 200

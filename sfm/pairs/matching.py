@@ -13,11 +13,11 @@ from groundwalk.artefacts.child import Report
 from groundwalk.artefacts.choices import PairStatus
 from groundwalk.artefacts.cores import usable_cores
 from groundwalk.sfm.database import has_results, image_id
-from groundwalk.sfm.features import extraction_options
-from groundwalk.sfm.nearest import mutual_matches
-from groundwalk.sfm.networks import cannot_run, model_files, options_of_network
-from groundwalk.sfm.odometry import VioComparison
-from groundwalk.sfm.pairs import Pairs
+from groundwalk.sfm.pairs.candidates import Pairs
+from groundwalk.sfm.pairs.features import extraction_options
+from groundwalk.sfm.pairs.nearest import mutual_matches
+from groundwalk.sfm.pairs.networks import cannot_run, model_files, options_of_network
+from groundwalk.sfm.pairs.odometry import VioComparison
 from groundwalk.sfm.settings import SfmSettings
 
 _CHUNK = 128  # a bound on the descriptors in memory, and what a killed run matches again

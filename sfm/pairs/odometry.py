@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from groundwalk.artefacts.choices import PairInconsistency
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.poses import Array, path_length, rotation_angle
-from groundwalk.sfm.pairs import Pairs
+from groundwalk.sfm.pairs.candidates import Pairs
 
 # Below this median angle between the rays of a pair's points its direction of motion is too uncertain to compare.
 _MIN_TRIANGULATION = np.radians(3.0)

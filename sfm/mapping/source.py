@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.lens import undistort
 from groundwalk.geometry.poses import Array, make_pose, relative
-from groundwalk.sfm.adjustment import Cameras
+from groundwalk.sfm.cameras.adjustment import Cameras
 from groundwalk.sfm.database import Ints, create_database, image_id, image_name, read_keypoints
-from groundwalk.sfm.held_out import choose_held_out
-from groundwalk.sfm.pairs import Pairs
+from groundwalk.sfm.mapping.held_out import choose_held_out
+from groundwalk.sfm.pairs.candidates import Pairs
 
 
 @dataclass(frozen=True)

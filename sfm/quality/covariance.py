@@ -14,7 +14,7 @@ from scipy.sparse import csr_array, vstack
 
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.robust import cauchy_weights
-from groundwalk.sfm.adjustment import (
+from groundwalk.sfm.cameras.adjustment import (
     Adjusted,
     Ints,
     Linearization,
@@ -28,7 +28,7 @@ from groundwalk.sfm.adjustment import (
     shared_columns,
     summed,
 )
-from groundwalk.sfm.normal_equations import block_rows, similarities
+from groundwalk.sfm.cameras.normal_equations import block_rows, similarities
 
 # The scatter of blobs tells that of the poses where there are some more of them than unknowns.
 _POINTS_PER_UNKNOWN = 2

@@ -1,0 +1,1 @@
+"""From verified pairs to models: attempts, mappers, held-out matches."""

@@ -1,0 +1,1 @@
+"""A model's quality: covariance, residuals, and its motion against VIO."""
