@@ -172,7 +172,7 @@ test: $(installed) check ## Checks and tests, under ten minutes on two cores
 test-slow: $(installed) ## Whole-pipeline cases
 	@$(py) -m pytest -m slow
 
-test-faults: $(installed) ## Damage, kills, full disks, hostile names: docs/results/faults.md
+test-faults: $(installed) ## Damage, kills, full disks, hostile names: a table of faults
 	@$(py) -m benchmarks.faults
 
 bench: $(installed) ## Time, memory and bytes of each stage (profile=demo scene=Church unless named)

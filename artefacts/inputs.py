@@ -11,7 +11,6 @@ from typing import Any, Protocol
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import hash_files, sha256_of
 from groundwalk.artefacts.hints import link_command, run_command
-from groundwalk.artefacts.images import verify_images
 from groundwalk.artefacts.locks import locked
 from groundwalk.artefacts.manifests import MANIFEST, load_manifest, load_verified
 from groundwalk.artefacts.settings import STAGES, DataRoot, SceneConfig
@@ -61,7 +60,11 @@ class Inputs:
         """UserError where an input isn't as its stage wrote it, or an image not as import saw it."""
         for _, _, folder in self._sources():
             load_verified(folder)
-        for leaf in self.data.leaves(self.scene) if self.reads_images else ():
+        if not self.reads_images:
+            return
+        from groundwalk.artefacts.images import verify_images  # OpenCV and pandas take seconds to load
+
+        for leaf in self.data.leaves(self.scene):
             verify_images(self.data.captures(leaf), self.data.run(self.profile, leaf, "import"))
 
     def refuse_outdated(self) -> None:

@@ -222,7 +222,7 @@ def _held_out(scene: str) -> tuple[Held, ...]:
     """The scene's training walks, with the frames that import holds out for validation."""
     walks = pose_walks(scene, "train")
     frames = pd.concat(
-        pd.DataFrame({"session_id": w.name, "recording": w.name, "said": None, "t_ns": w.t_ns})
+        pd.DataFrame({"session_id": w.name, "recording": w.name, "stated_split": None, "t_ns": w.t_ns})
         for w in (*walks, *pose_walks(scene, "test"))
     )
     split = pd.Series(split_frames(frames.reset_index(drop=True), SplitRules(), by_time=False).of_frame)

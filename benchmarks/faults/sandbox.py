@@ -32,7 +32,7 @@ width = 320
 height = 240
 train_sessions = 2
 test_sessions = 1
-frame_share = 0.02
+frame_fraction = 0.02
 texel_m = 0.05
 [sfm]
 max_features = 1024

@@ -266,7 +266,7 @@ def test_our_importer_reads_what_other_tools_read(scene: DataRoot, name: str) ->
     assert [(s.session_id, s.split, len(s.frames)) for s in sessions] == [("walk0", None, 19), ("walk1", "test", 20)]
     for session in sessions:
         assert not session.rejects and not session.notes
-        assert (session.pose_source, session.metric, session.gravity_aligned) == ("reference", True, True)
+        assert (session.pose_source, session.is_metric, session.is_gravity_aligned) == ("reference", True, True)
         for raw in session.frames:
             frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
             found[frame_id] = raw.vio_T_cam
@@ -290,7 +290,7 @@ def test_a_map_of_unknown_unit_is_not_exported_as_metres(scene: DataRoot, scale_
     write_json(path.parent / "manifest.json", manifest | {"outputs": output_hashes(path.parent)})
     out = _export(scene, "nerfstudio", "--images", "copy")
     assert json.loads((out / "export.json").read_text())["map"].startswith(unit)
-    assert {(s.metric, s.gravity_aligned) for s in _sessions(out)} == {(False, False)}
+    assert {(s.is_metric, s.is_gravity_aligned) for s in _sessions(out)} == {(False, False)}
 
 
 def test_intrinsics_that_a_format_has_no_place_for_lie_beside(scene: DataRoot) -> None:
@@ -492,7 +492,7 @@ def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:
 
     folder = scene.run("tiny", "Place", "sfm")
     (folder / "manifest.json").write_text(json.dumps({"outputs": output_hashes(folder), "simulated": True}))
-    with pytest.raises(UserError, match="another sfm run"):
+    with pytest.raises(UserError, match="another run of stage sfm"):
         _export(scene, "tum")
 
 

@@ -91,5 +91,5 @@ def test_classes_that_levels_count_promise_every_level_with_95_percent():
     bound = np.sqrt(chi2.ppf(0.95, 3))
     strictest = np.min(list(ACCURACY_LEVELS.values()), axis=0)
     for limits in (settings.quality_a, settings.quality_b):
-        assert bound * limits.position_sd_m <= strictest[0] and bound * limits.rotation_sd_deg <= strictest[1]
+        assert bound * limits.max_position_sd_m <= strictest[0] and bound * limits.max_rotation_sd_deg <= strictest[1]
     assert list(sure_enough(["A", "B", "C", "none", None, np.nan])) == [True, True, False, False, True, True]
