@@ -184,6 +184,7 @@ def test_impossible_input_is_refused() -> None:
         replace(FITTED, correlation_m=0.0)
 
 
+@pytest.mark.slow
 def test_estimators_give_back_what_was_simulated() -> None:
     model = replace(
         EXACT,
@@ -234,6 +235,7 @@ def test_the_committed_fit_names_every_parameter() -> None:
     assert all(getattr(FITTED, f.name) > 0 for f in fields(VioModel))
 
 
+@pytest.mark.slow
 def test_the_recordings_give_the_committed_fit(shared_trajectories: Path) -> None:
     again = tomllib.loads(to_toml(fit(read_recordings(shared_trajectories))))
     committed = tomllib.loads(FIT_FILE.read_text(encoding="utf-8"))
