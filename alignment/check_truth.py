@@ -12,8 +12,8 @@ import pandas as pd
 import typer
 from rich.console import Console
 from rich.table import Table
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from groundwalk.alignment.uncertainty import SharedSd, shared_covariance
 from groundwalk.artefacts import UserError
@@ -26,9 +26,7 @@ from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, fit_yaw, pose_residuals
 from groundwalk.geometry.poses import Array
-
-# 95 % of a chi square with 3 degrees of freedom.
-_BOUND = float(chi2.ppf(0.95, 3))
+from groundwalk.scoring.errors import within_bounds
 
 
 @dataclass(frozen=True)
@@ -96,14 +94,9 @@ def compare_with_bounds(map_T_cam: Array, true_T_cam: Array, covariance: Array, 
     }
     targets = []
     for part, (placed, turn, stated, maximum) in parts.items():
-        rotation = true_T_cam[:, :3, :3] @ np.swapaxes(placed[:, :3, :3], 1, 2)
-        errors = {
-            "position": (true_T_cam[:, :3, 3] - placed[:, :3, 3], slice(3, 6)),
-            "rotation": (Rotation.from_matrix(rotation).as_rotvec(), slice(0, 3)),
-        }
-        for name, (error, axes) in errors.items():
-            normalised = np.linalg.solve(turn @ stated[:, axes, axes] @ turn.T, error[..., None])[..., 0]
-            within = 100 * float(np.mean(np.sum(error * normalised, axis=1) <= _BOUND))
+        both = block_diag(turn, turn)
+        shares = within_bounds(placed, true_T_cam, both @ stated @ both.T).mean(axis=0)
+        for name, within in zip(("position", "rotation"), (100 * shares).tolist(), strict=True):
             targets.append(TruthTarget(f"{name} within 95 % bounds, {part}", within, "%", maximum, minimum=90.0))
     return targets
 

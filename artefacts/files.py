@@ -17,8 +17,13 @@ KEY_FILE = "key.json"
 RECORDING = "recording.rrd"
 
 
-def replace_synced(partial: Path, path: Path) -> None:
-    """Rename a file that is written to the end; after a power cut either it or the one before is there, whole."""
+@contextlib.contextmanager
+def written_aside(path: Path) -> Iterator[Path]:
+    """Where to write a file that becomes `path`, synced, when the block ends well: after a kill or power cut either it
+    or the one before is there, whole."""
+    partial = path.with_name(path.name + ".partial")
+    partial.unlink(missing_ok=True)
+    yield partial
     _sync(partial)
     partial.replace(path)
     _sync(path.parent)
@@ -35,9 +40,8 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def write_json(path: Path, content: object) -> None:
     """Write JSON atomically."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(content, indent=2, allow_nan=False, default=str) + "\n", encoding="utf-8")
-    replace_synced(partial, path)
+    with written_aside(path) as partial:
+        partial.write_text(json.dumps(content, indent=2, allow_nan=False, default=str) + "\n", encoding="utf-8")
 
 
 def refuse_to_overwrite(out: Path, results: str, note: str, key: str, *, force: bool) -> None:

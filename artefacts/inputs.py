@@ -40,7 +40,6 @@ class Inputs:
     profile: str
     data: DataRoot
     files: tuple[str, ...] = ()
-    reads_images: bool = False
     hashes: dict[str, Any] = field(default_factory=dict)
     _locks: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
     _captures: dict[str, tuple[int, int]] = field(default_factory=dict)
@@ -57,15 +56,9 @@ class Inputs:
         self._locks.close()
 
     def verify(self) -> None:
-        """UserError where an input isn't as its stage wrote it, or an image not as import saw it."""
+        """UserError where an input isn't as its stage wrote it."""
         for _, _, folder in self._sources():
             load_verified(folder)
-        if not self.reads_images:
-            return
-        from groundwalk.artefacts.images import verify_images  # OpenCV and pandas take seconds to load
-
-        for leaf in self.data.leaves(self.scene):
-            verify_images(self.data.captures(leaf), self.data.run(self.profile, leaf, "import"))
 
     def refuse_outdated(self) -> None:
         """UserError where an artefact among the inputs was made from others than are there now."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from groundwalk.artefacts.files import replace_synced
+from groundwalk.artefacts.files import written_aside
 from groundwalk.geometry.poses import Array
 
 # One meaning, one colour, in recordings and in figures alike (Okabe-Ito, which colour-blind readers can distinguish).
@@ -33,16 +33,15 @@ def open_recording(path: Path, stage: str, name: str, blueprint: object) -> Iter
     Each stage is an application of its own, so that every recording keeps its own blueprint when several are opened
     in one viewer.
     """
-    partial = path.with_name(path.name + ".partial")
-    stream = rr.RecordingStream(f"groundwalk_{stage}", recording_id=f"{name}/{stage}")
-    stream.save(partial, default_blueprint=blueprint)  # type: ignore[arg-type]
-    stream.send_recording_name(f"{name} · {stage}")
-    try:
-        yield stream
-        stream.flush()
-    finally:
-        stream.disconnect()
-    replace_synced(partial, path)
+    with written_aside(path) as partial:
+        stream = rr.RecordingStream(f"groundwalk_{stage}", recording_id=f"{name}/{stage}")
+        stream.save(partial, default_blueprint=blueprint)  # type: ignore[arg-type]
+        stream.send_recording_name(f"{name} · {stage}")
+        try:
+            yield stream
+            stream.flush()
+        finally:
+            stream.disconnect()
 
 
 def set_time(stream: rr.RecordingStream, t_ns: int) -> None:

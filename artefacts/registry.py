@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 from groundwalk.artefacts import progress
 from groundwalk.artefacts.builtin import BUILTIN
 from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.settings import Settings, validated
 from groundwalk.artefacts.text import printable
 
 Colour = tuple[int, int, int]
@@ -176,6 +177,33 @@ class Registry(Mapping[str, E], Generic[E]):
     def failure(self, entry_id: str, reason: str) -> PluginError:
         """The error for an entry that does something wrong."""
         return _error(f"{self.record.noun} {entry_id!r} failed", self.source(entry_id), reason)
+
+    def unusable(self, entry_ids: Iterable[str]) -> list[PluginError]:
+        """Why those of the entries take no part that can't be used."""
+        return [error for name in entry_ids if name not in self for error in self.problems.get(name, [])]
+
+    def sections(self, content: object, selected: Iterable[str], table: str) -> object:
+        """Sections of settings, by entry, as the entries' settings models; kept are those of `selected`, on which alone
+        a run depends. `table` is where they stand: `train.regressors`. For a validator of mode "before": what isn't a
+        table is returned as it is; raises as `find` does, and UserError for a setting that doesn't fit."""
+        if not isinstance(content, dict):
+            return content
+        selected = tuple(selected)
+        for name in (*selected, *content):
+            if name not in self.problems:
+                self.find(name)
+        usable = [name for name in self if name in selected or name in content]
+        checked = {name: self._section(name, content.get(name, {}), table) for name in usable}
+        return {name: settings for name, settings in checked.items() if name in selected}
+
+    def _section(self, name: str, content: object, table: str) -> Settings:
+        if isinstance(content, Settings):
+            return content
+        if not isinstance(content, dict):
+            raise ValueError(f"{name} is {content!r}, not a section of settings")
+        entry: Any = self[name]  # of a kind whose records have `settings`
+        section: Settings = validated(entry.settings, content, f"[{table}.{name}]")
+        return section
 
     def versions(self, entry_ids: Iterable[str]) -> dict[str, str]:
         """Package and version of the entries that other packages bring: what they compute depends on these, too."""

@@ -28,11 +28,12 @@ from groundwalk.artefacts.files import (
     swap_in,
     write_json,
 )
-from groundwalk.artefacts.images import image_file
+from groundwalk.artefacts.images import image_file, verify_images
 from groundwalk.artefacts.inputs import Inputs, missing_input
 from groundwalk.artefacts.locks import locked
 from groundwalk.artefacts.manifests import MANIFEST, is_whole, load_manifest, output_hashes
 from groundwalk.artefacts.memory import PeakMemory
+from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.resuming import run_resumable
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import DataRoot, SceneConfig, Settings, resolve_settings
@@ -161,6 +162,12 @@ class StageRun(Generic[S]):
         """One line for the user."""
         progress.console.print(f"  {printable(text)}", markup=False)
 
+    def leave_out(self, faults: Iterable[PluginError]) -> None:
+        """Name each plug-in that takes no part, also in the manifest."""
+        for fault in faults:
+            self.say(f"warning: {fault}")
+            self.figure(f"left out: {fault.what}", f"{fault.details['where']}: {fault.reason}")
+
     def figure(self, name: str, value: float | int | str | bool | None) -> None:
         """Keep a number or text in the manifest."""
         self.figures[name] = value
@@ -197,7 +204,7 @@ def execute(
         )
     settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, overrides or [])
     final = data.run(profile, scene_name, stage.name)
-    with locked(final), _inputs(stage, scene, profile, data, settings) as inputs:
+    with locked(final), Inputs(stage, scene, profile, data, tuple(stage.files(settings))) as inputs:
         finish_interrupted_swap(final, MANIFEST)
         inputs.refuse_outdated()
         parts: dict[str, Any] = {
@@ -218,6 +225,9 @@ def execute(
             return final
 
         inputs.verify()
+        if stage.reads_images(settings):
+            for leaf in data.leaves(scene):
+                verify_images(data.captures(leaf), data.run(profile, leaf, "import"))
         work = partial_folder(final)
         run = StageRun(stage, scene, profile, settings, seed, data, inputs.simulated(), work)
         start = time.monotonic()
@@ -233,10 +243,6 @@ def execute(
             f"{title}: done in {progress.format_seconds(elapsed)} → {_relative(final)}", markup=False
         )
         return final
-
-
-def _inputs(stage: Stage[S], scene: SceneConfig, profile: str, data: DataRoot, settings: S) -> Inputs:
-    return Inputs(stage, scene, profile, data, tuple(stage.files(settings)), stage.reads_images(settings))
 
 
 def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: PeakMemory) -> dict[str, Any]:

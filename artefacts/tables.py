@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import replace_synced
+from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.schemas import TableSchema
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, pose_from_tq, tq_from_pose
@@ -46,9 +46,8 @@ def write_table(path: Path, frame: pd.DataFrame, schema: TableSchema) -> None:
         norm = np.linalg.norm(q[~np.isnan(q).any(axis=1)], axis=1)
         if norm.size and np.abs(norm - 1).max() > _QUATERNION_TOLERANCE:
             raise ValueError(f"{name}.{prefix}_q*: quaternion lengths {norm.min():.6f}..{norm.max():.6f}, not 1")
-    partial = path.with_name(path.name + ".partial")
-    pq.write_table(table, partial)
-    replace_synced(partial, path)
+    with written_aside(path) as partial:
+        pq.write_table(table, partial)
 
 
 def read_table(path: Path, schema: TableSchema, *, older_is_complete: bool = False) -> pd.DataFrame:

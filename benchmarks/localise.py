@@ -21,7 +21,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2, spearmanr
+from scipy.stats import spearmanr
 
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.cli import new_app
@@ -29,15 +29,15 @@ from groundwalk.artefacts.images import image_file
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.build import build_map
-from groundwalk.localisation.calibration import normalised_squares, pose_error
 from groundwalk.localisation.compact import read_map, write_map
 from groundwalk.localisation.hloc import HLocLocaliser
 from groundwalk.localisation.inputs import Inputs, grey, read_features, read_inputs, training_of
 from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings, StructureSettings
 from groundwalk.localisation.prepared import prepare
 from groundwalk.localisation.query import MapLocaliser
+from groundwalk.localisation.stage import errors_of
 from groundwalk.localisation.threads import one_thread
-from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.scoring.errors import BOUND_95, normalised_squares, pose_error
 
 app = new_app(__doc__ or "")
 
@@ -178,7 +178,7 @@ def run_case(case: Case, root: DataRoot, profile: str, settings: Chosen) -> list
         *_times(case.name, localiser, hloc, list(pictures.values()), inputs, query),
     ]
     for row, answer, true in zip(query.tolist(), asked, truth, strict=True):
-        p, r = _errors([answer], true[None])
+        p, r = errors_of([answer], true[None])
         if not p[0] < 0.25:
             what = f"{p[0]:.3f} m, {r[0]:.2f} deg, {answer.inliers} inliers; {answer.reason}"
             print(f"  {inputs.frames['frame_id'][row]}: {what}")
@@ -202,18 +202,8 @@ def training_rows(queries: str, inputs: Inputs) -> Rows:
     return np.flatnonzero((inputs.frames["split"] == "train").to_numpy() | (queries != "test"))
 
 
-def _errors(answers: Sequence[Answer], truth: Array) -> tuple[Array, Array]:
-    """Position errors, m, and rotation errors, deg, infinite where refused."""
-    position, rotation = np.full(len(answers), np.inf), np.full(len(answers), np.inf)
-    for row, answer in enumerate(answers):
-        if answer.map_T_cam is not None:
-            position[row] = position_error(answer.map_T_cam, truth[row])
-            rotation[row] = rotation_error_deg(answer.map_T_cam, truth[row])
-    return position, rotation
-
-
 def _accuracy(case: str, localiser: str, answers: Sequence[Answer], truth: Array) -> Iterable[Figure]:
-    position, rotation = _errors(answers, truth)
+    position, rotation = errors_of(answers, truth)
     yield Figure(case, localiser, "queries", len(answers), "")
     yield Figure(case, localiser, "refused", float(np.isinf(position).sum()), "")
     for metres, degrees in _LIMITS:
@@ -235,11 +225,10 @@ def _honesty(case: str, localiser: str, answers: Sequence[Answer], truth: Array)
     errors = np.array([pose_error(a.map_T_cam, t) for a, t in given if a.map_T_cam is not None])
     covariances = np.array([a.covariance for a, _ in given])
     rotation, position = normalised_squares(errors, covariances)
-    bound = chi2.ppf(0.95, 3)
     sigma = np.sqrt(np.trace(covariances[:, 3:, 3:], axis1=1, axis2=2))
     correlation = spearmanr(sigma, np.linalg.norm(errors[:, 3:], axis=1)).statistic
-    yield Figure(case, localiser, "within 95 % bounds", 100 * float((position <= bound).mean()), "%")
-    yield Figure(case, localiser, "within 95 % bounds, rotation", 100 * float((rotation <= bound).mean()), "%")
+    yield Figure(case, localiser, "within 95 % bounds", 100 * float((position <= BOUND_95).mean()), "%")
+    yield Figure(case, localiser, "within 95 % bounds, rotation", 100 * float((rotation <= BOUND_95).mean()), "%")
     yield Figure(case, localiser, "rank correlation of sigma and error", float(correlation), "")
 
 

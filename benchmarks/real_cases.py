@@ -31,6 +31,7 @@ from benchmarks.stages import Cost, run_timed
 from benchmarks.stock import stock_command
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.choices import FailureCause
+from groundwalk.artefacts.files import write_json
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import resolve_settings
 from groundwalk.artefacts.stage import load_manifest
@@ -109,10 +110,7 @@ class Result:
 
     def save(self, folder: Path) -> None:
         """Write it whole or not at all."""
-        path = folder / f"{self.case}.json"
-        partial = path.with_name(path.name + ".partial")
-        partial.write_text(json.dumps(asdict(self), indent=1), encoding="utf-8")
-        partial.replace(path)
+        write_json(folder / f"{self.case}.json", asdict(self))
 
     @classmethod
     def load(cls, path: Path) -> "Result":

@@ -16,8 +16,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.progress import track
@@ -32,12 +30,12 @@ from groundwalk.fusion.offline import Offline
 from groundwalk.fusion.tables import Files
 from groundwalk.fusion.validation import ERRORS, ahead_of
 from groundwalk.fusion.walks import Walk, known
+from groundwalk.scoring import errors as scoring_errors
 from groundwalk.scoring.errors import accuracy_shares
 
 RAW, RULE, LATE = "apr", "mobilearloc", "smoother"
 LAGS_S = (0.0, 1.0, 5.0, 30.0)
 KEY = ["group", "scene", "model"]
-_WITHIN_95 = float(chi2.ppf(0.95, 3))
 _TABLES = ("frames", "ground_truth", "predictions")
 
 
@@ -193,12 +191,7 @@ def within_bounds(fused: Fused) -> NDArray[np.bool_]:
     if not there.any():
         return np.zeros((0, 2), dtype=bool)
     covariance = np.array([e.covariance for e, ok in zip(fused.estimates, there, strict=True) if ok])
-    ours, true = fused.live_map_T_cam[there], fused.walk.map_T_cam[there]
-    off = ours[:, :3, 3] - true[:, :3, 3]
-    turn = Rotation.from_matrix(ours[:, :3, :3] @ true[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
-    parts = ((off, covariance[:, 3:, 3:]), (turn, covariance[:, :3, :3]))
-    squared = [np.einsum("ni,ni->n", e, np.linalg.solve(c, e[..., None])[..., 0]) for e, c in parts]
-    return np.asarray(np.column_stack(squared) <= _WITHIN_95)
+    return scoring_errors.within_bounds(fused.live_map_T_cam[there], fused.walk.map_T_cam[there], covariance)
 
 
 def ahead(rows: pd.DataFrame) -> pd.DataFrame:

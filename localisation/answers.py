@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.choices import Refusal
+from groundwalk.artefacts.files import written_aside
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
 
@@ -86,10 +87,9 @@ def seen_by(px: Array, points: Ints, matches: Ints, inliers: Ints) -> Seen:
 
 
 def write_answer(path: Path, answer: Answer, cost_s: tuple[float, float]) -> None:
-    """Keep an answer, and its seconds on the clock and of all cores, in a safe point."""
-    partial = path.with_name(path.name + ".partial")
+    """Write an answer, and its seconds on the clock and of all cores, as a checkpoint."""
     evidence = {name: getattr(answer, name) for name in ("refusal", "reason", "candidates", "inliers", "seconds")}
-    with partial.open("wb") as file:
+    with written_aside(path) as partial, partial.open("wb") as file:
         np.savez(
             file,
             map_T_cam=np.empty(0) if answer.map_T_cam is None else answer.map_T_cam,
@@ -100,11 +100,10 @@ def write_answer(path: Path, answer: Answer, cost_s: tuple[float, float]) -> Non
             evidence=np.array(json.dumps(evidence)),
             cost_s=np.array(cost_s),
         )
-    partial.replace(path)
 
 
 def read_answer(path: Path) -> tuple[Answer, tuple[float, float]]:
-    """The answer and its seconds of a safe point."""
+    """The answer and its seconds of a checkpoint."""
     with np.load(path) as kept:
         pose, covariance = (kept[name] if kept[name].size else None for name in ("map_T_cam", "covariance"))
         seen = Seen(kept["px"], kept["points"], kept["inlier"])

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from groundwalk.geometry.cameras import Camera
@@ -15,6 +14,7 @@ from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.compact import Calibration
 from groundwalk.localisation.features import Features
 from groundwalk.localisation.query import MapLocaliser, with_lens
+from groundwalk.scoring.errors import normalised_squares, pose_error
 
 UNCALIBRATED = Calibration(min_inliers=6, covariance_factor=1.0, position_floor_m=0.0, rotation_floor_rad=0.0)
 _MARGIN = 1.25
@@ -65,12 +65,6 @@ def calibrated(trials: Sequence[Trial]) -> Calibration:
     return _fitted(np.array(errors), np.array(covariances), limit)
 
 
-def pose_error(map_T_cam: Array, truth: Array) -> Array:
-    """The error (6,) of (rotation, position) in the map's axes: true rotation = exp(rotation) @ map_R_cam."""
-    turn = Rotation.from_matrix(truth[:3, :3] @ map_T_cam[:3, :3].T).as_rotvec()
-    return np.concatenate([turn, truth[:3, 3] - map_T_cam[:3, 3]])
-
-
 def in_view(xyz: Array, map_T_cam: Array, camera: Camera) -> NDArray[np.bool_]:
     """Which points (P, 3) lie within the image of a camera, be they hidden by walls or not, (P,)."""
     cam = transform(inverse(map_T_cam), xyz)
@@ -78,15 +72,6 @@ def in_view(xyz: Array, map_T_cam: Array, camera: Camera) -> NDArray[np.bool_]:
     half = 1.1 * np.array([camera.width / camera.fx, camera.height / camera.fy]) / 2
     at = np.abs(cam[:, :2]) / np.where(ahead, cam[:, 2], 1.0)[:, None]
     return np.asarray(ahead & (at <= half).all(axis=1))
-
-
-def normalised_squares(errors: Array, covariances: Array) -> tuple[Array, Array]:
-    """Squared Mahalanobis lengths of the rotation (N,) and the position (N,) of errors (N, 6)."""
-    parts = []
-    for part in (slice(0, 3), slice(3, 6)):
-        e, c = errors[:, part], covariances[:, part, part]
-        parts.append(np.einsum("ni,ni->n", e, np.linalg.solve(c, e[:, :, None])[:, :, 0]))
-    return parts[0], parts[1]
 
 
 def _fitted(errors: Array, covariances: Array, min_inliers: int) -> Calibration:

@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.artefacts.files import written_aside
+
 DESCRIPTOR_SIZE = 128
 _LENGTH = 512.0
 
@@ -29,15 +31,13 @@ class Features:
 
 
 def keep_features(path: Path, features: Features) -> None:
-    """Keep features in a safe point."""
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
+    """Write features as a checkpoint."""
+    with written_aside(path) as partial, partial.open("wb") as file:
         np.savez(file, px=features.px, size_px=features.size_px, descriptors=features.descriptors)
-    partial.replace(path)
 
 
 def load_features(path: Path) -> Features:
-    """The features of a safe point."""
+    """The features of a checkpoint."""
     with np.load(path) as kept:
         return Features(kept["px"], kept["size_px"], kept["descriptors"])
 

@@ -8,7 +8,7 @@ import typer
 
 from groundwalk.artefacts import UserError, progress
 from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.files import replace_synced
+from groundwalk.artefacts.files import written_aside
 from groundwalk.localisation.localisers import LOCALISERS, FileLocaliser
 from groundwalk.localisation.one_query import Query, ask, query_of, row_of
 
@@ -50,9 +50,8 @@ def locate(
         if out is None:
             typer.echo(json.dumps(row))
     if out is not None:
-        partial = out.with_name(out.name + ".partial")
-        partial.write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
-        replace_synced(partial, out)
+        with written_aside(out) as partial:
+            partial.write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
     refused = sum(row["refusal"] is not None for row in rows)
     progress.console.print(f"{len(rows) - refused} of {len(rows)} images localised, {refused} refused", markup=False)
 

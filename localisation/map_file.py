@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import replace_synced
+from groundwalk.artefacts.files import written_aside
 
 MAGIC = b"GWMAP\r\n\x1a"
 MAJOR, MINOR = 1, 0
@@ -36,9 +36,8 @@ class Sections:
 
 def write_sections(path: Path, arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, Any]) -> None:
     """Write a map file. A killed write leaves no file of that name."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(packed(arrays, metadata))
-    replace_synced(partial, path)
+    with written_aside(path) as partial:
+        partial.write_bytes(packed(arrays, metadata))
 
 
 def packed(arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, Any]) -> bytes:

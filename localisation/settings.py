@@ -3,7 +3,6 @@
 from pydantic import Field, SerializeAsAny, ValidationInfo, field_validator
 
 from groundwalk.artefacts.choices import Split
-from groundwalk.artefacts.settings import validated
 from groundwalk.localisation.localiser_settings import LocaliserSettings, StructureSettings
 from groundwalk.localisation.localisers import LOCALISERS
 
@@ -29,21 +28,4 @@ class LocaliseSettings(StructureSettings):
     @field_validator("localisers", mode="before")
     @classmethod
     def _known(cls, sections: object, info: ValidationInfo) -> object:
-        """The sections as settings of their localisers; kept are those of `models`, on which alone a run depends."""
-        if not isinstance(sections, dict):
-            return sections
-        models = info.data.get("models", ())
-        for name in (*models, *sections):
-            if name not in LOCALISERS.problems:
-                LOCALISERS.find(name)
-        usable = [name for name in LOCALISERS if name in models or name in sections]
-        checked = {name: _section(name, sections.get(name, {})) for name in usable}
-        return {name: settings for name, settings in checked.items() if name in models}
-
-
-def _section(name: str, content: object) -> LocaliserSettings:
-    if isinstance(content, LocaliserSettings):
-        return content
-    if not isinstance(content, dict):
-        raise ValueError(f"{name} is {content!r}, not a section of settings")
-    return validated(LOCALISERS[name].settings, content, f"[localise.localisers.{name}]")
+        return LOCALISERS.sections(sections, info.data.get("models", ()), "localise.localisers")

@@ -11,6 +11,7 @@ import pandas as pd
 
 from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.cores import usable_cores
+from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.schemas import schema
@@ -63,7 +64,7 @@ def localise(r: StageRun[LocaliseSettings]) -> None:
                     results[name] = localised(r, name, prepared, queries)
             except PluginError as fault:
                 faults.append(fault)
-    say_faults(r, faults, len(results))
+    leave_out(r, faults, len(results))
     write_results(r, queries, results)
 
 
@@ -85,9 +86,8 @@ def prepare(r: StageRun[LocaliseSettings]) -> Prepared:
     with r.step("match"):
         if not file.exists():
             pairs = match(training, r.settings, r.track)
-            begun = file.with_suffix(".partial.npy")
-            np.save(begun, pairs)
-            begun.replace(file)
+            with written_aside(file) as partial, partial.open("wb") as begun:
+                np.save(begun, pairs)
         pairs = np.load(file)
     with r.step("points"):
         prepared = prepared_from(r.scene.name, training, r.settings, pairs)
@@ -218,16 +218,12 @@ def errors_of(answers: list[Answer], truth: Array) -> tuple[Array, Array]:
     return position, rotation
 
 
-def say_faults(r: StageRun[LocaliseSettings], faults: list[PluginError], results: int) -> None:
+def leave_out(r: StageRun[LocaliseSettings], faults: list[PluginError], results: int) -> None:
     """Name each plug-in that took no part, also in the manifest; UserError where no localiser is left."""
-    broken = [
-        error for name in r.settings.models for error in LOCALISERS.problems.get(name, []) if name not in LOCALISERS
-    ]
-    for fault in (*broken, *faults):
-        r.say(f"warning: {fault}")
-        r.figure(f"left out: {fault.what}", f"{fault.details['where']}: {fault.reason}")
+    faults = [*LOCALISERS.unusable(r.settings.models), *faults]
+    r.leave_out(faults)
     if r.settings.models and not results:
-        raise (*broken, *faults)[0]
+        raise faults[0]
 
 
 def write_results(r: StageRun[LocaliseSettings], queries: pd.DataFrame, results: dict[str, Result]) -> None:

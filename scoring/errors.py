@@ -6,11 +6,15 @@
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from groundwalk.geometry.poses import Array, inverse, quaternion_angle, relative, rotation_angle, tq_from_pose
 
 # (metres, degrees): high, medium and low accuracy.
 ACCURACY_LEVELS = {"high": (0.25, 2.0), "medium": (0.5, 5.0), "low": (5.0, 10.0)}
+# 95 % of a chi square with 3 degrees of freedom, a position's or a rotation's.
+BOUND_95 = float(chi2.ppf(0.95, 3))
 # Quality classes of ground truth that lies within every accuracy level's bounds with 95 % (2.8 sigma, three axes):
 # A within 0.06 m and 0.3 degrees, B within 0.14 m and 0.9 degrees. C has no limits, so it promises nothing.
 SURE_CLASSES = ("A", "B")
@@ -51,6 +55,34 @@ def rotation_error_deg(estimated: ArrayLike, true: ArrayLike) -> Array:
     The paper's 2 acos|<q, q'>|, computed so that small angles keep their digits.
     """
     return np.degrees(rotation_angle(relative(estimated, true)[..., :3, :3]))
+
+
+def pose_error(estimated: ArrayLike, true: ArrayLike) -> Array:
+    """Errors (..., 6) of (rotation, position) of poses (..., 4, 4) in the map's axes: rad, m.
+
+    The true rotation is exp(rotation error) after the estimated one, as in the covariances (6, 6) of poses.
+    """
+    estimated, true = np.asarray(estimated, dtype=float), np.asarray(true, dtype=float)
+    turn = true[..., :3, :3] @ np.swapaxes(estimated[..., :3, :3], -1, -2)
+    rotation = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_rotvec().reshape(*turn.shape[:-2], 3)
+    return np.concatenate([rotation, true[..., :3, 3] - estimated[..., :3, 3]], axis=-1)
+
+
+def normalised_squares(errors: Array, covariances: Array) -> tuple[Array, Array]:
+    """Squared Mahalanobis lengths of the rotation (N,) and the position (N,) of errors (N, 6), covariances
+    (N, 6, 6)."""
+    parts = []
+    for part in (slice(0, 3), slice(3, 6)):
+        e, c = errors[:, part], covariances[:, part, part]
+        parts.append(np.einsum("ni,ni->n", e, np.linalg.solve(c, e[:, :, None])[:, :, 0]))
+    return parts[0], parts[1]
+
+
+def within_bounds(estimated: ArrayLike, true: ArrayLike, covariances: ArrayLike) -> NDArray[np.bool_]:
+    """Whether position and rotation errors of poses (N, 4, 4) lie within the 95 % bounds of covariances (N, 6, 6) of
+    (rotation, position) in the map's axes, (N, 2)."""
+    rotation, position = normalised_squares(pose_error(estimated, true), np.asarray(covariances, dtype=float))
+    return np.asarray(np.column_stack([position, rotation]) <= BOUND_95)
 
 
 def sure_enough(quality: ArrayLike) -> NDArray[np.bool_]:

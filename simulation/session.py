@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from groundwalk.artefacts.files import written_aside
 from groundwalk.geometry.poses import inverse
 from groundwalk.simulation import camera
 from groundwalk.simulation.camera import Exposure, Phone
@@ -185,9 +186,8 @@ def take(shot: Shot, renderer: Renderer, settings: SimulateSettings) -> None:
     rng = np.random.default_rng(shot.noise_seed)
     image = camera.expose(sharp, shot.view, shot.velocity_cam, shot.spin_cam, shot.exposure, rng)
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, settings.jpeg_quality])
-    partial = shot.path.with_suffix(".partial")
-    partial.write_bytes(data.tobytes())
-    partial.replace(shot.path)
+    with written_aside(shot.path) as partial:
+        partial.write_bytes(data.tobytes())
 
 
 def _motion(before: Vec, now: Vec, after: Vec) -> tuple[Vec, Vec]:

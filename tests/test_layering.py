@@ -17,7 +17,7 @@ GRAPH: dict[str, set[str]] = {
     "simulation": {"artefacts", "geometry"},
     "capture_import": {"artefacts", "geometry"},
     "sfm": {"artefacts", "consistency", "geometry"},
-    "alignment": {"artefacts", "consistency", "geometry"},
+    "alignment": {"artefacts", "consistency", "geometry", "scoring"},
     "export": {"artefacts", "geometry"},
     "training": {"artefacts", "geometry", "scoring"},
     "localisation": {"artefacts", "geometry", "scoring"},

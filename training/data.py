@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from groundwalk.artefacts.files import replace_synced
+from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.images import Image
 from groundwalk.artefacts.undistortion import undistorted_image
 from groundwalk.geometry.cameras import Camera, centred_pinhole
@@ -54,9 +54,8 @@ class ImageCache:
                 for image in images:
                     shapes.append(image.shape[:2])
                     file.write(image.tobytes())
-            partial = folder / "shapes.partial.npy"
-            np.save(partial, np.array(shapes, dtype=np.int64).reshape(-1, 2))
-            replace_synced(partial, folder / "shapes.npy")
+            with written_aside(folder / "shapes.npy") as partial, partial.open("wb") as file:
+                np.save(file, np.array(shapes, dtype=np.int64).reshape(-1, 2))
         return cls(folder)
 
 

@@ -15,7 +15,7 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.child import Report
-from groundwalk.artefacts.files import replace_synced
+from groundwalk.artefacts.files import written_aside
 from groundwalk.training.data import Frames, Jitter, Turns, normalised
 from groundwalk.training.evaluation import pose_errors
 from groundwalk.training.models.regressor import PoseRegressor
@@ -179,6 +179,5 @@ def precision(run: Run) -> Iterator[None]:
 def save(path: Path, content: dict[str, Any]) -> None:
     """Write a checkpoint so that a kill leaves the one before it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
-    torch.save(content, partial)
-    replace_synced(partial, path)
+    with written_aside(path) as partial:
+        torch.save(content, partial)

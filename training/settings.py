@@ -5,7 +5,6 @@ from typing import ClassVar, Literal
 from pydantic import Field, SerializeAsAny, ValidationInfo, field_validator, model_validator
 
 from groundwalk.artefacts import Settings
-from groundwalk.artefacts.settings import validated
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.regressors import REGRESSORS
 
@@ -56,16 +55,7 @@ class TrainSettings(Settings):
     @field_validator("regressors", mode="before")
     @classmethod
     def _known(cls, sections: object, info: ValidationInfo) -> object:
-        """The sections as settings of their regressors; kept are those of `models`, on which alone a run depends."""
-        if not isinstance(sections, dict):
-            return sections
-        models = info.data.get("models", ())
-        for name in (*models, *sections):
-            if name not in REGRESSORS.problems:
-                REGRESSORS.find(name)
-        usable = [name for name in REGRESSORS if name in models or name in sections]
-        checked = {name: _section(name, sections.get(name, {})) for name in usable}
-        return {name: settings for name, settings in checked.items() if name in models}
+        return REGRESSORS.sections(sections, info.data.get("models", ()), "train.regressors")
 
     @model_validator(mode="after")
     def _fits(self) -> "TrainSettings":
@@ -74,11 +64,3 @@ class TrainSettings(Settings):
         if not self.models and not self.predictions:
             raise ValueError("neither models nor predictions name a regressor")
         return self
-
-
-def _section(name: str, content: object) -> RegressorSettings:
-    if isinstance(content, RegressorSettings):
-        return content
-    if not isinstance(content, dict):
-        raise ValueError(f"{name} is {content!r}, not a section of settings")
-    return validated(REGRESSORS[name].settings, content, f"[train.regressors.{name}]")

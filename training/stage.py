@@ -66,7 +66,7 @@ def run(r: StageRun[TrainSettings]) -> None:
     for name, rows, origin in imported:
         report_accuracy(r, name, frames, data, rows)
         results.append(Result(imported_card(r, name, rows, origin), rows, pd.DataFrame()))
-    say_faults(r, faults, len(results))
+    leave_out(r, faults, len(results))
     write_results(r, frames, cache, results)
 
 
@@ -146,16 +146,12 @@ def predicted(
     return Result(card, predictions, curve)
 
 
-def say_faults(r: StageRun[TrainSettings], faults: list[PluginError], results: int) -> None:
+def leave_out(r: StageRun[TrainSettings], faults: list[PluginError], results: int) -> None:
     """Name each plug-in that took no part, also in the manifest; UserError where no regressor is left."""
-    broken = [
-        error for name in r.settings.models for error in REGRESSORS.problems.get(name, []) if name not in REGRESSORS
-    ]
-    for fault in (*broken, *faults):
-        r.say(f"warning: {fault}")
-        r.figure(f"left out: {fault.what}", f"{fault.details['where']}: {fault.reason}")
+    faults = [*REGRESSORS.unusable(r.settings.models), *faults]
+    r.leave_out(faults)
     if not results:
-        raise (*broken, *faults)[0]
+        raise faults[0]
 
 
 def write_results(r: StageRun[TrainSettings], frames: pd.DataFrame, cache: ImageCache, results: list[Result]) -> None:

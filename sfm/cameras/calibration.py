@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.artefacts.child import Report
 from groundwalk.artefacts.choices import CameraOrigin
+from groundwalk.artefacts.files import written_aside
 from groundwalk.geometry.lens import distort, max_shift, undistort
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.sfm.cameras.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
@@ -89,9 +90,8 @@ class Calibration:
     def save(self, path: Path) -> None:
         """Write it whole or not at all."""
         content = {"lenses": [asdict(lens) for lens in self.lenses], "lens": self.lens.tolist()}
-        partial = path.with_name(path.name + ".partial")
-        partial.write_text(json.dumps(content), encoding="utf-8")
-        partial.replace(path)
+        with written_aside(path) as partial:
+            partial.write_text(json.dumps(content), encoding="utf-8")
 
     def near(self, lens: int, coefficients_8: Array, readout_s: float) -> "Calibration":
         """The same with a prior around a lens as adjusted with one model, for further models of its frames."""

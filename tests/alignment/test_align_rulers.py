@@ -26,6 +26,7 @@ from groundwalk.alignment.rulers.settings import CharucoRuler, Ruler, rulers_of
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.stage import STAGE
 from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.files import sha256_of
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import resolve_settings
 from groundwalk.artefacts.stage import load_manifest
@@ -407,11 +408,12 @@ def test_the_stage_with_a_distance_that_sets_the_scale(data: DataRoot, walks) ->
     truth = read_table(data.captures("Place") / "true_poses.parquet", schema("simulate", "true_poses"))
     true_T_cam = poses_of(truth, "map_cam")[:20]
     folder = data.run("tiny", "Place", "import")
+    image = data.captures("Place") / "grey.png"
+    cv2.imwrite(str(image), np.full((144, 192), 128, dtype=np.uint8))
     frames = read_table(folder / "frames.parquet", schema("import", "frames")).assign(
-        image="grey.png", distortion=[[]] * 40
+        image=image.name, image_sha256=sha256_of(image), distortion=[[]] * 40
     )
     write_table(folder / "frames.parquet", frames, schema("import", "frames"))
-    cv2.imwrite(str(data.captures("Place") / "grey.png"), np.full((144, 192), 128, dtype=np.uint8))
     ends = transform(true_T_cam[8], np.array([[-1.5, 0.0, 8.0], [1.5, 0.0, 8.0]]))
     points = []
     for name, end in zip(("left", "right"), ends, strict=True):

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.artefacts.files import write_json
+from groundwalk.artefacts.files import sha256_of, write_json
 from groundwalk.artefacts.schemas import schema, stage_tables
 from groundwalk.artefacts.settings import DataRoot
 from groundwalk.artefacts.tables import pose_frame, pose_prefixes, write_table
@@ -66,8 +66,10 @@ def _boards(root: Path, frames: int) -> Boards:
     images = [f"{row}.png" for row in range(frames)]
     known = {name: CAMERA[name] for name in ("fx", "fy", "cx", "cy")}
     truth = filled("align", "ground_truth", frames, **keys, **pose_frame("map_cam", poses), **known, quality="A")
+    hashes = [sha256_of(made.image(row)) for row in range(frames)]
+    seen = filled("import", "frames", frames, **keys, image=images, image_sha256=hashes, **CAMERA, **down)
     tables = {
-        "import": {"frames": filled("import", "frames", frames, **keys, image=images, **CAMERA, **down)},
+        "import": {"frames": seen},
         "sfm": {"images": filled("sfm", "images", frames, frame_id=ids, readout_s=0.0)},
         "align": {"ground_truth": truth},
     }

@@ -150,7 +150,7 @@ def test_sections_are_aligned_and_named(file):
 
 
 def test_a_killed_write_leaves_no_map(built, tmp_path, monkeypatch):
-    monkeypatch.setattr("groundwalk.localisation.map_file.replace_synced", _killed)
+    monkeypatch.setattr("groundwalk.artefacts.files._sync", _killed)
     with pytest.raises(KeyboardInterrupt):
         write_map(tmp_path / "map.gwm", built[2])
     assert not (tmp_path / "map.gwm").exists()

@@ -8,9 +8,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from groundwalk.geometry.poses import inverse, make_pose, transform
-from groundwalk.localisation.calibration import normalised_squares, pose_error
 from groundwalk.localisation.pose import Observed, Priors, ransac, refine, upright_poses, upright_ransac
-from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.scoring.errors import normalised_squares, pose_error, position_error, rotation_error_deg
 
 PRIORS = Priors(angular_sd=0.2, velocity_sd=0.5, focal_sd=0.004, gravity_sd=0.001, pixel_sd=0.05)
 

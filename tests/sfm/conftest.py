@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.files import hash_files
+from groundwalk.artefacts.files import hash_files, sha256_of
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import pose_frame, write_table
 from groundwalk.geometry.poses import Array, inverse, make_pose
@@ -134,7 +134,8 @@ def _photograph(textures: list[np.ndarray], room_T_cam: Array) -> np.ndarray:
 def _write_import(data: DataRoot, frames: pd.DataFrame, sessions: list[str]) -> None:
     folder = data.run("tiny", "room", "import")
     folder.mkdir(parents=True)
-    _write(folder, "frames", frames)
+    hashes = [sha256_of(data.captures("room") / image) for image in frames["image"]]
+    _write(folder, "frames", frames.assign(image_sha256=hashes))
     # The phone logs a pose a frame and nothing between them.
     _write(folder, "vio", frames[["session_id", "t_ns", *(c for c in frames if c.startswith("vio_cam_"))]].copy())
     _write(folder, "sessions", pd.DataFrame({"session_id": sessions, "recording": sessions}))

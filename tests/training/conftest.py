@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import torch
 
-from groundwalk.artefacts.files import write_json
+from groundwalk.artefacts.files import sha256_of, write_json
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import CAMERA_COLUMNS, pose_frame, write_table
 from groundwalk.geometry.poses import make_pose, yaw_rotation
@@ -51,6 +51,7 @@ def make_scene(tmp_path: Path) -> Callable[..., Path]:
         images = [f"{s}-{n}.png" for s, n in zip(sessions, number, strict=True)]
         for image, p, angle in zip(images, position, yaw, strict=True):
             cv2.imwrite(str(captures / image), wall_picture(p, angle, seed))
+        hashes = [sha256_of(captures / image) for image in images]
         keys = pd.DataFrame(
             {
                 "frame_id": [f"{s}/{n:06d}" for s, n in zip(sessions, number, strict=True)],
@@ -61,7 +62,7 @@ def make_scene(tmp_path: Path) -> Callable[..., Path]:
         )
         unknown = pose_frame("vio_cam", np.full((len(keys), 4, 4), np.nan))
         frames = pd.concat([keys, unknown], axis=1).assign(
-            clock="boot", image=images, image_sha256="", width=WIDTH, height=HEIGHT, fx=FOCAL, fy=FOCAL
+            clock="boot", image=images, image_sha256=hashes, width=WIDTH, height=HEIGHT, fx=FOCAL, fy=FOCAL
         )
         frames = frames.assign(cx=WIDTH / 2, cy=HEIGHT / 2, distortion=[[]] * len(keys), tracking="normal")
         frames = frames.assign(gravity_x=0.0, gravity_y=1.0, gravity_z=0.0, sharpness=1.0, exposure_s=0.01)
@@ -83,8 +84,10 @@ def make_scene(tmp_path: Path) -> Callable[..., Path]:
             camera_origin="stated",
             **{name: frames[name] for name in CAMERA_COLUMNS},
         )
-        # Training that looked at a support frame would miss its image.
-        support = frames.iloc[[0]].assign(frame_id="walk/000900", t_ns=1, image="gone.png", support=True)
+        # Training that looked at a support frame would fail: its image can't be decoded.
+        (captures / "damaged.png").write_text("not an image")
+        damaged = {"image": "damaged.png", "image_sha256": sha256_of(captures / "damaged.png")}
+        support = frames.iloc[[0]].assign(frame_id="walk/000900", t_ns=1, support=True, **damaged)
         _write(data, name, "import", "frames", pd.concat([frames, support]))
         _write(data, name, "align", "ground_truth", truth)
         return data
