@@ -87,7 +87,7 @@ def train(
         train_loss = torch.stack(losses).mean().item()
         if not math.isfinite(train_loss):
             raise UserError(
-                f"training {run.title}: the loss is no number any more",
+                f"training {run.title}: the loss is not finite",
                 found=f"{train_loss} in epoch {epoch + 1}, learning rate {rate:.2g}",
                 do="lower learning_rate, or set clip_gradient",
             )
@@ -128,7 +128,7 @@ def take_best(model: PoseRegressor, folder: Path) -> list[dict[str, Any]]:
     saved = torch.load(folder / CHECKPOINT, map_location="cpu")
     best = saved["best"]
     model.load_state_dict(best["weights"])
-    return [{**row, "kept": row["epoch"] == best["epoch"]} for row in saved["history"]]
+    return [{**row, "selected": row["epoch"] == best["epoch"]} for row in saved["history"]]
 
 
 def make_optimiser(model: PoseRegressor, settings: RegressorSettings) -> torch.optim.Adam:

@@ -248,7 +248,7 @@ def finish(
         "train_frames": len(job.training),
         "val_frames": len(job.held_out),
         "epochs": settings.epochs,
-        "best_epoch": int(curve.loc[curve["kept"], "epoch"].iloc[0]),
+        "best_epoch": int(curve.loc[curve["selected"], "epoch"].iloc[0]),
         "seed": run.seed,
         "config": json.dumps(settings.model_dump(mode="json"), sort_keys=True),
         "reduced": r.settings.reduced,
@@ -287,18 +287,18 @@ def report_accuracy(
 ) -> None:
     """Keep, as figures, the model's errors on each scene's test frames that it answers, and say them."""
     keys = ["scene", "frame_id"]
-    found = frames[keys].merge(predictions, on=keys, how="left")
-    position = found[[f"map_cam_t{a}" for a in "xyz"]].to_numpy(float)
-    quaternion = found[[f"map_cam_q{a}" for a in "xyzw"]].to_numpy(float)
+    matched = frames[keys].merge(predictions, on=keys, how="left")
+    position = matched[[f"map_cam_t{a}" for a in "xyz"]].to_numpy(float)
+    quaternion = matched[[f"map_cam_q{a}" for a in "xyzw"]].to_numpy(float)
     answered = np.flatnonzero(np.isfinite(position).all(axis=1))
     for scene in r.leaves:
         rows = np.intersect1d(rows_with_truth(frames, "test"), np.flatnonzero(frames["scene"] == scene))
         rows = np.intersect1d(rows, answered)
         if len(rows):
             keep_figures(r, f"{name} {scene}", *errors(position[rows], quaternion[rows], data.select(rows)))
-            unsure = int((~sure_enough(frames["quality"].iloc[rows])).sum())
-            if unsure:
-                r.say(f"{scene}: the ground truth of {unsure} of these {len(rows)} test frames is of class C")
+            uncertain = int((~sure_enough(frames["quality"].iloc[rows])).sum())
+            if uncertain:
+                r.say(f"{scene}: the ground truth of {uncertain} of these {len(rows)} test frames is of class C")
 
 
 def keep_figures(r: StageRun[TrainSettings], title: str, position_m: np.ndarray, rotation_deg: np.ndarray) -> None:
@@ -337,7 +337,7 @@ def describe(run: Run) -> str:
 
 STAGE = Stage(
     name="train",
-    version=5,
+    version=6,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,

@@ -80,8 +80,8 @@ def _load_file(backbone: nn.Module, path: Path) -> str:
     except FileNotFoundError:
         raise UserError("a weights file isn't there", where=path, expected=expected) from None
     except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
-        found = str(error).splitlines()[0]
-        raise UserError("a weights file can't be read", where=path, expected=expected, found=found) from None
+        reason = str(error).splitlines()[0]
+        raise UserError("a weights file can't be read", where=path, expected=expected, found=reason) from None
     load_backbone(backbone, state, path)
     return digest
 
@@ -91,23 +91,23 @@ def load_backbone(backbone: nn.Module, state: Any, where: object = None) -> None
 
     UserError naming what is missing, unknown or of another shape.
     """
-    own = backbone.state_dict()
+    expected = backbone.state_dict()
     if not isinstance(state, Mapping) or not all(isinstance(value, Tensor) for value in state.values()):
         raise UserError(
             "a weights file holds no state dict", where=where, expected="names and tensors", found=type(state).__name__
         )
-    state = {k: v for k, v in state.items() if k in own or not k.startswith(_CLASSIFIERS)}
+    state = {k: v for k, v in state.items() if k in expected or not k.startswith(_CLASSIFIERS)}
     # Files from before PyTorch 0.4 have no batch counters, which nothing here reads.
-    missing = [k for k in own if k not in state and not k.endswith("num_batches_tracked")]
-    unknown = [k for k in state if k not in own]
-    shapes = [k for k in state if k in own and state[k].shape != own[k].shape]
+    missing = [k for k in expected if k not in state and not k.endswith("num_batches_tracked")]
+    unknown = [k for k in state if k not in expected]
+    shapes = [k for k in state if k in expected and state[k].shape != expected[k].shape]
     if missing or unknown or shapes:
         parts = {"missing": missing, "unknown": unknown, "of another shape": shapes}
-        found = "; ".join(f"{len(keys)} {what} ({keys[0]}, ...)" for what, keys in parts.items() if keys)
+        difference = "; ".join(f"{len(keys)} {what} ({keys[0]}, ...)" for what, keys in parts.items() if keys)
         raise UserError(
             "a weights file is of another network",
             where=where,
-            expected=f"torchvision's {type(backbone).__name__}, {len(own)} tensors",
-            found=found,
+            expected=f"torchvision's {type(backbone).__name__}, {len(expected)} tensors",
+            found=difference,
         )
-    backbone.load_state_dict(own | state)
+    backbone.load_state_dict(expected | state)

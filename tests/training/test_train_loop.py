@@ -119,7 +119,7 @@ def test_one_lucky_epoch_is_not_the_best() -> None:
 def test_a_diverging_run_says_so(tmp_path: Path) -> None:
     frames = random_frames(tmp_path / "images", 4)
     settings = PoseNetSettings(epochs=20, batch=4, learning_rate=1e30)
-    with pytest.raises(UserError, match=r"loss is no number[\s\S]*lower learning_rate"):
+    with pytest.raises(UserError, match=r"loss is not finite[\s\S]*lower learning_rate"):
         train(silent, SmallRegressor(), frames, frames, settings, Run("test", CPU, False, 32, 0, tmp_path))
 
 

@@ -50,7 +50,7 @@ def test_the_stage_predicts_every_frame_and_says_what_it_trained(make_scene: Mak
     assert cards["train_frames"].tolist() == [9, 9] and cards["val_frames"].tolist() == [1, 1]
     assert json.loads(cards["config"][1])["encoder_layers"] == 1
     assert "1 encoder and 1 decoder" in cards["layers"][1]
-    assert history.groupby("model")["kept"].sum().tolist() == [1, 1]
+    assert history.groupby("model")["selected"].sum().tolist() == [1, 1]
     figures = load_manifest(folder)["figures"]
     assert figures["mean-pose Wall test median position_m"] > 0
     assert (folder / "recording.rrd").stat().st_size > 1000
@@ -69,9 +69,9 @@ def test_the_stage_predicts_every_frame_and_says_what_it_trained(make_scene: Mak
     assert poses.position_B3.numpy() == pytest.approx(position, abs=1e-5)
     onnxruntime = pytest.importorskip("onnxruntime")
     export_onnx(folder / "weights" / "PN.pt", tmp_path / "pn.onnx")
-    found = onnxruntime.InferenceSession(tmp_path / "pn.onnx").run(None, {"image": image.numpy()})
-    assert np.abs(found[0] - poses.position_B3.numpy()).max() < 1e-5
-    assert np.abs(found[1] - poses.quaternion_B4.numpy()).max() < 1e-5
+    exported = onnxruntime.InferenceSession(tmp_path / "pn.onnx").run(None, {"image": image.numpy()})
+    assert np.abs(exported[0] - poses.position_B3.numpy()).max() < 1e-5
+    assert np.abs(exported[1] - poses.quaternion_B4.numpy()).max() < 1e-5
 
 
 def test_images_are_as_captured_where_the_settings_say_so(make_scene: MakeScene) -> None:
