@@ -44,6 +44,7 @@ BUILTIN: dict[str, dict[str, str]] = {
     "groundwalk.regressors": {
         "PN": "groundwalk.training.entries:PN",
         "MS-T": "groundwalk.training.entries:MS_T",
+        "PN-Lite": "groundwalk.training.entries:PN_LITE",
     },
     "groundwalk.fusion_methods": {
         "apr": "groundwalk.fusion.entries:APR",

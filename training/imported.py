@@ -49,7 +49,8 @@ def read_imported(r: StageRun[TrainSettings], frames: pd.DataFrame) -> Iterator[
 
 def imported_card(r: StageRun[TrainSettings], name: str, rows: pd.DataFrame, origin: str) -> dict[str, Any]:
     """A row of train.models for imported predictions: what training alone knows is null."""
-    unknown = ("parameters", "bytes", "resize_px", "crop_px", "focal_px", "train_frames", "val_frames", "epochs")
+    unknown = ("parameters", "bytes", "train_frames", "val_frames", "epochs", "best_epoch", "train_seconds")
+    view = ("resize_px", "crop_px", "width_px", "upright", "focal_px")
     return {
         "model": name,
         "label": name,
@@ -57,7 +58,7 @@ def imported_card(r: StageRun[TrainSettings], name: str, rows: pd.DataFrame, ori
         "file": "",
         "layers": "",
         "weights": origin,
-        **dict.fromkeys((*unknown, "best_epoch", "train_seconds")),
+        **dict.fromkeys((*unknown, *view)),
         "seed": r.seed,
         "config": "{}",
         "reduced": "",

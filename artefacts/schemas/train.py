@@ -85,7 +85,9 @@ TABLES = [
                 "where the first weights came from: ImageNet, a file, scratch, and why; or the file of predictions",
             ),
             Column("resize_px", "int64", "shorter side of the images before cropping", "px", nullable=True),
-            Column("crop_px", "int64", "side of the square that the network sees", "px", nullable=True),
+            Column("crop_px", "int64", "height of what the network sees of the image's middle", "px", nullable=True),
+            Column("width_px", "int64", "its width; null: as its height", "px", nullable=True),
+            Column("upright", "bool", "images are turned about their middle until gravity points down", nullable=True),
             Column(
                 "focal_px",
                 "float64",
@@ -105,6 +107,6 @@ TABLES = [
             Column("inference_ms", "float64", "median of predictions.inference_ms", "ms", nullable=True),
             Column("train_seconds", "float64", "wall time of training", "s", nullable=True),
         ],
-        version="1.2",
+        version="1.3",
     ),
 ]

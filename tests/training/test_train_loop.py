@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from groundwalk.artefacts import UserError
 from groundwalk.training import loop
-from groundwalk.training.data import Frames, ImageCache
+from groundwalk.training.data import Frames, ImageCache, View
 from groundwalk.training.evaluation import mean_pose_errors, pose_errors
 from groundwalk.training.loop import Run, epoch_batches, held_out_score, learning_rate, take_best, train
 from groundwalk.training.models.posenet import PoseNet
@@ -55,7 +55,15 @@ def random_frames(folder: Path, count: int) -> Frames:
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     K = np.tile(np.array([[40.0, 0, 24], [0, 40, 18], [0, 0, 1]]), (count, 1, 1))
     position = rng.uniform(-5, 5, (count, 3))
-    return Frames(ImageCache(folder), np.arange(count), K, position, quaternion, np.zeros(count, np.int64))
+    return Frames(
+        ImageCache(folder),
+        np.arange(count),
+        K,
+        position,
+        quaternion,
+        np.zeros(count, np.int64),
+        np.tile([0.0, 1, 0], (count, 1)),
+    )
 
 
 def test_overfits_a_few_images(tmp_path: Path) -> None:
@@ -64,9 +72,9 @@ def test_overfits_a_few_images(tmp_path: Path) -> None:
     model = PoseNet(dropout=0)
     model.frames.fit(frames.poses(CPU), True, True)
     settings = PoseNetSettings(epochs=40, batch=8, learning_rate=1e-3, turn_deg=(0, 0, 0), schedule="cosine")
-    train(silent, model, frames, frames, settings, Run("test", CPU, False, 32, 0, tmp_path, 1000))
+    train(silent, model, frames, frames, settings, Run("test", CPU, False, View(32, 32), 0, tmp_path, 1000))
     history = take_best(model, tmp_path)
-    position_m, rotation_deg = pose_errors(model, frames, 32, CPU)
+    position_m, rotation_deg = pose_errors(model, frames, View(32, 32), CPU)
     mean_pose = mean_pose_errors(frames, frames)
     assert np.median(position_m) < 0.2 * np.median(mean_pose[0])
     assert np.median(rotation_deg) < 0.4 * np.median(mean_pose[1])
@@ -80,7 +88,7 @@ def test_a_resumed_run_ends_in_the_same_weights(tmp_path: Path, monkeypatch: pyt
     def start(name: str) -> tuple[SmallRegressor, list[dict[str, object]]]:
         torch.manual_seed(3)
         model = SmallRegressor()
-        train(silent, model, frames, frames, settings, Run("test", CPU, False, 32, 7, tmp_path / name))
+        train(silent, model, frames, frames, settings, Run("test", CPU, False, View(32, 32), 7, tmp_path / name))
         history = take_best(model, tmp_path / name)
         return model, [{k: v for k, v in row.items() if k != "seconds"} for row in history]
 
@@ -120,7 +128,7 @@ def test_a_diverging_run_says_so(tmp_path: Path) -> None:
     frames = random_frames(tmp_path / "images", 4)
     settings = PoseNetSettings(epochs=20, batch=4, learning_rate=1e30)
     with pytest.raises(UserError, match=r"loss is not finite[\s\S]*lower learning_rate"):
-        train(silent, SmallRegressor(), frames, frames, settings, Run("test", CPU, False, 32, 0, tmp_path))
+        train(silent, SmallRegressor(), frames, frames, settings, Run("test", CPU, False, View(32, 32), 0, tmp_path))
 
 
 def test_learning_rates() -> None:
