@@ -10,14 +10,20 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_t
 from upright_walks import upright_walk
 
-from groundwalk.fusion import robust
-from groundwalk.fusion.aligner import counted
-from groundwalk.fusion.alignment_chain import Chain, applied, errors, solve
-from groundwalk.fusion.bounds import alignment_covariance, turned
-from groundwalk.fusion.drift_aware import DriftAware, DriftAwareOptions
-from groundwalk.fusion.keyframes import Keyframes
-from groundwalk.fusion.odometry_quality import OdometryQuality
-from groundwalk.fusion.prediction_noise import Prior, scatter, side_turn_correlation, whitening, whitening_of_covariance
+from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
+from groundwalk.fusion.methods.estimator import robust
+from groundwalk.fusion.methods.estimator.aligner import counted
+from groundwalk.fusion.methods.estimator.alignment_chain import Chain, applied, errors, solve
+from groundwalk.fusion.methods.estimator.bounds import alignment_covariance, turned
+from groundwalk.fusion.methods.estimator.keyframes import Keyframes
+from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality
+from groundwalk.fusion.methods.estimator.prediction_noise import (
+    Prior,
+    scatter,
+    side_turn_correlation,
+    whitening,
+    whitening_of_covariance,
+)
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import yaw_rotation
 

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from upright_walks import as_walk, upright_walk
 
-from groundwalk.fusion.drift_aware import DriftAware, DriftAwareOptions
-from groundwalk.fusion.error_map import ErrorMap
-from groundwalk.fusion.mobilearloc import MobileARLoc
-from groundwalk.fusion.smoother import Smoother, SmootherOptions
+from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
+from groundwalk.fusion.methods.error_map import ErrorMap
+from groundwalk.fusion.methods.mobilearloc import MobileARLoc
+from groundwalk.fusion.methods.smoother import Smoother, SmootherOptions
 from groundwalk.geometry.poses import interpolate, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 
