@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from groundwalk.fusion.methods.error_map import ErrorMap
-from groundwalk.fusion.methods.estimator.aligner import Fit, Model, innovation, iterate
+from groundwalk.fusion.methods.estimator.aligner import Belief, Fit, Model, counted, innovation, iterate
 from groundwalk.fusion.methods.estimator.bounds import alignment_covariance
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality
@@ -43,8 +43,12 @@ class DriftAwareOptions(OdometryOptions):
     position_sd_m: float = Field(0.3, gt=0, description="a prediction's first assumed position error an axis")
     rotation_sd_deg: float = Field(8.0, gt=0, description="a prediction's first assumed rotation error an axis")
     size_count: float = Field(0.3, gt=0, description="predictions that the first assumed sizes count as")
-    size_count_known: float = Field(
-        10.0, gt=0, description="the same where sizes are known: from held-out frames or a prediction's own covariance"
+    size_count_known: float = Field(40.0, gt=0, description="the same where held-out frames say how large errors are")
+    size_count_stated: float = Field(
+        10.0, gt=0, description="the same where predictions bring covariances, whose common factor is learnt"
+    )
+    size_count_seen: float = Field(
+        2.0, gt=0, description="predictions that the sizes count as which show beside odometry's quality"
     )
     side_turn: float = Field(
         0.7,
@@ -55,7 +59,10 @@ class DriftAwareOptions(OdometryOptions):
     side_turn_count: float = Field(20.0, gt=0, description="predictions that this correlation counts as")
     degrees_of_freedom: float = Field(0.3, gt=0, description="of Student's t: how heavy the tails of errors are")
     independent: float = Field(
-        0.3, gt=0, le=1, description="what a prediction counts of an independent one: neighbours are wrong alike"
+        0.3,
+        gt=0,
+        le=1,
+        description="what a prediction counts at least of an independent one: neighbours are wrong alike",
     )
     shared: float = Field(
         0.7,
@@ -83,7 +90,8 @@ class DriftAwareOptions(OdometryOptions):
     recent: int = Field(10, ge=2, description="newest predictions that judge other alignments")
     evidence: float = Field(0.7, gt=0, le=1, description="how much a prediction counts in judging other alignments")
     loss: float = Field(5e-4, gt=0, lt=0.5, description="probability that odometry loses its frame unnoticed, a frame")
-    tilt_sd_deg: float = Field(0.3, gt=0, description="odometry's gravity error an axis")
+    tilt_sd_deg: float = Field(0.05, gt=0, description="odometry's gravity error an axis, one sigma")
+    tilt_covariance_factor: float = Field(36.0, gt=0, description="what its covariance is multiplied with")
 
 
 class DriftAware(Localiser):
@@ -99,10 +107,9 @@ class DriftAware(Localiser):
         self._keep_all = keep_all
         self.options = o = options or DriftAwareOptions()
         self._error_map = error_map if o.error_map else None
-        size_count = o.size_count if self._error_map is None else o.size_count_known
         widened = np.sqrt(np.array([*[o.position_covariance_factor] * 3, o.yaw_covariance_factor]))
         self._widened = np.outer(widened, widened)
-        self._prior = Prior(side_turn_correlation(o.side_turn), o.side_turn_count, size_count)
+        self._prior = Prior(side_turn_correlation(o.side_turn), o.side_turn_count, o.size_count)
         self._usual_sizes = np.repeat([radians(o.rotation_sd_deg), o.position_sd_m], 3)
         yaw_m, position, height = radians(o.drift_deg_m) ** 2, o.drift_m**2, o.drift_height_m**2
         self._drift_a_metre = np.array([position, height, position, yaw_m])
@@ -113,6 +120,8 @@ class DriftAware(Localiser):
     def _forget(self) -> None:
         self._keyframes = Keyframes(None if self._keep_all else self.options.keyframes)
         self._covariance = self._prior.shape.copy()  # of normalised errors
+        self._tilt = np.zeros(2)  # odometry's gravity error about its x and z, rad
+        self._tilt_variance = radians(self.options.tilt_sd_deg) ** 2
         self._last: Fit | None = None
         self._known: Array | None = None  # the fit's own covariance of the newest keyframe's state
         self._bound: Array | None = None  # covariance (4, 4) of the newest keyframe's x, y, z and yaw, in map axes
@@ -125,6 +134,7 @@ class DriftAware(Localiser):
         self._segment = 0
         self._count = 0  # predictions taken in
         self._watched = False  # odometry has jumped, or was gone, since the newest keyframe
+        self._stated = False  # the newest prediction brought a covariance
         self._doubted = False  # another alignment explains the newest predictions nearly as well
 
     # ------------------------------------------------------------ a frame
@@ -173,7 +183,9 @@ class DriftAware(Localiser):
             sizes = sizes_expected(expected)
             yaw -= float(expected.error[0])
             position = position - expected.error[1:]
-        if self._apr_covariance is not None and self.options.covariances:
+        self._stated = self._apr_covariance is not None and self.options.covariances
+        if self._stated:
+            assert self._apr_covariance is not None
             normalised = whitening_of_covariance(self._apr_covariance, map_T_cam_apr[:3, :3], vio_T_cam[:3, :3])
         else:
             normalised = whitening(sizes, vio_T_cam[:3, :3])
@@ -197,6 +209,7 @@ class DriftAware(Localiser):
 
     def _judge_odometry(self, position: Array, yaw: float, normalised: Array, state: Array, vio_T_cam: Array) -> None:
         way = np.zeros(3)
+        self._quality.sizes_known = self._stated or self._error_map is not None
         if self._watched:
             self._quality.lost()
         elif len(self._keyframes):
@@ -272,7 +285,18 @@ class DriftAware(Localiser):
     @property
     def _model(self) -> Model:
         o = self.options
-        return Model(self._prior, o.degrees_of_freedom, o.independent, o.apart_m, o.shared, o.shared_m)
+        tilt_sd, prior = radians(o.tilt_sd_deg), self._prior
+        if self._stated:
+            prior = prior._replace(size_count=o.size_count_stated)
+        elif self._error_map is not None:
+            prior = prior._replace(size_count=o.size_count_known)
+        if self._quality.has_judged:
+            prior = prior.with_sizes(self._quality.sizes, o.size_count_seen)
+        return Model(prior, o.degrees_of_freedom, o.independent, o.apart_m, o.shared, o.shared_m, tilt_sd)
+
+    @property
+    def _belief(self) -> Belief:
+        return Belief(self._covariance, self._tilt, self._distrust)
 
     def _innovation(self, known: Array) -> float:
         """Squared error of the newest prediction, with what was known and has drifted since the one before."""
@@ -281,18 +305,18 @@ class DriftAware(Localiser):
         F = np.eye(4)
         F[0, 3], F[2, 3] = way[2], -way[0]
         known = F @ known @ F.T + np.diag(self._distrust * keyframes.column("drift")[-1])
-        return innovation(keyframes, self._covariance, known)
+        return innovation(keyframes, self._belief, known)
 
     def _iterated(self, newest: float | None = None) -> Fit:
-        fit = iterate(self._keyframes, self._model, self._covariance, self._distrust, newest)
+        fit = iterate(self._keyframes, self._model, self._belief, newest)
         self._covariance, self._last = fit.covariance, fit
+        self._tilt, self._tilt_variance = fit.tilt, fit.tilt_variance
         return fit
 
     def _rival(self, fit: Fit) -> Rival | None:
         o = self.options
-        return best_rival(
-            self._keyframes, self._covariance, fit.squared, o.degrees_of_freedom, o.recent, o.evidence * fit.counted
-        )
+        count = o.evidence * counted(self._keyframes.column("along"), o.apart_m)
+        return best_rival(self._keyframes, self._covariance, fit.squared, o.degrees_of_freedom, o.recent, count)
 
     def _follow(self, rival: Rival) -> None:
         """Change to another alignment from some keyframe on."""
@@ -333,6 +357,7 @@ class DriftAware(Localiser):
         x, y, z, yaw = self._carried(vio_T_cam, keyframe)
         c, s = cos(yaw), sin(yaw)
         map_T_vio = np.array([[c, 0.0, s, x], [0.0, 1.0, 0.0, y], [-s, 0.0, c, z], [0.0, 0.0, 0.0, 1.0]])
+        map_T_vio[:3, :3] = map_T_vio[:3, :3] @ _leaning(self._tilt)
         map_T_vio[:3, 3] -= map_T_vio[:3, :3] @ vio_T_cam[:3, 3]
         map_T_cam = map_T_vio @ vio_T_cam
         moved = map_T_vio[:3, :3] @ (vio_T_cam[:3, 3] - self._keyframes.column("vio")[keyframe])
@@ -342,7 +367,8 @@ class DriftAware(Localiser):
             self._distrust * self._drift if keyframe == -1 else np.zeros(4)
         )
         covariance = np.zeros((6, 6))
-        covariance[0, 0] = covariance[2, 2] = radians(self.options.tilt_sd_deg) ** 2
+        tilt_variance = self.options.tilt_covariance_factor * self._tilt_variance + _TILT_JITTER
+        covariance[0, 0] = covariance[2, 2] = tilt_variance
         covariance[1, 1] = bound[3, 3]
         covariance[1, 3:] = covariance[3:, 1] = bound[3, :3]
         covariance[3:, 3:] = bound[:3, :3]
@@ -369,6 +395,7 @@ class DriftAware(Localiser):
         return {
             "keyframes": self._keyframes.save(),
             "covariance": plain(self._covariance),
+            "tilt": [plain(self._tilt), self._tilt_variance],
             "known": plain(self._known),
             "bound": plain(self._bound),
             "vio": None if self._vio is None else [self._vio[0], plain(self._vio[1])],
@@ -381,25 +408,39 @@ class DriftAware(Localiser):
             "count": self._count,
             "watched": self._watched,
             "doubted": self._doubted,
+            "stated": self._stated,
         }
 
     def _set_state(self, state: State) -> None:
         self._forget()
         self._keyframes.restore(state["keyframes"])
         self._covariance, self._drift = np.array(state["covariance"]), np.array(state["drift"])
+        self._tilt, self._tilt_variance = np.array(state["tilt"][0]), state["tilt"][1]
         self._known, self._bound = array(state["known"]), array(state["bound"])
         self._distrust, self._taken_m = np.array(state["distrust"]), state["taken_m"]
         self._quality.restore(state["quality"])
         self._vio = None if state["vio"] is None else (state["vio"][0], np.array(state["vio"][1]))
         self._along_m, self._segment, self._count = state["along_m"], state["segment"], state["count"]
         self._watched, self._doubted = state["watched"], state["doubted"]
+        self._stated = state["stated"]
 
 
 _SETTLING = 20
+_TILT_JITTER = radians(0.02) ** 2  # a frame's rotation is off by as much whatever is known of gravity
 _WORTH_A_LOOK = 2.0  # squared error, over the usual one, of a prediction that may be of another alignment
 # So many predictions in a row that are this much farther off (in the square) than usual: something is wrong.
 _SURPRISES, _SURPRISING = 4, 8.0
 _DOUBT = 3.0  # nats by which a rival may be behind and the alignment still be doubted
+
+
+def _leaning(tilt: Array) -> Array:
+    """The rotation (3, 3) about x and z by angles (2,), rad."""
+    x, z = tilt.tolist()
+    angle = sqrt(x * x + z * z)
+    a, b = (sin(angle) / angle, (1 - cos(angle)) / angle**2) if angle > 1e-9 else (1.0, 0.5)
+    return np.array(
+        [[1 - b * z * z, -a * z, b * x * z], [a * z, 1 - b * angle**2, -a * x], [b * x * z, a * x, 1 - b * x * x]]
+    )
 
 
 def _yaw_and_lean(rotation: Array) -> tuple[float, tuple[float, float]]:

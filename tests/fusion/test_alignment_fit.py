@@ -54,13 +54,13 @@ def test_scatter_finds_the_covariance_of_students_t():
     prior = Prior(np.eye(6), 1e-6, 1e-6)
     for _ in range(100):
         squared = np.einsum("ni,ij,nj->n", sample, np.linalg.inv(found), sample)
-        found = scatter(prior, sample, np.ones(len(sample)), robust.weights(squared, 6, 3.0))
+        found = scatter(prior, sample, np.zeros((4000, 6, 6)), np.ones(len(sample)), robust.weights(squared, 6, 3.0))
     assert np.allclose(found, true, atol=0.12 * np.abs(true).max())
 
 
 def test_with_few_predictions_the_shape_is_the_assumed_one_whatever_the_size():
     prior = Prior(side_turn_correlation(0.6), 20.0, 0.3)
-    one = scatter(prior, np.full((1, 6), 5.0), np.ones(1), np.ones(1))
+    one = scatter(prior, np.full((1, 6), 5.0), np.zeros((1, 6, 6)), np.ones(1), np.ones(1))
     sd = np.sqrt(np.diag(one))
     assert -0.6 < one[1, 3] / (sd[1] * sd[3]) < -0.5 and 0.6 < one[0, 4] / (sd[0] * sd[4]) < 0.7
     assert (sd > 3).all()

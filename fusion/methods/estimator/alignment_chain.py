@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 from groundwalk.geometry import GeometryError
@@ -50,12 +51,18 @@ class Solution(NamedTuple):
                 block[column:, column] = self.factor[: 4 - column, 4 * index + column]
             inverse = np.linalg.inv(block)
             return np.asarray(inverse.T @ inverse)
-        return self.columns(index)[4 * index : 4 * index + 4]
+        return self.covariances(np.array([index]))[0]
 
-    def columns(self, index: int) -> Array:
-        """The columns (4N, 4) of the inverse of the information that are one keyframe's."""
-        unit = np.zeros((4 * len(self.increments), 4), order="F")
-        unit[4 * index : 4 * index + 4] = np.eye(4)
+    def covariances(self, rows: NDArray[np.int64]) -> Array:
+        """Covariances (K, 4, 4) of some keyframes' increments."""
+        columns = self.columns(rows).reshape(-1, 4, len(rows), 4)
+        return np.asarray(columns[rows, :, np.arange(len(rows))])
+
+    def columns(self, rows: NDArray[np.int64]) -> Array:
+        """The columns (4N, 4K) of the inverse of the information that are some keyframes'."""
+        unit = np.zeros((4 * len(self.increments), 4 * len(rows)), order="F")
+        at = np.arange(4)
+        unit[(4 * rows[:, None] + at).ravel(), np.arange(4 * len(rows))] = 1.0
         return np.asarray(dpbtrs(self.factor, unit, lower=1, overwrite_b=1)[0])
 
 

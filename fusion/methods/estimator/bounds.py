@@ -18,13 +18,13 @@ from groundwalk.geometry.poses import Array
 def alignment_covariance(keyframes: Keyframes, fit: Fit, model: Model, index: int) -> Array:
     """Covariance (4, 4) of the `index`th keyframe's x, y, z and yaw, in map axes."""
     count = len(keyframes)
-    flat = fit.solution.columns(index)
+    flat = fit.solution.columns(np.array([index]))
     answer = flat.reshape(count, 4, 4)  # of keyframe i's gradient to the increments
     believed = flat.T @ (fit.information @ answer).reshape(-1, 4)
     # What one standard deviation of each of a prediction's six numbers does to the answer.
     unknown = keyframes.column("whitening").reshape(count, 6, 6)[:, :, UNKNOWN]
     moved = np.linalg.inv(np.linalg.cholesky(fit.covariance)) @ (unknown @ answer)
-    moved *= np.sqrt(model.independent * fit.counted * fit.weights)[:, None, None]
+    moved *= np.sqrt(fit.counted * fit.weights)[:, None, None]
     vio = keyframes.column("vio")
     apart = vio[:, None] - vio
     alike = model.shared * np.exp(np.sqrt((apart * apart) @ np.ones(3)) / -model.shared_m)

@@ -18,6 +18,8 @@ _WIDTHS = {
     "vio": 3,  # odometry's position
     "drift": 4,  # variances that odometry's drift adds on the way from the keyframe before: x, y, z, yaw
     "state": 4,  # the camera's map position and the yaw of map_R_vio, as estimated
+    "posterior": 16,  # covariance (4, 4) of the state, in axes turned back by the yaw, as it was `age` iterations ago
+    "age": 1,
     "along": 1,  # motion since the start
     "time_s": 1,
     "segment": 1,  # counts up where odometry lost its frame

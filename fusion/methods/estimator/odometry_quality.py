@@ -17,16 +17,17 @@ from groundwalk.fusion.methods.localiser import plain
 from groundwalk.geometry.poses import Array
 
 _DRIFT = 4.0 ** np.arange(6)  # factors of the usual variance of drift
-_SIZE = 8.0 ** np.arange(-3, 4)  # of the expected variance of a prediction's error
+_SIZE = 8.0 ** np.arange(-4, 4)  # of the expected variance of a prediction's error
 _SHARED = ((0.0, 1.0), (0.6, 4.0), (0.9, 16.0))  # share of it that neighbours have in common, and metres it reaches
 _DRIFTS, _SIZES, _SHARES, _LENGTHS = np.array([(d, s, *f) for d in _DRIFT for s in _SIZE for f in _SHARED]).T
 _RARE = 0.4  # prior odds of each further factor of drift
 _LOG_PRIOR = np.log(_RARE) * np.log(_DRIFTS) / np.log(4.0)
+_LOG_PRIOR_KNOWN = _LOG_PRIOR - (np.log(_SIZES) / np.log(2.0)) ** 2 / 2  # a factor of two, one sigma
 _DOF = 1.5  # of Student's t
 _KEPT = 0.98  # of the evidence so far, with each prediction taken
 _EVERY_M = 2.5  # motion between two predictions taken, turns counted in
-_LEAST = 1e-10
-_MOST_YAW = 0.01  # variance, rad^2, of the yaw that carries the way on: an unknown one would excuse any drift
+_MIN_VARIANCE = 1e-10
+_MAX_YAW = 0.01  # variance, rad^2, of the yaw that carries the way on: an unknown one would excuse any drift
 _COHERENT = 2.0  # that yaw is wrong alike from step to step
 
 
@@ -65,17 +66,17 @@ class _Bank:
         log_density = -axes / 2 * np.log(S) - (_DOF + axes) / 2 * np.log1p(squared / _DOF)
         self._log_odds = _KEPT * self._log_odds + log_density
         self._log_odds -= self._log_odds.max()
-        S = H_a + H_b + noise * np.maximum(1.0, (_DOF + squared) / (_DOF + axes)) + _LEAST
+        S = H_a + H_b + noise * np.maximum(1.0, (_DOF + squared) / (_DOF + axes)) + _MIN_VARIANCE
         G_a, G_b = H_a / S, H_b / S
         a += G_a * error
         b += G_b * error
         self._P[:] = P_a - G_a * H_a, P_b - G_b * H_b, P_ab - G_a * H_b
 
-    @property
-    def factor(self) -> float:
-        """Of the usual variance of drift: the mean of its logarithm over the hypotheses."""
-        odds = np.exp(self._log_odds + _LOG_PRIOR)
-        return float(np.exp(odds @ np.log(_DRIFTS) / odds.sum()))
+    def factors(self, sizes_known: bool) -> tuple[float, float]:
+        """Of the usual variances of drift and of a prediction's error: means of their logarithms over hypotheses."""
+        odds = np.exp(self._log_odds + (_LOG_PRIOR_KNOWN if sizes_known else _LOG_PRIOR))
+        odds /= odds.sum()
+        return float(np.exp(odds @ np.log(_DRIFTS))), float(np.exp(odds @ np.log(_SIZES)))
 
     def save(self) -> list[Any]:
         return [plain(self._offset), plain(self._P), plain(self._log_odds), self.begun]
@@ -86,11 +87,14 @@ class _Bank:
 
 
 class OdometryQuality:
-    """Fed with each prediction; `factors` (4,) are of the usual variances of drift in x, y, z and yaw."""
+    """Fed with each prediction; `factors` (4,) are of the usual variances of drift in x, y, z and yaw, `sizes` (6,) of
+    the expected sizes of predictions' errors."""
 
     def __init__(self) -> None:
         self._position, self._yaw = _Bank(2), _Bank(1)
-        self.factors = np.ones(4)
+        self.factors, self.sizes = np.ones(4), np.ones(6)
+        self.has_judged = False
+        self.sizes_known = False  # held-out frames or covariances say how large errors are
         self._forget_way()
 
     def _forget_way(self) -> None:
@@ -116,7 +120,7 @@ class OdometryQuality:
         x, _, z = way.tolist()
         c, s = cos(yaw), sin(yaw)
         self._at += c * x + s * z, c * z - s * x
-        bent = _COHERENT * min(yaw_variance, _MOST_YAW) * (x * x + z * z)
+        bent = _COHERENT * min(yaw_variance, _MAX_YAW) * (x * x + z * z)
         self._since += moved_m, drift[0], drift[3], bent
         apart, turned = measured[[0, 2]] - self._at, measured[3:4]
         if not self._position.begun:
@@ -130,15 +134,22 @@ class OdometryQuality:
         self._position.update(apart, (position, bent), float(size[0]), metres)
         self._yaw.update(turned, (heading, 0.0), float(size[1]), metres)
         self._since[:] = 0.0
-        position, heading = self._position.factor, self._yaw.factor
+        position, position_size = self._position.factors(self.sizes_known)
+        heading, yaw_size = self._yaw.factors(self.sizes_known)
         self.factors = np.array([position, position, position, heading])
+        self.sizes = np.sqrt(np.repeat([yaw_size, position_size], 3))
+        self.has_judged = True
 
     def save(self) -> list[Any]:
         """The state as plain data."""
-        return [self._position.save(), self._yaw.save(), plain(self.factors), plain(self._at), plain(self._since)]
+        return [self._position.save(), self._yaw.save(), self.has_judged, *map(plain, self._arrays())]
 
     def restore(self, state: list[Any]) -> None:
         """Take over what `save` gave."""
         self._position.restore(state[0])
         self._yaw.restore(state[1])
-        self.factors, self._at, self._since = (np.array(part) for part in state[2:])
+        self.has_judged = state[2]
+        self.factors, self.sizes, self._at, self._since = (np.array(part) for part in state[3:])
+
+    def _arrays(self) -> tuple[Array, ...]:
+        return self.factors, self.sizes, self._at, self._since

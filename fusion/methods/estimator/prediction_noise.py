@@ -19,16 +19,21 @@ from groundwalk.geometry.poses import Array
 
 _SIX = np.arange(6)
 # A relative floor that keeps the learnt covariance regular: nobody's errors are a thousandth of what was expected.
-_LEAST = 1e-6
+_MIN_VARIANCE = 1e-6
 
 
 class Prior(NamedTuple):
-    """What is expected of the covariance before the walk: `shape` (6, 6) is a correlation matrix, which counts as
-    `shape_count` predictions, and the sizes, which are 1 by definition, count as `size_count`."""
+    """What is expected of the covariance without the fit: `shape` (6, 6) is a correlation matrix, which counts as
+    `shape_count` predictions, and the sizes, 1 by definition before the walk, count as `size_count`."""
 
     shape: Array
     shape_count: float
     size_count: float
+    sizes: Array = np.ones(6)
+
+    def with_sizes(self, sizes: Array, count: float) -> "Prior":
+        """With sizes (6,) that were learnt elsewhere, which count as so many predictions more."""
+        return self._replace(size_count=self.size_count + count, sizes=sizes)
 
 
 def side_turn_correlation(correlation: float) -> Array:
@@ -63,18 +68,19 @@ def whitening_of_covariance(covariance: Array, map_R_cam: Array, vio_R_cam: Arra
     return np.linalg.solve(factor, back)
 
 
-def scatter(prior: Prior, errors: Array, counted: Array, weighed: Array) -> Array:
-    """The covariance (6, 6) of normalised errors (N, 6).
+def scatter(prior: Prior, errors: Array, spread: Array, counted: Array, weights: Array) -> Array:
+    """The covariance (6, 6) of normalised errors (N, 6), of which covariances `spread` (N, 6, 6) aren't known.
 
-    counted (N,): how much of an independent prediction each is, 0 to 1. weighed (N,): what Student's t lets each count.
+    counted (N,): how much of an independent prediction each is, 0 to 1. weights (N,):
+    what Student's t lets each count.
     """
-    count = float(counted.sum())
-    found = (errors * (counted * weighed)[:, None]).T @ errors
-    found += prior.size_count * prior.shape
-    found /= prior.size_count + count
-    sd = np.sqrt(found.diagonal())
-    share = prior.shape_count / (prior.shape_count + count)
-    found *= 1 - share
-    found += share * np.outer(sd, sd) * prior.shape
-    found[_SIX, _SIX] += _LEAST
-    return found
+    each, count = counted * weights, float(counted.sum())
+    covariance = (errors * each[:, None]).T @ errors + (each @ spread.reshape(len(spread), -1)).reshape(6, 6)
+    covariance += prior.size_count * np.outer(prior.sizes, prior.sizes) * prior.shape
+    covariance /= prior.size_count + count
+    sd = np.sqrt(covariance.diagonal())
+    believed = prior.shape_count / (prior.shape_count + count)
+    covariance *= 1 - believed
+    covariance += believed * np.outer(sd, sd) * prior.shape
+    covariance[_SIX, _SIX] += _MIN_VARIANCE
+    return covariance
