@@ -84,6 +84,7 @@ types: ## Types alone, of whatever is installed in .venv
 	@rm -rf build/types && mkdir -p build/types/groundwalk
 	@ln -s $(addprefix ../../../,$(wildcard groundwalk/*.py) $(filter-out benchmarks groundwalk,\
 		$(patsubst %/__init__.py,%,$(wildcard */__init__.py)))) build/types/groundwalk
+	@ln -s ../../benchmarks build/types/benchmarks
 	@cd build/types && ../../.venv/bin/mypy --config-file ../../pyproject.toml --cache-dir ../../.mypy_cache --no-error-summary
 
 test: $(installed) check ## Checks and tests, under ten minutes on two cores
