@@ -43,7 +43,7 @@ class DriftAwareOptions(OdometryOptions):
     position_sd_m: float = Field(0.3, gt=0, description="a prediction's first assumed position error an axis")
     rotation_sd_deg: float = Field(8.0, gt=0, description="a prediction's first assumed rotation error an axis")
     size_count: float = Field(0.3, gt=0, description="predictions that the first assumed sizes count as")
-    size_count_known: float = Field(40.0, gt=0, description="the same where held-out frames say how large errors are")
+    size_count_known: float = Field(20.0, gt=0, description="the same where held-out frames say how large errors are")
     size_count_stated: float = Field(
         10.0, gt=0, description="the same where predictions bring covariances, whose common factor is learnt"
     )
