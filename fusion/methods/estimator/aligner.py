@@ -137,14 +137,14 @@ def iterate(keyframes: Keyframes, model: Model, belief: Belief, newest: float | 
     normalised = (whitening @ left[:, :, None])[:, :, 0]
     unknown = whitening[:, :, UNKNOWN]
     fraction = counted(keyframes.column("along"), model.apart_m)
-    precision = np.linalg.inv(belief.covariance)
+    precision = np.asarray(np.linalg.inv(belief.covariance), dtype=float)
     each = independent(keyframes, model, belief, precision)
     posterior = keyframes.column("posterior").reshape(-1, 4, 4)
     spread = each * (unknown @ posterior @ unknown.transpose(0, 2, 1))
     squared = _expected(normalised, spread, precision)
     weights = robust.weights(squared, DIMENSIONS, model.dof)
     covariance = scatter(model.prior, normalised, spread, fraction, weights)
-    precision = np.linalg.inv(covariance)
+    precision = np.asarray(np.linalg.inv(covariance), dtype=float)
     squared = _expected(normalised, spread, precision)
     judged = squared if newest is None else np.append(squared[:-1], newest)
     weights = robust.weights(judged, DIMENSIONS, model.dof)
