@@ -74,6 +74,7 @@ class ImageSource:
 
     def loss(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Tensor:
         turns = Turns(*self.settings.turn_deg) if self.settings.turn_deg else None
+        rows = self.training.sequences(rows, *self.model.sequence())
         image, poses = self.training.select(rows).training_crops(self.run.view, turns, rng, self.run.device)
         image = normalised(Jitter(*self.settings.jitter).apply(image, rng))
         with precision(self.run):

@@ -86,6 +86,7 @@ def test_frames_of_two_lenses_are_trained_on_as_one_camera(tmp_path: Path) -> No
         {"split": "train", "scene_index": 0, "width": [320, 640], "height": [240, 480], "cx": [163.0, 315.0]}
         | {"cy": [117.0, 249.0], "fx": [240.0, 470.0], "fy": [240.0, 470.0], "distortion": [[0.09, -0.12], []]}
     )
+    frames = frames.assign(session_id="walk", gravity_x=0.0, gravity_y=1.0, gravity_z=0.0)
     frames = pd.concat([frames, pose_frame("map_cam", np.tile(np.eye(4), (2, 1, 1)))], axis=1)
     assert virtual_focal(frames) == pytest.approx((240 / 240 + 470 / 480) / 2)
     cache = ImageCache.build(tmp_path, [np.zeros((72, 96, 3), np.uint8)] * 2)

@@ -5,8 +5,9 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
 from groundwalk.training.models.efficientnet_lite import MAP_CHANNELS, EfficientNetLite0
-from groundwalk.training.models.mixture import OUTPUTS, PoseMixture
+from groundwalk.training.models.posenet import single_scene
 from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch, SceneFrames
 from groundwalk.training.regressor_settings import LiteSettings, RegressorSettings
 from groundwalk.training.weights import load_lite0
@@ -147,6 +148,5 @@ class PoseNetLite(LiteRegressor):
 
 def make_posenet_lite(settings: LiteSettings, scenes: int, outdoor: bool) -> PoseNetLite:
     """PN-Lite with random weights."""
-    if scenes != 1:
-        raise ValueError(f"PN-Lite holds one scene, not {scenes}")
+    single_scene("PN-Lite", scenes)
     return PoseNetLite(settings)
