@@ -49,6 +49,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "CoordiNet": "groundwalk.training.entries:COORDINET",
         "PN-mixture": "groundwalk.training.entries:PN_MIXTURE",
         "PN-Lite": "groundwalk.training.entries:PN_LITE",
+        "MST-Lite": "groundwalk.training.entries:MST_LITE",
     },
     "groundwalk.fusion_methods": {
         "apr": "groundwalk.fusion.methods.entries:APR",

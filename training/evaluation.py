@@ -27,7 +27,13 @@ def answers(model: PoseRegressor, frames: Frames, view: View, device: torch.devi
     for start in range(0, len(frames), _BATCH):
         rows = np.arange(start, min(start + _BATCH, len(frames)))
         parts.append(model(frames.select(rows).centre_crops(view, device)))
-    return PoseBatch(*(None if part[0] is None else torch.cat(part) for part in zip(*parts, strict=True)))
+    covariances = [part.covariance_B66 for part in parts if part.covariance_B66 is not None]
+    return PoseBatch(
+        torch.cat([part.position_B3 for part in parts]),
+        torch.cat([part.quaternion_B4 for part in parts]),
+        torch.cat([part.scene_B for part in parts]),
+        torch.cat(covariances) if covariances else None,
+    )
 
 
 def errors(

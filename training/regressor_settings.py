@@ -178,5 +178,10 @@ class LiteSettings(RegressorSettings):
 class MSTransformerLiteSettings(LiteSettings):
     """The same with MS-T's transformers on two of the backbone's maps."""
 
+    epochs: int = Field(10, gt=0, description="passes over the training frames and their copies")
+    batch: int = Field(64, gt=1, description="images a step")
+    learning_rate: float = Field(1e-3, gt=0, description="Adam's learning rate after warming up")
+    warmup_epochs: float = Field(1, ge=0, description="epochs over which the learning rate rises from zero")
+    dropout: float = Field(0.1, ge=0, lt=1, description="share of the head's features left out in training")
     encoder_layers: int = Field(1, gt=0, description="encoder layers of each transformer")
     decoder_layers: int = Field(1, gt=0, description="decoder layers of each transformer")
