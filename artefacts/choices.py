@@ -70,6 +70,15 @@ class Environment(StrEnum):
     UNKNOWN = "unknown"
 
 
+class Appearance(StrEnum):
+    """What a simulated place looks like on its test walks, beside the training walks."""
+
+    SAME = "same"
+    OTHER_HOUR = "other_hour"
+    EVENING = "evening"
+    OTHER_MONTH = "other_month"
+
+
 class PairOrigin(StrEnum):
     """What proposed a pair of frames."""
 
