@@ -11,7 +11,7 @@ from groundwalk.artefacts.choices import Refusal
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.localisation.answers import Answer, Clock, of_another_size, refused, seen_by
-from groundwalk.localisation.compact import CompactMap, Lens, bytes_by_section, read_map, write_map
+from groundwalk.localisation.compact import CompactMap, Lens, bytes_by_section, point_covariances, read_map, write_map
 from groundwalk.localisation.features import Features, extract
 from groundwalk.localisation.frames import row_times
 from groundwalk.localisation.pose import Fit, Observed, Priors, ransac, refine, upright_ransac
@@ -51,6 +51,7 @@ class MapLocaliser:
         order = np.argsort(content.seen, kind="stable")
         self._seen_by = views[order]
         self._seen_by_bounds = np.searchsorted(content.seen[order], np.arange(len(content.xyz) + 1))
+        self._covariance = point_covariances(content)
 
     @property
     def xyz(self) -> Array:
@@ -134,6 +135,7 @@ class MapLocaliser:
                 features.px.astype(float),
                 camera.unproject(features.px.astype(float)),
                 self.map.xyz[rows],
+                self._covariance[rows],
                 camera,
                 readout_s,
                 gravity,
@@ -214,7 +216,7 @@ class MapLocaliser:
             if len(matches) < _MIN_POSE:
                 return None, matches
             fit = asked.refined(fit.map_T_cam, matches, priors)
-            limit = max(_MIN_INLIER_PX * _scale(asked.camera), _INLIER_SIGMAS * fit.pixel_sd)
+            limit = np.maximum(_MIN_INLIER_PX * _scale(asked.camera), _INLIER_SIGMAS * fit.expected_px)
             matches = matches[fit.residual_px < limit]
         if len(matches) < _MIN_POSE:
             return None, matches
@@ -228,12 +230,13 @@ class MapLocaliser:
 
 @dataclass(frozen=True)
 class _Asked:
-    """What is known of a query: K keypoints px (K, 2) and ideal (K, 2), candidate points xyz (C, 3), camera and
-    gravity."""
+    """What is known of a query: K keypoints px (K, 2) and ideal (K, 2), candidate points xyz (C, 3) with covariances
+    (C, 3, 3), camera and gravity."""
 
     px: Array
     ideal: Array
     xyz: Array
+    covariance: Array
     camera: Camera
     readout_s: float
     gravity: Array | None
@@ -249,7 +252,7 @@ class _Asked:
     def refined(self, map_T_cam: Array, matches: Ints, priors: Priors) -> Fit:
         """The refined pose of matches (keypoint, point)."""
         keypoint, point = matches.T
-        seen = Observed(self.px[keypoint], self.ideal[keypoint], self.xyz[point])
+        seen = Observed(self.px[keypoint], self.ideal[keypoint], self.xyz[point], self.covariance[point])
         return refine(map_T_cam, seen, self.camera, self.readout_s, priors, self.gravity)
 
 
