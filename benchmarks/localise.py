@@ -167,6 +167,7 @@ def main(
         for model in (StructureSettings, MapSettings)
     )
     chosen = (extraction, map_settings)
+    revision = git_revision()
     figures: list[Figure] = []
     built: dict[tuple[str, str], Built] = {}
     for case in [*CASES, _GROWTH]:
@@ -178,13 +179,15 @@ def main(
             built[key] = built.get(key) or build(case, root, profile, chosen)
             if case is _GROWTH:
                 figures += _growth(built[key], chosen)
-                continue
-            if case.light != Appearance.SAME:
-                frames_in(root.captures(case.scene), case.light, lights / case.scene / case.light, os.cpu_count() or 1)
-            figures += run_case(case, built[key], lights)
+            else:
+                folder = lights / case.scene / case.light
+                if case.light != Appearance.SAME:
+                    frames_in(root.captures(case.scene), case.light, folder, os.cpu_count() or 1)
+                figures += run_case(case, built[key], folder)
+        # After each case: the last of them take an hour to come to.
+        write_report(out, figures, chosen, profile, revision)
     if not figures:
         raise UserError("there is no run of any case", where=data, do="run import, sfm and align of Church first")
-    write_report(out, figures, chosen, profile, git_revision())
 
 
 def build(case: Case, root: DataRoot, profile: str, settings: Chosen) -> Built:
@@ -209,13 +212,12 @@ def build(case: Case, root: DataRoot, profile: str, settings: Chosen) -> Built:
     return Built(inputs, given, query, images, localiser, size, HLocLocaliser(prepared, HLocSettings()))
 
 
-def run_case(case: Case, built: Built, lights: Path) -> list[Figure]:
-    """The figures of a case, of both localisers; `lights` has the images of other lights."""
+def run_case(case: Case, built: Built, folder: Path) -> list[Figure]:
+    """The figures of a case, of both localisers; `folder` has the images of another light."""
     inputs, query, localiser, hloc = built.inputs, built.query, built.localiser, built.hloc
     gravity = [g if np.isfinite(g).all() else None for g in inputs.gravity]
     files = {row: built.images[row] for row in query.tolist()}
     if case.light != Appearance.SAME:
-        folder = lights / case.scene / case.light
         files = {row: folder / file.parent.name / file.name for row, file in files.items()}
     pictures = {row: grey(file) for row, file in files.items()}
     asked = [localiser.localise(picture, inputs.logged[row], gravity[row]) for row, picture in pictures.items()]

@@ -189,9 +189,9 @@ def refine(
     """
     focal = (camera.fx + camera.fy) / 2
     time_s = row_times(seen.px, camera.height, readout_s)
-    prior = (
-        1 / np.r_[np.full(6, np.inf), np.full(3, priors.angular_sd), np.full(3, priors.velocity_sd), priors.focal_sd]
-    )
+    information = np.zeros(_UNKNOWNS)
+    information[6:9], information[9:12] = priors.angular_sd**-2, priors.velocity_sd**-2
+    information[12] = priors.focal_sd**-2
     rotation, position, rest = map_T_cam[:3, :3].copy(), map_T_cam[:3, 3].copy(), np.zeros(7)
     of_points = np.zeros((len(seen.xyz), 3))
     for iteration in range(iterations):
@@ -203,18 +203,20 @@ def refine(
         weight = np.repeat(1 / (1 + np.sum(white**2, axis=1) / CAUCHY_WIDTH**2), 2)
         rows = rows.reshape(-1, _UNKNOWNS)
         weighted = rows * weight[:, None]
-        hessian = weighted.T @ rows + np.diag(prior**2)
-        gradient = weighted.T @ white.ravel() + prior**2 * np.r_[np.zeros(6), rest]
+        hessian = weighted.T @ rows + np.diag(information)
+        gradient = weighted.T @ white.ravel()
+        gradient[6:] += information[6:] * rest
         if gravity is not None:
             hessian[:3, :3], gradient[:3] = _with_gravity(hessian[:3, :3], gradient[:3], rotation, gravity, priors)
         step = -np.linalg.solve(hessian + 1e-9 * np.eye(_UNKNOWNS), gradient)
         position = position + rotation @ step[3:6]
-        rotation = rotation @ Rotation.from_rotvec(step[:3]).as_matrix()
+        rotation = rotation @ _turn(step[:3])
         rest = rest + step[6:]
         if np.abs(step[:6]).max() < _CONVERGED:
             break
     residual, _ = _linear(rotation, position, rest, seen, time_s, focal)
-    to_map = np.kron(np.eye(2), rotation)
+    to_map = np.zeros((6, 6))
+    to_map[:3, :3] = to_map[3:, 3:] = rotation
     return Fit(
         make_pose(rotation, position),
         to_map @ np.linalg.inv(hessian)[:6, :6] @ to_map.T,
@@ -224,6 +226,13 @@ def refine(
         rest[:3],
         rest[3:6],
     )
+
+
+def _turn(vector: Array) -> Array:
+    """The rotation (3, 3) by a rotation vector (3,), by Rodrigues' formula; scipy's takes longer than all else here."""
+    angle = max(float(np.sqrt(vector @ vector)), 1e-12)
+    across = skew(vector / angle)
+    return np.asarray(np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * across @ across)
 
 
 def _projected(covariance_M33: Array, rotation: Array, slope_M23: Array) -> Array:
@@ -274,9 +283,10 @@ def _linear(
     angular, velocity, factor = rest[:3], rest[3:6], np.exp(rest[6])
     cam = still - time_s[:, None] * (velocity + still @ skew(angular).T)
     x, y, depth = cam.T
-    depth = np.where(depth > 1e-3, depth, 1e-3)
+    depth = np.maximum(depth, 1e-3)
     u, v, per_depth, pixels = x / depth, y / depth, focal * factor / depth, focal * factor
-    residual = np.stack([pixels * u - focal * seen.ideal[:, 0], pixels * v - focal * seen.ideal[:, 1]], axis=1)
+    residual = np.empty((len(cam), 2))
+    residual[:, 0], residual[:, 1] = pixels * u - focal * seen.ideal[:, 0], pixels * v - focal * seen.ideal[:, 1]
     jacobian = np.empty((len(cam), 2, _UNKNOWNS))
     # A small turn d of the camera moves its points by cam x d.
     jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 0, 2] = pixels * u * v, -pixels * (1 + u * u), pixels * v

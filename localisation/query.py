@@ -23,11 +23,12 @@ _PROBES, _VOTERS = 3, 400
 _VIEWS = 12
 _VOTE_RATIO, _RATIO = 0.9, 0.9
 _RANSAC_PX, _TRIALS, _UPRIGHT_TRIALS = 6.0, 2000, 400
-# Shares of the features and of the image's side that an attempt takes.
-_NEAR_PRIOR, _QUICK, _WHOLE = (0.4, 0.5), (0.5, 0.625), (1.0, 1.0)
-_SURE_M = 0.01
+# Shares of the features and of the image's side that an attempt takes. A query shows each point but once, where a
+# training frame needs only some of what others show, too: hence more features than of these.
+_NEAR_PRIOR, _WHOLE = (0.4, 0.5), (1.5, 1.0)
+_SURE_M = 0.02
 _GUIDED_PX, _MIN_SIMILARITY = 5.0, 0.6
-_INLIER_SIGMAS, _MIN_INLIER_PX = 4.0, 1.5
+_INLIER_SIGMAS, _MIN_INLIER_PX, _MAX_INLIER_PX = 4.0, 1.5, 3.0
 _MIN_FEATURES, _MIN_MATCHES, _MIN_POSE = 30, 8, 6
 _SAME_LENS = 1.08
 
@@ -86,9 +87,9 @@ class MapLocaliser:
             return refusal
         clock = Clock()
         best: Answer | None = None
-        # A smaller image is enough for most; where the answer isn't sure, the whole one is asked without a prior, which
-        # may be what is wrong.
-        for attempt in (_NEAR_PRIOR if prior is not None else _QUICK, _WHOLE):
+        # Near a prior a smaller image is enough for most; where the answer isn't sure, the whole one is asked without the
+        # prior, which may be what is wrong.
+        for attempt in (_NEAR_PRIOR, _WHOLE) if prior is not None else (_WHOLE,):
             with clock.part("features"):
                 count, side = (round(part * of) for part, of in zip(attempt, self._extraction, strict=True))
                 features = extract(grey, count, side)
@@ -155,11 +156,13 @@ class MapLocaliser:
         with clock.part("refinement"):
             fit, inliers = self._refined(found[0], matches[found[1]], product, asked)
         seen, limit = seen_by(asked.px, rows, matches, inliers), self.map.calibration.min_inliers
-        if fit is None or len(inliers) < limit:
-            reason = f"{len(inliers)} inliers, {limit} needed"
-            return refused(Refusal.THIN_EVIDENCE, reason, clock, len(matches), len(inliers), seen)
+        # What the pose itself brought to the keypoints near where it predicts points is no evidence for it.
+        agreeing = _common(matches, inliers)
+        if fit is None or agreeing < limit:
+            reason = f"{agreeing} inliers, {limit} needed"
+            return refused(Refusal.THIN_EVIDENCE, reason, clock, len(matches), agreeing, seen)
         covariance = self._calibrated(fit.covariance)
-        return Answer(fit.map_T_cam, covariance, None, "", len(matches), len(inliers), seen, clock.seconds)
+        return Answer(fit.map_T_cam, covariance, None, "", len(matches), agreeing, seen, clock.seconds)
 
     def _views_by_votes(self, query: Floats, hidden: NDArray[np.bool_] | None) -> Ints:
         """Training frames that saw most of the points that look like the query's features."""
@@ -216,7 +219,8 @@ class MapLocaliser:
             if len(matches) < _MIN_POSE:
                 return None, matches
             fit = asked.refined(fit.map_T_cam, matches, priors)
-            limit = np.maximum(_MIN_INLIER_PX * _scale(asked.camera), _INLIER_SIGMAS * fit.expected_px)
+            scale = _scale(asked.camera)
+            limit = np.clip(_INLIER_SIGMAS * fit.expected_px, _MIN_INLIER_PX * scale, _MAX_INLIER_PX * scale)
             matches = matches[fit.residual_px < limit]
         if len(matches) < _MIN_POSE:
             return None, matches
@@ -321,6 +325,12 @@ def _ratio_matches(product: Floats, ratio: float) -> Ints:
     first = np.unique(nearest[kept], return_index=True)[1]
     kept = np.sort(kept[first])
     return np.stack([kept, nearest[kept]], axis=1)
+
+
+def _common(matches: Ints, others: Ints) -> int:
+    """How many pairs (M, 2) are among others (N, 2)."""
+    wide = 1 + max(matches[:, 1].max(initial=0), others[:, 1].max(initial=0))
+    return int(np.isin(matches[:, 0] * wide + matches[:, 1], others[:, 0] * wide + others[:, 1]).sum())
 
 
 def _scale(camera: Camera) -> float:
