@@ -87,8 +87,8 @@ class MapLocaliser:
             return refusal
         clock = Clock()
         best: Answer | None = None
-        # Near a prior a smaller image is enough for most; where the answer isn't sure, the whole one is asked without the
-        # prior, which may be what is wrong.
+        # Near a prior a smaller image is enough for most; where the answer isn't sure, the whole one is asked without
+        # the prior, which may be what is wrong.
         for attempt in (_NEAR_PRIOR, _WHOLE) if prior is not None else (_WHOLE,):
             with clock.part("features"):
                 count, side = (round(part * of) for part, of in zip(attempt, self._extraction, strict=True))
