@@ -16,7 +16,7 @@ from groundwalk.geometry.poses import Array, make_pose, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH
 from groundwalk.localisation.frames import row_times
 
-_CONVERGED = 1e-5  # rad, m
+_CONVERGED = 5e-5  # rad, m
 _MIN_POINTS = 6
 _SCORED, _FINALISTS = 100, 20
 _UNKNOWNS = 13
@@ -194,11 +194,17 @@ def refine(
     information[12] = priors.focal_sd**-2
     rotation, position, rest = map_T_cam[:3, :3].copy(), map_T_cam[:3, 3].copy(), np.zeros(7)
     of_points = np.zeros((len(seen.xyz), 3))
-    for iteration in range(iterations):
+    if seen.covariance is not None:
+        slope = _linear(rotation, position, rest, seen, time_s, focal)[1][:, :, 3:6]
+        of_points = _projected(seen.covariance, rotation, slope)
+    variance = (of_points[:, 0] + of_points[:, 2]) / 2
+    sure = variance <= _median(variance)
+    sure_variance = _median(variance[sure])
+    for _ in range(iterations):
         residual, jacobian = _linear(rotation, position, rest, seen, time_s, focal)
-        if iteration == 0 and seen.covariance is not None:
-            of_points = _projected(seen.covariance, rotation, jacobian[:, :, 3:6])
-        scale = _scatter(residual, of_points, priors.pixel_sd)
+        # Keypoints' scatter, by the half of the points that are surest.
+        scatter = _median(np.sum(residual[sure] ** 2, axis=1)) / (2 * np.log(2)) - sure_variance
+        scale = np.sqrt(max(priors.pixel_sd**2, scatter))
         white, rows = _whitened(residual, jacobian, of_points + scale**2 * np.array([1, 0, 1]))
         weight = np.repeat(1 / (1 + np.sum(white**2, axis=1) / CAUCHY_WIDTH**2), 2)
         rows = rows.reshape(-1, _UNKNOWNS)
@@ -221,7 +227,7 @@ def refine(
         make_pose(rotation, position),
         to_map @ np.linalg.inv(hessian)[:6, :6] @ to_map.T,
         np.linalg.norm(residual, axis=1),
-        np.sqrt(scale**2 + (of_points[:, 0] + of_points[:, 2]) / 2),
+        np.sqrt(scale**2 + variance),
         float(np.exp(rest[6])),
         rest[:3],
         rest[3:6],
@@ -243,12 +249,9 @@ def _projected(covariance_M33: Array, rotation: Array, slope_M23: Array) -> Arra
     return np.stack([image[:, 0, 0], image[:, 0, 1], image[:, 1, 1]], axis=1)
 
 
-def _scatter(residual_M2: Array, of_points_M3: Array, least: float) -> float:
-    """One sigma of keypoints, px, by the residuals of the half of the points that are surest."""
-    variance = (of_points_M3[:, 0] + of_points_M3[:, 2]) / 2
-    sure = variance <= np.median(variance)
-    squared = np.sum(residual_M2[sure] ** 2, axis=1)
-    return float(np.sqrt(max(least**2, np.median(squared) / (2 * np.log(2)) - np.median(variance[sure]))))
+def _median(values: Array) -> float:
+    """The upper median, in a tenth of the time of numpy's."""
+    return float(np.partition(values, len(values) // 2)[len(values) // 2])
 
 
 def _whitened(residual: Array, jacobian: Array, covariance_M3: Array) -> tuple[Array, Array]:

@@ -31,6 +31,8 @@ _GUIDED_PX, _MIN_SIMILARITY = 5.0, 0.6
 _INLIER_SIGMAS, _MIN_INLIER_PX, _MAX_INLIER_PX = 4.0, 1.5, 3.0
 _MIN_FEATURES, _MIN_MATCHES, _MIN_POSE = 30, 8, 6
 _SAME_LENS = 1.08
+# Iterations of refinements whose inliers are still sought, and of the last.
+_ROUGHLY, _WELL = 3, 8
 
 
 def write_localiser(path: Path, localiser: "MapLocaliser") -> None:
@@ -213,12 +215,12 @@ class MapLocaliser:
         """The refined pose and its inliers (keypoint, point): first of RANSAC's matches, then of all points that it
         predicts near a keypoint that looks alike."""
         priors = self.map.priors
-        fit = asked.refined(map_T_cam, matches, priors)
+        fit = asked.refined(map_T_cam, matches, priors, _ROUGHLY)
         for _ in range(2):
             matches = _guided(fit, asked, product)
             if len(matches) < _MIN_POSE:
                 return None, matches
-            fit = asked.refined(fit.map_T_cam, matches, priors)
+            fit = asked.refined(fit.map_T_cam, matches, priors, _ROUGHLY)
             scale = _scale(asked.camera)
             limit = np.clip(_INLIER_SIGMAS * fit.expected_px, _MIN_INLIER_PX * scale, _MAX_INLIER_PX * scale)
             matches = matches[fit.residual_px < limit]
@@ -253,11 +255,11 @@ class _Asked:
             return upright_ransac(ideal, xyz, self.gravity, max_error, _UPRIGHT_TRIALS, seed)
         return ransac(ideal, xyz, max_error, _TRIALS, seed)
 
-    def refined(self, map_T_cam: Array, matches: Ints, priors: Priors) -> Fit:
+    def refined(self, map_T_cam: Array, matches: Ints, priors: Priors, iterations: int = _WELL) -> Fit:
         """The refined pose of matches (keypoint, point)."""
         keypoint, point = matches.T
         seen = Observed(self.px[keypoint], self.ideal[keypoint], self.xyz[point], self.covariance[point])
-        return refine(map_T_cam, seen, self.camera, self.readout_s, priors, self.gravity)
+        return refine(map_T_cam, seen, self.camera, self.readout_s, priors, self.gravity, iterations)
 
 
 def with_lens(camera: Camera, lenses: tuple[Lens, ...]) -> tuple[Camera, float]:

@@ -113,7 +113,7 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
 
 STAGE = Stage(
     name="report",
-    version=5,
+    version=6,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import", "sfm", "align", "localise", "train", "fuse"),
