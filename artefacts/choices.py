@@ -273,6 +273,7 @@ class DriftInterval(StrEnum):
 class Refusal(StrEnum):
     """Why a structure localiser gives no pose."""
 
+    BAD_INPUT = "bad_input"
     IMAGE_SIZE = "image_size"
     FEW_FEATURES = "few_features"
     FEW_MATCHES = "few_matches"
