@@ -7,8 +7,10 @@ from typing import Annotated, Any
 import typer
 
 from groundwalk.artefacts import UserError, progress
+from groundwalk.artefacts.choices import Refusal
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.files import written_aside
+from groundwalk.localisation.answers import Answer, Clock, refused
 from groundwalk.localisation.localisers import LOCALISERS, FileLocaliser
 from groundwalk.localisation.one_query import Query, ask, query_of, row_of
 
@@ -34,7 +36,7 @@ def locate(
 
     An image's intrinsics are in `<image>.json` or `intrinsics.json` beside it, or in --intrinsics: an object with fx,
     fy, cx, cy and, where they are known, width, height, gravity and prior (map_T_cam, 4x4). An image whose own file has
-    other intrinsics is asked with these.
+    other intrinsics is asked with these. An image of a folder that can't be asked is refused as bad_input.
     """
     localiser = read_localiser(map_, scene)
     common: dict[str, Any] = {}
@@ -45,7 +47,7 @@ def locate(
     rows = []
     paths = _image_files(images)
     for path in progress.track(paths, "localising", len(paths)):
-        row = {"image": path.name, **row_of(ask(localiser, _query(path, common)))}
+        row = {"image": path.name, **row_of(_answer(localiser, path, common, among_others=images.is_dir()))}
         rows.append(row)
         if out is None:
             typer.echo(json.dumps(row))
@@ -54,6 +56,18 @@ def locate(
             partial.write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
     refused = sum(row["refusal"] is not None for row in rows)
     progress.console.print(f"{len(rows) - refused} of {len(rows)} images localised, {refused} refused", markup=False)
+
+
+def _answer(localiser: FileLocaliser, path: Path, common: dict[str, Any], *, among_others: bool) -> Answer:
+    """What is said of an image; one among others that can't be asked is refused, alone it's a UserError."""
+    try:
+        query = _query(path, common)
+    except UserError as error:
+        if not among_others:
+            raise
+        found = error.details["found"]
+        return refused(Refusal.BAD_INPUT, error.what if found is None else f"{error.what}: {found}", Clock())
+    return ask(localiser, query)
 
 
 def read_localiser(path: Path, scene: str = "") -> FileLocaliser:
