@@ -75,7 +75,7 @@ COMMANDS = {
     "Captures, exports and checks": [
         Command("inspect", "Show what a capture holds, without import.", "capture_import.__main__", "inspect"),
         Command("formats", "List the capture formats.", "capture_import.__main__", "formats"),
-        Command("export", "Write ground truth for other tools, or a regressor for a phone.", "export.__main__"),
+        Command("export", "Export ground truth, or a regressor for a phone.", "export.__main__"),
         Command("locate", "Localise images in a map, or by a regressor.", "localisation.locate"),
         Command("evaluate", "Fuse predictions from Parquet files; measure errors.", "fusion.__main__", "evaluate"),
         Command("leaderboard", "Compare all fusion methods scene by scene.", "fusion.__main__", "leaderboard"),

@@ -9,7 +9,7 @@ from typing import Any
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import hash_files, write_json
 
-FORMAT = "groundwalk bundle"
+FORMAT = "groundwalk-bundle"
 MAJOR, MINOR = 1, 0
 MANIFEST = "bundle.json"
 PREPROCESSING = "preprocessing.json"
