@@ -181,6 +181,9 @@ bench: $(installed) ## Time, memory and bytes of each stage (profile=demo scene=
 bench-localise: $(installed) ## Structure localisers Map and HLoc against the figures to reach (docs/results); finished runs
 	@$(py) -m benchmarks.localise
 
+bench-phone: $(installed) ## Exported regressors without PyTorch: bytes, milliseconds, int8 against fp32 (docs/results); a finished run
+	@$(py) -m benchmarks.phone --scene "$${scene:-Church}" --profile "$$profile"
+
 bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures to reach (build/fusion)
 	@$(py) -m benchmarks.fusion $(if $(wildcard build/trained/runs),--data build/trained)
 
@@ -232,4 +235,4 @@ help: ## This text
 	@echo "your own captures:  make scene=<name> captures=<folder> all"
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
-.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check types test test-slow bench bench-localise bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
+.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check types test test-slow bench bench-localise bench-phone bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help

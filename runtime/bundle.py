@@ -78,7 +78,7 @@ class Bundle:
                 f"a bundle has no network {self.network!r}", where=folder, expected=f"one of {', '.join(networks)}"
             )
         self.preprocessing = Preprocessing.parsed(read_part(folder, PREPROCESSING), folder / PREPROCESSING)
-        self._session = _session(folder / networks[self.network]["file"], threads)
+        self._session = onnx_session(folder / networks[self.network]["file"], threads)
         self._outputs = [output.name for output in self._session.get_outputs()]
 
     def __repr__(self) -> str:
@@ -123,11 +123,13 @@ class Bundle:
         prepared = time.perf_counter()
         outputs = self.outputs(tensor)
         seconds = {"preprocessing": prepared - start, "network": time.perf_counter() - prepared}
-        position, quaternion = (outputs[name][0].astype(float) for name in ("position", "quaternion"))
-        quaternion /= np.linalg.norm(quaternion)
+        position = outputs["position"][0].astype(float)
+        rotation = self.preprocessing.camera_rotation(matrix_of(outputs["quaternion"][0]), query.gravity)
         covariance = outputs["covariance"][0].astype(float) if "covariance" in outputs else None
         scene = self.manifest["scenes"][int(outputs["scene"][0])]
-        return Prediction(_pose(position, quaternion), position, quaternion, scene, covariance, seconds)
+        map_T_cam = np.eye(4)
+        map_T_cam[:3, :3], map_T_cam[:3, 3] = rotation, position
+        return Prediction(map_T_cam, position, _quaternion(rotation), scene, covariance, seconds)
 
     def outputs(self, tensor: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
         """The network's outputs for its input (1, 3, H, W) by name."""
@@ -164,7 +166,8 @@ class Bundle:
         return read_part(self.folder, name) if name in self.manifest["files"] else {}
 
 
-def _session(file: Path, threads: int | None) -> Any:
+def onnx_session(file: Path, threads: int | None) -> Any:
+    """A session of ONNX Runtime; UserError where that is missing or can't load the file."""
     try:
         import onnxruntime
     except ImportError as error:
@@ -185,17 +188,32 @@ def _session(file: Path, threads: int | None) -> Any:
         ) from None
 
 
-def _pose(position: Array, quaternion: Array) -> Array:
-    """map_T_cam (4, 4) of a position and a unit quaternion xyzw."""
-    x, y, z, w = quaternion
-    pose = np.eye(4)
-    pose[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    pose[:3, 3] = position
-    return pose
+def matrix_of(quaternion: ArrayLike) -> Array:
+    """The rotation (3, 3) of a quaternion x, y, z, w of any length."""
+    q = np.asarray(quaternion, float)
+    x, y, z, w = q / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _quaternion(rotation: Array) -> Array:
+    """The unit quaternion x, y, z, w >= 0 of a rotation (3, 3): an eigenvector (Bar-Itzhack, 2000)."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
+    K = np.array(
+        [
+            [xx - yy - zz, yx + xy, zx + xz, zy - yz],
+            [yx + xy, yy - xx - zz, zy + yz, xz - zx],
+            [zx + xz, zy + yz, zz - xx - yy, yx - xy],
+            [zy - yz, xz - zx, yx - xy, xx + yy + zz],
+        ]
+    )
+    vector: Array = np.linalg.eigh(K)[1][:, -1]
+    return vector if vector[3] >= 0 else -vector
 
 
 def _not_golden(what: str, where: Path, limit: float, found: float, unit: str) -> UserError:

@@ -17,7 +17,8 @@ from groundwalk.export.phone.networks import write_onnx
 from groundwalk.export.phone.quantisation import HeldOut, Quantised, write_int8
 from groundwalk.export.phone.readme import readme
 from groundwalk.export.regressor import TrainedRegressor
-from groundwalk.geometry.poses import quaternion_angle, tq_from_pose
+from groundwalk.geometry.poses import quaternion_from_matrix, rotation_angle
+from groundwalk.runtime.bundle import matrix_of, onnx_session
 from groundwalk.runtime.bundle_file import ERROR_MAP, ERRORS, FRAME, PREPROCESSING, write_manifest
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
 
@@ -86,17 +87,18 @@ def _held_out(inputs: PhoneInputs) -> HeldOut:
     rows = inputs.spread("val", _HELD_OUT)
     if len(rows) < _MIN_HELD_OUT:
         rows += inputs.spread("train", _HELD_OUT - len(rows))
-    position, quaternion = tq_from_pose(inputs.regressor.map_T_cam[rows])
-    return HeldOut([inputs.tensor(row) for row in rows], position, quaternion)
+    quaternion = quaternion_from_matrix(np.array([inputs.seen(row) for row in rows]))
+    return HeldOut([inputs.tensor(row) for row in rows], inputs.regressor.map_T_cam[rows, :3, 3], quaternion)
 
 
 def _check_as_trained(inputs: PhoneInputs, fp32: Path) -> None:
     """UserError where the network, given frames as training was, doesn't predict what training's tables have."""
     run, regressor = _network(fp32), inputs.regressor
     for row in inputs.spread("train", 2):
-        made, before = run(inputs.tensor_as_trained(row)), tq_from_pose(regressor.predicted[row : row + 1])
-        metres = float(np.linalg.norm(made["position"][0] - before[0][0]))
-        degrees = float(np.degrees(quaternion_angle(made["quaternion"].astype(float), before[1])[0]))
+        made, before = run(inputs.tensor_as_trained(row)), regressor.predicted[row]
+        rotation = inputs.preprocessing.camera_rotation(matrix_of(made["quaternion"][0]), inputs.query(row).gravity)
+        metres = float(np.linalg.norm(made["position"][0] - before[:3, 3]))
+        degrees = float(np.degrees(rotation_angle(rotation.T @ before[:3, :3])))
         if not (metres < _AS_TRAINED_M and degrees < _AS_TRAINED_DEG):
             raise UserError(
                 f"the exported network of {regressor.model} doesn't predict what training did",
@@ -108,9 +110,7 @@ def _check_as_trained(inputs: PhoneInputs, fp32: Path) -> None:
 
 
 def _network(file: Path) -> Network:
-    import onnxruntime
-
-    session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
+    session = onnx_session(file, 1)
     names = [output.name for output in session.get_outputs()]
     return lambda tensor: dict(zip(names, session.run(None, {"image": tensor}), strict=True))
 

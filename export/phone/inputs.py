@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from groundwalk.artefacts.images import read_image
 from groundwalk.artefacts.tables import camera_of
 from groundwalk.export.regressor import TrainedRegressor
+from groundwalk.geometry import Array
 from groundwalk.geometry.cameras import Camera
-from groundwalk.runtime.preprocessing import Preprocessing
+from groundwalk.runtime.preprocessing import Preprocessing, seen_rotation
 from groundwalk.runtime.queries import Query
 from groundwalk.training.build import Trained
 from groundwalk.training.data import IMAGENET_MEAN, IMAGENET_STD
@@ -65,9 +66,19 @@ class PhoneInputs:
         *_, (_, tensor) = replace(self.preprocessing, lens=lens).run(query)
         return tensor
 
+    def seen(self, row: int) -> Array:
+        """map_R_seen (3, 3): the true rotation of the camera whose image the network sees."""
+        gravity = self.query(row).gravity
+        map_R_cam: Array = self.regressor.map_T_cam[row, :3, :3]
+        if gravity is None or not self.preprocessing.is_upright:
+            return map_R_cam
+        return map_R_cam @ seen_rotation(gravity)
+
     def spread(self, split: str, count: int) -> list[int]:
-        """At most so many rows of a split, evenly over its frames."""
+        """At most so many rows of a split that a phone can ask about, evenly over its frames."""
         rows = self.regressor.rows(split)
+        if self.preprocessing.is_upright:
+            rows = rows[self.regressor.frames["gravity_x"].iloc[rows].notna()]
         return rows[np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(int))].tolist()
 
     @cached_property
@@ -82,5 +93,6 @@ def steps_of(trained: Trained) -> Sequence[dict[str, Any]]:
     resize: dict[str, Any] = {"step": "resize", "short_side_px": trained.resize}
     if trained.focal_px is not None:
         resize = {"step": "pinhole", "short_side_px": trained.resize, "focal_px": trained.focal_px}
-    crop = {"step": "centre_crop", "width_px": trained.crop, "height_px": trained.crop}
+    upright, width = getattr(trained, "upright", False), getattr(trained, "width", trained.crop)
+    crop = {"step": "upright_crop" if upright else "centre_crop", "width_px": width, "height_px": trained.crop}
     return [resize, crop, {"step": "normalise", "mean": IMAGENET_MEAN, "sd": IMAGENET_STD}]

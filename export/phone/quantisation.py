@@ -20,6 +20,7 @@ from groundwalk.artefacts import UserError
 from groundwalk.export.phone.networks import quiet
 from groundwalk.geometry import Array
 from groundwalk.geometry.poses import quaternion_angle
+from groundwalk.runtime.bundle import onnx_session
 
 MAX_ERROR_RATIO = 1.05
 """of an int8 network's errors to fp32's, on held-out frames; beyond it int8 isn't shipped"""
@@ -139,11 +140,7 @@ class _Trials:
 
 def measure(file: Path, held_out: HeldOut) -> Measured:
     """Time and mean errors of a network on held-out frames. Processor time, since it tells less of what else runs."""
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads, options.log_severity_level = 1, 3
-    session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+    session = onnx_session(file, 1)
     answers = [session.run(["position", "quaternion"], {"image": tensor}) for tensor in held_out.tensors]
     distance = np.linalg.norm(np.concatenate([a[0] for a in answers]) - held_out.position, axis=1)
     angle = np.degrees(quaternion_angle(np.concatenate([a[1] for a in answers]).astype(float), held_out.quaternion))

@@ -12,6 +12,9 @@ _STEPS = {
     "its border is repeated",
     "resize": "resize to {short_side_px} px on the shorter side by area",
     "centre_crop": "take the middle {width_px} x {height_px} px",
+    "upright_crop": "turn the image about its principal point until gravity, projected into it, points down, and take "
+    "the middle {width_px} x {height_px} px; the network's rotation is that of the turned camera: turn it back, then "
+    "tilt it in the map by the smallest rotation that has gravity point along -y",
     "normalise": "divide by 255, subtract `mean`, divide by `sd`, channels first: the network's input `image`",
 }
 

@@ -12,13 +12,17 @@ import cv2
 import numpy as np
 import pytest
 from picture_wall import FOCAL, HEIGHT, WIDTH
+from scipy.spatial.transform import Rotation
 
 from groundwalk import UserError
 from groundwalk.artefacts.images import read_image
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import pose_from_tq
 from groundwalk.runtime import open_bundle
+from groundwalk.runtime.bundle import _quaternion, matrix_of
 from groundwalk.runtime.bundle_file import MANIFEST, write_manifest
+from groundwalk.runtime.preprocessing import Preprocessing, seen_rotation
+from groundwalk.runtime.queries import Query
 
 NUMBERS = [FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2]
 CAMERA = Camera(WIDTH, HEIGHT, *NUMBERS)
@@ -189,6 +193,55 @@ def test_other_shapes_are_refused_where_the_view_depends_on_them(copy: Path) -> 
     wide = np.zeros((HEIGHT, 2 * WIDTH, 3), np.uint8)
     with pytest.raises(UserError, match="an image has another shape"):
         open_bundle(copy).predict(wide, intrinsics=[50, 50, 64, 24])
+
+
+@pytest.mark.parametrize("roll_deg", [-100.0, -20.0, 0.0, 65.0])
+def test_an_upright_network_sees_the_same_however_the_phone_is_rolled(roll_deg: float) -> None:
+    steps = [
+        {"step": "pinhole", "short_side_px": 80, "focal_px": 90.0},
+        {"step": "upright_crop", "width_px": 40, "height_px": 30},
+    ]
+    image = {"width_px": 160, "height_px": 120}
+    upright = Preprocessing(image, {"focal_factor": 1.0, "distortion": []}, tuple(steps))
+    noise = np.random.default_rng(0).integers(0, 255, (20, 20, 3), dtype=np.uint8)
+    world = np.asarray(cv2.resize(noise, (400, 400), interpolation=cv2.INTER_CUBIC), np.uint8)
+
+    def seen(roll: float) -> np.ndarray:
+        """What a camera rolled by an angle sees of a distant picture, turned upright."""
+        turn = Rotation.from_euler("z", roll, degrees=True)  # cam_R_level is its inverse
+        about = cv2.getRotationMatrix2D((199.5, 199.5), roll, 1.0)
+        pixels = cv2.warpAffine(world, about, (400, 400))[140:260, 120:280]
+        gravity = turn.inv().apply([0.0, 1.0, 0.0])
+        query = Query(pixels, Camera(160, 120, 135, 135, 80, 60), gravity, None)
+        return list(upright.run(query))[-1][1].astype(float)
+
+    assert np.abs(seen(roll_deg) - seen(0.0)).mean() < 6
+
+
+def test_an_upright_network_is_tilted_by_gravity() -> None:
+    steps = ({"step": "upright_crop", "width_px": 4, "height_px": 4},)
+    upright = Preprocessing({}, {}, steps)
+    map_R_cam = Rotation.from_euler("xyz", [160, 30, 25], degrees=True).as_matrix()
+    gravity = map_R_cam.T @ [0, -1, 0]
+    seen = map_R_cam @ seen_rotation(gravity)
+    assert (seen_rotation(gravity).T @ gravity)[0] == pytest.approx(0, abs=1e-12)
+    assert upright.camera_rotation(seen, gravity) == pytest.approx(map_R_cam, abs=1e-9)
+    tilted = Rotation.from_rotvec([0.2, 0, -0.1]).as_matrix() @ seen
+    answer = upright.camera_rotation(tilted, gravity)
+    assert answer @ gravity == pytest.approx([0, -1, 0], abs=1e-9)
+    with pytest.raises(UserError, match="an image has no gravity"):
+        image = {"width_px": 16, "height_px": 12}
+        lens = {"focal_factor": 1.0, "distortion": []}
+        steps = ({"step": "resize", "short_side_px": 8}, *steps)
+        query = Query(np.zeros((12, 16, 3), np.uint8), Camera(16, 12, 12, 12, 8, 6), None, None)
+        list(Preprocessing(image, lens, steps).run(query))
+
+
+def test_quaternions_are_those_of_matrices() -> None:
+    rotation = Rotation.random(20, rng=np.random.default_rng(0))
+    for matrix, quaternion in zip(rotation.as_matrix(), rotation.as_quat(canonical=True), strict=True):
+        assert _quaternion(matrix) == pytest.approx(quaternion, abs=1e-9)
+        assert matrix_of(3 * quaternion) == pytest.approx(matrix, abs=1e-12)
 
 
 def locate(*arguments: object) -> subprocess.CompletedProcess[str]:
