@@ -9,6 +9,7 @@ captures ?=
 web ?=
 seconds ?= 60
 nerfstudio ?=
+official ?=
 python ?= python3
 
 # What the user gives is text, never make's or the shell's language: it's read unexpanded, names have to pass a check
@@ -20,7 +21,8 @@ override captures := $(value captures)
 override web := $(value web)
 override seconds := $(value seconds)
 override nerfstudio := $(value nerfstudio)
-export scene profile captures seconds nerfstudio
+override official := $(value official)
+export scene profile captures seconds nerfstudio official
 
 name_characters := a b c d e f g h i j k l m n o p q r s t u v w x y z \
 	A B C D E F G H I J K L M N O P Q R S T U V W X Y Z 0 1 2 3 4 5 6 7 8 9 - _
@@ -184,6 +186,9 @@ bench-localise: $(installed) ## Structure localisers Map and HLoc against the fi
 bench-phone: $(installed) ## Exported regressors without PyTorch: bytes, milliseconds, int8 against fp32 (docs/results); a finished run
 	@$(py) -m benchmarks.phone --scene "$${scene:-Church}" --profile "$$profile"
 
+bench-training: $(installed) ## Training steps in images a second of a core; official=<folder>: beside MS-Transformer's own code (docs/results)
+	@$(py) -m benchmarks.training $(if $(official),--official "$$official")
+
 bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures to reach (build/fusion)
 	@$(py) -m benchmarks.fusion $(if $(wildcard build/trained/runs),--data build/trained)
 
@@ -235,4 +240,4 @@ help: ## This text
 	@echo "your own captures:  make scene=<name> captures=<folder> all"
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
-.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check types test test-slow bench bench-localise bench-phone bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
+.PHONY: FORCE all $(stages) group-report simulate link-captures install paper view clean check types test test-slow bench bench-localise bench-phone bench-training bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
