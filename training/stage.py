@@ -337,7 +337,7 @@ def describe(run: Run) -> str:
 
 STAGE = Stage(
     name="train",
-    version=5,
+    version=6,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,
