@@ -44,6 +44,10 @@ BUILTIN: dict[str, dict[str, str]] = {
     "groundwalk.regressors": {
         "PN": "groundwalk.training.entries:PN",
         "MS-T": "groundwalk.training.entries:MS_T",
+        "MapNet": "groundwalk.training.entries:MAPNET",
+        "PN-Bayesian": "groundwalk.training.entries:BAYESIAN_PN",
+        "CoordiNet": "groundwalk.training.entries:COORDINET",
+        "PN-mixture": "groundwalk.training.entries:PN_MIXTURE",
     },
     "groundwalk.fusion_methods": {
         "apr": "groundwalk.fusion.entries:APR",

@@ -10,6 +10,13 @@ def run_command(scene: str, profile: str, stage: str) -> str:
     return f"groundwalk run --scene {scene} --profile {profile} --until {stage}"
 
 
+def view_command(scene: str, profile: str) -> str:
+    """What opens a scene's recordings."""
+    if CHECKOUT is not None:
+        return f"make scene={scene} profile={profile} view"
+    return f"groundwalk view --scene {scene} --profile {profile}"
+
+
 def link_command(scene: str) -> str:
     """What runs a scene on captures of the user's own."""
     if CHECKOUT is not None:

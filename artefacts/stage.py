@@ -207,21 +207,10 @@ def execute(
     with locked(final), Inputs(stage, scene, profile, data, tuple(stage.files(settings))) as inputs:
         finish_interrupted_swap(final, MANIFEST)
         inputs.refuse_outdated()
-        parts: dict[str, Any] = {
-            "stage": stage.name,
-            "version": stage.version,
-            "scene": scene.model_dump(mode="json"),
-            "profile": profile,
-            "settings": settings.model_dump(mode="json"),
-            "seed": seed,
-            "inputs": inputs.hashes,
-            **({"plugins": plugins} if (plugins := dict(stage.plugins(settings))) else {}),
-        }
-        key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+        key, parts = _key(stage, settings, seed, inputs)
         title = f"{stage.name} · {scene_name} · {profile}"
         if not force and is_whole(final, key):
             progress.console.print(f"{title}: up to date", markup=False)
-            os.utime(final / MANIFEST)
             return final
 
         inputs.verify()
@@ -243,6 +232,31 @@ def execute(
             f"{title}: done in {progress.format_seconds(elapsed)} → {_relative(final)}", markup=False
         )
         return final
+
+
+def is_up_to_date(stage: Stage[Any], scene_name: str, profile: str, data: DataRoot) -> bool:
+    """Whether `execute` without overrides, seed and force would do nothing. Raises UserError as it does."""
+    settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, [])
+    final = data.run(profile, scene_name, stage.name)
+    scene = data.scene(scene_name)[0]
+    with locked(final), Inputs(stage, scene, profile, data, tuple(stage.files(settings))) as inputs:
+        inputs.refuse_outdated()
+        return is_whole(final, _key(stage, settings, 0, inputs)[0])
+
+
+def _key(stage: Stage[S], settings: S, seed: int, inputs: Inputs) -> tuple[str, dict[str, Any]]:
+    """A hash of everything that a stage's output depends on, and what that is."""
+    parts: dict[str, Any] = {
+        "stage": stage.name,
+        "version": stage.version,
+        "scene": inputs.scene.model_dump(mode="json"),
+        "profile": inputs.profile,
+        "settings": settings.model_dump(mode="json"),
+        "seed": seed,
+        "inputs": inputs.hashes,
+        **({"plugins": plugins} if (plugins := dict(stage.plugins(settings))) else {}),
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest(), parts
 
 
 def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: PeakMemory) -> dict[str, Any]:

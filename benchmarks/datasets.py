@@ -71,17 +71,13 @@ def _table(
 ) -> list[list[str]]:
     rows = [["regressor", *scenes]]
     for method, printed in published.groupby("method", sort=False):
-        by_scene = printed.set_index("scene")
-        rows.append([f"{method}, published", *(_cell(by_scene.loc[s]) if s in by_scene.index else "" for s in scenes)])
+        errors = printed.set_index("scene")[["median_position_m", "median_rotation_deg"]].dropna()
+        by_scene = {str(scene): f"{m:.2f} m, {deg:.1f}°" for scene, m, deg in errors.itertuples()}
+        rows.append([f"{method}, published", *(by_scene.get(scene, "") for scene in scenes)])
     for model in sorted({"PN", "MS-T"} | {model for of_scene in ours.values() for model in of_scene}):
         given = [ours.get(scene, {}).get(model) for scene in scenes]
         rows.append([f"{model}, ours", *("" if e is None else f"{e[0]:.2f} m, {e[1]:.1f}°" for e in given)])
     return rows
-
-
-def _cell(row: pd.Series) -> str:
-    position, rotation = row["median_position_m"], row["median_rotation_deg"]
-    return "" if pd.isna(position) else f"{position:.2f} m, {rotation:.1f}°"
 
 
 if __name__ == "__main__":

@@ -314,8 +314,8 @@ def main(
     steps = step_table(methods, [first])
     batch, batch_went = frames_per_second(walks)
     speed = [
-        Target(STEP_MEDIAN, "", float(steps.loc[OURS, "median ms"]), high=0.2),
-        Target(STEP_P99, "", float(steps.loc[OURS, "99 % ms"]), high=1.0),
+        Target(STEP_MEDIAN, "", float(steps["median ms"].loc[OURS]), high=0.2),
+        Target(STEP_P99, "", float(steps["99 % ms"].loc[OURS]), high=1.0),
         Target(BATCH, "", batch, low=100_000),
     ]
     if not quick:

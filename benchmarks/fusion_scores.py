@@ -1,5 +1,8 @@
 """The figures of the fusion benchmark: scores of a case, comparisons over scenes, and the targets."""
 
+# pandas' stubs know no labels of several levels, nor what is in a table.
+# mypy: disable-error-code="operator,index,arg-type,return-value,list-item,misc,has-type,attr-defined"
+
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial

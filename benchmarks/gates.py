@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -39,7 +39,7 @@ from benchmarks.gates_breaking import (
 )
 from benchmarks.gates_captures import CORRIDOR, Capture, write_capture
 from groundwalk.alignment.stage import STAGE as ALIGN
-from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts import DataRoot, Stage, UserError, execute
 from groundwalk.artefacts.choices import FailureCause
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.manifests import load_manifest
@@ -176,7 +176,8 @@ def _rendered(captures: Path, capture: Capture) -> Path:
 
 def _found(data: DataRoot, scene: str, case: Case) -> tuple[str, str, str]:
     """The fault that the pipeline tells first, the stage that does, and in which words."""
-    for stage, settings in ((IMPORT, []), (SFM, [*SFM_OF_SMALL, *case.sfm]), (ALIGN, [])):
+    stages: list[tuple[Stage[Any], list[str]]] = [(IMPORT, []), (SFM, [*SFM_OF_SMALL, *case.sfm]), (ALIGN, [])]
+    for stage, settings in stages:
         try:
             execute(stage, scene, PROFILE, data, settings)
         except UserError as error:

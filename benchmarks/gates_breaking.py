@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from groundwalk.artefacts.images import read_image
 from groundwalk.artefacts.simulated import TRUE_POSES
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM
 
@@ -33,7 +34,7 @@ def mirrored(walks: list[str], axis: int = 1) -> Break:
     def apply(folder: Path) -> None:
         for walk in walks:
             for path in sorted((folder / walk).glob("*.jpg")):
-                flipped = cv2.flip(cv2.imread(str(path)), axis)
+                flipped = cv2.flip(read_image(path)[..., ::-1], axis)
                 path.unlink()
                 cv2.imwrite(str(path), flipped, [cv2.IMWRITE_JPEG_QUALITY, 95])
 
@@ -115,7 +116,7 @@ def _line(frame: dict[str, Any], image: Path, distortion: tuple[float, float]) -
     line: dict[str, Any] = {"t_ns": round(frame["time"] * 1e9), "vio_T_cam": pose.ravel().tolist()}
     if image.is_file():
         matrix = np.array(frame["intrinsics"]).reshape(3, 3)
-        height, width = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE).shape
+        height, width = read_image(image).shape[:2]
         line |= {"image": image.name, "width": width, "height": height, "distortion": [*distortion, 0.0, 0.0]}
         line |= dict(zip(("fx", "fy", "cx", "cy"), matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), strict=True))
     return line

@@ -57,7 +57,8 @@ def main(
         off, sd = np.array([f.log for f in found]), np.array([f.sd for f in found])
         print(f"| {step_m:g} | {_rms(off):.2%} | {np.abs(off).max():.2%} | {_rms(off / sd):.2f} |")
     phone = float(np.radians(settings.phone_tilt_sd_deg))
-    ups = np.stack([common_vertical(segments, phone_sd=phone).up_sfm for segments in scenes])
+    verticals = [common_vertical(segments, phone_sd=phone) for segments in scenes]
+    ups = np.stack([vertical.up_sfm for vertical in verticals if vertical])
     tilt = np.degrees(direction_angles(ups, _UP))
     print(f"\nvertical off: {_rms(tilt):.3f} degrees RMS, {tilt.max():.3f} at most")
     _print_residuals(scenes, settings)

@@ -347,7 +347,7 @@ def _write(out: Path, part: str, figures: list[Figure]) -> None:
     for name in PARTS:
         if (out / f"{name}.parquet").is_file():
             for row in pd.read_parquet(out / f"{name}.parquet").itertuples(index=False):
-                met = "" if row.met is None or pd.isna(row.met) else "ok" if row.met else "missed"
+                met = {"True": "ok", "False": "missed"}.get(str(row.met), "")
                 lines.append(
                     f"| {row.part} | {row.of} | {row.name} | {row.found:.4g} {row.unit} | {row.target} | {met} |"
                 )

@@ -87,9 +87,9 @@ def main(
         start = time.process_time()
         regions = [detect(decode_rgb(path.read_bytes(), 2**31)) for path in track(paths, "looking for faces")]
         seconds = (time.process_time() - start) / len(paths)
-        faces, plates = ([r for rs in regions for r in rs if r.kind == kind] for kind in ("face", "plate"))
+        false = {kind: sum(r.kind == kind for rs in regions for r in rs) for kind in ("face", "plate")}
         print(
-            f"| {found.session_id} | {len(paths)} | {sum(map(bool, regions))} | {len(faces)} | {len(plates)} "
+            f"| {found.session_id} | {len(paths)} | {sum(map(bool, regions))} | {false['face']} | {false['plate']} "
             f"| {seconds:.1f} |",
             flush=True,
         )

@@ -34,7 +34,8 @@ def write_images(folder: Path, count: int, rate_hz: float = 3.0) -> None:
     originals = []
     for step in range(STEPS):
         original = folder.parent / f"{step}.jpg.part"
-        original.write_bytes(cv2.imencode(".jpg", _view(wall, step * _STEP_PX), [cv2.IMWRITE_JPEG_QUALITY, 75])[1])
+        _, encoded = cv2.imencode(".jpg", _view(wall, step * _STEP_PX), [cv2.IMWRITE_JPEG_QUALITY, 75])
+        original.write_bytes(encoded.tobytes())
         originals.append(original)
     for i in range(count):
         step = _place(i)
@@ -114,9 +115,9 @@ def _arkit_pose(x_px: float) -> list[float]:
 
 def _repeat(once: io.BytesIO, path: Path, count: int, rate_hz: int) -> None:
     """Store a video's packets again and again until there are `count`."""
-    with av.open(once) as source:
+    with av.open(once, "r") as source:
         stream = source.streams.video[0]
-        packets = [(bytes(p), p.pts, p.dts, p.is_keyframe) for p in source.demux(stream) if p.size]
+        packets = [(bytes(p), p.pts or 0, p.dts or 0, p.is_keyframe) for p in source.demux(stream) if p.size]
         base = stream.time_base or Fraction(1, rate_hz)
         tick = round(1 / (rate_hz * base))
         with av.open(path, "w") as target:

@@ -19,7 +19,7 @@ import typer
 from benchmarks.import_scene import rendered_walk
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.progress import track
-from groundwalk.capture_import.capture import Intrinsics, Limits
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits
 from groundwalk.capture_import.checks.clock import check_clock
 from groundwalk.capture_import.checks.convention import (
     CONVENTIONS,
@@ -166,9 +166,10 @@ def mistakes_found(session: ImportedSession, roots: list[Path]) -> tuple[float, 
 def smeared(session: ImportedSession, length_px: int) -> float:
     """Median sharpness of some of a session's images, smeared sideways by pixels of a 1920 px image."""
     found = []
-    for path in [image.frame.image.path for image in session.images[:: max(1, len(session.images) // 12)]]:
-        gray = decode_gray(path.read_bytes(), 1920)
-        found.append(sharpness(cv2.blur(gray, (length_px, 1)) if length_px > 1 else gray))
+    some = [image.frame.image for image in session.images[:: max(1, len(session.images) // 12)]]
+    for path in [image.path for image in some if isinstance(image, ImageFile)]:
+        gray = np.asarray(decode_gray(path.read_bytes(), 1920), np.uint8)
+        found.append(sharpness(np.asarray(cv2.blur(gray, (length_px, 1)), np.uint8) if length_px > 1 else gray))
     return float(np.median(found))
 
 

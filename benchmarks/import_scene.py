@@ -43,7 +43,7 @@ def _texture() -> np.ndarray:
         rng.integers(10, 255, (150, 150, 3), dtype=np.uint8), (_TEXTURE_PX, _TEXTURE_PX), interpolation=cv2.INTER_CUBIC
     )
     grain = rng.integers(10, 255, blobs.shape, dtype=np.uint8)
-    return np.maximum(cv2.addWeighted(blobs, 0.6, grain, 0.4, 0), 1)
+    return np.maximum(np.round(0.6 * blobs + 0.4 * grain), 1).astype(np.uint8)
 
 
 def _seen(texture: np.ndarray, world_T_cam: Array) -> np.ndarray:

@@ -122,11 +122,12 @@ def main(
     unknown = set(values) - set(StructureSettings.model_fields) - set(MapSettings.model_fields)
     if unknown:
         raise UserError(f"there is no setting {min(unknown)!r}", where="--set")
-    extraction, map_settings = (
-        model.model_validate({k: v for k, v in values.items() if k in model.model_fields}, strict=False)
-        for model in (StructureSettings, MapSettings)
+    extraction = {name: value for name, value in values.items() if name in StructureSettings.model_fields}
+    of_map = {name: value for name, value in values.items() if name in MapSettings.model_fields}
+    chosen = (
+        StructureSettings.model_validate(extraction, strict=False),
+        MapSettings.model_validate(of_map, strict=False),
     )
-    chosen = (extraction, map_settings)
     figures: list[Figure] = []
     for case in CASES:
         root = DataRoot(simulated or data) if case.scene == "Church" else DataRoot(data)

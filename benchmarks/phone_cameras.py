@@ -195,7 +195,7 @@ def _stock(phone: Phone, root: DataRoot, folder: Path, ours: dict[str, Any]) -> 
 def _run_parts(parts: list[str], walks: int, seconds: float, work: Path) -> None:
     """Run the cases that have no result yet."""
     start = time.monotonic()
-    cases = [("grid", phone.name, phone) for phone in GRID if "grid" in parts]
+    cases: list[tuple[str, str, Phone | int]] = [("grid", phone.name, phone) for phone in GRID if "grid" in parts]
     cases += [("walks", f"{number:02}", number) for number in range(walks) if "walks" in parts]
     for part, name, case in cases:
         path = work / part / f"{name}.json"

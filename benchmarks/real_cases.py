@@ -6,6 +6,7 @@ import os
 import platform
 import shutil
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
@@ -232,8 +233,8 @@ def failed_checks(run: Finished) -> list[tuple[str, str, int]]:
     if not run.has_table("align", "checks"):
         return []
     checks = run.table("align", "checks")
-    counts = checks[checks["status"] == "failed"].groupby(["cause", "check"]).size()
-    rows = [(str(cause), str(check), int(count)) for (cause, check), count in counts.items()]
+    failed = checks[checks["status"] == "failed"]
+    rows = [(*key, count) for key, count in Counter(zip(failed["cause"], failed["check"], strict=True)).items()]
     priority = list(FailureCause)
     return sorted(rows, key=lambda row: (priority.index(FailureCause(row[0])), row[1]))
 

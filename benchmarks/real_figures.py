@@ -131,8 +131,8 @@ def place(vio_T_cam: Array, sfm_T_cam: Array, group: NDArray[np.object_]) -> Pla
     count = len(group)
     placed = Placed(np.full((count, 3), np.nan), *(np.full(count, np.nan) for _ in range(4)))
     usable = np.isfinite(vio_T_cam[:, 0, 0]) & np.isfinite(sfm_T_cam[:, 0, 0])
-    for _, rows in pd.Series(group).groupby(group).indices.items():
-        rows = rows[usable[rows]]
+    for name in pd.unique(group[usable]):
+        rows = np.flatnonzero(usable & (group == name))
         if len(rows) < _FEWEST_COMPARED:
             continue
         vio, sfm = vio_T_cam[rows], sfm_T_cam[rows]
@@ -169,7 +169,7 @@ class Paths:
             if wanted:
                 known &= model >= 0
                 names = np.char.add(np.char.add(names, "|"), model.astype(str))
-        return np.where(known, names.astype(object), None)
+        return np.array([name if there else None for name, there in zip(names, known, strict=True)], dtype=object)
 
 
 def paths_of(run: Finished) -> Paths:
@@ -296,7 +296,8 @@ def _stock_camera_figures(run: Finished) -> list[Figure]:
         if row is None:
             continue
         camera = reconstruction.image(image_id(int(row))).camera
-        logged = rows.loc[(rows["width"] == camera.width) & (rows["height"] == camera.height), ["fx", "fy"]].median()
+        assert camera is not None
+        logged = rows[(rows["width"] == camera.width) & (rows["height"] == camera.height)][["fx", "fy"]].median()
         scale = float(np.sqrt(camera.params[0] * camera.params[1] / (logged["fx"] * logged["fy"])))
         for name, value in (("k1", camera.params[4]), ("k2", camera.params[5]), ("focal scale", scale)):
             figures.append(Figure(name, float(value), way=STOCK, subject=str(session)))

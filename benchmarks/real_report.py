@@ -191,8 +191,8 @@ def _stability_section(stability: Sequence[Tried]) -> str:
         same = "" if tried.is_whole else "yes" if tried.agrees else "**no**"
         truth = "" if tried.with_ground_truth is None else str(tried.with_ground_truth)
         rows.append([tried.case, tried.resampling, str(tried.images), str(tried.verdict), truth, classes, same])
-    same, count = agreeing(stability)
-    share = f"{same} of {count} resamplings ({100 * same / count:.0f} %) have the whole's verdict; 95 % to reach."
+    agree, count = agreeing(stability)
+    share = f"{agree} of {count} resamplings ({100 * agree / count:.0f} %) have the whole's verdict; 95 % to reach."
     explained = (
         "Images are left out of a copy of the capture, its log of poses stays whole; 1, 2 and 5 Hz are import's "
         "`rate_hz`, with `min_frames=0`."

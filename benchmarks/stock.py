@@ -68,14 +68,13 @@ def session_cameras(frames: pd.DataFrame) -> tuple[list[pycolmap.Camera], Ints]:
     which of them each frame has (N,)."""
     sizes = frames.groupby(["session_id", "width", "height"], sort=True)
     cameras = []
-    for number, ((_, width, height), rows) in enumerate(sizes):
+    for number, (_, rows) in enumerate(sizes):
+        width, height = rows[["width", "height"]].iloc[0].tolist()
         params = [*rows[["fx", "fy", "cx", "cy"]].median(), 0.0, 0.0, 0.0, 0.0]
-        camera = pycolmap.Camera(
-            camera_id=number + 1, model="OPENCV", width=int(width), height=int(height), params=params
-        )
+        camera = pycolmap.Camera(camera_id=number + 1, model="OPENCV", width=width, height=height, params=params)
         camera.has_prior_focal_length = True
         cameras.append(camera)
-    return cameras, sizes.ngroup().to_numpy(np.int64)
+    return cameras, np.asarray(sizes.ngroup(), np.int64)
 
 
 def create_shared_database(path: Path, names: list[str], cameras: list[pycolmap.Camera], camera_of_frame: Ints) -> None:

@@ -76,7 +76,7 @@ def main(
 
 def _ours(model: str, frames: Frames, mixed: bool, steps: int) -> Speed:
     regressor = REGRESSORS[model]
-    settings: Any = regressor.settings(weights="scratch")
+    settings: Any = regressor.settings.model_validate({"weights": "scratch"})
     batch = int(settings.batch) if model == "MS-T" else _IMAGES
     torch.manual_seed(0)
     net: PoseRegressor = regressor.make(settings, 1, True)
@@ -143,8 +143,8 @@ def _frames(folder: Path) -> Frames:
 
     cache = ImageCache.build(folder, images())
     K = np.tile(np.array([[300.0, 0, _LONG / 2], [0, 300.0, _SHORT / 2], [0, 0, 1]]), (_IMAGES, 1, 1))
-    quaternion = np.tile([0, 0, 0, 1.0], (_IMAGES, 1))
-    return Frames(cache, np.arange(_IMAGES), K, rng.normal(size=(_IMAGES, 3)), quaternion, np.zeros(_IMAGES, np.int64))
+    quaternion, same = np.tile([0, 0, 0, 1.0], (_IMAGES, 1)), np.zeros(_IMAGES, np.int64)
+    return Frames(cache, np.arange(_IMAGES), K, rng.normal(size=(_IMAGES, 3)), quaternion, same, same)
 
 
 def _write(out: Path, speeds: Sequence[Speed], notes: Sequence[str]) -> None:

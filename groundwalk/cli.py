@@ -98,6 +98,11 @@ def all_commands() -> Iterator[Command]:
         yield from commands
 
 
+def stage_of(name: str) -> Any:
+    """A stage of the pipeline; loads its libraries."""
+    return next(command for command in COMMANDS["Stages"] if command.name == name).stage()
+
+
 def stages() -> list[Any]:
     """The stages of the pipeline in their order; loads their libraries."""
     return [command.stage() for command in COMMANDS["Stages"]]

@@ -11,6 +11,7 @@ from groundwalk.artefacts import progress
 from groundwalk.artefacts.__main__ import link_captures
 from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.artefacts.files import read_json
+from groundwalk.artefacts.hints import view_command
 from groundwalk.artefacts.inputs import capture_files
 from groundwalk.artefacts.manifests import MANIFEST
 from groundwalk.artefacts.settings import STAGES, DataRoot
@@ -43,7 +44,7 @@ def run(
     run_steps(steps(root, profile, scene, until), profile, root)
     page = root.run(profile, scene, "report") / "page.html"
     if until == STAGES[-1]:
-        progress.console.print(f"Look at {page}, or: groundwalk view --scene {scene} --profile {profile}", markup=False)
+        progress.console.print(f"Look at {page}, or: {view_command(scene, profile)}", markup=False)
 
 
 @app.command()

@@ -1,14 +1,19 @@
 """A scene from captures to report: which commands it takes, and running them in order."""
 
+import os
 import signal
 import subprocess
 import sys
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 
+from groundwalk.artefacts.child import Report, Task, in_child
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import read_json
 from groundwalk.artefacts.inputs import capture_files
+from groundwalk.artefacts.manifests import MANIFEST
+from groundwalk.artefacts.progress import console
 from groundwalk.artefacts.settings import STAGES, DataRoot
 from groundwalk.artefacts.signals import Stopped, signals_held
 from groundwalk.artefacts.simulated import SIMULATED_MARKER
@@ -49,8 +54,44 @@ def _may_simulate(captures: Path, profile: str) -> bool:
 def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
     """Run the commands, each in a process of its own, so that one stage's libraries and memory aren't the next one's.
 
+    A scene's first stages that are up to date are skipped, found so in one process, as libraries take seconds to load.
     Exits with the status of the first command that fails, which has said why. UserError where a signal ended one.
     """
+    for _, group in groupby(commands, key=lambda step: (step.scene, step.command in STAGES)):
+        steps_of_scene = list(group)
+        current = _count_current(steps_of_scene, profile, data)
+        for step in steps_of_scene[:current]:
+            console.print(f"{step.command} · {step.scene} · {profile}: up to date", markup=False)
+        _run(steps_of_scene[current:], profile, data)
+
+
+def _count_current(commands: list[Step], profile: str, data: DataRoot) -> int:
+    """How many of the first commands are stages that are up to date."""
+    first = commands[0]
+    if first.command not in STAGES or not (data.run(profile, first.scene, first.command) / MANIFEST).is_file():
+        return 0
+    log, text = Path(os.devnull), f"checking what is up to date of {first.scene}"
+    try:
+        return int(in_child(text, log, "", Task(_first_outdated, (commands, profile, data), len(commands))))
+    except UserError:
+        return 0
+
+
+def _first_outdated(report: Report, commands: list[Step], profile: str, data: DataRoot) -> int:
+    from groundwalk.artefacts.stage import is_up_to_date
+    from groundwalk.cli import stage_of
+
+    for done, step in enumerate(commands):
+        report(done)
+        try:
+            if not is_up_to_date(stage_of(step.command), step.scene, profile, data):
+                return done
+        except UserError:  # the command itself says why
+            return done
+    return len(commands)
+
+
+def _run(commands: list[Step], profile: str, data: DataRoot) -> None:
     for step in commands:
         arguments = ["--scene", step.scene, "--profile", profile, "--data", str(data.root)]
         with signals_held():

@@ -3,6 +3,7 @@
 import json
 import platform
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -207,7 +208,7 @@ def report_accuracy(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFr
     )
 
 
-def errors_of(answers: list[Answer], truth: Array) -> tuple[Array, Array]:
+def errors_of(answers: Sequence[Answer], truth: Array) -> tuple[Array, Array]:
     """Position errors, m, and rotation errors, deg, of answers to frames with true poses (N, 4, 4); infinite where
     refused."""
     position, rotation = np.full(len(answers), np.inf), np.full(len(answers), np.inf)

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import multiprocessing
-import os
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
@@ -61,7 +60,6 @@ def simulate(
         marker = _simulator_marker(final)
         if marker and marker.get("key") == key and not force:
             console.print(f"{title}: up to date", markup=False)
-            os.utime(final / SIMULATED_MARKER)
             return final
         reduced = _reduced(settings, data, scene)
         if reduced:

@@ -2,7 +2,13 @@
 
 from groundwalk.artefacts import recording
 from groundwalk.artefacts.registry import Lazy
-from groundwalk.training.regressor_settings import MSTransformerSettings, PoseNetSettings
+from groundwalk.training.regressor_settings import (
+    BayesianPoseNetSettings,
+    MapNetSettings,
+    MixtureSettings,
+    MSTransformerSettings,
+    PoseNetSettings,
+)
 from groundwalk.training.regressors import Regressor
 
 PN = Regressor(
@@ -14,6 +20,46 @@ PN = Regressor(
     make=Lazy("groundwalk.training.models.posenet:make_posenet"),
     multi_scene=False,
     gives_covariance=False,
+)
+MAPNET = Regressor(
+    id="MapNet",
+    label="MapNet",
+    meaning="PN that also learns the motion between frames",
+    colour=(204, 121, 167),
+    settings=MapNetSettings,
+    make=Lazy("groundwalk.training.models.mapnet:make_mapnet"),
+    multi_scene=False,
+    gives_covariance=False,
+)
+BAYESIAN_PN = Regressor(
+    id="PN-Bayesian",
+    label="Bayesian PN",
+    meaning="PN with dropout at test time",
+    colour=(0, 158, 115),
+    settings=BayesianPoseNetSettings,
+    make=Lazy("groundwalk.training.models.bayesian_posenet:make_bayesian_posenet"),
+    multi_scene=False,
+    gives_covariance=True,
+)
+COORDINET = Regressor(
+    id="CoordiNet",
+    label="CoordiNet",
+    meaning="PN with coordinate channels and learned uncertainty",
+    colour=(86, 180, 233),
+    settings=PoseNetSettings,
+    make=Lazy("groundwalk.training.models.coordinet:make_coordinet"),
+    multi_scene=False,
+    gives_covariance=True,
+)
+PN_MIXTURE = Regressor(
+    id="PN-mixture",
+    label="mixture PN",
+    meaning="PN that answers with a mixture of poses",
+    colour=(148, 103, 189),
+    settings=MixtureSettings,
+    make=Lazy("groundwalk.training.models.mixture:make_mixture"),
+    multi_scene=False,
+    gives_covariance=True,
 )
 MS_T = Regressor(
     id="MS-T",

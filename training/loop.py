@@ -71,6 +71,7 @@ def train(
             rate = learning_rate(settings, epoch + step / len(batches))
             for group in optimiser.param_groups:
                 group["lr"] = rate
+            rows = training.sequences(rows, *model.sequence())
             image, poses = training.select(rows).training_crops(
                 run.crop, Turns(*settings.turn_deg) if settings.turn_deg else None, rng, run.device
             )

@@ -65,6 +65,29 @@ class PoseNetSettings(BackboneSettings):
     sq: float = Field(-3.0, description="first log-variance of the rotation loss")
 
 
+class BayesianPoseNetSettings(PoseNetSettings):
+    """Bayesian PoseNet."""
+
+    samples: int = Field(40, gt=1, description="dropout masks whose answers are averaged at test time")
+    dropout: float = Field(0.5, gt=0, lt=1, description="share of the head's features left out in training and testing")
+
+
+class MapNetSettings(PoseNetSettings):
+    """MapNet: its authors' settings."""
+
+    batch: int = Field(20, gt=1, description="sequences a step")
+    sequence_frames: int = Field(3, gt=1, description="images of one session that are trained on together")
+    sequence_spacing: int = Field(1, gt=0, description="training frames from one image of a sequence to the next")
+    relative_sx: float = Field(0.0, description="first log-variance of the loss of position differences")
+    relative_sq: float = Field(-3.0, description="first log-variance of the loss of rotation differences")
+
+
+class MixtureSettings(PoseNetSettings):
+    """PN-mixture."""
+
+    components: int = Field(5, gt=1, description="poses that an answer may choose from, each with a weight")
+
+
 class MSTransformerSettings(BackboneSettings):
     """MS-T: its authors' settings for outdoor scenes; sx and sq follow the scene."""
 

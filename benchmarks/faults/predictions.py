@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,8 +20,13 @@ _Q = [f"map_cam_q{a}" for a in "xyzw"]
 _POSE = [*_T, *_Q]
 
 
-def _set(columns: list[str], value: object) -> Change:
+def _set(columns: list[str], value: Any) -> Change:
     return lambda t: t.assign(**dict.fromkeys(columns, value))
+
+
+def _each(t: pd.DataFrame, value: list[float]) -> "pd.Series[Any]":
+    """A column with a list in every row."""
+    return pd.Series([value] * len(t), index=t.index)
 
 
 def _some(columns: list[str], value: float) -> Change:
@@ -58,7 +64,7 @@ CHANGES: dict[str, tuple[Change, tuple[int, ...]]] = {
     "integer positions": (_set(_T, 1), SAY),
     "boolean positions": (_set(_T, True), REFUSE),
     "null positions": (_set(_T, None), REFUSE),
-    "list positions": (lambda t: t.assign(map_cam_tx=[[1.0]] * len(t)), REFUSE),
+    "list positions": (lambda t: t.assign(map_cam_tx=_each(t, [1.0])), REFUSE),
     "centimetres": (lambda t: t.assign(**{n: 100 * t[n] for n in _T}), SAY),
     "another scene": (lambda t: t.assign(map_cam_tx=t["map_cam_tx"] + 5000), SAY),
     "another scene's frames": (lambda t: t.assign(frame_id="other/" + t["frame_id"]), REFUSE),
@@ -78,9 +84,9 @@ CHANGES: dict[str, tuple[Change, tuple[int, ...]]] = {
     "frame_id null": (_set(["frame_id"], None), REFUSE),
     "extra columns": (lambda t: t.assign(**{f"c{i}": 0.0 for i in range(300)}), SAY),
     "times unlike the frames'": (lambda t: t.assign(t_ns=t["t_ns"] + 10**9), SAY),
-    "covariance of 5 numbers": (lambda t: t.assign(covariance=[[0.0] * 5] * len(t)), SAY),
-    "covariance negative": (lambda t: t.assign(covariance=[list(-np.eye(6).ravel())] * len(t)), SAY),
-    "covariance NaN": (lambda t: t.assign(covariance=[[np.nan] * 36] * len(t)), SAY),
+    "covariance of 5 numbers": (lambda t: t.assign(covariance=_each(t, [0.0] * 5)), SAY),
+    "covariance negative": (lambda t: t.assign(covariance=_each(t, (-np.eye(6)).ravel().tolist())), SAY),
+    "covariance NaN": (lambda t: t.assign(covariance=_each(t, [np.nan] * 36)), SAY),
 }
 TABLES = ("frames", "ground_truth", "predictions")
 

@@ -54,7 +54,7 @@ def read_tag_log(path: Path) -> TagLog:
     axes)."""
     log, (t_ns, world_T_cam) = _json(path), _poses(path, "invisible_map")
     t_s = t_ns * 1e-9
-    start, still_s = _last_start(t_s, world_T_cam)
+    start, still_s = _last_start(np.asarray(t_s, float), world_T_cam)
 
     step = np.linalg.norm(np.diff(world_T_cam[:, :3, 3], axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(step)])

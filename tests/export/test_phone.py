@@ -3,11 +3,11 @@
 import json
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import onnx
-import onnxruntime
 import pandas as pd
 import pytest
 import torch
@@ -24,11 +24,14 @@ from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.phone.quantisation import HeldOut, Measured
 from groundwalk.export.regressor import load_regressor
 from groundwalk.runtime import open_bundle
+from groundwalk.runtime.bundle import onnx_session
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.training.build import Trained
 from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.stage import STAGE
 
+open_session = partial(onnx_session, threads=1)
 INTRINSICS = [50.0, 50.0, 32.0, 24.0]
 
 
@@ -158,11 +161,26 @@ def test_a_covariance_is_exported_with_its_pose(tmp_path: Path) -> None:
     model = WithCovariance().eval()
     networks.write_onnx(Trained(model, ["Wall"], 40, 32, None), 32, 32, tmp_path / "a.onnx")
     image = torch.rand(1, 3, 32, 32)
-    session = onnxruntime.InferenceSession(tmp_path / "a.onnx")
+    session = open_session(tmp_path / "a.onnx")
     assert [output.name for output in session.get_outputs()] == list(networks.OUTPUTS)
     given = session.run(["covariance"], {"image": image.numpy()})[0]
     with torch.no_grad():
         assert given == pytest.approx(model(image).covariance_B66.numpy(), rel=1e-5)
+
+
+@pytest.mark.parametrize("name", REGRESSORS.builtin)
+def test_every_regressor_has_a_network(name: str, tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    entry = REGRESSORS[name]
+    model = entry.make(entry.settings(), 1, False).eval()
+    networks.write_onnx(Trained(model, ["Wall"], 72, 64, None), 64, 64, tmp_path / "a.onnx")
+    image = torch.rand(1, 3, 64, 64)
+    given = open_session(tmp_path / "a.onnx").run(None, {"image": image.numpy()})
+    with torch.no_grad():
+        expected = model(image)
+    assert len(given) == 3 + entry.gives_covariance
+    assert np.abs(given[0] - expected.position_B3.numpy()).max() < 1e-3
+    assert np.abs(given[1] - expected.quaternion_B4.numpy()).max() < 1e-3
 
 
 def test_the_last_weights_and_what_follows_stay_in_float32(wall_bundle: Path, tmp_path: Path) -> None:

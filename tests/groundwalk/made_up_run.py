@@ -54,8 +54,11 @@ class MadeUpRun:
     def run(self, *stages: str) -> None:
         """Run stages, all unless named."""
         for name in stages or NEEDS:
-            stage = Stage(name, 1, Settings, NEEDS[name], self._write, "", reads_captures=name == "import")
-            execute(stage, "place", "tiny", self.data, force=True)
+            execute(self.stage(name), "place", "tiny", self.data, force=True)
+
+    def stage(self, name: str) -> Stage[Settings]:
+        """The stage that writes the made-up tables."""
+        return Stage(name, 1, Settings, NEEDS[name], self._write, "", reads_captures=name == "import")
 
     def _write(self, r: StageRun[Settings]) -> None:
         tables = getattr(self, f"_{r.stage.name}")()

@@ -5,17 +5,19 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
+from made_up_run import MadeUpRun
 from typer.main import get_command
 
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.settings import STAGES
 from groundwalk.cli import all_commands
-from groundwalk.pipeline import Step, run_steps, steps
+from groundwalk.pipeline import Step, _first_outdated, run_steps, steps
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = {"cv2", "numpy", "open3d", "pandas", "pyarrow", "pycolmap", "rerun", "scipy", "torch", "pydantic"}
@@ -211,3 +213,20 @@ def test_the_table_has_one_line_of_help_a_command() -> None:
     assert len(names) == len(set(names))
     assert all(c.help.endswith(".") and len(c.help) < 64 for c in all_commands())
     assert {"run", "view", "inspect", "export", "clean", "simulate", *STAGES} <= set(names)
+
+
+def test_the_first_stage_that_is_not_up_to_date(
+    make_run: Callable[..., MadeUpRun], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = make_run("import", "sfm")
+    monkeypatch.setattr("groundwalk.cli.stage_of", made.stage)
+    commands = [Step(stage, "place") for stage in STAGES]
+
+    def first() -> int:
+        return _first_outdated(lambda done, note="": None, commands, "tiny", made.data)
+
+    assert first() == 2
+    (made.folder / "sfm" / "images.parquet").write_bytes(b"damaged")
+    assert first() == 1
+    (made.data.captures("place") / "new.png").write_bytes(b"one more")
+    assert first() == 0

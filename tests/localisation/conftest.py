@@ -12,7 +12,7 @@ import pytest
 from groundwalk.artefacts.files import sha256_of, write_json
 from groundwalk.artefacts.schemas import schema, stage_tables
 from groundwalk.artefacts.settings import DataRoot
-from groundwalk.artefacts.tables import pose_frame, pose_prefixes, write_table
+from groundwalk.artefacts.tables import pose_frame, pose_prefixes, read_table, write_table
 from groundwalk.geometry.poses import Array, make_pose
 
 COUNT, WIDTH, HEIGHT, FOCAL = 18, 320, 240, 300.0
@@ -31,6 +31,13 @@ class Boards:
 
     def image(self, row: int) -> Path:
         return self.data.captures("Boards") / f"{row}.png"
+
+    def note_images(self) -> None:
+        """Note the images as they are now in import's table, as if import had seen them so."""
+        path, of = self.data.run("tiny", "Boards", "import") / "frames.parquet", schema("import", "frames")
+        frames = read_table(path, of)
+        hashes = [sha256_of(self.data.captures("Boards") / image) for image in frames["image"]]
+        write_table(path, frames.assign(image_sha256=hashes), of)
 
     def table(self, name: str) -> pd.DataFrame:
         return pd.read_parquet(self.data.run("tiny", "Boards", "localise") / f"{name}.parquet")
@@ -66,10 +73,8 @@ def _boards(root: Path, frames: int) -> Boards:
     images = [f"{row}.png" for row in range(frames)]
     known = {name: CAMERA[name] for name in ("fx", "fy", "cx", "cy")}
     truth = filled("align", "ground_truth", frames, **keys, **pose_frame("map_cam", poses), **known, quality="A")
-    hashes = [sha256_of(made.image(row)) for row in range(frames)]
-    seen = filled("import", "frames", frames, **keys, image=images, image_sha256=hashes, **CAMERA, **down)
     tables = {
-        "import": {"frames": seen},
+        "import": {"frames": filled("import", "frames", frames, **keys, image=images, **CAMERA, **down)},
         "sfm": {"images": filled("sfm", "images", frames, frame_id=ids, readout_s=0.0)},
         "align": {"ground_truth": truth},
     }
@@ -81,6 +86,7 @@ def _boards(root: Path, frames: int) -> Boards:
             write_table(folder / f"{table.name}.parquet", rows, table)
         about = {"stage": stage, "profile": "tiny", "scene": {"name": "Boards"}, "inputs": {}, "outputs": {}}
         write_json(folder / "manifest.json", about | {"key": "", "simulated": True})
+    made.note_images()
     return made
 
 

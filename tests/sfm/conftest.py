@@ -12,7 +12,7 @@ import pytest
 from groundwalk.artefacts import DataRoot
 from groundwalk.artefacts.files import hash_files, sha256_of
 from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import pose_frame, write_table
+from groundwalk.artefacts.tables import pose_frame, read_table, write_table
 from groundwalk.geometry.poses import Array, inverse, make_pose
 
 SIZE_PX = (320, 240)
@@ -33,6 +33,10 @@ class Room:
     data: DataRoot
     frames: pd.DataFrame
     true_T_cam: Array
+
+    def note_images(self) -> None:
+        """Note the images as they are now in import's table, as if import had seen them so."""
+        _note_images(self.data)
 
 
 @pytest.fixture
@@ -134,12 +138,19 @@ def _photograph(textures: list[np.ndarray], room_T_cam: Array) -> np.ndarray:
 def _write_import(data: DataRoot, frames: pd.DataFrame, sessions: list[str]) -> None:
     folder = data.run("tiny", "room", "import")
     folder.mkdir(parents=True)
-    hashes = [sha256_of(data.captures("room") / image) for image in frames["image"]]
-    _write(folder, "frames", frames.assign(image_sha256=hashes))
+    _write(folder, "frames", frames)
     # The phone logs a pose a frame and nothing between them.
     _write(folder, "vio", frames[["session_id", "t_ns", *(c for c in frames if c.startswith("vio_cam_"))]].copy())
     _write(folder, "sessions", pd.DataFrame({"session_id": sessions, "recording": sessions}))
     _write(folder, "jumps", pd.DataFrame({"session_id": [], "t_ns": []}).astype({"session_id": str, "t_ns": "int64"}))
+    _note_images(data)
+
+
+def _note_images(data: DataRoot) -> None:
+    folder = data.run("tiny", "room", "import")
+    frames = read_table(folder / "frames.parquet", schema("import", "frames"))
+    hashes = [sha256_of(data.captures("room") / image) for image in frames["image"]]
+    write_table(folder / "frames.parquet", frames.assign(image_sha256=hashes), schema("import", "frames"))
     manifest = {"key": "test", "simulated": False, "outputs": hash_files(folder, folder.glob("*.parquet"))}
     (folder / "manifest.json").write_text(json.dumps(manifest))
 

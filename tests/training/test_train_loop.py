@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,9 @@ from groundwalk.training import loop
 from groundwalk.training.data import Frames, ImageCache
 from groundwalk.training.evaluation import mean_pose_errors, pose_errors
 from groundwalk.training.loop import Run, epoch_batches, held_out_score, learning_rate, take_best, train
-from groundwalk.training.models.posenet import PoseNet
 from groundwalk.training.models.regressor import BackboneRegressor, PoseBatch
 from groundwalk.training.regressor_settings import PoseNetSettings
+from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.rotations import exp_quaternion
 
 CPU = torch.device("cpu")
@@ -55,22 +56,46 @@ def random_frames(folder: Path, count: int) -> Frames:
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     K = np.tile(np.array([[40.0, 0, 24], [0, 40, 18], [0, 0, 1]]), (count, 1, 1))
     position = rng.uniform(-5, 5, (count, 3))
-    return Frames(ImageCache(folder), np.arange(count), K, position, quaternion, np.zeros(count, np.int64))
+    return Frames(ImageCache(folder), np.arange(count), K, position, quaternion, *np.zeros((2, count), np.int64))
+
+
+def overfitted(folder: Path, name: str, epochs: int, **settings: object) -> list[float]:
+    """Errors of a regressor trained on eight images over those of their mean pose: position, rotation."""
+    frames = random_frames(folder / "images", 8)
+    torch.manual_seed(0)
+    entry = REGRESSORS[name]
+    schedule = {"batch": 8, "learning_rate": 1e-3, "turn_deg": (0, 0, 0), "schedule": "cosine"}
+    chosen = entry.settings(epochs=epochs, **{**schedule, "dropout": 0.0, **settings})
+    model = entry.make(chosen, 1, False)
+    assert isinstance(model, BackboneRegressor)
+    model.frames.fit(frames.poses(CPU), True, True)
+    train(silent, model, frames, frames, chosen, Run("test", CPU, False, 32, 0, folder, 1000))
+    history = take_best(model, folder)
+    assert history[-1]["train_loss"] < history[0]["train_loss"] - 2
+    both = zip(pose_errors(model, frames, 32, CPU), mean_pose_errors(frames, frames), strict=True)
+    return [float(np.median(error) / np.median(of_mean)) for error, of_mean in both]
 
 
 def test_overfits_a_few_images(tmp_path: Path) -> None:
-    frames = random_frames(tmp_path / "images", 8)
-    torch.manual_seed(0)
-    model = PoseNet(dropout=0)
-    model.frames.fit(frames.poses(CPU), True, True)
-    settings = PoseNetSettings(epochs=40, batch=8, learning_rate=1e-3, turn_deg=(0, 0, 0), schedule="cosine")
-    train(silent, model, frames, frames, settings, Run("test", CPU, False, 32, 0, tmp_path, 1000))
-    history = take_best(model, tmp_path)
-    position_m, rotation_deg = pose_errors(model, frames, 32, CPU)
-    mean_pose = mean_pose_errors(frames, frames)
-    assert np.median(position_m) < 0.2 * np.median(mean_pose[0])
-    assert np.median(rotation_deg) < 0.4 * np.median(mean_pose[1])
-    assert history[-1]["train_loss"] < history[0]["train_loss"] - 2
+    position, rotation = overfitted(tmp_path, "PN", 40)
+    assert position < 0.2 and rotation < 0.4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("MapNet", {}), ("PN-Bayesian", {"dropout": 0.05}), ("CoordiNet", {}), ("PN-mixture", {})],
+)
+def test_others_overfit_too(tmp_path: Path, name: str, settings: dict[str, object]) -> None:
+    position, rotation = overfitted(tmp_path, name, 80, **settings)
+    assert position < 0.3 and rotation < 0.6
+
+
+def test_sequences_stay_in_their_session(tmp_path: Path) -> None:
+    frames = replace(random_frames(tmp_path / "images", 9), session_N=np.repeat([0, 1, 2], [5, 3, 1]))
+    assert frames.sequences(np.array([0, 4, 6, 8]), 2, 2).reshape(-1, 2).tolist() == [[0, 2], [2, 4], [5, 7], [8, 8]]
+    assert frames.sequences(np.array([5]), 3, 2).tolist() == [5, 7, 7]
+    assert frames.sequences(np.array([3, 1]), 1, 1).tolist() == [3, 1]
 
 
 def test_a_resumed_run_ends_in_the_same_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ from groundwalk.training.models.ms_transformer import MSTransformer
 from groundwalk.training.models.posenet import PoseNet
 from groundwalk.training.models.regressor import BackboneRegressor, PoseBatch
 from groundwalk.training.models.resnet import ResNet34
+from groundwalk.training.regressors import REGRESSORS
 
 
 def some_poses(count: int, scenes: int = 1) -> PoseBatch:
@@ -76,7 +77,19 @@ def test_feature_maps_of_224_pixels() -> None:
     assert map_16.shape == (1, 112, 14, 14)
 
 
-@pytest.mark.parametrize("model", [PoseNet(), small_mst(2)], ids=["PN", "MS-T"])
+def small(name: str) -> BackboneRegressor:
+    """A regressor of one scene as its defaults have it, but with pairs of images and three masks or components."""
+    fewer = {"MapNet": {"sequence_frames": 2}, "PN-Bayesian": {"samples": 3}, "PN-mixture": {"components": 3}}
+    torch.manual_seed(0)
+    model = REGRESSORS[name].make(REGRESSORS[name].settings(**fewer.get(name, {})), 1, False)
+    assert isinstance(model, BackboneRegressor)
+    return model
+
+
+OF_PN = ["MapNet", "PN-Bayesian", "CoordiNet", "PN-mixture"]
+
+
+@pytest.mark.parametrize("model", [PoseNet(), small_mst(2), *map(small, OF_PN)], ids=["PN", "MS-T", *OF_PN])
 def test_training_reaches_every_part_and_evaluation_is_deterministic(model: BackboneRegressor) -> None:
     poses = some_poses(4, model.scenes)
     model.train()
@@ -85,7 +98,7 @@ def test_training_reaches_every_part_and_evaluation_is_deterministic(model: Back
     for name, parameter in model.named_parameters():
         if name.startswith(unused):
             assert parameter.grad is None, name
-        else:
+        elif parameter.requires_grad:
             assert parameter.grad is not None, name
             assert torch.isfinite(parameter.grad).all(), name
     model.eval()
@@ -95,12 +108,41 @@ def test_training_reaches_every_part_and_evaluation_is_deterministic(model: Back
     assert (first.quaternion_B4[:, 3] >= 0).all()
 
 
-@pytest.mark.parametrize("model", [PoseNet(dropout=0), small_mst()], ids=["PN", "MS-T"])
+@pytest.mark.parametrize("model", [PoseNet(dropout=0), small_mst(), *map(small, OF_PN)], ids=["PN", "MS-T", *OF_PN])
 def test_both_signs_of_a_quaternion_are_the_same_rotation(model: BackboneRegressor) -> None:
     model.eval()
-    poses = some_poses(3)
+    poses = some_poses(4)
     other = poses._replace(quaternion_B4=-poses.quaternion_B4)
-    assert torch.allclose(model.loss(images(3), poses), model.loss(images(3), other))
+    assert torch.allclose(model.loss(images(4), poses), model.loss(images(4), other))
+
+
+@pytest.mark.parametrize("name", ["PN-Bayesian", "CoordiNet", "PN-mixture"])
+def test_covariances_are_in_the_axes_of_the_map(name: str) -> None:
+    """Symmetric and positive; a turn of the network's frame turns them, its scale scales them."""
+    model = small(name).eval()
+    with torch.no_grad():
+        plain = model(images(4)).covariance_B66.double()
+        assert torch.equal(plain, plain.mT) or torch.allclose(plain, plain.mT, rtol=1e-4)
+        assert (torch.linalg.eigvalsh(plain) > 0).all()
+        model.frames.turn[0] = torch.tensor([0.0, 0.0, 0.5**0.5, 0.5**0.5])  # x becomes y, and y -x
+        model.frames.scale[0] = 3.0
+        turned = model(images(4)).covariance_B66.double()
+    quarter = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).double()
+    assert torch.allclose(turned[:, :3, :3], quarter @ plain[:, :3, :3] @ quarter.T, rtol=2e-3, atol=1e-6)
+    assert torch.allclose(turned[:, 3:, 3:], 9 * plain[:, 3:, 3:], rtol=2e-3, atol=2e-5)
+
+
+def test_a_mixture_answers_with_its_heaviest_component_and_doubts_it_for_the_others() -> None:
+    model = small("PN-mixture").eval()
+    with torch.no_grad():
+        model.position.weight.zero_(), model.rotation.weight.zero_()
+        model.position.bias.copy_(torch.tensor([0.0, 4, 0] + [0.0] * 6))  # along x; components vary fastest
+        model.likelihood.bias.copy_(torch.tensor([2.0, 1, -30] + [-7.0] * 6))
+        answer = model(images(1))
+    assert torch.allclose(answer.position_B3, torch.zeros(1, 3))
+    second = torch.softmax(torch.tensor([2.0, 1]), 0)[1]
+    assert float(answer.covariance_B66[0, 3, 3]) == pytest.approx(float(16 * second), rel=1e-3)
+    assert float(answer.covariance_B66[0, 4, 4]) < 1e-4
 
 
 def test_learned_weights_balance_the_losses() -> None:

@@ -50,8 +50,13 @@ class PoseNet(BackboneRegressor):
         )
 
 
+def single_scene(name: str, scenes: int) -> None:
+    """ValueError where a regressor of one scene is asked for several."""
+    if scenes != 1:
+        raise ValueError(f"{name} holds one scene, not {scenes}")
+
+
 def make_posenet(settings: PoseNetSettings, scenes: int, outdoor: bool) -> PoseNet:
     """PN with random weights."""
-    if scenes != 1:
-        raise ValueError(f"PN holds one scene, not {scenes}")
+    single_scene("PN", scenes)
     return PoseNet(settings.dropout, settings.sx, settings.sq)

@@ -108,6 +108,10 @@ class PoseRegressor(nn.Module, ABC):
         """
         return "scratch"
 
+    def sequence(self) -> tuple[int, int]:
+        """How many frames of one session a training example has, and how many frames lie from one to the next."""
+        return 1, 1
+
     def undecayed(self) -> list[nn.Parameter]:
         """The parameters that the L2 penalty leaves alone."""
         return []

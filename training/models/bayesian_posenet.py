@@ -1,0 +1,49 @@
+"""Bayesian PoseNet: PN with dropout at test time (Kendall and Cipolla, "Modelling uncertainty in deep learning for
+camera relocalization", ICRA 2016)."""
+
+import torch
+from torch import Tensor
+
+from groundwalk.training.models.posenet import HIDDEN, PoseNet, single_scene
+from groundwalk.training.models.regressor import PoseBatch
+from groundwalk.training.models.uncertainty import with_scatter
+from groundwalk.training.regressor_settings import BayesianPoseNetSettings
+from groundwalk.training.rotations import exp_quaternion
+
+
+class BayesianPoseNet(PoseNet):
+    """PN that answers with the mean over `samples` of its head's dropout masks, and their scatter as its covariance.
+
+    The masks are drawn once and kept with the weights, so that an answer is the same each time.
+    """
+
+    masks: Tensor
+
+    def __init__(self, samples: int, dropout: float = 0.5, sx: float = 0.0, sq: float = -3.0) -> None:
+        super().__init__(dropout, sx, sq)
+        generator = torch.Generator().manual_seed(0)
+        kept = torch.rand(samples, 1, HIDDEN, generator=generator) >= dropout
+        self.register_buffer("masks", kept / (1 - dropout))
+
+    def forward(self, image_B3HW: Tensor) -> PoseBatch:
+        features = self.backbone(image_B3HW)
+        with torch.autocast(image_B3HW.device.type, enabled=False):
+            hidden = torch.relu(self.hidden(features.float())) * self.masks
+            position, log_q = self.position(hidden), self.rotation(hidden)
+        count, batch = position.shape[:2]
+        scene = torch.zeros(batch, dtype=torch.long, device=position.device)
+        answer = self.frames.to_map(position.mean(0), exp_quaternion(log_q.mean(0)), scene)
+        samples = self.frames.to_map(position.flatten(0, 1), exp_quaternion(log_q).flatten(0, 1), scene.repeat(count))
+        weight = torch.full((count, batch), 1 / count, device=position.device)
+        return with_scatter(
+            answer,
+            samples.position_B3.unflatten(0, (count, batch)),
+            samples.quaternion_B4.unflatten(0, (count, batch)),
+            weight,
+        )
+
+
+def make_bayesian_posenet(settings: BayesianPoseNetSettings, scenes: int, outdoor: bool) -> BayesianPoseNet:
+    """Bayesian PoseNet with random weights."""
+    single_scene("Bayesian PoseNet", scenes)
+    return BayesianPoseNet(settings.samples, settings.dropout, settings.sx, settings.sq)
