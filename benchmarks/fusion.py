@@ -39,13 +39,13 @@ from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.cli import SetOption, new_app
 from groundwalk.artefacts.progress import track
 from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
-from groundwalk.fusion.decide import RuleWalk
-from groundwalk.fusion.evaluate import FuseSettings, resolved
+from groundwalk.fusion.evaluation.evaluate import FuseSettings, resolved
+from groundwalk.fusion.evaluation.sweep import grid, sweep
 from groundwalk.fusion.methods import method
-from groundwalk.fusion.mobilearloc import MobileARLocOptions
-from groundwalk.fusion.offline import stepped
-from groundwalk.fusion.sweep import grid, sweep
-from groundwalk.fusion.walks import Walk
+from groundwalk.fusion.methods.decide import RuleWalk
+from groundwalk.fusion.methods.mobilearloc import MobileARLocOptions
+from groundwalk.fusion.methods.offline import stepped
+from groundwalk.fusion.walk import Walk
 from groundwalk.geometry.poses import Array
 from groundwalk.simulation.scenes import NAMES
 

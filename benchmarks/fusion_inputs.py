@@ -23,9 +23,10 @@ from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.checks.health import find_jumps, gravity_of
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.splits import split_frames
-from groundwalk.fusion.error_map import ErrorMap
-from groundwalk.fusion.evaluate import FuseSettings, Inputs, learnt
-from groundwalk.fusion.walks import Walk, evaluated, known
+from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, learnt
+from groundwalk.fusion.files.walks import evaluated
+from groundwalk.fusion.methods.error_map import ErrorMap
+from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.poses import Array, heading, interpolate, inverse, make_pose, relative, yaw_rotation
 from groundwalk.scoring.errors import step_lengths
 from groundwalk.simulation.vio import FITTED, VioModel, simulate_vio

@@ -13,18 +13,17 @@ import pandas as pd
 
 from benchmarks.fusion_inputs import SIMULATED, Case
 from groundwalk.artefacts.settings import SHIPPED_DATA
-from groundwalk.fusion.evaluate import stacked
-from groundwalk.fusion.fuse import Fused, Run, error_rows, fuse, options_json
-from groundwalk.fusion.leaderboard import within_bounds
-from groundwalk.fusion.localiser import MethodOptions
+from groundwalk.fusion.evaluation.evaluate import stacked
+from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse, options_json
+from groundwalk.fusion.evaluation.leaderboard import within_bounds
+from groundwalk.fusion.evaluation.summary import session_figures, summarise
 from groundwalk.fusion.methods import METHODS, method, resolve_options
-from groundwalk.fusion.summary import session_figures, summarise
+from groundwalk.fusion.methods.localiser import MethodOptions
+from groundwalk.scoring.bootstrap import draws
 
 RAW, RULE, OURS = "apr", "mobilearloc", "drift_aware"
 UNTAUGHT = f"{OURS} without error_map"
 ERRORS = ["position_mean_m", "rotation_mean_deg"]
-
-_BOOTSTRAP = 1000
 
 
 @dataclass(frozen=True)
@@ -136,9 +135,7 @@ def ratio_intervals(sessions: pd.DataFrame, kind: str) -> pd.DataFrame:
     for _, group in rows.groupby(["scene", "model"], sort=False):
         sums = np.array([group[group["method"] == m].sort_values("session_id")[_SUMS].to_numpy(float) for m in methods])
         walks = sums.shape[1]
-        drawn = rng.multinomial(walks, np.full(walks, 1 / walks), size=_BOOTSTRAP)
-        weights = np.concatenate([np.ones((1, walks)), drawn])
-        total = np.einsum("dw,mws->mds", weights, sums)  # first the walks as they are
+        total = np.einsum("dw,mws->mds", draws(walks, rng), sums)  # first the walks as they are
         with np.errstate(invalid="ignore", divide="ignore"):
             means = total[..., :2] / total[..., 2:]
             ratios.append(means / means[methods.index(RULE)])
@@ -197,7 +194,7 @@ def beside_published(summary: pd.DataFrame) -> pd.DataFrame:
             level = levels.loc[(scene, subset, printed)]
             rows += [row(f"{name} %", level[column], here[f"{name}_pct"], *key) for name, column in names.items()]
             if scored == "method":
-                rows.append(row("frames %", level["frames_pct"], here["share_pct"], *key))
+                rows.append(row("frames %", level["frames_pct"], here["frames_pct"], *key))
     table = pd.DataFrame(rows)
     shares = table["figure"].str.endswith("%")
     off, ratio = table["found"] - table["published"], table["found"] / table["published"]

@@ -18,7 +18,7 @@ from benchmarks.real_predictions import DEVELOPMENT, STRIDES, real_cases
 from benchmarks.regressor_errors.fit import REGRESSORS
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.tables import pose_frame
-from groundwalk.fusion.walks import Walk
+from groundwalk.fusion.walk import Walk
 from groundwalk.simulation.scenes import NAMES
 
 KINDS = (inputs.SIMULATED, *inputs.BAD_ODOMETRY, inputs.KIDNAPPED)

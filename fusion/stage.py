@@ -3,9 +3,9 @@
 import pandas as pd
 
 from groundwalk.artefacts import Stage, StageRun, UserError
-from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines, stacked
+from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate, report_lines, stacked
 from groundwalk.fusion.methods import METHODS
-from groundwalk.fusion.record import blueprint, record
+from groundwalk.fusion.recording import blueprint, record
 
 
 def run(r: StageRun[FuseSettings]) -> None:
@@ -61,7 +61,7 @@ def _made_here(r: StageRun[FuseSettings], leaf: str) -> frozenset[str]:
 
 STAGE = Stage(
     name="fuse",
-    version=9,
+    version=11,
     settings=FuseSettings,
     needs=("import", "align", "localise", "train"),
     run=run,

@@ -7,8 +7,9 @@ import pandas as pd
 
 from groundwalk.reports.grids import EMPTY, OURS, PUBLISHED
 from groundwalk.reports.inputs import SceneInputs
-from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD, SUBSETS, PrintedTables
+from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD, PrintedTables
 from groundwalk.reports.statistics import scene_scores
+from groundwalk.scoring.scores import SUBSETS
 
 TABLE_I, TABLE_II, TABLE_III, TABLE_IV = "I", "II", "III", "IV"
 AVERAGE = "average"
@@ -100,7 +101,7 @@ def _scores(scene: SceneInputs) -> Iterator[dict[str, object]]:
             labels = _PAPER_LABELS if paper else scene.method_labels
             column = column_name(s["model"], s["method"], s["over"], statistic, quantity, labels=labels)
             more = keys | {"statistic": statistic, "quantity": quantity}
-            source = (int(s["sure" if statistic == "level" else "frames"]), "fuse.errors")
+            source = (int(s["certain" if statistic == "level" else "frames"]), "fuse.errors")
             yield _cell(table, scene, s["subset"], column, float(value), digits, unit, source, **more)
 
 

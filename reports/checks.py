@@ -10,8 +10,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pandas as pd
 
-from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD, SUBSETS, PrintedTables
+from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD, PrintedTables
 from groundwalk.scoring.errors import ACCURACY_LEVELS
+from groundwalk.scoring.scores import SUBSETS
 
 Interval = tuple[float, float]
 AGREES, DISAGREES, CAUTION = "agrees", "disagrees", "caution"
@@ -24,7 +25,7 @@ _HALF = 0.55
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was checked: where, what it should be by the rule, what is printed, and the verdict."""
+    """One thing that was checked: where, what it should be by the rule, what is printed, and the status."""
 
     check: str
     table: str
@@ -32,8 +33,8 @@ class Finding:
     subset: str
     column: str
     expected: str
-    found: str
-    verdict: str
+    printed: str
+    status: str
     because: str
 
 
@@ -146,9 +147,9 @@ class _SceneModel:
         return [k for k in range(1, most + 1) if all(whole(value, k) for value in printed)]
 
     def _finding(self, check: str, table: str, subset: str, column: str, ok: bool, *text: str) -> Finding:
-        expected, found, because = text
-        verdict = AGREES if ok else DISAGREES
-        return Finding(check, table, self.scene, subset, f"{self.model} {column}", expected, found, verdict, because)
+        expected, printed, because = text
+        status = AGREES if ok else DISAGREES
+        return Finding(check, table, self.scene, subset, f"{self.model} {column}", expected, printed, status, because)
 
     def _shares(self) -> Iterator[Finding]:
         for subset, count in self.counts.items():
@@ -178,10 +179,10 @@ class _SceneModel:
                 continue
             column = "raw" if row["method"] == RAW_METHOD else "fused"
             ordered = bool(values["high"] <= values["medium"] <= values["low"])
-            found = "/".join(f"{v:g}" for v in values)
+            printed = "/".join(f"{v:g}" for v in values)
             because = "a stricter tolerance holds for no more frames"
             yield self._finding(
-                "level_order", "III", row["subset"], column, ordered, "high <= medium <= low", found, because
+                "level_order", "III", row["subset"], column, ordered, "high <= medium <= low", printed, because
             )
             for level, value in values.items():
                 nearest = 100 * round(value * count / 100) / count
@@ -208,11 +209,11 @@ class _SceneModel:
         parts = [(count, row) for count, row in parts if count]
         for level in _LEVELS if parts else ():
             ok = meets(_pooled_interval(parts, level, percent), percent(both[level]))
-            expected, found = f"{_pooled(parts, level):.1f} %", f"{both[level]:g} %"
+            expected, printed = f"{_pooled(parts, level):.1f} %", f"{both[level]:g} %"
             because = (
                 f"{self._pool()} pooled" if "level_frames" not in both.index else "its parts pooled by their frames"
             )
-            yield self._finding("pooled_level", "III", "rp+opt", f"fused {level}", ok, expected, found, because)
+            yield self._finding("pooled_level", "III", "rp+opt", f"fused {level}", ok, expected, printed, because)
 
     def _pool(self) -> str:
         return f"{self.counts['rp']} reliable and {self.counts['opt']} optimised frames"
@@ -234,9 +235,9 @@ class _SceneModel:
             yield self._finding("pooled_mean", "II", "rp+opt", f"mean {q}", ok, *text)
         copied = all(both[q] == rp[q] for q in _QUANTITIES) and not all(fits.values())
         expected = " / ".join(f"{_pooled(parts, q):.2f}" for q in _QUANTITIES)
-        found = " / ".join(f"{both[q]:g}" for q in _QUANTITIES)
+        printed = " / ".join(f"{both[q]:g}" for q in _QUANTITIES)
         why = f"{because}, against {' / '.join(f'{rp[q]:g}' for q in _QUANTITIES)} of the reliable ones alone"
-        yield self._finding("copied_row", "II", "rp+opt", "mean m / deg", not copied, expected, found, why)
+        yield self._finding("copied_row", "II", "rp+opt", "mean m / deg", not copied, expected, printed, why)
 
     def _medians_between(self) -> Iterator[Finding]:
         rows = {subset: self._error(subset, "median") for subset in SUBSETS}
@@ -300,11 +301,11 @@ def averages(tables: PrintedTables) -> Iterator[Finding]:
         for q in _QUANTITIES:
             values = scenes[q].dropna()
             bounds = np.array([rounded(v) for v in values]).mean(axis=0)
-            found = float(average[q].iloc[0])
-            ok = meets((bounds[0], bounds[1]), rounded(found))
+            printed = float(average[q].iloc[0])
+            ok = meets((bounds[0], bounds[1]), rounded(printed))
             column = f"{key[2]} {'raw' if key[3] == RAW_METHOD else 'fused'} {key[5]} {q}"
             yield Finding(
-                *("average", "II", f"average {key[0]}", str(key[1]), column, f"{values.mean():.3f}", f"{found:g}"),
+                *("average", "II", f"average {key[0]}", str(key[1]), column, f"{values.mean():.3f}", f"{printed:g}"),
                 *(AGREES if ok else DISAGREES, f"the mean of {len(values)} scenes"),
             )
 
@@ -344,12 +345,12 @@ def _pairs(claim: pd.Series, tables: PrintedTables) -> pd.DataFrame:
     return wide.rename(columns={RAW_METHOD: "raw", PAPER_METHOD: "fused"})
 
 
-def _claim_finding(claim: pd.Series, column: str, expected: str, found: str, ok: bool, scene: str = "") -> Finding:
+def _claim_finding(claim: pd.Series, column: str, expected: str, printed: str, ok: bool, scene: str = "") -> Finding:
     where = scene or ("each scene" if claim["scenes"] == "each" else str(claim["scenes"]))
-    verdict = AGREES if ok else DISAGREES
+    status = AGREES if ok else DISAGREES
     table = "III" if claim["kind"] in ("share", "level") else "II"
     because = f"the text, section {claim['section']}: {claim['says']}"
-    return Finding("text_claim", table, where, str(claim["subset"]), column, expected, found, verdict, because)
+    return Finding("text_claim", table, where, str(claim["subset"]), column, expected, printed, status, because)
 
 
 def _says(computed: Interval, printed: float) -> bool:
@@ -366,9 +367,9 @@ def _reduction(claim: pd.Series, tables: PrintedTables) -> Iterator[Finding]:
     if not np.isnan(claim["low"]):
         ok = ok and _says((bounds[:, 0].min(), bounds[:, 1].min()), claim["low"])
         said = f"{claim['low']:g} to {claim['high']:g} %"
-    found = f"{values.min():.1f} to {values.max():.1f} %"
+    printed = f"{values.min():.1f} to {values.max():.1f} %"
     column = f"{claim['model']} {claim['statistic']} {claim['quantity']}"
-    yield _claim_finding(claim, column, f"{found} by the table", f"{said} in the text", ok)
+    yield _claim_finding(claim, column, f"{printed} by the table", f"{said} in the text", ok)
 
 
 def _halves(claim: pd.Series, tables: PrintedTables) -> Iterator[Finding]:
@@ -376,18 +377,18 @@ def _halves(claim: pd.Series, tables: PrintedTables) -> Iterator[Finding]:
     # One figure for both environments: the mean over them, as the paper's averages are means over scenes.
     means = pairs.groupby("quantity", sort=False)[["raw", "fused"]].mean()
     ratios = means["fused"] / means["raw"]
-    found = ", ".join(f"{q} {r:.2f}" for q, r in ratios.items())
+    printed = ", ".join(f"{q} {r:.2f}" for q, r in ratios.items())
     ok = bool((ratios <= _HALF).all())
     column = f"{claim['model']} {claim['statistic']} fused / raw"
-    yield _claim_finding(claim, column, f"at most {_HALF:g}", found, ok)
+    yield _claim_finding(claim, column, f"at most {_HALF:g}", printed, ok)
 
 
 def _falls(claim: pd.Series, tables: PrintedTables) -> Iterator[Finding]:
     for _, row in _pairs(claim, tables).iterrows():
         column = f"{claim['model']} {claim['statistic']} {row['quantity']}"
         change = 100 * (row["fused"] / row["raw"] - 1)
-        found = f"{row['raw']:g} to {row['fused']:g} ({change:+.1f} %)"
-        yield _claim_finding(claim, column, "no increase", found, bool(row["fused"] <= row["raw"]), row["scene"])
+        printed = f"{row['raw']:g} to {row['fused']:g} ({change:+.1f} %)"
+        yield _claim_finding(claim, column, "no increase", printed, bool(row["fused"] <= row["raw"]), row["scene"])
 
 
 def _share(claim: pd.Series, tables: PrintedTables) -> Iterator[Finding]:

@@ -252,10 +252,10 @@ def _of_trained(cards: list[Any], text: Callable[[Any], str]) -> list[str]:
 def checks(findings: pd.DataFrame, source: str) -> Grid | None:
     """The findings about one source's tables that don't agree; None where all agree."""
     rows = [
-        [f.check, f.table, f.scene, f.subset, f.column, f.expected, f.found, f.verdict, f.because]
-        for f in _records(findings[(findings["source"] == source) & (findings["verdict"] != AGREES)])
+        [f.check, f.table, f.scene, f.subset, f.column, f.expected, f.printed, f.status, f.because]
+        for f in _records(findings[(findings["source"] == source) & (findings["status"] != AGREES)])
     ]
-    columns = ["rule", "table", "scene", "subset", "column", "by the rule", "printed", "verdict", "why"]
+    columns = ["rule", "table", "scene", "subset", "column", "by the rule", "printed", "status", "why"]
     caption = "Each number is taken as the interval that its rounding leaves open; rules: docs/explanation/reports.md."
     return _grid(f"checks-{source}", "What doesn't agree", caption, columns, rows, len(columns)) if rows else None
 

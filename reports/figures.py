@@ -15,7 +15,7 @@ from groundwalk.geometry.poses import Array
 from groundwalk.reports import style
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD
-from groundwalk.reports.statistics import PAPER_STATUSES
+from groundwalk.scoring.scores import SUBSETS
 
 _NS = 1e-9
 
@@ -159,7 +159,7 @@ def error_distributions(scene: SceneInputs) -> NamedFigure:
         answered = errors["position_m"].notna()
         # The paper scores none of the poses of an alignment that its rule doesn't trust any longer.
         paper = scene.fused_method == PAPER_METHOD
-        scored = (errors["status"].isin(PAPER_STATUSES["rp+opt"]) if paper else answered).to_numpy()
+        scored = (errors["status"].isin(SUBSETS["rp+opt"]) if paper else answered).to_numpy()
         for ax, (quantity, unit, levels) in zip(axes[2 * row : 2 * row + 2], quantities, strict=True):
             raw = errors[f"apr_{quantity}_{unit}"].to_numpy(float)
             fused = errors[f"{quantity}_{unit}"].to_numpy(float)
@@ -240,7 +240,7 @@ def sensitivity(scene: SceneInputs, table: pd.DataFrame) -> NamedFigure:
         ("answered_pct", "answered (%)"),
     )
     sweep = table[(table["subset"] == "all") & (table["varied"] != "")]
-    sweep = sweep.assign(answered_pct=sweep["share_pct"] * sweep["coverage_pct"] / 100)
+    sweep = sweep.assign(answered_pct=sweep["frames_pct"] * sweep["coverage_pct"] / 100)
     figure, axes = style.new_figure(len(quantities), len(_THRESHOLDS), 4.2, sharex="col", sharey="row")
     for ax, ((quantity, label), threshold) in zip(axes, product(quantities, _THRESHOLDS), strict=True):
         for model, dashes in zip(scene.models, cycle(("-", "--", ":", "-."))):

@@ -10,7 +10,6 @@ from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.settings import SHIPPED_DATA
 
 PUBLISHED = DataRoot(SHIPPED_DATA).files("published")
-SUBSETS = ("rp", "opt", "rp+opt")
 RAW_METHOD, PAPER_METHOD = "apr", "mobilearloc"
 """The ids of the two methods that the paper's tables hold: the raw regressor, and its rule."""
 _LEVEL_COLUMNS = {

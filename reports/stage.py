@@ -12,7 +12,7 @@ from groundwalk.reports.figures import scene_figures
 from groundwalk.reports.grids import OURS, Grid, html_table, latex, markdown
 from groundwalk.reports.inputs import SceneInputs, read_scene
 from groundwalk.reports.published import load_claims, load_published
-from groundwalk.reports.record import blueprint, record
+from groundwalk.reports.recording import blueprint, record
 from groundwalk.reports.run_checks import run_findings
 from groundwalk.reports.tables import Tables
 
@@ -56,7 +56,7 @@ def run(r: StageRun[ReportSettings]) -> None:
 def _checked(findings: pd.DataFrame) -> list[page.Checked]:
     checked = []
     for source, of_source in findings.groupby("source", sort=False):
-        failed = int((of_source["verdict"] != AGREES).sum())
+        failed = int((of_source["status"] != AGREES).sum())
         checked.append(page.Checked(str(source), len(of_source), failed, details.checks(findings, str(source))))
     return checked
 
@@ -113,7 +113,7 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
 
 STAGE = Stage(
     name="report",
-    version=5,
+    version=6,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import", "sfm", "align", "localise", "train", "fuse"),

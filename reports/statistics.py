@@ -4,66 +4,14 @@ Two ways of counting, always told apart: over the frames that the paper scores (
 with a missing pose counted as a failure.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
-import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from groundwalk.artefacts import UserError
-from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD, SUBSETS
-from groundwalk.scoring.errors import accuracy_shares, sure_enough
-
-PAPER_STATUSES = {"rp": ["reliable"], "opt": ["optimised"], "rp+opt": ["reliable", "optimised"]}
-
-
-@dataclass(frozen=True)
-class Score:
-    """How well a set of frames is answered; errors in metres and degrees, levels in percent of the set.
-
-    Means are over the answered frames. Medians are over all frames of the set, levels over the `sure` ones, whose
-    ground truth can tell (NaN where there are none): a missing pose is an infinite error, and a median of infinity is
-    NaN.
-    """
-
-    frames: int
-    answered: int
-    sure: int
-    mean_m: float
-    median_m: float
-    mean_deg: float
-    median_deg: float
-    high: float
-    medium: float
-    low: float
-
-
-def score(position_m: ArrayLike, rotation_deg: ArrayLike, quality: ArrayLike | None = None) -> Score:
-    """The score of frames with errors (N,) in metres and degrees; NaN is a frame without a pose. `quality` (N,): class
-    of each frame's ground truth."""
-    metres, degrees = np.asarray(position_m, dtype=float), np.asarray(rotation_deg, dtype=float)
-    known = np.isfinite(metres) & np.isfinite(degrees)
-    sure = np.ones(len(metres), dtype=bool) if quality is None else sure_enough(quality)
-    levels = accuracy_shares(np.where(known, metres, np.nan)[sure], degrees[sure])
-    return Score(
-        frames=len(metres),
-        answered=int(known.sum()),
-        sure=int(sure.sum()),
-        mean_m=_mean(metres[known]),
-        median_m=_median(np.where(known, metres, np.inf)),
-        mean_deg=_mean(degrees[known]),
-        median_deg=_median(np.where(known, degrees, np.inf)),
-        **{name: 100 * share for name, share in levels.items()},
-    )
-
-
-def _mean(values: np.ndarray) -> float:
-    return float(values.mean()) if len(values) else float("nan")
-
-
-def _median(values: np.ndarray) -> float:
-    median = float(np.median(values)) if len(values) else float("nan")
-    return median if np.isfinite(median) else float("nan")
+from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
+from groundwalk.scoring.errors import sure_enough
+from groundwalk.scoring.scores import SUBSETS, Score, score
 
 
 def scene_scores(errors: pd.DataFrame, scene: str, offline: set[str]) -> pd.DataFrame:
@@ -106,9 +54,9 @@ def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dic
     paper = paper[paper["options"] == paper["options"].iloc[0]] if len(paper) else paper
     raw_all = _scored(errors.drop_duplicates("frame_id"), "apr_")
     if paper.empty:
-        add(RAW_METHOD, "", SUBSETS[-1], "all", raw_all)
-    for subset in SUBSETS if len(paper) else ():
-        part = paper[paper["status"].isin(PAPER_STATUSES[subset])]
+        add(RAW_METHOD, "", list(SUBSETS)[-1], "all", raw_all)
+    for subset, statuses in SUBSETS.items() if len(paper) else ():
+        part = paper[paper["status"].isin(statuses)]
         add(RAW_METHOD, "", subset, "all", raw_all)
         add(RAW_METHOD, "", subset, "subset", _scored(part, "apr_"))
         add(PAPER_METHOD, str(paper["options"].iloc[0]), subset, "subset", _scored(part, ""))
@@ -124,4 +72,4 @@ def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dic
 
 def _scored(errors: pd.DataFrame, prefix: str) -> Score:
     """The score of rows of fuse.errors, whose poses `prefix` says."""
-    return score(errors[f"{prefix}position_m"], errors[f"{prefix}rotation_deg"], errors["quality"])
+    return score(errors[f"{prefix}position_m"], errors[f"{prefix}rotation_deg"], sure_enough(errors["quality"]))

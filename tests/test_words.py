@@ -42,7 +42,7 @@ RETIRED_NAMES = {
     r"(^|_)(unsure|folded)(_|$)": "uncertain, aliased",
 }
 # Tables and settings that still have such a name: a list that may only become shorter.
-PENDING = {"share_pct", "found", "verdict", "kept"}
+PENDING = {"kept"}
 
 
 def settings_texts() -> Iterator[tuple[str, str]]:

@@ -30,7 +30,7 @@ _SUMMARY_FIGURES = [
     Column("frames", "int64", "frames of the subset"),
     Column("answered", "int64", "frames of the subset with a pose"),
     Column("total", "int64", "all evaluated frames with ground truth"),
-    Column("share_pct", "float64", "frames / total", "%"),
+    Column("frames_pct", "float64", "frames / total", "%"),
     Column("coverage_pct", "float64", "answered / frames; null for an empty subset", "%", "", True),
     Column("too_uncertain", "int64", _UNCERTAIN),
     Column("position_mean_m", "float64", "mean APE over the answered frames", "m", "", True),
@@ -126,7 +126,8 @@ TABLES = [
             Column("scored", "string", "whose poses: method, or apr: the regressor's own, of the same frames"),
             *_SUMMARY_FIGURES,
         ],
-        version="1.1",
+        version="2.0",
+        renamed={"share_pct": "frames_pct"},
     ),
     TableSchema(
         "fuse",
@@ -166,7 +167,8 @@ TABLES = [
         "fuse",
         "error_maps",
         "What was learnt of each regressor's errors from held-out frames of training walks: a row a frame, and the "
-        "fitted numbers in each row. `groundwalk.fusion.error_map.ErrorMap.from_table` reads it, for an app to ship.",
+        "fitted numbers in each row. `groundwalk.fusion.methods.error_map.ErrorMap.from_table` "
+        "reads it, for an app to ship.",
         [
             _SCENE,
             _MODEL,
@@ -199,7 +201,8 @@ TABLES = [
             Column("subset", "string", "rp+opt (the paper's) or all (in time), as in fuse.summary"),
             *_SUMMARY_FIGURES,
         ],
-        version="1.1",
+        version="2.0",
+        renamed={"share_pct": "frames_pct"},
     ),
     TableSchema(
         "fuse",

@@ -48,9 +48,11 @@ TABLES = [
             Column("subset", "string", "set of test frames"),
             Column("column", "string", "model, method and quantity"),
             Column("expected", "string", "what the rule gives"),
-            Column("found", "string", "what is printed"),
-            Column("verdict", "string", "agrees, disagrees or caution"),
+            Column("printed", "string", "what is printed"),
+            Column("status", "string", "agrees, disagrees or caution"),
             Column("because", "string", "the rule in words"),
         ],
+        version="2.0",
+        renamed={"found": "printed", "verdict": "status"},
     ),
 ]

@@ -22,22 +22,27 @@ def literal_fit(vio, apr, drift, o, turns=40):
     start = [_heading(apr[i, :3, :3] @ vio[i, :3, :3].T) for i in range(count)]
     x = np.column_stack([apr[:, :3, 3], np.full(count, start[0])])
     x[:, :3] = apr[0, :3, 3] + (vio[:, :3, 3] - vio[0, :3, 3]) @ _yaw(start[0]).T
-    covariance = shape.copy()
+    covariance, tilt, posterior, each = shape.copy(), np.zeros(2), np.zeros((count, 4, 4)), 1.0
     for _ in range(turns):
-        errors = np.array([_error(x[i], vio[i], apr[i]) / sizes for i in range(count)])
-        weights = [_weight(e, covariance, o) for e in errors]
-        scatter = sum(s * w * np.outer(e, e) for s, w, e in zip(share, weights, errors, strict=True))
+        precision = np.linalg.inv(covariance)
+        each = _independent(vio, sizes, drift, precision, o)
+        slopes = [_slope(x[i], vio[i], sizes) for i in range(count)]
+        spread = [each * s @ p @ s.T for s, p in zip(slopes, posterior, strict=True)]
+        errors = np.array([_error(x[i], vio[i], apr[i], tilt) / sizes for i in range(count)])
+        weights = [_weight(e, v, covariance, o) for e, v in zip(errors, spread, strict=True)]
+        parts = zip(share, weights, errors, spread, strict=True)
+        scatter = sum(s * w * (np.outer(e, e) + v) for s, w, e, v in parts)
         scatter = (scatter + o.size_count * shape) / (o.size_count + share.sum())
         sd = np.sqrt(np.diag(scatter))
         believed = o.side_turn_count / (o.side_turn_count + share.sum())
         covariance = (1 - believed) * scatter + believed * np.outer(sd, sd) * shape + 1e-6 * np.eye(6)
-        weights = [_weight(e, covariance, o) for e in errors]
+        weights = [_weight(e, v, covariance, o) for e, v in zip(errors, spread, strict=True)]
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
-        def residuals(flat, weights=weights, whiten=whiten):
+        def residuals(flat, tilt=tilt, weights=weights, whiten=whiten, each=each):
             y = flat.reshape(-1, 4)
             found = [
-                np.sqrt(o.independent * share[i] * weights[i]) * (whiten @ (_error(y[i], vio[i], apr[i]) / sizes))
+                np.sqrt(each * share[i] * weights[i]) * (whiten @ (_error(y[i], vio[i], apr[i], tilt) / sizes))
                 for i in range(count)
             ]
             for i in range(1, count):
@@ -46,21 +51,55 @@ def literal_fit(vio, apr, drift, o, turns=40):
                 found.append(left / np.sqrt(drift[i]))
             return np.concatenate(found)
 
-        x = least_squares(residuals, x.ravel(), x_scale="jac").x.reshape(-1, 4)
+        best = least_squares(residuals, x.ravel(), x_scale="jac")
+        x = best.x.reshape(-1, 4)
+        inverse = np.linalg.inv(best.jac.T @ best.jac).reshape(count, 4, count, 4)
+        posterior = np.array([inverse[i, :, i] for i in range(count)])
+
+        def leaning(tilt, x=x, weights=weights, whiten=whiten, each=each):
+            found = [
+                np.sqrt(0.1 * each * share[i] * weights[i]) * (whiten @ (_error(x[i], vio[i], apr[i], tilt) / sizes))
+                for i in range(count)
+            ]
+            return np.concatenate([*found, tilt / np.radians(o.tilt_sd_deg)])
+
+        tilt = least_squares(leaning, tilt, x_scale=1e-3).x
     return x
 
 
-def _error(x, vio, apr):
+def _error(x, vio, apr, tilt):
     """Rotation (rad) before position error of a prediction in camera axes, when the camera is at x, y, z, yaw."""
     turn = _yaw(_heading(apr[:3, :3] @ vio[:3, :3].T))
     lean = Rotation.from_matrix(apr[:3, :3] @ vio[:3, :3].T @ turn.T).as_rotvec()
     off = (_heading(turn) - x[3] + np.pi) % (2 * np.pi) - np.pi
     camera = (_yaw(x[3]) @ vio[:3, :3]).T
-    return np.concatenate([camera @ [lean[0], off, lean[2]], camera @ (apr[:3, 3] - x[:3])])
+    rotation = camera @ [lean[0], off, lean[2]] - vio[:3, :3].T @ [tilt[0], 0.0, tilt[1]]
+    return np.concatenate([rotation, camera @ (apr[:3, 3] - x[:3])])
 
 
-def _weight(error, covariance, o):
-    return (o.degrees_of_freedom + 6) / (o.degrees_of_freedom + error @ np.linalg.solve(covariance, error))
+def _slope(x, vio, sizes):
+    """How a prediction's normalised error (6,) changes with x, y, z and yaw."""
+    camera = (_yaw(x[3]) @ vio[:3, :3]).T
+    slope = np.zeros((6, 4))
+    slope[3:, :3], slope[:3, 3] = -camera, -camera[:, 1]
+    return slope / sizes[:, None]
+
+
+def _weight(error, spread, covariance, o):
+    precision = np.linalg.inv(covariance)
+    return (o.degrees_of_freedom + 6) / (
+        o.degrees_of_freedom + error @ precision @ error + np.trace(precision @ spread)
+    )
+
+
+def _independent(vio, sizes, drift, precision, o):
+    """What a prediction counts: as many as odometry lets one average over share their errors."""
+    ratios = []
+    for i in range(1, len(vio)):
+        slope = _slope(np.zeros(4), vio[i], sizes)
+        information = slope.T @ precision @ slope
+        ratios.append((information[0, 0] + information[2, 2]) / 2 * drift[i, 0])
+    return max(o.independent, 1 / (1 + np.exp(-0.5 * np.mean(np.log(ratios)))))
 
 
 def _shares(vio, o):

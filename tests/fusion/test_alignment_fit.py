@@ -10,14 +10,20 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_t
 from upright_walks import upright_walk
 
-from groundwalk.fusion import robust
-from groundwalk.fusion.aligner import counted
-from groundwalk.fusion.alignment_chain import Chain, applied, errors, solve
-from groundwalk.fusion.bounds import alignment_covariance, turned
-from groundwalk.fusion.drift_aware import DriftAware, DriftAwareOptions
-from groundwalk.fusion.keyframes import Keyframes
-from groundwalk.fusion.odometry_quality import OdometryQuality
-from groundwalk.fusion.prediction_noise import Prior, scatter, side_turn_correlation, whitening, whitening_of_covariance
+from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
+from groundwalk.fusion.methods.estimator import robust
+from groundwalk.fusion.methods.estimator.aligner import counted
+from groundwalk.fusion.methods.estimator.alignment_chain import Chain, applied, errors, solve
+from groundwalk.fusion.methods.estimator.bounds import alignment_covariance, turned
+from groundwalk.fusion.methods.estimator.keyframes import Keyframes
+from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality
+from groundwalk.fusion.methods.estimator.prediction_noise import (
+    Prior,
+    scatter,
+    side_turn_correlation,
+    whitening,
+    whitening_of_covariance,
+)
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import yaw_rotation
 
@@ -48,13 +54,13 @@ def test_scatter_finds_the_covariance_of_students_t():
     prior = Prior(np.eye(6), 1e-6, 1e-6)
     for _ in range(100):
         squared = np.einsum("ni,ij,nj->n", sample, np.linalg.inv(found), sample)
-        found = scatter(prior, sample, np.ones(len(sample)), robust.weights(squared, 6, 3.0))
+        found = scatter(prior, sample, np.zeros((4000, 6, 6)), np.ones(len(sample)), robust.weights(squared, 6, 3.0))
     assert np.allclose(found, true, atol=0.12 * np.abs(true).max())
 
 
 def test_with_few_predictions_the_shape_is_the_assumed_one_whatever_the_size():
     prior = Prior(side_turn_correlation(0.6), 20.0, 0.3)
-    one = scatter(prior, np.full((1, 6), 5.0), np.ones(1), np.ones(1))
+    one = scatter(prior, np.full((1, 6), 5.0), np.zeros((1, 6, 6)), np.ones(1), np.ones(1))
     sd = np.sqrt(np.diag(one))
     assert -0.6 < one[1, 3] / (sd[1] * sd[3]) < -0.5 and 0.6 < one[0, 4] / (sd[0] * sd[4]) < 0.7
     assert (sd > 3).all()

@@ -11,15 +11,15 @@ from scipy.spatial.transform import Rotation
 from test_mobilearloc import literal_frames
 from upright_walks import as_walk, upright_walk
 
-from groundwalk.fusion.error_state import ErrorState, ErrorStateOptions
-from groundwalk.fusion.last_good import LastGood, LastGoodOptions
-from groundwalk.fusion.localiser import Status
 from groundwalk.fusion.methods import METHODS
-from groundwalk.fusion.offline import Offline, stepped
-from groundwalk.fusion.pose_graph import PoseGraph, PoseGraphOptions
-from groundwalk.fusion.smoother import Smoother
-from groundwalk.fusion.vio_oracle import VioOracle
-from groundwalk.fusion.window import Window, WindowOptions
+from groundwalk.fusion.methods.error_state import ErrorState, ErrorStateOptions
+from groundwalk.fusion.methods.last_good import LastGood, LastGoodOptions
+from groundwalk.fusion.methods.localiser import Status
+from groundwalk.fusion.methods.offline import Offline, stepped
+from groundwalk.fusion.methods.pose_graph import PoseGraph, PoseGraphOptions
+from groundwalk.fusion.methods.smoother import Smoother
+from groundwalk.fusion.methods.vio_oracle import VioOracle
+from groundwalk.fusion.methods.window import Window, WindowOptions
 from groundwalk.geometry.fits import pose_residuals
 from groundwalk.geometry.pose_graph import smooth_chain
 from groundwalk.geometry.poses import inverse, make_pose, relative, yaw_rotation

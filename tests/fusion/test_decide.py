@@ -6,9 +6,9 @@ from random_walks import random_walk
 from test_mobilearloc import random_options
 from upright_walks import as_walk
 
-from groundwalk.fusion.decide import RuleWalk
-from groundwalk.fusion.fuse import Run, fuse
-from groundwalk.fusion.mobilearloc import MobileARLoc, MobileARLocOptions
+from groundwalk.fusion.evaluation.fuse import Run, fuse
+from groundwalk.fusion.methods.decide import RuleWalk
+from groundwalk.fusion.methods.mobilearloc import MobileARLoc, MobileARLocOptions
 from groundwalk.geometry import GeometryError
 
 RUN = Run("mobilearloc", "{}", "PN")
@@ -46,7 +46,7 @@ def test_a_sweep_over_one_walk_says_what_single_runs_say():
 
 def test_many_unreliable_frames_between_reliable_ones_change_nothing(monkeypatch):
     """Similarities are worked out some frames ahead; the next reliable frame may be further away."""
-    monkeypatch.setattr("groundwalk.fusion.decide._AHEAD", 1)
+    monkeypatch.setattr("groundwalk.fusion.methods.decide._AHEAD", 1)
     for seed in range(30):
         walk, options = given(seed), random_options(seed)
         assert_same(RuleWalk(walk).decide(options), fuse(RUN, walk, MobileARLoc(options)))

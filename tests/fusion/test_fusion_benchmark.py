@@ -31,7 +31,7 @@ from benchmarks.fusion_scores import (
     worst,
 )
 from groundwalk.fusion.methods import resolve_options
-from groundwalk.fusion.walks import known
+from groundwalk.fusion.walk import known
 from groundwalk.scoring.errors import position_error, relative_error, step_lengths
 
 SCENE, MODEL = "Stairs", "PN"

@@ -5,8 +5,9 @@ import pandas as pd
 import pytest
 from tables import tables
 
-from groundwalk.fusion.bootstrap import DRAWS, intervals
-from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate
+from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
+from groundwalk.fusion.evaluation.intervals import intervals
+from groundwalk.scoring.bootstrap import DRAWS
 
 METHODS = ["apr", "mobilearloc"]
 

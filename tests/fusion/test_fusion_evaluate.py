@@ -14,9 +14,9 @@ from groundwalk.artefacts import UserError
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.fusion.__main__ import app
-from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate, report_lines
-from groundwalk.fusion.tables import Files, evaluate_files
-from groundwalk.fusion.walks import evaluated
+from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate, report_lines
+from groundwalk.fusion.files.tables import Files, evaluate_files
+from groundwalk.fusion.files.walks import evaluated
 
 SEEDS = [1, 2, 3]
 
@@ -33,7 +33,7 @@ def test_summary_counts_what_is_there():
 
     reliable = ours[ours["status"] == "reliable"]
     assert row["rp", "method"]["frames"] == len(reliable)
-    assert row["rp", "method"]["share_pct"] == pytest.approx(100 * len(reliable) / 120)
+    assert row["rp", "method"]["frames_pct"] == pytest.approx(100 * len(reliable) / 120)
     assert row["rp", "method"]["position_median_m"] == pytest.approx(np.median(reliable["position_m"]))
     # A reliable pose is the prediction itself.
     assert row["rp", "apr"]["position_mean_m"] == pytest.approx(row["rp", "method"]["position_mean_m"])
@@ -170,7 +170,7 @@ def test_levels_leave_out_ground_truth_of_class_c_and_count_it():
         row = found.loc[("mobilearloc", subset, "method")]
         high = (sure[f"{prefix}position_m"] <= 0.25) & (sure[f"{prefix}rotation_deg"] <= 2)
         assert row["high_pct"] == pytest.approx(100 * high.mean()) and row["too_uncertain"] == len(part) - len(sure) > 0
-    counted = ["frames", "answered", "share_pct", "position_mean_m", "rotation_median_deg"]
+    counted = ["frames", "answered", "frames_pct", "position_mean_m", "rotation_median_deg"]
     pd.testing.assert_frame_equal(found[counted], before[counted])
     swept = results.tables["sweep"]
     usual = swept[(swept["varied"] == "n") & (swept["n"] == 2) & (swept["subset"] == "all")].iloc[0]
@@ -471,7 +471,7 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path, monkeypa
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr("groundwalk.fusion.tables.record", fail)
+        patched.setattr("groundwalk.fusion.files.tables.record", fail)
         with pytest.raises(UserError, match="can't be written"):
             write(files, out, force=True)
     assert (out / "stale.parquet").exists() and len(list(tmp_path.iterdir())) == 6

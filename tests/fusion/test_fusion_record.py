@@ -6,8 +6,8 @@ from rerun.chunk import RrdReader
 from tables import tables
 
 from groundwalk.artefacts.recording import open_recording
-from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate
-from groundwalk.fusion.record import blueprint, record
+from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
+from groundwalk.fusion.recording import blueprint, record
 
 
 def rows_of(path: Path) -> dict[str, int]:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from upright_walks import as_walk
 
-from groundwalk.fusion.fuse import Fused, Run
-from groundwalk.fusion.summary import session_figures
+from groundwalk.fusion.evaluation.fuse import Fused, Run
+from groundwalk.fusion.evaluation.summary import session_figures
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 
 SECOND = 10**9

@@ -8,10 +8,10 @@ from typer.testing import CliRunner
 
 from groundwalk.artefacts import UserError
 from groundwalk.cli import app
-from groundwalk.fusion.evaluate import FuseSettings, Inputs, evaluate
-from groundwalk.fusion.leaderboard import ahead, cases_in, entrants, ratios, scores
-from groundwalk.fusion.leaderboard_report import lag_ratios
-from groundwalk.fusion.validation import ahead_of
+from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
+from groundwalk.fusion.evaluation.leaderboard import ahead, cases_in, entrants, ratios, scores
+from groundwalk.fusion.evaluation.leaderboard_report import lag_ratios
+from groundwalk.fusion.evaluation.validation import ahead_of
 
 NAMES = ("frames", "ground_truth", "predictions")
 

@@ -8,8 +8,8 @@ import pytest
 from random_walks import random_walk
 from upright_walks import upright_walk
 
-from groundwalk.fusion.localiser import Localiser
 from groundwalk.fusion.methods import METHODS
+from groundwalk.fusion.methods.localiser import Localiser
 from groundwalk.geometry.poses import interpolate
 from groundwalk.scoring.errors import position_error
 

@@ -8,8 +8,8 @@ from literal_rule import Frame, label_walk
 from random_walks import RandomWalk, random_walk
 from scipy.spatial.transform import Rotation
 
-from groundwalk.fusion.localiser import Status
-from groundwalk.fusion.mobilearloc import MobileARLoc, MobileARLocOptions, reference, similarity
+from groundwalk.fusion.methods.localiser import Status
+from groundwalk.fusion.methods.mobilearloc import MobileARLoc, MobileARLocOptions, reference, similarity
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import make_pose, tq_from_pose
 

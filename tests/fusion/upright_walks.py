@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from groundwalk.fusion.walks import Walk
+from groundwalk.fusion.walk import Walk
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 
 

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from groundwalk.reports.checks import AGREES, CAUTION, DISAGREES, check_tables, decimals, meets, percent, rounded, whole
-from groundwalk.reports.published import SUBSETS, PrintedTables, load_claims, load_published
+from groundwalk.reports.published import PrintedTables, load_claims, load_published
+from groundwalk.scoring.scores import SUBSETS
 
 # Everything that the published tables get wrong, as (rule, scene, subset, column) -> (by the rule, printed).
 TABLE_FAULTS = {
@@ -57,24 +58,24 @@ def published() -> pd.DataFrame:
 
 
 def test_every_known_fault_of_the_published_tables_is_found_and_no_other(published: pd.DataFrame) -> None:
-    faults = published[(published["verdict"] == DISAGREES) & (published["check"] != "text_claim")]
-    found = {(f.check, f.scene, f.subset, f.column): (f.expected, f.found) for f in faults.itertuples()}
+    faults = published[(published["status"] == DISAGREES) & (published["check"] != "text_claim")]
+    found = {(f.check, f.scene, f.subset, f.column): (f.expected, f.printed) for f in faults.itertuples()}
     assert found == TABLE_FAULTS
 
 
 def test_text_that_says_other_than_its_tables_is_found(published: pd.DataFrame) -> None:
-    wrong = published[(published["check"] == "text_claim") & (published["verdict"] == DISAGREES)]
+    wrong = published[(published["check"] == "text_claim") & (published["status"] == DISAGREES)]
     ranges = wrong[wrong["scene"] == "each scene"]
     assert {(f.subset, f.column): f.expected for f in ranges.itertuples()} == CLAIMS_FAULTS
     assert set(wrong.loc[wrong["scene"] == "average", "column"]) == NOT_HALVED
     rises = wrong[~wrong["scene"].isin(["each scene", "average"])]
     assert set(zip(rises["scene"], rises["column"], strict=True)) == set(RISES)
     for row in rises.itertuples():
-        assert f"({RISES[row.scene, row.column]:+.1f} %)" in row.found
+        assert f"({RISES[row.scene, row.column]:+.1f} %)" in row.printed
 
 
 def test_raw_columns_over_other_frames_are_not_like_for_like(published: pd.DataFrame) -> None:
-    caution = published[published["verdict"] == CAUTION]
+    caution = published[published["status"] == CAUTION]
     assert set(caution["check"]) == {"like_for_like"}
     # The paper compares like with like in its "only optimised" blocks alone.
     assert set(zip(caution["table"], caution["subset"], strict=True)) == {
@@ -123,7 +124,7 @@ def printed_from_frames(frames: int, shares: tuple[float, float], seed: int) -> 
 def test_tables_printed_from_frames_always_agree(frames: int, rp: float, opt: float, seed: int) -> None:
     findings = check_tables(printed_from_frames(frames, (rp, opt), seed))
     assert len(findings) > 10
-    assert findings.loc[findings["verdict"] != AGREES].empty, findings[findings["verdict"] != AGREES].to_string()
+    assert findings.loc[findings["status"] != AGREES].empty, findings[findings["status"] != AGREES].to_string()
 
 
 @pytest.mark.parametrize(
@@ -144,7 +145,7 @@ def test_a_number_changed_by_hand_is_found(
     row = frame.index[(frame["subset"] == subset) & (frame["method"] == method)][0]
     frame.loc[row, column] = round(frame.loc[row, column] + change, 2)
     findings = check_tables(dataclasses.replace(tables, **{table: frame}))
-    assert rule in set(findings.loc[findings["verdict"] == DISAGREES, "check"])
+    assert rule in set(findings.loc[findings["status"] == DISAGREES, "check"])
 
 
 @given(st.integers(1, 1000), st.data())

@@ -20,7 +20,7 @@ from groundwalk.reports.checks import AGREES
 from groundwalk.reports.grids import Block, Grid, Row, latex, latex_text, markdown
 from groundwalk.reports.published import load_published
 from groundwalk.reports.stage import STAGE
-from groundwalk.reports.statistics import score
+from groundwalk.scoring.scores import score
 
 MakeRun = Callable[..., DataRoot]
 
@@ -164,7 +164,7 @@ def test_structure_localisers_stand_beside_the_regressors(make_run: MakeRun) -> 
     assert "Structure localisers" in page and f"{refused} thin_evidence of {len(said)}" in page
     findings = read_table(folder / "checks.parquet", schema("report", "checks"))
     wrong = findings[findings["check"] == "no_wrong_answer"]
-    assert wrong["column"].tolist() == ["Map pose"] and wrong["verdict"].tolist() == ["agrees"]
+    assert wrong["column"].tolist() == ["Map pose"] and wrong["status"].tolist() == ["agrees"]
 
 
 def test_the_page_shows_what_a_user_sees(church: tuple[DataRoot, Path]) -> None:
@@ -207,7 +207,7 @@ def test_our_own_tables_pass_all_checks(church: tuple[DataRoot, Path], pair: tup
         checks = read_table(folder / "checks.parquet", schema("report", "checks"))
         ours = checks[checks["source"] == "ours"]
         assert len(ours) > 50
-        assert set(ours["verdict"]) == {AGREES}, ours[ours["verdict"] != AGREES].to_string()
+        assert set(ours["status"]) == {AGREES}, ours[ours["status"] != AGREES].to_string()
 
 
 def test_published_cells_are_the_files_numbers_and_never_ours(church: tuple[DataRoot, Path]) -> None:
@@ -323,7 +323,7 @@ def test_a_real_capture_of_few_frames_says_that_its_accuracy_means_nothing(chair
     assert "means nothing" in (folder / "tables" / "table2.tex").read_text()
     assert cells_of(folder, source="published").empty
     checks = read_table(folder / "checks.parquet", schema("report", "checks"))
-    assert set(checks.loc[checks["check"] == "no_leak", "verdict"]) == {"caution"}
+    assert set(checks.loc[checks["check"] == "no_leak", "status"]) == {"caution"}
 
 
 def test_support_frames_are_not_counted(chair: tuple[DataRoot, Path]) -> None:

@@ -1,7 +1,7 @@
 import numpy as np
 
-from groundwalk.fusion.localiser import Estimate, MethodOptions, Status
 from groundwalk.fusion.methods import Method
+from groundwalk.fusion.methods.localiser import Estimate, MethodOptions, Status
 from groundwalk.geometry.poses import Array
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 from pydantic import Field
 
-from groundwalk.fusion.localiser import Estimate, MethodOptions, Status
 from groundwalk.fusion.methods import Method
+from groundwalk.fusion.methods.localiser import Estimate, MethodOptions, Status
 from groundwalk.geometry.averages import quaternion_mean
 from groundwalk.geometry.poses import Array, inverse, pose_from_tq, tq_from_pose
 

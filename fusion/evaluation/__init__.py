@@ -1,0 +1,1 @@
+"""Running methods over walks: errors, figures, intervals, leaderboard, sweep."""

@@ -1,0 +1,238 @@
+"""The batch evaluation of every method on every scene and model, for the stage and for tables from anywhere."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import pandas as pd
+from pydantic import Field
+
+from groundwalk.artefacts import Settings
+from groundwalk.artefacts.registry import PluginError
+from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_rows, signal_rows
+from groundwalk.fusion.evaluation.intervals import intervals
+from groundwalk.fusion.evaluation.summary import session_figures, summarise
+from groundwalk.fusion.evaluation.sweep import around, sweep
+from groundwalk.fusion.evaluation.validation import validation_rows
+from groundwalk.fusion.files.quaternion_order import refuse_scalar_first
+from groundwalk.fusion.files.walks import Evaluated, check_frames, check_predictions, evaluated, poses_for
+from groundwalk.fusion.methods import METHODS, method, resolve_options
+from groundwalk.fusion.methods.error_map import ErrorMap
+from groundwalk.fusion.methods.localiser import MethodOptions
+from groundwalk.fusion.methods.mobilearloc import MobileARLocOptions
+from groundwalk.fusion.walk import Walk
+
+
+class FuseSettings(Settings):
+    methods: list[str] = Field(
+        default_factory=lambda: list(METHODS.builtin), min_length=1, description="fusion methods to run, by id"
+    )
+    options: dict[str, dict[str, Any]] = Field(
+        {}, description="a method's options that differ from its defaults: options.window30.frames=20"
+    )
+    splits: list[str] = Field(["test"], min_length=1, description="frames to evaluate: test, val, train")
+    learn_from: str = Field(
+        "val", description="frames held out of training, that methods learn the regressor's errors from; none if empty"
+    )
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """One scene's frames, ground truth and predictions; `made_here` are the models whose predictions the stages train
+    and localise made, so that the order of their quaternions is known."""
+
+    scene: str
+    frames: pd.DataFrame
+    truth: pd.DataFrame
+    predictions: pd.DataFrame
+    made_here: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Results:
+    """What an evaluation found: its tables by name, the walks behind them, and the counted input rows."""
+
+    fused: list[Fused]
+    tables: dict[str, pd.DataFrame]
+    counts: Counter[str]
+    gates: dict[str, dict[str, float]]
+    error_maps: dict[tuple[str, str], ErrorMap]  # by scene and model
+    left_out: list[PluginError]  # methods of other packages that can't be used or failed
+
+
+def resolved(settings: FuseSettings) -> dict[str, MethodOptions]:
+    """The options of each method that is to run and can. UserError for an unknown method or option, and where no method
+    can be used."""
+    for name in (*settings.methods, *settings.options):
+        if name not in METHODS.problems:
+            method(name)
+    chosen = {
+        name: resolve_options(name, settings.options.get(name))
+        for name in dict.fromkeys(settings.methods)
+        if name in METHODS
+    }
+    if not chosen:
+        method(settings.methods[0])
+    return chosen
+
+
+def rule_options(settings: FuseSettings) -> MobileARLocOptions:
+    """The options of the paper's rule, whose thresholds `sweep` moves."""
+    name = next(name for name, entry in METHODS.items() if entry.options is MobileARLocOptions)
+    options = resolve_options(name, settings.options.get(name))
+    assert isinstance(options, MobileARLocOptions)
+    return options
+
+
+def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
+    """Run each method on each scene's and model's walks. UserError for inputs that can't be evaluated.
+
+    A method of another package that fails is left out of all results, and the others go on.
+    """
+    options = resolved(settings)
+    fused: list[Fused] = []
+    counts: Counter[str] = Counter()
+    walks: dict[tuple[str, str], list[Walk]] = {}
+    error_maps: dict[tuple[str, str], ErrorMap] = {}
+    left_out = {name: METHODS.problems[name][0] for name in settings.methods if name not in METHODS}
+    for scene in inputs:
+        for number, (model, joined) in enumerate(joined_walks(scene, settings.splits)):
+            walks[scene.scene, model] = joined.walks
+            counts.update(joined.prediction_counts)
+            if number == 0:
+                counts.update(joined.frame_counts)
+            error_map = learnt(scene, model, settings)
+            if error_map is not None:
+                error_maps[scene.scene, model] = error_map
+            for name, chosen in options.items():
+                if name in left_out:
+                    continue
+                run = Run(name, options_json(chosen.model_dump(mode="json")), model)
+                make = partial(method(name).localiser, chosen, error_map)
+                try:
+                    with METHODS.guard(name):
+                        fused += fuse_all(run, joined.walks, make)
+                except PluginError as fault:
+                    left_out[name] = fault
+    options = {name: chosen for name, chosen in options.items() if name not in left_out}
+    fused = [f for f in fused if f.run.method in options]
+    if not options:
+        raise next(iter(left_out.values()))
+    errors = stacked(error_rows(f) for f in fused)
+    tables = {
+        "poses": stacked(pose_rows(f) for f in fused),
+        "errors": errors,
+        "signals": stacked(signal_rows(f) for f in fused),
+        "summary": summarise(errors),
+        "intervals": intervals(errors),
+        "sessions": pd.DataFrame([session_figures(f) for f in fused]),
+        "methods": _method_rows(options),
+    }
+    rule = next((chosen for chosen in options.values() if isinstance(chosen, MobileARLocOptions)), None)
+    if rule is not None:
+        tables["sweep"] = sweep(walks, around(rule))
+    validated = [validation_rows(walks, model, options) for model, walks in held_out_walks(inputs, settings)]
+    if validated:
+        tables["validation"] = stacked(validated)
+    if error_maps:
+        tables["error_maps"] = stacked(m.table().assign(scene=s, model=r) for (s, r), m in error_maps.items())
+    gates = {name: chosen.gates for name, chosen in options.items()}
+    return Results(fused, tables, counts, gates, error_maps, list(left_out.values()))
+
+
+def _method_rows(options: dict[str, MethodOptions]) -> pd.DataFrame:
+    """Table fuse.methods."""
+    return pd.DataFrame(
+        {
+            "method": name,
+            "options": options_json(chosen.model_dump(mode="json")),
+            "label": METHODS[name].label,
+            "fuses": METHODS[name].fuses,
+            "causal": METHODS[name].causal,
+            "meaning": METHODS[name].meaning,
+        }
+        for name, chosen in options.items()
+    )
+
+
+def learnt(inputs: Inputs, model: str, settings: FuseSettings) -> ErrorMap | None:
+    """What held-out frames say of a model's errors in a scene; None where there are too few. Predictions say in their
+    column `split` what was held out, or else frames do; a frame that is evaluated is never learnt from."""
+    rows = inputs.predictions[inputs.predictions["model"] == model]
+    of_frame = rows["frame_id"].map(inputs.frames.set_index("frame_id")["split"])
+    held_out = (rows["split"] if "split" in rows.columns else of_frame) == settings.learn_from
+    rows = rows[held_out & ~of_frame.isin(settings.splits)].sort_values("frame_id")
+    if rows.empty:
+        return None
+    return ErrorMap.learnt(poses_for(rows, rows, "map_cam"), poses_for(rows, inputs.truth, "map_cam"))
+
+
+def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator[tuple[str, list[Walk]]]:
+    """Each model's name and walks of held-out frames of each scene, where half of them or more have ground truth and a
+    prediction and they aren't evaluated anyhow."""
+    if not settings.learn_from or settings.learn_from in settings.splits:
+        return
+    for scene in inputs:
+        held = scene.frames[scene.frames["split"] == settings.learn_from]
+        true = held["frame_id"].isin(scene.truth["frame_id"])
+        for model, predictions in scene.predictions.groupby("model", sort=False):
+            both = true & held["frame_id"].isin(predictions["frame_id"])
+            if len(held) and both.mean() >= 0.5:
+                found = evaluated(scene.scene, held, scene.truth, pd.DataFrame(predictions), [settings.learn_from])
+                yield str(model), found.walks
+
+
+def joined_walks(inputs: Inputs, splits: list[str]) -> Iterator[tuple[str, Evaluated]]:
+    """Each model's name and walks. UserError for inputs that can't be evaluated."""
+    check_frames(inputs.frames, inputs.truth, f"of {inputs.scene}")
+    check_predictions(inputs.frames, inputs.predictions, f"of {inputs.scene}")
+    for model, predictions in inputs.predictions.groupby("model", sort=False):
+        found = evaluated(inputs.scene, inputs.frames, inputs.truth, predictions, splits)
+        if model not in inputs.made_here:
+            refuse_scalar_first(found.walks, f"of {inputs.scene}")
+        yield str(model), found
+
+
+def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    """Tables of one kind below each other."""
+    kept = list(parts)
+    # Empty parts would blur the column types.
+    return pd.concat([p for p in kept if len(p)] or kept[:1], ignore_index=True)
+
+
+_MEANINGS = {
+    "frames_too_uncertain_for_levels": "ground truth of class C, in means and medians alone",
+    "predictions_refused": "the localiser's evidence was too thin; they count as failed",
+    "frames_of_unstated_quality": "the accuracy levels leave none of them out",
+}
+
+
+# What puts every figure in doubt comes before the figures.
+_WARNINGS = {
+    "prediction_quaternions_not_of_unit_length": "predictions have quaternions that aren't of unit length; their "
+    "direction is taken",
+    "predictions_not_finite": "predictions are not finite and count as missing",
+    "predictions_outside_the_place": "predictions lie farther from the ground truth's bounding box than the box is "
+    "large: of another scene, or in another unit or frame?",
+}
+
+
+def report_lines(results: Results) -> list[str]:
+    """The means over all frames, and the input rows that weren't as they should be, a line each."""
+    summary = results.tables["summary"]
+    lines = [f"warning: {error}" for error in results.left_out]
+    lines += [f"warning: {n} {meaning}" for name, meaning in _WARNINGS.items() if (n := results.counts[name])]
+    for row in summary[(summary["subset"] == "all") & (summary["scored"] == "method")].to_dict("records"):
+        error = f"{row['position_mean_m']:.2f} m, {row['rotation_mean_deg']:.2f} deg" if row["answered"] else "no pose"
+        coverage = f"{row['coverage_pct']:.0f} % of {row['total']} frames"
+        lines.append(f"{row['scene']} · {row['model']} · {row['method']}: mean error {error} over {coverage}")
+    all_frames = summary[summary["subset"] == "all"]
+    for scene in all_frames.loc[all_frames["too_uncertain"] == all_frames["frames"], "scene"].unique():
+        lines.append(f"{scene}: no accuracy level can be scored, as no frame's ground truth is sure enough (class C)")
+    for name, n in results.counts.items():
+        if n and name != "frames" and name not in _WARNINGS:
+            meaning = f" ({_MEANINGS[name]})" if name in _MEANINGS else ""
+            lines.append(f"{name.replace('_', ' ')}: {n}{meaning}")
+    return lines

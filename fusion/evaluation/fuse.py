@@ -1,0 +1,160 @@
+"""Running localisers over walks, frame by frame as a device would, and measuring what they said."""
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from groundwalk.artefacts.tables import pose_frame
+from groundwalk.fusion.methods.localiser import Estimate, Stepping, is_rigid
+from groundwalk.fusion.methods.offline import Offline, stepped
+from groundwalk.fusion.walk import Walk, known
+from groundwalk.geometry.poses import Array
+from groundwalk.scoring.errors import position_error, rotation_error_deg
+
+
+@dataclass(frozen=True)
+class Run:
+    """Which method, with which options (JSON), fused which model's predictions."""
+
+    method: str
+    options: str
+    model: str
+
+
+@dataclass(frozen=True)
+class Fused:
+    """What a localiser said about a walk of N frames.
+
+    live_*: in time. status, map_T_cam: with the frames that later ones confirmed. Poses (N, 4, 4) are NaN where none.
+    """
+
+    run: Run
+    walk: Walk
+    estimates: list[Estimate]
+    status: NDArray[np.object_]
+    map_T_cam: Array
+    live_status: NDArray[np.object_]
+    live_map_T_cam: Array
+
+
+def fuse(run: Run, walk: Walk, localiser: Stepping | Offline) -> Fused:
+    """Feed a walk to a fresh localiser, or to one that has been reset, or let an offline method see the whole of it."""
+    estimates = localiser.estimates(walk) if isinstance(localiser, Offline) else stepped(localiser, walk)
+    _check(estimates, walk)
+    none = np.full((4, 4), np.nan)
+    live_status = np.array([str(e.status) for e in estimates], dtype=object)
+    live = np.array([none if e.map_T_cam is None else e.map_T_cam for e in estimates]).reshape(-1, 4, 4)
+    status, poses = live_status.copy(), live.copy()
+    index = {int(t): i for i, t in enumerate(walk.t_ns)}
+    for estimate in estimates:
+        for t_ns, map_T_cam in estimate.confirms:
+            status[index[t_ns]], poses[index[t_ns]] = "reliable", map_T_cam
+    return Fused(run, walk, estimates, status, poses, live_status, live)
+
+
+def _check(estimates: list[Estimate], walk: Walk) -> None:
+    """TypeError or ValueError where a method answered something else than an estimate a frame."""
+    if len(estimates) != len(walk):
+        raise ValueError(f"it gave {len(estimates)} estimates for {len(walk)} frames")
+    for number, estimate in enumerate(estimates):
+        if not isinstance(estimate, Estimate):
+            raise TypeError(f"it gave a {type(estimate).__name__}, not an Estimate, for frame {number}")
+        for name, shape in (("map_T_cam", (4, 4)), ("map_T_vio", (4, 4)), ("covariance", (6, 6))):
+            found = getattr(estimate, name)
+            if found is not None and (np.shape(found) != shape or not np.isfinite(found).all()):
+                what = f"shape {np.shape(found)}" if np.shape(found) != shape else "values that aren't finite"
+                raise ValueError(f"its {name} for frame {number} has {what}, expected {shape}, or None")
+    given = [e.map_T_cam for e in estimates if e.map_T_cam is not None]
+    if given and not is_rigid(np.array(given)).all():
+        raise ValueError("not all of its map_T_cam are rigid transforms")
+
+
+def fuse_all(run: Run, walks: Iterable[Walk], make: Callable[[], Stepping | Offline]) -> list[Fused]:
+    """Each walk with a localiser of its own: nothing is carried across a session's border."""
+    return [fuse(run, walk, make()) for walk in walks]
+
+
+def pose_rows(fused: Fused) -> pd.DataFrame:
+    """Table fuse.poses."""
+    none = np.full((4, 4), np.nan)
+    alignment = np.array([none if e.map_T_vio is None else e.map_T_vio for e in fused.estimates]).reshape(-1, 4, 4)
+    return pd.concat(
+        [
+            _keys(fused).assign(status=fused.status, live_status=fused.live_status),
+            pose_frame("map_cam", fused.map_T_cam),
+            pose_frame("live_map_cam", fused.live_map_T_cam),
+            pose_frame("map_vio", alignment),
+            pd.DataFrame(
+                {
+                    "covariance": [
+                        None if e.covariance is None else e.covariance.ravel().tolist() for e in fused.estimates
+                    ],
+                    "reasons": [",".join(e.reasons) for e in fused.estimates],
+                }
+            ),
+        ],
+        axis=1,
+    )
+
+
+def error_rows(fused: Fused) -> pd.DataFrame:
+    """Table fuse.errors: the frames that have ground truth."""
+    walk = fused.walk
+    position_m, rotation_deg = pose_errors(fused.map_T_cam, walk.map_T_cam)
+    live_position_m, live_rotation_deg = pose_errors(fused.live_map_T_cam, walk.map_T_cam)
+    apr_position_m, apr_rotation_deg = pose_errors(walk.map_T_cam_apr, walk.map_T_cam)
+    rows = _keys(fused).assign(
+        quality=walk.quality,
+        status=fused.status,
+        position_m=position_m,
+        rotation_deg=rotation_deg,
+        live_status=fused.live_status,
+        live_position_m=live_position_m,
+        live_rotation_deg=live_rotation_deg,
+        apr_position_m=apr_position_m,
+        apr_rotation_deg=apr_rotation_deg,
+    )
+    return rows[known(walk.map_T_cam)].reset_index(drop=True)
+
+
+def signal_rows(fused: Fused) -> pd.DataFrame:
+    """Table fuse.signals: the numbers behind the decisions."""
+    taken = [(i, name, value) for i, e in enumerate(fused.estimates) for name, value in e.signals.items()]
+    index = [i for i, _, _ in taken]
+    names, values = [name for _, name, _ in taken], [value for _, _, value in taken]
+    return _keys(fused).iloc[index].reset_index(drop=True).assign(signal=names, value=np.array(values, dtype=float))
+
+
+def options_json(options: dict[str, object]) -> str:
+    """Options as the tables hold them: JSON with sorted keys."""
+    return json.dumps(options, sort_keys=True)
+
+
+def pose_errors(estimated: Array, true: Array) -> tuple[Array, Array]:
+    """APE (N,) and AOE (N,) of poses (N, 4, 4), NaN where either is missing."""
+    both = known(estimated) & known(true)
+    position_m, rotation_deg = np.full((2, len(true)), np.nan)
+    if both.any():
+        position_m[both] = position_error(estimated[both], true[both])
+        rotation_deg[both] = rotation_error_deg(estimated[both], true[both])
+    return position_m, rotation_deg
+
+
+def _keys(fused: Fused) -> pd.DataFrame:
+    run, walk = fused.run, fused.walk
+    return pd.DataFrame(
+        {
+            "method": run.method,
+            "options": run.options,
+            "model": run.model,
+            "scene": walk.scene,
+            "frame_id": walk.frame_id,
+            "session_id": walk.session_id,
+            "split": walk.split,
+            "t_ns": walk.t_ns,
+        }
+    )

@@ -1,0 +1,228 @@
+"""All fusion methods on walks laid in folders and on finished runs: who is ahead, scene by scene.
+
+A folder holds any number of cases, each a folder with `frames.parquet`, `ground_truth.parquet` and
+`predictions.parquet` as `evaluate` reads them; what a case is called is its path. The first part of that path is its
+group, over which figures are averaged. A file `about.txt` in the folder says where the tables are from."""
+
+import hashlib
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.progress import track
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import dataset_frames, read_table
+from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, joined_walks, learnt
+from groundwalk.fusion.evaluation.fuse import Fused, Run, fuse, pose_errors
+from groundwalk.fusion.evaluation.validation import ERRORS, ahead_of
+from groundwalk.fusion.files.tables import Files
+from groundwalk.fusion.methods import METHODS, method, resolve_options
+from groundwalk.fusion.methods.error_map import ErrorMap
+from groundwalk.fusion.methods.localiser import Estimate, MethodOptions
+from groundwalk.fusion.methods.offline import Offline
+from groundwalk.fusion.walk import Walk, known
+from groundwalk.scoring import errors as scoring_errors
+from groundwalk.scoring.errors import accuracy_shares
+
+RAW, RULE, LATE = "apr", "mobilearloc", "smoother"
+LAGS_S = (0.0, 1.0, 5.0, 30.0)
+KEY = ["group", "scene", "model"]
+_TABLES = ("frames", "ground_truth", "predictions")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One model's predictions of one scene's walks, and what held-out frames tell of its errors."""
+
+    group: str
+    scene: str
+    model: str
+    walks: list[Walk]
+    error_map: ErrorMap | None
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A method with its options, under the name that the tables have."""
+
+    name: str
+    method: str
+    options: MethodOptions
+
+    def localiser(self, error_map: ErrorMap | None) -> Any:
+        return method(self.method).localiser(self.options, error_map)
+
+
+def entrants(names: Sequence[str] = ()) -> list[Entrant]:
+    """Methods by id, all there are if none is named, and the smoother with each lag."""
+    chosen = list(dict.fromkeys([RAW, RULE, *(names or METHODS)]))
+    found = [Entrant(name, name, resolve_options(name)) for name in chosen]
+    if LATE in chosen:
+        found += [Entrant(f"{LATE}, {lag:g} s late", LATE, resolve_options(LATE, {"lag_s": lag})) for lag in LAGS_S]
+    return found
+
+
+# ---------------------------------------------------------------- cases
+
+
+def cases_in(folder: Path) -> tuple[list[Case], list[str]]:
+    """The cases below a folder, and lines that say where they are from. UserError where there is none."""
+    places = sorted(path.parent for path in folder.rglob("predictions.parquet"))
+    if not places:
+        raise UserError(
+            "there are no predictions in the folder",
+            where=folder,
+            expected="<scene>/frames.parquet, ground_truth.parquet and predictions.parquet",
+            do="lay them there, or write published predictions with python -m benchmarks.fusion_tables",
+        )
+    cases: list[Case] = []
+    digest = hashlib.sha256()
+    for place in places:
+        files = [place / f"{name}.parquet" for name in _TABLES]
+        parts = place.relative_to(folder).parts
+        group, scene = (parts[0], "/".join(parts[1:])) if len(parts) > 1 else (folder.resolve().name, "".join(parts))
+        cases += _cases(group, Files(*files).read(scene or group))
+        for file in files:
+            digest.update(file.read_bytes())
+    about = folder / "about.txt"
+    lines = about.read_text(encoding="utf-8").split("\n") if about.is_file() else []
+    about_lines = [line for line in lines if line.strip()]
+    return cases, [f"{folder.name}: {len(places)} scenes, sha256 {digest.hexdigest()[:16]}", *about_lines]
+
+
+def cases_of_runs(data: DataRoot) -> tuple[list[Case], list[str]]:
+    """Test walks of each run in the data folder that has predictions, and their names."""
+    cases: list[Case] = []
+    names = []
+    for folder in sorted((data.root / "runs").glob("*/*")):
+        if not all((folder / stage / "manifest.json").is_file() for stage in ("import", "align", "train")):
+            continue
+        frames, truth, predictions = (
+            read_table(folder / stage / f"{name}.parquet", schema(stage, name))
+            for stage, name in (("import", "frames"), ("align", "ground_truth"), ("train", "predictions"))
+        )
+        scene = f"{folder.name} ({folder.parent.name})"
+        cases += _cases("trained", Inputs(scene, dataset_frames(frames), truth, predictions))
+        names.append(scene)
+    return cases, [f"runs: {', '.join(names)}"] if names else []
+
+
+def _cases(group: str, inputs: Inputs) -> Iterator[Case]:
+    settings = FuseSettings()
+    for model, joined in joined_walks(inputs, settings.splits):
+        yield Case(group, inputs.scene, model, joined.walks, learnt(inputs, model, settings))
+
+
+# ---------------------------------------------------------------- figures
+
+
+def scores(cases: Sequence[Case], methods: Sequence[Entrant], processes: int = 1) -> pd.DataFrame:
+    """A row a case and method: errors over all frames in time, coverage, bounds and the time of a step."""
+    work = partial(_case_rows, methods=methods)
+    rows: list[dict[str, Any]] = []
+    if processes == 1:
+        for case in track(cases, "cases"):
+            rows += work(case)
+    else:
+        with multiprocessing.get_context("spawn").Pool(processes) as pool:
+            for part in track(pool.imap(work, cases), "cases", total=len(cases)):
+                rows += part
+    return pd.DataFrame(rows)
+
+
+def _case_rows(case: Case, methods: Sequence[Entrant]) -> list[dict[str, Any]]:
+    return [_row(case, entrant) for entrant in methods]
+
+
+def _row(case: Case, entrant: Entrant) -> dict[str, Any]:
+    fused: list[Fused] = []
+    spent_ms: list[float] = []
+    for walk in case.walks:
+        localiser = entrant.localiser(case.error_map)
+        if not isinstance(localiser, Offline):
+            localiser.step = _timed(localiser.step, spent_ms)
+        fused.append(fuse(Run(entrant.method, "", case.model), walk, localiser))
+    errors = [pose_errors(f.live_map_T_cam, f.walk.map_T_cam) for f in fused]
+    judged = [known(f.walk.map_T_cam) for f in fused]
+    position, rotation = (
+        np.concatenate([e[i][there] for e, there in zip(errors, judged, strict=True)]) for i in (0, 1)
+    )
+    row: dict[str, Any] = {"group": case.group, "scene": case.scene, "model": case.model, "method": entrant.name}
+    row |= {"causal": method(entrant.method).causal, "walks": len(case.walks), "frames": len(position)}
+    row["coverage_pct"] = 100 * float(np.isfinite(position).mean())
+    for name, values in (("position_{}_m", position), ("rotation_{}_deg", rotation)):
+        failed = np.sort(np.where(np.isfinite(values), values, np.inf))
+        row[name.format("mean")] = float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
+        row[name.format("median")] = float(failed[len(failed) // 2])
+        row[name.format("p95")] = float(failed[int(0.95 * len(failed))])
+    row |= {f"{level}_pct": 100 * share for level, share in accuracy_shares(position, rotation).items()}
+    inside = np.concatenate([within_bounds(f) for f in fused])
+    for i, name in enumerate(("position", "rotation")):
+        row[f"{name}_within_pct"] = 100 * float(inside[:, i].mean()) if len(inside) else np.nan
+    row["step_median_ms"], row["step_p99_ms"] = np.percentile(spent_ms, [50, 99]) if spent_ms else (np.nan, np.nan)
+    return row
+
+
+def _timed(step: Callable[..., Estimate], spent_ms: list[float]) -> Callable[..., Estimate]:
+    """A localiser's `step` that appends its processor time."""
+
+    def timed(*frame: Any) -> Estimate:
+        start = time.thread_time_ns()
+        estimate = step(*frame)
+        spent_ms.append((time.thread_time_ns() - start) * 1e-6)
+        return estimate
+
+    return timed
+
+
+def within_bounds(fused: Fused) -> NDArray[np.bool_]:
+    """Whether position and rotation errors lie within the 95 % bounds, (N, 2), of the frames that have bounds."""
+    there = known(fused.live_map_T_cam) & known(fused.walk.map_T_cam)
+    there &= np.array([e.covariance is not None for e in fused.estimates], dtype=bool)
+    if not there.any():
+        return np.zeros((0, 2), dtype=bool)
+    covariance = np.array([e.covariance for e, ok in zip(fused.estimates, there, strict=True) if ok])
+    return scoring_errors.within_bounds(fused.live_map_T_cam[there], fused.walk.map_T_cam[there], covariance)
+
+
+def ahead(rows: pd.DataFrame) -> pd.DataFrame:
+    """For each case the causal method that is ahead, and its mean errors."""
+    found = []
+    causal = rows[rows["causal"]]
+    for key, group in causal.groupby(KEY, sort=False):
+        best = ahead_of(group)
+        errors = group.loc[group["method"] == best, ERRORS].iloc[0]
+        found.append(dict(zip(KEY, key, strict=True)) | {"ahead": best} | errors.to_dict())
+    return pd.DataFrame(found)
+
+
+def ratios(rows: pd.DataFrame) -> pd.DataFrame:
+    """A row a group and method: geometric means over scenes and models of mean errors over the rule's, the worst
+    such ratio, and means of the other figures."""
+    rule = rows[rows["method"] == RULE].set_index(KEY)[ERRORS]
+    indexed = rows.set_index(KEY)
+    ratio = indexed[ERRORS] / rule.reindex(indexed.index)
+    table = indexed.assign(position=ratio[ERRORS[0]], rotation=ratio[ERRORS[1]]).reset_index()
+    found = []
+    for (group, name), part in table.groupby(["group", "method"], sort=False):
+        row: dict[str, Any] = {"group": group, "method": name if part["causal"].all() else f"{name} (offline)"}
+        for quantity in ("position", "rotation"):
+            row[f"{quantity} /rule"] = float(np.exp(np.log(part[quantity]).mean()))
+            row[f"worst {quantity} /rule"] = float(part[quantity].max())
+        for level in ("high", "medium", "low", "coverage"):
+            row[f"{level} %"] = part[f"{level}_pct"].mean()
+        for quantity in ("position", "rotation"):
+            inside = part[f"{quantity}_within_pct"]
+            row[f"{quantity} in bounds %"] = f"{inside.mean():.0f} ({inside.min():.0f})" if inside.notna().any() else ""
+        row["ms median / p99"] = f"{part['step_median_ms'].median():.2f} / {part['step_p99_ms'].max():.2f}"
+        found.append(row)
+    return pd.DataFrame(found).replace("nan / nan", "")

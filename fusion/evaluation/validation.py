@@ -1,0 +1,44 @@
+"""Which method is ahead on frames held out of training: what a report leads with is chosen without the test walks."""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from groundwalk.fusion.evaluation.fuse import Run, fuse_all, pose_errors
+from groundwalk.fusion.methods import method
+from groundwalk.fusion.methods.localiser import MethodOptions
+from groundwalk.fusion.walk import Walk
+
+ERRORS = ["position_mean_m", "rotation_mean_deg"]
+
+
+def validation_rows(walks: list[Walk], model: str, options: Mapping[str, MethodOptions]) -> pd.DataFrame:
+    """Rows of table fuse.validation of one scene and model: each causal method on held-out frames' walks.
+
+    Without what methods learn of the regressor's errors beforehand: that comes from these very frames.
+    """
+    rows: list[dict[str, Any]] = []
+    for name, chosen in options.items():
+        if not method(name).causal:
+            continue
+        fused = fuse_all(Run(name, "", model), walks, partial(method(name).localiser, chosen))
+        position, rotation = np.concatenate([pose_errors(f.live_map_T_cam, f.walk.map_T_cam) for f in fused], axis=1)
+        judged = sum(int(np.isfinite(w.map_T_cam).all(axis=(1, 2)).sum()) for w in walks)
+        answered = np.isfinite(position)
+        row: dict[str, Any] = {"method": name, "model": model, "scene": walks[0].scene, "frames": judged}
+        row["coverage_pct"] = 100 * int(answered.sum()) / judged
+        means = (float(e[answered].mean()) if answered.any() else None for e in (position, rotation))
+        rows.append(row | dict(zip(ERRORS, means, strict=True)))
+    table = pd.DataFrame(rows)
+    best = ahead_of(table)
+    return table.assign(ahead=[name == best for name in table["method"]])
+
+
+def ahead_of(rows: pd.DataFrame) -> str:
+    """The method whose mean errors are least: their geometric mean, over the share of frames answered, as a missing
+    pose is a failure. rows: methods that have `method`, the mean errors and `coverage_pct`."""
+    size = np.sqrt(rows[ERRORS].astype(float).prod(axis=1, skipna=False)) / (rows["coverage_pct"] / 100)
+    return str(rows.loc[size.sort_values(kind="stable").index[0], "method"])

@@ -1,0 +1,327 @@
+"""Frames, ground truth and predictions joined into walks, and what is wrong with them said clearly."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
+
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.fusion.methods.localiser import is_covariance
+from groundwalk.fusion.walk import Flags, Walk, known
+from groundwalk.geometry.poses import Array
+from groundwalk.scoring.errors import sure_enough
+
+MIN_OVERLAP = 0.5
+_MIN_QUATERNION = 1e-6
+_UNIT_QUATERNION = 1e-3
+_SMALLEST_PLACE_M = 10.0
+# What a network puts out may not be normalised; angles in degrees are far from it.
+_QUATERNION_LENGTHS = (0.2, 5.0)
+_ON_EARTH_M = 1e8  # farther from the origin there is no place for a camera
+_QUALITIES = ("A", "B", "C", "none")
+_NO_TRUTH = "none"
+
+FRAME_COLUMNS = ["frame_id", "session_id", "t_ns", "split"]
+TRUTH_COLUMNS = ["frame_id"]
+PREDICTION_COLUMNS = ["model", "frame_id"]
+
+
+@dataclass
+class Evaluated:
+    """The walks of one scene and model, and the rows that were not what they should be, counted by what was wrong."""
+
+    walks: list[Walk]
+    frame_counts: dict[str, int]
+    prediction_counts: dict[str, int]
+
+
+def check_frames(frames: pd.DataFrame, truth: pd.DataFrame, where: str = "") -> None:
+    """Refuse frames and ground truth that can't be evaluated.
+
+    Raises UserError for a column that is missing or of another type, a frame listed twice, two frames of a session at
+    one time, ground truth of other frames, another session or time or an unknown quality class, and for frames without
+    any ground truth.
+    """
+    _need(frames, FRAME_COLUMNS, "vio_cam", f"frames {where}")
+    _need(truth, TRUTH_COLUMNS, "map_cam", f"ground truth {where}")
+    _refuse_unknown_quality(truth, f"ground truth {where}")
+    _refuse_duplicates(frames, ["frame_id"], f"frames {where}")
+    _refuse_duplicates(frames, ["session_id", "t_ns"], f"frames {where}")
+    _refuse_duplicates(truth, ["frame_id"], f"ground truth {where}")
+    _refuse_disagreement(frames, truth, f"ground truth {where}")
+    if not truth["frame_id"].isin(frames["frame_id"]).any():
+        raise UserError(f"no frame has ground truth {where}", do="give frames and ground truth of the same captures")
+
+
+def check_predictions(frames: pd.DataFrame, predictions: pd.DataFrame, where: str = "") -> None:
+    """Refuse predictions with a missing column, a frame listed twice for a model, of another session or time, without
+    any pose, or with rotations that can't be quaternions."""
+    _need(predictions, PREDICTION_COLUMNS, "map_cam", f"predictions {where}")
+    _refuse_no_quaternions(predictions, f"predictions {where}")
+    _refuse_duplicates(predictions, ["model", "frame_id"], f"predictions {where}")
+    _refuse_disagreement(frames, predictions, f"predictions {where}")
+
+
+def evaluated(
+    scene: str, frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame, splits: Iterable[str]
+) -> Evaluated:
+    """The walks of one scene and one model's `predictions`, over frames of the named splits.
+
+    A walk ends where the session or the split changes. Frames are taken in order of time. Counted, not refused: rows
+    out of that order, frames without odometry, without a prediction or without ground truth, ground truth too
+    uncertain for the accuracy levels or of no stated quality, predictions that aren't finite and predictions for
+    unknown frames, quaternions that aren't of unit length. Raises UserError where no evaluated frame has ground truth,
+    or fewer than half have a prediction.
+    """
+    chosen = frames[frames["split"].isin(list(splits))]
+    if chosen.empty:
+        found = ", ".join(sorted(frames["split"].unique()))
+        raise UserError(f"scene {scene} has no frames to evaluate", expected=f"split {', '.join(splits)}", found=found)
+    ordered = chosen.sort_values(["session_id", "t_ns"], kind="stable")
+    apr_T = poses_for(ordered, predictions, "map_cam")
+    covariance, unsound = _covariances(ordered, predictions)
+    walks = []
+    vio_T, true_T = _poses(ordered, "vio_cam"), poses_for(ordered, truth, "map_cam")
+    quality = _qualities(ordered, truth)
+    true_T[quality == _NO_TRUTH] = np.nan
+    true = known(true_T)
+    if not true.any():
+        raise UserError(
+            f"scene {scene}: no evaluated frame has ground truth",
+            found=f"{len(ordered)} frames of split {', '.join(splits)}",
+            do="look at the align stage's table checks, or give ground truth of the evaluated frames",
+        )
+    gravity = _gravity(ordered)
+    # A new piece begins where the session or the split changes in time.
+    key = ordered["session_id"].astype(str) + "/" + ordered["split"]
+    piece = (key != key.shift()).cumsum().to_numpy()
+    for number in np.unique(piece):
+        rows = piece == number
+        first = ordered.iloc[int(np.argmax(rows))]
+        walks.append(
+            Walk(
+                scene,
+                str(first["session_id"]),
+                str(first["split"]),
+                ordered["frame_id"].to_numpy(object)[rows],
+                ordered["t_ns"].to_numpy(np.int64)[rows],
+                gravity[rows],
+                vio_T[rows],
+                apr_T[rows],
+                true_T[rows],
+                quality[rows],
+                None if covariance is None else covariance[rows],
+            )
+        )
+    listed = ordered["frame_id"].isin(predictions["frame_id"]).to_numpy()
+    refused = _refused(ordered, predictions)
+    unknown = int((~predictions["frame_id"].isin(frames["frame_id"])).sum())
+    frame_counts = {
+        "frames": len(ordered),
+        "frames_out_of_order": int((chosen.groupby("session_id")["t_ns"].diff() < 0).sum()),
+        "frames_without_odometry": int((~known(vio_T)).sum()),
+        "frames_without_ground_truth": int((~true).sum()),
+        "frames_too_uncertain_for_levels": int((true & ~sure_enough(quality)).sum()),
+        "frames_of_unstated_quality": int((true & pd.isna(quality)).sum()),
+        "odometry_quaternions_not_of_unit_length": _not_unit(ordered, "vio_cam"),
+        "ground_truth_quaternions_not_of_unit_length": _not_unit(truth[truth["frame_id"].isin(ordered["frame_id"])]),
+    }
+    evaluated_predictions = predictions[predictions["frame_id"].isin(ordered["frame_id"])]
+    prediction_counts = {
+        "prediction_quaternions_not_of_unit_length": _not_unit(evaluated_predictions),
+        "frames_without_prediction": int((~listed).sum()),
+        "predictions_refused": int(refused.sum()),
+        "predictions_not_finite": int((listed & ~known(apr_T) & ~refused).sum()),
+        "prediction_covariances_not_positive_definite": unsound,
+        "predictions_outside_the_place": _outside(apr_T, true_T),
+        "predictions_of_unknown_frames": unknown,
+    }
+    if listed.mean() < MIN_OVERLAP:
+        raise UserError(
+            f"scene {scene}: predictions and frames hardly overlap",
+            expected=f"a prediction for at least {MIN_OVERLAP:.0%} of the {len(ordered)} evaluated frames",
+            found=f"{int(listed.sum())}, and {unknown} predictions of unknown frames",
+            do="check that frame_id is <session>/<six digits> as in the frames table",
+        )
+    return Evaluated(walks, frame_counts, prediction_counts)
+
+
+def _covariances(frames: pd.DataFrame, predictions: pd.DataFrame) -> tuple[Array | None, int]:
+    """The covariances (N, 6, 6) that predictions bring for each row of `frames`, NaN where there is none or what is
+    there can't be one, and how many can't; None where no prediction brings any."""
+    if "covariance" not in predictions.columns or not predictions["covariance"].notna().any():
+        return None, 0
+    stated = predictions.set_index("frame_id")["covariance"].reindex(frames["frame_id"])
+    found, unsound = np.full((len(frames), 6, 6), np.nan), 0
+    for i, numbers in enumerate(stated):
+        if numbers is None or np.ndim(numbers) == 0:
+            continue
+        matrix = np.asarray(numbers, dtype=float).ravel()
+        if matrix.size == 36 and is_covariance(matrix.reshape(6, 6)):
+            found[i] = matrix.reshape(6, 6)
+        else:
+            unsound += 1
+    return found, unsound
+
+
+def _refused(frames: pd.DataFrame, predictions: pd.DataFrame) -> Flags:
+    """For which rows of `frames` a localiser refused to give a pose, (N,)."""
+    if "refusal" not in predictions.columns:
+        return np.zeros(len(frames), bool)
+    refused = predictions.loc[predictions["refusal"].notna(), "frame_id"]
+    return np.asarray(frames["frame_id"].isin(refused), bool)
+
+
+def _outside(apr_T: Array, true_T: Array) -> int:
+    """How many predicted positions lie farther from the box around the ground truth than that box is large."""
+    true, apr = true_T[known(true_T), :3, 3], apr_T[known(apr_T), :3, 3]
+    low, high = true.min(axis=0), true.max(axis=0)
+    extent_m = max(float(np.linalg.norm(high - low)), _SMALLEST_PLACE_M)
+    away_m = np.linalg.norm(np.maximum(0, np.maximum(low - apr, apr - high)), axis=1)
+    return int((away_m > extent_m).sum())
+
+
+def poses_for(frames: pd.DataFrame, table: pd.DataFrame, prefix: str) -> Array:
+    """A pose group (N, 4, 4) of `table` for each row of `frames`, NaN where it has none."""
+    return _poses(table.set_index("frame_id").reindex(frames["frame_id"]), prefix)
+
+
+def _poses(table: pd.DataFrame, prefix: str) -> Array:
+    """A pose group as (N, 4, 4); NaN where a value isn't finite, the place isn't on Earth or the quaternion has no
+    length."""
+    columns = _pose_columns(prefix)
+    values = table[columns].astype(float)
+    numbers = values.to_numpy()
+    sound = np.isfinite(numbers).all(axis=1) & (np.abs(numbers[:, :3]) < _ON_EARTH_M).all(axis=1)
+    sound &= _lengths(values, prefix) > _MIN_QUATERNION
+    values[~sound] = np.nan
+    return poses_of(values, prefix)
+
+
+def _lengths(table: pd.DataFrame, prefix: str) -> Array:
+    """Lengths of a pose group's quaternions, (N,)."""
+    return np.linalg.norm(table[_pose_columns(prefix)[3:]].to_numpy(float, na_value=np.nan), axis=1)
+
+
+def _not_unit(table: pd.DataFrame, prefix: str = "map_cam") -> int:
+    """How many quaternions of a pose group are used that aren't of unit length; they are taken for their direction."""
+    lengths = _lengths(table, prefix)
+    used = np.isfinite(lengths) & (lengths > _MIN_QUATERNION)
+    return int((used & (np.abs(lengths - 1) > _UNIT_QUATERNION)).sum())
+
+
+def _refuse_no_quaternions(table: pd.DataFrame, what: str) -> None:
+    """Rows without a single pose, or whose rotations are something else than quaternions: Euler angles, say."""
+    finite = np.isfinite(table[_pose_columns("map_cam")].to_numpy(float, na_value=np.nan)).all(axis=1)
+    if not finite.any():
+        raise UserError(f"{what.strip()}: none of {len(table)} rows has a finite pose", expected="numbers, not NaN")
+    median = float(np.median(_lengths(table[finite], "map_cam")))
+    if not _QUATERNION_LENGTHS[0] <= median <= _QUATERNION_LENGTHS[1]:
+        raise UserError(
+            f"{what.strip()}: the rotations are no quaternions",
+            where="columns map_cam_qx, _qy, _qz, _qw",
+            expected="unit quaternions, length 1",
+            found=f"lengths of {median:.3g} (median of {finite.sum()} rows)",
+            do="convert Euler angles or other rotations to unit quaternions",
+        )
+
+
+def _qualities(frames: pd.DataFrame, truth: pd.DataFrame) -> NDArray[np.object_]:
+    """The class of each frame's ground truth, (N,); None where none is stated."""
+    if "quality" not in truth.columns:
+        return np.full(len(frames), None, dtype=object)
+    quality = truth.set_index("frame_id")["quality"].reindex(frames["frame_id"]).to_numpy(object)
+    quality[pd.isna(quality)] = None
+    return np.asarray(quality)
+
+
+def _pose_columns(prefix: str) -> list[str]:
+    return [f"{prefix}_{part}" for part in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")]
+
+
+def _gravity(frames: pd.DataFrame) -> Array:
+    """Down in camera axes as unit vectors (N, 3); NaN where it isn't given, isn't finite or has no length."""
+    if not set(_GRAVITY) <= set(frames.columns):
+        return np.full((len(frames), 3), np.nan)
+    down = frames[_GRAVITY].to_numpy(float, na_value=np.nan)
+    length = np.linalg.norm(down, axis=1, keepdims=True)
+    sound = np.isfinite(length) & (length > 0)
+    return np.where(sound, down / np.where(sound, length, 1.0), np.nan)
+
+
+_GRAVITY = [f"gravity_{a}" for a in "xyz"]
+_TEXT = ["frame_id", "session_id", "split", "model", "quality"]
+
+
+def _need(table: pd.DataFrame, columns: list[str], prefix: str, what: str) -> None:
+    what = what.strip()
+    wanted = [*columns, *_pose_columns(prefix)]
+    missing = [c for c in wanted if c not in table.columns]
+    if missing:
+        raise UserError(f"{what} lack columns", expected=", ".join(wanted), found=f"no {', '.join(missing)}")
+    if table.empty:
+        raise UserError(f"{what} have no rows", expected="a row for each frame")
+    unset = [c for c in columns if table[c].isna().any()]
+    if unset:
+        raise UserError(f"{what} have empty values", where=f"column {unset[0]}", expected="a value in each row")
+    for column in table.columns.intersection([*wanted, *_GRAVITY, *_TEXT, "t_ns"]):
+        _refuse_other_type(table[column], what)
+
+
+def _refuse_other_type(column: "pd.Series[Any]", what: str) -> None:
+    """A column that isn't what its name says: text, whole nanoseconds, or numbers. An empty one has no type."""
+    name = str(column.name)
+    if column.isna().all():
+        return
+    if name in _TEXT:
+        sound, expected = is_string_dtype(column.dropna()), "text"
+    elif name == "t_ns":
+        sound, expected = is_integer_dtype(column), "whole numbers of nanoseconds (int64)"
+    else:
+        sound, expected = is_float_dtype(column) or is_integer_dtype(column), "numbers"
+    if not sound:
+        raise UserError(
+            f"{what}: a column has another type", where=f"column {name}", expected=expected, found=column.dtype
+        )
+
+
+def _refuse_unknown_quality(truth: pd.DataFrame, what: str) -> None:
+    stated = truth["quality"].dropna() if "quality" in truth.columns else pd.Series(dtype=object)
+    unknown = stated[~stated.isin(_QUALITIES)]
+    if len(unknown):
+        raise UserError(
+            f"{what.strip()}: an unknown quality class",
+            where="column quality",
+            expected=f"{', '.join(_QUALITIES)} (docs/explanation/ground-truth.md), or no such column",
+            found=unknown.iloc[0],
+        )
+
+
+def _refuse_duplicates(table: pd.DataFrame, columns: list[str], what: str) -> None:
+    twice = table[table.duplicated(columns)]
+    if len(twice):
+        example = ", ".join(f"{c} {twice.iloc[0][c]}" for c in columns)
+        raise UserError(
+            f"{what.strip()} have rows twice", expected=f"each {' and '.join(columns)} once", found=f"{example}, ..."
+        )
+
+
+def _refuse_disagreement(frames: pd.DataFrame, table: pd.DataFrame, what: str) -> None:
+    """Rows of another session or time than the frame of their id has."""
+    shared = [c for c in ("session_id", "t_ns") if c in table.columns]
+    joined = frames[["frame_id", *shared]].merge(table[["frame_id", *shared]], on="frame_id", suffixes=("", "_other"))
+    for column in shared:
+        wrong = joined[joined[column] != joined[f"{column}_other"]]
+        if len(wrong):
+            row = wrong.iloc[0]
+            raise UserError(
+                f"{what.strip()}: {len(wrong)} rows have another {column} than their frames",
+                where=f"frame {row['frame_id']}",
+                expected=row[column],
+                found=row[f"{column}_other"],
+            )

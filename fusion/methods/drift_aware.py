@@ -1,0 +1,456 @@
+"""Method `drift_aware`: the alignment as a slowly drifting state, fitted to all the evidence that is kept, again and
+again.
+
+Odometry and map are both gravity-aligned, so odometry drifts in yaw and position only. Predictions are kept as
+keyframes (keyframes.py); with each new one the alignment's whole course is fitted to all of them anew
+(aligner.py), so that what a prediction counts is decided in hindsight. Where the newest ones are explained
+better by another alignment, odometry has lost its frame, or found it again (rivals.py)."""
+
+from math import acos, atan2, cos, pi, radians, sin, sqrt
+
+import numpy as np
+from pydantic import Field
+
+from groundwalk.fusion.methods.error_map import ErrorMap
+from groundwalk.fusion.methods.estimator.aligner import Belief, Fit, Model, counted, innovation, iterate
+from groundwalk.fusion.methods.estimator.bounds import alignment_covariance
+from groundwalk.fusion.methods.estimator.keyframes import Keyframes
+from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality
+from groundwalk.fusion.methods.estimator.prediction_noise import (
+    Prior,
+    side_turn_correlation,
+    sizes_expected,
+    whitening,
+    whitening_of_covariance,
+)
+from groundwalk.fusion.methods.estimator.rivals import Rival, best_rival
+from groundwalk.fusion.methods.estimator.robust import middle
+from groundwalk.fusion.methods.localiser import Estimate, Localiser, State, Status, array, plain
+from groundwalk.fusion.methods.odometry import OdometryOptions
+from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
+
+# Standing still drifts a little too: what a second adds to the variances, of what a metre does.
+_STANDING = 0.05
+_LEAST_DRIFT = np.array([1e-8, 1e-8, 1e-8, 1e-10])
+
+
+class DriftAwareOptions(OdometryOptions):
+    """What is assumed of odometry and of the regressor before it has been seen."""
+
+    vio_speed_m_s: float = Field(1.5, gt=0, description="fastest motion that odometry is believed without question")
+    vio_jump_m: float = Field(0.5, gt=0, description="motion beyond that speed that counts as an odometry jump")
+    vio_gap_s: float = Field(10.0, gt=0, description="time without a frame after which odometry may have begun anew")
+    position_sd_m: float = Field(0.3, gt=0, description="a prediction's first assumed position error an axis")
+    rotation_sd_deg: float = Field(8.0, gt=0, description="a prediction's first assumed rotation error an axis")
+    size_count: float = Field(0.3, gt=0, description="predictions that the first assumed sizes count as")
+    size_count_known: float = Field(20.0, gt=0, description="the same where held-out frames say how large errors are")
+    size_count_stated: float = Field(
+        10.0, gt=0, description="the same where predictions bring covariances, whose common factor is learnt"
+    )
+    size_count_seen: float = Field(
+        2.0, gt=0, description="predictions that the sizes count as which show beside odometry's quality"
+    )
+    side_turn: float = Field(
+        0.7,
+        ge=0,
+        lt=1,
+        description="assumed correlation of errors to the side with yaw errors, and of height with pitch",
+    )
+    side_turn_count: float = Field(20.0, gt=0, description="predictions that this correlation counts as")
+    degrees_of_freedom: float = Field(0.3, gt=0, description="of Student's t: how heavy the tails of errors are")
+    independent: float = Field(
+        0.3,
+        gt=0,
+        le=1,
+        description="what a prediction counts at least of an independent one: neighbours are wrong alike",
+    )
+    shared: float = Field(
+        0.7,
+        ge=0,
+        lt=1,
+        description="share of their errors' variance that predictions of one place have in common: bounds",
+    )
+    shared_m: float = Field(4.0, gt=0, description="how far apart they are where that has faded to 1/e")
+    position_covariance_factor: float = Field(
+        2.0, gt=0, description="what the position's covariance is multiplied with"
+    )
+    yaw_covariance_factor: float = Field(0.6, gt=0, description="the same, of yaw")
+    apart_m: float = Field(0.05, gt=0, description="motion after which two predictions are half independent")
+    turn_length_m: float = Field(1.0, ge=0, description="motion that a turn by one radian counts as")
+    keyframes: int = Field(64, ge=8, description="predictions kept as evidence")
+    iterations: int = Field(2, ge=1, description="iterations with each prediction while few are kept, later one")
+    error_map: bool = Field(True, description="use what held-out frames tell of the regressor's errors")
+    covariances: bool = Field(True, description="use the covariances that predictions bring")
+    drift_m: float = Field(0.03, gt=0, description="odometry's drift over one metre, one sigma, as a random walk")
+    drift_height_m: float = Field(0.015, gt=0, description="the same, of height")
+    drift_deg_m: float = Field(0.5, gt=0, description="odometry's yaw drift over one metre, one sigma")
+    drift_deg_s: float = Field(0.05, gt=0, description="odometry's yaw drift over one second, one sigma")
+    distrust: bool = Field(True, description="learn how much more than usual odometry drifts")
+    rivals: bool = Field(True, description="try other alignments: odometry may have lost its frame")
+    recent: int = Field(10, ge=2, description="newest predictions that judge other alignments")
+    evidence: float = Field(0.7, gt=0, le=1, description="how much a prediction counts in judging other alignments")
+    loss: float = Field(5e-4, gt=0, lt=0.5, description="probability that odometry loses its frame unnoticed, a frame")
+    tilt_sd_deg: float = Field(0.05, gt=0, description="odometry's gravity error an axis, one sigma")
+    tilt_covariance_factor: float = Field(36.0, gt=0, description="what its covariance is multiplied with")
+
+
+class DriftAware(Localiser):
+    """Every frame from the first prediction on gets a pose and a covariance."""
+
+    options: DriftAwareOptions
+
+    def __init__(
+        self, options: DriftAwareOptions | None = None, error_map: ErrorMap | None = None, keep_all: bool = False
+    ) -> None:
+        """`keep_all`: memory grows with the walk, whose course is then known as a whole."""
+        super().__init__()
+        self._keep_all = keep_all
+        self.options = o = options or DriftAwareOptions()
+        self._error_map = error_map if o.error_map else None
+        widened = np.sqrt(np.array([*[o.position_covariance_factor] * 3, o.yaw_covariance_factor]))
+        self._widened = np.outer(widened, widened)
+        self._prior = Prior(side_turn_correlation(o.side_turn), o.side_turn_count, o.size_count)
+        self._usual_sizes = np.repeat([radians(o.rotation_sd_deg), o.position_sd_m], 3)
+        yaw_m, position, height = radians(o.drift_deg_m) ** 2, o.drift_m**2, o.drift_height_m**2
+        self._drift_a_metre = np.array([position, height, position, yaw_m])
+        self._drift_a_second = _STANDING * self._drift_a_metre
+        self._drift_a_second[3] = radians(o.drift_deg_s) ** 2
+        self._forget()
+
+    def _forget(self) -> None:
+        self._keyframes = Keyframes(None if self._keep_all else self.options.keyframes)
+        self._covariance = self._prior.shape.copy()  # of normalised errors
+        self._tilt = np.zeros(2)  # odometry's gravity error about its x and z, rad
+        self._tilt_variance = radians(self.options.tilt_sd_deg) ** 2
+        self._last: Fit | None = None
+        self._known: Array | None = None  # the fit's own covariance of the newest keyframe's state
+        self._bound: Array | None = None  # covariance (4, 4) of the newest keyframe's x, y, z and yaw, in map axes
+        self._vio: tuple[int, Array] | None = None
+        self._distrust = np.ones(4)  # factors of odometry's drift variances: x, y, z, yaw
+        self._quality = OdometryQuality()
+        self._taken_m = 0.0  # `_along_m` at the newest prediction
+        self._along_m = 0.0
+        self._drift = np.zeros(4)  # variances since the newest keyframe
+        self._segment = 0
+        self._count = 0  # predictions taken in
+        self._watched = False  # odometry has jumped, or was gone, since the newest keyframe
+        self._stated = False  # the newest prediction brought a covariance
+        self._doubted = False  # another alignment explains the newest predictions nearly as well
+
+    # ------------------------------------------------------------ a frame
+
+    def _advance(
+        self, t_ns: int, vio_T_cam: Array | None, map_T_cam_apr: Array | None, gravity: Array | None
+    ) -> Estimate:
+        if vio_T_cam is None:
+            self._watched |= self._vio is not None
+            return self._without_odometry(map_T_cam_apr)
+        reasons: tuple[str, ...] = ()
+        if self._vio is not None and self._move(t_ns, vio_T_cam):
+            self._watched = True
+            reasons = ("odometry_jump",)
+        self._vio = (t_ns, vio_T_cam)
+        if map_T_cam_apr is None:
+            if not len(self._keyframes):
+                return Estimate(None, Status.NONE, reasons=("no_prediction",))
+            return self._estimate(vio_T_cam, (*reasons, "no_prediction"), {})
+        if not len(self._keyframes):
+            reasons = ("first_prediction",)
+        self._take(t_ns, vio_T_cam, map_T_cam_apr)
+        signals = self._fit()
+        return self._estimate(vio_T_cam, reasons, signals)
+
+    def _move(self, t_ns: int, vio_T_cam: Array) -> bool:
+        """Count the motion since the last frame; returns whether odometry jumped."""
+        assert self._vio is not None
+        o = self.options
+        seconds = (t_ns - self._vio[0]) * 1e-9
+        now, last = vio_T_cam.tolist(), self._vio[1].tolist()
+        dx, dy, dz = (now[i][3] - last[i][3] for i in range(3))
+        length = sqrt(dx * dx + dy * dy + dz * dz)
+        trace = sum(now[i][k] * last[i][k] for i in range(3) for k in range(3))
+        self._along_m += length + o.turn_length_m * acos(min(1.0, max(-1.0, (trace - 1) / 2)))
+        self._drift = self._drift + length * self._drift_a_metre + seconds * self._drift_a_second
+        return length > o.vio_speed_m_s * seconds + o.vio_jump_m or seconds > o.vio_gap_s
+
+    def _take(self, t_ns: int, vio_T_cam: Array, map_T_cam_apr: Array) -> None:
+        """Keep a prediction as the newest keyframe."""
+        yaw, lean = _yaw_and_lean(map_T_cam_apr[:3, :3] @ vio_T_cam[:3, :3].T)
+        position = map_T_cam_apr[:3, 3]
+        sizes = self._usual_sizes
+        if self._error_map is not None:
+            expected = self._error_map.expected(position, map_T_cam_apr[:3, 2])
+            sizes = sizes_expected(expected)
+            yaw -= float(expected.error[0])
+            position = position - expected.error[1:]
+        self._stated = self._apr_covariance is not None and self.options.covariances
+        if self._stated:
+            assert self._apr_covariance is not None
+            normalised = whitening_of_covariance(self._apr_covariance, map_T_cam_apr[:3, :3], vio_T_cam[:3, :3])
+        else:
+            normalised = whitening(sizes, vio_T_cam[:3, :3])
+        state = self._carried(vio_T_cam) if len(self._keyframes) else np.array([*position, yaw])
+        if self.options.distrust:
+            self._judge_odometry(position, yaw, normalised, state, vio_T_cam)
+        loss = 0.5 if self._watched else self.options.loss
+        self._keyframes.add(
+            whitening=normalised,
+            measured=[*position, yaw, *lean],
+            vio=vio_T_cam[:3, 3],
+            drift=self._drift + _LEAST_DRIFT,
+            state=state,
+            along=self._along_m,
+            time_s=t_ns * 1e-9,
+            segment=self._segment,
+            rare=np.log((1 - loss) / loss),
+        )
+        self._drift, self._watched = np.zeros(4), False
+        self._count += 1
+
+    def _judge_odometry(self, position: Array, yaw: float, normalised: Array, state: Array, vio_T_cam: Array) -> None:
+        way = np.zeros(3)
+        self._quality.sizes_known = self._stated or self._error_map is not None
+        if self._watched:
+            self._quality.lost()
+        elif len(self._keyframes):
+            way = vio_T_cam[:3, 3] - self._keyframes.column("vio")[-1]
+        # A yaw is measured as it was before, give or take half a turn.
+        turned = state[3] + (yaw - state[3] + pi) % (2 * pi) - pi
+        precision = np.square(normalised).sum(axis=1)
+        self._quality.update(
+            np.array([*position, turned]),
+            np.array([3 / precision[3:].sum(), 1 / precision[1]]),
+            way,
+            self._along_m - self._taken_m,
+            self._drift,
+            state[3],
+            1.0 if self._known is None else float(self._known[3, 3]),
+        )
+        self._taken_m = self._along_m
+        self._distrust = self._quality.factors
+
+    def _carried(self, vio_T_cam: Array, keyframe: int = -1) -> Array:
+        """Position and yaw (4,) of a camera: a keyframe's, by default the newest's, moved on by odometry."""
+        x, y, z, yaw = self._keyframes.column("state")[keyframe].tolist()
+        dx, dy, dz = (vio_T_cam[:3, 3] - self._keyframes.column("vio")[keyframe]).tolist()
+        c, s = cos(yaw), sin(yaw)
+        return np.array([x + c * dx + s * dz, y + dy, z + c * dz - s * dx, yaw])
+
+    # ------------------------------------------------------------ the fit
+
+    def _fit(self) -> dict[str, float]:
+        """Fit all keyframes anew, and change to another alignment where one has won; returns signals."""
+        keyframes = self._keyframes
+        newest = None if self._known is None else self._innovation(self._known)
+        # While there are few, each new one changes much.
+        for _ in range(self.options.iterations if 2 * len(keyframes) <= self.options.keyframes else 1):
+            fit = self._iterated(newest)
+            newest = None
+        usual = middle(fit.squared)
+        self._doubted = bool(fit.squared[-_SURPRISES:].min() > _SURPRISING * usual)
+        gain = -np.inf
+        if self.options.rivals and len(keyframes) > 1 and fit.squared[-1] > _WORTH_A_LOOK * usual:
+            rival = self._rival(fit)
+            if rival is not None:
+                gain = rival.gain
+                if rival.gain > 0:
+                    self._follow(rival)
+                    fit = self._iterated()
+                self._doubted |= rival.gain > -_DOUBT
+        self._known = fit.solution.covariance(len(keyframes) - 1)
+        self._bound = alignment_covariance(keyframes, fit, self._model, len(keyframes) - 1)
+        signals = {"surprise": float(fit.squared[-1]), "weight": float(fit.weights[-1])}
+        if np.isfinite(gain):
+            signals["rival_gain"] = gain
+        return signals
+
+    def settle(self) -> None:
+        """Iterate the fit until it hardly changes, as `smoother` does at a walk's end."""
+        if len(self._keyframes):
+            for _ in range(_SETTLING):
+                self._iterated()
+
+    def revised(self, t_ns: int, vio_T_cam: Array) -> Estimate | None:
+        """What is known by now of an earlier frame's pose (4, 4) in odometry's frame; None before any prediction."""
+        keyframes = self._keyframes
+        if not len(keyframes):
+            return None
+        at = max(int(np.searchsorted(keyframes.column("time_s"), t_ns * 1e-9 + 1e-6, side="right")) - 1, 0)
+        if self._last is None:
+            self._iterated()
+        assert self._last is not None
+        bound = alignment_covariance(keyframes, self._last, self._model, at)
+        return self._posed(vio_T_cam, at, bound, Status.FUSED, (), {})
+
+    @property
+    def _model(self) -> Model:
+        o = self.options
+        tilt_sd, prior = radians(o.tilt_sd_deg), self._prior
+        if self._stated:
+            prior = prior._replace(size_count=o.size_count_stated)
+        elif self._error_map is not None:
+            prior = prior._replace(size_count=o.size_count_known)
+        if self._quality.has_judged:
+            prior = prior.with_sizes(self._quality.sizes, o.size_count_seen)
+        return Model(prior, o.degrees_of_freedom, o.independent, o.apart_m, o.shared, o.shared_m, tilt_sd)
+
+    @property
+    def _belief(self) -> Belief:
+        return Belief(self._covariance, self._tilt, self._distrust)
+
+    def _innovation(self, known: Array) -> float:
+        """Squared error of the newest prediction, with what was known and has drifted since the one before."""
+        keyframes = self._keyframes
+        way = keyframes.column("vio")[-1] - keyframes.column("vio")[-2]
+        F = np.eye(4)
+        F[0, 3], F[2, 3] = way[2], -way[0]
+        known = F @ known @ F.T + np.diag(self._distrust * keyframes.column("drift")[-1])
+        return innovation(keyframes, self._belief, known)
+
+    def _iterated(self, newest: float | None = None) -> Fit:
+        fit = iterate(self._keyframes, self._model, self._belief, newest)
+        self._covariance, self._last = fit.covariance, fit
+        self._tilt, self._tilt_variance = fit.tilt, fit.tilt_variance
+        return fit
+
+    def _rival(self, fit: Fit) -> Rival | None:
+        o = self.options
+        count = o.evidence * counted(self._keyframes.column("along"), o.apart_m)
+        return best_rival(self._keyframes, self._covariance, fit.squared, o.degrees_of_freedom, o.recent, count)
+
+    def _follow(self, rival: Rival) -> None:
+        """Change to another alignment from some keyframe on."""
+        self._quality.lost()
+        keyframes = self._keyframes
+        keyframes.column("state")[rival.begin :] = rival.state
+        if rival.segment is None:
+            self._segment += 1
+            keyframes.column("segment")[rival.begin :] = self._segment
+            return
+        # An earlier alignment holds again: what lies between was another frame of odometry's, or wrong predictions.
+        segment = keyframes.column("segment")
+        segment[rival.begin :] = rival.segment
+        same = np.flatnonzero(segment == rival.segment)
+        before = int(same[same < rival.begin][-1])
+        drift = keyframes.column("drift")
+        drift[rival.begin] = drift[before + 1 : rival.begin + 1].sum(axis=0)
+        keyframes.keep(np.concatenate([np.arange(before + 1), np.arange(rival.begin, len(keyframes))]))
+        self._segment = int(keyframes.column("segment")[-1])
+
+    # ------------------------------------------------------------ answers
+
+    def _estimate(self, vio_T_cam: Array, reasons: tuple[str, ...], signals: dict[str, float]) -> Estimate:
+        assert self._bound is not None
+        status = Status.LOST if self._doubted or self._watched else Status.FUSED
+        return self._posed(vio_T_cam, -1, self._bound, status, reasons, signals)
+
+    def _posed(
+        self,
+        vio_T_cam: Array,
+        keyframe: int,
+        bound: Array,
+        status: Status,
+        reasons: tuple[str, ...],
+        signals: dict[str, float],
+    ) -> Estimate:
+        """The pose that odometry gives when a keyframe's alignment, of covariance `bound` (4, 4), carries it."""
+        x, y, z, yaw = self._carried(vio_T_cam, keyframe)
+        c, s = cos(yaw), sin(yaw)
+        map_T_vio = np.array([[c, 0.0, s, x], [0.0, 1.0, 0.0, y], [-s, 0.0, c, z], [0.0, 0.0, 0.0, 1.0]])
+        map_T_vio[:3, :3] = map_T_vio[:3, :3] @ _leaning(self._tilt)
+        map_T_vio[:3, 3] -= map_T_vio[:3, :3] @ vio_T_cam[:3, 3]
+        map_T_cam = map_T_vio @ vio_T_cam
+        moved = map_T_vio[:3, :3] @ (vio_T_cam[:3, 3] - self._keyframes.column("vio")[keyframe])
+        F = np.eye(4)
+        F[0, 3], F[2, 3] = moved[2], -moved[0]
+        bound = F @ (self._widened * bound) @ F.T + np.diag(
+            self._distrust * self._drift if keyframe == -1 else np.zeros(4)
+        )
+        covariance = np.zeros((6, 6))
+        tilt_variance = self.options.tilt_covariance_factor * self._tilt_variance + _TILT_JITTER
+        covariance[0, 0] = covariance[2, 2] = tilt_variance
+        covariance[1, 1] = bound[3, 3]
+        covariance[1, 3:] = covariance[3:, 1] = bound[3, :3]
+        covariance[3:, 3:] = bound[:3, :3]
+        signals["position_sd_m"] = sqrt(bound[0, 0] + bound[1, 1] + bound[2, 2])
+        return Estimate(map_T_cam, status, covariance, map_T_vio, (), reasons, signals)
+
+    def _without_odometry(self, map_T_cam_apr: Array | None) -> Estimate:
+        """The prediction by itself."""
+        if map_T_cam_apr is None:
+            return Estimate(None, Status.NONE, reasons=("no_odometry", "no_prediction"))
+        size = self._usual_sizes
+        pose = map_T_cam_apr
+        if self._error_map is not None:
+            expected = self._error_map.expected(pose[:3, 3], pose[:3, 2])
+            size = sizes_expected(expected)
+            pose = make_pose(yaw_rotation(-expected.error[0]) @ pose[:3, :3], pose[:3, 3] - expected.error[1:])
+        sd = size * np.sqrt(self._covariance.diagonal())
+        turn = np.kron(np.eye(2), pose[:3, :3])
+        return Estimate(pose, Status.PREDICTED, turn @ np.diag(sd**2) @ turn.T, reasons=("no_odometry",))
+
+    # ------------------------------------------------------------ the state as plain data
+
+    def _state(self) -> State:
+        return {
+            "keyframes": self._keyframes.save(),
+            "covariance": plain(self._covariance),
+            "tilt": [plain(self._tilt), self._tilt_variance],
+            "known": plain(self._known),
+            "bound": plain(self._bound),
+            "vio": None if self._vio is None else [self._vio[0], plain(self._vio[1])],
+            "along_m": self._along_m,
+            "drift": plain(self._drift),
+            "distrust": plain(self._distrust),
+            "quality": self._quality.save(),
+            "taken_m": self._taken_m,
+            "segment": self._segment,
+            "count": self._count,
+            "watched": self._watched,
+            "doubted": self._doubted,
+            "stated": self._stated,
+        }
+
+    def _set_state(self, state: State) -> None:
+        self._forget()
+        self._keyframes.restore(state["keyframes"])
+        self._covariance, self._drift = np.array(state["covariance"]), np.array(state["drift"])
+        self._tilt, self._tilt_variance = np.array(state["tilt"][0]), state["tilt"][1]
+        self._known, self._bound = array(state["known"]), array(state["bound"])
+        self._distrust, self._taken_m = np.array(state["distrust"]), state["taken_m"]
+        self._quality.restore(state["quality"])
+        self._vio = None if state["vio"] is None else (state["vio"][0], np.array(state["vio"][1]))
+        self._along_m, self._segment, self._count = state["along_m"], state["segment"], state["count"]
+        self._watched, self._doubted = state["watched"], state["doubted"]
+        self._stated = state["stated"]
+
+
+_SETTLING = 20
+_TILT_JITTER = radians(0.02) ** 2  # a frame's rotation is off by as much whatever is known of gravity
+_WORTH_A_LOOK = 2.0  # squared error, over the usual one, of a prediction that may be of another alignment
+# So many predictions in a row that are this much farther off (in the square) than usual: something is wrong.
+_SURPRISES, _SURPRISING = 4, 8.0
+_DOUBT = 3.0  # nats by which a rival may be behind and the alignment still be doubted
+
+
+def _leaning(tilt: Array) -> Array:
+    """The rotation (3, 3) about x and z by angles (2,), rad."""
+    x, z = tilt.tolist()
+    angle = sqrt(x * x + z * z)
+    a, b = (sin(angle) / angle, (1 - cos(angle)) / angle**2) if angle > 1e-9 else (1.0, 0.5)
+    return np.array(
+        [[1 - b * z * z, -a * z, b * x * z], [a * z, 1 - b * angle**2, -a * x], [b * x * z, a * x, 1 - b * x * x]]
+    )
+
+
+def _yaw_and_lean(rotation: Array) -> tuple[float, tuple[float, float]]:
+    """The yaw (rad) nearest to a rotation (3, 3), and the rest of it: what is turned about x and z after the yaw."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    yaw = atan2(c - g, a + i)
+    # rest = rotation @ yaw_rotation(-yaw) has no yaw left; its axis lies in the horizontal plane.
+    cosine, sine = cos(yaw), sin(yaw)
+    x, z = h - (f * cosine - d * sine), (d * cosine + f * sine) - b
+    length = sqrt(x * x + z * z)
+    angle = atan2(length, a * cosine + c * sine + e + i * cosine - g * sine - 1)
+    scale = angle / length if length > 1e-12 else 0.5
+    return yaw, (x * scale, z * scale)

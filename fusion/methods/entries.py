@@ -1,0 +1,110 @@
+"""Records of groundwalk's own fusion methods."""
+
+from groundwalk.artefacts import recording
+from groundwalk.fusion.methods import Method
+from groundwalk.fusion.methods.apr import Apr, AprOptions
+from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
+from groundwalk.fusion.methods.error_state import ErrorState, ErrorStateOptions
+from groundwalk.fusion.methods.last_good import LastGood, LastGoodOptions
+from groundwalk.fusion.methods.mobilearloc import MobileARLoc, MobileARLocOptions
+from groundwalk.fusion.methods.pose_graph import PoseGraph, PoseGraphOptions
+from groundwalk.fusion.methods.smoother import Smoother, SmootherOptions
+from groundwalk.fusion.methods.vio_oracle import VioOracle, VioOracleOptions
+from groundwalk.fusion.methods.window import Window, WindowOptions
+
+APR = Method(
+    id="apr",
+    label="regressor alone",
+    meaning="the raw regressor",
+    colour=recording.APR,
+    make=Apr,
+    options=AprOptions,
+    causal=True,
+    gives_covariance=False,
+    fuses=False,
+    shown=True,
+)
+MOBILEARLOC = Method(
+    id="mobilearloc",
+    label="VIO",
+    meaning="the paper's rule",
+    colour=recording.FUSED,
+    make=MobileARLoc,
+    options=MobileARLocOptions,
+    causal=True,
+    gives_covariance=False,
+    shown=True,
+)
+LAST_GOOD = Method(
+    id="last_good",
+    label="last_good",
+    meaning="the last prediction that passed the pair check, carried on",
+    colour=(240, 228, 66),
+    make=LastGood,
+    options=LastGoodOptions,
+    causal=True,
+    gives_covariance=False,
+)
+WINDOW30 = Method(
+    id="window30",
+    label="window30",
+    meaning="robust rigid alignment of the last 30 predictions",
+    colour=(0, 114, 178),
+    make=Window,
+    options=WindowOptions,
+    causal=True,
+    gives_covariance=False,
+)
+POSE_GRAPH = Method(
+    id="pose_graph",
+    label="pose_graph",
+    meaning="sliding window of poses: predictions and odometry's steps",
+    colour=(200, 200, 200),
+    make=PoseGraph,
+    options=PoseGraphOptions,
+    causal=True,
+    gives_covariance=True,
+)
+ERROR_STATE = Method(
+    id="error_state",
+    label="error_state",
+    meaning="error-state Kalman filter with a gate",
+    colour=(166, 86, 40),
+    make=ErrorState,
+    options=ErrorStateOptions,
+    causal=True,
+    gives_covariance=True,
+)
+DRIFT_AWARE = Method(
+    id="drift_aware",
+    label="drift_aware",
+    meaning="slowly drifting alignment, fitted to all kept predictions anew with each one",
+    colour=(102, 166, 30),
+    make=DriftAware,
+    options=DriftAwareOptions,
+    causal=True,
+    gives_covariance=True,
+    learns=True,
+    shown=True,
+)
+SMOOTHER = Method(
+    id="smoother",
+    label="smoother",
+    meaning="drift_aware that answers lag_s late, or after the whole walk",
+    colour=(117, 112, 179),
+    make=Smoother,
+    options=SmootherOptions,
+    causal=False,
+    gives_covariance=True,
+    learns=True,
+)
+VIO_ORACLE = Method(
+    id="vio_oracle",
+    label="vio_oracle",
+    meaning="odometry laid on the ground truth: a bound",
+    colour=(231, 41, 138),
+    make=VioOracle,
+    options=VioOracleOptions,
+    causal=False,
+    gives_covariance=False,
+)

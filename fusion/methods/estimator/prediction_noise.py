@@ -1,0 +1,86 @@
+"""How wrong a regressor's predictions are: their errors' covariance in camera axes, learnt from the walk itself.
+
+A step to the side and a turn move an image nearly alike, and a step up and a nod: a regressor takes one for the
+other. In camera axes its errors in x come with errors about y of the other sign, and errors in y with errors about x.
+Odometry knows gravity, so the error about the horizontal axes is known of each prediction whatever the alignment is,
+and once the yaw is known well, so is the rest: knowing how the errors go together, most of a position error can be
+told from the rotation's.
+
+Errors are six numbers, rotation (rad) before position (m), in camera axes. Each prediction's is divided by the size
+that was expected of it beforehand. What is left has one covariance, learnt as a t distribution's scatter matrix by
+expectation and maximisation."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from groundwalk.fusion.methods.error_map import Expected
+from groundwalk.geometry.poses import Array
+
+_SIX = np.arange(6)
+# A relative floor that keeps the learnt covariance regular: nobody's errors are a thousandth of what was expected.
+_MIN_VARIANCE = 1e-6
+
+
+class Prior(NamedTuple):
+    """What is expected of the covariance without the fit: `shape` (6, 6) is a correlation matrix, which counts as
+    `shape_count` predictions, and the sizes, 1 by definition before the walk, count as `size_count`."""
+
+    shape: Array
+    shape_count: float
+    size_count: float
+    sizes: Array = np.ones(6)
+
+    def with_sizes(self, sizes: Array, count: float) -> "Prior":
+        """With sizes (6,) that were learnt elsewhere, which count as so many predictions more."""
+        return self._replace(size_count=self.size_count + count, sizes=sizes)
+
+
+def side_turn_correlation(correlation: float) -> Array:
+    """The correlation matrix (6, 6) of errors in camera axes (x right, y down, z forward), rotation before position, in
+    which a step aside is taken for a turn and a step up for a nod, to the given extent."""
+    shape = np.eye(6)
+    shape[1, 3] = shape[3, 1] = -correlation
+    shape[0, 4] = shape[4, 0] = correlation
+    return shape
+
+
+def whitening(size: Array, vio_R_cam: Array) -> Array:
+    """B (6, 6), which normalises an error in odometry's axes: to camera axes, over the sizes (6,)."""
+    found = np.zeros((6, 6))
+    found[:3, :3] = found[3:, 3:] = vio_R_cam.T
+    return found / size[:, None]
+
+
+def sizes_expected(expected: Expected) -> Array:
+    """Sizes (6,) of errors in camera axes from what held-out frames tell of a place."""
+    variance = expected.shared + expected.noise
+    yaw = variance[0] + float(np.square(expected.yaw_per_m) @ variance[1::2])
+    rotation = (yaw + 2 * expected.tilt) / 3
+    return np.sqrt(np.repeat([rotation, variance[1:].mean()], 3))
+
+
+def whitening_of_covariance(covariance: Array, map_R_cam: Array, vio_R_cam: Array) -> Array:
+    """B (6, 6) from the covariance (6, 6) that a prediction brings: map axes, rotation (rad) before position."""
+    turn = np.kron(np.eye(2), map_R_cam)
+    factor = np.linalg.cholesky(turn.T @ covariance @ turn)
+    back = np.kron(np.eye(2), vio_R_cam.T)
+    return np.linalg.solve(factor, back)
+
+
+def scatter(prior: Prior, errors: Array, spread: Array, counted: Array, weights: Array) -> Array:
+    """The covariance (6, 6) of normalised errors (N, 6), of which covariances `spread` (N, 6, 6) aren't known.
+
+    counted (N,): how much of an independent prediction each is, 0 to 1. weights (N,):
+    what Student's t lets each count.
+    """
+    each, count = counted * weights, float(counted.sum())
+    covariance = (errors * each[:, None]).T @ errors + (each @ spread.reshape(len(spread), -1)).reshape(6, 6)
+    covariance += prior.size_count * np.outer(prior.sizes, prior.sizes) * prior.shape
+    covariance /= prior.size_count + count
+    sd = np.sqrt(covariance.diagonal())
+    believed = prior.shape_count / (prior.shape_count + count)
+    covariance *= 1 - believed
+    covariance += believed * np.outer(sd, sd) * prior.shape
+    covariance[_SIX, _SIX] += _MIN_VARIANCE
+    return covariance

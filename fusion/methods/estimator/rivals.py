@@ -1,0 +1,155 @@
+"""Other alignments that could be the right one by now: odometry may have lost its frame, or found it again.
+
+After odometry has lost its frame, the newest predictions agree on an alignment that isn't the one in force. Each of
+the newest keyframes names an alignment, and each earlier segment has its last one. A rival is one of them from some
+keyframe on: it gains what it explains the predictions since better than the alignment in force does, less how rarely
+odometry loses its frame there, and, for an alignment that was never in force, less how little was known of it
+beforehand."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from groundwalk.fusion.methods.estimator import robust
+from groundwalk.fusion.methods.estimator.alignment_chain import UNKNOWN, errors
+from groundwalk.fusion.methods.estimator.keyframes import Keyframes
+from groundwalk.geometry.poses import Array
+
+# Volume of the places and headings that a phone may turn up at: m, m, m up, rad.
+_ANYWHERE = 40.0 * 40.0 * 3.0 * 2 * np.pi
+_DIMENSIONS = 6
+# Odds below exp(_SIGN) against a loss of odometry's frame: it jumped, or was gone.
+_SIGN = 1.0
+_WITHOUT_SIGN = 0.5
+_WITHOUT_SIGN_LEAST = 7  # predictions that must agree where odometry gave no sign: a look aside takes some seconds
+_HOPELESS = 5.0  # nats behind, where a rival needn't be worked out
+_BACK = 3.0  # log odds against an earlier alignment's holding again
+
+
+class Rival(NamedTuple):
+    """States (N - begin, 4) of the keyframes from `begin` on under another alignment, what it gains in nats, and the
+    earlier segment whose alignment it is; None for a new one."""
+
+    begin: int
+    state: Array
+    gain: float
+    segment: float | None
+
+
+def best_rival(
+    keyframes: Keyframes, covariance: Array, squared: Array, dof: float, recent: int, counted: Array
+) -> Rival | None:
+    """The rival that gains most; None where none can win, or a segment has just begun and there is no earlier one.
+
+    covariance (6, 6) and squared (N,): of the keyframes' errors as they are. recent: how many keyframes judge. counted
+    (N,): what each counts in that, as neighbours are wrong alike.
+    """
+    segment, rare = keyframes.column("segment"), keyframes.column("rare")
+    first = max(len(keyframes) - recent, int(np.argmax(segment == segment[-1])))
+    count = len(keyframes) - first
+    begins_anew = first == 0 or segment[first - 1] != segment[-1]
+    measured, vio = keyframes.column("measured")[first:], keyframes.column("vio")[first:]
+    judged = _Judged(
+        measured, vio, keyframes.column("whitening")[first:], np.asarray(np.linalg.inv(covariance), dtype=float)
+    )
+    now = robust.costs(squared[first:], _DIMENSIONS, dof)
+    share = counted[first:]
+
+    def better(costs: Array) -> Array:
+        """By how much alignments (K, N) explain what came from each keyframe on better than the one in force."""
+        return np.asarray(np.cumsum((share * (now - costs))[:, ::-1], axis=1)[:, ::-1])
+
+    # Predictions may be wrong in a row, and all alike, so that they look like a lost frame: where odometry gave no sign
+    # of one they count less. An alignment that held before needs no sign.
+    sign = rare[first:] < _SIGN
+    new_share, new_rare = np.where(sign, 1.0, _WITHOUT_SIGN), rare[first:]
+
+    def gained(costs: Array) -> Array:
+        return np.asarray(new_share * better(costs) - new_rare)
+
+    usual = float(robust.costs(np.array([robust.middle(squared)]), _DIMENSIONS, dof)[0])
+    newness = np.log(_ANYWHERE) + _log_density(keyframes, covariance)
+    # Even one that explains every prediction well couldn't win: most often there is nothing to look at.
+    if segment[0] == segment[-1] and gained(np.full((1, count), usual / 2)).max() < newness - _HOPELESS:
+        return None
+    yaw, shift = measured[:, 3], measured[:, :3] - _turned(measured[:, 3], vio)
+    # Alignments that single predictions name are as uncertain as those: errors under them are twice as large.
+    named = judged.squared(yaw, shift) / 2
+    costs = robust.costs(named, _DIMENSIONS, dof)
+    costs[np.arange(count), np.arange(count)] = usual
+    best = np.argmax(np.where(np.tri(count, dtype=bool), gained(costs), -np.inf), axis=0)
+    # For each keyframe that may have begun it: the mean of what was named since, weighed under the best of them.
+    weight = np.triu(share * robust.weights(named[best], _DIMENSIONS, dof))
+    weight /= weight.sum(axis=1, keepdims=True)
+    yaw = np.angle(weight @ np.exp(1j * yaw))
+    shift = weight @ measured[:, :3] - _turned(yaw, weight @ vio)
+    gains = np.diag(gained(robust.costs(judged.squared(yaw, shift), _DIMENSIONS, dof))).copy()
+    gains -= newness
+    gains[~sign & (np.arange(count) > count - _WITHOUT_SIGN_LEAST)] = -np.inf
+    if begins_anew:
+        gains[0] = -np.inf
+    begin = int(np.argmax(gains))
+    rival = None
+    if np.isfinite(gains[begin]):
+        rival = Rival(first + begin, _states(yaw[begin], shift[begin], vio[begin:]), float(gains[begin]), None)
+    old_yaw, old_shift, segments = _earlier(keyframes)
+    if segments:
+        gains = better(robust.costs(judged.squared(old_yaw, old_shift), _DIMENSIONS, dof)) - np.minimum(new_rare, _BACK)
+        which, begin = (int(i) for i in np.unravel_index(int(np.argmax(gains)), gains.shape))
+        if rival is None or gains[which, begin] > rival.gain:
+            state = _states(old_yaw[which], old_shift[which], vio[begin:])
+            rival = Rival(first + begin, state, float(gains[which, begin]), segments[which])
+    return rival
+
+
+class _Judged(NamedTuple):
+    """Keyframes that judge alignments: what they measured (N, 6), odometry (N, 3), their whitening (N, 36), and the
+    inverse of the normalised errors' covariance."""
+
+    measured: Array
+    vio: Array
+    whitening: Array
+    precision: Array
+
+    def squared(self, yaw: Array, shift: Array) -> Array:
+        """Squared errors (K, N) under alignments of yaw (K,) and shift (K, 3)."""
+        alignments, count = len(yaw), len(self.vio)
+        position = shift[:, None] + _turned(yaw[:, None], self.vio[None])
+        measured = np.tile(self.measured, (alignments, 1))
+        found = errors(
+            position.reshape(-1, 3), np.repeat(yaw, count), measured[:, :3], measured[:, 3], measured[:, 4:]
+        ).reshape(alignments, count, _DIMENSIONS)
+        whitening = self.whitening.reshape(-1, _DIMENSIONS, _DIMENSIONS)
+        normalised = (whitening @ found[..., None])[..., 0]
+        return np.asarray(((normalised @ self.precision) * normalised).sum(axis=-1))
+
+
+def _states(yaw: float, shift: Array, vio: Array) -> Array:
+    """Map positions and yaw (N, 4) of odometry's positions (N, 3) under an alignment."""
+    return np.column_stack([shift + _turned(np.full(len(vio), yaw), vio), np.full(len(vio), yaw)])
+
+
+def _earlier(keyframes: Keyframes) -> tuple[Array, Array, list[float]]:
+    """Yaw (K,) and shift (K, 3) of map_T_vio that earlier segments had last, and those segments."""
+    segment, state = keyframes.column("segment"), keyframes.column("state")
+    if segment[0] == segment[-1]:
+        return np.zeros(0), np.zeros((0, 3)), []
+    segments = [float(s) for s in np.unique(segment) if s != segment[-1]]
+    last = [int(np.flatnonzero(segment == s)[-1]) for s in segments]
+    yaw = state[last, 3]
+    return yaw, state[last, :3] - _turned(yaw, keyframes.column("vio")[last]), segments
+
+
+def _turned(yaw: Array, points: Array) -> Array:
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, z = points[..., 0], points[..., 2]
+    found = np.empty((*np.broadcast_shapes(c.shape, x.shape), 3))
+    found[..., 0], found[..., 1], found[..., 2] = c * x + s * z, points[..., 1], c * z - s * x
+    return found
+
+
+def _log_density(keyframes: Keyframes, covariance: Array) -> float:
+    """Logarithm of the density at its top, in 1/(m^3 rad), of the alignment that the newest prediction names."""
+    unknown = keyframes.column("whitening")[-1].reshape(6, 6)[:, UNKNOWN]
+    information = unknown.T @ np.linalg.solve(covariance, unknown)
+    return float(np.linalg.slogdet(information / (2 * np.pi))[1] / 2)

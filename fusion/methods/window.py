@@ -1,0 +1,73 @@
+"""Method `window30`: the rigid alignment that fits the last 30 pairs of prediction and odometry best, robustly."""
+
+from collections import deque
+
+import numpy as np
+from pydantic import Field
+
+from groundwalk.fusion.methods.localiser import Estimate, State, Status, array, plain
+from groundwalk.fusion.methods.odometry import OdometryLocaliser, OdometryOptions, raw
+from groundwalk.geometry.fits import fit_poses, fit_robust, pose_residuals
+from groundwalk.geometry.poses import Array
+
+_TOLERANCE = 1e-3  # of the weights; the alignment is a centimetre's matter at best
+
+
+class WindowOptions(OdometryOptions):
+    pairs: int = Field(30, ge=1, description="pairs of prediction and odometry that the alignment is fitted to")
+    position_sd_m: float = Field(0.5, gt=0, description="a prediction's position error that weighs as much as ...")
+    rotation_sd_deg: float = Field(4.0, gt=0, description="... this rotation error; errors below both never count less")
+    yaw_only: bool = Field(False, description="odometry and map share their vertical: fit yaw and position only")
+
+
+class Window(OdometryLocaliser):
+    """Answers with odometry carried by the alignment: least squares with outliers weighed down (Geman and McClure)."""
+
+    def __init__(self, options: WindowOptions | None = None) -> None:
+        super().__init__()
+        self.options: WindowOptions = options or WindowOptions()
+        self._forget()
+
+    def _forget(self) -> None:
+        super()._forget()
+        self._pairs: deque[tuple[Array, Array]] = deque(maxlen=self.options.pairs)  # map_T_cam, vio_T_cam
+        self._map_T_vio: Array | None = None
+
+    def _fuse(self, t_ns: int, vio_T_cam: Array, map_T_cam_apr: Array | None) -> Estimate:
+        if map_T_cam_apr is not None:
+            self._pairs.append((map_T_cam_apr, vio_T_cam))
+            self._map_T_vio = self._aligned()
+        if self._map_T_vio is None:
+            return raw(map_T_cam_apr)
+        reasons = ("no_prediction",) if map_T_cam_apr is None else ()
+        return Estimate(self._map_T_vio @ vio_T_cam, Status.OPTIMISED, map_T_vio=self._map_T_vio, reasons=reasons)
+
+    def _aligned(self) -> Array:
+        o = self.options
+        map_T_cam, vio_T_cam = (np.array(poses) for poses in zip(*self._pairs, strict=True))
+        rotation_sd = float(np.radians(o.rotation_sd_deg))
+
+        def fit(weights: Array) -> Array:
+            return fit_poses(
+                map_T_cam,
+                vio_T_cam,
+                weights,
+                position_sd_m=o.position_sd_m,
+                rotation_sd=rotation_sd,
+                yaw_only=o.yaw_only,
+            )
+
+        def residuals(map_T_vio: Array) -> Array:
+            metres, angle = pose_residuals(map_T_cam, vio_T_cam, map_T_vio)
+            return np.hypot(metres / o.position_sd_m, angle / rotation_sd)
+
+        return fit_robust(fit, residuals, len(map_T_cam), floor=1.0, tolerance=_TOLERANCE)[0]
+
+    def _state(self) -> State:
+        pairs = [[plain(apr), plain(vio)] for apr, vio in self._pairs]
+        return super()._state() | {"pairs": pairs, "map_T_vio": plain(self._map_T_vio)}
+
+    def _set_state(self, state: State) -> None:
+        super()._set_state(state)
+        self._pairs.extend((np.array(apr), np.array(vio)) for apr, vio in state["pairs"])
+        self._map_T_vio = array(state["map_T_vio"])

@@ -1,0 +1,47 @@
+"""A recorded walk, as methods and their evaluation get it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundwalk.geometry.poses import Array
+from groundwalk.scoring.errors import sure_enough
+
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Walk:
+    """One session's evaluated frames in order of time. A pose that is missing is all NaN.
+
+    frame_id (N,) str, t_ns (N,) int64, gravity (N, 3) unit vectors in camera axes, and the poses (N, 4, 4).
+    quality (N,) str: class of the ground truth, None where no class is stated; None instead of the array for all so.
+    apr_covariance (N, 6, 6): of the predictions' errors in the map frame, rotation (rad) then translation (m), NaN
+    where a prediction brings none; None instead of the array where none does.
+    """
+
+    scene: str
+    session_id: str
+    split: str
+    frame_id: NDArray[np.object_]
+    t_ns: NDArray[np.int64]
+    gravity: Array
+    vio_T_cam: Array
+    map_T_cam_apr: Array
+    map_T_cam: Array  # ground truth
+    quality: NDArray[np.object_] | None = None
+    apr_covariance: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    @property
+    def sure(self) -> Flags:
+        """Which frames' ground truth can tell whether a pose is within an accuracy level, (N,)."""
+        return np.ones(len(self), dtype=bool) if self.quality is None else sure_enough(self.quality)
+
+
+def known(poses: Array) -> Flags:
+    """Which of poses (N, 4, 4) are there, (N,)."""
+    return np.asarray(np.isfinite(poses).all(axis=(-1, -2)))
