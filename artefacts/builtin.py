@@ -68,4 +68,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "7scenes": "groundwalk.export.entries:SEVEN_SCENES",
         "cambridge": "groundwalk.export.entries:CAMBRIDGE",
     },
+    "groundwalk.model_exporters": {
+        "phone": "groundwalk.export.entries:PHONE",
+    },
 }

@@ -29,8 +29,8 @@ def answers(model: PoseRegressor, frames: Frames, view: View, device: torch.devi
     for start in range(0, len(frames), _BATCH):
         rows = np.arange(start, min(start + _BATCH, len(frames)))
         parts.append(model(frames.select(rows).centre_crops(view, device)))
-    columns: Any = ([x for x in part if x is not None] for part in zip(*parts, strict=True))
-    return PoseBatch(*(torch.cat(column) if column else None for column in columns))
+    columns: list[Any] = [None if part[0] is None else torch.cat(part) for part in zip(*parts, strict=True)]
+    return PoseBatch(*columns)
 
 
 def errors(
