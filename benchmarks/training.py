@@ -20,14 +20,14 @@ import typer
 from benchmarks.official_mst import CONFIG, official_model
 from benchmarks.results import circumstances, markdown_table
 from groundwalk.artefacts.cli import new_app
-from groundwalk.training.data import Frames, ImageCache, Jitter, normalised
+from groundwalk.training.data import Frames, ImageCache, Jitter, View, normalised
 from groundwalk.training.loop import Run, make_optimiser, precision
 from groundwalk.training.models.regressor import PoseRegressor
 from groundwalk.training.regressors import REGRESSORS
 
 app = new_app(__doc__ or "")
 _CROP, _SHORT, _LONG, _IMAGES = 224, 256, 341, 16
-_CPU = torch.device("cpu")
+_CPU, _VIEW = torch.device("cpu"), View(_CROP, _CROP)
 TARGET = 3.0
 
 
@@ -82,13 +82,13 @@ def _ours(model: str, frames: Frames, mixed: bool, steps: int) -> Speed:
     net: PoseRegressor = regressor.make(settings, 1, True)
     net.to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
     optimiser = make_optimiser(net, settings)
-    run = Run(model, _CPU, mixed, _CROP, 0, Path())
+    run = Run(model, _CPU, mixed, _VIEW, 0, Path())
     rng = np.random.default_rng(0)
     loading: list[float] = []
 
     def step() -> None:
         start = time.process_time()
-        image, poses = frames.select(np.arange(batch)).training_crops(_CROP, None, rng, _CPU)
+        image, poses = frames.select(np.arange(batch)).training_crops(_VIEW, None, rng, _CPU)
         image = normalised(Jitter(*settings.jitter).apply(image, rng)).contiguous(memory_format=torch.channels_last)
         loading.append(time.process_time() - start)
         with precision(run):
@@ -144,7 +144,8 @@ def _frames(folder: Path) -> Frames:
     cache = ImageCache.build(folder, images())
     K = np.tile(np.array([[300.0, 0, _LONG / 2], [0, 300.0, _SHORT / 2], [0, 0, 1]]), (_IMAGES, 1, 1))
     quaternion, same = np.tile([0, 0, 0, 1.0], (_IMAGES, 1)), np.zeros(_IMAGES, np.int64)
-    return Frames(cache, np.arange(_IMAGES), K, rng.normal(size=(_IMAGES, 3)), quaternion, same, same)
+    position, down = rng.normal(size=(_IMAGES, 3)), np.tile([0, 1.0, 0], (_IMAGES, 1))
+    return Frames(cache, np.arange(_IMAGES), K, position, quaternion, same, same, down)
 
 
 def _write(out: Path, speeds: Sequence[Speed], notes: Sequence[str]) -> None:

@@ -4,6 +4,7 @@ from groundwalk.artefacts import recording
 from groundwalk.artefacts.registry import Lazy
 from groundwalk.training.regressor_settings import (
     BayesianPoseNetSettings,
+    LiteSettings,
     MapNetSettings,
     MixtureSettings,
     MSTransformerSettings,
@@ -20,6 +21,7 @@ PN = Regressor(
     make=Lazy("groundwalk.training.models.posenet:make_posenet"),
     multi_scene=False,
     gives_covariance=False,
+    in_paper=True,
 )
 MAPNET = Regressor(
     id="MapNet",
@@ -70,4 +72,15 @@ MS_T = Regressor(
     make=Lazy("groundwalk.training.models.ms_transformer:make_ms_transformer"),
     multi_scene=True,
     gives_covariance=False,
+    in_paper=True,
+)
+PN_LITE = Regressor(
+    id="PN-Lite",
+    label="PN-Lite",
+    meaning="mixture of poses on frozen features of EfficientNet-Lite0",
+    colour=(90, 60, 150),
+    settings=LiteSettings,
+    make=Lazy("groundwalk.training.models.posenet_lite:make_posenet_lite"),
+    multi_scene=False,
+    gives_covariance=True,
 )

@@ -82,8 +82,11 @@ def virtual_focal(frames: pd.DataFrame) -> float:
     return float(np.median(focal_in_short_sides(frames)[rows_with_truth(frames, "train")]))
 
 
-def small_images(r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float | None) -> Iterator[Image]:
-    """The frames' images, small, in order, with progress: the virtual pinhole's, or without `focal` as captured.
+def small_images(
+    r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float | None, short_side: int
+) -> Iterator[Image]:
+    """The frames' images with so many pixels on the shorter side, in order, with progress: the virtual pinhole's, or
+    without `focal` as captured.
 
     UserError for an image that isn't there or can't be decoded.
     """
@@ -91,9 +94,9 @@ def small_images(r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float 
     for path, scene, frame in r.track(rows, "reading images", len(frames)):
         image = read_image(r.image_path(path, scene=scene))
         if focal is None:
-            yield small_image(image, r.settings.resize)
+            yield small_image(image, short_side)
         else:
-            yield pinhole_image(image, camera_of(frame), r.settings.resize, focal)
+            yield pinhole_image(image, camera_of(frame), short_side, focal)
 
 
 def as_training_frames(frames: pd.DataFrame, cache: ImageCache, focal: float | None) -> Frames:
@@ -115,5 +118,6 @@ def as_training_frames(frames: pd.DataFrame, cache: ImageCache, focal: float | N
     if known.any():
         position[known], quaternion[known] = tq_from_pose(map_T_cam[known])
     scene = frames["scene_index"].to_numpy(np.int64)
+    gravity = frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float)
     session = frames.groupby(["scene_index", "session_id"], sort=False).ngroup().to_numpy()
-    return Frames(cache, np.arange(len(frames)), K, position, quaternion, scene, session.astype(np.int64))
+    return Frames(cache, np.arange(len(frames)), K, position, quaternion, scene, session.astype(np.int64), gravity)

@@ -159,7 +159,7 @@ class WithCovariance(PoseRegressor):
 
 def test_a_covariance_is_exported_with_its_pose(tmp_path: Path) -> None:
     model = WithCovariance().eval()
-    networks.write_onnx(Trained(model, ["Wall"], 40, 32, None), 32, 32, tmp_path / "a.onnx")
+    networks.write_onnx(Trained(model, ["Wall"], 40, 32, None, 32, False), 32, 32, tmp_path / "a.onnx")
     image = torch.rand(1, 3, 32, 32)
     session = open_session(tmp_path / "a.onnx")
     assert [output.name for output in session.get_outputs()] == list(networks.OUTPUTS)
@@ -173,7 +173,7 @@ def test_every_regressor_has_a_network(name: str, tmp_path: Path) -> None:
     torch.manual_seed(0)
     entry = REGRESSORS[name]
     model = entry.make(entry.settings(), 1, False).eval()
-    networks.write_onnx(Trained(model, ["Wall"], 72, 64, None), 64, 64, tmp_path / "a.onnx")
+    networks.write_onnx(Trained(model, ["Wall"], 72, 64, None, 64, False), 64, 64, tmp_path / "a.onnx")
     image = torch.rand(1, 3, 64, 64)
     given = open_session(tmp_path / "a.onnx").run(None, {"image": image.numpy()})
     with torch.no_grad():
@@ -241,7 +241,7 @@ def test_a_network_that_int8_spoils_is_shipped_in_float32_alone(
 
 def test_core_ml_is_left_out_with_a_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "coremltools", None)
-    trained = Trained(WithCovariance().eval(), ["Wall"], 40, 32, None)
+    trained = Trained(WithCovariance().eval(), ["Wall"], 40, 32, None, 32, False)
     assert coreml.write_coreml(trained, 32, 32, tmp_path) == coreml.NOT_INSTALLED
 
 

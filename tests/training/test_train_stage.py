@@ -49,7 +49,7 @@ def test_the_stage_predicts_every_frame_and_says_what_it_trained(make_scene: Mak
     assert cards["train_frames"].tolist() == [9, 9] and cards["val_frames"].tolist() == [1, 1]
     assert json.loads(cards["config"][1])["encoder_layers"] == 1
     assert "1 encoder and 1 decoder" in cards["layers"][1]
-    assert history.groupby("model")["kept"].sum().tolist() == [1, 1]
+    assert history.groupby("model")["selected"].sum().tolist() == [1, 1]
     figures = load_manifest(folder)["figures"]
     assert figures["mean-pose Wall test median position_m"] > 0
     assert (folder / "recording.rrd").stat().st_size > 1000
