@@ -122,7 +122,7 @@ def _at_published_size(regressor: TrainedRegressor, notes: list[str]) -> Iterato
     to the times.
     """
     model, trained = regressor.model, regressor.trained
-    size = PUBLISHED_PX, round(PUBLISHED_PX * getattr(trained, "width", trained.crop) / trained.crop)
+    size = PUBLISHED_PX, round(PUBLISHED_PX * trained.width / trained.crop)
     tensors = [
         _enlarged(tensor, size) for tensor in map(PhoneInputs(regressor).tensor, regressor.rows("val")[:_TENSORS])
     ]

@@ -27,8 +27,7 @@ from groundwalk.training.regressors import REGRESSORS
 
 app = new_app(__doc__ or "")
 _CROP, _SHORT, _LONG, _IMAGES = 224, 256, 341, 16
-_VIEW = View(_CROP, _CROP)
-_CPU = torch.device("cpu")
+_CPU, _VIEW = torch.device("cpu"), View(_CROP, _CROP)
 TARGET = 3.0
 
 
@@ -145,16 +144,8 @@ def _frames(folder: Path) -> Frames:
     cache = ImageCache.build(folder, images())
     K = np.tile(np.array([[300.0, 0, _LONG / 2], [0, 300.0, _SHORT / 2], [0, 0, 1]]), (_IMAGES, 1, 1))
     quaternion, same = np.tile([0, 0, 0, 1.0], (_IMAGES, 1)), np.zeros(_IMAGES, np.int64)
-    return Frames(
-        cache,
-        np.arange(_IMAGES),
-        K,
-        rng.normal(size=(_IMAGES, 3)),
-        quaternion,
-        same,
-        same,
-        np.tile([0.0, 1, 0], (_IMAGES, 1)),
-    )
+    position, down = rng.normal(size=(_IMAGES, 3)), np.tile([0, 1.0, 0], (_IMAGES, 1))
+    return Frames(cache, np.arange(_IMAGES), K, position, quaternion, same, same, down)
 
 
 def _write(out: Path, speeds: Sequence[Speed], notes: Sequence[str]) -> None:

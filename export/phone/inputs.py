@@ -93,6 +93,6 @@ def steps_of(trained: Trained) -> Sequence[dict[str, Any]]:
     resize: dict[str, Any] = {"step": "resize", "short_side_px": trained.resize}
     if trained.focal_px is not None:
         resize = {"step": "pinhole", "short_side_px": trained.resize, "focal_px": trained.focal_px}
-    upright, width = trained.upright, trained.width
-    crop = {"step": "upright_crop" if upright else "centre_crop", "width_px": width, "height_px": trained.crop}
+    name = "upright_crop" if trained.upright else "centre_crop"
+    crop = {"step": name, "width_px": trained.width, "height_px": trained.crop}
     return [resize, crop, {"step": "normalise", "mean": IMAGENET_MEAN, "sd": IMAGENET_STD}]
