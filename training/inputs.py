@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from groundwalk.artefacts import StageRun, UserError
 from groundwalk.artefacts.images import Image, read_image
+from groundwalk.artefacts.resizing import pinhole_image, small_image
 from groundwalk.artefacts.tables import camera_of, poses_of, with_cameras
 from groundwalk.geometry.poses import tq_from_pose
-from groundwalk.training.data import Frames, ImageCache, pinhole_image, small_image
+from groundwalk.training.data import Frames, ImageCache
 from groundwalk.training.settings import TrainSettings
 
 

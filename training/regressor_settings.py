@@ -98,12 +98,6 @@ class MapNetSettings(PoseNetSettings):
     relative_sq: float = Field(-3.0, description="first log-variance of the loss of rotation differences")
 
 
-class MixtureSettings(PoseNetSettings):
-    """PN-mixture."""
-
-    components: int = Field(5, gt=1, description="poses that an answer may choose from, each with a weight")
-
-
 class MSTransformerSettings(BackboneSettings):
     """MS-T: its authors' settings for outdoor scenes; sx and sq follow the scene."""
 
@@ -144,7 +138,7 @@ class LiteSettings(RegressorSettings):
         (0.3, 0.3, 0.3, 0.03), description="colour jitter: brightness, contrast, saturation, hue"
     )
     turn_deg: tuple[float, float, float] | None = Field(
-        (35, 3, 3),
+        (45, 3, 3),
         description="largest yaw, pitch and roll (degrees) by which a training image is turned together with its"
         " pose; without it copies differ in colour only",
     )
@@ -168,7 +162,7 @@ class LiteSettings(RegressorSettings):
         " with a state dict of the same names",
     )
     copies: int = Field(
-        10, ge=0, description="turned and re-coloured copies of each training image, beside the image itself"
+        12, ge=0, description="turned and re-coloured copies of each training image, beside the image itself"
     )
     components: int = Field(32, gt=0, description="poses that the mixture has for each image")
     width: int = Field(256, gt=0, description="features after whitening, and in the hidden layers")

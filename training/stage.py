@@ -377,7 +377,7 @@ def describe(run: Run) -> str:
 
 STAGE = Stage(
     name="train",
-    version=6,
+    version=7,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,

@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.images import read_image
+from groundwalk.artefacts.resizing import pinhole_image, small_image
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.cameras import Camera
-from groundwalk.training.data import ImageCache, Jitter, View, pinhole_image, shift_hue, small_image, turned_crop
+from groundwalk.training.data import ImageCache, Jitter, View, shift_hue, turned_crop
 from groundwalk.training.inputs import as_training_frames, virtual_focal
 
 K = np.array([[80.0, 0, 47.3], [0, 80.0, 36.9], [0, 0, 1]])

@@ -31,7 +31,7 @@ class LiteTransformer(nn.Module):
         self.queries = nn.Embedding(scenes, WIDTH)
         self.row_embedding = nn.Embedding(MAX_CELLS, WIDTH)
         self.column_embedding = nn.Embedding(MAX_CELLS, WIDTH)
-        for embedding in (self.queries, self.row_embedding, self.column_embedding):
+        for embedding in (self.row_embedding, self.column_embedding):
             nn.init.normal_(embedding.weight, std=0.02)
         self.encoder = nn.ModuleList(EncoderLayer(settings.dropout) for _ in range(settings.encoder_layers))
         self.encoder_norm = nn.LayerNorm(WIDTH)
@@ -52,7 +52,7 @@ class LiteTransformer(nn.Module):
             cells = layer(cells, place)
         cells = self.encoder_norm(cells)
         query = self.queries.weight.expand(len(cells), -1, -1)
-        scenes = self.start(summary)[:, None].expand_as(query)
+        scenes = self.start(summary)[:, None] + query
         for layer in self.decoder:
             scenes = layer(scenes, query, cells, place)
         return self.decoder_norm(scenes)
@@ -69,6 +69,7 @@ class MSTransformerLite(LiteRegressor):
         self.position_transformer = LiteTransformer(MAP_CHANNELS[1], PATCH_16, scenes, settings)
         self.rotation_transformer = LiteTransformer(MAP_CHANNELS[0], PATCH_8, scenes, settings)
         self.scene_logit = nn.Linear(2 * WIDTH, 1)
+        self.summary_logits = nn.Linear(settings.width, scenes)
         self.heads = nn.ModuleList()
         for outputs in (sum(_POSITION), sum(_ROTATION)):
             last = nn.Linear(WIDTH, settings.components * outputs)
@@ -90,7 +91,7 @@ class MSTransformerLite(LiteRegressor):
         summary = self.summary_dropout(self.whitening(pooled))
         branches = self.position_transformer(map_16, summary), self.rotation_transformer(map_8, summary)
         vectors = torch.cat(branches, dim=-1)
-        return vectors, self.scene_logit(vectors).squeeze(-1)
+        return vectors, self.scene_logit(vectors).squeeze(-1) + self.summary_logits(summary)
 
     def _outputs(self, vectors_BSC: Tensor, scene_B: Tensor) -> Tensor:
         """The mixture's outputs (B, K * OUTPUTS) from the vectors of one scene a sample."""
