@@ -47,7 +47,6 @@ BUILTIN: dict[str, dict[str, str]] = {
         "MapNet": "groundwalk.training.entries:MAPNET",
         "PN-Bayesian": "groundwalk.training.entries:BAYESIAN_PN",
         "CoordiNet": "groundwalk.training.entries:COORDINET",
-        "PN-mixture": "groundwalk.training.entries:PN_MIXTURE",
         "PN-Lite": "groundwalk.training.entries:PN_LITE",
     },
     "groundwalk.fusion_methods": {

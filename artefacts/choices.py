@@ -70,6 +70,15 @@ class Environment(StrEnum):
     UNKNOWN = "unknown"
 
 
+class Appearance(StrEnum):
+    """What a simulated place looks like on its test walks, beside the training walks."""
+
+    SAME = "same"
+    OTHER_HOUR = "other_hour"
+    EVENING = "evening"
+    OTHER_MONTH = "other_month"
+
+
 class PairOrigin(StrEnum):
     """What proposed a pair of frames."""
 
@@ -264,6 +273,7 @@ class DriftInterval(StrEnum):
 class Refusal(StrEnum):
     """Why a structure localiser gives no pose."""
 
+    BAD_INPUT = "bad_input"
     IMAGE_SIZE = "image_size"
     FEW_FEATURES = "few_features"
     FEW_MATCHES = "few_matches"

@@ -1,12 +1,28 @@
-"""Which files of a capture folder the simulator wrote, by the marker that it left."""
+"""Which files of a capture folder the simulator wrote, and what it made, by the marker that it left."""
 
+from pathlib import Path
 from typing import Any
+
+from groundwalk.artefacts.choices import Appearance
+from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.files import read_json
 
 SIMULATED_MARKER = "SIMULATED.json"
 TRUE_POSES = "true_poses.parquet"
 TRUE_CAMERAS = "true_cameras.parquet"
 TRUTH_FILES = (TRUE_POSES, TRUE_CAMERAS)
 FRAME = "frame_{:05d}"
+
+
+def appearance_of(captures: Path) -> Appearance:
+    """What the test walks of a simulated capture folder see, beside its training walks; UserError where its marker says
+    something unknown."""
+    stated = read_json(captures / SIMULATED_MARKER).get("appearance", Appearance.SAME)
+    if stated not in list(Appearance):
+        expected = f"appearance one of {', '.join(Appearance)}"
+        where = captures / SIMULATED_MARKER
+        raise UserError("the marker of simulated captures is damaged", where=where, expected=expected, found=stated)
+    return Appearance(stated)
 
 
 def simulated_files(marker: dict[str, Any]) -> set[str]:

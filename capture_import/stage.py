@@ -9,6 +9,7 @@ import pandas as pd
 
 from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.files import write_json
+from groundwalk.artefacts.simulated import appearance_of
 from groundwalk.artefacts.tables import dataset_frames
 from groundwalk.capture_import.capture import RawFrame, Reject
 from groundwalk.capture_import.checks.clock import MAX_OFFSET_S, ClockCheck, check_clock
@@ -42,6 +43,8 @@ from groundwalk.capture_import.tables import (
 def run(r: StageRun[ImportSettings]) -> None:
     """Import the scene's captures."""
     root = r.captures.resolve()
+    if r.simulated:
+        r.figure("appearance", appearance_of(r.captures))
     detect = CascadeDetector() if r.settings.blur else None
     with r.step("images"):
         unpacked = r.scratch / "unpacked"

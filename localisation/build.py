@@ -54,12 +54,12 @@ def build_map(prepared: Prepared, settings: MapSettings, track: Track = untracke
 
 
 def _compact(prepared: Prepared, structure: Structure, settings: MapSettings) -> CompactMap:
-    given = prepared.lenses, priors_of(prepared.training), UNCALIBRATED
+    given = prepared.lenses, priors_of(prepared.training, structure), UNCALIBRATED
     return compact_map(prepared.scene, structure, *given, settings, prepared.settings)
 
 
-def priors_of(training: Training) -> Priors:
-    """What queries' cameras are expected to do, as the training frames' did."""
+def priors_of(training: Training, structure: Structure) -> Priors:
+    """What queries' cameras are expected to do, as the training frames' did, and how well these measured points."""
     views = training.views
     scale = [np.log(c.fx / logged.fx) for c, logged in zip(views.cameras, training.logged, strict=True)]
     down = -views.map_T_cam[:, 1, :3]
@@ -71,7 +71,17 @@ def priors_of(training: Training) -> Priors:
         focal_sd=max(_rms(np.array(scale)), _MIN_FOCAL_SD),
         gravity_sd=max(_rms(off), _MIN_GRAVITY_SD),
         pixel_sd=_PIXEL_SD,
+        point_sd=_measured_sd(structure),
     )
+
+
+def _measured_sd(structure: Structure) -> float:
+    """One sigma, rad, of what the frames measured of points, a coordinate: by residuals, two an observation, less the
+    three coordinates of each point."""
+    points = structure.points
+    focal = np.array([(c.fx + c.fy) / 2 for c in structure.views.cameras])[structure.view[points.feature]]
+    free = max(2 * len(points.feature) - 3 * len(points.xyz), 1)
+    return float(np.sqrt(np.sum((points.residual_px / focal) ** 2) / free))
 
 
 def _rms(values: Array) -> float:

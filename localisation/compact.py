@@ -123,6 +123,22 @@ def compact_map(
     )
 
 
+def point_covariances(content: CompactMap) -> Array:
+    """Covariances (P, 3, 3), m^2, of the map's points, by from where its frames saw them."""
+    view = np.repeat(np.arange(len(content.map_T_view)), np.diff(content.seen_bounds))
+    order = np.argsort(content.seen, kind="stable")
+    offset = content.xyz[content.seen[order]] - content.map_T_view[view[order], :3, 3]
+    squared = np.sum(offset**2, axis=1)
+    # A ray measures what is across it, the better the nearer: (I - d d^T) / distance^2.
+    outer = np.einsum("oi,oj->oij", offset, offset) / squared[:, None, None]
+    across = ((np.eye(3) - outer) / squared[:, None, None]).reshape(-1, 9)
+    ends = np.searchsorted(content.seen[order], np.arange(len(content.xyz) + 1))
+    sums = np.concatenate([np.zeros((1, 9)), np.cumsum(across, axis=0)])
+    information = (sums[ends[1:]] - sums[ends[:-1]]).reshape(-1, 3, 3)
+    ridge = (1e-9 + 1e-6 * np.trace(information, axis1=1, axis2=2))[:, None, None] * np.eye(3)
+    return np.asarray(content.priors.point_sd**2 * np.linalg.inv(information + ridge))
+
+
 def write_map(path: Path, content: CompactMap) -> None:
     """Write the map's file."""
     write_sections(path, *_to_sections(content))

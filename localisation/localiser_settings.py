@@ -20,8 +20,8 @@ class LocaliserSettings(Settings):
 class MapSettings(LocaliserSettings):
     """What the compact map keeps."""
 
-    max_points: int = Field(20_000, ge=100, description="points that the map keeps")
-    dimensions: int = Field(64, ge=8, le=128, description="principal components kept of each descriptor, one byte each")
+    max_points: int = Field(28_000, ge=100, description="points that the map keeps")
+    dimensions: int = Field(40, ge=8, le=128, description="principal components kept of each descriptor, one byte each")
     calibration_every: int = Field(5, ge=2, description="every n-th training frame calibrates the map's answers")
 
 

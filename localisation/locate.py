@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from groundwalk.artefacts import UserError, progress
+from groundwalk.artefacts.choices import Refusal
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.files import written_aside
 from groundwalk.runtime.bundle import Bundle, Prediction, open_bundle
@@ -42,7 +43,7 @@ def locate(
 
     An image's intrinsics are in `<image>.json` or `intrinsics.json` beside it, or in --intrinsics: an object with fx,
     fy, cx, cy and, where they are known, width, height, gravity and prior (map_T_cam, 4x4). An image whose own file has
-    other intrinsics is asked with these.
+    other intrinsics is asked with these. An image of a folder that can't be asked is refused as bad_input.
     """
     ask = _asked(map_, bundle, scene, network, verify)
     common: Row = {}
@@ -53,7 +54,7 @@ def locate(
     rows = []
     paths = image_files(images)
     for path in progress.track(paths, "localising", len(paths)):
-        row = {"image": path.name, **ask(file_query(path, common))}
+        row = {"image": path.name, **_answer(ask, path, common, among_others=images.is_dir())}
         rows.append(row)
         if out is None:
             typer.echo(json.dumps(row))
@@ -62,6 +63,20 @@ def locate(
             partial.write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
     refused = sum(row["refusal"] is not None for row in rows)
     progress.console.print(f"{len(rows) - refused} of {len(rows)} images localised, {refused} refused", markup=False)
+
+
+def _answer(ask: Callable[[Query], Row], path: Path, common: Row, *, among_others: bool) -> Row:
+    """What is said of an image; one among others that can't be asked is refused, alone it's a UserError."""
+    try:
+        query = file_query(path, common)
+    except UserError as error:
+        if not among_others:
+            raise
+        found = error.details["found"]
+        reason = error.what if found is None else f"{error.what}: {found}"
+        nothing: Row = dict.fromkeys(("position_m", "quaternion", "covariance"))
+        return nothing | {"refusal": Refusal.BAD_INPUT, "reason": reason}
+    return ask(query)
 
 
 def read_localiser(path: Path, scene: str = "") -> "FileLocaliser":

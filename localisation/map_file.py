@@ -18,7 +18,7 @@ from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import written_aside
 
 MAGIC = b"GWMAP\r\n\x1a"
-MAJOR, MINOR = 1, 0
+MAJOR, MINOR = 1, 1
 _HEADER = struct.Struct("<8sHHIQ32s8x")
 _SECTION = struct.Struct("<16s8s3IIQQ")
 _ALIGNED = 64

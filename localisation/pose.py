@@ -16,7 +16,7 @@ from groundwalk.geometry.poses import Array, make_pose, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH
 from groundwalk.localisation.frames import row_times
 
-_CONVERGED = 1e-5  # rad, m
+_CONVERGED = 5e-5  # rad, m
 _MIN_POINTS = 6
 _SCORED, _FINALISTS = 100, 20
 _UNKNOWNS = 13
@@ -25,35 +25,39 @@ _UNKNOWNS = 13
 @dataclass(frozen=True)
 class Priors:
     """One sigma of what a query's camera does: angular velocity, rad/s, velocity, m/s, relative focal length; of
-    gravity, rad; and the least that keypoints are taken to be off by, px."""
+    gravity, rad; the least that keypoints are taken to be off by, px; and of what training frames measured of points,
+    rad."""
 
     angular_sd: float
     velocity_sd: float
     focal_sd: float
     gravity_sd: float
     pixel_sd: float
+    point_sd: float = 0.0
 
 
 @dataclass(frozen=True)
 class Observed:
     """M keypoints px (M, 2), their ideal image points (M, 2) at unit focal length, and the points xyz (M, 3) in the
-    map."""
+    map with their covariances (M, 3, 3), m^2, or None where they are taken to be exact."""
 
     px: Array
     ideal: Array
     xyz: Array
+    covariance: Array | None = None
 
 
 @dataclass(frozen=True)
 class Fit:
     """A pose map_T_cam (4, 4) with the covariance (6, 6) of (rotation, position) in the map's axes, true rotation =
-    exp(rotation) @ map_R_cam, for keypoints' errors as they scatter; residuals (M,), px, and one sigma of them;
-    factor of the focal length; angular velocity (3,), rad/s, and velocity (3,), m/s, in the camera's axes."""
+    exp(rotation) @ map_R_cam, for keypoints' errors as they scatter; residuals (M,), px, and one sigma that they
+    should have (M,), by the keypoints' scatter and the points' covariances; factor of the focal length; angular
+    velocity (3,), rad/s, and velocity (3,), m/s, in the camera's axes."""
 
     map_T_cam: Array
     covariance: Array
     residual_px: Array
-    pixel_sd: float
+    expected_px: Array
     focal_factor: float
     angular: Array
     velocity: Array
@@ -177,45 +181,91 @@ def refine(
     gravity: Array | None = None,
     iterations: int = 8,
 ) -> Fit:
-    """The pose of the middle row from which points are seen, by Gauss-Newton with Cauchy weights.
+    """The pose of the middle row from which points are seen, by Gauss-Newton with Cauchy weights. A residual weighs by
+    how the keypoints scatter and how sure its point is.
 
     `gravity` is a unit vector (3,) in the camera, or None. Unknowns: rotation and position in the camera's axes,
     angular velocity, velocity, log of the focal length's factor.
     """
     focal = (camera.fx + camera.fy) / 2
     time_s = row_times(seen.px, camera.height, readout_s)
-    prior = (
-        1 / np.r_[np.full(6, np.inf), np.full(3, priors.angular_sd), np.full(3, priors.velocity_sd), priors.focal_sd]
-    )
+    information = np.zeros(_UNKNOWNS)
+    information[6:9], information[9:12] = priors.angular_sd**-2, priors.velocity_sd**-2
+    information[12] = priors.focal_sd**-2
     rotation, position, rest = map_T_cam[:3, :3].copy(), map_T_cam[:3, 3].copy(), np.zeros(7)
+    of_points = np.zeros((len(seen.xyz), 3))
+    if seen.covariance is not None:
+        slope = _linear(rotation, position, rest, seen, time_s, focal)[1][:, :, 3:6]
+        of_points = _projected(seen.covariance, rotation, slope)
+    variance = (of_points[:, 0] + of_points[:, 2]) / 2
+    sure = variance <= _median(variance)
+    sure_variance = _median(variance[sure])
     for _ in range(iterations):
         residual, jacobian = _linear(rotation, position, rest, seen, time_s, focal)
-        squared = np.sum(residual**2, axis=1)
-        scale = max(priors.pixel_sd, float(np.sqrt(np.median(squared) / (2 * np.log(2)))))
-        weight = 1 / (1 + squared / (CAUCHY_WIDTH * scale) ** 2) / scale**2
-        rows = jacobian.reshape(-1, _UNKNOWNS)
-        weighted = (jacobian * weight[:, None, None]).reshape(-1, _UNKNOWNS)
-        hessian = weighted.T @ rows + np.diag(prior**2)
-        gradient = weighted.T @ residual.ravel() + prior**2 * np.r_[np.zeros(6), rest]
+        # Keypoints' scatter, by the half of the points that are surest.
+        scatter = _median(np.sum(residual[sure] ** 2, axis=1)) / (2 * np.log(2)) - sure_variance
+        scale = np.sqrt(max(priors.pixel_sd**2, scatter))
+        white, rows = _whitened(residual, jacobian, of_points + scale**2 * np.array([1, 0, 1]))
+        weight = np.repeat(1 / (1 + np.sum(white**2, axis=1) / CAUCHY_WIDTH**2), 2)
+        rows = rows.reshape(-1, _UNKNOWNS)
+        weighted = rows * weight[:, None]
+        hessian = weighted.T @ rows + np.diag(information)
+        gradient = weighted.T @ white.ravel()
+        gradient[6:] += information[6:] * rest
         if gravity is not None:
             hessian[:3, :3], gradient[:3] = _with_gravity(hessian[:3, :3], gradient[:3], rotation, gravity, priors)
         step = -np.linalg.solve(hessian + 1e-9 * np.eye(_UNKNOWNS), gradient)
         position = position + rotation @ step[3:6]
-        rotation = rotation @ Rotation.from_rotvec(step[:3]).as_matrix()
+        rotation = rotation @ _turn(step[:3])
         rest = rest + step[6:]
         if np.abs(step[:6]).max() < _CONVERGED:
             break
     residual, _ = _linear(rotation, position, rest, seen, time_s, focal)
-    to_map = np.kron(np.eye(2), rotation)
+    to_map = np.zeros((6, 6))
+    to_map[:3, :3] = to_map[3:, 3:] = rotation
     return Fit(
         make_pose(rotation, position),
         to_map @ np.linalg.inv(hessian)[:6, :6] @ to_map.T,
         np.linalg.norm(residual, axis=1),
-        scale,
+        np.sqrt(scale**2 + variance),
         float(np.exp(rest[6])),
         rest[:3],
         rest[3:6],
     )
+
+
+def _turn(vector: Array) -> Array:
+    """The rotation (3, 3) by a rotation vector (3,), by Rodrigues' formula; scipy's takes longer than all else here."""
+    angle = max(float(np.sqrt(vector @ vector)), 1e-12)
+    across = skew(vector / angle)
+    return np.asarray(np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * across @ across)
+
+
+def _projected(covariance_M33: Array, rotation: Array, slope_M23: Array) -> Array:
+    """Covariances of points in the image, px^2, as xx, xy, yy (M, 3); `slope_M23` is that of residuals by the camera's
+    position in its axes."""
+    slope = slope_M23 @ rotation.T
+    image = slope @ covariance_M33 @ slope.transpose(0, 2, 1)
+    return np.stack([image[:, 0, 0], image[:, 0, 1], image[:, 1, 1]], axis=1)
+
+
+def _median(values: Array) -> float:
+    """The upper median, in a tenth of the time of numpy's."""
+    return float(np.partition(values, len(values) // 2)[len(values) // 2])
+
+
+def _whitened(residual: Array, jacobian: Array, covariance_M3: Array) -> tuple[Array, Array]:
+    """Residuals (M, 2) and derivatives (M, 2, U) by the inverse Cholesky factors of covariances xx, xy, yy (M, 3)."""
+    xx, xy, yy = covariance_M3.T
+    a = 1 / np.sqrt(xx)
+    b = xy * a
+    c = 1 / np.sqrt(yy - b * b)
+    white, rows = np.empty_like(residual), np.empty_like(jacobian)
+    white[:, 0] = residual[:, 0] * a
+    white[:, 1] = (residual[:, 1] - b * white[:, 0]) * c
+    rows[:, 0] = jacobian[:, 0] * a[:, None]
+    rows[:, 1] = (jacobian[:, 1] - b[:, None] * rows[:, 0]) * c[:, None]
+    return white, rows
 
 
 def _with_gravity(
@@ -236,9 +286,10 @@ def _linear(
     angular, velocity, factor = rest[:3], rest[3:6], np.exp(rest[6])
     cam = still - time_s[:, None] * (velocity + still @ skew(angular).T)
     x, y, depth = cam.T
-    depth = np.where(depth > 1e-3, depth, 1e-3)
+    depth = np.maximum(depth, 1e-3)
     u, v, per_depth, pixels = x / depth, y / depth, focal * factor / depth, focal * factor
-    residual = np.stack([pixels * u - focal * seen.ideal[:, 0], pixels * v - focal * seen.ideal[:, 1]], axis=1)
+    residual = np.empty((len(cam), 2))
+    residual[:, 0], residual[:, 1] = pixels * u - focal * seen.ideal[:, 0], pixels * v - focal * seen.ideal[:, 1]
     jacobian = np.empty((len(cam), 2, _UNKNOWNS))
     # A small turn d of the camera moves its points by cam x d.
     jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 0, 2] = pixels * u * v, -pixels * (1 + u * u), pixels * v

@@ -11,7 +11,7 @@ from groundwalk.artefacts.choices import Refusal
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.localisation.answers import Answer, Clock, of_another_size, refused, seen_by
-from groundwalk.localisation.compact import CompactMap, Lens, bytes_by_section, read_map, write_map
+from groundwalk.localisation.compact import CompactMap, Lens, bytes_by_section, point_covariances, read_map, write_map
 from groundwalk.localisation.features import Features, extract
 from groundwalk.localisation.frames import row_times
 from groundwalk.localisation.pose import Fit, Observed, Priors, ransac, refine, upright_ransac
@@ -23,13 +23,16 @@ _PROBES, _VOTERS = 3, 400
 _VIEWS = 12
 _VOTE_RATIO, _RATIO = 0.9, 0.9
 _RANSAC_PX, _TRIALS, _UPRIGHT_TRIALS = 6.0, 2000, 400
-# Shares of the features and of the image's side that an attempt takes.
-_NEAR_PRIOR, _QUICK, _WHOLE = (0.4, 0.5), (0.5, 0.625), (1.0, 1.0)
-_SURE_M = 0.01
+# Shares of the features and of the image's side that an attempt takes. A query shows each point but once, where a
+# training frame needs only some of what others show, too: hence more features than of these.
+_NEAR_PRIOR, _WHOLE = (0.4, 0.5), (1.5, 1.0)
+_SURE_M = 0.02
 _GUIDED_PX, _MIN_SIMILARITY = 5.0, 0.6
-_INLIER_SIGMAS, _MIN_INLIER_PX = 4.0, 1.5
+_INLIER_SIGMAS, _MIN_INLIER_PX, _MAX_INLIER_PX = 4.0, 1.5, 3.0
 _MIN_FEATURES, _MIN_MATCHES, _MIN_POSE = 30, 8, 6
 _SAME_LENS = 1.08
+# Iterations of refinements whose inliers are still sought, and of the last.
+_ROUGHLY, _WELL = 3, 8
 
 
 def write_localiser(path: Path, localiser: "MapLocaliser") -> None:
@@ -51,6 +54,7 @@ class MapLocaliser:
         order = np.argsort(content.seen, kind="stable")
         self._seen_by = views[order]
         self._seen_by_bounds = np.searchsorted(content.seen[order], np.arange(len(content.xyz) + 1))
+        self._covariance = point_covariances(content)
 
     @property
     def xyz(self) -> Array:
@@ -85,9 +89,9 @@ class MapLocaliser:
             return refusal
         clock = Clock()
         best: Answer | None = None
-        # A smaller image is enough for most; where the answer isn't sure, the whole one is asked without a prior, which
-        # may be what is wrong.
-        for attempt in (_NEAR_PRIOR if prior is not None else _QUICK, _WHOLE):
+        # Near a prior a smaller image is enough for most; where the answer isn't sure, the whole one is asked without
+        # the prior, which may be what is wrong.
+        for attempt in (_NEAR_PRIOR, _WHOLE) if prior is not None else (_WHOLE,):
             with clock.part("features"):
                 count, side = (round(part * of) for part, of in zip(attempt, self._extraction, strict=True))
                 features = extract(grey, count, side)
@@ -134,6 +138,7 @@ class MapLocaliser:
                 features.px.astype(float),
                 camera.unproject(features.px.astype(float)),
                 self.map.xyz[rows],
+                self._covariance[rows],
                 camera,
                 readout_s,
                 gravity,
@@ -153,11 +158,13 @@ class MapLocaliser:
         with clock.part("refinement"):
             fit, inliers = self._refined(found[0], matches[found[1]], product, asked)
         seen, limit = seen_by(asked.px, rows, matches, inliers), self.map.calibration.min_inliers
-        if fit is None or len(inliers) < limit:
-            reason = f"{len(inliers)} inliers, {limit} needed"
-            return refused(Refusal.THIN_EVIDENCE, reason, clock, len(matches), len(inliers), seen)
+        # What the pose itself brought to the keypoints near where it predicts points is no evidence for it.
+        agreeing = _common(matches, inliers)
+        if fit is None or agreeing < limit:
+            reason = f"{agreeing} inliers, {limit} needed"
+            return refused(Refusal.THIN_EVIDENCE, reason, clock, len(matches), agreeing, seen)
         covariance = self._calibrated(fit.covariance)
-        return Answer(fit.map_T_cam, covariance, None, "", len(matches), len(inliers), seen, clock.seconds)
+        return Answer(fit.map_T_cam, covariance, None, "", len(matches), agreeing, seen, clock.seconds)
 
     def _views_by_votes(self, query: Floats, hidden: NDArray[np.bool_] | None) -> Ints:
         """Training frames that saw most of the points that look like the query's features."""
@@ -208,13 +215,14 @@ class MapLocaliser:
         """The refined pose and its inliers (keypoint, point): first of RANSAC's matches, then of all points that it
         predicts near a keypoint that looks alike."""
         priors = self.map.priors
-        fit = asked.refined(map_T_cam, matches, priors)
+        fit = asked.refined(map_T_cam, matches, priors, _ROUGHLY)
         for _ in range(2):
             matches = _guided(fit, asked, product)
             if len(matches) < _MIN_POSE:
                 return None, matches
-            fit = asked.refined(fit.map_T_cam, matches, priors)
-            limit = max(_MIN_INLIER_PX * _scale(asked.camera), _INLIER_SIGMAS * fit.pixel_sd)
+            fit = asked.refined(fit.map_T_cam, matches, priors, _ROUGHLY)
+            scale = _scale(asked.camera)
+            limit = np.clip(_INLIER_SIGMAS * fit.expected_px, _MIN_INLIER_PX * scale, _MAX_INLIER_PX * scale)
             matches = matches[fit.residual_px < limit]
         if len(matches) < _MIN_POSE:
             return None, matches
@@ -228,12 +236,13 @@ class MapLocaliser:
 
 @dataclass(frozen=True)
 class _Asked:
-    """What is known of a query: K keypoints px (K, 2) and ideal (K, 2), candidate points xyz (C, 3), camera and
-    gravity."""
+    """What is known of a query: K keypoints px (K, 2) and ideal (K, 2), candidate points xyz (C, 3) with covariances
+    (C, 3, 3), camera and gravity."""
 
     px: Array
     ideal: Array
     xyz: Array
+    covariance: Array
     camera: Camera
     readout_s: float
     gravity: Array | None
@@ -246,11 +255,11 @@ class _Asked:
             return upright_ransac(ideal, xyz, self.gravity, max_error, _UPRIGHT_TRIALS, seed)
         return ransac(ideal, xyz, max_error, _TRIALS, seed)
 
-    def refined(self, map_T_cam: Array, matches: Ints, priors: Priors) -> Fit:
+    def refined(self, map_T_cam: Array, matches: Ints, priors: Priors, iterations: int = _WELL) -> Fit:
         """The refined pose of matches (keypoint, point)."""
         keypoint, point = matches.T
-        seen = Observed(self.px[keypoint], self.ideal[keypoint], self.xyz[point])
-        return refine(map_T_cam, seen, self.camera, self.readout_s, priors, self.gravity)
+        seen = Observed(self.px[keypoint], self.ideal[keypoint], self.xyz[point], self.covariance[point])
+        return refine(map_T_cam, seen, self.camera, self.readout_s, priors, self.gravity, iterations)
 
 
 def with_lens(camera: Camera, lenses: tuple[Lens, ...]) -> tuple[Camera, float]:
@@ -318,6 +327,12 @@ def _ratio_matches(product: Floats, ratio: float) -> Ints:
     first = np.unique(nearest[kept], return_index=True)[1]
     kept = np.sort(kept[first])
     return np.stack([kept, nearest[kept]], axis=1)
+
+
+def _common(matches: Ints, others: Ints) -> int:
+    """How many pairs (M, 2) are among others (N, 2)."""
+    wide = 1 + max(matches[:, 1].max(initial=0), others[:, 1].max(initial=0))
+    return int(np.isin(matches[:, 0] * wide + matches[:, 1], others[:, 0] * wide + others[:, 1]).sum())
 
 
 def _scale(camera: Camera) -> float:

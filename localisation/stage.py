@@ -271,7 +271,7 @@ def prediction_rows(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFr
 
 STAGE = Stage(
     name="localise",
-    version=1,
+    version=2,
     settings=LocaliseSettings,
     needs=("import", "sfm", "align"),
     run=run,

@@ -33,7 +33,11 @@ def scene_figures(scene: SceneInputs) -> dict[str, list[NamedFigure]]:
     """All figures of a scene, by the section of the page that they belong to."""
     with style.applied():
         figures = {
-            "summary": [*(trajectories(scene, model) for model in scene.models), error_distributions(scene)],
+            "summary": [
+                *(trajectories(scene, model) for model in scene.models),
+                error_distributions(scene),
+                costs(scene),
+            ],
             "ground_truth": [sfm_overview(scene), drift(scene)],
             "training": [learning_curves(scene)] if len(scene.history) else [],
             "fusion": [
@@ -188,6 +192,34 @@ def _cumulative(ax: Axes, errors: Array, frames: int, colour: str, dashes: str, 
         share = 100 * np.arange(1, len(known) + 1) / frames
         # A zero has no place on the logarithmic axis.
         ax.step(np.maximum(known, 1e-3), share, where="post", color=colour, ls=dashes, label=label)
+
+
+def costs(scene: SceneInputs) -> NamedFigure:
+    """What accuracy costs: median position error of every model alone against its bytes and a query's time."""
+    figure, axes = style.new_figure(1, 2, 2.4, sharey=True)
+    kept = pd.concat([table[["model", "bytes"]] for table in (scene.cards, scene.localisers)])
+    size = kept.dropna().drop_duplicates("model").set_index("model")["bytes"]
+    for model in scene.models:
+        errors = scene.frame_errors(model)
+        raw = errors.loc[errors["split"] == "test", "apr_position_m"].to_numpy(float)
+        # A frame without a pose counts as failed.
+        median = float(np.percentile(np.where(np.isnan(raw), np.inf, raw), 50, method="lower")) if len(raw) else np.inf
+        mib = float(size.get(model, np.nan)) / 2**20
+        for ax, cost in zip(axes, (mib, scene.runtime_ms(model)), strict=True):
+            if cost > 0 and np.isfinite([cost, median]).all():
+                ax.plot(cost, 100 * max(median, 1e-5), "o", color=style.APR, ms=5)
+                place: Any = {"xytext": (5, 3), "textcoords": "offset points", "fontsize": 7.5}
+                ax.annotate(scene.label(model), (cost, 100 * max(median, 1e-5)), **place)
+    for ax, label in zip(axes, ("what a query needs (MiB)", "a query (ms)"), strict=True):
+        ax.set(xscale="log", yscale="log", xlabel=label)
+        ax.margins(0.25)
+        style.log_axis(ax.xaxis)
+    axes[0].set_ylabel("median position error (cm)")
+    caption = (
+        f"{scene.name}: accuracy against bytes and against time, of every model alone over all test frames; a frame "
+        "without a pose counts as failed. Times are the clock's, on the machine that made the predictions."
+    )
+    return NamedFigure("costs", caption, figure)
 
 
 # --- fusion -----------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.artefacts import StageRun
+from groundwalk.artefacts.choices import Appearance
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.reports.published import PAPER_METHOD
 from groundwalk.scoring.errors import sure_enough
@@ -16,6 +17,14 @@ from groundwalk.scoring.errors import sure_enough
 ENOUGH_TRAINING_FRAMES = 100
 # A test frame this close in time to a training frame of its walk shows nearly the same picture.
 LEAK_S = 5.0
+
+# What the test walks of a simulated scene see, in words.
+APPEARANCES = {
+    Appearance.SAME: "test walks in the training walks' light",
+    Appearance.OTHER_HOUR: "test walks at another hour",
+    Appearance.EVENING: "test walks in the evening",
+    Appearance.OTHER_MONTH: "test walks in another month",
+}
 
 
 @dataclass(frozen=True)
@@ -30,6 +39,7 @@ class SceneInputs:
     name: str
     environment: str
     simulated: bool
+    appearance: Appearance
     profile: str
     seed: int
     frames: pd.DataFrame
@@ -130,7 +140,8 @@ class SceneInputs:
 
     def marker(self) -> str:
         """What must stand by every number of this scene."""
-        kind = "simulated" if self.simulated else "real capture"
+        light = APPEARANCES[self.appearance]
+        kind = f"simulated, {light}" if self.simulated else "real capture"
         return f"{kind}, {self.profile} profile, seed {self.seed}, {len(self.frames)} frames"
 
     def extent_m(self) -> tuple[float, float, float]:
@@ -199,6 +210,7 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         name=leaf,
         environment=r.data.scene(leaf)[0].environment,
         simulated=bool(manifests["import"]["simulated"]),
+        appearance=Appearance(manifests["import"]["figures"].get("appearance", Appearance.SAME)),
         profile=r.profile,
         seed=r.seed,
         frames=frames,

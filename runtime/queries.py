@@ -18,6 +18,7 @@ _IMAGES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 _INTRINSICS_FILE = "intrinsics.json"
 _INTRINSICS = ("fx", "fy", "cx", "cy")
 _MIN_FOCAL, _MAX_FOCAL = 0.2, 20.0  # by the longer side: from 136 degrees to 3 degrees of view
+_MAX_OFF_CENTRE = 0.1  # of the longer side; phones' are within a hundredth or two
 _RIGID = 1e-3
 
 
@@ -56,6 +57,14 @@ def query_of(image: Path | NDArray[Any], known: Mapping[str, Any], where: object
     if not (0 < cx < width and 0 < cy < height):
         found = f"({cx:g}, {cy:g}) px for an image {width} x {height} px"
         raise UserError("the principal point isn't in the image", where=where, found=found)
+    off = max(abs(cx - width / 2), abs(cy - height / 2))
+    if known.get("width") is None and known.get("height") is None and off > _MAX_OFF_CENTRE * longer:
+        raise UserError(
+            "the principal point is far from the image's centre, as of an image of another size or orientation",
+            where=where,
+            found=f"({cx:g}, {cy:g}) px for an image {width} x {height} px",
+            do="give the intrinsics of this image; where it's cut out of a larger one, say width and height, too",
+        )
     camera = Camera(width, height, fx, fy, cx, cy)
     return Query(pixels, camera, _down(known.get("gravity"), where), _prior(known.get("prior"), where))
 

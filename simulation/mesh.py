@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from groundwalk.simulation import atlas
 from groundwalk.simulation.canvas import Canvas
 from groundwalk.simulation.lighting import brightness, light_on_quad
-from groundwalk.simulation.place import Crown, Place, Quad, Vec
+from groundwalk.simulation.place import Crown, Light, Place, Quad, Vec
 from groundwalk.simulation.raycast import Caster
 
 _ARRAYS = "mesh.npz"
 _ATLAS = "atlas.npy"
+_WINDOW_BGR = (0.6, 0.85, 1.0)  # lamplight
 Track = Callable[[Iterable[Quad | Crown], str], Iterable[Quad | Crown]]
 
 
@@ -25,8 +26,8 @@ class TexturedMesh:
     """Triangles of a place and how each looks up its colour.
 
     texel = texel_a_T23 @ point + texel_b_T2 maps a world point on triangle t to its picture (x right, y down, texel
-    centres at 0.5); `box_T4` is that picture's place in the atlas (x, y, width, height). `tint_T` multiplies colours,
-    `surface_T` tells surfaces apart, `glass_T` marks panes.
+    centres at 0.5); `box_T4` is that picture's place in the atlas (x, y, width, height). `tint_T3` multiplies
+    colours, `surface_T` tells surfaces apart, `glass_T` marks panes.
     """
 
     vertices_V3: Vec
@@ -34,7 +35,7 @@ class TexturedMesh:
     texel_a_T23: Vec
     texel_b_T2: Vec
     box_T4: NDArray[np.float32]
-    tint_T: NDArray[np.float32]
+    tint_T3: NDArray[np.float32]
     surface_T: NDArray[np.int32]
     glass_T: NDArray[np.bool_]
     atlas_shape: NDArray[np.int64]
@@ -96,13 +97,14 @@ def build_mesh(place: Place, texel_m: float, seed: int, track: Track = lambda it
     a, b, box, tint, surface = [], [], [], [], []
     for i, thing in enumerate(track(things, "painting surfaces")):
         rng = np.random.default_rng([seed, zlib.crc32(place.name.encode()), zlib.crc32(thing.name.encode())])
-        picture = _paint(thing, texel_m, rng)
+        canvas = _paint(thing, texel_m, rng, place.light)
+        picture = canvas.image
         h, w = picture.shape[:2]
         if isinstance(thing, Quad):
             if not thing.glass:
-                picture = _lit(picture, light_on_quad(thing, place.light, caster))
+                picture = _lit(canvas, _light_on(thing, place.light, caster))
             maps, count = _quad_map(thing, w, h), 2
-            shade = np.ones(2)
+            shade = np.ones((2, 3))
         else:
             count = len(thing.triangles_T33)
             maps = _crown_map(thing, texel_m, w, rng)
@@ -120,7 +122,7 @@ def build_mesh(place: Place, texel_m: float, seed: int, track: Track = lambda it
         texel_a_T23=np.concatenate(a),
         texel_b_T2=np.concatenate(b),
         box_T4=np.concatenate(box).astype(np.float32),
-        tint_T=np.concatenate(tint).astype(np.float32),
+        tint_T3=np.concatenate(tint).astype(np.float32),
         surface_T=np.concatenate(surface).astype(np.int32),
         glass_T=glass,
         atlas_shape=np.array([height, width]),
@@ -140,18 +142,26 @@ def _size(thing: Quad | Crown, texel_m: float) -> tuple[int, int]:
     return Canvas(w, h, texel, np.random.default_rng(0)).shape
 
 
-def _paint(thing: Quad | Crown, texel_m: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+def _paint(thing: Quad | Crown, texel_m: float, rng: np.random.Generator, light: Light) -> Canvas:
     w, h, texel = _metres(thing, texel_m)
-    canvas = Canvas(w, h, texel, rng)
+    canvas = Canvas(w, h, texel, rng, light.windows)
     thing.paint(canvas)
-    return canvas.image
+    return canvas
 
 
-def _lit(picture: NDArray[np.uint8], light: NDArray[np.float32]) -> NDArray[np.uint8]:
-    h, w = picture.shape[:2]
+def _light_on(quad: Quad, light: Light, caster: Caster) -> NDArray[np.float32]:
+    if quad.glow is not None:
+        return np.full((2, 2, 3), quad.glow, np.float32) * np.asarray(light.lamp_bgr, np.float32)
+    return light_on_quad(quad, light, caster)
+
+
+def _lit(canvas: Canvas, light: NDArray[np.float32]) -> NDArray[np.uint8]:
+    h, w = canvas.shape
     # Display values go with about the square root of light.
-    gain = cv2.resize(np.sqrt(light), (w, h), interpolation=cv2.INTER_LINEAR)
-    return np.clip(picture * gain[..., None], 0, 255).astype(np.uint8)
+    gain = [cv2.resize(root, (w, h), interpolation=cv2.INTER_LINEAR) for root in np.moveaxis(np.sqrt(light), 2, 0)]
+    if canvas.glow is not None:
+        gain = [np.maximum(g, canvas.glow * np.float32(tone)) for g, tone in zip(gain, _WINDOW_BGR, strict=True)]
+    return np.clip(canvas.image * np.stack(gain, axis=-1), 0, 255).astype(np.uint8)
 
 
 def _quad_map(quad: Quad, width: int, height: int) -> tuple[Vec, Vec]:
@@ -177,6 +187,7 @@ def _crown_map(crown: Crown, texel_m: float, size: int, rng: np.random.Generator
 
 
 def _crown_shade(crown: Crown, place: Place, caster: Caster) -> Vec:
+    """Tints (T, BGR)."""
     p = crown.triangles_T33
     normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

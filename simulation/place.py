@@ -5,7 +5,8 @@ the side that its normal (right x up) points to: standing in front of a wall, `r
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,13 +18,15 @@ from groundwalk.simulation.materials import Material, foliage, plain, wood
 Vec = NDArray[np.float64]
 Xz = tuple[float, float]
 UP: Vec = np.array([0.0, 1.0, 0.0])
+WHITE: Bgr = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
 class Quad:
     """A textured rectangle: its lower left corner, its sides as vectors, and who paints it.
 
-    `texel` multiplies the texture's texel size (2 = half as fine). `glass` is seen through and mirrors.
+    `texel` multiplies the texture's texel size (2 = half as fine). `glass` is seen through and mirrors. `glow` is the
+    brightness of a lamp's surface, whatever falls on it.
     """
 
     name: str
@@ -33,6 +36,7 @@ class Quad:
     paint: Material
     texel: float = 1.0
     glass: bool = False
+    glow: float | None = None
 
     @property
     def width_m(self) -> float:
@@ -68,22 +72,53 @@ class Obstacle:
 
 @dataclass(frozen=True)
 class Light:
-    """Where light comes from; strengths are in display brightness (1 = textures as painted).
+    """Where light comes from; strengths are in display brightness (1 = textures as painted), colours factors of them.
 
-    `sun` is the direction towards it, or None; `lamps` are (position, strength at 1 m).
+    `sun` is the direction towards it, or None; `lamps` are (position, strength at 1 m). `exposure` is how many times as
+    long a camera exposes as by full day for the same display brightness. `windows` is the display brightness of lit
+    rooms behind windows, 0 by day.
     """
 
     ambient: float = 0.6
     sun: tuple[float, float, float] | None = None
     sun_strength: float = 0.55
     lamps: tuple[tuple[tuple[float, float, float], float], ...] = ()
+    ambient_bgr: Bgr = WHITE
+    sun_bgr: Bgr = WHITE
+    lamp_bgr: Bgr = WHITE
+    exposure: float = 1.0
+    windows: float = 0.0
+
+
+@dataclass(frozen=True)
+class SkyLook:
+    """Colours of the sky overhead, at the horizon and of clouds, and the fraction that these cover on average."""
+
+    zenith: Bgr = (235, 190, 150)
+    horizon: Bgr = (240, 232, 225)
+    cloud: Bgr = (244, 244, 244)
+    cover: float = 0.35
+
+
+DAY_SKY = SkyLook()
+
+
+@dataclass(frozen=True)
+class Movable:
+    """What can be carried or driven off: which of a place's quads, crowns and obstacles it is made of."""
+
+    name: str
+    quads: slice
+    crowns: slice
+    obstacles: slice
 
 
 @dataclass
 class Place:
     """All that can be seen and bumped into. `low` and `high` bound where a camera may be.
 
-    `texel` multiplies the texel size of every picture: below 1 for rooms, whose walls are seen from near.
+    `texel` multiplies the texel size of every picture: below 1 for rooms, whose walls are seen from near. `lanterns`
+    names the surfaces of street lamps and where their light comes from.
     """
 
     name: str
@@ -94,6 +129,9 @@ class Place:
     quads: list[Quad] = field(default_factory=list)
     crowns: list[Crown] = field(default_factory=list)
     obstacles: list[Obstacle] = field(default_factory=list)
+    movables: list[Movable] = field(default_factory=list)
+    lanterns: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    sky: SkyLook = DAY_SKY
 
     def clearance_m(self, xyz_N3: Vec) -> Vec:
         """Distance (N,) of points to the nearest obstacle or bound; negative inside an obstacle or out of bounds."""
@@ -117,6 +155,15 @@ class Builder:
         high = np.array([half[0], height_m, half[2]])
         self.place = Place(name, -half, high, light, texel)
         self.rng = np.random.default_rng(np.random.SeedSequence([seed, *name.encode()]))
+
+    @contextmanager
+    def movable(self, name: str) -> Iterator[None]:
+        """What is added within is one thing that can be moved."""
+        place = self.place
+        start = len(place.quads), len(place.crowns), len(place.obstacles)
+        yield
+        end = len(place.quads), len(place.crowns), len(place.obstacles)
+        place.movables.append(Movable(name, *map(slice, start, end)))
 
     def quad(
         self,
@@ -243,18 +290,22 @@ class Builder:
         turn = math.radians(yaw_deg)
         boards = wood(((40, 70, 110), (60, 90, 120), (50, 90, 60))[self.rng.integers(3)], 0.1)
         back = (centre[0] - 0.22 * math.sin(turn), centre[1] - 0.22 * math.cos(turn))
-        self.box(
-            f"{name}.seat", centre, (1.7, 0.07, 0.45), boards, bottom=bottom + 0.42, yaw_deg=yaw_deg, faces="fblrtu"
-        )
-        self.box(f"{name}.back", back, (1.7, 0.42, 0.06), boards, bottom=bottom + 0.52, yaw_deg=yaw_deg)
-        for side in (-0.7, 0.7):
-            leg = (centre[0] + side * math.cos(turn), centre[1] - side * math.sin(turn))
-            self.box(f"{name}.leg{side}", leg, (0.08, 0.42, 0.4), plain((50, 50, 50)), bottom=bottom, yaw_deg=yaw_deg)
+        with self.movable(name):
+            self.box(
+                f"{name}.seat", centre, (1.7, 0.07, 0.45), boards, bottom=bottom + 0.42, yaw_deg=yaw_deg, faces="fblrtu"
+            )
+            self.box(f"{name}.back", back, (1.7, 0.42, 0.06), boards, bottom=bottom + 0.52, yaw_deg=yaw_deg)
+            for side in (-0.7, 0.7):
+                leg = (centre[0] + side * math.cos(turn), centre[1] - side * math.sin(turn))
+                size = (0.08, 0.42, 0.4)
+                self.box(f"{name}.leg{side}", leg, size, plain((50, 50, 50)), bottom=bottom, yaw_deg=yaw_deg)
 
     def lamp_post(self, name: str, centre: Xz, height: float = 4.0) -> None:
         """A pole with stickers and a lantern."""
         self.column(f"{name}.pole", centre, 0.08, height, _stickered((60, 64, 60)), sides=6)
         self.box(f"{name}.light", centre, (0.35, 0.5, 0.35), plain((190, 220, 225)), bottom=height, solid=False)
+        # Beside the pole and under the lantern, neither of which may hide it.
+        self.place.lanterns[f"{name}.light"] = (centre[0] + 0.3, height - 0.05, centre[1])
 
 
 def _stickered(colour: Bgr) -> Callable[[Canvas], None]:

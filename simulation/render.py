@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from groundwalk.simulation import atlas
 from groundwalk.simulation.lens import PINHOLE, Lens
 from groundwalk.simulation.mesh import TexturedMesh
-from groundwalk.simulation.place import Vec
+from groundwalk.simulation.place import DAY_SKY, SkyLook, Vec
 from groundwalk.simulation.raycast import NOTHING, Caster, Hits
 from groundwalk.simulation.shutter import Shutter, turned
 
@@ -51,9 +51,9 @@ class Rendering:
 
 
 class Sky:
-    """A bright gradient with soft clouds that drift: nothing sharp enough to be taken for a landmark."""
+    """A gradient with soft clouds that drift: nothing sharp enough to be taken for a landmark."""
 
-    def __init__(self, seed: int, clock_s: float = 0.0) -> None:
+    def __init__(self, seed: int, clock_s: float = 0.0, look: SkyLook = DAY_SKY) -> None:
         rng = np.random.default_rng(seed)
         rows, columns = 128, 512
         field = np.zeros((rows, columns), np.float32)
@@ -62,9 +62,10 @@ class Sky:
             wide = cv2.resize(np.hstack([grid, grid, grid]), (3 * columns, rows), interpolation=cv2.INTER_CUBIC)
             field += np.float32(gain) * wide[:, columns : 2 * columns]
         up = np.linspace(1, 0, rows, dtype=np.float32)[:, None, None] ** 0.6
-        colour = up * np.array([235, 190, 150], np.float32) + (1 - up) * np.array([240, 232, 225], np.float32)
-        cloud = np.clip(0.35 + 0.3 * field, 0, 0.8)[..., None]
-        self._map = ((1 - cloud) * colour + cloud * 244).astype(np.float32)
+        zenith, horizon, white = (np.array(bgr, np.float32) for bgr in (look.zenith, look.horizon, look.cloud))
+        colour = up * zenith + (1 - up) * horizon
+        cloud = np.clip(look.cover + 0.3 * field, 0, 0.8)[..., None]
+        self._map = ((1 - cloud) * colour + cloud * white).astype(np.float32)
         self._turn = 0.0008 * clock_s
 
     def colour(self, directions_N3: F32) -> F32:
@@ -159,7 +160,7 @@ class Renderer:
                 at_v = v[group] + along * long_v[group]
                 total += self._texel(box[group], at_u, at_v, level[group])
             colour[group] = total / n
-        return colour * self._mesh.tint_T[triangle, None]
+        return colour * self._mesh.tint_T3[triangle]
 
     def _texel(self, box_N4: F32, u: F32, v: F32, level: F32) -> F32:
         """Atlas colours at picture texels (u, v), interpolated between texels and between the two nearest levels."""
@@ -195,7 +196,7 @@ class Renderer:
         across = (hits.distance + far.distance)[seen] / np.float32(look.focal) * 1.5
         size = across * np.linalg.norm(a[:, 0], axis=1)
         level = np.clip(np.log2(np.maximum(size, 1e-6)), 0, atlas.LEVELS - 1.001).astype(np.float32)
-        tint = self._mesh.tint_T[triangle, None]
+        tint = self._mesh.tint_T3[triangle]
         colour[seen] = tint * self._texel(self._mesh.box_T4[triangle], texel[:, 0], texel[:, 1], level)
         return colour, fraction.astype(np.float32)
 

@@ -13,7 +13,7 @@ from groundwalk.geometry.poses import inverse
 from groundwalk.simulation import camera
 from groundwalk.simulation.camera import Exposure, Phone
 from groundwalk.simulation.capture import FRAME, SessionFrames
-from groundwalk.simulation.place import Vec
+from groundwalk.simulation.place import SkyLook, Vec
 from groundwalk.simulation.render import Renderer, Sky, View
 from groundwalk.simulation.scenes import SceneryPlan
 from groundwalk.simulation.settings import SimulateSettings
@@ -29,24 +29,28 @@ _MOTION_S = 0.01
 
 @dataclass(frozen=True)
 class SessionOutline:
-    """A session's place in the plan: its name, number of images, preferred side of the course and start on it."""
+    """A session's place in the plan: its name, number of images, preferred side of the course and start on it;
+    whether it's a test walk."""
 
     name: str
     images: int
     side: float
     start: float
     boot_s: float
+    test: bool = False
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One image to render: everything that a worker needs."""
+    """One image to render: everything that a worker needs. `mesh` is the name of the mesh's folder."""
 
     path: Path
+    mesh: str
     view: View
     velocity_cam: Vec
     spin_cam: Vec
     exposure: Exposure
+    sky: SkyLook
     sky_seed: int
     clock_s: float
     noise_seed: int
@@ -94,7 +98,7 @@ def outline(settings: SimulateSettings, scene: str, seed: int) -> list[SessionOu
             reach = 1.0 if kind == "train" else 0.6
             side = reach * (2 * k / (count - 1) - 1) if count > 1 else 0.0
             start = (k + float(rng.uniform(0, 0.6))) / count
-            sessions.append(SessionOutline(f"{kind}-{k + 1}", images, side, start, boot))
+            sessions.append(SessionOutline(f"{kind}-{k + 1}", images, side, start, boot, kind == "test"))
             boot += images / settings.image_hz + rng.uniform(2, 6) * 3600
     return sessions
 
@@ -125,9 +129,10 @@ def plan_session(
     sky_seed = int(seeds.generate_state(1)[0])
 
     meter_t = np.arange(0, duration + _METER_STEP_S, _METER_STEP_S)
-    grey = _meter(renderer, walk.world_T_cam(meter_t), sky_seed, plan.boot_s + meter_t)
+    place = scenery.place
+    grey = _meter(renderer, walk.world_T_cam(meter_t), Sky(sky_seed, plan.boot_s, place.sky))
     brightness = np.interp(t, meter_t, grey)
-    exposures = camera.auto_exposure(brightness, 1 / settings.rate_hz, indoor, light_seed)
+    exposures = camera.auto_exposure(brightness, 1 / settings.rate_hz, indoor, light_seed, place.light.exposure)
 
     t_ns = np.array([round(v * 1e9) for v in time_s], np.int64)
     vio = simulate_vio(t_ns, walk.world_T_cam(t), int(seeds.generate_state(2)[1]))
@@ -148,10 +153,12 @@ def plan_session(
         shots.append(
             Shot(
                 path=folder / f"{FRAME.format(i)}.jpg",
+                mesh=scenery.mesh,
                 view=_view(truth, i, walk, t[i], settings),
                 velocity_cam=truth.velocity_cam_N3[i],
                 spin_cam=truth.spin_cam_N3[i],
                 exposure=exposures[i],
+                sky=place.sky,
                 sky_seed=sky_seed,
                 clock_s=float(t[i]),
                 noise_seed=zlib.crc32(f"{seed}/{scenery.place.name}/{plan.name}/{i}".encode()),
@@ -182,7 +189,7 @@ def _view(truth: Truth, i: int, walk: PlannedWalk, t: float, settings: SimulateS
 
 def take(shot: Shot, renderer: Renderer, settings: SimulateSettings) -> None:
     """Render, expose and write one image, whole or not at all."""
-    sharp = renderer.render(shot.view, Sky(shot.sky_seed, shot.clock_s), settings.supersampling)
+    sharp = renderer.render(shot.view, Sky(shot.sky_seed, shot.clock_s, shot.sky), settings.supersampling)
     rng = np.random.default_rng(shot.noise_seed)
     image = camera.expose(sharp, shot.view, shot.velocity_cam, shot.spin_cam, shot.exposure, rng)
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, settings.jpeg_quality])
@@ -198,10 +205,9 @@ def _motion(before: Vec, now: Vec, after: Vec) -> tuple[Vec, Vec]:
     return velocity, spin / 2 / _MOTION_S
 
 
-def _meter(renderer: Renderer, world_T_cam: Vec, sky_seed: int, clock_s: Vec) -> Vec:
+def _meter(renderer: Renderer, world_T_cam: Vec, sky: Sky) -> Vec:
     """Mean grey level (N,) of what the camera sees."""
     w, h = _METER_PX
     focal = camera.FOCAL * w
-    sky = Sky(sky_seed, float(clock_s[0]))
     views = [View(pose, focal, focal, w / 2, h / 2, w, h) for pose in world_T_cam]
     return np.array([float(renderer.render(view, sky, 1).image.mean()) for view in views])

@@ -6,6 +6,7 @@ from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
 from groundwalk.artefacts import Settings
+from groundwalk.artefacts.choices import Appearance
 
 Drawn = Literal["drawn"]
 # "drawn": lens, readout time and focus as measured on phones, another one for each scene and seed.
@@ -57,5 +58,11 @@ class SimulateSettings(Settings):
     )
     focus_breathing: Annotated[float | Drawn, _between(0, 0.02)] = Field(
         _PHONE, description='largest error of the logged focal length, as a fraction; "drawn": 0 to 0.003, by session'
+    )
+    appearance: Appearance = Field(
+        Appearance.SAME,
+        description="what the test walks see, beside the training walks: same; other_hour: sun elsewhere; "
+        "evening: low warm sun, artificial light, noise; other_month: overcast, other foliage and ground, a fifth of "
+        "the movable objects moved, removed or new",
     )
     jpeg_quality: int = Field(90, ge=50, le=100, description="JPEG quality")

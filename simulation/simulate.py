@@ -12,6 +12,7 @@ import cv2
 import pandas as pd
 
 from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.choices import Appearance
 from groundwalk.artefacts.files import partial_folder, read_json, swap_in, write_json
 from groundwalk.artefacts.locks import locked
 from groundwalk.artefacts.progress import console, track
@@ -21,15 +22,15 @@ from groundwalk.artefacts.settings import resolve_settings
 from groundwalk.artefacts.signals import signals_held
 from groundwalk.artefacts.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES, simulated_files
 from groundwalk.artefacts.tables import pose_frame, write_table
+from groundwalk.simulation.appearance import seen_as
 from groundwalk.simulation.capture import write_frames
 from groundwalk.simulation.mesh import TexturedMesh, build_mesh, is_saved
 from groundwalk.simulation.render import Renderer
-from groundwalk.simulation.scenes import NAMES, scenery
+from groundwalk.simulation.scenes import NAMES, SceneryPlan, scenery
 from groundwalk.simulation.session import Shot, SimulatedSession, outline, plan_session, take
 from groundwalk.simulation.settings import SimulateSettings
 
 VERSION = 2  # goes up when the same settings give other captures
-_MESH = "mesh"
 
 
 def simulate(
@@ -51,7 +52,7 @@ def simulate(
     settings = resolve_settings(SimulateSettings, "simulate", data, profile, scene, overrides or [])
     config = data.scene(scene)[0]
     final = data.captures(scene)
-    parts = {"version": VERSION, "scene": scene, "seed": seed, "settings": settings.model_dump(mode="json")}
+    parts = {"version": VERSION, "scene": scene, "seed": seed, "settings": _that_matter(settings)}
     key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
     title = f"simulate · {scene} · {profile}"
     work = partial_folder(final)
@@ -69,8 +70,8 @@ def simulate(
         sessions: list[SimulatedSession] = []
 
         def attempt() -> None:
-            sessions[:] = _plan(scene, settings, config.environment == "indoor", work, seed)
-            _render_images([shot for s in sessions for shot in s.shots], settings, work / _MESH, processes)
+            sessions[:] = plan_sessions(scene, settings, config.environment == "indoor", work, seed)
+            render_images([shot for s in sessions for shot in s.shots], settings, work, processes)
 
         run_resumable(work, key, title, force, attempt)
         for session in track(sessions, "writing poses"):
@@ -83,10 +84,12 @@ def simulate(
             "profile": profile,
             "environment": config.environment,
             "extent_m": config.extent_m,
+            "appearance": settings.appearance.value,
             "reduced": {name: {"here": here, "paper": full} for name, (here, full) in reduced.items()},
             "sessions": {s.frames.name: _count(s) for s in sessions},
         }
-        shutil.rmtree(work / _MESH)
+        for mesh in {shot.mesh for session in sessions for shot in session.shots}:
+            shutil.rmtree(work / mesh)
         write_json(work / SIMULATED_MARKER, content)
         swap_in(work, final)
     images = sum(len(s.shots) for s in sessions)
@@ -94,55 +97,86 @@ def simulate(
     return final
 
 
-def _plan(scene: str, settings: SimulateSettings, indoor: bool, work: Path, seed: int) -> list[SimulatedSession]:
-    """Every session of the scene; the painted place is left in work/mesh for the renderers."""
-    plan = scenery(scene, seed)
-    if not is_saved(work / _MESH):
-        build_mesh(plan.place, settings.texel_m, seed, track).save(work / _MESH)
-    renderer = Renderer(TexturedMesh.load(work / _MESH))
+def _that_matter(settings: SimulateSettings) -> dict[str, Any]:
+    """The settings that what is simulated depends on; captures from before there were appearances stay up to date."""
+    same = settings.appearance == Appearance.SAME
+    return settings.model_dump(mode="json", exclude={"appearance"} if same else None)
+
+
+def plan_sessions(
+    scene: str, settings: SimulateSettings, indoor: bool, work: Path, seed: int, *, test_only: bool = False
+) -> list[SimulatedSession]:
+    """Every session of the scene, or those of its test walks; the place as the training walks and as the test walks see
+    it is left painted in folders of `work` for the renderers."""
+    by_day = scenery(scene, seed)
+    then = by_day
+    if settings.appearance != Appearance.SAME:
+        place = seen_as(settings.appearance, by_day.place, by_day.route, seed)
+        then = SceneryPlan(place, by_day.route, f"mesh-{settings.appearance}")
+    outlines = [item for item in outline(settings, scene, seed) if item.test or not test_only]
+    renderers = {}
+    for plan in (by_day, then) if not test_only else (then,):
+        if not is_saved(work / plan.mesh):
+            build_mesh(plan.place, settings.texel_m, seed, track).save(work / plan.mesh)
+        renderers[plan.mesh] = Renderer(TexturedMesh.load(work / plan.mesh))
     cv2.setNumThreads(1)
-    return [
-        plan_session(item, plan, settings, indoor, renderer, work / item.name, seed)
-        for item in track(outline(settings, scene, seed), "walking and measuring light")
-    ]
+    sessions = []
+    for item in track(outlines, "walking and measuring light"):
+        plan = then if item.test else by_day
+        renderer = renderers[plan.mesh]
+        sessions.append(plan_session(item, plan, settings, indoor, renderer, work / item.name, seed))
+    return sessions
 
 
 def _count(session: SimulatedSession) -> dict[str, int]:
     return {"poses": len(session.frames.time_s), "images": len(session.shots)}
 
 
-def _render_images(shots: list[Shot], settings: SimulateSettings, mesh: Path, processes: int) -> None:
-    """Render all images that aren't there yet; each depends on its shot alone, not on the number of processes."""
+def render_images(shots: list[Shot], settings: SimulateSettings, meshes: Path, processes: int) -> None:
+    """Render all images that aren't there yet; each depends on its shot alone, not on the number of processes. `meshes`
+    is the folder with the shots' meshes."""
     for folder in {shot.path.parent for shot in shots}:
         folder.mkdir(exist_ok=True)
     missing = [shot for shot in shots if not shot.path.is_file()]
     if not missing:
         return
     if processes == 1:
-        renderer = Renderer(TexturedMesh.load(mesh))
+        with_meshes = _Renderers(meshes, settings)
         for shot in track(missing, "rendering images"):
-            take(shot, renderer, settings)
+            with_meshes.take(shot)
         return
     context = multiprocessing.get_context("spawn")
     with signals_held():
-        workers = context.Pool(min(processes, len(missing)), _start_worker, (mesh, settings))
+        workers = context.Pool(min(processes, len(missing)), _start_worker, (meshes, settings))
     with workers as pool:
         for _ in track(pool.imap_unordered(_work, missing), "rendering images", len(missing)):
             pass
 
 
-_worker: tuple[Renderer, SimulateSettings]
+class _Renderers:
+    """The renderers of the meshes in a folder, each loaded when a shot asks for it."""
+
+    def __init__(self, meshes: Path, settings: SimulateSettings) -> None:
+        self._meshes, self._settings = meshes, settings
+        self._renderers: dict[str, Renderer] = {}
+
+    def take(self, shot: Shot) -> None:
+        if shot.mesh not in self._renderers:
+            self._renderers[shot.mesh] = Renderer(TexturedMesh.load(self._meshes / shot.mesh))
+        take(shot, self._renderers[shot.mesh], self._settings)
 
 
-def _start_worker(mesh: Path, settings: SimulateSettings) -> None:
+_worker: _Renderers
+
+
+def _start_worker(meshes: Path, settings: SimulateSettings) -> None:
     global _worker
     cv2.setNumThreads(1)
-    _worker = Renderer(TexturedMesh.load(mesh)), settings
+    _worker = _Renderers(meshes, settings)
 
 
 def _work(shot: Shot) -> None:
-    renderer, settings = _worker
-    take(shot, renderer, settings)
+    _worker.take(shot)
 
 
 def write_truth(folder: Path, sessions: Iterable[SimulatedSession]) -> None:

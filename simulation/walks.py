@@ -1,7 +1,7 @@
 """Hand-held walks: a course through a place, walked with gait, pauses and looking around."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,6 +99,16 @@ def plan_walk(
     return PlannedWalk(duration_s, CubicSpline(t, position), CubicSpline(t, np.stack([yaw, pitch, roll], axis=1)))
 
 
+def beside_course(route: Route) -> Vec:
+    """Points (N, 3) on the floor, _STEP_M and more apart, where walkers may put their feet."""
+    course = _Course(route)
+    along = np.arange(0, course.length_m, 4 * _STEP_M)
+    sides = np.linspace(-route.spread_m, route.spread_m, 5)
+    return (course.place(along, lambda s: np.zeros_like(s))[None] + sides[:, None, None] * course.left(along)).reshape(
+        -1, 3
+    )
+
+
 class _Course:
     """A route as smooth closed functions of the distance walked along it."""
 
@@ -135,7 +145,7 @@ class _Course:
     def _periodic(grid: Vec, values: Vec) -> CubicSpline:
         return CubicSpline(grid, np.concatenate([values, values[:1]]), bc_type="periodic")
 
-    def place(self, s: Vec, offset: CubicSpline) -> Vec:
+    def place(self, s: Vec, offset: Callable[[Vec], Vec]) -> Vec:
         """Points (N, 3) on the floor at distances s, moved to the left by `offset`."""
         xz = self._flat(s)
         y = self._height(s)

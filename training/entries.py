@@ -6,7 +6,6 @@ from groundwalk.training.regressor_settings import (
     BayesianPoseNetSettings,
     LiteSettings,
     MapNetSettings,
-    MixtureSettings,
     MSTransformerSettings,
     PoseNetSettings,
 )
@@ -50,16 +49,6 @@ COORDINET = Regressor(
     colour=(86, 180, 233),
     settings=PoseNetSettings,
     make=Lazy("groundwalk.training.models.coordinet:make_coordinet"),
-    multi_scene=False,
-    gives_covariance=True,
-)
-PN_MIXTURE = Regressor(
-    id="PN-mixture",
-    label="mixture PN",
-    meaning="PN that answers with a mixture of poses",
-    colour=(148, 103, 189),
-    settings=MixtureSettings,
-    make=Lazy("groundwalk.training.models.mixture:make_mixture"),
     multi_scene=False,
     gives_covariance=True,
 )

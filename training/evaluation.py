@@ -1,5 +1,7 @@
 """Errors of a regressor's poses, and the answer that any regressor has to beat."""
 
+from typing import Any
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -27,7 +29,8 @@ def answers(model: PoseRegressor, frames: Frames, view: View, device: torch.devi
     for start in range(0, len(frames), _BATCH):
         rows = np.arange(start, min(start + _BATCH, len(frames)))
         parts.append(model(frames.select(rows).centre_crops(view, device)))
-    return PoseBatch(*(None if part[0] is None else torch.cat(part) for part in zip(*parts, strict=True)))
+    columns: list[Any] = [None if part[0] is None else torch.cat(part) for part in zip(*parts, strict=True)]
+    return PoseBatch(*columns)
 
 
 def errors(

@@ -98,12 +98,6 @@ class MapNetSettings(PoseNetSettings):
     relative_sq: float = Field(-3.0, description="first log-variance of the loss of rotation differences")
 
 
-class MixtureSettings(PoseNetSettings):
-    """PN-mixture."""
-
-    components: int = Field(5, gt=1, description="poses that an answer may choose from, each with a weight")
-
-
 class MSTransformerSettings(BackboneSettings):
     """MS-T: its authors' settings for outdoor scenes; sx and sq follow the scene."""
 

@@ -13,10 +13,11 @@ NAMES = ("Square", "Church", "Bar", "Stairs", "Office", "Atrium")
 
 @dataclass(frozen=True)
 class SceneryPlan:
-    """A place and the course of the walks through it."""
+    """A place, the course of the walks through it, and the name of the folder where its mesh is kept."""
 
     place: Place
     route: Route
+    mesh: str = "mesh"
 
 
 def scenery(name: str, seed: int) -> SceneryPlan:

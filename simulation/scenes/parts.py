@@ -233,8 +233,9 @@ def dress(b: Builder, name: str, left: Xz, right: Xz, facade: Facade) -> None:
 def planter(b: Builder, name: str, centre: Xz, yaw_deg: float = 0.0) -> None:
     """A box with a shrub in it."""
     side = materials.masonry(0.2, 0.3, [(100, 120, 150), (120, 140, 165)], (70, 80, 90), 0.012, 15)
-    b.box(name, centre, (0.9, 0.45, 0.5), side, yaw_deg=yaw_deg)
-    b.bush(f"{name}.bush", centre, 0.42, 0.35)
+    with b.movable(name):
+        b.box(name, centre, (0.9, 0.45, 0.5), side, yaw_deg=yaw_deg)
+        b.bush(f"{name}.bush", centre, 0.42, 0.35)
 
 
 def row_of_houses(
@@ -264,7 +265,8 @@ def kiosk(b: Builder, name: str, centre: Xz, yaw_deg: float = 0.0) -> None:
                 details.poster(c, 0.12 + 0.78 * k, 0.25 + 1.05 * row, 0.62, 0.9)
         details.shop_sign(c, 0.1, c.height_m - 0.38, c.width_m - 0.2, 0.34)
 
-    b.box(name, centre, (2.0, 2.6, 1.6), side, yaw_deg=yaw_deg)
+    with b.movable(name):
+        b.box(name, centre, (2.0, 2.6, 1.6), side, yaw_deg=yaw_deg)
 
 
 def car(b: Builder, name: str, centre: Xz, yaw_deg: float) -> None:
@@ -289,7 +291,8 @@ def car(b: Builder, name: str, centre: Xz, yaw_deg: float) -> None:
             0.6 * c.width_m,
         )
 
-    b.box(name, centre, (4.2, 1.75, 1.8), side, yaw_deg=yaw_deg)
+    with b.movable(name):
+        b.box(name, centre, (4.2, 1.75, 1.8), side, yaw_deg=yaw_deg)
 
 
 def bin_(b: Builder, name: str, centre: Xz) -> None:
@@ -300,4 +303,5 @@ def bin_(b: Builder, name: str, centre: Xz) -> None:
         details.notice(c, 0.1, 0.4, 0.25, 0.3)
         details.emblem(c, 0.25, 0.25, 0.1)
 
-    b.box(name, centre, (0.5, 0.9, 0.5), side)
+    with b.movable(name):
+        b.box(name, centre, (0.5, 0.9, 0.5), side)

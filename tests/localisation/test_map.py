@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scenes import LOGGED, features, place, training, walk
 from groundwalk.artefacts import UserError
 from groundwalk.localisation.build import build_map
 from groundwalk.localisation.calibration import Trial, calibrated
-from groundwalk.localisation.compact import read_map, write_map
+from groundwalk.localisation.compact import point_covariances, read_map, write_map
 from groundwalk.localisation.hloc import HLocLocaliser
 from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings, StructureSettings
 from groundwalk.localisation.map_file import read_sections, write_sections
@@ -47,7 +48,8 @@ def test_queries_are_localised(built, file):
             answer = localiser.localise_features(seen, LOGGED, gravity, prior)
             assert answer.map_T_cam is not None, answer.reason
             assert position_error(answer.map_T_cam, truth) < 0.05 and rotation_error_deg(answer.map_T_cam, truth) < 0.6
-            assert answer.inliers == answer.seen.inlier.sum() <= len(seen)
+            # Those that joined because the pose predicts them there are seen, but no evidence.
+            assert 0.5 * answer.candidates < answer.inliers <= min(answer.candidates, answer.seen.inlier.sum())
             assert np.linalg.eigvalsh(answer.covariance).min() > 0
 
 
@@ -91,7 +93,7 @@ def test_calibration_asks_for_more_inliers_than_wrong_answers_had(built, file):
         Trial(localiser.localise_features(f, LOGGED), views.map_T_cam[row], 20 + row)
         for row, f in enumerate(built[1].training.features)
     ]
-    assert calibrated(trials).min_inliers == 43  # 1.25 times 34
+    assert calibrated(trials).min_inliers == 60  # 1.75 times 34
     assert calibrated(trials[:3]).min_inliers == 30
 
 
@@ -104,7 +106,7 @@ def test_a_map_comes_back_as_it_was_written(built, file):
     content, written = read_map(file), built[2]
     assert len(content.xyz) == 900
     np.testing.assert_allclose(content.xyz, written.xyz, atol=0.00051)
-    np.testing.assert_allclose(content.descriptors, written.descriptors, atol=0.01)
+    np.testing.assert_allclose(content.descriptors, written.descriptors, atol=0.02)
     np.testing.assert_allclose(content.map_T_view, written.map_T_view, atol=1e-6)
     np.testing.assert_array_equal(content.seen, written.seen)
     assert (content.lenses, content.priors, content.calibration) == (
@@ -177,17 +179,35 @@ print(sorted({{"torch", "open3d", "pycolmap"}} & set(sys.modules)))
     assert done.stdout.strip() == "[]"
 
 
-def test_a_sure_answer_is_of_the_small_image_and_others_of_the_whole(built, file, monkeypatch):
+def test_a_sure_answer_near_a_prior_is_of_a_small_image_and_others_of_the_whole(built, file, monkeypatch):
     localiser, sizes = MapLocaliser(read_map(file)), []
     views = walk(3, seed=9, moving=False)
     seen = features(built[0], views, 1, seed=5)
     monkeypatch.setattr("groundwalk.localisation.query.extract", lambda _, *size: sizes.append(size) or seen)
     picture = np.zeros((480, 640), np.uint8)
-    for sure_m, expected in ((10.0, [(512, 400)]), (0.0, [(512, 400), (1024, 640)])):
+    assert localiser.localise(picture, LOGGED).map_T_cam is not None
+    assert sizes == [(1536, 640)]
+    for sure_m, expected in ((10.0, [(410, 320)]), (0.0, [(410, 320), (1536, 640)])):
         monkeypatch.setattr("groundwalk.localisation.query._SURE_M", sure_m)
         sizes.clear()
-        assert localiser.localise(picture, LOGGED).map_T_cam is not None
+        assert localiser.localise(picture, LOGGED, prior=views.map_T_cam[1]).map_T_cam is not None
         assert sizes == expected
-    sizes.clear()
-    localiser.localise(picture, LOGGED, prior=views.map_T_cam[1])
-    assert sizes == [(410, 320), (1024, 640)]
+
+
+def test_an_unsure_point_says_less_of_the_pose_than_a_sure_one(built, file):
+    content = read_map(file)
+    covariances = point_covariances(content)
+    views = content.map_T_view[:, :3, 3]
+    frames = np.bincount(content.seen, minlength=len(content.xyz))
+    sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+    assert np.linalg.eigvalsh(covariances).min() > 0 and 0.001 < np.median(sd) < 0.1
+    assert np.median(sd[frames >= 6]) < np.median(sd[frames == 2])
+    # What is least sure of a point that few frames saw is how far it is from them.
+    row = int(np.flatnonzero(frames == 2)[0])
+    view = np.repeat(np.arange(len(views)), np.diff(content.seen_bounds))
+    away = content.xyz[row] - views[view[content.seen == row]].mean(axis=0)
+    across = np.cross(away, [0.0, 1.0, 0.0])
+    along, beside = (v @ covariances[row] @ v / (v @ v) for v in (away, across))
+    assert along > beside
+    exact = replace(content, priors=replace(content.priors, point_sd=0.0))
+    assert not point_covariances(exact).any()

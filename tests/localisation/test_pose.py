@@ -73,7 +73,7 @@ def test_without_shutter_and_noise_it_is_colmaps_pose():
     camera = pycolmap.Camera(model="OPENCV", width=640, height=480, params=[480, 480, 321, 239, *SEEN_BY.distortion])
     world = inverse(off(views.map_T_cam[1]))
     options = pycolmap.AbsolutePoseRefinementOptions()
-    options.loss_function_scale = 2.385 * fit.pixel_sd
+    options.loss_function_scale = 2.385 * fit.expected_px[0]
     options.gradient_tolerance = 1e-12
     options.max_num_iterations = 200
     start = pycolmap.Rigid3d(pycolmap.Rotation3d(world[:3, :3]), world[:3, 3])

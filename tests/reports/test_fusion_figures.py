@@ -2,11 +2,12 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pandas as pd
 import pytest
 from conftest import MODELS, MadeUpScene
 
-from groundwalk.reports.figures import confidence, sensitivity
+from groundwalk.reports.figures import confidence, costs, sensitivity
 
 
 @pytest.fixture(scope="module")
@@ -48,3 +49,22 @@ def test_intervals_stand_about_each_methods_mean(scene: SimpleNamespace) -> None
     assert "2 test sessions" in named.caption and "3 ways" in named.caption
     # A bound that is infinite has no end to draw to, but its mean is there.
     assert pd.isna(positions.lines[0].get_xdata()[1]) and list(positions.lines[1].get_xdata()) == [2.0]
+
+
+def test_costs_stand_where_bytes_time_and_the_median_error_say() -> None:
+    errors = {"small": [0.01, 0.02, 0.03, np.nan, np.nan], "large": [1.0, 2.0, 3.0, 4.0, 5.0], "lost": [np.nan] * 5}
+    scene = SimpleNamespace(
+        name="Church",
+        models=list(errors),
+        cards=pd.DataFrame({"model": ["large", "elsewhere"], "bytes": [2**24, None]}),
+        localisers=pd.DataFrame({"model": ["small", "lost"], "bytes": [2**21, 2**21]}),
+        frame_errors=lambda model: pd.DataFrame({"split": "test", "apr_position_m": errors[model]}),
+        runtime_ms=lambda model: {"small": 50.0, "large": 10.0, "lost": 10.0}[model],
+        label=str.upper,
+    )
+    bytes_, time = costs(scene).figure.axes  # type: ignore[arg-type]
+    # A missing pose is a failure; a model whose median is one has no place.
+    for ax, places in ((bytes_, [(2, 3), (16, 300)]), (time, [(50, 3), (10, 300)])):
+        shown = np.array([line.get_xydata()[0] for line in ax.lines])  # type: ignore[index]
+        assert shown == pytest.approx(np.array(places))
+        assert [text.get_text() for text in ax.texts] == ["SMALL", "LARGE"]

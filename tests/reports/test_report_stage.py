@@ -162,6 +162,8 @@ def test_structure_localisers_stand_beside_the_regressors(make_run: MakeRun) -> 
         assert f"Yard: Map refused {refused} of {len(said)} test frames" in text
     page = (folder / "page.html").read_text(encoding="utf-8")
     assert "Structure localisers" in page and f"{refused} thin_evidence of {len(said)}" in page
+    assert (folder / "figures" / "Yard-costs.png").is_file()
+    assert "simulated, test walks in the training walks' light, tiny profile" in table
     findings = read_table(folder / "checks.parquet", schema("report", "checks"))
     wrong = findings[findings["check"] == "no_wrong_answer"]
     assert wrong["column"].tolist() == ["Map pose"] and wrong["status"].tolist() == ["agrees"]

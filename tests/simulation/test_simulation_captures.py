@@ -149,7 +149,7 @@ def test_a_damaged_checkpoint_is_dropped_and_the_run_starts_anew(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(module, "_render_images", dies)
+        patched.setattr(module, "render_images", dies)
         with pytest.raises(KeyboardInterrupt):
             run(tmp_path)
     (saved,) = (tmp_path / "captures" / f".{SCENE}.partial" / "mesh").glob("*.npz")

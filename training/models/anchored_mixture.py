@@ -15,17 +15,14 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
 from groundwalk.training.models.regressor import PoseBatch
-from groundwalk.training.rotations import canonical, conjugate, exp_quaternion, log_quaternion, multiply
+from groundwalk.training.models.uncertainty import calibration_factors, rotation_vector
+from groundwalk.training.rotations import canonical, exp_quaternion, multiply
 
 OUTPUTS = 9  # of the network a component: logit, position and rotation beside the anchor's, logarithms of both scales
 _MEDIAN_STEPS = 12
 _FIRST_LOG_SCALE = -1.5  # of positions in standard deviations, and of rotations in radians
 _LOG_SCALES = (-6.0, 3.0)
 _VARIANCE = 4.0  # a coordinate's, in squared scales, of a density that falls as exp(-distance / scale) in space
-_MIN_FRAMES = 20
-_QUANTILE = 0.9
-_CHI2_QUANTILE = 6.25  # of three degrees of freedom at _QUANTILE
-_FACTORS = (0.25, 100.0)
 
 
 class Components(NamedTuple):
@@ -82,7 +79,7 @@ class PoseMixture(nn.Module):
         exp(-distance / scale), in position and in rotation, so that outliers weigh as little as in an L1 loss."""
         c = self.decode(outputs, scene_B)
         metres = torch.linalg.vector_norm(c.position_BK3 - position_B3[:, None], dim=-1)
-        radians = torch.linalg.vector_norm(_turn(quaternion_B4[:, None], c.quaternion_BK4), dim=-1)
+        radians = torch.linalg.vector_norm(rotation_vector(c.quaternion_BK4, quaternion_B4[:, None]), dim=-1)
         density = -metres * torch.exp(-c.log_position_scale_BK) - 3 * c.log_position_scale_BK
         density = density - radians * torch.exp(-c.log_rotation_scale_BK) - 3 * c.log_rotation_scale_BK
         return -(c.log_weight_BK + density).logsumexp(-1).mean()
@@ -102,12 +99,13 @@ class PoseMixture(nn.Module):
         likeliest = weight.argmax(dim=-1)[:, None, None].expand(-1, 1, 4)
         quaternion = c.quaternion_BK4.gather(1, likeliest).squeeze(1)
         for _ in range(_MEDIAN_STEPS):
-            turn = _turn(c.quaternion_BK4, quaternion[:, None])
+            turn = rotation_vector(quaternion[:, None], c.quaternion_BK4)
             pull = weight / (turn.square().sum(-1) + turn_spread).sqrt()
             mean = (pull[..., None] * turn).sum(1) / pull.sum(-1, keepdim=True)
             quaternion = canonical(multiply(exp_quaternion(0.5 * mean), quaternion))
 
-        errors = torch.cat([_turn(c.quaternion_BK4, quaternion[:, None]), c.position_BK3 - position[:, None]], dim=-1)
+        turn = rotation_vector(quaternion[:, None], c.quaternion_BK4)
+        errors = torch.cat([turn, c.position_BK3 - position[:, None]], dim=-1)
         covariance = torch.einsum("bk,bki,bkj->bij", weight, errors, errors)
         variances = [(weight * s).sum(-1, keepdim=True).expand(-1, 3) for s in (turn_spread, spread)]
         covariance = covariance + _VARIANCE * torch.diag_embed(torch.cat(variances, dim=-1))
@@ -115,25 +113,8 @@ class PoseMixture(nn.Module):
         return PoseBatch(position, quaternion, scene_B, covariance * factor * factor[:, None])
 
     def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
-        """Scale the covariances so that of the held-out frames nine in ten lie within their bounds of that size.
-
-        Few frames say little: with under 20 the factors are only ever raised.
-        """
-        covariance = answers.covariance_B66
-        assert covariance is not None
-        turn = _turn(answers.quaternion_B4, truth.quaternion_B4)
-        errors = turn, answers.position_B3 - truth.position_B3
-        for i, error in enumerate(errors):
-            block = covariance[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3].double()
-            squared = (error.double() * torch.linalg.solve(block, error.double())).sum(-1)
-            factor = torch.quantile(squared, _QUANTILE) / _CHI2_QUANTILE
-            low = 1.0 if len(squared) < _MIN_FRAMES else _FACTORS[0]
-            self.covariance_factor[i] *= factor.clamp(low, _FACTORS[1]).float()
-
-
-def _turn(a_B4: Tensor, b_B4: Tensor) -> Tensor:
-    """The rotation vectors (..., 3) that lead from rotations b to a: a = exp(turn) b."""
-    return 2 * log_quaternion(multiply(a_B4, conjugate(b_B4)))
+        """Scale the covariances by what the held-out frames say of them."""
+        self.covariance_factor *= calibration_factors(answers, truth).to(self.covariance_factor)
 
 
 def _clusters(
