@@ -48,6 +48,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "PN-Bayesian": "groundwalk.training.entries:BAYESIAN_PN",
         "CoordiNet": "groundwalk.training.entries:COORDINET",
         "PN-Lite": "groundwalk.training.entries:PN_LITE",
+        "MST-Lite": "groundwalk.training.entries:MST_LITE",
     },
     "groundwalk.fusion_methods": {
         "apr": "groundwalk.fusion.methods.entries:APR",

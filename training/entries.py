@@ -6,6 +6,7 @@ from groundwalk.training.regressor_settings import (
     BayesianPoseNetSettings,
     LiteSettings,
     MapNetSettings,
+    MSTransformerLiteSettings,
     MSTransformerSettings,
     PoseNetSettings,
 )
@@ -71,5 +72,15 @@ PN_LITE = Regressor(
     settings=LiteSettings,
     make=Lazy("groundwalk.training.models.posenet_lite:make_posenet_lite"),
     multi_scene=False,
+    gives_covariance=True,
+)
+MST_LITE = Regressor(
+    id="MST-Lite",
+    label="MST-Lite",
+    meaning="MS-T's transformers and a mixture of poses on frozen features of EfficientNet-Lite0",
+    colour=(20, 110, 110),
+    settings=MSTransformerLiteSettings,
+    make=Lazy("groundwalk.training.models.ms_transformer_lite:make_ms_transformer_lite"),
+    multi_scene=True,
     gives_covariance=True,
 )

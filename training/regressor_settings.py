@@ -138,7 +138,7 @@ class LiteSettings(RegressorSettings):
         (0.3, 0.3, 0.3, 0.03), description="colour jitter: brightness, contrast, saturation, hue"
     )
     turn_deg: tuple[float, float, float] | None = Field(
-        (35, 3, 3),
+        (45, 3, 3),
         description="largest yaw, pitch and roll (degrees) by which a training image is turned together with its"
         " pose; without it copies differ in colour only",
     )
@@ -162,7 +162,7 @@ class LiteSettings(RegressorSettings):
         " with a state dict of the same names",
     )
     copies: int = Field(
-        10, ge=0, description="turned and re-coloured copies of each training image, beside the image itself"
+        12, ge=0, description="turned and re-coloured copies of each training image, beside the image itself"
     )
     components: int = Field(32, gt=0, description="poses that the mixture has for each image")
     width: int = Field(256, gt=0, description="features after whitening, and in the hidden layers")
@@ -172,5 +172,10 @@ class LiteSettings(RegressorSettings):
 class MSTransformerLiteSettings(LiteSettings):
     """The same with MS-T's transformers on two of the backbone's maps."""
 
+    epochs: int = Field(10, gt=0, description="passes over the training frames and their copies")
+    batch: int = Field(64, gt=1, description="images a step")
+    learning_rate: float = Field(1e-3, gt=0, description="Adam's learning rate after warming up")
+    warmup_epochs: float = Field(1, ge=0, description="epochs over which the learning rate rises from zero")
+    dropout: float = Field(0.1, ge=0, lt=1, description="share of the head's features left out in training")
     encoder_layers: int = Field(1, gt=0, description="encoder layers of each transformer")
     decoder_layers: int = Field(1, gt=0, description="decoder layers of each transformer")

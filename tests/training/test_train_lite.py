@@ -17,9 +17,10 @@ from groundwalk.training.features import feature_cache
 from groundwalk.training.loop import Run, refuse_divergence, take_best, train
 from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
 from groundwalk.training.models.efficientnet_lite import EfficientNetLite0, folded
+from groundwalk.training.models.ms_transformer_lite import MSTransformerLite
 from groundwalk.training.models.posenet_lite import PoseNetLite, Whitening
 from groundwalk.training.models.regressor import PoseBatch
-from groundwalk.training.regressor_settings import LiteSettings
+from groundwalk.training.regressor_settings import LiteSettings, MSTransformerLiteSettings
 from groundwalk.training.stage import STAGE
 
 CPU = torch.device("cpu")
@@ -217,14 +218,35 @@ def test_upright_views_undo_the_phones_roll(tmp_path: Path) -> None:
     assert (as_it_is.inv() * wrong).magnitude().max() < 1e-6
 
 
-def test_the_stage_trains_pn_lite_on_twelve_frames(make_scene: Callable[..., Path]) -> None:
+@pytest.mark.parametrize("name", ["PN-Lite", "MST-Lite"])
+def test_the_stage_trains_on_twelve_frames(make_scene: Callable[..., Path], name: str) -> None:
     stored_state()
-    folder = execute(STAGE, "Wall", "tiny", DataRoot(make_scene(train=12)), SMALL)
+    small = [setting.replace("PN-Lite", name) for setting in SMALL]
+    folder = execute(STAGE, "Wall", "tiny", DataRoot(make_scene(train=12)), small)
     predictions, card = (pd.read_parquet(folder / f"{name}.parquet") for name in ("predictions", "models"))
     covariance = np.stack(predictions["covariance"].tolist()).reshape(-1, 6, 6)
     assert (np.linalg.eigvalsh(covariance) > 0).all()
     assert (card.loc[0, ["resize_px", "crop_px", "width_px", "upright"]] == [32, 32, 43, True]).all()
     assert "efficientnet-lite0" in card.loc[0, "weights"]
+
+
+def test_the_transformer_holds_several_scenes() -> None:
+    torch.manual_seed(0)
+    settings = MSTransformerLiteSettings(width=16, components=4)
+    model = MSTransformerLite(2, settings)
+    poses = PoseBatch(torch.randn(6, 3), torch.tensor([[0.0, 0, 0, 1]]).repeat(6, 1), torch.tensor([0, 0, 0, 1, 1, 1]))
+    model.frames.fit(poses, True, False)
+    model.mixture.fit(*model.frames.from_map(poses), poses.scene_B)
+    features = model.features(torch.randn(6, 3, 33, 47))
+    model.fit_features(features)
+    optimiser = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=3e-3)
+    for _ in range(60):
+        optimiser.zero_grad()
+        model.train().feature_loss(features, poses).backward()
+        optimiser.step()
+    answer = model.eval().answer(features)
+    assert answer.scene_B.tolist() == [0, 0, 0, 1, 1, 1]
+    assert float((answer.position_B3 - poses.position_B3).norm(dim=1).median()) < 0.3
 
 
 def test_frames_that_are_all_alike_give_finite_poses(tmp_path: Path) -> None:
