@@ -9,6 +9,7 @@ captures ?=
 web ?=
 seconds ?= 60
 nerfstudio ?=
+official ?=
 python ?= python3
 
 # What the user gives is text, never make's or the shell's language: it's read unexpanded, and recipes get it through the
@@ -20,7 +21,8 @@ override captures := $(value captures)
 override web := $(value web)
 override seconds := $(value seconds)
 override nerfstudio := $(value nerfstudio)
-export scene profile captures seconds nerfstudio
+override official := $(value official)
+export scene profile captures seconds nerfstudio official
 
 py := .venv/bin/python
 installed := .venv/.installed
@@ -102,6 +104,12 @@ bench: $(installed) ## Time, memory and bytes of each stage (profile=demo scene=
 bench-localise: $(installed) ## Structure localisers Map and HLoc against the figures to reach (docs/results); finished runs
 	@$(py) -m benchmarks.localise
 
+bench-phone: $(installed) ## Exported regressors without PyTorch: bytes, milliseconds, int8 against fp32 (docs/results); a finished run
+	@$(py) -m benchmarks.phone --scene "$${scene:-Church}" --profile "$$profile"
+
+bench-training: $(installed) ## Training steps in images a second of a core; official=<folder>: beside MS-Transformer's own code (docs/results)
+	@$(py) -m benchmarks.training $(if $(official),--official "$$official")
+
 bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures to reach (build/fusion)
 	@$(py) -m benchmarks.fusion $(if $(wildcard build/trained/runs),--data build/trained)
 
@@ -148,4 +156,4 @@ help: ## This text
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
 .NOTPARALLEL:
-.PHONY: all $(stages) simulate install paper view clean check types test test-slow bench bench-localise bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
+.PHONY: all $(stages) simulate install paper view clean check types test test-slow bench bench-localise bench-phone bench-training bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help

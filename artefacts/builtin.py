@@ -47,7 +47,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "MapNet": "groundwalk.training.entries:MAPNET",
         "PN-Bayesian": "groundwalk.training.entries:BAYESIAN_PN",
         "CoordiNet": "groundwalk.training.entries:COORDINET",
-        "PN-mixture": "groundwalk.training.entries:PN_MIXTURE",
+        "PN-Lite": "groundwalk.training.entries:PN_LITE",
     },
     "groundwalk.fusion_methods": {
         "apr": "groundwalk.fusion.methods.entries:APR",
@@ -67,5 +67,8 @@ BUILTIN: dict[str, dict[str, str]] = {
         "nerfstudio": "groundwalk.export.entries:NERFSTUDIO",
         "7scenes": "groundwalk.export.entries:SEVEN_SCENES",
         "cambridge": "groundwalk.export.entries:CAMBRIDGE",
+    },
+    "groundwalk.model_exporters": {
+        "phone": "groundwalk.export.entries:PHONE",
     },
 }

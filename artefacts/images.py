@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import hash_files
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import read_table
 
 Image = NDArray[np.uint8]
 _IMPORTED = "import:"
@@ -26,6 +24,10 @@ def image_file(image: str, captures: Path, imported: Path) -> Path:
 def verify_images(captures: Path, imported: Path) -> None:
     """UserError where an image of import's frames isn't the one that import saw, by the hash that it noted; those that
     it copied are among its outputs, and verified as these."""
+    # Here, so that whoever only reads an image needs no pandas.
+    from groundwalk.artefacts.schemas import schema
+    from groundwalk.artefacts.tables import read_table
+
     frames = read_table(imported / "frames.parquet", schema("import", "frames"))
     frames = frames[~frames["image"].str.startswith(_IMPORTED)]
     expected = dict(zip(frames["image"], frames["image_sha256"], strict=True))

@@ -1,4 +1,4 @@
-"""`python -m groundwalk.export`: ground truth in the layout of another tool or data set."""
+"""`python -m groundwalk.export`: ground truth as other tools read it, or a regressor as a phone runs it."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -12,7 +12,7 @@ from groundwalk.artefacts.cli import DataOption, ProfileOption
 from groundwalk.artefacts.files import fresh_folder, refuse_to_overwrite, write_json
 from groundwalk.artefacts.tables import CAMERA_COLUMNS
 from groundwalk.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number
-from groundwalk.export.exporters import EXPORTERS, written
+from groundwalk.export.exporters import EXPORTERS, MODEL_EXPORTERS, written
 
 _NOTE = "export.json"
 _FRAMES = "frames.csv"
@@ -20,9 +20,11 @@ _FRAMES = "frames.csv"
 
 def _format_id(name: str) -> str:
     """The id of an exporter; as a wrong choice among options where there is none."""
-    if name not in EXPORTERS and name not in EXPORTERS.problems:
-        raise typer.BadParameter(f"{name!r} is not one of {', '.join(EXPORTERS)}")
-    return EXPORTERS.known(name)
+    if name in EXPORTERS or name in EXPORTERS.problems:
+        return EXPORTERS.known(name)
+    if name in MODEL_EXPORTERS or name in MODEL_EXPORTERS.problems:
+        return MODEL_EXPORTERS.known(name)
+    raise typer.BadParameter(f"{name!r} is not one of {', '.join([*EXPORTERS, *MODEL_EXPORTERS])}")
 
 
 class ImagesOption(StrEnum):
@@ -37,7 +39,12 @@ def export(
     scene: Annotated[str, typer.Option(help="The scene; its align stage has run.")],
     name: Annotated[
         str,
-        typer.Option("--format", callback=_format_id, metavar="FORMAT", help="The layout to write: colmap, tum, ..."),
+        typer.Option(
+            "--format",
+            callback=_format_id,
+            metavar="FORMAT",
+            help="The layout to write: colmap, tum, ... for ground truth, phone for a regressor.",
+        ),
     ],
     out: Annotated[Path, typer.Option(help="The folder to make.")],
     images: Annotated[
@@ -47,15 +54,28 @@ def export(
             "are written undistorted instead of linked or copied."
         ),
     ] = ImagesOption.link,
+    model: Annotated[
+        str, typer.Option(help="With format phone: the regressor's id, as in the table train.models.")
+    ] = "",
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier export in that folder.")] = False,
     profile: ProfileOption = "demo",
     data: DataOption = Path("data"),
 ) -> None:
-    """Write ground truth as another tool reads it; docs/explanation/ground-truth.md says what each format can't hold.
+    """Write ground truth as another tool reads it, or a regressor as a phone runs it.
 
-    Frames without ground truth are excluded; `frames.csv` lists every frame with its split, quality, image and camera;
-    `export.json` says what the export is.
+    docs/explanation/ground-truth.md says what each format of ground truth can't hold. Frames without are excluded;
+    `frames.csv` lists every frame with its split, quality, image and camera; `export.json` says what the export is.
+    docs/how-to/phone.md says what format phone writes.
     """
+    if (name in MODEL_EXPORTERS) != bool(model):
+        raise UserError(
+            f"format {name} needs the id of a regressor" if not model else f"format {name} is not of a regressor",
+            where="--model",
+            do="add --model PN, or another of the table train.models" if not model else "leave --model out",
+        )
+    if model:
+        _export_model(DataRoot(data), profile, scene, model, name, out, force=force)
+        return
     dataset = load_dataset(DataRoot(data), profile, scene)
     about = {"scene": scene, "profile": profile, "format": name}
     undistorted = write_export(dataset, name, out, images.value, about, force=force)
@@ -73,6 +93,25 @@ def export(
         )
     if dataset.simulated:
         progress.console.print("  the captures are simulated, and export.json says so", markup=False)
+
+
+def _export_model(data: DataRoot, profile: str, scene: str, model: str, name: str, out: Path, *, force: bool) -> None:
+    from groundwalk.export.regressor import load_regressor  # PyTorch, which ground truth doesn't need
+
+    exporter, out = MODEL_EXPORTERS.find(name), out.absolute()
+    refuse_to_overwrite(out, "exports", exporter.note, "format", force=force)
+    regressor = load_regressor(data, profile, scene, model)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with fresh_folder(out) as folder, MODEL_EXPORTERS.guard(name):
+            said = exporter.write(regressor, folder)
+    except OSError as error:
+        raise UserError("the export can't be written", where=error.filename or out, found=error.strerror) from None
+    progress.console.print(f"{model} of {scene} as {name} → {out}", markup=False)
+    for line in said:
+        progress.console.print(f"  {line}", markup=False)
+    if regressor.simulated:
+        progress.console.print(f"  the captures are simulated, and {exporter.note} says so", markup=False)
 
 
 def write_export(

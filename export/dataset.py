@@ -101,12 +101,7 @@ class Dataset:
     def world(self) -> str:
         """Unit and axes of the map, in words."""
         scale, vertical = (str(self.frames[f"{name}_source"].iloc[0]) for name in ("scale", "vertical"))
-        if scale == ScaleSource.NONE:
-            unit = "SfM's unit, without a metric scale"
-        else:
-            unit = "a reference's unknown unit" if scale == ScaleSource.REFERENCE_UNIT_UNKNOWN else "metres"
-        axes = "a reference's axes, up unknown" if vertical == VerticalSource.REFERENCE_UP_UNKNOWN else "+y up"
-        return f"{unit}, {axes}"
+        return world_of(scale, vertical)
 
     @property
     def in_test(self) -> np.ndarray:
@@ -144,6 +139,16 @@ class Dataset:
             images[row] = replace(images[row], undistorted=(camera, cameras[row]))
         columns = {name: [getattr(camera, name) for camera in cameras] for name in CAMERA_COLUMNS}
         return replace(self, frames=self.frames.assign(**columns), images=images)
+
+
+def world_of(scale_source: str, vertical_source: str) -> str:
+    """Unit and axes of a map, in words."""
+    if scale_source == ScaleSource.NONE:
+        unit = "SfM's unit, without a metric scale"
+    else:
+        unit = "a reference's unknown unit" if scale_source == ScaleSource.REFERENCE_UNIT_UNKNOWN else "metres"
+    axes = "a reference's axes, up unknown" if vertical_source == VerticalSource.REFERENCE_UP_UNKNOWN else "+y up"
+    return f"{unit}, {axes}"
 
 
 def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:

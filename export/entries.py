@@ -2,12 +2,14 @@
 
 from functools import partial
 
+from groundwalk.artefacts.registry import Lazy
 from groundwalk.export.cambridge import write_cambridge
 from groundwalk.export.colmap import write_colmap
-from groundwalk.export.exporters import Exporter
+from groundwalk.export.exporters import Exporter, ModelExporter
 from groundwalk.export.nerfstudio import DISTORTION, write_nerfstudio
 from groundwalk.export.seven_scenes import write_seven_scenes
 from groundwalk.export.tum import write_tum
+from groundwalk.runtime.bundle_file import MANIFEST
 
 COLMAP = Exporter(
     id="colmap",
@@ -50,4 +52,11 @@ CAMBRIDGE = Exporter(
     meaning="dataset_train.txt and dataset_test.txt beside the images",
     write=write_cambridge,
     distortion_coefficients=0,
+)
+PHONE = ModelExporter(
+    id="phone",
+    label="phone",
+    meaning="a bundle: networks as ONNX and Core ML, preprocessing, map frame, golden queries",
+    write=Lazy("groundwalk.export.phone.bundle:write_bundle"),
+    note=MANIFEST,
 )

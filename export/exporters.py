@@ -1,12 +1,15 @@
-"""The layouts that ground truth is exported in: what a record of one says, and those that there are."""
+"""The layouts that ground truth and regressors are exported in: what a record of one says, and those that there are."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from groundwalk.artefacts.registry import Entry, Registry, callable_faults
 from groundwalk.export.dataset import Dataset, Images
+
+if TYPE_CHECKING:
+    from groundwalk.export.regressor import TrainedRegressor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +34,29 @@ class Exporter(Entry):
 
 
 EXPORTERS = Registry("groundwalk.exporters", Exporter)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelExporter(Entry):
+    """A layout of a trained regressor: `write(regressor, folder)` writes it into an empty folder and returns what to
+    tell the user of it, a line each.
+
+    note: the file in the folder that tells an export from another folder, a JSON object with a member `format`.
+    """
+
+    noun: ClassVar[str] = "model format"
+
+    write: Callable[["TrainedRegressor", Path], list[str]] = field(repr=False)
+    note: str
+
+    def faults(self) -> Iterable[str]:
+        yield from super().faults()
+        yield from callable_faults(self, ["write"])
+        if not isinstance(self.note, str):
+            yield f"note is {self.note!r}, not a file's name"
+
+
+MODEL_EXPORTERS = Registry("groundwalk.model_exporters", ModelExporter)
 
 
 def written(name: str, dataset: Dataset, folder: Path, images: Images) -> list[str]:

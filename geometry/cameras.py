@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundwalk.geometry import GeometryError
+from groundwalk.geometry import Array, GeometryError
 from groundwalk.geometry.lens import distort, distort_with_slope, undistort
-from groundwalk.geometry.poses import Array
 
 _GRID = 33
 _RELATIVE, _ROUNDING_PX = 1e-6, 1e-6

@@ -8,7 +8,7 @@ order k1, k2, p1, p2, k3, k4, k5, k6, of all points (k,) or of each (M, k).
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundwalk.geometry.poses import Array
+from groundwalk.geometry import Array
 
 _MAX_STEPS, _PRECISION = 50, 1e-13
 

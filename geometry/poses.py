@@ -1,12 +1,10 @@
 """Rigid transforms as 4x4 matrices: building, taking apart, measuring and interpolating them."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
-from groundwalk.geometry import GeometryError
-
-Array = NDArray[np.float64]
+from groundwalk.geometry import Array, GeometryError
 
 # ARKit's camera looks along -z with y up; ours (OpenCV's) along +z with y down.
 ARKIT_CAM_T_CAM: Array = np.diag([1.0, -1.0, -1.0, 1.0])

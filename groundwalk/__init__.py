@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from groundwalk.artefacts.errors import UserError
     from groundwalk.run import Run, pose_array, rigid_transforms
+    from groundwalk.runtime.bundle import open_bundle
 
-__all__ = ["CHECKOUT", "Run", "UserError", "open", "pose_array", "rigid_transforms"]
+__all__ = ["CHECKOUT", "Run", "UserError", "open", "open_bundle", "pose_array", "rigid_transforms"]
 
 
 def _checkout() -> Path | None:
@@ -46,7 +47,13 @@ def open(scene_or_folder: str | PathLike[str], *, profile: str = "demo", data: s
     return open_run(scene_or_folder, profile, Path(data))
 
 
-_MODULES = {"Run": "run", "UserError": "artefacts.errors", "pose_array": "run", "rigid_transforms": "run"}
+_MODULES = {
+    "Run": "run",
+    "UserError": "artefacts.errors",
+    "open_bundle": "runtime.bundle",
+    "pose_array": "run",
+    "rigid_transforms": "run",
+}
 
 
 def __getattr__(name: str) -> Any:

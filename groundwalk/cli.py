@@ -75,9 +75,8 @@ COMMANDS = {
     "Captures, exports and checks": [
         Command("inspect", "Show what a capture holds, without import.", "capture_import.__main__", "inspect"),
         Command("formats", "List the capture formats.", "capture_import.__main__", "formats"),
-        Command("export", "Write ground truth for COLMAP and other tools.", "export.__main__"),
-        Command("locate", "Localise images in a scene's map.", "localisation.locate"),
-        Command("export-model", "Write a trained regressor as ONNX.", "training.__main__", "export"),
+        Command("export", "Export ground truth, or a regressor for a phone.", "export.__main__"),
+        Command("locate", "Localise images in a map, or by a regressor.", "localisation.locate"),
         Command("evaluate", "Fuse predictions from Parquet files; measure errors.", "fusion.__main__", "evaluate"),
         Command("leaderboard", "Compare all fusion methods scene by scene.", "fusion.__main__", "leaderboard"),
         Command("fusion", "Leaderboard, evaluate and sweep under one name.", "fusion.__main__"),

@@ -134,7 +134,8 @@ class Run:
 
         UserError where the stage isn't finished, or intrinsics and the rest can't be what they should.
         """
-        from groundwalk.localisation.one_query import ask, known_of, query_of
+        from groundwalk.localisation.one_query import ask
+        from groundwalk.runtime.queries import known_of, query_of
 
         where = "intrinsics of groundwalk.Run.localise"
         query = query_of(

@@ -1,8 +1,9 @@
-"""`groundwalk locate`: new images in a map's file, without a run."""
+"""`groundwalk locate`: new images in a map's file or by a regressor's bundle, without a run."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -10,26 +11,32 @@ from groundwalk.artefacts import UserError, progress
 from groundwalk.artefacts.choices import Refusal
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.files import written_aside
-from groundwalk.localisation.answers import Answer, Clock, refused
-from groundwalk.localisation.localisers import LOCALISERS, FileLocaliser
-from groundwalk.localisation.one_query import Query, ask, query_of, row_of
+from groundwalk.runtime.bundle import Bundle, Prediction, open_bundle
+from groundwalk.runtime.queries import Query, file_query, image_files, numbers
 
-_IMAGES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
-_INTRINSICS = "intrinsics.json"
+if TYPE_CHECKING:
+    from groundwalk.localisation.localisers import FileLocaliser
 
-
-app = new_app("New images in a map's file.")
+app = new_app("New images in a map's file, or by a regressor's bundle.")
+Row = dict[str, Any]
 
 
 @app.command()
 def locate(
     images: Annotated[Path, typer.Argument(help="An image, or a folder of images.")],
-    map_: Annotated[Path, typer.Option("--map", help="The map's file, map.gwm of a scene's stage localise.")],
+    map_: Annotated[
+        Path | None, typer.Option("--map", help="The map's file, map.gwm of a scene's stage localise.")
+    ] = None,
+    bundle: Annotated[
+        Path | None, typer.Option(help="A regressor's bundle, as `groundwalk export --format phone` writes it.")
+    ] = None,
+    verify: Annotated[bool, typer.Option("--verify", help="Ask the bundle's golden queries first.")] = False,
+    network: Annotated[str, typer.Option(help="The bundle's network, fp32 or int8; the recommended one.")] = "",
     intrinsics: Annotated[
         str, typer.Option(help="fx,fy,cx,cy in pixels of the images; instead of a JSON file beside them.")
     ] = "",
     gravity: Annotated[str, typer.Option(help="x,y,z: down, in the camera (x right, y down, z forward).")] = "",
-    scene: Annotated[str, typer.Option(help="The scene that the map has to be of.")] = "",
+    scene: Annotated[str, typer.Option(help="The scene that the map or bundle has to be of.")] = "",
     out: Annotated[Path | None, typer.Option(help="A file for the answers, one JSON object a line.")] = None,
 ) -> None:
     """Say where images were taken: a pose in the map with its covariance, or a refusal with its reason.
@@ -38,16 +45,16 @@ def locate(
     fy, cx, cy and, where they are known, width, height, gravity and prior (map_T_cam, 4x4). An image whose own file has
     other intrinsics is asked with these. An image of a folder that can't be asked is refused as bad_input.
     """
-    localiser = read_localiser(map_, scene)
-    common: dict[str, Any] = {}
+    ask = _asked(map_, bundle, scene, network, verify)
+    common: Row = {}
     if intrinsics:
-        common |= dict(zip(("fx", "fy", "cx", "cy"), _numbers(intrinsics, 4, "--intrinsics"), strict=True))
+        common |= dict(zip(("fx", "fy", "cx", "cy"), numbers(intrinsics, 4, "--intrinsics"), strict=True))
     if gravity:
-        common["gravity"] = _numbers(gravity, 3, "--gravity")
+        common["gravity"] = numbers(gravity, 3, "--gravity")
     rows = []
-    paths = _image_files(images)
+    paths = image_files(images)
     for path in progress.track(paths, "localising", len(paths)):
-        row = {"image": path.name, **row_of(_answer(localiser, path, common, among_others=images.is_dir()))}
+        row = {"image": path.name, **_answer(ask, path, common, among_others=images.is_dir())}
         rows.append(row)
         if out is None:
             typer.echo(json.dumps(row))
@@ -58,20 +65,24 @@ def locate(
     progress.console.print(f"{len(rows) - refused} of {len(rows)} images localised, {refused} refused", markup=False)
 
 
-def _answer(localiser: FileLocaliser, path: Path, common: dict[str, Any], *, among_others: bool) -> Answer:
+def _answer(ask: Callable[[Query], Row], path: Path, common: Row, *, among_others: bool) -> Row:
     """What is said of an image; one among others that can't be asked is refused, alone it's a UserError."""
     try:
-        query = _query(path, common)
+        query = file_query(path, common)
     except UserError as error:
         if not among_others:
             raise
         found = error.details["found"]
-        return refused(Refusal.BAD_INPUT, error.what if found is None else f"{error.what}: {found}", Clock())
-    return ask(localiser, query)
+        reason = error.what if found is None else f"{error.what}: {found}"
+        nothing: Row = dict.fromkeys(("position_m", "quaternion", "covariance"))
+        return nothing | {"refusal": Refusal.BAD_INPUT, "reason": reason}
+    return ask(query)
 
 
-def read_localiser(path: Path, scene: str = "") -> FileLocaliser:
+def read_localiser(path: Path, scene: str = "") -> "FileLocaliser":
     """The localiser of a map's file; UserError where it can't be used, or is of another scene than `scene`."""
+    from groundwalk.localisation.localisers import LOCALISERS
+
     suffixes = {entry.file.suffix: entry.file for entry in LOCALISERS.values() if entry.file is not None}
     if not path.is_file():
         raise UserError("there is no such map", where=path, do="name map.gwm of a scene's stage localise")
@@ -83,45 +94,41 @@ def read_localiser(path: Path, scene: str = "") -> FileLocaliser:
     return localiser
 
 
-def _image_files(images: Path) -> list[Path]:
-    if images.is_file():
-        return [images]
-    found = sorted(path for path in images.glob("*") if path.suffix.lower() in _IMAGES) if images.is_dir() else []
-    if not found:
-        kind = "no image in this folder" if images.is_dir() else "no such file or folder"
-        raise UserError(
-            "there are no images to localise", where=images, found=kind, expected=", ".join(sorted(_IMAGES))
-        )
-    return found
+def _asked(map_: Path | None, bundle: Path | None, scene: str, network: str, verify: bool) -> Callable[[Query], Row]:
+    """What answers a query with a row: the map or the bundle, whichever is named."""
+    if (map_ is None) == (bundle is None):
+        found = "neither" if map_ is None else "both"
+        raise UserError("images are localised in a map or by a bundle", expected="--map or --bundle", found=found)
+    if bundle is not None:
+        opened = _open(bundle, scene, network, verify)
+        return lambda query: _row(opened.ask(query))
+    if map_ is None or network or verify:
+        raise UserError("--network and --verify are about a bundle", expected="--bundle", found="--map")
+    localiser = read_localiser(map_, scene)
+    from groundwalk.localisation.one_query import ask, row_of  # not for a bundle, which needs less than maps do
+
+    return lambda query: row_of(ask(localiser, query))
 
 
-def _query(path: Path, common: dict[str, Any]) -> Query:
-    """An image with what is known of it: what the command says, then the folder's file, then its own."""
-    known = dict(common)
-    for file in (path.with_name(_INTRINSICS), path.with_name(path.name + ".json"), path.with_suffix(".json")):
-        if file.is_file():
-            known |= _object(file)
-    where = f"{path.name}.json or {_INTRINSICS} beside {path}, or --intrinsics fx,fy,cx,cy"
-    return query_of(path, known, where)
+def _open(bundle: Path, scene: str, network: str, verify: bool) -> Bundle:
+    opened = open_bundle(bundle, network=network or None)
+    scenes = opened.manifest["scenes"]
+    if scene and scene not in scenes:
+        raise UserError("a bundle is of another scene", where=bundle, expected=scene, found=", ".join(scenes))
+    if verify:
+        progress.console.print(f"{opened.verify()} golden queries come out as they should", markup=False)
+    return opened
 
 
-def _object(file: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise UserError("a file with intrinsics can't be read", where=file, found=error, expected="JSON") from None
-    if not isinstance(content, dict):
-        raise UserError("a file with intrinsics has something else", where=file, expected="a JSON object")
-    return content
-
-
-def _numbers(text: str, count: int, option: str) -> list[float]:
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count:
-        raise UserError(
-            f"{option} has something else than numbers", found=text, expected=f"{count} numbers with commas"
-        )
-    return numbers
+def _row(prediction: Prediction) -> Row:
+    """A prediction as plain values, with the names that a map's answers have."""
+    covariance = prediction.covariance
+    return {
+        "position_m": prediction.position.tolist(),
+        "quaternion": prediction.quaternion.tolist(),
+        "covariance": None if covariance is None else covariance.ravel().tolist(),
+        "scene": prediction.scene,
+        "milliseconds": {part: round(1e3 * seconds, 2) for part, seconds in prediction.seconds.items()},
+        "refusal": None,
+        "reason": None,
+    }

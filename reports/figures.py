@@ -385,7 +385,7 @@ def drift(scene: SceneInputs) -> NamedFigure:
 
 
 def learning_curves(scene: SceneInputs) -> NamedFigure:
-    """Loss on training frames and median errors on held-out ones, an epoch at a time; the kept epoch is marked."""
+    """Loss on training frames and median errors on held-out ones, an epoch at a time; the selected epoch is marked."""
     figure, axes = style.new_figure(1, 3, 2.3)
     panels = (
         ("train_loss", "Training loss", ""),
@@ -395,10 +395,10 @@ def learning_curves(scene: SceneInputs) -> NamedFigure:
     dashes = ("-", "--", ":", "-.")
     for index, (model, history) in enumerate(scene.history.groupby("model", sort=False)):
         history = history.sort_values("epoch")
-        kept = history[history["kept"]]
+        selected = history[history["selected"]]
         for ax, (column, _, _) in zip(axes, panels, strict=True):
             ax.plot(history["epoch"], history[column], color=style.APR, ls=dashes[index % 4], label=str(model))
-            ax.plot(kept["epoch"], kept[column], "o", color=style.APR, ms=5, zorder=3)
+            ax.plot(selected["epoch"], selected[column], "o", color=style.APR, ms=5, zorder=3)
     for ax, (_, title, unit) in zip(axes, panels, strict=True):
         ax.set(title=title, xlabel="epoch", ylabel=unit)
         ax.set_xlim(left=0)
@@ -406,7 +406,7 @@ def learning_curves(scene: SceneInputs) -> NamedFigure:
     for ax in axes[1:]:
         ax.set_ylim(bottom=0)
     axes[0].legend(fontsize=7.5)
-    caption = f"{scene.name}: learning curves on frames of the training walks; dots mark the epoch that was kept."
+    caption = f"{scene.name}: learning curves on frames of the training walks; dots mark the selected epoch."
     return NamedFigure("learning-curves", caption, figure)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from picture_wall import trained_wall, wall_bundle  # noqa: F401
 
 # The same examples in every run, however slow the machine: a test run says something about the change, not about luck.
 # `pytest --hypothesis-profile=search` draws new ones.

@@ -18,9 +18,10 @@ GRAPH: dict[str, set[str]] = {
     "capture_import": {"artefacts", "geometry"},
     "sfm": {"artefacts", "consistency", "geometry"},
     "alignment": {"artefacts", "consistency", "geometry", "scoring"},
-    "export": {"artefacts", "geometry"},
+    "runtime": {"artefacts", "geometry"},
+    "export": {"artefacts", "geometry", "runtime", "scoring", "training"},
     "training": {"artefacts", "geometry", "scoring"},
-    "localisation": {"artefacts", "geometry", "scoring"},
+    "localisation": {"artefacts", "geometry", "runtime", "scoring"},
     "fusion": {"artefacts", "geometry", "scoring"},
     "reports": {"artefacts", "geometry", "scoring"},
 }

@@ -21,6 +21,10 @@ class Trained(NamedTuple):
     crop: int
     focal_px: float | None
     """of the pinhole whose images it sees, principal point in the middle; None: images as captured"""
+    width: int
+    """of the window in the middle of the image, `crop` being its height"""
+    upright: bool
+    """images are turned about their middle until gravity points down; the poses are those of the turned camera"""
 
 
 def save_trained(path: Path, name: str, settings: RegressorSettings, trained: Trained) -> None:
@@ -33,6 +37,8 @@ def save_trained(path: Path, name: str, settings: RegressorSettings, trained: Tr
         "resize": trained.resize,
         "crop": trained.crop,
         "focal_px": trained.focal_px,
+        "width": trained.width,
+        "upright": trained.upright,
         "state": {key: tensor.cpu().contiguous() for key, tensor in trained.model.state_dict().items()},
     }
     torch.save(content, path)
@@ -45,8 +51,12 @@ def load_trained(path: Path) -> Trained:
         regressor = REGRESSORS.find(content["model"])
         model = regressor.make(regressor.settings.model_validate(content["settings"]), len(content["scenes"]), True)
         model.load_state_dict(content["state"])
+        missing = {"width", "upright"} - content.keys()
+        if missing:
+            raise KeyError(*missing)
     except (OSError, RuntimeError, EOFError, KeyError, TypeError, ValueError, pickle.UnpicklingError) as error:
         raise UserError(
             "not a trained model", where=path, expected="a file that the train stage wrote", found=type(error).__name__
         ) from None
-    return Trained(model.eval(), content["scenes"], content["resize"], content["crop"], content["focal_px"])
+    names = ("scenes", "resize", "crop", "focal_px", "width", "upright")
+    return Trained(model.eval(), *(content[name] for name in names))

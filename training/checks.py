@@ -5,21 +5,21 @@ import copy
 import torch
 from torch import Tensor
 
-from groundwalk.training.data import normalised
+from groundwalk.training.data import View, normalised
 from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
 
 _IMAGES = 2
 _UNIT = 1e-3
 
 
-def check_regressor(model: PoseRegressor, scenes: int, crop: int, gives_covariance: bool) -> None:
+def check_regressor(model: PoseRegressor, scenes: int, view: View, gives_covariance: bool) -> None:
     """Run a copy of the model, on a CPU, over two images of noise; ValueError or TypeError naming what isn't as it
     should be. The random numbers of PyTorch go on as if nothing had been drawn."""
     if not isinstance(model, PoseRegressor):
         raise TypeError(f"make returned a {type(model).__name__}, not a PoseRegressor")
     with torch.random.fork_rng(devices=[]):
         model = copy.deepcopy(model)
-        image = normalised(torch.rand(_IMAGES, 3, crop, crop))
+        image = normalised(torch.rand(_IMAGES, 3, view.height, view.width))
         with torch.no_grad():
             answer = model.eval()(image)
         _check_poses(answer, scenes, gives_covariance)

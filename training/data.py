@@ -14,8 +14,6 @@ from torch import Tensor
 
 from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.images import Image
-from groundwalk.artefacts.undistortion import undistorted_image
-from groundwalk.geometry.cameras import Camera, centred_pinhole
 from groundwalk.training.models.regressor import PoseBatch
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
@@ -59,35 +57,13 @@ class ImageCache:
         return cls(folder)
 
 
-def small_image(image: Image, short_side: int) -> Image:
-    """The image with `short_side` pixels on its shorter side, as captured otherwise."""
-    return _resized(image, *_small_size(image, short_side))
+@dataclass(frozen=True)
+class View:
+    """What a network sees of an image in the cache: a window (pixels) in its middle, turned upright or not."""
 
-
-def pinhole_image(image: Image, camera: Camera, short_side: int, focal: float) -> Image:
-    """What the virtual pinhole, whose focal length is `focal` shorter sides, sees where `camera` took the image.
-
-    As large as `small_image` makes it; its principal point is in the middle. Beyond the image its border is repeated.
-    """
-    pinhole = centred_pinhole(*_small_size(image, short_side), focal * short_side)
-    # Half-sized pixels keep sharp what a second interpolation would blur.
-    finer = min(2.0, max(1.0, min(image.shape[:2]) / short_side))
-    size = round(finer * pinhole.width), round(finer * pinhole.height)
-    seen = undistorted_image(_resized(image, *size), camera.resized(*size), pinhole.resized(*size))
-    return _resized(seen, pinhole.width, pinhole.height)
-
-
-def _small_size(image: Image, short_side: int) -> tuple[int, int]:
-    """Width and height."""
-    height, width = image.shape[:2]
-    scale = short_side / min(height, width)
-    return max(short_side, round(width * scale)), max(short_side, round(height * scale))
-
-
-def _resized(image: Image, width: int, height: int) -> Image:
-    shrinks = width < image.shape[1]
-    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-    return np.asarray(small, np.uint8)
+    height: int
+    width: int
+    upright: bool = False
 
 
 class Turns(NamedTuple):
@@ -104,7 +80,8 @@ class Frames:
 
     `index_N` into the cache; `K_N33` intrinsics in cached pixels (pixel centres at 0.5); `position_N3` (m) and
     `quaternion_N4` (unit xyzw) of map_T_cam; `scene_N` the index of the frame's scene; `session_N` that of its session,
-    in which frames follow one another in time.
+    in which frames follow one another in time; `gravity_N3` the unit vector down, in camera axes, NaN where the phone
+    gives none.
     """
 
     cache: ImageCache
@@ -114,6 +91,7 @@ class Frames:
     quaternion_N4: NDArray[np.float64]
     scene_N: NDArray[np.int64]
     session_N: NDArray[np.int64]
+    gravity_N3: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.index_N)
@@ -128,7 +106,32 @@ class Frames:
             self.quaternion_N4[rows],
             self.scene_N[rows],
             self.session_N[rows],
+            self.gravity_N3[rows],
         )
+
+    def seen(self, view: View) -> Rotation:
+        """cam_R_seen (N): from the axes of the camera whose image the network sees to those of the camera."""
+        roll_N = np.zeros(len(self))
+        if view.upright:
+            # As much as turns gravity's part in the image downwards; a phone that looks straight down has none.
+            roll_N = np.arctan2(-self.gravity_N3[:, 0], self.gravity_N3[:, 1])
+            roll_N[~np.isfinite(roll_N)] = 0
+        return Rotation.from_euler("z", roll_N[:, None])
+
+    def camera_poses(self, poses: PoseBatch, view: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions (N, 3) and quaternions (N, 4) of map_T_cam from a network's answers to the view; where it's
+        upright, with the tilt that gravity says."""
+        position, quaternion = (t.detach().double().cpu().numpy() for t in (poses.position_B3, poses.quaternion_B4))
+        if not view.upright:
+            return position, quaternion
+        map_R_cam = Rotation.from_quat(quaternion) * self.seen(view).inv()
+        down_N3 = map_R_cam.apply(self.gravity_N3)
+        axis_N3 = np.cross(down_N3, [0, -1, 0])
+        sine_N1 = np.linalg.norm(axis_N3, axis=1, keepdims=True)
+        angle_N1 = np.arctan2(sine_N1, -down_N3[:, 1:2])
+        tilt_N3 = axis_N3 / np.maximum(sine_N1, 1e-12) * angle_N1
+        tilt_N3[~np.isfinite(tilt_N3).all(axis=1)] = 0
+        return position, np.asarray((Rotation.from_rotvec(tilt_N3) * map_R_cam).as_quat())
 
     def sequences(self, rows: NDArray[np.int64], frames: int, spacing: int) -> NDArray[np.int64]:
         """Rows (N * frames,) of sequences of frames of one session: each begins at one of `rows`, or as late as a
@@ -142,48 +145,54 @@ class Frames:
         """All poses as tensors."""
         return pose_batch(self.position_N3, self.quaternion_N4, self.scene_N, device)
 
-    def centre_crops(self, crop: int, device: torch.device) -> Tensor:
-        """Normalised images (N, 3, crop, crop) from the middle of each image, as testing sees them."""
+    def centre_crops(self, view: View, device: torch.device) -> Tensor:
+        """Normalised images (N, 3, height, width) from the middle of each image, as testing sees them."""
         crops = []
-        for index in self.index_N:
-            image = self.cache[index]
-            top, left = (image.shape[0] - crop) // 2, (image.shape[1] - crop) // 2
-            crops.append(image[top : top + crop, left : left + crop])
+        if view.upright:
+            for index, K, turn in zip(self.index_N, self.K_N33, self.seen(view).as_matrix(), strict=True):
+                crops.append(turned_crop(self.cache[index], K, turn, view))
+        else:
+            for index in self.index_N:
+                image = self.cache[index]
+                top, left = (image.shape[0] - view.height) // 2, (image.shape[1] - view.width) // 2
+                crops.append(image[top : top + view.height, left : left + view.width])
         return normalised(to_tensor(crops, device))
 
     def training_crops(
-        self, crop: int, turns: Turns | None, rng: np.random.Generator, device: torch.device
+        self, view: View, turns: Turns | None, rng: np.random.Generator, device: torch.device
     ) -> tuple[Tensor, PoseBatch]:
-        """Images (N, 3, crop, crop) in 0..1 for training, and the poses that they are to be given.
+        """Images (N, 3, height, width) in 0..1 for training, and the poses that they are to be given.
 
         Without `turns`, a crop anywhere in the image with the image's pose, as the paper has it. With them, the
         picture that the camera would have taken turned by a random angle about its centre, and that turned pose:
         turning doesn't change what is visible from where, so the picture is right without knowing the scene.
         """
         crops, quaternions = [], self.quaternion_N4
-        if turns is None:
+        if turns is None and not view.upright:
             for index in self.index_N:
                 image = self.cache[index]
-                top, left = (int(rng.integers(0, side - crop + 1)) for side in image.shape[:2])
-                crops.append(image[top : top + crop, left : left + crop])
+                sides = zip(image.shape[:2], (view.height, view.width), strict=True)
+                top, left = (int(rng.integers(0, side - seen + 1)) for side, seen in sides)
+                crops.append(image[top : top + view.height, left : left + view.width])
         else:
-            angles = rng.uniform(-1, 1, (len(self), 3)) * [turns.yaw, turns.pitch, turns.roll]
-            cam_R_turned = Rotation.from_euler("yxz", angles, degrees=True)
+            angles = rng.uniform(-1, 1, (len(self), 3)) * (turns or Turns(0, 0, 0))
+            cam_R_turned = self.seen(view) * Rotation.from_euler("yxz", angles, degrees=True)
             for index, K, turn in zip(self.index_N, self.K_N33, cam_R_turned.as_matrix(), strict=True):
-                crops.append(turned_crop(self.cache[index], K, turn, crop))
+                crops.append(turned_crop(self.cache[index], K, turn, view))
             quaternions = (Rotation.from_quat(quaternions) * cam_R_turned).as_quat()
         return to_tensor(crops, device), pose_batch(self.position_N3, quaternions, self.scene_N, device)
 
 
-def turned_crop(image: Image, K: NDArray[np.float64], cam_R_turned: NDArray[np.float64], crop: int) -> Image:
-    """What a camera turned by `cam_R_turned` (3, 3) sees through the centre crop's window; edges are repeated."""
+def turned_crop(image: Image, K: NDArray[np.float64], cam_R_turned: NDArray[np.float64], view: View) -> Image:
+    """What a camera turned by `cam_R_turned` (3, 3) sees through the view's window; edges are repeated."""
     height, width = image.shape[:2]
-    to_window = np.array([[1, 0, -((width - crop) // 2)], [0, 1, -((height - crop) // 2)], [0, 0, 1.0]])
+    left, top = (width - view.width) // 2, (height - view.height) // 2
+    to_window = np.array([[1, 0, -left], [0, 1, -top], [0, 0, 1.0]])
     window_from_image = to_window @ K @ cam_R_turned.T @ np.linalg.inv(K)
     # OpenCV counts from pixel centres, the intrinsics from the corner.
     half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
     homography = np.linalg.inv(half) @ window_from_image @ half
-    turned = cv2.warpPerspective(image, homography, (crop, crop), borderMode=cv2.BORDER_REPLICATE)
+    turned = cv2.warpPerspective(image, homography, (view.width, view.height), borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(turned, np.uint8)
 
 

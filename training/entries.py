@@ -4,8 +4,8 @@ from groundwalk.artefacts import recording
 from groundwalk.artefacts.registry import Lazy
 from groundwalk.training.regressor_settings import (
     BayesianPoseNetSettings,
+    LiteSettings,
     MapNetSettings,
-    MixtureSettings,
     MSTransformerSettings,
     PoseNetSettings,
 )
@@ -20,6 +20,7 @@ PN = Regressor(
     make=Lazy("groundwalk.training.models.posenet:make_posenet"),
     multi_scene=False,
     gives_covariance=False,
+    in_paper=True,
 )
 MAPNET = Regressor(
     id="MapNet",
@@ -51,16 +52,6 @@ COORDINET = Regressor(
     multi_scene=False,
     gives_covariance=True,
 )
-PN_MIXTURE = Regressor(
-    id="PN-mixture",
-    label="mixture PN",
-    meaning="PN that answers with a mixture of poses",
-    colour=(148, 103, 189),
-    settings=MixtureSettings,
-    make=Lazy("groundwalk.training.models.mixture:make_mixture"),
-    multi_scene=False,
-    gives_covariance=True,
-)
 MS_T = Regressor(
     id="MS-T",
     label="MS-T",
@@ -70,4 +61,15 @@ MS_T = Regressor(
     make=Lazy("groundwalk.training.models.ms_transformer:make_ms_transformer"),
     multi_scene=True,
     gives_covariance=False,
+    in_paper=True,
+)
+PN_LITE = Regressor(
+    id="PN-Lite",
+    label="PN-Lite",
+    meaning="mixture of poses on frozen features of EfficientNet-Lite0",
+    colour=(90, 60, 150),
+    settings=LiteSettings,
+    make=Lazy("groundwalk.training.models.posenet_lite:make_posenet_lite"),
+    multi_scene=False,
+    gives_covariance=True,
 )

@@ -1,30 +1,36 @@
 """Errors of a regressor's poses, and the answer that any regressor has to beat."""
 
+from typing import Any
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from groundwalk.geometry.averages import quaternion_mean
 from groundwalk.geometry.poses import quaternion_angle
-from groundwalk.training.data import Frames
-from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.data import Frames, View
+from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
 
 _BATCH = 64
 
 
-@torch.no_grad()
 def pose_errors(
-    model: PoseRegressor, frames: Frames, crop: int, device: torch.device
+    model: PoseRegressor, frames: Frames, view: View, device: torch.device
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Position errors (m) and rotation errors (deg) of the model on centre crops, one a frame."""
+    return errors(*frames.camera_poses(answers(model, frames, view, device), view), frames)
+
+
+@torch.no_grad()
+def answers(model: PoseRegressor, frames: Frames, view: View, device: torch.device) -> PoseBatch:
+    """The model's poses of centre crops, of the cameras that it sees."""
     model.eval()
-    position, quaternion = [], []
+    parts = []
     for start in range(0, len(frames), _BATCH):
         rows = np.arange(start, min(start + _BATCH, len(frames)))
-        poses = model(frames.select(rows).centre_crops(crop, device))
-        position.append(poses.position_B3.double().cpu().numpy())
-        quaternion.append(poses.quaternion_B4.double().cpu().numpy())
-    return errors(np.concatenate(position), np.concatenate(quaternion), frames)
+        parts.append(model(frames.select(rows).centre_crops(view, device)))
+    columns: list[Any] = [None if part[0] is None else torch.cat(part) for part in zip(*parts, strict=True)]
+    return PoseBatch(*columns)
 
 
 def errors(

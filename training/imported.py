@@ -34,22 +34,23 @@ def read_imported(r: StageRun[TrainSettings], frames: pd.DataFrame) -> Iterator[
         origin = f"predictions imported from {path.name}, sha256 {sha256_of(path)[:12]}"
         for model, rows in table.groupby("model", sort=False):
             name = str(model)
-            taken = (
+            other = (
                 f"another file, {names[name]}"
                 if name in names
                 else "[train] models"
                 if name in r.settings.models
                 else ""
             )
-            if taken:
-                raise UserError(f"two regressors are called {name!r}", where=path, found=f"one more in {taken}")
+            if other:
+                raise UserError(f"two regressors are called {name!r}", where=path, found=f"one more in {other}")
             names[name] = file
             yield name, _of_frames(r, name, rows, frames, path), origin
 
 
 def imported_card(r: StageRun[TrainSettings], name: str, rows: pd.DataFrame, origin: str) -> dict[str, Any]:
     """A row of train.models for imported predictions: what training alone knows is null."""
-    unknown = ("parameters", "bytes", "resize_px", "crop_px", "focal_px", "train_frames", "val_frames", "epochs")
+    unknown = ("parameters", "bytes", "train_frames", "val_frames", "epochs", "best_epoch", "train_seconds")
+    view = ("resize_px", "crop_px", "width_px", "upright", "focal_px")
     return {
         "model": name,
         "label": name,
@@ -57,7 +58,7 @@ def imported_card(r: StageRun[TrainSettings], name: str, rows: pd.DataFrame, ori
         "file": "",
         "layers": "",
         "weights": origin,
-        **dict.fromkeys((*unknown, "best_epoch", "train_seconds")),
+        **dict.fromkeys((*unknown, *view)),
         "seed": r.seed,
         "config": "{}",
         "reduced": "",
@@ -77,8 +78,8 @@ def _read(path: Path) -> pd.DataFrame:
         ) from None
     missing = [column for column in _NEEDED if column not in table.columns]
     if missing or table.empty:
-        found = f"no {', '.join(missing)}" if missing else "no rows"
-        raise UserError("a file of predictions lacks something", where=path, expected=", ".join(_NEEDED), found=found)
+        fault = f"no {', '.join(missing)}" if missing else "no rows"
+        raise UserError("a file of predictions lacks something", where=path, expected=", ".join(_NEEDED), found=fault)
     for column in _POSE:
         if not pd.api.types.is_numeric_dtype(table[column]):
             raise UserError(
@@ -111,22 +112,22 @@ def _of_frames(
     if len(twice):
         raise UserError(f"predictions of {name} have a frame twice", where=path, found=twice.iloc[0]["frame_id"])
     rows = rows.assign(**{column: rows.get(column) for column in _OPTIONAL})
-    kept = frames[["scene", "frame_id", "session_id", "split", "t_ns"]].merge(
+    usable = frames[["scene", "frame_id", "session_id", "split", "t_ns"]].merge(
         rows[[*keys, *_POSE, *_OPTIONAL]], on=keys
     )
-    finite = np.isfinite(kept[_POSE].to_numpy(float, na_value=np.nan)).all(axis=1)
-    _say_left_out(r, name, unknown=len(rows) - len(kept), not_finite=int((~finite).sum()))
-    kept = kept[finite].reset_index(drop=True)
-    if kept.empty:
+    finite = np.isfinite(usable[_POSE].to_numpy(float, na_value=np.nan)).all(axis=1)
+    _say_left_out(r, name, unknown=len(rows) - len(usable), not_finite=int((~finite).sum()))
+    usable = usable[finite].reset_index(drop=True)
+    if usable.empty:
         raise UserError(
             f"no prediction of {name} is of a frame of this scene",
             where=path,
             expected=f"frame_id as {frames['frame_id'].iloc[0]}",
             found=f"{rows['frame_id'].iloc[0]}, {len(rows)} rows",
         )
-    kept[_POSE[3:]] = _unit(kept[_POSE[3:]].to_numpy(float), name, path)
-    kept["picked_scene"] = kept["picked_scene"].fillna(kept["scene"])
-    return kept.assign(model=name)
+    usable[_POSE[3:]] = _unit(usable[_POSE[3:]].to_numpy(float), name, path)
+    usable["picked_scene"] = usable["picked_scene"].fillna(usable["scene"])
+    return usable.assign(model=name)
 
 
 def _unit(quaternion_N4: np.ndarray, name: str, path: Path) -> np.ndarray:

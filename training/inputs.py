@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from groundwalk.artefacts import StageRun, UserError
 from groundwalk.artefacts.images import Image, read_image
+from groundwalk.artefacts.resizing import pinhole_image, small_image
 from groundwalk.artefacts.tables import camera_of, poses_of, with_cameras
 from groundwalk.geometry.poses import tq_from_pose
-from groundwalk.training.data import Frames, ImageCache, pinhole_image, small_image
+from groundwalk.training.data import Frames, ImageCache
 from groundwalk.training.settings import TrainSettings
 
 
@@ -81,8 +82,11 @@ def virtual_focal(frames: pd.DataFrame) -> float:
     return float(np.median(focal_in_short_sides(frames)[rows_with_truth(frames, "train")]))
 
 
-def small_images(r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float | None) -> Iterator[Image]:
-    """The frames' images, small, in order, with progress: the virtual pinhole's, or without `focal` as captured.
+def small_images(
+    r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float | None, short_side: int
+) -> Iterator[Image]:
+    """The frames' images with so many pixels on the shorter side, in order, with progress: the virtual pinhole's, or
+    without `focal` as captured.
 
     UserError for an image that isn't there or can't be decoded.
     """
@@ -90,9 +94,9 @@ def small_images(r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float 
     for path, scene, frame in r.track(rows, "reading images", len(frames)):
         image = read_image(r.image_path(path, scene=scene))
         if focal is None:
-            yield small_image(image, r.settings.resize)
+            yield small_image(image, short_side)
         else:
-            yield pinhole_image(image, camera_of(frame), r.settings.resize, focal)
+            yield pinhole_image(image, camera_of(frame), short_side, focal)
 
 
 def as_training_frames(frames: pd.DataFrame, cache: ImageCache, focal: float | None) -> Frames:
@@ -114,5 +118,6 @@ def as_training_frames(frames: pd.DataFrame, cache: ImageCache, focal: float | N
     if known.any():
         position[known], quaternion[known] = tq_from_pose(map_T_cam[known])
     scene = frames["scene_index"].to_numpy(np.int64)
+    gravity = frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float)
     session = frames.groupby(["scene_index", "session_id"], sort=False).ngroup().to_numpy()
-    return Frames(cache, np.arange(len(frames)), K, position, quaternion, scene, session.astype(np.int64))
+    return Frames(cache, np.arange(len(frames)), K, position, quaternion, scene, session.astype(np.int64), gravity)

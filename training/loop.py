@@ -6,23 +6,28 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.child import Report
 from groundwalk.artefacts.files import written_aside
-from groundwalk.training.data import Frames, Jitter, Turns, normalised
-from groundwalk.training.evaluation import pose_errors
-from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.data import Frames, Jitter, Turns, View, normalised
+from groundwalk.training.evaluation import errors, pose_errors
+from groundwalk.training.features import feature_cache
+from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
 from groundwalk.training.regressor_settings import RegressorSettings
 
 CHECKPOINT = "checkpoint.pt"
 _SCORED_EPOCHS = 5
+_GROWTH = 10.0  # by how many times itself the first epoch's loss may grow
+_FIT_ROWS = 2000  # features are whitened by so many rows at most
+_FEATURES = "features"
 
 
 @dataclass(frozen=True)
@@ -32,10 +37,89 @@ class Run:
     title: str
     device: torch.device
     mixed_precision: bool
-    crop: int
+    view: View
     seed: int
     folder: Path
     checkpoint_s: float = 0.0
+
+
+class Source(Protocol):
+    """What an epoch goes over: rows of images or of features."""
+
+    scene_N: NDArray[np.int64]
+
+    def prepare(self) -> None:
+        """Called once, before the first epoch of a run that doesn't resume one."""
+
+    def loss(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Tensor:
+        """The training loss over some rows."""
+        ...
+
+    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Position (m) and rotation errors (deg) on the held-out frames."""
+        ...
+
+
+class ImageSource:
+    """Training images, cropped, turned and re-coloured anew in every epoch."""
+
+    def __init__(
+        self, model: PoseRegressor, training: Frames, held_out: Frames, settings: RegressorSettings, run: Run
+    ) -> None:
+        self.model, self.training, self.held_out, self.settings, self.run = model, training, held_out, settings, run
+        self.scene_N = training.scene_N
+
+    def prepare(self) -> None:
+        pass
+
+    def loss(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Tensor:
+        turns = Turns(*self.settings.turn_deg) if self.settings.turn_deg else None
+        rows = self.training.sequences(rows, *self.model.sequence())
+        image, poses = self.training.select(rows).training_crops(self.run.view, turns, rng, self.run.device)
+        image = normalised(Jitter(*self.settings.jitter).apply(image, rng))
+        with precision(self.run):
+            return self.model.loss(image.contiguous(memory_format=torch.channels_last), poses)
+
+    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return pose_errors(self.model, self.held_out, self.run.view, self.run.device)
+
+
+class FeatureSource:
+    """Features of a frozen backbone, of each training image and its copies."""
+
+    def __init__(
+        self, report: Report, model: FrozenRegressor, training: Frames, held_out: Frames, settings: Any, run: Run
+    ) -> None:
+        self.model, self.held_out, self.run = model, held_out, run
+        self.cache = feature_cache(
+            run.folder / _FEATURES, model, training, run.view, settings, settings.copies, run.seed, run.device, report
+        )
+        self.scene_N = self.cache.scene_M
+        with torch.no_grad():
+            self.held_out_features = model.eval().features(held_out.centre_crops(run.view, run.device))
+
+    def prepare(self) -> None:
+        rows = np.linspace(0, len(self.scene_N) - 1, min(len(self.scene_N), _FIT_ROWS)).astype(np.int64)
+        self.model.fit_features(self.cache.rows(rows, self.run.device)[0])
+
+    def loss(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Tensor:
+        features, poses = self.cache.rows(rows, self.run.device)
+        with precision(self.run):
+            return self.model.feature_loss(features, poses)
+
+    @torch.no_grad()
+    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        poses = self.model.eval().answer(self.held_out_features)
+        return errors(*self.held_out.camera_poses(poses, self.run.view), self.held_out)
+
+
+def source_of(
+    report: Report, model: PoseRegressor, training: Frames, held_out: Frames, settings: RegressorSettings, run: Run
+) -> Source:
+    """Features where the model's backbone is frozen, else images."""
+    if isinstance(model, FrozenRegressor):
+        return FeatureSource(report, model, training, held_out, settings, run)
+    return ImageSource(model, training, held_out, settings, run)
 
 
 def train(
@@ -43,12 +127,14 @@ def train(
 ) -> None:
     """Train `model` until the checkpoint in `run.folder` holds all its epochs; `take_best` reads it.
 
-    The best epoch has the smallest `held_out_score`.
+    The best epoch has the smallest `held_out_score`. UserError where the loss isn't finite or grows; the checkpoint is
+    then the last one before.
 
     Everything random in an epoch comes from (seed, epoch), so a run that goes on from a checkpoint in `run.folder`
     ends, on a CPU, in the same weights to the bit as one that was never stopped.
     """
     model.to(run.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    source = source_of(report, model, training, held_out, settings, run)
     optimiser = make_optimiser(model, settings)
     history: list[dict[str, Any]] = []
     best: dict[str, Any] = {"score": math.inf, "epoch": 0, "weights": {}}
@@ -57,42 +143,16 @@ def train(
         model.load_state_dict(saved["model"])
         optimiser.load_state_dict(saved["optimiser"])
         history, best = saved["history"], saved["best"]
+    else:
+        source.prepare()
 
     report(len(history))
     saved_at = time.monotonic()
     for epoch in range(len(history), settings.epochs):
         started = time.monotonic()
-        torch.manual_seed(run.seed * 100_003 + epoch)
-        rng = np.random.default_rng([run.seed, epoch])
-        model.train()
-        batches = list(epoch_batches(training.scene_N, settings.batch, rng))
-        losses = []
-        for step, rows in enumerate(batches):
-            rate = learning_rate(settings, epoch + step / len(batches))
-            for group in optimiser.param_groups:
-                group["lr"] = rate
-            rows = training.sequences(rows, *model.sequence())
-            image, poses = training.select(rows).training_crops(
-                run.crop, Turns(*settings.turn_deg) if settings.turn_deg else None, rng, run.device
-            )
-            image = normalised(Jitter(*settings.jitter).apply(image, rng))
-            with precision(run):
-                loss = model.loss(image.contiguous(memory_format=torch.channels_last), poses)
-            optimiser.zero_grad()
-            loss.backward()
-            if settings.clip_gradient:
-                torch.nn.utils.clip_grad_norm_(model.parameters(), settings.clip_gradient)
-            optimiser.step()
-            losses.append(loss.detach())
-
-        train_loss = torch.stack(losses).mean().item()
-        if not math.isfinite(train_loss):
-            raise UserError(
-                f"training {run.title}: the loss is no number any more",
-                found=f"{train_loss} in epoch {epoch + 1}, learning rate {rate:.2g}",
-                do="lower learning_rate, or set clip_gradient",
-            )
-        position_m, rotation_deg = pose_errors(model, held_out, run.crop, run.device)
+        train_loss, rate = train_epoch(model, source, optimiser, epoch, settings, run)
+        refuse_divergence(train_loss, rate, history, run)
+        position_m, rotation_deg = source.errors()
         row = {
             "epoch": epoch + 1,
             "learning_rate": rate,
@@ -114,6 +174,49 @@ def train(
         report(epoch + 1, f"{run.title} {row['val_position_m']:.2f} m, {row['val_rotation_deg']:.1f} deg")
 
 
+def train_epoch(
+    model: PoseRegressor,
+    source: Source,
+    optimiser: torch.optim.Optimizer,
+    epoch: int,
+    settings: RegressorSettings,
+    run: Run,
+) -> tuple[float, float]:
+    """One pass over the rows of `source`; returns the mean loss and the last step's learning rate."""
+    torch.manual_seed(run.seed * 100_003 + epoch)
+    rng = np.random.default_rng([run.seed, epoch])
+    model.train()
+    batches = list(epoch_batches(source.scene_N, settings.batch, rng))
+    losses, rate = [], 0.0
+    for step, rows in enumerate(batches):
+        rate = learning_rate(settings, epoch + step / len(batches))
+        for group in optimiser.param_groups:
+            group["lr"] = rate
+        loss = source.loss(rows, rng)
+        optimiser.zero_grad()
+        loss.backward()
+        if settings.clip_gradient:
+            torch.nn.utils.clip_grad_norm_(model.parameters(), settings.clip_gradient)
+        optimiser.step()
+        losses.append(loss.detach())
+    return torch.stack(losses).mean().item(), rate
+
+
+def refuse_divergence(train_loss: float, rate: float, history: list[dict[str, Any]], run: Run) -> None:
+    """UserError where an epoch's mean loss isn't finite, or is far above that of the first epoch."""
+    first = history[0]["train_loss"] if history else train_loss
+    finite = math.isfinite(train_loss)
+    if finite and train_loss <= first + _GROWTH * (1 + abs(first)):
+        return
+    checkpoint = run.folder / CHECKPOINT
+    raise UserError(
+        f"training {run.title} diverges: the loss {'grows' if finite else 'is not finite'}",
+        where=f"last checkpoint before it: {checkpoint}" if checkpoint.exists() else None,
+        found=f"{train_loss:.4g} in epoch {len(history) + 1} ({first:.4g} in the first), learning rate {rate:.2g}",
+        do="lower learning_rate, or set clip_gradient",
+    )
+
+
 def held_out_score(history: list[dict[str, Any]]) -> float:
     """How good the last epoch of a learning curve is, small is good: the product of the median position and rotation
     error over the held-out frames, as a geometric mean of the last few epochs.
@@ -129,18 +232,19 @@ def take_best(model: PoseRegressor, folder: Path) -> list[dict[str, Any]]:
     saved = torch.load(folder / CHECKPOINT, map_location="cpu")
     best = saved["best"]
     model.load_state_dict(best["weights"])
-    return [{**row, "kept": row["epoch"] == best["epoch"]} for row in saved["history"]]
+    return [{**row, "selected": row["epoch"] == best["epoch"]} for row in saved["history"]]
 
 
-def make_optimiser(model: PoseRegressor, settings: RegressorSettings) -> torch.optim.Adam:
-    """Adam with an L2 penalty on all parameters but those that the model wants undecayed."""
+def make_optimiser(model: PoseRegressor, settings: RegressorSettings) -> torch.optim.Optimizer:
+    """Adam or AdamW; the parameters that the model wants undecayed are left alone by the weight decay."""
     undecayed = model.undecayed()
     apart = {id(parameter) for parameter in undecayed}
-    others = [parameter for parameter in model.parameters() if id(parameter) not in apart]
+    others = [parameter for parameter in model.parameters() if parameter.requires_grad and id(parameter) not in apart]
     groups: list[dict[str, Any]] = [{"params": others, "weight_decay": settings.weight_decay}]
     if undecayed:
-        groups.append({"params": undecayed})
-    return torch.optim.Adam(groups, lr=settings.learning_rate, eps=settings.adam_eps, fused=True)
+        groups.append({"params": undecayed, "weight_decay": 0.0})
+    kind = torch.optim.AdamW if settings.optimiser == "adamw" else torch.optim.Adam
+    return kind(groups, lr=settings.learning_rate, eps=settings.adam_eps, fused=True)
 
 
 def learning_rate(settings: RegressorSettings, epochs: float) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import pose_from_tq
-from groundwalk.training.data import Frames
+from groundwalk.training.data import Frames, View
 from groundwalk.training.models.regressor import PoseRegressor
 
 _WARM_UP = 5  # runs before timing: the first ones choose kernels and allocate
@@ -18,7 +18,7 @@ _WARM_UP = 5  # runs before timing: the first ones choose kernels and allocate
 
 @torch.inference_mode()
 def predict(
-    model: PoseRegressor, frames: Frames, scenes: list[str], crop: int, device: torch.device, order: Iterable[int]
+    model: PoseRegressor, frames: Frames, scenes: list[str], view: View, device: torch.device, order: Iterable[int]
 ) -> pd.DataFrame:
     """Predictions of the rows in `order` (all rows, in order, perhaps wrapped in progress): map_cam_*,
     picked_scene, covariance, inference_ms. ValueError where a pose isn't finite."""
@@ -28,7 +28,8 @@ def predict(
     covariance: list[list[float] | None] = []
     scene, milliseconds = [], []
     for row in order:
-        image = frames.select(np.array([row])).centre_crops(crop, device)
+        frame = frames.select(np.array([row]))
+        image = frame.centre_crops(view, device)
         for _ in range(0 if position else _WARM_UP):
             model(image)
         _wait(device)
@@ -36,8 +37,8 @@ def predict(
         poses = model(image)
         _wait(device)
         milliseconds.append((time.perf_counter() - start) * 1e3)
-        position.append(poses.position_B3[0].double().cpu().numpy())
-        quaternion.append(poses.quaternion_B4[0].double().cpu().numpy())
+        for parts, of_frame in zip((position, quaternion), frame.camera_poses(poses, view), strict=True):
+            parts.append(of_frame[0])
         covariance.append(
             None if poses.covariance_B66 is None else poses.covariance_B66[0].double().cpu().flatten().tolist()
         )

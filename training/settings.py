@@ -15,7 +15,8 @@ class TrainSettings(Settings):
     renamed: ClassVar[dict[str, str]] = {"pn": "regressors.PN", "mst": "regressors.MS-T"}
 
     models: tuple[str, ...] = Field(
-        default_factory=lambda: REGRESSORS.builtin, description="the regressors to train, by id"
+        default_factory=lambda: tuple(i for i in REGRESSORS.builtin if REGRESSORS[i].in_paper),
+        description="the regressors to train, by id",
     )
     predictions: tuple[str, ...] = Field(
         (),

@@ -17,8 +17,8 @@ from groundwalk.artefacts.schemas import schema
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.training.build import Trained, save_trained
 from groundwalk.training.checks import check_regressor
-from groundwalk.training.data import Frames, ImageCache
-from groundwalk.training.evaluation import errors, mean_pose_errors
+from groundwalk.training.data import Frames, ImageCache, View
+from groundwalk.training.evaluation import answers, errors, mean_pose_errors
 from groundwalk.training.imported import imported_card, read_imported
 from groundwalk.training.inputs import (
     as_training_frames,
@@ -53,21 +53,47 @@ def run(r: StageRun[TrainSettings]) -> None:
         check_trainable(frames, r.folder("align", r.leaves[0]))
     focal = choose_camera(r, frames) if models else None
     with r.step("images"):
-        cache = ImageCache.build(r.scratch / "images", small_images(r, frames, focal))
-    data = as_training_frames(frames, cache, focal)
-    report_mean_pose(r, frames, data)
+        data = {side: read_images(r, frames, focal, side) for side in image_sizes(r.settings, models)}
+    report_mean_pose(r, frames, data[r.settings.resize])
 
     faults: list[PluginError] = []
     results = [
         result
         for job in trained_jobs(r, models, data, frames, device, faults)
-        if (result := predicted(r, job, data, frames, focal, faults))
+        if (result := predicted(r, job, data[short_side(r.settings, job.run.title)], frames, focal, faults))
     ]
     for name, rows, origin in imported:
-        report_accuracy(r, name, frames, data, rows)
+        report_accuracy(r, name, frames, data[r.settings.resize], rows)
         results.append(Result(imported_card(r, name, rows, origin), rows, pd.DataFrame()))
     leave_out(r, faults, len(results))
-    write_results(r, frames, cache, results)
+    write_results(r, frames, data[r.settings.resize].cache, results)
+
+
+def short_side(settings: TrainSettings, model: str) -> int:
+    """Pixels on the shorter side of the images that a model sees."""
+    return settings.regressors[model].resize or settings.resize
+
+
+def image_sizes(settings: TrainSettings, models: list[str]) -> list[int]:
+    """The shorter sides that images are needed with: [train] resize, for the recording, and those of the models."""
+    return sorted({settings.resize, *(short_side(settings, model) for model in models)})
+
+
+def read_images(r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float | None, side: int) -> Frames:
+    cache = ImageCache.build(r.scratch / f"images-{side}", small_images(r, frames, focal, side))
+    return as_training_frames(frames, cache, focal)
+
+
+def view_of(settings: TrainSettings, model: str, training: Frames) -> View:
+    """What the model sees of its images."""
+    mine = settings.regressors[model]
+    if not mine.whole_image:
+        side = min(settings.crop, short_side(settings, model))
+        return View(side, side, mine.upright)
+    # No image's border is left out of the commonest shape; of a longer image the ends are.
+    shapes, counts = np.unique(training.cache.shapes[training.index_N], axis=0, return_counts=True)
+    height, width = (int(side) for side in shapes[counts.argmax()])
+    return View(height, width, mine.upright)
 
 
 @dataclass(frozen=True)
@@ -97,7 +123,7 @@ def models_of(r: StageRun[TrainSettings]) -> list[str]:
 def trained_jobs(
     r: StageRun[TrainSettings],
     models: list[str],
-    data: Frames,
+    data: dict[int, Frames],
     frames: pd.DataFrame,
     device: torch.device,
     faults: list[PluginError],
@@ -107,7 +133,7 @@ def trained_jobs(
     for name in models:
         try:
             with REGRESSORS.guard(name):
-                jobs.append(prepare(r, name, data, frames, device))
+                jobs.append(prepare(r, name, data[short_side(r.settings, name)], frames, device))
         except PluginError as fault:
             faults.append(fault)
     if not jobs:
@@ -132,16 +158,16 @@ def predicted(
     name = job.run.title
     try:
         with REGRESSORS.guard(name):
-            card, curve, trained = finish(r, job, None if focal is None else focal * r.settings.resize)
+            card, curve, trained = finish(r, job, None if focal is None else focal * short_side(r.settings, name))
             with r.step(f"predict {name}"):
                 order = r.track(range(len(frames)), f"{name}: predicting")
-                answers = predict(trained.model, data, trained.scenes, trained.crop, job.run.device, order)
+                estimates = predict(trained.model, data, trained.scenes, job.run.view, job.run.device, order)
     except PluginError as fault:
         faults.append(fault)
         return None
-    card["inference_ms"] = float(answers["inference_ms"].median())
+    card["inference_ms"] = float(estimates["inference_ms"].median())
     keys = frames[["scene", "frame_id", "session_id", "split", "t_ns"]]
-    predictions = pd.concat([keys, answers], axis=1).assign(model=name)
+    predictions = pd.concat([keys, estimates], axis=1).assign(model=name)
     report_accuracy(r, name, frames, data, predictions)
     return Result(card, predictions, curve)
 
@@ -194,16 +220,17 @@ def prepare(r: StageRun[TrainSettings], name: str, data: Frames, frames: pd.Data
     settings, regressor = r.settings.regressors[name], REGRESSORS.find(name)
     training, held_out = (data.select(rows_with_truth(frames, split)) for split in ("train", "val"))
     folder, outdoor = r.scratch / name, r.scene.environment == "outdoor"
+    view = view_of(r.settings, name, training)
     if not (folder / _FIRST).exists():
         torch.manual_seed(r.seed)
         model = regressor.make(settings, len(r.leaves), outdoor)
-        check_regressor(model, len(r.leaves), r.settings.crop, regressor.gives_covariance)
+        check_regressor(model, len(r.leaves), view, regressor.gives_covariance)
         origin = model.initialise(training.poses(torch.device("cpu")), settings, r.data.root / "weights")
         save(folder / _FIRST, {"origin": origin, "state": model.state_dict()})
     origin = torch.load(folder / _FIRST)["origin"]
     r.say(f"{name}: first weights: {origin}")
     mixed_precision = choose_precision(settings.mixed_precision, device)
-    run = Run(name, device, mixed_precision, r.settings.crop, r.seed, folder, r.settings.checkpoint_s)
+    run = Run(name, device, mixed_precision, view, r.seed, folder, r.settings.checkpoint_s)
     return Job(settings, r.leaves, outdoor, training, held_out, run, origin)
 
 
@@ -229,7 +256,10 @@ def finish(
     model = job.model()
     curve = pd.DataFrame(take_best(model, run.folder))
     model.to(run.device)
-    trained = Trained(model, r.leaves, r.settings.resize, run.crop, focal_px)
+    if REGRESSORS.find(name).gives_covariance:
+        calibrate(model, job.held_out, run)
+    side = short_side(r.settings, name)
+    trained = Trained(model, r.leaves, side, run.view.height, focal_px, run.view.width, run.view.upright)
     save_trained(r.work / "weights" / f"{name}.pt", name, settings, trained)
     curve.insert(0, "model", name)
     curve.insert(1, "scenes", pd.Series([r.leaves] * len(curve)))
@@ -242,13 +272,15 @@ def finish(
         "bytes": model.bytes(),
         "layers": model.layers(),
         "weights": job.origin,
-        "resize_px": r.settings.resize,
-        "crop_px": r.settings.crop,
+        "resize_px": side,
+        "crop_px": run.view.height,
+        "width_px": run.view.width,
+        "upright": run.view.upright,
         "focal_px": focal_px,
         "train_frames": len(job.training),
         "val_frames": len(job.held_out),
         "epochs": settings.epochs,
-        "best_epoch": int(curve.loc[curve["kept"], "epoch"].iloc[0]),
+        "best_epoch": int(curve.loc[curve["selected"], "epoch"].iloc[0]),
         "seed": run.seed,
         "config": json.dumps(settings.model_dump(mode="json"), sort_keys=True),
         "reduced": r.settings.reduced,
@@ -256,6 +288,14 @@ def finish(
         "train_seconds": float(curve["seconds"].sum()),
     }
     return card, curve, trained
+
+
+def calibrate(model: PoseRegressor, held_out: Frames, run: Run) -> None:
+    """Let the model scale its covariances by its errors on the held-out frames."""
+    estimates = answers(model, held_out, run.view, run.device)
+    quaternion_N4 = held_out.camera_poses(estimates, run.view)[1]
+    as_tensor = torch.tensor(quaternion_N4, dtype=torch.float32, device=run.device)
+    model.calibrate(estimates._replace(quaternion_B4=as_tensor), held_out.poses(run.device))
 
 
 def choose_camera(r: StageRun[TrainSettings], frames: pd.DataFrame) -> float | None:
@@ -287,18 +327,18 @@ def report_accuracy(
 ) -> None:
     """Keep, as figures, the model's errors on each scene's test frames that it answers, and say them."""
     keys = ["scene", "frame_id"]
-    found = frames[keys].merge(predictions, on=keys, how="left")
-    position = found[[f"map_cam_t{a}" for a in "xyz"]].to_numpy(float)
-    quaternion = found[[f"map_cam_q{a}" for a in "xyzw"]].to_numpy(float)
+    matched = frames[keys].merge(predictions, on=keys, how="left")
+    position = matched[[f"map_cam_t{a}" for a in "xyz"]].to_numpy(float)
+    quaternion = matched[[f"map_cam_q{a}" for a in "xyzw"]].to_numpy(float)
     answered = np.flatnonzero(np.isfinite(position).all(axis=1))
     for scene in r.leaves:
         rows = np.intersect1d(rows_with_truth(frames, "test"), np.flatnonzero(frames["scene"] == scene))
         rows = np.intersect1d(rows, answered)
         if len(rows):
             keep_figures(r, f"{name} {scene}", *errors(position[rows], quaternion[rows], data.select(rows)))
-            unsure = int((~sure_enough(frames["quality"].iloc[rows])).sum())
-            if unsure:
-                r.say(f"{scene}: the ground truth of {unsure} of these {len(rows)} test frames is of class C")
+            uncertain = int((~sure_enough(frames["quality"].iloc[rows])).sum())
+            if uncertain:
+                r.say(f"{scene}: the ground truth of {uncertain} of these {len(rows)} test frames is of class C")
 
 
 def keep_figures(r: StageRun[TrainSettings], title: str, position_m: np.ndarray, rotation_deg: np.ndarray) -> None:
@@ -337,7 +377,7 @@ def describe(run: Run) -> str:
 
 STAGE = Stage(
     name="train",
-    version=5,
+    version=7,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,

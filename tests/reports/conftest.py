@@ -330,7 +330,7 @@ class MadeUpScene:
                     "scenes": [self.name],
                     "epoch": epoch,
                     "learning_rate": 1e-4,
-                    "kept": epoch == 11,
+                    "selected": epoch == 11,
                 }
                 row |= {"train_loss": 3 / epoch - 1, "val_position_m": 6 / epoch, "val_rotation_deg": 30 / epoch}
                 rows.append(row | {"sx": 0.0, "sq": -3.0, "seconds": 2.0})

@@ -1,102 +1,10 @@
-"""A small place to localise in: a picture wall seen from many positions, and artefacts made from it."""
+"""A small place to localise in, as a fixture."""
 
-from collections.abc import Callable
-from pathlib import Path
-
-import cv2
-import numpy as np
-import pandas as pd
 import pytest
 import torch
-
-from groundwalk.artefacts.files import sha256_of, write_json
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import CAMERA_COLUMNS, pose_frame, write_table
-from groundwalk.geometry.poses import make_pose, yaw_rotation
-
-WIDTH, HEIGHT, FOCAL = 64, 48, 50.0
+from picture_wall import make_scene  # noqa: F401
 
 
 @pytest.fixture(autouse=True)
 def _one_thread() -> None:
     torch.set_num_threads(1)
-
-
-def wall_picture(position: np.ndarray, yaw_deg: float, seed: int) -> np.ndarray:
-    """What a camera at `position` (m) sees of a textured wall 4 m ahead, turned by a yaw: BGR (H, W, 3)."""
-    rng = np.random.default_rng(seed)
-    wall = cv2.resize(rng.integers(0, 255, (12, 24, 3), dtype=np.uint8), (480, 240), interpolation=cv2.INTER_LINEAR)
-    K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
-    cam_R_map = yaw_rotation(np.radians(yaw_deg)).T
-    # Wall pixel (u, v) is the point (u / 40 - 6, v / 40 - 3, 4).
-    wall_to_map = np.array([[1 / 40, 0, -6], [0, 1 / 40, -3], [0, 0, 4.0]])
-    shift = np.array([[1, 0, -position[0] / 4], [0, 1, -position[1] / 4], [0, 0, 1 - position[2] / 4]])
-    return cv2.warpPerspective(wall, K @ cam_R_map @ shift @ wall_to_map, (WIDTH, HEIGHT))
-
-
-@pytest.fixture
-def make_scene(tmp_path: Path) -> Callable[..., Path]:
-    """Writes the finished import and align artefacts of a scene, and its images; returns the data folder."""
-
-    def make(name: str = "Wall", train: int = 10, test: int = 4, seed: int = 0) -> Path:
-        data = tmp_path / "data"
-        rng = np.random.default_rng(seed)
-        sessions = np.repeat(["walk", "later"], [train, test])
-        number = np.concatenate([np.arange(train), np.arange(test)])
-        position = rng.uniform(-0.8, 0.8, (train + test, 3))
-        yaw = rng.uniform(-15, 15, train + test)
-        map_T_cam = make_pose(yaw_rotation(np.radians(yaw)), position)
-        captures = data / "captures" / name
-        captures.mkdir(parents=True)
-        images = [f"{s}-{n}.png" for s, n in zip(sessions, number, strict=True)]
-        for image, p, angle in zip(images, position, yaw, strict=True):
-            cv2.imwrite(str(captures / image), wall_picture(p, angle, seed))
-        hashes = [sha256_of(captures / image) for image in images]
-        keys = pd.DataFrame(
-            {
-                "frame_id": [f"{s}/{n:06d}" for s, n in zip(sessions, number, strict=True)],
-                "session_id": sessions,
-                "t_ns": number * 1_000_000_000,
-                "split": np.where(sessions == "walk", "train", "test"),
-            }
-        )
-        unknown = pose_frame("vio_cam", np.full((len(keys), 4, 4), np.nan))
-        frames = pd.concat([keys, unknown], axis=1).assign(
-            clock="boot", image=images, image_sha256=hashes, width=WIDTH, height=HEIGHT, fx=FOCAL, fy=FOCAL
-        )
-        frames = frames.assign(cx=WIDTH / 2, cy=HEIGHT / 2, distortion=[[]] * len(keys), tracking="normal")
-        frames = frames.assign(gravity_x=0.0, gravity_y=1.0, gravity_z=0.0, sharpness=1.0, exposure_s=0.01)
-        frames = frames.assign(
-            blurred_faces=None, blurred_plates=None, support=False, depth=None, depth_confidence=None
-        )
-        truth_T = map_T_cam.copy()
-        truth_T[-1] = np.nan  # a frame that SfM didn't register
-        truth = pd.concat([keys, pose_frame("map_cam", truth_T)], axis=1).assign(
-            covariance=None,
-            position_sd_m=0.01,
-            rotation_sd_deg=0.1,
-            quality="A",
-            reason="",
-            gt_uses_vio=False,
-            scale_source="vio",
-            vertical_source="gravity",
-            component=0,
-            camera_origin="stated",
-            **{name: frames[name] for name in CAMERA_COLUMNS},
-        )
-        # Training that looked at a support frame would fail: its image can't be decoded.
-        (captures / "damaged.png").write_text("not an image")
-        damaged = {"image": "damaged.png", "image_sha256": sha256_of(captures / "damaged.png")}
-        support = frames.iloc[[0]].assign(frame_id="walk/000900", t_ns=1, support=True, **damaged)
-        _write(data, name, "import", "frames", pd.concat([frames, support]))
-        _write(data, name, "align", "ground_truth", truth)
-        return data
-
-    return make
-
-
-def _write(data: Path, scene: str, stage: str, table: str, frame: pd.DataFrame) -> None:
-    folder = data / "runs" / "tiny" / scene / stage
-    folder.mkdir(parents=True)
-    write_table(folder / f"{table}.parquet", frame, schema(stage, table))
-    write_json(folder / "manifest.json", {"outputs": {}, "simulated": True})

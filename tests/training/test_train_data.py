@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.images import read_image
+from groundwalk.artefacts.resizing import pinhole_image, small_image
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.cameras import Camera
-from groundwalk.training.data import ImageCache, Jitter, pinhole_image, shift_hue, small_image, turned_crop
+from groundwalk.training.data import ImageCache, Jitter, View, shift_hue, turned_crop
 from groundwalk.training.inputs import as_training_frames, virtual_focal
 
 K = np.array([[80.0, 0, 47.3], [0, 80.0, 36.9], [0, 0, 1]])
@@ -25,12 +26,12 @@ def test_a_turned_crop_is_what_the_turned_camera_sees() -> None:
     blob = 255 * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * 1.5**2))
     image = np.repeat(blob[..., None], 3, axis=2).astype(np.uint8)
     cam_R_turned = Rotation.from_euler("yxz", [6, -3, 5], degrees=True).as_matrix()
-    seen = turned_crop(image, K, cam_R_turned, 64)[..., 0].astype(float)
+    seen = turned_crop(image, K, cam_R_turned, View(64, 64))[..., 0].astype(float)
     px, py = (np.arange(64) + 0.5) @ seen.sum(0) / seen.sum(), (np.arange(64) + 0.5) @ seen.sum(1) / seen.sum()
     ray = K @ cam_R_turned.T @ spot
     expected = ray[:2] / ray[2] - [16, 4]
     assert [px, py] == pytest.approx(expected, abs=0.15)
-    straight = turned_crop(image, K, np.eye(3), 64)
+    straight = turned_crop(image, K, np.eye(3), View(64, 64))
     assert np.array_equal(straight, image[4:68, 16:80])
 
 
@@ -86,6 +87,7 @@ def test_frames_of_two_lenses_are_trained_on_as_one_camera(tmp_path: Path) -> No
         {"split": "train", "scene_index": 0, "width": [320, 640], "height": [240, 480], "cx": [163.0, 315.0]}
         | {"cy": [117.0, 249.0], "fx": [240.0, 470.0], "fy": [240.0, 470.0], "distortion": [[0.09, -0.12], []]}
     )
+    frames = frames.assign(session_id="walk", gravity_x=0.0, gravity_y=1.0, gravity_z=0.0)
     frames = pd.concat([frames, pose_frame("map_cam", np.tile(np.eye(4), (2, 1, 1)))], axis=1)
     assert virtual_focal(frames) == pytest.approx((240 / 240 + 470 / 480) / 2)
     cache = ImageCache.build(tmp_path, [np.zeros((72, 96, 3), np.uint8)] * 2)

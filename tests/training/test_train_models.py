@@ -78,15 +78,15 @@ def test_feature_maps_of_224_pixels() -> None:
 
 
 def small(name: str) -> BackboneRegressor:
-    """A regressor of one scene as its defaults have it, but with pairs of images and three masks or components."""
-    fewer = {"MapNet": {"sequence_frames": 2}, "PN-Bayesian": {"samples": 3}, "PN-mixture": {"components": 3}}
+    """A regressor of one scene as its defaults have it, but with pairs of images and three masks."""
+    fewer = {"MapNet": {"sequence_frames": 2}, "PN-Bayesian": {"samples": 3}}
     torch.manual_seed(0)
     model = REGRESSORS[name].make(REGRESSORS[name].settings(**fewer.get(name, {})), 1, False)
     assert isinstance(model, BackboneRegressor)
     return model
 
 
-OF_PN = ["MapNet", "PN-Bayesian", "CoordiNet", "PN-mixture"]
+OF_PN = ["MapNet", "PN-Bayesian", "CoordiNet"]
 
 
 @pytest.mark.parametrize("model", [PoseNet(), small_mst(2), *map(small, OF_PN)], ids=["PN", "MS-T", *OF_PN])
@@ -116,7 +116,7 @@ def test_both_signs_of_a_quaternion_are_the_same_rotation(model: BackboneRegress
     assert torch.allclose(model.loss(images(4), poses), model.loss(images(4), other))
 
 
-@pytest.mark.parametrize("name", ["PN-Bayesian", "CoordiNet", "PN-mixture"])
+@pytest.mark.parametrize("name", ["PN-Bayesian", "CoordiNet"])
 def test_covariances_are_in_the_axes_of_the_map(name: str) -> None:
     """Symmetric and positive; a turn of the network's frame turns them, its scale scales them."""
     model = small(name).eval()
@@ -130,19 +130,6 @@ def test_covariances_are_in_the_axes_of_the_map(name: str) -> None:
     quarter = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).double()
     assert torch.allclose(turned[:, :3, :3], quarter @ plain[:, :3, :3] @ quarter.T, rtol=2e-3, atol=1e-6)
     assert torch.allclose(turned[:, 3:, 3:], 9 * plain[:, 3:, 3:], rtol=2e-3, atol=2e-5)
-
-
-def test_a_mixture_answers_with_its_heaviest_component_and_doubts_it_for_the_others() -> None:
-    model = small("PN-mixture").eval()
-    with torch.no_grad():
-        model.position.weight.zero_(), model.rotation.weight.zero_()
-        model.position.bias.copy_(torch.tensor([0.0, 4, 0] + [0.0] * 6))  # along x; components vary fastest
-        model.likelihood.bias.copy_(torch.tensor([2.0, 1, -30] + [-7.0] * 6))
-        answer = model(images(1))
-    assert torch.allclose(answer.position_B3, torch.zeros(1, 3))
-    second = torch.softmax(torch.tensor([2.0, 1]), 0)[1]
-    assert float(answer.covariance_B66[0, 3, 3]) == pytest.approx(float(16 * second), rel=1e-3)
-    assert float(answer.covariance_B66[0, 4, 4]) < 1e-4
 
 
 def test_learned_weights_balance_the_losses() -> None:

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from groundwalk.training.models.posenet import HIDDEN, PoseNet, single_scene
 from groundwalk.training.models.regressor import PoseBatch
-from groundwalk.training.models.uncertainty import with_scatter
+from groundwalk.training.models.uncertainty import CovarianceScale, scatter
 from groundwalk.training.regressor_settings import BayesianPoseNetSettings
 from groundwalk.training.rotations import exp_quaternion
 
@@ -24,6 +24,7 @@ class BayesianPoseNet(PoseNet):
         generator = torch.Generator().manual_seed(0)
         kept = torch.rand(samples, 1, HIDDEN, generator=generator) >= dropout
         self.register_buffer("masks", kept / (1 - dropout))
+        self.covariance_scale = CovarianceScale()
 
     def forward(self, image_B3HW: Tensor) -> PoseBatch:
         features = self.backbone(image_B3HW)
@@ -34,13 +35,11 @@ class BayesianPoseNet(PoseNet):
         scene = torch.zeros(batch, dtype=torch.long, device=position.device)
         answer = self.frames.to_map(position.mean(0), exp_quaternion(log_q.mean(0)), scene)
         samples = self.frames.to_map(position.flatten(0, 1), exp_quaternion(log_q).flatten(0, 1), scene.repeat(count))
-        weight = torch.full((count, batch), 1 / count, device=position.device)
-        return with_scatter(
-            answer,
-            samples.position_B3.unflatten(0, (count, batch)),
-            samples.quaternion_B4.unflatten(0, (count, batch)),
-            weight,
-        )
+        around = scatter(answer, *(x.unflatten(0, (count, batch)) for x in samples[:2]))
+        return answer._replace(covariance_B66=self.covariance_scale(around))
+
+    def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
+        self.covariance_scale.fit(answers, truth)
 
 
 def make_bayesian_posenet(settings: BayesianPoseNetSettings, scenes: int, outdoor: bool) -> BayesianPoseNet:

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from groundwalk.training.models.posenet import single_scene
 from groundwalk.training.models.regressor import BackboneRegressor, PoseBatch
 from groundwalk.training.models.resnet import FEATURES, ResNet34
-from groundwalk.training.models.uncertainty import diagonal_in_map, rotation_vector
+from groundwalk.training.models.uncertainty import CovarianceScale, diagonal_in_map, rotation_vector
 from groundwalk.training.regressor_settings import PoseNetSettings
 from groundwalk.training.rotations import exp_quaternion
 
@@ -33,6 +33,7 @@ class CoordiNet(BackboneRegressor):
         nn.init.zeros_(self.pose.weight)
         self.pose.bias = nn.Parameter(torch.tensor([0.0] * 6 + [sq] * 3 + [sx] * 3 + [0.0]))
         self.loss_weights.requires_grad_(False)  # the likelihood weighs
+        self.covariance_scale = CovarianceScale()
 
     def _regress(self, image_B3HW: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Position (B, 3), log-quaternion (B, 3), and the logarithms of both errors' deviations, rotation (rad) first
@@ -49,7 +50,11 @@ class CoordiNet(BackboneRegressor):
         scene = torch.zeros(len(position), dtype=torch.long, device=position.device)
         answer = self.frames.to_map(position, exp_quaternion(log_q), scene)
         rotation_sd, position_sd = log_sd.exp().split(3, dim=1)
-        return answer._replace(covariance_B66=diagonal_in_map(self.frames, scene, rotation_sd, position_sd))
+        covariance = diagonal_in_map(self.frames, scene, rotation_sd, position_sd)
+        return answer._replace(covariance_B66=self.covariance_scale(covariance))
+
+    def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
+        self.covariance_scale.fit(answers, truth)
 
     def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
         """The mean negative logarithm of the likelihood, with a Laplace distribution an axis (constants left out)."""

@@ -112,6 +112,9 @@ class PoseRegressor(nn.Module, ABC):
         """How many frames of one session a training example has, and how many frames lie from one to the next."""
         return 1, 1
 
+    def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
+        """Called once after training with the answers to the held-out frames, to scale covariances by."""
+
     def undecayed(self) -> list[nn.Parameter]:
         """The parameters that the L2 penalty leaves alone."""
         return []
@@ -132,6 +135,33 @@ class PoseRegressor(nn.Module, ABC):
         """Bytes of the float32 weights: parameters and the batch norms' running statistics."""
         floats = [*self.parameters(), *(b for b in self.buffers() if b.is_floating_point())]
         return sum(t.numel() for t in floats) * 4
+
+
+class FrozenRegressor(PoseRegressor):
+    """Base of regressors whose backbone isn't trained: its features are computed once, kept on disk, and used in every
+    epoch. `forward` and `loss` go from images to features and on."""
+
+    @abstractmethod
+    def features(self, image_B3HW: Tensor) -> tuple[Tensor, ...]:
+        """What the frozen layers make of images, each tensor with one row an image."""
+
+    @abstractmethod
+    def fit_features(self, features: tuple[Tensor, ...]) -> None:
+        """Called once before training, with the features of all training images."""
+
+    @abstractmethod
+    def answer(self, features: tuple[Tensor, ...]) -> PoseBatch:
+        """`forward`, from features on."""
+
+    @abstractmethod
+    def feature_loss(self, features: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
+        """`loss`, from features on."""
+
+    def forward(self, image_B3HW: Tensor) -> PoseBatch:
+        return self.answer(self.features(image_B3HW))
+
+    def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
+        return self.feature_loss(self.features(image_B3HW), poses)
 
 
 class BackboneRegressor(PoseRegressor):

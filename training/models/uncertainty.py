@@ -2,11 +2,15 @@
 exp(rotation) estimated rotation`, as in the tables of poses."""
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from groundwalk.training.models.regressor import PoseBatch, SceneFrames
 from groundwalk.training.rotations import conjugate, log_quaternion, multiply
 
+_MIN_FRAMES = 20
+_QUANTILE = 0.9
+_CHI2_QUANTILE = 6.25  # of three degrees of freedom at _QUANTILE
+_FACTORS = (0.25, 100.0)
 # Below a millimetre and a hundredth of a degree a covariance from samples says nothing.
 _FLOOR = torch.tensor([2e-4] * 3 + [1e-3] * 3)
 
@@ -16,13 +20,12 @@ def rotation_vector(q_from_B4: Tensor, q_to_B4: Tensor) -> Tensor:
     return 2 * log_quaternion(multiply(q_to_B4, conjugate(q_from_B4)))
 
 
-def with_scatter(answer: PoseBatch, position_SB3: Tensor, quaternion_SB4: Tensor, weight_SB: Tensor) -> PoseBatch:
-    """The answer with the scatter of S weighted poses around it as its covariance (B, 6, 6), all in the map frame;
-    weights sum to one over S."""
+def scatter(answer: PoseBatch, position_SB3: Tensor, quaternion_SB4: Tensor) -> Tensor:
+    """The scatter (B, 6, 6) of S poses around an answer, all in the map frame."""
     rotation = rotation_vector(answer.quaternion_B4.expand_as(quaternion_SB4), quaternion_SB4)
     error = torch.cat([rotation, position_SB3 - answer.position_B3], dim=-1)
-    covariance = torch.einsum("sb,sbi,sbj->bij", weight_SB, error, error)
-    return answer._replace(covariance_B66=covariance + torch.diag(_FLOOR.to(covariance.device).square()))
+    covariance = torch.einsum("sbi,sbj->bij", error, error) / len(error)
+    return covariance + torch.diag(_FLOOR.to(covariance.device).square())
 
 
 def diagonal_in_map(frames: SceneFrames, scene_B: Tensor, rotation_sd_B3: Tensor, position_sd_B3: Tensor) -> Tensor:
@@ -36,3 +39,36 @@ def diagonal_in_map(frames: SceneFrames, scene_B: Tensor, rotation_sd_B3: Tensor
     position = torch.diag_embed((position_sd_B3 * frames.scale[scene_B]).square())
     zero = torch.zeros_like(rotation)
     return torch.cat([torch.cat([rotation, zero], -1), torch.cat([zero, position], -1)], -2)
+
+
+def calibration_factors(answers: PoseBatch, truth: PoseBatch) -> Tensor:
+    """By what to multiply the covariances' rotation and position parts, (2,), so that nine in ten held-out frames lie
+    within their bounds of that size. Few frames say little: with under 20 the factors are at least 1."""
+    assert answers.covariance_B66 is not None
+    covariance = answers.covariance_B66.double()
+    factors = []
+    rotation = rotation_vector(answers.quaternion_B4, truth.quaternion_B4)
+    for i, error in enumerate((rotation, truth.position_B3 - answers.position_B3)):
+        block = covariance[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+        squared = (error.double() * torch.linalg.solve(block, error.double())).sum(-1)
+        low = 1.0 if len(squared) < _MIN_FRAMES else _FACTORS[0]
+        factors.append((torch.quantile(squared, _QUANTILE) / _CHI2_QUANTILE).clamp(low, _FACTORS[1]))
+    return torch.stack(factors).float()
+
+
+class CovarianceScale(nn.Module):
+    """Scales covariances (B, 6, 6) by what held-out frames say of them."""
+
+    factor: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("factor", torch.ones(2))  # rotation, position
+
+    def forward(self, covariance_B66: Tensor) -> Tensor:
+        by = self.factor.repeat_interleave(3).sqrt()
+        return by[:, None] * covariance_B66 * by
+
+    def fit(self, answers: PoseBatch, truth: PoseBatch) -> None:
+        """Make the scale fit these answers too, which were made with the scale as it is."""
+        self.factor *= calibration_factors(answers, truth).to(self.factor)

@@ -1,0 +1,84 @@
+"""Published errors on public data sets, ours beside: `python -m benchmarks.datasets`.
+
+Reads data/published/datasets.csv and what finished runs of the data sets' scenes predicted for their test frames; a
+cell of a scene that hasn't been run is empty. Writes docs/results/datasets.md.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import pandas as pd
+import typer
+
+from benchmarks.results import circumstances, markdown_table
+from groundwalk.artefacts import DataRoot
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.manifests import MANIFEST, load_verified
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.settings import SHIPPED_DATA
+from groundwalk.artefacts.tables import poses_of, read_table
+from groundwalk.scoring.errors import position_error, rotation_error_deg
+
+app = new_app(__doc__ or "")
+
+PREFIXES = {"7-Scenes": "7scenes", "Cambridge Landmarks": "cambridge"}
+_HEAD = """# Public data sets
+
+Written by `python -m benchmarks.datasets`. Median position and rotation errors; published ones from
+`data/published/datasets.csv`, which names the source and leaves out what we have none for. Ours are from finished runs,
+empty where a scene hasn't been run; [the how-to](../how-to/public-datasets.md) says what differs from the published
+protocol."""
+
+
+@app.command()
+def main(
+    data: Annotated[Path, typer.Option(help="data root with runs of the data sets' scenes")] = Path("data"),
+    profile: Annotated[str, typer.Option(help="profile of the runs")] = "paper",
+    out: Annotated[Path, typer.Option(help="folder for datasets.md")] = Path("docs/results"),
+) -> None:
+    """Put published errors and ours into one table a data set."""
+    published = pd.read_csv(SHIPPED_DATA / "published" / "datasets.csv")
+    sections = [_HEAD, f"{circumstances()} Profile {profile}."]
+    for dataset, rows in published.groupby("dataset", sort=False):
+        scenes = [scene for scene in rows["scene"].unique() if scene != "average"]
+        ours = {scene: own_errors(DataRoot(data), profile, f"{PREFIXES[str(dataset)]}-{scene}") for scene in scenes}
+        sections += [f"## {dataset}", markdown_table(_table(rows, [*scenes, "average"], ours))]
+    (out / "datasets.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+
+
+def own_errors(data: DataRoot, profile: str, scene: str) -> dict[str, tuple[float, float]]:
+    """Median position and rotation errors on the scene's test frames by regressor; {} where it hasn't been run."""
+    train, align = (data.run(profile, scene, stage) for stage in ("train", "align"))
+    if not (train / MANIFEST).is_file():
+        return {}
+    load_verified(train)
+    truth = read_table(align / "ground_truth.parquet", schema("align", "ground_truth")).dropna(subset=["map_cam_tx"])
+    predictions = read_table(train / "predictions.parquet", schema("train", "predictions"))
+    tested = predictions[predictions["split"] == "test"]
+    errors = {}
+    for model, rows in tested.groupby("model"):
+        both = rows.merge(truth, on="frame_id", suffixes=("", "_true"))
+        true = truth.set_index("frame_id").loc[both["frame_id"]]
+        poses = poses_of(both, "map_cam"), poses_of(true, "map_cam")
+        medians = (pd.Series(values).median() for values in (position_error(*poses), rotation_error_deg(*poses)))
+        position_m, rotation_deg = medians
+        errors[str(model)] = position_m, rotation_deg
+    return errors
+
+
+def _table(
+    published: pd.DataFrame, scenes: list[str], ours: dict[str, dict[str, tuple[float, float]]]
+) -> list[list[str]]:
+    rows = [["regressor", *scenes]]
+    for method, printed in published.groupby("method", sort=False):
+        errors = printed.set_index("scene")[["median_position_m", "median_rotation_deg"]].dropna()
+        by_scene = {str(scene): f"{m:.2f} m, {deg:.1f}°" for scene, m, deg in errors.itertuples()}
+        rows.append([f"{method}, published", *(by_scene.get(scene, "") for scene in scenes)])
+    for model in sorted({"PN", "MS-T"} | {model for of_scene in ours.values() for model in of_scene}):
+        given = [ours.get(scene, {}).get(model) for scene in scenes]
+        rows.append([f"{model}, ours", *("" if e is None else f"{e[0]:.2f} m, {e[1]:.1f}°" for e in given)])
+    return rows
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,213 @@
+"""Regressors on a phone: `python -m benchmarks.phone`.
+
+Exports bundles of a finished train stage and asks them, without PyTorch, about the test frames: bytes, milliseconds and
+errors of fp32 and int8. Times are of the published image size, 224 px, too, for which the same networks are exported
+without regard to accuracy. Writes docs/results/phone.md and .csv.
+"""
+
+import csv
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from benchmarks.results import circumstances, markdown_table
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.manifests import MANIFEST, load_manifest
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import read_table
+from groundwalk.export.phone.bundle import write_bundle
+from groundwalk.export.phone.inputs import PhoneInputs
+from groundwalk.export.phone.networks import write_onnx
+from groundwalk.export.phone.quantisation import MAX_ERROR_RATIO, HeldOut, write_int8
+from groundwalk.export.regressor import TrainedRegressor, load_regressor
+from groundwalk.geometry import Array
+from groundwalk.runtime import open_bundle
+from groundwalk.runtime.bundle import onnx_session
+from groundwalk.scoring.errors import position_error, rotation_error_deg
+
+app = new_app(__doc__ or "")
+
+PUBLISHED_PX = 224
+_TIMED, _WARM_UP, _TENSORS = 60, 5, 16
+# MiB, as the paper counts, and median milliseconds on two cores at the published size.
+TARGETS = {
+    ("PN", "int8", "size"): 22.0,
+    ("PN", "int8", "224 px, 2 threads"): 12.0,
+    ("PN-Lite", "int8", "size"): 6.0,
+    ("PN-Lite", "int8", "224 px, 2 threads"): 8.0,
+    ("MST-Lite", "fp32", "224 px, 2 threads"): 80.0,
+}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One number of a model's network."""
+
+    model: str
+    network: str
+    name: str
+    value: float
+    unit: str
+    most: float | None = None
+
+
+@app.command()
+def main(
+    data: Annotated[Path, typer.Option(help="data root with a finished train stage")] = Path("data"),
+    scene: Annotated[str, typer.Option(help="scene of the run")] = "Church",
+    profile: Annotated[str, typer.Option(help="profile of the run")] = "demo",
+    out: Annotated[Path, typer.Option(help="folder for phone.md and .csv")] = Path("docs/results"),
+) -> None:
+    """Export each regressor of the run, ask it, and write what came out."""
+    folder = DataRoot(data).run(profile, scene, "train")
+    if not (folder / MANIFEST).is_file():
+        raise UserError("there is no finished train stage", where=folder, do=f"run the scene {scene} first")
+    cards = read_table(folder / "models.parquet", schema("train", "models"))
+    figures: list[Figure] = []
+    notes: list[str] = []
+    for model in cards.loc[cards["file"] != "", "model"]:
+        regressor = load_regressor(DataRoot(data), profile, scene, str(model))
+        for figure in (*_of_bundle(regressor, notes), *_at_published_size(regressor, notes)):
+            print(f"{figure.model} {figure.network}: {figure.name} {figure.value:.4g} {figure.unit}", flush=True)
+            figures.append(figure)
+    kind = "simulated" if load_manifest(folder)["simulated"] else "real"
+    _write(
+        out, figures, notes, f"Scene {scene} ({kind}), profile {profile}, stage train of seed {cards['seed'].iloc[0]}."
+    )
+
+
+def _of_bundle(regressor: TrainedRegressor, notes: list[str]) -> Iterator[Figure]:
+    """Bytes, times and errors of the bundle's networks on the test frames, as a phone asks about them."""
+    inputs, model = PhoneInputs(regressor), regressor.model
+    rows = inputs.spread("test", len(regressor.frames))
+    errors = {}
+    with tempfile.TemporaryDirectory() as name:
+        notes += [f"{model}: {note}" for note in write_bundle(regressor, Path(name))[1:]]
+        for network, about in open_bundle(name).manifest["networks"].items():
+            bundle = open_bundle(name, network=network, threads=2)
+            answers = [bundle.ask(inputs.query(row)) for row in rows]
+            yield Figure(model, network, "size", about["bytes"] / 2**20, "MiB", TARGETS.get((model, network, "size")))
+            for part in ("preprocessing", "network"):
+                times = [1e3 * answer.seconds[part] for answer in answers[_WARM_UP:]]
+                label = f"{regressor.trained.crop} px, 2 threads, {part}"
+                yield Figure(model, network, f"{label}, median", float(np.median(times)), "ms")
+                yield Figure(model, network, f"{label}, p95", float(np.percentile(times, 95)), "ms")
+            poses = np.array([answer.map_T_cam for answer in answers]), regressor.map_T_cam[rows]
+            errors[network] = list(_errors(model, network, position_error(*poses), rotation_error_deg(*poses)))
+            yield from errors[network]
+    for fp32, int8 in zip(errors["fp32"], errors.get("int8", []), strict=False):
+        yield Figure(model, "int8", f"{int8.name}, int8 / fp32", int8.value / fp32.value, "", MAX_ERROR_RATIO)
+
+
+def _errors(model: str, network: str, position_m: Array, rotation_deg: Array) -> Iterator[Figure]:
+    for name, values, unit in (("position error", position_m, "m"), ("rotation error", rotation_deg, "deg")):
+        yield Figure(model, network, f"median {name}", float(np.median(values)), unit)
+        yield Figure(model, network, f"mean {name}", float(values.mean()), unit)
+
+
+def _at_published_size(regressor: TrainedRegressor, notes: list[str]) -> Iterator[Figure]:
+    """Times of the same networks for images of the published size, whatever they were trained on.
+
+    Images of another size than in training have no errors to go by: a truth far away leaves the choice of what is int8
+    to the times.
+    """
+    model, trained = regressor.model, regressor.trained
+    size = PUBLISHED_PX, round(PUBLISHED_PX * trained.width / trained.crop)
+    tensors = [
+        _enlarged(tensor, size) for tensor in map(PhoneInputs(regressor).tensor, regressor.rows("val")[:_TENSORS])
+    ]
+    with tempfile.TemporaryDirectory() as name:
+        files = {network: Path(name) / f"{network}.onnx" for network in ("fp32", "int8")}
+        write_onnx(trained, *size, files["fp32"])
+        session = onnx_session(files["fp32"], 1)
+        answers = [session.run(["position", "quaternion"], {"image": tensor}) for tensor in tensors]
+        aside = Rotation.from_euler("y", 90, degrees=True)
+        quaternion = (aside * Rotation.from_quat(np.concatenate([answer[1] for answer in answers]))).as_quat()
+        position = np.concatenate([answer[0] for answer in answers]) + np.array([1000.0, 0, 0])
+        quantised = write_int8(files["fp32"], files["int8"], tensors, HeldOut(tensors, position, quaternion))
+        if quantised.refusal:
+            notes.append(f"{model} at {PUBLISHED_PX} px: no int8 network: {quantised.refusal}")
+        elif quantised.in_float32:
+            notes.append(
+                f"{model} at {size[1]} x {size[0]} px: int8 leaves in float32: {', '.join(quantised.in_float32)}"
+            )
+        for network in (network for network, file in files.items() if file.is_file()):
+            for threads in (1, 2):
+                yield from _times(model, network, files[network], threads, tensors[0])
+
+
+def _enlarged(tensor: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    large = cv2.resize(tensor[0].transpose(1, 2, 0), size[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(large.transpose(2, 0, 1)[None])
+
+
+def _times(model: str, network: str, file: Path, threads: int, tensor: NDArray[np.float32]) -> Iterator[Figure]:
+    session = onnx_session(file, threads)
+    clock, processor = [], []
+    for _ in range(_WARM_UP + _TIMED):
+        start, cpu = time.perf_counter(), time.process_time()
+        session.run(None, {"image": tensor})
+        clock.append(1e3 * (time.perf_counter() - start))
+        processor.append(1e3 * (time.process_time() - cpu))
+    label = f"{PUBLISHED_PX} px, {threads} thread{'s' if threads > 1 else ''}"
+    of_clock, of_processor = clock[_WARM_UP:], processor[_WARM_UP:]
+    most = TARGETS.get((model, network, label))
+    yield Figure(model, network, f"{label}, median", float(np.median(of_clock)), "ms", most)
+    yield Figure(model, network, f"{label}, p95", float(np.percentile(of_clock, 95)), "ms")
+    yield Figure(model, network, f"{label}, processor, median", float(np.median(of_processor)), "ms")
+    yield Figure(model, network, f"{label}, processor, p95", float(np.percentile(of_processor, 95)), "ms")
+
+
+def _write(out: Path, figures: Sequence[Figure], notes: Sequence[str], inputs: str) -> None:
+    """Write phone.md and phone.csv into the folder."""
+    out.mkdir(parents=True, exist_ok=True)
+    about = f"{circumstances()} {inputs}"
+    with (out / "phone.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["model", "network", "figure", "value", "unit", "most", "met", "circumstances"])
+        for f in figures:
+            row = [f.model, f.network, f.name, f"{f.value:.6g}", f.unit, "" if f.most is None else f.most, _met(f)]
+            writer.writerow([*row, about])
+    targets = [["model", "network", "figure", "value", "at most", ""]]
+    targets += [
+        [f.model, f.network, f.name, f"{f.value:.3g} {f.unit}", f"{f.most:g} {f.unit}", _met(f)]
+        for f in figures
+        if f.most is not None
+    ]
+    sections = [_HEAD, about, markdown_table(targets), "\n".join(f"- {note}" for note in notes)]
+    for model in dict.fromkeys(f.model for f in figures):
+        sections += [f"## {model}", markdown_table(_rows([f for f in figures if f.model == model]))]
+    (out / "phone.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+
+
+def _rows(figures: Sequence[Figure]) -> Iterable[list[str]]:
+    networks = list(dict.fromkeys(f.network for f in figures))
+    yield ["figure", *networks]
+    values = {(f.name, f.network): f"{f.value:.3g} {f.unit}" for f in figures}
+    for name in dict.fromkeys(f.name for f in figures):
+        yield [name, *(values.get((name, network), "") for network in networks)]
+
+
+def _met(figure: Figure) -> str:
+    return "" if figure.most is None else "met" if figure.value <= figure.most else "missed"
+
+
+_HEAD = """# Regressors on a phone
+
+Written by `make bench-phone`. Networks of a run's bundles, asked about its test frames without PyTorch; and the same
+networks at 224 px, the published size, whatever size the profile trains at: these say what they cost and nothing of
+accuracy. Times are of the network alone unless they say preprocessing, on the clock unless they say processor: where
+other work ran beside, the processor's are the ones to trust. Sizes are in MiB, as the paper counts."""
+
+if __name__ == "__main__":
+    app()

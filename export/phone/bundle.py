@@ -1,0 +1,147 @@
+"""The bundle of a trained regressor: all that a phone needs, in one folder (docs/reference/bundle-format.md)."""
+
+import platform
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from groundwalk.artefacts import UserError, progress
+from groundwalk.artefacts.files import write_json
+from groundwalk.export.phone.coreml import PACKAGE, write_coreml
+from groundwalk.export.phone.golden import Network, write_golden
+from groundwalk.export.phone.inputs import PhoneInputs
+from groundwalk.export.phone.networks import write_onnx
+from groundwalk.export.phone.quantisation import HeldOut, Quantised, write_int8
+from groundwalk.export.phone.readme import readme
+from groundwalk.export.regressor import TrainedRegressor
+from groundwalk.geometry.poses import quaternion_from_matrix, rotation_angle
+from groundwalk.runtime.bundle import matrix_of, onnx_session
+from groundwalk.runtime.bundle_file import ERROR_MAP, ERRORS, FRAME, PREPROCESSING, write_manifest
+from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
+
+_CALIBRATION, _HELD_OUT, _MIN_HELD_OUT = 48, 64, 16
+_AS_TRAINED_M, _AS_TRAINED_DEG = 0.01, 0.2
+
+
+def write_bundle(regressor: TrainedRegressor, folder: Path) -> list[str]:
+    """Write the bundle into an empty folder; returns what to tell the user.
+
+    UserError where a package that exporting needs isn't there, or the exported network doesn't predict what training
+    did.
+    """
+    inputs = PhoneInputs(regressor)
+    fp32, int8 = folder / "fp32.onnx", folder / "int8.onnx"
+    write_onnx(regressor.trained, *inputs.input_size, fp32)
+    _check_as_trained(inputs, fp32)
+    calibration = [inputs.tensor(row) for row in inputs.spread("train", _CALIBRATION)]
+    progress.console.print("quantising: measuring which parts gain by it", markup=False)
+    quantised = write_int8(fp32, int8, calibration, _held_out(inputs))
+    networks = {name: file for name, file in (("fp32", fp32), ("int8", int8)) if file.is_file()}
+    coreml = write_coreml(regressor.trained, *inputs.input_size, folder)
+    errors = _errors(regressor)
+    write_json(folder / PREPROCESSING, asdict(inputs.preprocessing))
+    write_json(folder / FRAME, frame_of(regressor))
+    if errors:
+        write_json(folder / ERRORS, errors)
+    if regressor.error_maps is not None:
+        write_json(folder / ERROR_MAP, _error_map(regressor))
+    median = errors.get("position_median_m", 0.0), errors.get("rotation_median_deg", 0.0)
+    write_golden(inputs, folder, {name: _network(file) for name, file in networks.items()}, median)
+    notes = _notes(quantised, coreml)
+    about = {
+        "model": regressor.model,
+        "label": regressor.card["label"] or regressor.model,
+        "scenes": list(regressor.scenes),
+        "profile": regressor.profile,
+        "simulated": regressor.simulated,
+        "reduced": regressor.card["reduced"],
+        "written_by": f"groundwalk {version('groundwalk')}",
+        "network": "int8" if "int8" in networks else "fp32",
+        "networks": {name: {"file": file.name, "bytes": file.stat().st_size} for name, file in networks.items()},
+        "coreml": PACKAGE if not coreml else None,
+        "quantisation": {**asdict(quantised), "processor": platform.processor() or platform.machine()},
+        "notes": notes,
+    }
+    (folder / "README.md").write_text(readme(about, inputs.preprocessing, errors), encoding="utf-8")
+    write_manifest(folder, about)
+    sizes = ", ".join(f"{name} {file.stat().st_size / 2**20:.1f} MiB" for name, file in networks.items())
+    return [f"networks: {sizes}; recommended: {about['network']}", *notes]
+
+
+def frame_of(regressor: TrainedRegressor) -> dict[str, Any]:
+    """What the poses mean: the content of frame.json."""
+    return {
+        "pose": "map_T_cam takes camera coordinates to the map: position in the map, quaternion x, y, z, w",
+        "maps": regressor.worlds,
+        "camera": {"x": "right", "y": "down", "z": "forward", "of": "the image as the sensor delivers it"},
+        "arkit_camera": "x right, y up, z backward: multiply map_T_cam from the right by diag(1, -1, -1, 1)",
+        "covariance": "of (rotation, position) in the map's axes, rad and m, 6x6 row-major",
+    }
+
+
+def _held_out(inputs: PhoneInputs) -> HeldOut:
+    """Frames that the network wasn't trained on, with some that it was where these are few."""
+    rows = inputs.spread("val", _HELD_OUT)
+    if len(rows) < _MIN_HELD_OUT:
+        rows += inputs.spread("train", _HELD_OUT - len(rows))
+    quaternion = quaternion_from_matrix(np.array([inputs.seen(row) for row in rows]))
+    return HeldOut([inputs.tensor(row) for row in rows], inputs.regressor.map_T_cam[rows, :3, 3], quaternion)
+
+
+def _check_as_trained(inputs: PhoneInputs, fp32: Path) -> None:
+    """UserError where the network, given frames as training was, doesn't predict what training's tables have."""
+    run, regressor = _network(fp32), inputs.regressor
+    for row in inputs.spread("train", 2):
+        made, before = run(inputs.tensor_as_trained(row)), regressor.predicted[row]
+        rotation = inputs.preprocessing.camera_rotation(matrix_of(made["quaternion"][0]), inputs.query(row).gravity)
+        metres = float(np.linalg.norm(made["position"][0] - before[:3, 3]))
+        degrees = float(np.degrees(rotation_angle(rotation.T @ before[:3, :3])))
+        if not (metres < _AS_TRAINED_M and degrees < _AS_TRAINED_DEG):
+            raise UserError(
+                f"the exported network of {regressor.model} doesn't predict what training did",
+                where=regressor.frames["file"].iloc[row],
+                expected=f"less than {_AS_TRAINED_M} m and {_AS_TRAINED_DEG} degrees between them",
+                found=f"{metres:.3f} m and {degrees:.2f} degrees",
+                do="run the stage train again; where it stays so, the network doesn't export faithfully",
+            )
+
+
+def _network(file: Path) -> Network:
+    session = onnx_session(file, 1)
+    names = [output.name for output in session.get_outputs()]
+    return lambda tensor: dict(zip(names, session.run(None, {"image": tensor}), strict=True))
+
+
+def _errors(regressor: TrainedRegressor) -> dict[str, Any]:
+    """Errors of training's predictions on the test frames, and how honest their covariances are; {} without any."""
+    rows = regressor.rows("test")
+    rows = rows[np.isfinite(regressor.predicted[rows]).all(axis=(1, 2))]
+    if not len(rows):
+        return {}
+    poses = regressor.predicted[rows], regressor.map_T_cam[rows]
+    content: dict[str, Any] = {"frames": len(rows), "of": "the network in float32 on the scene's test frames"}
+    for name, values in (("position_{}_m", position_error(*poses)), ("rotation_{}_deg", rotation_error_deg(*poses))):
+        content |= {name.format("median"): float(np.median(values)), name.format("mean"): float(values.mean())}
+    covariance = regressor.covariance[rows]
+    if np.isfinite(covariance).all():
+        position, rotation = within_bounds(*poses, covariance).mean(axis=0).tolist()
+        content["within_95_percent_bounds"] = {"position": position, "rotation": rotation}
+    return content
+
+
+def _error_map(regressor: TrainedRegressor) -> dict[str, Any]:
+    assert regressor.error_maps is not None
+    table = regressor.error_maps.drop(columns=["model"])
+    return {str(scene): rows.drop(columns=["scene"]).to_dict("list") for scene, rows in table.groupby("scene")}
+
+
+def _notes(quantised: Quantised, coreml: str) -> list[str]:
+    notes = []
+    if quantised.refusal:
+        notes.append(f"no int8 network: {quantised.refusal}")
+    elif quantised.in_float32:
+        notes.append(f"int8 leaves in float32, as it is faster or more accurate so: {', '.join(quantised.in_float32)}")
+    return [*notes, *([coreml] if coreml else [])]

@@ -1,0 +1,221 @@
+"""A network in 8-bit integers, but for the parts where measuring says that it loses by it.
+
+Static quantisation (QDQ: integer nodes between QuantizeLinear and DequantizeLinear), a scale for each channel of a
+weight, ranges of activations from training frames (Jacob et al., 2018; ONNX Runtime's documentation, "Quantize ONNX
+models"). Which groups of nodes stay in float32 is searched for: a group does so where the network is then more accurate
+by too much, or faster, on frames that were held out of training.
+"""
+
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundwalk.artefacts import UserError
+from groundwalk.export.phone.networks import quiet
+from groundwalk.geometry import Array
+from groundwalk.geometry.poses import quaternion_angle
+from groundwalk.runtime.bundle import onnx_session
+
+MAX_ERROR_RATIO = 1.05
+"""of an int8 network's errors to fp32's, on held-out frames; beyond it int8 isn't shipped"""
+_FASTER = 0.95  # a group stays in float32 for less than this fraction of the time
+_TIMED_S, _MIN_RUNS, _MAX_RUNS = 2.0, 5, 60
+_WITH_WEIGHTS = ("Conv", "Gemm", "MatMul")
+_BETWEEN = ("Add", "Relu", "Clip", "MaxPool", "GlobalAveragePool", "Flatten", "Reshape", "Mul", "Sigmoid")
+
+Tensors = Sequence[NDArray[np.float32]]
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Network inputs (1, 3, H, W) of N frames with their true positions (N, 3), m, and quaternions xyzw (N, 4)."""
+
+    tensors: Tensors
+    position: Array
+    quaternion: Array
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Processor milliseconds a query on one thread, and mean errors over the held-out frames."""
+
+    milliseconds: float
+    position_m: float
+    rotation_deg: float
+
+    def ratio(self, other: "Measured") -> float:
+        """The larger ratio of these errors to another's."""
+        return max(self.position_m / max(other.position_m, 1e-9), self.rotation_deg / max(other.rotation_deg, 1e-9))
+
+
+@dataclass(frozen=True)
+class Quantised:
+    """What became of a network: the groups of nodes in float32, both networks as they were measured, and, where int8
+    isn't worth shipping, the reason."""
+
+    in_float32: tuple[str, ...]
+    fp32: Measured
+    int8: Measured
+    refusal: str
+
+
+def write_int8(fp32: Path, out: Path, calibration: Tensors, held_out: HeldOut) -> Quantised:
+    """Write the int8 network of `fp32`, unless it loses too much by it; see the module."""
+    with tempfile.TemporaryDirectory(prefix="groundwalk-") as name, quiet():
+        folder = Path(name)
+        prepared = _prepared(fp32, folder / "prepared.onnx")
+        trials = _Trials(prepared, folder, calibration, held_out)
+        best, measured = trials.search()
+        if refusal := _refusal(measured, trials.fp32):
+            return Quantised(best, trials.fp32, measured, refusal)
+        out.write_bytes(trials.file(best).read_bytes())
+    return Quantised(best, trials.fp32, measured, "")
+
+
+def _refusal(int8: Measured, fp32: Measured) -> str:
+    if not int8.ratio(fp32) <= MAX_ERROR_RATIO:
+        return f"its errors on held-out frames are {int8.ratio(fp32):.2f} times those of fp32, over {MAX_ERROR_RATIO}"
+    if int8.milliseconds > fp32.milliseconds:
+        return f"it is slower, {int8.milliseconds:.1f} ms of processor time a query against {fp32.milliseconds:.1f} ms"
+    return ""
+
+
+class _Trials:
+    """Networks quantised with different groups of nodes in float32, each made and measured once."""
+
+    def __init__(self, prepared: Path, folder: Path, calibration: Tensors, held_out: HeldOut) -> None:
+        self.prepared, self.folder = prepared, folder
+        self.calibration, self.held_out = calibration, held_out
+        self.groups, self.never = _groups(prepared)
+        self.measured: dict[tuple[str, ...], Measured] = {}
+        self.fp32 = measure(prepared, held_out)
+
+    def search(self) -> tuple[tuple[str, ...], Measured]:
+        """The groups to leave in float32: one more at a time, as long as that pays."""
+        best: tuple[str, ...] = ()
+        for group in self.groups:
+            trial = tuple(sorted({*best, group}))
+            if len(trial) < len(self.groups) and self._is_better(self.trial(trial), self.trial(best)):
+                best = trial
+        return best, self.trial(best)
+
+    def _is_better(self, one: Measured, other: Measured) -> bool:
+        fits, other_fits = (m.ratio(self.fp32) <= MAX_ERROR_RATIO for m in (one, other))
+        if fits and other_fits:
+            return one.milliseconds < _FASTER * other.milliseconds
+        return fits or (not other_fits and one.ratio(self.fp32) < other.ratio(self.fp32))
+
+    def trial(self, in_float32: tuple[str, ...]) -> Measured:
+        if in_float32 not in self.measured:
+            self._quantise(in_float32)
+            self.measured[in_float32] = measure(self.file(in_float32), self.held_out)
+        return self.measured[in_float32]
+
+    def file(self, in_float32: tuple[str, ...]) -> Path:
+        return self.folder / f"int8-{'-'.join(sorted(self.groups.keys() - set(in_float32))).replace(' ', '_')}.onnx"
+
+    def _quantise(self, in_float32: tuple[str, ...]) -> None:
+        from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
+
+        excluded = [*self.never, *(node for group in in_float32 for node in self.groups[group])]
+        quantize_static(
+            self.prepared,
+            self.file(in_float32),
+            _reader(self.calibration),
+            quant_format=QuantFormat.QDQ,
+            op_types_to_quantize=[*_WITH_WEIGHTS, *_BETWEEN],
+            per_channel=True,
+            activation_type=QuantType.QUInt8,
+            weight_type=QuantType.QInt8,
+            nodes_to_exclude=excluded,
+            calibration_cache_path=self.folder / "ranges.json",
+        )
+
+
+def measure(file: Path, held_out: HeldOut) -> Measured:
+    """Time and mean errors of a network on held-out frames. Processor time, since it tells less of what else runs."""
+    session = onnx_session(file, 1)
+    answers = [session.run(["position", "quaternion"], {"image": tensor}) for tensor in held_out.tensors]
+    distance = np.linalg.norm(np.concatenate([a[0] for a in answers]) - held_out.position, axis=1)
+    angle = np.degrees(quaternion_angle(np.concatenate([a[1] for a in answers]).astype(float), held_out.quaternion))
+    times: list[float] = []
+    while len(times) < _MIN_RUNS or (len(times) < _MAX_RUNS and sum(times) < _TIMED_S):
+        start = time.process_time()
+        session.run(None, {"image": held_out.tensors[0]})
+        times.append(time.process_time() - start)
+    return Measured(1e3 * float(np.median(times)), float(distance.mean()), float(angle.mean()))
+
+
+def _prepared(fp32: Path, out: Path) -> Path:
+    """The network with batch norms folded into convolutions, as quantisation wants it."""
+    try:
+        from onnxruntime.quantization import quant_pre_process
+    except ImportError as error:
+        do = "pip install 'groundwalk[phone]', or onnx and onnxruntime"
+        raise UserError("exporting needs more packages", found=error, do=do) from None
+    quant_pre_process(fp32, out, skip_symbolic_shape=True)
+    return out
+
+
+def _groups(file: Path) -> tuple[dict[str, list[str]], list[str]]:
+    """Nodes that are decided on together, by what they are; and those that always stay in float32: the last weights and
+    what follows, as a position in 255 steps is none, and products without weights, as in attention."""
+    import onnx
+
+    graph = onnx.load(file).graph
+    weights = {tensor.name: list(tensor.dims) for tensor in graph.initializer}
+    last = _last(graph, weights)
+    groups: dict[str, list[str]] = {}
+    never = []
+    for node in graph.node:
+        has_weights = any(name in weights for name in node.input[1:2])
+        if node.name in last or (node.op_type in _WITH_WEIGHTS and not has_weights):
+            never.append(node.name)
+        elif kind := _kind(node, weights):
+            groups.setdefault(kind, []).append(node.name)
+    return groups, never
+
+
+def _kind(node: Any, weights: dict[str, list[int]]) -> str:
+    if node.op_type == "Conv":
+        size, (_, inputs, *kernel) = next((a.i for a in node.attribute if a.name == "group"), 1), weights[node.input[1]]
+        if size > 1 and inputs == 1:
+            return "depthwise convolutions"
+        return "1x1 convolutions" if set(kernel) == {1} else "convolutions"
+    if node.op_type in ("Gemm", "MatMul"):
+        return "products"
+    return {"Add": "sums", "Mul": "gates", "Sigmoid": "gates"}.get(node.op_type, "")
+
+
+def _last(graph: Any, weights: dict[str, list[int]]) -> set[str]:
+    """The nodes behind the outputs up to the first ones with weights, these included."""
+    makers = {name: node for node in graph.node for name in node.output}
+    names, seen = [output.name for output in graph.output], set()
+    while names:
+        node = makers.get(names.pop())
+        if node is None or node.name in seen:
+            continue
+        seen.add(node.name)
+        if not (node.op_type in _WITH_WEIGHTS and any(name in weights for name in node.input[1:2])):
+            names += node.input
+    return seen
+
+
+def _reader(tensors: Tensors) -> Any:
+    from onnxruntime.quantization import CalibrationDataReader
+
+    class Reader(CalibrationDataReader):
+        def __init__(self) -> None:
+            self.rest = iter(tensors)
+
+        def get_next(self) -> dict[str, Any] | None:
+            tensor = next(self.rest, None)
+            return None if tensor is None else {"image": tensor}
+
+    return Reader()

@@ -1,0 +1,138 @@
+"""What a model exporter is given: a trained regressor with the frames that it was trained and tested on."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.hints import run_command
+from groundwalk.artefacts.images import image_file
+from groundwalk.artefacts.manifests import MANIFEST, load_verified
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import dataset_frames, poses_of, read_table, with_cameras
+from groundwalk.export.dataset import world_of
+from groundwalk.geometry import Array
+from groundwalk.training.build import Trained, load_trained
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedRegressor:
+    """A regressor of a finished train stage.
+
+    `card` is its row of train.models. `frames` are all frames that it predicted, N rows: import.frames with the split
+    that training used, the scene, the image's `file`, the camera of the ground truth and, as stated_fx, the stated
+    focal length. `map_T_cam` (N, 4, 4) is the ground truth, `predicted` (N, 4, 4) what it answered in training and
+    `covariance` (N, 6, 6) of its error, NaN where there is none. `worlds` says of each scene's map its unit and axes.
+    `error_maps` are its rows of fuse.error_maps, None where fusion hasn't learnt any.
+    """
+
+    model: str
+    profile: str
+    scenes: tuple[str, ...]
+    card: dict[str, Any]
+    trained: Trained
+    frames: pd.DataFrame
+    map_T_cam: Array
+    predicted: Array
+    covariance: Array
+    worlds: dict[str, str]
+    error_maps: pd.DataFrame | None
+    simulated: bool
+
+    def rows(self, split: str) -> NDArray[np.int64]:
+        """Rows of a split that have ground truth."""
+        known = np.isfinite(self.map_T_cam).all(axis=(1, 2))
+        return np.flatnonzero((self.frames["split"] == split).to_numpy(bool) & known).astype(np.int64)
+
+
+def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> TrainedRegressor:
+    """Read a regressor of a scene's, or a group's, finished train stage.
+
+    UserError where the stage hasn't been run, is damaged or was made from other frames than are there, and where it has
+    no such regressor, or only imported predictions of it.
+    """
+    folder = _finished(data, profile, scene, "train")
+    manifest = load_verified(folder)
+    cards = read_table(folder / "models.parquet", schema("train", "models"))
+    if model not in set(cards["model"]):
+        raise UserError(
+            f"scene {scene} has no regressor {model!r}",
+            where=folder,
+            expected=f"one of {', '.join(cards['model'])}",
+            do="add it to [train] models and run the stage train again",
+        )
+    card = {str(name): value for name, value in cards[cards["model"] == model].iloc[0].items()}
+    if not card["file"]:
+        raise UserError(f"only predictions of {model} were imported, not the network", where=folder)
+    trained = load_trained(folder / card["file"])
+    predictions = read_table(folder / "predictions.parquet", schema("train", "predictions"))
+    predictions = predictions[predictions["model"] == model]
+    parts, worlds = [], {}
+    for leaf in trained.scenes:
+        frames, worlds[leaf] = _frames(data, profile, leaf, manifest)
+        parts.append(frames)
+    columns = ["scene", "frame_id", "split", "covariance", *(c for c in predictions if str(c).startswith("map_cam_"))]
+    answers = predictions[columns].rename(columns=lambda c: c.replace("map_cam_", "predicted_"))
+    frames = pd.concat(parts, ignore_index=True).drop(columns="split")
+    frames = frames.merge(answers, on=["scene", "frame_id"], how="left", validate="1:1")
+    given = [np.full((6, 6), np.nan) if c is None else np.reshape(c, (6, 6)) for c in frames["covariance"]]
+    return TrainedRegressor(
+        model,
+        profile,
+        tuple(trained.scenes),
+        card,
+        trained,
+        frames,
+        poses_of(frames, "map_cam"),
+        poses_of(frames, "predicted"),
+        np.array(given, float),
+        worlds,
+        _error_maps(data.run(profile, scene, "fuse"), model),
+        bool(manifest["simulated"]),
+    )
+
+
+def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> tuple[pd.DataFrame, str]:
+    """A scene's frames with their files, cameras and ground truth, and unit and axes of its map."""
+    folders = {stage: _finished(data, profile, scene, stage) for stage in ("import", "align")}
+    for stage, folder in folders.items():
+        used = train.get("inputs", {}).get(f"{scene}/{stage}")
+        if used is not None and used != load_verified(folder)["outputs"]:
+            raise UserError(
+                f"the regressors were trained on another run of stage {stage}",
+                where=folder,
+                do=run_command(scene, profile, "train"),
+            )
+    frames = dataset_frames(read_table(folders["import"] / "frames.parquet", schema("import", "frames")))
+    truth = read_table(folders["align"] / "ground_truth.parquet", schema("align", "ground_truth"))
+    poses = [str(c) for c in truth if str(c).startswith("map_cam_")]
+    stated = frames["fx"].to_numpy()
+    frames = with_cameras(frames, truth).merge(truth[["frame_id", *poses]], on="frame_id", validate="1:1")
+    captures = data.captures(scene)
+    files = [image_file(image, captures, folders["import"]) for image in frames["image"]]
+    first = truth[truth["map_cam_tx"].notna()].iloc[0]
+    world = world_of(str(first["scale_source"]), str(first["vertical_source"]))
+    return frames.assign(scene=scene, file=pd.Series(files, dtype=object), stated_fx=stated), world
+
+
+def _finished(data: DataRoot, profile: str, scene: str, stage: str) -> Path:
+    folder = data.run(profile, scene, stage)
+    if not (folder / MANIFEST).is_file():
+        raise UserError(
+            f"stage {stage} of scene {scene} hasn't been run", where=folder, do=run_command(scene, profile, stage)
+        )
+    return folder
+
+
+def _error_maps(fuse: Path, model: str) -> pd.DataFrame | None:
+    path = fuse / "error_maps.parquet"
+    if not (fuse / MANIFEST).is_file() or not path.is_file():
+        return None
+    load_verified(fuse)
+    table = read_table(path, schema("fuse", "error_maps"))
+    table = table[table["model"] == model]
+    return table if len(table) else None

@@ -1,0 +1,263 @@
+"""Format phone: the bundle predicts what training did, int8 where measuring says so, whole or not at all."""
+
+import json
+import shutil
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pandas as pd
+import pytest
+import torch
+from picture_wall import write_scene
+from torch import nn
+from typer.testing import CliRunner
+
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.export.__main__ import app
+from groundwalk.export.exporters import MODEL_EXPORTERS
+from groundwalk.export.phone import bundle, coreml, networks, quantisation
+from groundwalk.export.phone.inputs import PhoneInputs
+from groundwalk.export.phone.quantisation import HeldOut, Measured
+from groundwalk.export.regressor import load_regressor
+from groundwalk.runtime import open_bundle
+from groundwalk.runtime.bundle import onnx_session
+from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.training.build import Trained
+from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
+from groundwalk.training.regressors import REGRESSORS
+from groundwalk.training.stage import STAGE
+
+open_session = partial(onnx_session, threads=1)
+INTRINSICS = [50.0, 50.0, 32.0, 24.0]
+
+
+def export(data: Path, out: Path, *more: str, model: str = "PN", scene: str = "Wall") -> str:
+    """What the command prints, or its error."""
+    options = ["--scene", scene, "--profile", "tiny", "--data", str(data), "--out", str(out)]
+    done = CliRunner().invoke(app, [*options, "--format", "phone", "--model", model, *more])
+    if isinstance(done.exception, UserError):
+        raise done.exception
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+@pytest.mark.parametrize(("network", "metres", "degrees"), [("fp32", 1e-4, 1e-2), ("int8", 0.2, 5.0)])
+def test_a_bundle_predicts_what_training_did(
+    trained_wall: Path, wall_bundle: Path, network: str, metres: float, degrees: float
+) -> None:
+    opened = open_bundle(wall_bundle, network=network)
+    rows = pd.read_parquet(trained_wall / "runs/tiny/Wall/train/predictions.parquet")
+    images = [trained_wall / "captures/Wall" / f"{f.split('/')[0]}-{int(f[-6:])}.png" for f in rows["frame_id"]]
+    answers = np.array([opened.predict(image, intrinsics=INTRINSICS).map_T_cam for image in images])
+    assert position_error(answers, poses_of(rows, "map_cam")).max() < metres
+    assert rotation_error_deg(answers, poses_of(rows, "map_cam")).max() < degrees
+
+
+def test_int8_is_a_quarter_and_no_file_is_unlisted(wall_bundle: Path) -> None:
+    manifest = json.loads((wall_bundle / "bundle.json").read_text())
+    size = {name: network["bytes"] for name, network in manifest["networks"].items()}
+    assert size["int8"] < 0.3 * size["fp32"] and manifest["network"] == "int8"
+    there = {path.relative_to(wall_bundle).as_posix() for path in wall_bundle.rglob("*") if path.is_file()}
+    assert there == {*manifest["files"], "bundle.json"}
+    assert manifest["quantisation"]["int8"]["milliseconds"] < manifest["quantisation"]["fp32"]["milliseconds"]
+    text = (wall_bundle / "README.md").read_text()
+    assert "simulated" in text and "images 32x32" in text and "5 test frames" in text
+
+
+def test_a_bundle_is_written_whole_or_not_at_all(
+    trained_wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise OSError(28, "No space left on device", "somewhere")
+
+    monkeypatch.setattr(bundle, "write_onnx", fails)
+    with pytest.raises(UserError, match=r"can't be written(.|\n)*No space left"):
+        export(trained_wall, tmp_path / "bundle")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_not_an_earlier_bundle_is_left_alone(trained_wall: Path, wall_bundle: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(UserError, match="holds other files than earlier exports"):
+        export(trained_wall, tmp_path, "--force")
+    with pytest.raises(UserError, match="holds earlier exports"):
+        export(trained_wall, wall_bundle)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--format", "phone"], "format phone needs the id of a regressor"),
+        (["--format", "colmap", "--model", "PN"], "format colmap is not of a regressor"),
+        (["--format", "phone", "--model", "MS-T"], r"no regressor 'MS-T'(.|\n)*one of PN"),
+    ],
+)
+def test_a_regressor_that_there_is_not_is_refused(
+    trained_wall: Path, tmp_path: Path, options: list[str], message: str
+) -> None:
+    common = ["--scene", "Wall", "--profile", "tiny", "--data", str(trained_wall), "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, [*common, *options])
+    assert isinstance(done.exception, UserError) and not (tmp_path / "out").exists()
+    with pytest.raises(UserError, match=message):
+        raise done.exception
+
+
+def test_a_run_that_does_not_fit_is_refused(trained_wall: Path, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="stage train of scene Nowhere hasn't been run"):
+        export(trained_wall, tmp_path / "out", scene="Nowhere")
+    data = Path(shutil.copytree(trained_wall, tmp_path / "data"))
+    models = data / "runs/tiny/Wall/train/models.parquet"
+    models.write_bytes(models.read_bytes()[:-10])
+    with pytest.raises(UserError, match="artefact train isn't as its stage wrote it"):
+        export(data, tmp_path / "out")
+
+
+def test_a_network_that_does_not_predict_what_training_did_is_refused(trained_wall: Path, wall_bundle: Path) -> None:
+    regressor = load_regressor(DataRoot(trained_wall), "tiny", "Wall", "PN")
+    regressor.predicted[:, 0, 3] += 0.02
+    with pytest.raises(UserError, match=r"doesn't predict what training did(.|\n)*0\.020 m"):
+        bundle._check_as_trained(PhoneInputs(regressor), wall_bundle / "fp32.onnx")
+
+
+@pytest.mark.slow
+def test_a_group_of_scenes_is_one_bundle(tmp_path: Path) -> None:
+    data = write_scene(tmp_path / "data", "Wall", train=12, test=4, seed=0)
+    write_scene(data, "Other", train=12, test=4, seed=1)
+    (data / "scenes").mkdir()
+    (data / "scenes" / "both.toml").write_text('members = ["Wall", "Other"]\nstages = ["train"]\n')
+    settings = ["resize=40", "crop=32", "device=cpu", "threads=1", "regressors.MS-T.epochs=1"]
+    execute(STAGE, "both", "tiny", DataRoot(data), settings)
+    export(data, tmp_path / "bundle", scene="both", model="MS-T")
+    opened = open_bundle(tmp_path / "bundle", network="fp32", verify=True)
+    rows = pd.read_parquet(data / "runs/tiny/both/train/predictions.parquet")
+    answer = opened.predict(data / "captures/Other/later-0.png", intrinsics=INTRINSICS)
+    row = rows[(rows["scene"] == "Other") & (rows["frame_id"] == "later/000000")]
+    assert answer.scene == row["picked_scene"].iloc[0] and opened.manifest["scenes"] == ["Wall", "Other"]
+    assert position_error(answer.map_T_cam, poses_of(row, "map_cam")[0]) < 1e-3
+
+
+class WithCovariance(PoseRegressor):
+    """The colours' means as position, and a covariance that follows them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layer = nn.Linear(3, 3)
+
+    def forward(self, image_B3HW: torch.Tensor) -> PoseBatch:
+        position = self.layer(image_B3HW.mean((2, 3)))
+        quaternion = nn.functional.normalize(torch.cat([position, torch.ones_like(position[:, :1])], 1), dim=-1)
+        covariance = position.square().sum(1)[:, None, None] * torch.eye(6)
+        return PoseBatch(position, quaternion, torch.zeros(len(position), dtype=torch.long), covariance)
+
+    def loss(self, image_B3HW: torch.Tensor, poses: PoseBatch) -> torch.Tensor:
+        raise NotImplementedError
+
+
+def test_a_covariance_is_exported_with_its_pose(tmp_path: Path) -> None:
+    model = WithCovariance().eval()
+    networks.write_onnx(Trained(model, ["Wall"], 40, 32, None, 32, False), 32, 32, tmp_path / "a.onnx")
+    image = torch.rand(1, 3, 32, 32)
+    session = open_session(tmp_path / "a.onnx")
+    assert [output.name for output in session.get_outputs()] == list(networks.OUTPUTS)
+    given = session.run(["covariance"], {"image": image.numpy()})[0]
+    with torch.no_grad():
+        assert given == pytest.approx(model(image).covariance_B66.numpy(), rel=1e-5)
+
+
+@pytest.mark.parametrize("name", REGRESSORS.builtin)
+def test_every_regressor_has_a_network(name: str, tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    entry = REGRESSORS[name]
+    model = entry.make(entry.settings(), 1, False).eval()
+    networks.write_onnx(Trained(model, ["Wall"], 72, 64, None, 64, False), 64, 64, tmp_path / "a.onnx")
+    image = torch.rand(1, 3, 64, 64)
+    given = open_session(tmp_path / "a.onnx").run(None, {"image": image.numpy()})
+    with torch.no_grad():
+        expected = model(image)
+    assert len(given) == 3 + entry.gives_covariance
+    assert np.abs(given[0] - expected.position_B3.numpy()).max() < 1e-3
+    assert np.abs(given[1] - expected.quaternion_B4.numpy()).max() < 1e-3
+
+
+def test_the_last_weights_and_what_follows_stay_in_float32(wall_bundle: Path, tmp_path: Path) -> None:
+    groups, never = quantisation._groups(wall_bundle / "fp32.onnx")
+    assert {"convolutions", "1x1 convolutions", "products", "sums"} <= groups.keys()
+    kinds = {node.name: node.op_type for node in onnx.load(wall_bundle / "fp32.onnx").graph.node}
+    assert [kinds[name] for name in never].count("Gemm") == 2 and len(groups["products"]) == 1
+    nodes = onnx.load(wall_bundle / "int8.onnx").graph.node
+    assert sum(node.op_type == "QuantizeLinear" for node in nodes) > 30
+
+
+FP32 = Measured(10.0, 1.0, 1.0)
+
+
+class Table(quantisation._Trials):
+    """Trials whose measurements are given instead of made."""
+
+    def __init__(self, groups: list[str], given: dict[tuple[str, ...], Measured]) -> None:
+        self.groups, self.given, self.fp32 = {name: [] for name in groups}, given, FP32
+
+    def trial(self, in_float32: tuple[str, ...]) -> Measured:
+        return self.given[in_float32]
+
+
+def test_a_group_stays_in_float32_where_that_is_faster_or_more_accurate() -> None:
+    both = Measured(8.0, 1.0, 1.0)
+    table = {(): both, ("a",): Measured(7.0, 1.0, 1.0), ("b",): both, ("a", "b"): Measured(6.9, 1.0, 1.0)}
+    assert Table(["a", "b", "c"], table | {("a", "c"): both}).search()[0] == ("a",)
+    wrong = Measured(5.0, 2.0, 1.0)
+    table = {(): wrong, ("a",): wrong, ("b",): Measured(6.0, 1.04, 1.0)}
+    assert Table(["a", "b"], table).search()[0] == ("b",)
+
+
+@pytest.mark.parametrize(
+    ("int8", "reason"),
+    [
+        (Measured(5.0, 1.04, 1.05), ""),
+        (Measured(5.0, 1.0, 1.06), "1.06 times those of fp32"),
+        (Measured(10.1, 1.0, 1.0), "slower, 10.1 ms of processor time a query against 10.0 ms"),
+        (Measured(5.0, float("nan"), 1.0), "nan times"),
+    ],
+)
+def test_int8_is_left_out_where_it_loses(int8: Measured, reason: str) -> None:
+    refusal = quantisation._refusal(int8, FP32)
+    assert reason in refusal and bool(refusal) == bool(reason)
+
+
+def test_a_network_that_int8_spoils_is_shipped_in_float32_alone(
+    wall_bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(quantisation, "MAX_ERROR_RATIO", 0.5)
+    monkeypatch.setattr(quantisation._Trials, "search", lambda self: ((), self.trial(())))
+    tensors = [np.random.default_rng(0).normal(size=(1, 3, 32, 32)).astype(np.float32)]
+    held_out = HeldOut(tensors, np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]))
+    result = quantisation.write_int8(wall_bundle / "fp32.onnx", tmp_path / "int8.onnx", tensors, held_out)
+    assert result.refusal and not (tmp_path / "int8.onnx").exists()
+
+
+def test_core_ml_is_left_out_with_a_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "coremltools", None)
+    trained = Trained(WithCovariance().eval(), ["Wall"], 40, 32, None, 32, False)
+    assert coreml.write_coreml(trained, 32, 32, tmp_path) == coreml.NOT_INSTALLED
+
+
+def test_core_ml_has_the_network(trained_wall: Path, tmp_path: Path) -> None:
+    pytest.importorskip("coremltools")
+    trained = load_regressor(DataRoot(trained_wall), "tiny", "Wall", "PN").trained
+    assert coreml.write_coreml(trained, 32, 32, tmp_path) == ""
+    assert any((tmp_path / coreml.PACKAGE).rglob("*.mlmodel"))
+
+
+def test_sinc_and_cross_products_are_those_of_pytorch() -> None:
+    a, b = torch.randn(2, 5, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    x = torch.cat([torch.linspace(-2, 2, 9, dtype=torch.float64), torch.tensor([1e-6, 0.0])])
+    assert torch.allclose(coreml._sinc(x), torch.sinc(x), atol=1e-9)
+    assert torch.allclose(coreml._cross(a, b), torch.linalg.cross(a, b))
+
+
+def test_the_format_is_an_entry() -> None:
+    assert MODEL_EXPORTERS["phone"].note == "bundle.json"

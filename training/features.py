@@ -1,0 +1,89 @@
+"""Features of a frozen backbone: computed once, kept in files, used in every epoch."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from groundwalk.artefacts.child import Report
+from groundwalk.artefacts.files import written_aside
+from groundwalk.training.data import Frames, Jitter, Turns, View, normalised, pose_batch
+from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch
+from groundwalk.training.regressor_settings import RegressorSettings
+
+_BATCH = 32
+
+
+@dataclass(frozen=True)
+class FeatureCache:
+    """Features of each training image and of its turned and re-coloured copies: row c * N + i is copy c of frame i,
+    copy 0 the image itself. They are float16, in one file for each tensor."""
+
+    features: tuple[NDArray[np.float16], ...]
+    quaternion_M4: NDArray[np.float64]
+    training: Frames
+
+    @property
+    def scene_M(self) -> NDArray[np.int64]:
+        """The scene of each row."""
+        return np.tile(self.training.scene_N, len(self.quaternion_M4) // len(self.training))
+
+    def rows(self, rows: NDArray[np.int64], device: torch.device) -> tuple[tuple[Tensor, ...], PoseBatch]:
+        """The features of some rows, and the poses that they are to be given."""
+        frames = rows % len(self.training)
+        position, scene = self.training.position_N3[frames], self.training.scene_N[frames]
+        features = tuple(torch.from_numpy(np.asarray(part[rows])).to(device) for part in self.features)
+        return features, pose_batch(position, self.quaternion_M4[rows], scene, device)
+
+
+@torch.no_grad()
+def feature_cache(
+    folder: Path,
+    model: FrozenRegressor,
+    training: Frames,
+    view: View,
+    settings: RegressorSettings,
+    copies: int,
+    seed: int,
+    device: torch.device,
+    report: Report,
+) -> FeatureCache:
+    """Fill `folder`, unless it is there from an earlier run; `quaternions.npy` comes last and marks it as whole.
+
+    A copy's randomness comes from (seed, copy).
+    """
+    done = folder / "quaternions.npy"
+    if not done.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        model.eval()
+        turns = Turns(*settings.turn_deg) if settings.turn_deg else Turns(0, 0, 0)
+        files: list[NDArray[np.float16]] = []
+        quaternions = []
+        for copy in range(copies + 1):
+            rng = np.random.default_rng([seed, copy])
+            angles, jitter = (turns, Jitter(*settings.jitter)) if copy else (Turns(0, 0, 0), Jitter(0, 0, 0, 0))
+            for start in range(0, len(training), _BATCH):
+                rows = np.arange(start, min(start + _BATCH, len(training)))
+                image, poses = training.select(rows).training_crops(view, angles, rng, device)
+                image = normalised(jitter.apply(image, rng)).contiguous(memory_format=torch.channels_last)
+                parts = model.features(image)
+                if not files:
+                    shapes = [((copies + 1) * len(training), *part.shape[1:]) for part in parts]
+                    files = [
+                        np.lib.format.open_memmap(folder / f"{i}.npy", "w+", np.float16, shape)
+                        for i, shape in enumerate(shapes)
+                    ]
+                for file, part in zip(files, parts, strict=True):
+                    file[copy * len(training) + rows] = part.half().cpu().numpy()
+                quaternions.append(poses.quaternion_B4.cpu().numpy())
+            report(0, f"features {copy + 1}/{copies + 1}")
+        for file in files:
+            file.flush()  # type: ignore[attr-defined]
+        with written_aside(done) as partial, partial.open("wb") as out:
+            np.save(out, np.concatenate(quaternions).astype(np.float64))
+    count = len(list(folder.glob("[0-9]*.npy")))
+    features = tuple(np.load(folder / f"{i}.npy", mmap_mode="r") for i in range(count))
+    return FeatureCache(features, np.load(done), training)

@@ -1,0 +1,152 @@
+"""PN-Lite: a mixture of poses on whitened features of a frozen EfficientNet-Lite0."""
+
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
+from groundwalk.training.models.efficientnet_lite import MAP_CHANNELS, EfficientNetLite0
+from groundwalk.training.models.posenet import single_scene
+from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch, SceneFrames
+from groundwalk.training.regressor_settings import LiteSettings, RegressorSettings
+from groundwalk.training.weights import load_lite0
+
+# Rows and columns to which the maps of 1/16 and 1/32 are pooled.
+CELLS_16, CELLS_32 = (5, 7), (4, 5)
+POOLED = MAP_CHANNELS[1] * CELLS_16[0] * CELLS_16[1] + MAP_CHANNELS[2] * CELLS_32[0] * CELLS_32[1]
+_REGULARISATION = 0.05  # of the whitening, in parts of the largest variance
+_SMALLEST = 1e-6
+
+
+class Whitening(nn.Module):
+    """Features (B, F) to their first principal components (B, width), with about unit variance over the training
+    images. A tenth of the numbers, so that a head trains in seconds."""
+
+    mean: Tensor
+    axes: Tensor
+
+    def __init__(self, features: int, width: int) -> None:
+        super().__init__()
+        self.width = width
+        self.register_buffer("mean", torch.zeros(features))
+        self.register_buffer("axes", torch.zeros(features, width))
+
+    def fit(self, features_NF: Tensor, scale_F: Tensor) -> None:
+        """`scale_F`: what each feature is divided by first. Features that don't vary give zeros."""
+        self.mean.copy_(features_NF.mean(dim=0))
+        scaled_NF = (features_NF - self.mean) / scale_F
+        # The images are fewer than the features: eigenvectors by way of their products.
+        variance, vectors = torch.linalg.eigh(scaled_NF.double() @ scaled_NF.double().T)
+        variance, vectors = variance.flip(0)[: self.width].clamp_min(0), vectors.flip(1)[:, : self.width]
+        length = variance.sqrt().clamp_min(_SMALLEST)
+        axes = scaled_NF.double().T @ vectors / length
+        sd = ((variance + _REGULARISATION * variance[0]) / len(features_NF)).sqrt().clamp_min(_SMALLEST)
+        self.axes.zero_()
+        self.axes[:, : len(variance)] = (axes / sd / scale_F.double()[:, None]).float()
+        whole = self(features_NF).std()
+        self.axes /= whole if whole > _SMALLEST else 1.0
+
+    def forward(self, features_BF: Tensor) -> Tensor:
+        return (features_BF - self.mean) @ self.axes
+
+
+class LiteRegressor(FrozenRegressor):
+    """Base of regressors on EfficientNet-Lite0: its frozen maps, their whitened summary, and a mixture of poses."""
+
+    def __init__(self, scenes: int, settings: LiteSettings) -> None:
+        super().__init__()
+        self.scenes, self.copies = scenes, settings.copies
+        self.backbone = EfficientNetLite0().requires_grad_(False)
+        self.whitening = Whitening(POOLED, settings.width)
+        self.frames = SceneFrames(scenes)
+        self.mixture = PoseMixture(scenes, settings.components)
+
+    def initialise(self, poses: PoseBatch, settings: RegressorSettings, downloads: Path) -> str:
+        if not isinstance(settings, LiteSettings):
+            raise TypeError(f"{type(settings).__name__} isn't a LiteSettings")
+        origin = load_lite0(self.backbone, settings.weights)
+        self.frames.fit(poses, normalise_position=True, centre_rotation=False)
+        self.mixture.fit(*self.frames.from_map(poses), poses.scene_B)
+        return origin
+
+    def train(self, mode: bool = True) -> "LiteRegressor":
+        super().train(mode)
+        self.backbone.eval()
+        return self
+
+    @torch.no_grad()
+    def maps(self, image_B3HW: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The backbone's maps in float32: bfloat16 slows depthwise convolutions down."""
+        with torch.autocast(image_B3HW.device.type, enabled=False):
+            return self.backbone.maps(image_B3HW)
+
+    def pooled(self, map_16: Tensor, map_32: Tensor) -> Tensor:
+        """The two maps' cells (B, POOLED)."""
+        cells = nn.functional.adaptive_avg_pool2d(map_16, CELLS_16), nn.functional.adaptive_avg_pool2d(map_32, CELLS_32)
+        return torch.cat([c.flatten(1) for c in cells], dim=1)
+
+    def fit_features(self, features: tuple[Tensor, ...]) -> None:
+        pooled_NF = features[0].float()
+        cut = MAP_CHANNELS[1] * CELLS_16[0] * CELLS_16[1]
+        scales = [
+            part.std().clamp_min(_SMALLEST) * part.shape[1] ** 0.5 for part in pooled_NF.tensor_split([cut], dim=1)
+        ]
+        widths = torch.tensor([cut, POOLED - cut])
+        self.whitening.fit(pooled_NF, torch.stack(scales).repeat_interleave(widths))
+
+    def mixed(self, outputs: Tensor, scene_B: Tensor) -> PoseBatch:
+        """The poses in the map frame of the mixture's outputs."""
+        with torch.autocast(outputs.device.type, enabled=False):
+            answer = self.mixture.poses(outputs.float(), scene_B)
+        poses = self.frames.to_map(answer.position_B3, answer.quaternion_B4, scene_B)
+        assert answer.covariance_B66 is not None
+        scale = self.frames.scale[scene_B].expand(-1, 3)
+        units = torch.cat([torch.ones_like(scale), scale], dim=1)
+        return poses._replace(covariance_B66=answer.covariance_B66 * units[:, None] * units[..., None])
+
+    def mixture_loss(self, outputs: Tensor, poses: PoseBatch) -> Tensor:
+        position, quaternion = self.frames.from_map(poses)
+        with torch.autocast(outputs.device.type, enabled=False):
+            return self.mixture.loss(outputs.float(), position, quaternion, poses.scene_B)
+
+    def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
+        self.mixture.calibrate(answers, truth)
+
+
+class PoseNetLite(LiteRegressor):
+    """One scene's poses from the whitened features, through two hidden layers."""
+
+    def __init__(self, settings: LiteSettings) -> None:
+        super().__init__(1, settings)
+        width = settings.width
+        last = nn.Linear(width, settings.components * OUTPUTS)
+        self.head = nn.Sequential(
+            nn.Dropout(settings.dropout / 2),
+            nn.Linear(width, width),
+            nn.GELU(),
+            nn.Dropout(settings.dropout),
+            nn.Linear(width, width),
+            nn.GELU(),
+            nn.Dropout(settings.dropout),
+            last,
+        )
+        with torch.no_grad():
+            last.weight *= 0.3  # the anchors themselves are a good first answer
+
+    def features(self, image_B3HW: Tensor) -> tuple[Tensor, ...]:
+        _, map_16, map_32 = self.maps(image_B3HW)
+        return (self.pooled(map_16, map_32),)
+
+    def answer(self, features: tuple[Tensor, ...]) -> PoseBatch:
+        outputs = self.head(self.whitening(features[0].float()))
+        return self.mixed(outputs, torch.zeros(len(outputs), dtype=torch.long, device=outputs.device))
+
+    def feature_loss(self, features: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
+        return self.mixture_loss(self.head(self.whitening(features[0].float())), poses)
+
+
+def make_posenet_lite(settings: LiteSettings, scenes: int, outdoor: bool) -> PoseNetLite:
+    """PN-Lite with random weights."""
+    single_scene("PN-Lite", scenes)
+    return PoseNetLite(settings)
