@@ -107,6 +107,9 @@ bench-localise: $(installed) ## Structure localisers Map and HLoc against the fi
 bench-phone: $(installed) ## Exported regressors without PyTorch: bytes, milliseconds, int8 against fp32 (docs/results); a finished run
 	@$(py) -m benchmarks.phone --scene "$${scene:-Church}" --profile "$$profile"
 
+bench-regressors: $(installed) ## PN, MS-T, PN-Lite and MST-Lite beside each other, 3 seeds (docs/results); finished runs of Church and Office; hours
+	@$(py) -m benchmarks.regressors
+
 bench-training: $(installed) ## Training steps in images a second of a core; official=<folder>: beside MS-Transformer's own code (docs/results)
 	@$(py) -m benchmarks.training $(if $(official),--official "$$official")
 
@@ -156,4 +159,4 @@ help: ## This text
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
 .NOTPARALLEL:
-.PHONY: all $(stages) simulate install paper view clean check types test test-slow bench bench-localise bench-phone bench-training bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
+.PHONY: all $(stages) simulate install paper view clean check types test test-slow bench bench-localise bench-phone bench-regressors bench-training bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help

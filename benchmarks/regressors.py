@@ -1,0 +1,206 @@
+"""Regressors beside each other: `python -m benchmarks.regressors`.
+
+Trains each regressor alone, on the ground truth of finished runs (import, sfm, align), once a seed, and holds its
+answers to the test frames against it: errors, how honest its covariances are, and processor time. Then PN-Lite's
+settings, one at a time. What was trained stays in the folder `work`, so that a run that was stopped goes on. Writes
+docs/results/regressors.md and .csv.
+"""
+
+import csv
+import json
+import os
+import resource
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import typer
+from numpy.typing import NDArray
+from scipy.stats import spearmanr
+
+from benchmarks.results import circumstances, markdown_table
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.manifests import MANIFEST
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of, read_table
+from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
+from groundwalk.training.stage import STAGE
+
+app = new_app(__doc__ or "")
+
+MODELS = ("PN", "MS-T", "PN-Lite", "MST-Lite")
+ABLATED = "PN-Lite"
+# What is changed of PN-Lite's settings in each row of the second table.
+ABLATIONS: dict[str, tuple[str, ...]] = {
+    "square from the middle": ("whole_image=false",),
+    "not turned upright": ("upright=false",),
+    "turned by 8 degrees at most": ("turn_deg=[8, 3, 4]",),
+    "one pose instead of a mixture": ("components=1",),
+    "4 copies instead of 12": ("copies=4",),
+    "as captured instead of one virtual pinhole": ("undistort=false",),
+}
+_NEEDED = ("import", "align")
+_STAGE_WIDE = ("undistort",)
+FIGURES = {
+    "position mean": "m",
+    "position median": "m",
+    "position p95": "m",
+    "rotation mean": "deg",
+    "rotation median": "deg",
+    "rotation p95": "deg",
+    "position in bounds": "%",
+    "rotation in bounds": "%",
+    "position rank correlation": "",
+    "rotation rank correlation": "",
+    "training": "processor s",
+}
+
+
+def errors_and_honesty(predictions: pd.DataFrame, truth: pd.DataFrame) -> dict[str, float]:
+    """The figures of a regressor's answers to test frames; those of covariances only where it states them."""
+    test = predictions[predictions["split"] == "test"]
+    both = test.merge(truth[["frame_id"]], on="frame_id")
+    known = truth.set_index("frame_id").loc[both["frame_id"]].reset_index()
+    estimated, true = poses_of(both, "map_cam"), poses_of(known, "map_cam")
+    usable = np.isfinite(true).all(axis=(1, 2))
+    estimated, true = estimated[usable], true[usable]
+    errors = {"position": position_error(estimated, true), "rotation": rotation_error_deg(estimated, true)}
+    figures: dict[str, float] = {}
+    for name, error in errors.items():
+        figures |= {f"{name} mean": float(error.mean()), f"{name} median": float(np.median(error))}
+        figures[f"{name} p95"] = float(np.percentile(error, 95))
+    if both["covariance"].notna().all():
+        covariance = np.stack(both["covariance"].tolist()).reshape(-1, 6, 6)[usable]
+        inside = 100 * within_bounds(estimated, true, covariance).mean(axis=0)
+        figures |= {"position in bounds": float(inside[0]), "rotation in bounds": float(inside[1])}
+        for name, block in (("rotation", slice(0, 3)), ("position", slice(3, 6))):
+            size = np.trace(covariance[:, block, block], axis1=1, axis2=2)
+            figures[f"{name} rank correlation"] = float(spearmanr(size, errors[name])[0])
+    return figures
+
+
+def trained(
+    work: Path, data: DataRoot, scene: str, profile: str, seed: int, settings: Sequence[str]
+) -> dict[str, float]:
+    """Train as the settings say in a data folder of its own below `work`, and score the answers."""
+    run = DataRoot(work).run(profile, scene, "train")
+    run.parent.mkdir(parents=True, exist_ok=True)
+    for stage in _NEEDED:
+        link(run.parent / stage, data.run(profile, scene, stage))
+    (work / "captures").mkdir(exist_ok=True)
+    link(work / "captures" / scene, data.captures(scene))
+    scores = work / f"{scene}.json"
+    if not scores.exists():
+        before = processor_seconds()
+        folder = execute(STAGE, scene, profile, DataRoot(work), list(settings), seed)
+        seconds = processor_seconds() - before
+        predictions = read_table(folder / "predictions.parquet", schema("train", "predictions"))
+        truth = read_table(run.parent / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
+        scores.write_text(json.dumps(errors_and_honesty(predictions, truth) | {"training": seconds}))
+    return dict(json.loads(scores.read_text()))
+
+
+def link(path: Path, target: Path) -> None:
+    """A link to a finished artefact; UserError where there is none."""
+    if not target.exists() or (target.name in _NEEDED and not (target / MANIFEST).is_file()):
+        raise UserError(
+            "a scene has no ground truth yet", where=target, do="run import, sfm and align of the scene first"
+        )
+    if not path.is_symlink():
+        path.symlink_to(target.resolve(), target_is_directory=True)
+
+
+def processor_seconds() -> float:
+    """Of this process and of its children that have ended."""
+    parts = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(part.ru_utime + part.ru_stime for part in parts)
+
+
+def ablation_settings(changes: Iterable[str]) -> list[str]:
+    """Settings of the stage: a change is one of PN-Lite's section, or of the whole stage."""
+    return [c if c.startswith(_STAGE_WIDE) else f"regressors.{ABLATED}.{c}" for c in changes]
+
+
+def table(rows: dict[str, list[dict[str, float]]]) -> str:
+    """A row a case: each figure's mean over the seeds, with the range of the medians' and means' values."""
+    heads = [name for name in FIGURES if any(name in one for runs in rows.values() for one in runs)]
+    lines = [["case", "seeds", *(f"{name} ({FIGURES[name]})" if FIGURES[name] else name for name in heads)]]
+    for case, runs in rows.items():
+        cells = [cell(np.array([one[name] for one in runs if name in one])) for name in heads]
+        lines.append([case, str(len(runs)), *cells])
+    return markdown_table(lines)
+
+
+def cell(values: NDArray[np.float64]) -> str:
+    """Mean and range."""
+    if not len(values):
+        return "-"
+    digits = 0 if abs(values.mean()) >= 100 else 1 if abs(values.mean()) >= 10 else 2
+    text = f"{values.mean():.{digits}f}"
+    return text if len(values) == 1 else f"{text} ({values.min():.{digits}f} to {values.max():.{digits}f})"
+
+
+def write(out: Path, profile: str, results: dict[str, dict[str, list[dict[str, float]]]]) -> None:
+    """regressors.md and regressors.csv."""
+    parts = [
+        "# Regressors beside each other",
+        "",
+        "Written by `make bench-regressors`. Each regressor is trained alone, on one processor core, with the settings "
+        f"of profile `{profile}`, and asked about the test frames. Scenes without captures of their own are simulated. "
+        "Cells are means over the seeds, with their range. In bounds: of the stated covariances, 95 %; the rank "
+        "correlation is Spearman's of the stated deviation and the true error. Processor seconds are of the whole "
+        "stage: reading images, training and predicting.",
+        "",
+        circumstances(),
+    ]
+    rows = []
+    for title, cases in results.items():
+        parts += ["", f"## {title}", "", table(cases)]
+        for case, runs in cases.items():
+            for seed, figures in enumerate(runs):
+                rows += [(title, case, seed, name, f"{value:.6g}", FIGURES[name]) for name, value in figures.items()]
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "regressors.md").write_text("\n".join(parts) + "\n", encoding="utf-8")
+    with (out / "regressors.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("table", "case", "seed", "figure", "value", "unit"))
+        writer.writerows(rows)
+
+
+@app.command()
+def main(
+    data: Annotated[Path, typer.Option(help="data root with finished runs of the scenes")] = Path("data"),
+    scenes: Annotated[str, typer.Option(help="scenes, separated by commas")] = "Church,Office",
+    profile: Annotated[str, typer.Option(help="profile of the runs")] = "demo",
+    models: Annotated[str, typer.Option(help="regressors, separated by commas")] = ",".join(MODELS),
+    seeds: Annotated[int, typer.Option(help="trainings of each case", min=1)] = 3,
+    ablations: Annotated[bool, typer.Option(help="PN-Lite's settings one at a time, too")] = True,
+    work: Annotated[Path, typer.Option(help="folder for what is trained")] = Path("build/regressors"),
+    out: Annotated[Path, typer.Option(help="folder for regressors.md and .csv")] = Path("docs/results"),
+) -> None:
+    """Train, score, and write the tables."""
+    root = DataRoot(data)
+    results: dict[str, dict[str, list[dict[str, float]]]] = {}
+    for scene in scenes.split(","):
+        cases = {model: (f'models=["{model}"]',) for model in models.split(",")}
+        changed = {
+            f"{ABLATED}, {name}": (f'models=["{ABLATED}"]', *ablation_settings(changes))
+            for name, changes in (ABLATIONS.items() if ablations else ())
+        }
+        for title, all_of_them in ((scene, cases), (f"{scene}: what {ABLATED}'s settings are worth", changed)):
+            for case, settings in all_of_them.items():
+                for seed in range(seeds):
+                    folder = work / f"{case.replace(' ', '-').replace(',', '')}-{seed}"
+                    folder.mkdir(parents=True, exist_ok=True)
+                    figures = trained(folder, root, scene, profile, seed, settings)
+                    results.setdefault(title, {}).setdefault(case, []).append(figures)
+                    typer.echo(f"{scene}, {case}, seed {seed}: {json.dumps(figures)}")
+    write(out, profile, results)
+    typer.echo(f"{out / 'regressors.md'}; load {os.getloadavg()[0]:.1f}")
+
+
+if __name__ == "__main__":
+    app()
