@@ -103,7 +103,8 @@ class Preprocessing:
         camera = query.camera
         height, width = pixels.shape[:2]
         wanted = int(self.image["width_px"]), int(self.image["height_px"])
-        short = min(int(step["short_side_px"]) for step in self.steps if "short_side_px" in step)
+        # A network that learnt from enlarged images may be asked about such ones, too.
+        short = min(*wanted, *(int(step["short_side_px"]) for step in self.steps if "short_side_px" in step))
         expected = f"like the training images, {wanted[0]} x {wanted[1]} px, as the sensor delivers them"
         if min(width, height) < short:
             raise UserError(

@@ -342,6 +342,8 @@ class MadeUpScene:
             "weights": "scratch: no internet",
             "resize_px": 256,
             "crop_px": 224,
+            "width_px": 224,
+            "upright": False,
             "focal_px": 250.0,
             "epochs": 12,
         }

@@ -2,6 +2,8 @@ import pytest
 import torch
 from torch import nn
 
+from groundwalk.training.checks import check_regressor
+from groundwalk.training.data import View
 from groundwalk.training.models.efficientnet import EfficientNetB0
 from groundwalk.training.models.ms_transformer import MSTransformer
 from groundwalk.training.models.posenet import PoseNet
@@ -114,6 +116,12 @@ def test_both_signs_of_a_quaternion_are_the_same_rotation(model: BackboneRegress
     poses = some_poses(4)
     other = poses._replace(quaternion_B4=-poses.quaternion_B4)
     assert torch.allclose(model.loss(images(4), poses), model.loss(images(4), other))
+
+
+@pytest.mark.parametrize("name", OF_PN)
+def test_defaults_pass_the_check_before_training(name: str) -> None:
+    entry = REGRESSORS[name]
+    check_regressor(entry.make(entry.settings(), 1, False), 1, View(64, 64), entry.gives_covariance)
 
 
 @pytest.mark.parametrize("name", ["PN-Bayesian", "CoordiNet"])
