@@ -1,10 +1,11 @@
-"""Images as networks see them: small, and all of one pinhole."""
+"""Images as networks see them: small, all of one pinhole, and turned."""
 
 import cv2
 import numpy as np
 
 from groundwalk.artefacts.images import Image
 from groundwalk.artefacts.undistortion import undistorted_image
+from groundwalk.geometry import Array
 from groundwalk.geometry.cameras import Camera, centred_pinhole
 
 
@@ -24,6 +25,21 @@ def pinhole_image(image: Image, camera: Camera, short_side: int, focal: float) -
     size = round(finer * pinhole.width), round(finer * pinhole.height)
     seen = undistorted_image(_resized(image, *size), camera.resized(*size), pinhole.resized(*size))
     return _resized(seen, pinhole.width, pinhole.height)
+
+
+def turned_crop(image: Image, K: Array, cam_R_turned: Array, width: int, height: int) -> Image:
+    """What a camera turned by `cam_R_turned` (3, 3) sees through a window in the image's middle.
+
+    `K` (3, 3) are the image's intrinsics, pixel centres at 0.5; beyond the image its border is repeated.
+    """
+    left, top = (image.shape[1] - width) // 2, (image.shape[0] - height) // 2
+    to_window = np.array([[1, 0, -left], [0, 1, -top], [0, 0, 1.0]])
+    window_from_image = to_window @ K @ cam_R_turned.T @ np.linalg.inv(K)
+    # OpenCV counts from pixel centres, the intrinsics from the corner.
+    half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
+    homography = np.linalg.inv(half) @ window_from_image @ half
+    turned = cv2.warpPerspective(image, homography, (width, height), borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(turned, np.uint8)
 
 
 def _small_size(image: Image, short_side: int) -> tuple[int, int]:

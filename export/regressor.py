@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.hints import run_command
 from groundwalk.artefacts.images import image_file
+from groundwalk.artefacts.inputs import missing_input
 from groundwalk.artefacts.manifests import MANIFEST, load_verified
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import dataset_frames, poses_of, read_table, with_cameras
@@ -122,9 +123,7 @@ def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> 
 def _finished(data: DataRoot, profile: str, scene: str, stage: str) -> Path:
     folder = data.run(profile, scene, stage)
     if not (folder / MANIFEST).is_file():
-        raise UserError(
-            f"stage {stage} of scene {scene} hasn't been run", where=folder, do=run_command(scene, profile, stage)
-        )
+        raise missing_input(stage, folder, scene, profile)
     return folder
 
 

@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.resizing import pinhole_image, small_image
+from groundwalk.artefacts.resizing import pinhole_image, small_image, turned_crop
 from groundwalk.geometry import Array
 from groundwalk.geometry.cameras import Camera, centred_pinhole
+from groundwalk.geometry.gravity import upright_rotation, with_tilt_of_gravity
 from groundwalk.runtime.queries import Query
 
 _SAME_ASPECT = 0.02
@@ -77,12 +77,7 @@ class Preprocessing:
         """
         if not self.is_upright or gravity is None:
             return map_R_seen
-        map_R_cam = map_R_seen @ seen_rotation(gravity).T
-        down = map_R_cam @ gravity
-        axis = np.cross(down, [0.0, -1.0, 0.0])
-        sine = float(np.linalg.norm(axis))
-        turn = axis / max(sine, 1e-12) * np.arctan2(sine, -down[1])
-        return np.asarray(cv2.Rodrigues(turn)[0] @ map_R_cam)
+        return with_tilt_of_gravity(map_R_seen @ upright_rotation(gravity).T, gravity)
 
     def run(self, query: Query) -> Iterator[tuple[str, NDArray[Any]]]:
         """Name and output of each step; the last is the network's input (1, 3, H, W), float32. UserError for an image
@@ -129,14 +124,6 @@ class Preprocessing:
             )
 
 
-def seen_rotation(gravity: Array) -> Array:
-    """cam_R_seen (3, 3): from the axes of the camera rolled until gravity (3,), down, has no part to the side, to those
-    of the camera itself."""
-    roll = np.arctan2(-gravity[0], gravity[1])
-    sine, cosine = np.sin(roll), np.cos(roll)
-    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-
-
 def _pinhole(view: _View, step: Mapping[str, Any]) -> _View:
     short, focal_px = int(step["short_side_px"]), float(step["focal_px"])
     pixels = pinhole_image(view.pixels, view.camera, short, focal_px / short)
@@ -149,15 +136,10 @@ def _resize(view: _View, step: Mapping[str, Any]) -> _View:
 
 
 def _upright_crop(view: _View, step: Mapping[str, Any]) -> _View:
-    height, width = int(step["height_px"]), int(step["width_px"])
-    top, left = (view.pixels.shape[0] - height) // 2, (view.pixels.shape[1] - width) // 2
-    # OpenCV has the centre of the first pixel at (0, 0).
-    K = view.camera.matrix - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
     assert view.gravity is not None
-    window = np.array([[1.0, 0, -left], [0, 1, -top], [0, 0, 1]])
-    homography = window @ K @ seen_rotation(view.gravity).T @ np.linalg.inv(K)
-    turned = cv2.warpPerspective(view.pixels, homography, (width, height), borderMode=cv2.BORDER_REPLICATE)
-    return replace(view, pixels=np.asarray(turned, np.uint8))
+    cam_R_upright = upright_rotation(view.gravity)
+    size = int(step["width_px"]), int(step["height_px"])
+    return replace(view, pixels=turned_crop(view.pixels, view.camera.matrix, cam_R_upright, *size))
 
 
 def _centre_crop(view: _View, step: Mapping[str, Any]) -> _View:

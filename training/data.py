@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -14,6 +13,8 @@ from torch import Tensor
 
 from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.images import Image
+from groundwalk.artefacts.resizing import turned_crop
+from groundwalk.geometry.gravity import upright_rotation, with_tilt_of_gravity
 from groundwalk.training.models.regressor import PoseBatch
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
@@ -111,12 +112,9 @@ class Frames:
 
     def seen(self, view: View) -> Rotation:
         """cam_R_seen (N): from the axes of the camera whose image the network sees to those of the camera."""
-        roll_N = np.zeros(len(self))
-        if view.upright:
-            # As much as turns gravity's part in the image downwards; a phone that looks straight down has none.
-            roll_N = np.arctan2(-self.gravity_N3[:, 0], self.gravity_N3[:, 1])
-            roll_N[~np.isfinite(roll_N)] = 0
-        return Rotation.from_euler("z", roll_N[:, None])
+        if not view.upright:
+            return Rotation.identity(len(self))
+        return Rotation.from_matrix(upright_rotation(self.gravity_N3))
 
     def camera_poses(self, poses: PoseBatch, view: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions (N, 3) and quaternions (N, 4) of map_T_cam from a network's answers to the view; where it's
@@ -124,14 +122,9 @@ class Frames:
         position, quaternion = (t.detach().double().cpu().numpy() for t in (poses.position_B3, poses.quaternion_B4))
         if not view.upright:
             return position, quaternion
-        map_R_cam = Rotation.from_quat(quaternion) * self.seen(view).inv()
-        down_N3 = map_R_cam.apply(self.gravity_N3)
-        axis_N3 = np.cross(down_N3, [0, -1, 0])
-        sine_N1 = np.linalg.norm(axis_N3, axis=1, keepdims=True)
-        angle_N1 = np.arctan2(sine_N1, -down_N3[:, 1:2])
-        tilt_N3 = axis_N3 / np.maximum(sine_N1, 1e-12) * angle_N1
-        tilt_N3[~np.isfinite(tilt_N3).all(axis=1)] = 0
-        return position, np.asarray((Rotation.from_rotvec(tilt_N3) * map_R_cam).as_quat())
+        map_R_cam = (Rotation.from_quat(quaternion) * self.seen(view).inv()).as_matrix()
+        levelled = with_tilt_of_gravity(map_R_cam, self.gravity_N3)
+        return position, np.asarray(Rotation.from_matrix(levelled).as_quat())
 
     def sequences(self, rows: NDArray[np.int64], frames: int, spacing: int) -> NDArray[np.int64]:
         """Rows (N * frames,) of sequences of frames of one session: each begins at one of `rows`, or as late as a
@@ -150,7 +143,7 @@ class Frames:
         crops = []
         if view.upright:
             for index, K, turn in zip(self.index_N, self.K_N33, self.seen(view).as_matrix(), strict=True):
-                crops.append(turned_crop(self.cache[index], K, turn, view))
+                crops.append(turned_crop(self.cache[index], K, turn, view.width, view.height))
         else:
             for index in self.index_N:
                 image = self.cache[index]
@@ -178,22 +171,9 @@ class Frames:
             angles = rng.uniform(-1, 1, (len(self), 3)) * (turns or Turns(0, 0, 0))
             cam_R_turned = self.seen(view) * Rotation.from_euler("yxz", angles, degrees=True)
             for index, K, turn in zip(self.index_N, self.K_N33, cam_R_turned.as_matrix(), strict=True):
-                crops.append(turned_crop(self.cache[index], K, turn, view))
+                crops.append(turned_crop(self.cache[index], K, turn, view.width, view.height))
             quaternions = (Rotation.from_quat(quaternions) * cam_R_turned).as_quat()
         return to_tensor(crops, device), pose_batch(self.position_N3, quaternions, self.scene_N, device)
-
-
-def turned_crop(image: Image, K: NDArray[np.float64], cam_R_turned: NDArray[np.float64], view: View) -> Image:
-    """What a camera turned by `cam_R_turned` (3, 3) sees through the view's window; edges are repeated."""
-    height, width = image.shape[:2]
-    left, top = (width - view.width) // 2, (height - view.height) // 2
-    to_window = np.array([[1, 0, -left], [0, 1, -top], [0, 0, 1.0]])
-    window_from_image = to_window @ K @ cam_R_turned.T @ np.linalg.inv(K)
-    # OpenCV counts from pixel centres, the intrinsics from the corner.
-    half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
-    homography = np.linalg.inv(half) @ window_from_image @ half
-    turned = cv2.warpPerspective(image, homography, (view.width, view.height), borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(turned, np.uint8)
 
 
 def pose_batch(

@@ -377,7 +377,7 @@ def describe(run: Run) -> str:
 
 STAGE = Stage(
     name="train",
-    version=7,
+    version=8,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,

@@ -13,7 +13,8 @@ from groundwalk.artefacts.tables import camera_of
 from groundwalk.export.regressor import TrainedRegressor
 from groundwalk.geometry import Array
 from groundwalk.geometry.cameras import Camera
-from groundwalk.runtime.preprocessing import Preprocessing, seen_rotation
+from groundwalk.geometry.gravity import upright_rotation
+from groundwalk.runtime.preprocessing import Preprocessing
 from groundwalk.runtime.queries import Query
 from groundwalk.training.build import Trained
 from groundwalk.training.data import IMAGENET_MEAN, IMAGENET_STD
@@ -72,7 +73,7 @@ class PhoneInputs:
         map_R_cam: Array = self.regressor.map_T_cam[row, :3, :3]
         if gravity is None or not self.preprocessing.is_upright:
             return map_R_cam
-        return map_R_cam @ seen_rotation(gravity)
+        return map_R_cam @ upright_rotation(gravity)
 
     def spread(self, split: str, count: int) -> list[int]:
         """At most so many rows of a split that a phone can ask about, evenly over its frames."""

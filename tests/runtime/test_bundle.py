@@ -17,11 +17,12 @@ from scipy.spatial.transform import Rotation
 from groundwalk import UserError
 from groundwalk.artefacts.images import read_image
 from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.gravity import upright_rotation
 from groundwalk.geometry.poses import pose_from_tq
 from groundwalk.runtime import open_bundle
 from groundwalk.runtime.bundle import _quaternion, matrix_of
 from groundwalk.runtime.bundle_file import MANIFEST, write_manifest
-from groundwalk.runtime.preprocessing import Preprocessing, seen_rotation
+from groundwalk.runtime.preprocessing import Preprocessing
 from groundwalk.runtime.queries import Query
 
 NUMBERS = [FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2]
@@ -223,8 +224,8 @@ def test_an_upright_network_is_tilted_by_gravity() -> None:
     upright = Preprocessing({}, {}, steps)
     map_R_cam = Rotation.from_euler("xyz", [160, 30, 25], degrees=True).as_matrix()
     gravity = map_R_cam.T @ [0, -1, 0]
-    seen = map_R_cam @ seen_rotation(gravity)
-    assert (seen_rotation(gravity).T @ gravity)[0] == pytest.approx(0, abs=1e-12)
+    seen = map_R_cam @ upright_rotation(gravity)
+    assert (upright_rotation(gravity).T @ gravity)[0] == pytest.approx(0, abs=1e-12)
     assert upright.camera_rotation(seen, gravity) == pytest.approx(map_R_cam, abs=1e-9)
     tilted = Rotation.from_rotvec([0.2, 0, -0.1]).as_matrix() @ seen
     answer = upright.camera_rotation(tilted, gravity)

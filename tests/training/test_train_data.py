@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.images import read_image
-from groundwalk.artefacts.resizing import pinhole_image, small_image
+from groundwalk.artefacts.resizing import pinhole_image, small_image, turned_crop
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.cameras import Camera
-from groundwalk.training.data import ImageCache, Jitter, View, shift_hue, turned_crop
+from groundwalk.training.data import ImageCache, Jitter, shift_hue
 from groundwalk.training.inputs import as_training_frames, virtual_focal
 
 K = np.array([[80.0, 0, 47.3], [0, 80.0, 36.9], [0, 0, 1]])
@@ -26,12 +26,12 @@ def test_a_turned_crop_is_what_the_turned_camera_sees() -> None:
     blob = 255 * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * 1.5**2))
     image = np.repeat(blob[..., None], 3, axis=2).astype(np.uint8)
     cam_R_turned = Rotation.from_euler("yxz", [6, -3, 5], degrees=True).as_matrix()
-    seen = turned_crop(image, K, cam_R_turned, View(64, 64))[..., 0].astype(float)
+    seen = turned_crop(image, K, cam_R_turned, 64, 64)[..., 0].astype(float)
     px, py = (np.arange(64) + 0.5) @ seen.sum(0) / seen.sum(), (np.arange(64) + 0.5) @ seen.sum(1) / seen.sum()
     ray = K @ cam_R_turned.T @ spot
     expected = ray[:2] / ray[2] - [16, 4]
     assert [px, py] == pytest.approx(expected, abs=0.15)
-    straight = turned_crop(image, K, np.eye(3), View(64, 64))
+    straight = turned_crop(image, K, np.eye(3), 64, 64)
     assert np.array_equal(straight, image[4:68, 16:80])
 
 

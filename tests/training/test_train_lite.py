@@ -140,7 +140,7 @@ def test_calibration_brings_nine_in_ten_within_bounds() -> None:
         return float((squared < 6.25).float().mean())
 
     assert within() < 0.5
-    mixture.calibrate(mixture.poses(outputs, scene), truth)
+    mixture.covariance_scale.fit(mixture.poses(outputs, scene), truth)
     assert within() == pytest.approx(0.9, abs=0.01)
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
 from groundwalk.training.models.regressor import PoseBatch
-from groundwalk.training.models.uncertainty import calibration_factors, rotation_vector
+from groundwalk.training.models.uncertainty import CovarianceScale, rotation_vector
 from groundwalk.training.rotations import canonical, exp_quaternion, multiply
 
 OUTPUTS = 9  # of the network a component: logit, position and rotation beside the anchor's, logarithms of both scales
@@ -38,19 +38,18 @@ class Components(NamedTuple):
 class PoseMixture(nn.Module):
     """Turns a network's outputs (B, K * OUTPUTS) into poses with covariances, in the frame of `SceneFrames`.
 
-    Anchors are held as buffers, one set a scene; so are the factors of the covariances, by position and rotation.
+    Anchors are held as buffers, one set a scene.
     """
 
     position_SK3: Tensor
     quaternion_SK4: Tensor
-    covariance_factor: Tensor
 
     def __init__(self, scenes: int, components: int) -> None:
         super().__init__()
         self.components = components
         self.register_buffer("position_SK3", torch.zeros(scenes, components, 3))
         self.register_buffer("quaternion_SK4", torch.tensor([0.0, 0, 0, 1]).repeat(scenes, components, 1))
-        self.register_buffer("covariance_factor", torch.ones(2))  # rotation, position
+        self.covariance_scale = CovarianceScale()
 
     def fit(self, position_N3: Tensor, quaternion_N4: Tensor, scene_N: Tensor) -> None:
         """Put each scene's anchors at the means of clusters of its training poses."""
@@ -109,12 +108,7 @@ class PoseMixture(nn.Module):
         covariance = torch.einsum("bk,bki,bkj->bij", weight, errors, errors)
         variances = [(weight * s).sum(-1, keepdim=True).expand(-1, 3) for s in (turn_spread, spread)]
         covariance = covariance + _VARIANCE * torch.diag_embed(torch.cat(variances, dim=-1))
-        factor = self.covariance_factor.sqrt().repeat_interleave(3)
-        return PoseBatch(position, quaternion, scene_B, covariance * factor * factor[:, None])
-
-    def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
-        """Scale the covariances by what the held-out frames say of them."""
-        self.covariance_factor *= calibration_factors(answers, truth).to(self.covariance_factor)
+        return PoseBatch(position, quaternion, scene_B, self.covariance_scale(covariance))
 
 
 def _clusters(

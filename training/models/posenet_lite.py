@@ -111,7 +111,7 @@ class LiteRegressor(FrozenRegressor):
             return self.mixture.loss(outputs.float(), position, quaternion, poses.scene_B)
 
     def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
-        self.mixture.calibrate(answers, truth)
+        self.mixture.covariance_scale.fit(answers, truth)
 
 
 class PoseNetLite(LiteRegressor):
