@@ -33,13 +33,14 @@ import typer
 from benchmarks import fusion_inputs as inputs
 from benchmarks import fusion_scores as scores
 from benchmarks.fusion_inputs import Case
-from benchmarks.fusion_scores import OURS, RAW, RULE, UNTAUGHT, Target, Variant, markdown
+from benchmarks.fusion_scores import OURS, RAW, RULE, UNTAUGHT, Target, Variant
 from benchmarks.regressor_errors.fit import REGRESSORS
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.cli import SetOption, new_app
 from groundwalk.artefacts.progress import track
 from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, resolved
+from groundwalk.fusion.evaluation.leaderboard_report import markdown
 from groundwalk.fusion.evaluation.sweep import grid, sweep
 from groundwalk.fusion.methods import method
 from groundwalk.fusion.methods.decide import RuleWalk

@@ -313,17 +313,3 @@ def user_table(sessions: pd.DataFrame) -> pd.DataFrame:
             "jitter deg a frame": grouped["jitter_deg"].mean(),
         }
     )
-
-
-def markdown(table: pd.DataFrame) -> str:
-    """A table in Markdown; an index with a name is its first column."""
-    shown = table.reset_index() if table.index.name else table
-    lines = ["| " + " | ".join(map(str, shown.columns)) + " |", "|---" * len(shown.columns) + "|"]
-    lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in shown.itertuples(index=False)]
-    return "\n".join(lines)
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, float):
-        return "" if np.isnan(value) else f"{value:.0f}" if 1000 <= abs(value) < np.inf else f"{value:.3g}"
-    return str(value)

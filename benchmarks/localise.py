@@ -8,7 +8,6 @@ docs/results/localise.md and .csv.
 
 import csv
 import os
-import platform
 import tempfile
 import time
 from collections.abc import Iterable, Sequence
@@ -25,6 +24,7 @@ from scipy.stats import spearmanr
 
 from benchmarks.lights import frames_in
 from benchmarks.localise_growth import growth
+from benchmarks.results import machine, markdown_table
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.choices import Appearance
 from groundwalk.artefacts.cli import new_app
@@ -362,7 +362,7 @@ def write_report(out: Path, figures: Sequence[Figure], settings: Chosen, profile
     head = {
         "revision": revision,
         "date": datetime.now(UTC).date().isoformat(),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the end",
+        "machine": machine(),
         "profile": profile,
         "seed": "0",
         "settings": ", ".join(f"{name} {value}" for part in settings for name, value in part.model_dump().items()),
@@ -376,9 +376,9 @@ def write_report(out: Path, figures: Sequence[Figure], settings: Chosen, profile
             met = "" if bounds == (None, None) else _met(f.value, bounds)
             writer.writerow([f.case, f.localiser, f.name, f"{f.value:.6g}", f.unit, *bounds, met, *head.values()])
     sections = ["# Localising by structure", _HEADER, "\n".join(f"- {name}: {value}" for name, value in head.items())]
-    sections += ["## Against the figures to reach", _table(_target_rows(figures, targets))]
+    sections += ["## Against the figures to reach", markdown_table(_target_rows(figures, targets))]
     for case in dict.fromkeys(f.case for f in figures):
-        sections += [f"## {case}", _table(_case_rows([f for f in figures if f.case == case]))]
+        sections += [f"## {case}", markdown_table(_case_rows([f for f in figures if f.case == case]))]
     (out / "localise.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
 
 
@@ -424,11 +424,6 @@ def _case_rows(figures: Sequence[Figure]) -> Iterable[list[str]]:
 def _met(value: float, bounds: tuple[float | None, float | None]) -> str:
     least, most = bounds
     return "met" if (least is None or value >= least) and (most is None or value <= most) else "missed"
-
-
-def _table(rows: Iterable[list[str]]) -> str:
-    first, *rest = rows
-    return "\n".join("| " + " | ".join(row) + " |" for row in [first, ["---"] * len(first), *rest])
 
 
 if __name__ == "__main__":

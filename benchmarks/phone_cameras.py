@@ -28,6 +28,7 @@ from benchmarks.gates import PLACES, SFM_OF_SMALL
 from benchmarks.gates import PROFILE as SMALL
 from benchmarks.gates_captures import Capture, write_capture
 from benchmarks.groundtruth_inputs import PROFILE, errors_after_sim3, ground_truth_targets, simulated, true_poses
+from benchmarks.results import markdown_table
 from benchmarks.stages import run_timed
 from benchmarks.stock import stock_command, stock_poses
 from groundwalk.artefacts import DataRoot, UserError, execute
@@ -298,11 +299,6 @@ def _walks_table(rows: list[dict[str, Any]]) -> Iterable[list[str]]:
         yield [name, f"{np.average(inside_share, weights=frames):.1f} %", "85 to 99 %"]
 
 
-def _markdown(rows: Iterable[list[str]]) -> str:
-    lines = [f"| {' | '.join(row)} |" for row in rows]
-    return "\n".join([lines[0], "|---" * (lines[0].count(" | ") + 1) + "|", *lines[1:]])
-
-
 def _write(work: Path, out: Path) -> bool:
     """Write the tables of all cases that ran; whether all figures of the grid are met."""
     grid, walks = _rows(work, "grid"), _rows(work, "walks")
@@ -322,13 +318,13 @@ def _write(work: Path, out: Path) -> bool:
             "## Grid",
             "Named by scene, k1, k2, readout and focus breathing (share of the focal length); profile demo, seed 0. "
             f"Estimates ± one sigma (true). To reach: {limits}.",
-            _markdown(_grid_table(grid)),
+            markdown_table(_grid_table(grid)),
             "## Beside stock COLMAP",
             "The same images; stock matches every pair and has one OPENCV camera a session.",
-            _markdown(_stock_table(grid)),
+            markdown_table(_stock_table(grid)),
         ]
     if walks:
-        sections += ["## Small captures", _markdown(_walks_table(walks))]
+        sections += ["## Small captures", markdown_table(_walks_table(walks))]
     out.mkdir(parents=True, exist_ok=True)
     (out / "phone-cameras.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
     with (out / "phone-cameras.csv").open("w", encoding="utf-8", newline="") as file:

@@ -8,6 +8,7 @@ from pathlib import Path
 from benchmarks.real_cases import Result, judge
 from benchmarks.real_figures import OURS, RATIO, STOCK
 from benchmarks.real_stability import Tried, agreeing
+from benchmarks.results import markdown_table
 
 _HEADER = """# Real captures
 
@@ -23,21 +24,23 @@ def write_report(folder: Path, results: Sequence[Result], stability: Sequence[Tr
     folder.mkdir(parents=True, exist_ok=True)
     sections = [
         _HEADER,
-        "## Against the figures to reach\n\n" + _table(_target_rows(results)),
+        "## Against the figures to reach\n\n" + markdown_table(_target_rows(results)),
         "## Ground truth\n\n"
         "Reprojection error: mean over observations, ours / stock. Held out: median Sampson distance of matches that "
-        "took no part.\n\n" + _table(_ground_truth_rows(results)),
-        "## Cameras\n\n± one sigma. Focal scale: times the logged focal lengths.\n\n" + _table(_camera_rows(results)),
+        "took no part.\n\n" + markdown_table(_ground_truth_rows(results)),
+        "## Cameras\n\n± one sigma. Focal scale: times the logged focal lengths.\n\n"
+        + markdown_table(_camera_rows(results)),
         "## Agreement with VIO\n\n"
         "Frames of the dataset that both have; each session in each model fitted to VIO, positions by a Sim3, "
         "rotations by a mean rotation; and all frames that either has. VIO isn't the truth: it drifts, and a model of "
         "fewer frames has less of that drift to explain. Steps, the motion from frame to frame, show little of it.\n\n"
-        + _table(_agreement_rows(results)),
+        + markdown_table(_agreement_rows(results)),
         "## Cost\n\n"
         "Processor seconds of the whole process tree, wall minutes beside; peak memory of the largest process. Ours: "
-        "import + sfm + align.\n\n" + _table(_cost_rows(results)),
+        "import + sfm + align.\n\n" + markdown_table(_cost_rows(results)),
         *([_stability_section(stability)] if stability else []),
-        "## Runs\n\nLoad: processes that were busy on the machine as it began.\n\n" + _table(_run_rows(results)),
+        "## Runs\n\nLoad: processes that were busy on the machine as it began.\n\n"
+        + markdown_table(_run_rows(results)),
         "## Pictures\n\n" + "\n\n".join(_pictures(folder, results)),
     ]
     (folder / "real.md").write_text("\n\n".join(s.strip() for s in sections) + "\n", encoding="utf-8")
@@ -197,7 +200,7 @@ def _stability_section(stability: Sequence[Tried]) -> str:
         "Images are left out of a copy of the capture, its log of poses stays whole; 1, 2 and 5 Hz are import's "
         "`rate_hz`, with `min_frames=0`."
     )
-    return f"## Stability\n\n{explained} {share}\n\n{_table(rows)}"
+    return f"## Stability\n\n{explained} {share}\n\n{markdown_table(rows)}"
 
 
 def _pictures(folder: Path, results: Iterable[Result]) -> Iterable[str]:
@@ -212,9 +215,3 @@ def _number(value: float | None, unit: str = "") -> str:
         return "none"
     text = f"{value:.0f}" if abs(value) >= 1000 or value == round(value) else f"{value:.3g}"
     return f"{text} {unit}".strip()
-
-
-def _table(rows: Iterable[list[str]]) -> str:
-    header, *body = rows
-    lines = [header, ["---"] * len(header), *body]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)

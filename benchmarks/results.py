@@ -11,12 +11,15 @@ from groundwalk.artefacts.stage import git_revision
 def markdown_table(rows: Iterable[Sequence[str]]) -> str:
     """Rows of cells as a Markdown table, the first its heading."""
     first, *rest = rows
-    return "\n".join("| " + " | ".join(row) + " |" for row in [first, ["---"] * len(first), *rest])
+    lines = [first, ["---"] * len(first), *rest]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)
+
+
+def machine() -> str:
+    """The machine and how busy it is now, for the end of a run."""
+    return f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} as it ended"
 
 
 def circumstances() -> str:
     """Revision, date and machine of this run, in a sentence."""
-    return (
-        f"Revision {git_revision()}, {datetime.now(UTC):%Y-%m-%d}; {platform.machine()}, {os.cpu_count()} cores, "
-        f"load {os.getloadavg()[0]:.1f} as it ended."
-    )
+    return f"Revision {git_revision()}, {datetime.now(UTC):%Y-%m-%d}; {machine()}."

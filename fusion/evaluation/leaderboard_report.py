@@ -134,11 +134,14 @@ def write_lag_figure(lags: pd.DataFrame, path: Path) -> None:
 
 
 def markdown(table: pd.DataFrame) -> str:
-    """A table in Markdown."""
-    lines = ["| " + " | ".join(map(str, table.columns)) + " |", "|---" * len(table.columns) + "|"]
-    lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in table.itertuples(index=False)]
+    """A table in Markdown; an index with a name is its first column."""
+    shown = table.reset_index() if table.index.name else table
+    lines = ["| " + " | ".join(map(str, shown.columns)) + " |", "|---" * len(shown.columns) + "|"]
+    lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in shown.itertuples(index=False)]
     return "\n".join(lines)
 
 
 def _cell(value: object) -> str:
-    return ("" if np.isnan(value) else f"{value:.3g}") if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return "" if np.isnan(value) else f"{value:.0f}" if 1000 <= abs(value) < np.inf else f"{value:.3g}"
+    return str(value)
