@@ -40,6 +40,8 @@ BUILTIN: dict[str, dict[str, str]] = {
     "groundwalk.structure_localisers": {
         "Map": "groundwalk.localisation.entries:MAP",
         "HLoc": "groundwalk.localisation.entries:HLOC",
+        "HLoc-XFeat": "groundwalk.localisation.entries:HLOC_XFEAT",
+        "HLoc-ALIKED": "groundwalk.localisation.entries:HLOC_ALIKED",
     },
     "groundwalk.regressors": {
         "PN": "groundwalk.training.entries:PN",

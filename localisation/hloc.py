@@ -1,8 +1,11 @@
 """The baseline HLoc (Sarlin et al., "From coarse to fine", CVPR 2019): retrieval, matching with each image, PnP.
 
 All training images' features are kept; a query is matched with the images that look most alike, 2D to 2D, its 3D points
-are those of their tracks, and COLMAP's LO-RANSAC with refinement gives the pose.
+are those of their tracks, and COLMAP's LO-RANSAC with refinement gives the pose. The features are SIFT's, or those of
+networks, which networks match.
 """
+
+from dataclasses import replace
 
 import numpy as np
 import pycolmap
@@ -13,14 +16,14 @@ from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.vlad import aggregate, k_means
 from groundwalk.localisation.answers import Answer, Clock, of_another_size, refused, seen_by
-from groundwalk.localisation.features import Features, extract, unit
+from groundwalk.localisation.feature_kinds import Size
+from groundwalk.localisation.features import Features, unit
 from groundwalk.localisation.localiser_settings import HLocSettings
-from groundwalk.localisation.matching import mutual_matches
 from groundwalk.localisation.prepared import Prepared, Track, untracked
 from groundwalk.localisation.query import with_lens
 
 _WORDS, _SAMPLES = 64, 25_600
-_RATIO, _MAX_PX, _MIN_MATCHES = 0.85, 12.0, 4
+_MAX_PX, _MIN_MATCHES = 12.0, 4
 
 
 class HLocLocaliser:
@@ -29,12 +32,18 @@ class HLocLocaliser:
     def __init__(self, prepared: Prepared, settings: HLocSettings, track: Track = untracked) -> None:
         self.structure, self.lenses, self.settings = prepared.structure, prepared.lenses, settings
         self.extraction, features = prepared.settings, prepared.training.features
-        self._unit = [unit(f.descriptors) for f in features]
-        every = np.concatenate(self._unit)
+        self.kind = prepared.kind
+        self._features = [replace(f, descriptors=unit(f.descriptors)) for f in features]
+        self._sizes = [(camera.width, camera.height) for camera in prepared.training.logged]
+        self._descriptor_bytes = features[0].descriptors[:1].nbytes
+        every = np.concatenate([f.descriptors for f in self._features])
         rng = np.random.default_rng(0)
         self._words = k_means(every[np.sort(rng.permutation(len(every))[:_SAMPLES])], _WORDS, rng)
         self._images = np.stack(
-            [aggregate(d, self._words) for d in track(self._unit, "HLoc: describing images", len(features))]
+            [
+                aggregate(f.descriptors, self._words)
+                for f in track(self._features, "HLoc: describing images", len(features))
+            ]
         )
         self._first = np.cumsum([0, *(len(f) for f in features)])
         self._point = np.full(len(every), -1)
@@ -47,12 +56,12 @@ class HLocLocaliser:
         return self.structure.points.xyz
 
     def bytes_by_part(self) -> dict[str, int]:
-        """What a query needs, in bytes: keypoints as two floats, descriptors as bytes, image descriptors as floats,
+        """What a query needs, in bytes: keypoints as two floats, descriptors as they are, image descriptors as floats,
         points as three floats, and the point of each keypoint."""
         count = len(self._point)
         return {
             "keypoints": 8 * count,
-            "descriptors": 128 * count,
+            "descriptors": self._descriptor_bytes * count,
             "image descriptors": self._images.nbytes + self._words.nbytes,
             "points": 12 * len(self.structure.points.xyz),
             "tracks": 4 * count,
@@ -74,7 +83,7 @@ class HLocLocaliser:
             return refusal
         clock = Clock()
         with clock.part("features"):
-            features = extract(grey, self.extraction.max_features, self.extraction.max_side)
+            features = self.kind.extract(grey, self.extraction.max_features, self.extraction.max_side)
         return self.localise_features(features, camera, seed=seed, clock=clock)
 
     def localise_features(
@@ -86,11 +95,12 @@ class HLocLocaliser:
         if not len(features):
             return refused(Refusal.FEW_FEATURES, "no features: dark or blurred?", clock)
         with clock.part("retrieval"):
-            query = unit(features.descriptors)
-            alike = self._images @ aggregate(query, self._words)
+            query = replace(features, descriptors=unit(features.descriptors))
+            alike = self._images @ aggregate(query.descriptors, self._words)
             views = np.argsort(-alike, kind="stable")[: self.settings.retrieved]
         with clock.part("matching"):
-            matches = [self._matches(query, int(view)) for view in views]
+            size = camera.width, camera.height
+            matches = [self._matches(query, size, int(view)) for view in views]
             pairs = np.unique(np.concatenate(matches), axis=0)
         px, xyz = features.px.astype(float), self.xyz
         every = np.arange(len(xyz))
@@ -106,9 +116,9 @@ class HLocLocaliser:
             return refused(Refusal.THIN_EVIDENCE, reason, clock, len(pairs), count, seen)
         return Answer(pose[0], None, None, "", len(pairs), count, seen, clock.seconds)
 
-    def _matches(self, query: NDArray[np.float32], view: int) -> NDArray[np.int64]:
+    def _matches(self, query: Features, size: Size, view: int) -> NDArray[np.int64]:
         """Keypoints of the query and points (M, 2) by matches with an image."""
-        rows = mutual_matches(query, self._unit[view], _RATIO)
+        rows = self.kind.match(query, self._features[view], size, self._sizes[view])
         point = self._point[self._first[view] + rows[:, 1]]
         return np.stack([rows[:, 0], point], axis=1)[point >= 0]
 

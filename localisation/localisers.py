@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.registry import Colour, Entry, Registry, callable_faults, colour_faults
+from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
 from groundwalk.localisation.localiser_settings import LocaliserSettings
 
 if TYPE_CHECKING:
@@ -69,7 +70,8 @@ class StructureLocaliser(Entry):
     shows progress with `track`.
 
     colour: of its poses in recordings. settings: its section [localise.localisers.<id>]. gives_covariance: its answers
-    have one. file: how it's kept for queries outside the stage; None where it isn't.
+    have one. file: how it's kept for queries outside the stage; None where it isn't. features: the kind that the frames
+    are prepared with. by_default: built where settings name none.
     """
 
     noun: ClassVar[str] = "structure localiser"
@@ -79,6 +81,8 @@ class StructureLocaliser(Entry):
     build: Callable[["Prepared", Any, "Track"], Localiser] = field(repr=False)
     gives_covariance: bool
     file: LocaliserFile | None
+    features: FeatureKind = SIFT
+    by_default: bool = False
 
     def faults(self) -> Iterable[str]:
         yield from super().faults()
@@ -88,6 +92,8 @@ class StructureLocaliser(Entry):
             yield f"settings is {self.settings!r}, not a class derived from LocaliserSettings"
         if not (self.file is None or isinstance(self.file, LocaliserFile)):
             yield f"file is {self.file!r}, not a LocaliserFile or None"
+        if not isinstance(self.features, FeatureKind):
+            yield f"features is {self.features!r}, not a FeatureKind"
 
 
 LOCALISERS = Registry("groundwalk.structure_localisers", StructureLocaliser)

@@ -4,9 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
+from groundwalk.localisation.features import Features
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]
+SIFT_RATIO = 0.85
 _DEPTHS = 3
 _SAMPLES = 5
 
@@ -26,6 +28,11 @@ def mutual_matches(a: Floats, b: Floats, ratio: float) -> Ints:
     # Squared distances of unit vectors are twice one minus their product.
     kept = 1 - best[i] < ratio**2 * (1 - second)
     return np.stack([i[kept], j[kept]], axis=1)
+
+
+def match_sift(a: Features, b: Features, a_size: object = None, b_size: object = None) -> Ints:
+    """Mutual matches (M, 2) of SIFT features whose descriptors are of unit length."""
+    return mutual_matches(a.descriptors, b.descriptors, SIFT_RATIO)
 
 
 def covisible_pairs(map_T_cam: Array, extent_N2: Array, reach_m: float, per_frame: int) -> Ints:

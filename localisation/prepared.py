@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.compact import Lens
+from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
 from groundwalk.localisation.features import Features
 from groundwalk.localisation.frames import Views
 from groundwalk.localisation.localiser_settings import StructureSettings
@@ -46,13 +47,15 @@ class Training:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A scene's training frames, their matches and the points of these; how features are extracted and matched."""
+    """A scene's training frames, their matches and the points of these; how features are extracted and matched, and of
+    which kind they are."""
 
     scene: str
     training: Training
     settings: StructureSettings
     matches: Matches
     structure: Structure
+    kind: FeatureKind = SIFT
 
     @property
     def lenses(self) -> tuple[Lens, ...]:
@@ -71,23 +74,27 @@ class Prepared:
         return tuple(lenses)
 
 
-def prepare(scene: str, training: Training, settings: StructureSettings, track: Track = untracked) -> Prepared:
+def prepare(
+    scene: str, training: Training, settings: StructureSettings, track: Track = untracked, kind: FeatureKind = SIFT
+) -> Prepared:
     """The training frames, matched; `track` shows progress over pairs."""
-    pairs = match(training, settings, track)
-    return prepared_from(scene, training, settings, pairs)
+    return prepared_from(scene, training, settings, match(training, settings, track, kind), kind)
 
 
-def match(training: Training, settings: StructureSettings, track: Track = untracked) -> Ints:
+def match(training: Training, settings: StructureSettings, track: Track = untracked, kind: FeatureKind = SIFT) -> Ints:
     """Which of the training frames' features (M, 2) match, numbered over all frames."""
     return matched_features(
         training.views,
         training.features,
         settings.pairs_per_frame,
+        kind.ratio,
         lambda pairs: track(pairs, "matching training frames", len(pairs)),
     )
 
 
-def prepared_from(scene: str, training: Training, settings: StructureSettings, pairs: Ints) -> Prepared:
+def prepared_from(
+    scene: str, training: Training, settings: StructureSettings, pairs: Ints, kind: FeatureKind = SIFT
+) -> Prepared:
     """The training frames with the pairs that `match` gave."""
     matches = matches_of(training.views, training.features, pairs)
-    return Prepared(scene, training, settings, matches, structure_of(training.views, matches))
+    return Prepared(scene, training, settings, matches, structure_of(training.views, matches), kind)

@@ -20,7 +20,8 @@ from groundwalk.artefacts.tables import camera_of, pose_frame, poses_of
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.answers import Answer, read_answer, write_answer
 from groundwalk.localisation.build import MIN_POINTS
-from groundwalk.localisation.features import Features, extract, keep_features, load_features
+from groundwalk.localisation.feature_kinds import FeatureKind
+from groundwalk.localisation.features import Features, keep_features, load_features
 from groundwalk.localisation.inputs import grey, read_inputs, training_of
 from groundwalk.localisation.localisers import LOCALISERS, Localiser
 from groundwalk.localisation.prepared import Prepared, match, prepared_from
@@ -57,19 +58,20 @@ def localise(r: StageRun[LocaliseSettings]) -> None:
     results: dict[str, Result] = {}
     faults: list[PluginError] = []
     usable = [name for name in r.settings.models if name in LOCALISERS]
-    if usable:
-        prepared = prepare(r)
-        for name in usable:
-            try:
-                with LOCALISERS.guard(name):
-                    results[name] = localised(r, name, prepared, queries)
-            except PluginError as fault:
-                faults.append(fault)
+    prepared: dict[FeatureKind, Prepared] = {}
+    for name in usable:
+        kind = LOCALISERS[name].features
+        try:
+            with LOCALISERS.guard(name):
+                prepared[kind] = prepared.get(kind) or prepare(r, kind)
+                results[name] = localised(r, name, prepared[kind], queries)
+        except PluginError as fault:
+            faults.append(fault)
     leave_out(r, faults, len(results))
     write_results(r, queries, results)
 
 
-def prepare(r: StageRun[LocaliseSettings]) -> Prepared:
+def prepare(r: StageRun[LocaliseSettings], kind: FeatureKind) -> Prepared:
     """The training frames with ground truth, their features, matches and points; UserError where they are too few."""
     inputs = read_inputs(r.data.run(r.profile, r.scene.name))
     rows = np.flatnonzero((inputs.frames["split"] == "train").to_numpy())
@@ -82,19 +84,19 @@ def prepare(r: StageRun[LocaliseSettings]) -> Prepared:
             do="check the scene's split rules, and what align says about its ground truth; or leave structure "
             "localisers out: [localise] models = []",
         )
-    training = training_of(inputs, rows, features_of(r, inputs.frames["image"].iloc[rows]))
-    file = r.scratch / "matches.npy"
+    training = training_of(inputs, rows, features_of(r, inputs.frames["image"].iloc[rows], kind))
+    file = r.scratch / f"matches-{kind.id}.npy"
     with r.step("match"):
         if not file.exists():
-            pairs = match(training, r.settings, r.track)
+            pairs = match(training, r.settings, r.track, kind)
             with written_aside(file) as partial, partial.open("wb") as begun:
                 np.save(begun, pairs)
         pairs = np.load(file)
     with r.step("points"):
-        prepared = prepared_from(r.scene.name, training, r.settings, pairs)
+        prepared = prepared_from(r.scene.name, training, r.settings, pairs, kind)
     points = len(prepared.structure.points.xyz)
-    r.figure("points", points)
-    r.say(f"{points} points, seen by {len(rows)} training frames")
+    r.figure(f"{kind.id} points", points)
+    r.say(f"{points} points of {kind.id} features, seen by {len(rows)} training frames")
     if points < MIN_POINTS:
         raise UserError(
             f"scene {r.scene.name} has too few points to localise by",
@@ -105,16 +107,16 @@ def prepare(r: StageRun[LocaliseSettings]) -> Prepared:
     return prepared
 
 
-def features_of(r: StageRun[LocaliseSettings], images: "pd.Series[str]") -> list[Features]:
+def features_of(r: StageRun[LocaliseSettings], images: "pd.Series[str]", kind: FeatureKind) -> list[Features]:
     """The features of the training images; those that a run before extracted are read."""
-    folder = r.scratch / "features"
+    folder = r.scratch / f"features-{kind.id}"
     folder.mkdir(exist_ok=True)
 
     def kept(item: tuple[int, str]) -> Features:
         file = folder / f"{item[0]}.npz"
         if not file.exists():
             grey_image = grey(r.image_path(item[1]))
-            keep_features(file, extract(grey_image, r.settings.max_features, r.settings.max_side))
+            keep_features(file, kind.extract(grey_image, r.settings.max_features, r.settings.max_side))
         return load_features(file)
 
     with r.step("features"):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,12 +10,11 @@ from numpy.typing import NDArray
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.localisation.features import Features, unit
 from groundwalk.localisation.frames import Views, rays
-from groundwalk.localisation.matching import covisible_pairs, mutual_matches
+from groundwalk.localisation.matching import SIFT_RATIO, covisible_pairs, mutual_matches
 from groundwalk.localisation.tracks import Points, Rays, epipolar_error_px, tracks, triangulate
 
 Ints = NDArray[np.int64]
 
-RATIO = 0.85
 MAX_EPIPOLAR_PX = 2.5
 MAX_PX = 2.0
 MIN_ANGLE_DEG = 1.0
@@ -24,14 +24,14 @@ _LARGEST_REACH_M = 15.0
 @dataclass(frozen=True)
 class Structure:
     """The points of N frames, the frames' features one after the other: of each its frame (F,), px (F, 2), diameter
-    (F,), px, and descriptor (F, 128)."""
+    (F,), px, and descriptor (F, D)."""
 
     views: Views
     points: Points
     view: Ints
     px: NDArray[np.float32]
     size_px: NDArray[np.float32]
-    descriptors: NDArray[np.uint8]
+    descriptors: NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,11 @@ def matched_features(
     views: Views,
     features: Sequence[Features],
     per_view: int,
+    ratio: float = SIFT_RATIO,
     track: Callable[[Sequence[Ints]], Iterable[Ints]] = lambda pairs: pairs,
 ) -> Ints:
     """Matches (M, 2) of frames that see the same by their poses, of which the rays meet: features, numbered over all
-    frames."""
+    frames. `ratio` as in `mutual_matches`."""
     first = np.cumsum([0, *(len(f) for f in features)])
     extent = np.array([[c.width / c.fx, c.height / c.fy] for c in views.cameras]) / 2
     positions = views.map_T_cam[:, :3, 3]
@@ -62,7 +63,7 @@ def matched_features(
 
     def matched(pair: Ints) -> Ints:
         a, b = pair.tolist()
-        rows = mutual_matches(descriptors[a], descriptors[b], RATIO) + first[pair]
+        rows = mutual_matches(descriptors[a], descriptors[b], ratio) + first[pair]
         error = epipolar_error_px(every[rows[:, 0]], every[rows[:, 1]])
         return rows[error < MAX_EPIPOLAR_PX]
 

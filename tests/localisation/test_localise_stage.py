@@ -38,7 +38,7 @@ def test_every_query_is_localised_and_what_it_cost_is_said(boards: Boards) -> No
     manifest = run(boards)
     predictions, models, storage = (boards.table(name) for name in ("predictions", "models", "storage"))
     queries = np.flatnonzero(TEST | VAL)
-    assert models["model"].tolist() == list(LOCALISERS)
+    assert models["model"].tolist() == ["Map", "HLoc"]
     for model in models["model"]:
         for row in queries:
             said = of_frame(predictions, row, model)
@@ -87,7 +87,7 @@ def test_bad_images_are_refused_as_rows(make_boards: MakeBoards) -> None:
     made.note_images()
     figures = run(made)["figures"]
     predictions = made.table("predictions")
-    for model in LOCALISERS:
+    for model in ("Map", "HLoc"):
         for row in (black, blurred, elsewhere):
             said = of_frame(predictions, row, model)
             assert said["refusal"] and said["reason"] and np.isnan(said["map_cam_tx"])

@@ -1,0 +1,49 @@
+"""The kinds of local features that structure localisers may be built from."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundwalk.artefacts.registry import Lazy
+from groundwalk.localisation.features import Features
+from groundwalk.localisation.matching import SIFT_RATIO
+
+Size = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class FeatureKind:
+    """How images are described, and a query is matched with one.
+
+    `extract(grey, max_features, max_side)` gives the features of an image (H, W), the strongest first. `match(query,
+    image, query_size, image_size)` gives rows (M, 2) of features that match; descriptors are of unit length, sizes are
+    width and height in px. Training frames, whose poses are known, are matched by mutually nearest descriptors whose
+    second nearest are farther by `ratio`, where their rays meet.
+    """
+
+    id: str
+    ratio: float
+    extract: Callable[[NDArray[np.uint8], int, int], Features] = field(repr=False)
+    match: Callable[[Features, Features, Size, Size], NDArray[np.int64]] = field(repr=False)
+
+
+SIFT = FeatureKind(
+    "SIFT",
+    SIFT_RATIO,
+    Lazy("groundwalk.localisation.features:extract"),
+    Lazy("groundwalk.localisation.matching:match_sift"),
+)
+XFEAT = FeatureKind(
+    "XFeat",
+    0.95,
+    Lazy("groundwalk.localisation.learned:extract_xfeat"),
+    Lazy("groundwalk.localisation.learned:match_xfeat"),
+)
+ALIKED = FeatureKind(
+    "ALIKED",
+    0.95,
+    Lazy("groundwalk.localisation.learned:extract_aliked"),
+    Lazy("groundwalk.localisation.learned:match_aliked"),
+)
