@@ -24,16 +24,20 @@ from scipy.stats import spearmanr
 
 from benchmarks.lights import frames_in
 from benchmarks.localise_growth import growth
+from benchmarks.localise_lights import Figure, lights_section
+from benchmarks.localise_regressors import answers_of, trained_regressors
 from benchmarks.results import machine, markdown_table
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.choices import Appearance
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.images import image_file
 from groundwalk.artefacts.stage import git_revision
+from groundwalk.export.regressor import TrainedRegressor
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.build import build_map
 from groundwalk.localisation.compact import read_map, write_map
+from groundwalk.localisation.feature_kinds import ALIKED, SIFT, XFEAT
 from groundwalk.localisation.hloc import HLocLocaliser
 from groundwalk.localisation.inputs import Inputs, grey, read_features, read_inputs, training_of
 from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings, StructureSettings
@@ -65,7 +69,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Built:
-    """Both localisers of some training frames, and what they're asked with."""
+    """The localisers of some training frames, and what they're asked with; `others` are HLocs on other features."""
 
     inputs: Inputs
     training: Training
@@ -74,17 +78,8 @@ class Built:
     localiser: MapLocaliser
     bytes_: int
     hloc: HLocLocaliser
-
-
-@dataclass(frozen=True)
-class Figure:
-    """One number of a case and localiser."""
-
-    case: str
-    localiser: str
-    name: str
-    value: float
-    unit: str
+    others: dict[str, HLocLocaliser]
+    regressors: list[TrainedRegressor]
 
 
 _HONEST: dict[str, tuple[float | None, float | None]] = {
@@ -144,7 +139,7 @@ _GROWTH = Case(
         "filled up to Table I's frames: time by the demo's": (None, 1.5),
     },
 )
-_LIMITS = [(0.25, 2.0), (0.02, 0.5), (0.01, 0.5)]
+_LIMITS = [(0.25, 2.0), (0.02, 0.5), (0.01, 0.5), (5.0, 10.0)]
 
 
 @app.command()
@@ -158,6 +153,7 @@ def main(
     lights: Annotated[Path, typer.Option(help="folder for Church's test walks in other lights")] = Path("build/lights"),
     only: Annotated[str, typer.Option(help="cases whose names start so")] = "",
     settings: Annotated[list[str] | None, typer.Option("--set", help="a setting of the map, key=value")] = None,
+    learned: Annotated[bool, typer.Option("--learned", help="HLoc on features of networks, too, on Church")] = False,
 ) -> None:
     """Build each case's map, ask its queries, and write what came out."""
     values = dict(item.split("=", 1) for item in settings or [])
@@ -179,7 +175,7 @@ def main(
             continue
         with one_thread():
             key = case.scene, case.queries
-            built[key] = built.get(key) or build(case, root, profile, chosen)
+            built[key] = built.get(key) or build(case, root, profile, chosen, learned and case.scene == "Church")
             if case is _GROWTH:
                 figures += _growth(built[key], chosen)
             else:
@@ -193,8 +189,8 @@ def main(
         raise UserError("there is no run of any case", where=data, do="run import, sfm and align of Church first")
 
 
-def build(case: Case, root: DataRoot, profile: str, settings: Chosen) -> Built:
-    """Both localisers of a case's training frames."""
+def build(case: Case, root: DataRoot, profile: str, settings: Chosen, learned: bool) -> Built:
+    """The localisers of a case's training frames."""
     run = root.run(profile, case.scene)
     inputs = read_inputs(run)
     query = query_rows(case.queries, inputs)
@@ -202,7 +198,11 @@ def build(case: Case, root: DataRoot, profile: str, settings: Chosen) -> Built:
     captures, imported = root.captures(case.scene), run / "import"
     images = [image_file(name, captures, imported) for name in inputs.frames["image"]]
     extraction, map_settings = settings
-    given = training_of(inputs, training, read_features(inputs, training, captures, imported, extraction))
+    of_kind = {
+        kind: training_of(inputs, training, read_features(inputs, training, captures, imported, extraction, kind))
+        for kind in (SIFT, *((XFEAT, ALIKED) if learned else ()))
+    }
+    given = of_kind.pop(SIFT)
     start = time.process_time()
     prepared = prepare(case.scene, given, extraction)
     content = build_map(prepared, map_settings)
@@ -212,7 +212,13 @@ def build(case: Case, root: DataRoot, profile: str, settings: Chosen) -> Built:
         file = Path(folder) / "map.gwm"
         write_map(file, content)
         size, localiser = file.stat().st_size, MapLocaliser(read_map(file))
-    return Built(inputs, given, query, images, localiser, size, HLocLocaliser(prepared, HLocSettings()))
+    others = {
+        f"HLoc-{kind.id}": HLocLocaliser(prepare(case.scene, frames, extraction, kind=kind), HLocSettings())
+        for kind, frames in of_kind.items()
+    }
+    hloc = HLocLocaliser(prepared, HLocSettings())
+    regressors = list(trained_regressors(root, profile, case.scene))
+    return Built(inputs, given, query, images, localiser, size, hloc, others, regressors)
 
 
 def run_case(case: Case, built: Built, folder: Path) -> list[Figure]:
@@ -231,6 +237,7 @@ def run_case(case: Case, built: Built, folder: Path) -> list[Figure]:
         *_accuracy(case.name, "Map", asked, truth),
         *_accuracy(case.name, "Map without gravity", without, truth),
         *_accuracy(case.name, "HLoc", baseline, truth),
+        *_others(case.name, built, files, pictures, truth),
         *_honesty(case.name, "Map", asked, truth),
         Figure(case.name, "Map", "file", built.bytes_ / 1e6, "MB"),
         Figure(case.name, "HLoc", "file", sum(hloc.bytes_by_part().values()) / 1e6, "MB"),
@@ -245,6 +252,22 @@ def run_case(case: Case, built: Built, folder: Path) -> list[Figure]:
             print(f"  {inputs.frames['frame_id'][row]}: {what}")
     _say(figures)
     return figures
+
+
+def _others(
+    case: str, built: Built, files: dict[int, Path], pictures: dict[int, NDArray[np.uint8]], truth: Array
+) -> Iterable[Figure]:
+    """The regressors' figures, and those of HLoc on other features."""
+    ids = built.inputs.frames["frame_id"]
+    for regressor in built.regressors:
+        answers = answers_of(regressor, {ids[row]: file for row, file in files.items()})
+        yield from _accuracy(case, regressor.model, answers, truth)
+    for name, localiser in built.others.items():
+        start = time.perf_counter()
+        answers = [localiser.localise(picture, built.inputs.logged[row]) for row, picture in pictures.items()]
+        yield Figure(case, name, "time, mean", 1000 * (time.perf_counter() - start) / len(answers), "ms")
+        yield Figure(case, name, "file", sum(localiser.bytes_by_part().values()) / 1e6, "MB")
+        yield from _accuracy(case, name, answers, truth)
 
 
 def _growth(built: Built, settings: Chosen) -> list[Figure]:
@@ -265,7 +288,7 @@ def _growth(built: Built, settings: Chosen) -> list[Figure]:
 
 def _say(figures: Iterable[Figure]) -> None:
     for figure in figures:
-        if figure.localiser in ("Map", "HLoc"):
+        if figure.localiser != "Map without gravity":
             print(f"  {figure.localiser}: {figure.name} {figure.value:.4g} {figure.unit}", flush=True)
 
 
@@ -377,6 +400,7 @@ def write_report(out: Path, figures: Sequence[Figure], settings: Chosen, profile
             writer.writerow([f.case, f.localiser, f.name, f"{f.value:.6g}", f.unit, *bounds, met, *head.values()])
     sections = ["# Localising by structure", _HEADER, "\n".join(f"- {name}: {value}" for name, value in head.items())]
     sections += ["## Against the figures to reach", markdown_table(_target_rows(figures, targets))]
+    sections += lights_section(out, figures)
     for case in dict.fromkeys(f.case for f in figures):
         sections += [f"## {case}", markdown_table(_case_rows([f for f in figures if f.case == case]))]
     (out / "localise.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")

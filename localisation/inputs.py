@@ -16,7 +16,8 @@ from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import camera_of, dataset_frames, poses_of, read_table
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
-from groundwalk.localisation.features import Features, extract
+from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
+from groundwalk.localisation.features import Features
 from groundwalk.localisation.frames import Views, subset
 from groundwalk.localisation.localiser_settings import StructureSettings
 from groundwalk.localisation.prepared import Training
@@ -60,12 +61,19 @@ def read_inputs(run: Path) -> Inputs:
 
 
 def read_features(
-    inputs: Inputs, rows: NDArray[np.int64], captures: Path, imported: Path, settings: StructureSettings
+    inputs: Inputs,
+    rows: NDArray[np.int64],
+    captures: Path,
+    imported: Path,
+    settings: StructureSettings,
+    kind: FeatureKind = SIFT,
 ) -> list[Features]:
     """Features of the images of some rows; `captures` is the scene's capture folder, `imported` import's artefact."""
     return list(
         in_parallel(
-            lambda name: extract(grey(image_file(name, captures, imported)), settings.max_features, settings.max_side),
+            lambda name: kind.extract(
+                grey(image_file(name, captures, imported)), settings.max_features, settings.max_side
+            ),
             inputs.frames["image"].iloc[rows],
         )
     )
