@@ -25,6 +25,8 @@ MORE_COLOURS = ((240, 228, 66), (166, 86, 40), (102, 166, 30), (117, 112, 179), 
 UP_AXIS = rr.ViewCoordinates.RIGHT_HAND_Y_UP
 TIMELINE = "capture_time"
 
+_OPENING_BYTES = 1 << 18  # more than a recording's header and blueprint take
+
 
 @contextlib.contextmanager
 def open_recording(path: Path, stage: str, name: str, blueprint: object) -> Iterator[rr.RecordingStream]:
@@ -34,6 +36,8 @@ def open_recording(path: Path, stage: str, name: str, blueprint: object) -> Iter
     in one viewer.
     """
     with written_aside(path) as partial:
+        # Where the disk is full as it opens its file, Rerun waits for ever: so find out beforehand.
+        partial.write_bytes(bytes(_OPENING_BYTES))
         stream = rr.RecordingStream(f"groundwalk_{stage}", recording_id=f"{name}/{stage}")
         stream.save(partial, default_blueprint=blueprint)  # type: ignore[arg-type]
         stream.send_recording_name(f"{name} · {stage}")
