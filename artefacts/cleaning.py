@@ -7,6 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import KEY_FILE, old_folder, partial_folder, read_json
 from groundwalk.artefacts.locks import lock_file, locked
 from groundwalk.artefacts.manifests import MANIFEST, UNHASHED
@@ -25,10 +26,16 @@ class Cleaned:
 def clean_scene(data: DataRoot, profile: str, scene: str) -> Cleaned:
     """Remove data/runs/<profile>/<scene> and the simulated captures of the scene, each file only where it's listed.
 
-    Never follows a link. UserError for a name that is none, and where a stage of the scene is under way; nothing is
-    removed then.
+    Never follows a link. UserError for a profile or scene that there isn't, and where a stage of the scene is under
+    way; nothing is removed then.
     """
     runs, captures = data.run(profile, scene), data.captures(scene)
+    if not os.path.lexists(runs.parent):
+        data.profile(profile)
+    if data.config_file("scenes", scene) is None and not any(map(os.path.lexists, (runs, captures))):
+        raise UserError(
+            f"there is no scene {scene!r}", where=data.root, expected=f"{captures}, {runs} or a scene's file"
+        )
     cleaned = Cleaned()
     through_link = runs.is_symlink() or runs.parent.is_symlink()
     stages = [] if through_link else [runs / stage for stage in STAGES if _leaves_traces(runs / stage)]

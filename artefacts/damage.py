@@ -2,6 +2,7 @@
 
 import errno
 import os
+import resource
 import shutil
 import signal
 from pathlib import Path
@@ -25,6 +26,7 @@ _MACHINE = {
 _DO = {
     errno.ENOSPC: "free some space, then run the same command again; it resumes from its checkpoints",
     errno.EDQUOT: "free some space, then run the same command again; it resumes from its checkpoints",
+    errno.EFBIG: "raise the limit (ulimit -f unlimited), then run the same command again",
     errno.EROFS: "name another data folder with --data, or make this one writable",
     errno.EACCES: "look at the owner and the permissions of this path",
     errno.EMFILE: "raise the limit (ulimit -n 4096), then run the same command again",
@@ -72,6 +74,8 @@ def _probe(folder: Path) -> int | None:
     try:
         if shutil.disk_usage(folder).free < _FULL_BELOW_BYTES:
             return errno.ENOSPC
+        if resource.getrlimit(resource.RLIMIT_FSIZE)[0] != resource.RLIM_INFINITY:
+            return errno.EFBIG
         path.write_bytes(b"x")
         path.unlink()
     except OSError as error:

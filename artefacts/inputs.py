@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+import pyarrow.parquet as pq
+
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import hash_files, sha256_of
 from groundwalk.artefacts.hints import link_command, run_command
@@ -73,6 +75,11 @@ class Inputs:
                 where=self.data.captures(self.scene.name),
                 do="wait until nothing writes there, then run the same command again",
             )
+
+    def frames(self) -> int:
+        """How many frames the imports have that are read."""
+        files = [folder / "frames.parquet" for _, stage, folder in self._sources() if stage == "import"]
+        return sum(pq.read_metadata(file).num_rows for file in files)
 
     def simulated(self) -> bool:
         """Whether any capture behind this run is simulated, as import saw it."""
@@ -178,8 +185,8 @@ def _capture_state(captures: Path) -> dict[str, tuple[int, int]]:
     """Size and time (ns) of each file that import may read."""
     state = {}
     for path in capture_files(captures):
-        with contextlib.suppress(FileNotFoundError):  # a link to nothing, or removed just now
-            status = path.stat()
-            if path.is_file():
+        if path.is_file():  # not a link to nothing, or to itself
+            with contextlib.suppress(FileNotFoundError):  # removed just now
+                status = path.stat()
                 state[path.relative_to(captures).as_posix()] = (status.st_size, status.st_mtime_ns)
     return state

@@ -1,9 +1,13 @@
 """Rerun recordings: one file a stage with its blueprint inside, and the colours that all stages share."""
 
 import contextlib
+import os
+import shutil
+import tempfile
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import rerun as rr
@@ -25,7 +29,7 @@ MORE_COLOURS = ((240, 228, 66), (166, 86, 40), (102, 166, 30), (117, 112, 179), 
 UP_AXIS = rr.ViewCoordinates.RIGHT_HAND_Y_UP
 TIMELINE = "capture_time"
 
-_OPENING_BYTES = 1 << 18  # more than a recording's header and blueprint take
+_CHUNK = 1 << 20
 
 
 @contextlib.contextmanager
@@ -35,17 +39,41 @@ def open_recording(path: Path, stage: str, name: str, blueprint: object) -> Iter
     Each stage is an application of its own, so that every recording keeps its own blueprint when several are opened
     in one viewer.
     """
-    with written_aside(path) as partial:
-        # Where the disk is full as it opens its file, Rerun waits for ever: so find out beforehand.
-        partial.write_bytes(bytes(_OPENING_BYTES))
+    with (
+        written_aside(path) as partial,
+        partial.open("wb") as file,
+        ThreadPoolExecutor(1) as pool,
+        tempfile.TemporaryDirectory() as folder,
+    ):
+        # Rerun waits without end where it can't write its file, on a full disk: so it writes into a pipe.
+        pipe = Path(folder, "recording")
+        os.mkfifo(pipe)
+        reading = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+        writing = os.open(pipe, os.O_WRONLY)  # the pipe doesn't end before Rerun has opened it
+        os.set_blocking(reading, True)
+        copied = pool.submit(_copy, reading, file)
         stream = rr.RecordingStream(f"groundwalk_{stage}", recording_id=f"{name}/{stage}")
-        stream.save(partial, default_blueprint=blueprint)  # type: ignore[arg-type]
+        try:
+            stream.save(pipe, default_blueprint=blueprint)  # type: ignore[arg-type]
+        finally:
+            os.close(writing)
         stream.send_recording_name(f"{name} · {stage}")
         try:
             yield stream
             stream.flush()
         finally:
             stream.disconnect()
+        copied.result()
+
+
+def _copy(pipe: int, target: BinaryIO) -> None:
+    """Copy what comes out of a pipe until its end; all is read, too, where it can't be written."""
+    with os.fdopen(pipe, "rb") as source:
+        try:
+            shutil.copyfileobj(source, target)
+        finally:
+            while source.read(_CHUNK):
+                pass
 
 
 def set_time(stream: rr.RecordingStream, t_ns: int) -> None:

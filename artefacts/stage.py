@@ -78,6 +78,8 @@ class Stage(Generic[S]):
     """Whether it reads the images of import.frames, which are then verified before."""
     plugins: Callable[[S], Mapping[str, str]] = lambda settings: {}
     """Package and version of what other packages bring to a run with these settings, by id."""
+    space_bytes: Callable[[S, int], int] = lambda settings, frames: (16 << 20) + 50_000 * frames
+    """About what a run with so many frames takes of the disk, checkpoints and all."""
 
 
 @dataclass
@@ -218,6 +220,7 @@ def execute(
             for leaf in data.leaves(scene):
                 verify_images(data.captures(leaf), data.run(profile, leaf, "import"))
         work = partial_folder(final)
+        _refuse_small_disk(work, stage.space_bytes(settings, inputs.frames()))
         run = StageRun(stage, scene, profile, settings, seed, data, inputs.simulated(), work)
         start = time.monotonic()
         with PeakMemory() as memory:
@@ -232,6 +235,21 @@ def execute(
             f"{title}: done in {progress.format_seconds(elapsed)} → {_relative(final)}", markup=False
         )
         return final
+
+
+def _refuse_small_disk(work: Path, needed: int) -> None:
+    """UserError where a run has not enough room to begin or go on: better now than hours later."""
+    place = next(folder for folder in work.parents if folder.is_dir())
+    there = sum(path.lstat().st_size for path in work.rglob("*")) if work.is_dir() else 0
+    free = shutil.disk_usage(place).free
+    if free + there < needed:
+        raise UserError(
+            "the disk is nearly full",
+            where=place,
+            expected=f"about {(needed - there) / 2**20:,.0f} MiB for this stage",
+            found=f"{free / 2**20:,.0f} MiB free",
+            do="free some space, or name a data folder on another disk with --data",
+        )
 
 
 def is_up_to_date(stage: Stage[Any], scene_name: str, profile: str, data: DataRoot) -> bool:

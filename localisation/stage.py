@@ -281,4 +281,5 @@ STAGE = Stage(
     "its scenes' maps.",
     plugins=lambda settings: LOCALISERS.versions(settings.models),
     reads_images=lambda settings: True,
+    space_bytes=lambda settings, frames: (32 << 20) + frames * (50_000 + 300 * settings.max_features),
 )

@@ -145,4 +145,6 @@ STAGE = Stage(
     help="Structure from motion: features, pairs from time, VIO and similar images, checked against VIO; models over "
     "all sessions, one where the images allow it, and their quality.",
     reads_images=lambda settings: True,
+    # Keypoints, descriptors and matches, and the images without their lens.
+    space_bytes=lambda settings, frames: (32 << 20) + frames * (200_000 + 250 * settings.max_features),
 )

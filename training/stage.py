@@ -385,4 +385,6 @@ STAGE = Stage(
     files=lambda settings: settings.predictions,
     plugins=lambda settings: REGRESSORS.versions(settings.models),
     reads_images=lambda settings: True,
+    # Small images, and a model's checkpoints: weights and twice as much of its optimiser's, older and newer.
+    space_bytes=lambda settings, frames: 5 * frames * settings.resize**2 + (600 << 20) * len(settings.models),
 )

@@ -6,6 +6,8 @@ import resource
 import shutil
 import signal
 import subprocess
+import threading
+import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -20,6 +22,7 @@ from groundwalk.cli import stages
 
 _CLONE_NEWNS = 0x20000
 _OPEN_FILES = (12, 20, 40, 80)
+_DISK_BYTES = 4 << 30
 
 
 def _unmade(folder: Path, _: Generator, stage: str) -> str:
@@ -44,17 +47,22 @@ def can_mount() -> bool:
     return os.geteuid() == 0 and subprocess.run(["unshare", "-m", "true"], capture_output=True).returncode == 0
 
 
-def mount_full(stage: str, free_bytes: int) -> None:
-    """Before a command: the scene's runs lie on a disk of their own with so many bytes free."""
+def mount_filling(stage: str, free_bytes: int, after_s: float) -> None:
+    """Before a command: the scene's runs lie on a disk of their own, which some time later has so many bytes free."""
     _own_mounts()
     runs = Sandbox(Path.cwd()).run_of(stage).parent
     aside = runs.with_name("aside")
     aside.mkdir()
     _mount("--bind", str(runs), str(aside))
-    used = sum(path.stat().st_size + 4096 for path in runs.rglob("*"))
-    _mount("-t", "tmpfs", "-o", f"size={used + free_bytes}", "tmpfs", str(runs))
+    _mount("-t", "tmpfs", "-o", f"size={_DISK_BYTES}", "tmpfs", str(runs))
     shutil.copytree(aside, runs, dirs_exist_ok=True, symlinks=True)
-    _mount("-o", "remount", "tmpfs", str(runs))
+
+    def fill() -> None:
+        time.sleep(after_s)
+        with (runs / "ballast").open("wb") as file:
+            os.posix_fallocate(file.fileno(), 0, max(1, shutil.disk_usage(runs).free - free_bytes))
+
+    threading.Thread(target=fill, daemon=True).start()
 
 
 def mount_read_only(stage: str) -> None:
@@ -88,7 +96,9 @@ def cases(count: int) -> Iterator[Case]:
                 (f"{_OPEN_FILES[number % 4]} open files", partial(limit_open_files, _OPEN_FILES[number % 4])),
             ]
             if mounts:
-                tries.append((f"{size} bytes free", partial(mount_full, stage.name, size)))
+                after_s = float(rng.choice([0.0, rng.uniform(0, 10)]))
+                filling = partial(mount_filling, stage.name, size, after_s)
+                tries.append((f"{size} bytes free after {after_s:.1f} s", filling))
                 tries.append(("read-only", partial(mount_read_only, stage.name)))
             words, before = tries[number % len(tries)]
             yield Case(
