@@ -79,7 +79,7 @@ class Inputs:
     def frames(self) -> int:
         """How many frames the imports have that are read."""
         files = [folder / "frames.parquet" for _, stage, folder in self._sources() if stage == "import"]
-        return sum(pq.read_metadata(file).num_rows for file in files)
+        return sum(pq.read_metadata(file).num_rows for file in files if file.is_file())
 
     def simulated(self) -> bool:
         """Whether any capture behind this run is simulated, as import saw it."""

@@ -148,13 +148,27 @@ def test_an_error_of_the_disk_anywhere_is_a_sentence(
 def test_a_library_that_fails_on_a_full_disk_is_blamed_on_the_disk(
     data: DataRoot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    usage = type("Usage", (), {"free": 3 << 20})
+
     def fail(r: StageRun[NoSettings]) -> None:
         raise RuntimeError("No registered database factory succeeded.")
 
+    def fill_and_fail(r: StageRun[NoSettings]) -> None:
+        monkeypatch.setattr("shutil.disk_usage", lambda folder: usage)
+        fail(r)
+
     with pytest.raises(RuntimeError):
         execute(stage(fail), "place", "tiny", data)
+    with pytest.raises(UserError, match=r"(?s)the disk is full.*3 MiB free; No registered.*resumes") as told:
+        execute(stage(fill_and_fail), "place", "tiny", data)
+    assert str(data.root) in str(told.value)
+
+
+def test_a_stage_says_beforehand_that_the_disk_has_too_little_room(
+    data: DataRoot, monkeypatch: pytest.MonkeyPatch
+) -> None:
     usage = type("Usage", (), {"free": 3 << 20})
     monkeypatch.setattr("shutil.disk_usage", lambda folder: usage)
-    with pytest.raises(UserError, match=r"(?s)the disk is full.*3 MiB free; No registered.*resumes") as told:
-        execute(stage(fail), "place", "tiny", data)
-    assert str(data.root) in str(told.value)
+    with pytest.raises(UserError, match=r"(?s)nearly full.*about 16 MiB for this stage.*3 MiB free"):
+        execute(stage(fill), "place", "tiny", data)
+    assert not data.run("tiny", "place", "import").exists()
