@@ -22,7 +22,7 @@ from groundwalk.cli import stages
 
 _CLONE_NEWNS = 0x20000
 _OPEN_FILES = (12, 20, 40, 80)
-_DISK_BYTES = 4 << 30
+_DISK_BYTES = 2 << 30
 
 
 def _unmade(folder: Path, _: Generator, stage: str) -> str:
