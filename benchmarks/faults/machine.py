@@ -1,5 +1,6 @@
 """A machine that gives no more: full disks, files too large, too many open files, folders that can't be written."""
 
+import contextlib
 import ctypes
 import os
 import resource
@@ -59,7 +60,8 @@ def mount_filling(stage: str, free_bytes: int, after_s: float) -> None:
 
     def fill() -> None:
         time.sleep(after_s)
-        with (runs / "ballast").open("wb") as file:
+        # The command may write meanwhile, so that there is less room than there was.
+        with (runs / "ballast").open("wb") as file, contextlib.suppress(OSError):
             os.posix_fallocate(file.fileno(), 0, max(1, shutil.disk_usage(runs).free - free_bytes))
 
     threading.Thread(target=fill, daemon=True).start()

@@ -179,8 +179,10 @@ def run_apart(arguments: list[str], cwd: Path, before: Callable[[], None] | None
         process.kill()
         process.join()
         text = f"hangs: not done after {SECONDS} s\nTraceback (most recent call last)"
-    else:
+    elif output.exists():
         text = output.read_text(encoding="utf-8", errors="replace")
+    else:
+        text = f"its process ended before it began: exit code {process.exitcode}"
     peak = json.loads(memory.read_text()) if memory.exists() else 0
     for path in (output, memory):
         path.unlink(missing_ok=True)

@@ -22,7 +22,6 @@ from benchmarks.fusion_scores import (
     Variant,
     ablations,
     against,
-    markdown,
     overview,
     ratio_intervals,
     recovery_table,
@@ -30,6 +29,7 @@ from benchmarks.fusion_scores import (
     target_table,
     worst,
 )
+from groundwalk.fusion.evaluation.leaderboard_report import markdown
 from groundwalk.fusion.methods import resolve_options
 from groundwalk.fusion.walk import known
 from groundwalk.scoring.errors import position_error, relative_error, step_lengths
