@@ -59,7 +59,7 @@ class DriftAwareOptions(OdometryOptions):
     side_turn_count: float = Field(20.0, gt=0, description="predictions that this correlation counts as")
     degrees_of_freedom: float = Field(0.3, gt=0, description="of Student's t: how heavy the tails of errors are")
     independent: float = Field(
-        0.3,
+        0.15,
         gt=0,
         le=1,
         description="what a prediction counts at least of an independent one: neighbours are wrong alike",
@@ -82,14 +82,14 @@ class DriftAwareOptions(OdometryOptions):
     error_map: bool = Field(True, description="use what held-out frames tell of the regressor's errors")
     covariances: bool = Field(True, description="use the covariances that predictions bring")
     drift_m: float = Field(0.03, gt=0, description="odometry's drift over one metre, one sigma, as a random walk")
-    drift_height_m: float = Field(0.015, gt=0, description="the same, of height")
-    drift_deg_m: float = Field(0.5, gt=0, description="odometry's yaw drift over one metre, one sigma")
+    drift_height_m: float = Field(0.008, gt=0, description="the same, of height")
+    drift_deg_m: float = Field(0.35, gt=0, description="odometry's yaw drift over one metre, one sigma")
     drift_deg_s: float = Field(0.05, gt=0, description="odometry's yaw drift over one second, one sigma")
     distrust: bool = Field(True, description="learn how much more than usual odometry drifts")
     rivals: bool = Field(True, description="try other alignments: odometry may have lost its frame")
     recent: int = Field(10, ge=2, description="newest predictions that judge other alignments")
     evidence: float = Field(0.7, gt=0, le=1, description="how much a prediction counts in judging other alignments")
-    loss: float = Field(5e-4, gt=0, lt=0.5, description="probability that odometry loses its frame unnoticed, a frame")
+    loss: float = Field(1e-5, gt=0, lt=0.5, description="probability that odometry loses its frame unnoticed, a frame")
     tilt_sd_deg: float = Field(0.05, gt=0, description="odometry's gravity error an axis, one sigma")
     tilt_covariance_factor: float = Field(36.0, gt=0, description="what its covariance is multiplied with")
 
