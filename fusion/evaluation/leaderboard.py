@@ -100,18 +100,25 @@ def cases_in(folder: Path) -> tuple[list[Case], list[str]]:
 
 
 def cases_of_runs(data: DataRoot) -> tuple[list[Case], list[str]]:
-    """Test walks of each run in the data folder that has predictions, and their names."""
+    """Test walks of each run in the data folder that has predictions, of regressors and of structure localisers, and
+    the runs' names."""
     cases: list[Case] = []
     names = []
     for folder in sorted((data.root / "runs").glob("*/*")):
         if not all((folder / stage / "manifest.json").is_file() for stage in ("import", "align", "train")):
             continue
-        frames, truth, predictions = (
+        frames, truth, *predictions = (
             read_table(folder / stage / f"{name}.parquet", schema(stage, name))
-            for stage, name in (("import", "frames"), ("align", "ground_truth"), ("train", "predictions"))
+            for stage, name in (
+                ("import", "frames"),
+                ("align", "ground_truth"),
+                ("train", "predictions"),
+                *([("localise", "predictions")] if (folder / "localise" / "manifest.json").is_file() else []),
+            )
         )
         scene = f"{folder.name} ({folder.parent.name})"
-        cases += _cases("trained", Inputs(scene, dataset_frames(frames), truth, predictions))
+        for group, table in zip(("trained", "localised"), predictions, strict=False):
+            cases += _cases(group, Inputs(scene, dataset_frames(frames), truth, table))
         names.append(scene)
     return cases, [f"runs: {', '.join(names)}"] if names else []
 

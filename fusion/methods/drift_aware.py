@@ -287,7 +287,8 @@ class DriftAware(Localiser):
         o = self.options
         tilt_sd, prior = radians(o.tilt_sd_deg), self._prior
         if self._stated:
-            prior = prior._replace(size_count=o.size_count_stated)
+            # What goes with what is in the covariances themselves.
+            prior = prior._replace(shape=np.eye(6), size_count=o.size_count_stated)
         elif self._error_map is not None:
             prior = prior._replace(size_count=o.size_count_known)
         if self._quality.has_judged:
