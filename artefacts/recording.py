@@ -4,8 +4,8 @@ import contextlib
 import os
 import shutil
 import tempfile
+import threading
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -39,39 +39,38 @@ def open_recording(path: Path, stage: str, name: str, blueprint: object) -> Iter
     Each stage is an application of its own, so that every recording keeps its own blueprint when several are opened
     in one viewer.
     """
-    with (
-        written_aside(path) as partial,
-        partial.open("wb") as file,
-        ThreadPoolExecutor(1) as pool,
-        tempfile.TemporaryDirectory() as folder,
-    ):
+    with written_aside(path) as partial, partial.open("wb") as file, tempfile.TemporaryDirectory() as folder:
         # Rerun waits without end where it can't write its file, on a full disk: so it writes into a pipe.
         pipe = Path(folder, "recording")
         os.mkfifo(pipe)
-        reading = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-        writing = os.open(pipe, os.O_WRONLY)  # the pipe doesn't end before Rerun has opened it
-        os.set_blocking(reading, True)
-        copied = pool.submit(_copy, reading, file)
+        reading = os.fdopen(os.open(pipe, os.O_RDONLY | os.O_NONBLOCK), "rb")
+        writing = pipe.open("wb", buffering=0)  # the pipe doesn't end before Rerun has opened it
+        os.set_blocking(reading.fileno(), True)
+        failure: list[BaseException] = []
+        copying = threading.Thread(target=_copy, args=(reading, file, failure), daemon=True)
         stream = rr.RecordingStream(f"groundwalk_{stage}", recording_id=f"{name}/{stage}")
         try:
+            copying.start()
             stream.save(pipe, default_blueprint=blueprint)  # type: ignore[arg-type]
-        finally:
-            os.close(writing)
-        stream.send_recording_name(f"{name} · {stage}")
-        try:
+            writing.close()
+            stream.send_recording_name(f"{name} · {stage}")
             yield stream
             stream.flush()
         finally:
+            writing.close()
             stream.disconnect()
-        copied.result()
+        copying.join()
+        if failure:
+            raise failure[0]
 
 
-def _copy(pipe: int, target: BinaryIO) -> None:
-    """Copy what comes out of a pipe until its end; all is read, too, where it can't be written."""
-    with os.fdopen(pipe, "rb") as source:
+def _copy(source: BinaryIO, target: BinaryIO, failure: list[BaseException]) -> None:
+    """Copy until the end; all is read, too, where it can't be written."""
+    with source:
         try:
             shutil.copyfileobj(source, target)
-        finally:
+        except Exception as error:
+            failure.append(error)
             while source.read(_CHUNK):
                 pass
 

@@ -29,6 +29,9 @@ _SIGNALS = (
 _START_S = 4.0
 
 
+HANGS = -99  # the exit status of what didn't end by itself
+
+
 def _start(sandbox: Sandbox, stage: str, *more: str) -> subprocess.Popen[str]:
     output = (sandbox.folder.with_name(f"{sandbox.folder.name}.{stage}.output")).open("w+")
     return subprocess.Popen(
@@ -128,7 +131,12 @@ def _stop(process: subprocess.Popen[str], which: signal.Signals, of_group: bool)
             os.killpg(process.pid, which)
         else:
             process.send_signal(which)
-    status = process.wait(60)
+    try:
+        status = process.wait(60)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        return HANGS
     # Children that outlive their parent end, too: they notice, or did what was left.
     for _ in range(200):
         try:
@@ -137,7 +145,7 @@ def _stop(process: subprocess.Popen[str], which: signal.Signals, of_group: bool)
             return status
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGKILL)
-    return -99
+    return HANGS
 
 
 def _differing(before: dict[str, str], after: dict[str, str]) -> list[str]:
