@@ -98,6 +98,11 @@ test-slow: $(installed) ## Whole-pipeline cases
 test-faults: $(installed) ## Damage, kills, full disks, hostile names: a table of faults
 	@$(py) -m benchmarks.faults
 
+audit: ## Known vulnerabilities of the pinned dependencies (pip-audit); needs a network
+	@$(python) -m venv build/audit
+	@build/audit/bin/pip install --quiet --disable-pip-version-check pip-audit
+	@build/audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip
+
 bench: $(installed) ## Time, memory and bytes of each stage (profile=demo scene=Church unless named)
 	@$(py) -m benchmarks.stages --scene "$${scene:-Church}" --profile "$$profile"
 
@@ -159,4 +164,4 @@ help: ## This text
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
 .NOTPARALLEL:
-.PHONY: all $(stages) simulate install paper view clean check types test test-slow bench bench-localise bench-phone bench-regressors bench-training bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
+.PHONY: all $(stages) simulate install paper view clean check types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-training bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help

@@ -1,6 +1,5 @@
 """`python -m groundwalk.artefacts`: look at, link and remove what the stages made."""
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +13,7 @@ from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import RECORDING
 from groundwalk.artefacts.hints import run_command
 from groundwalk.artefacts.settings import STAGES, DataRoot
+from groundwalk.artefacts.web_viewer import rerun_command, rerun_environment, view_in_browser
 
 app = new_app("Look at, link and remove what the stages made.")
 
@@ -32,11 +32,9 @@ def view(
     if not files:
         where = root.run(profile, scene)
         raise UserError("there is no recording to view", where=where, do=run_command(scene, profile, STAGES[-1]))
-    command = [str(Path(sys.executable).with_name("rerun")), *files]
-    if web:
-        command += ["--web-viewer", "--bind", "127.0.0.1"]
-    # The viewer sends no telemetry where CI is set; a user's own rerun keeps the user's own choice.
-    sys.exit(subprocess.run(command, env={**os.environ, "CI": "1"}).returncode)
+    sys.exit(
+        view_in_browser(files) if web else subprocess.run(rerun_command(files), env=rerun_environment()).returncode
+    )
 
 
 @app.command()
