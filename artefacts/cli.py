@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from groundwalk.artefacts.damage import as_user_error
+from groundwalk.artefacts.damage import as_user_error, causes
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.settings import DataRoot, Settings
 from groundwalk.artefacts.signals import Stopped, signals_raise
@@ -57,10 +57,11 @@ class App(typer.Typer):
         try:
             with signals_raise():
                 return super().__call__(*args, **kwargs)
-        except Stopped as stopped:
-            print(f"stopped by {stopped}; the same command resumes from the last checkpoint", file=sys.stderr)
-            sys.exit(stopped.exit_code)
-        except (UserError, OSError) as error:
+        except (Stopped, Exception) as error:
+            # Python hides what stops it in some places, as while it makes a class.
+            for stopped in (cause for cause in causes(error) if isinstance(cause, Stopped)):
+                print(f"stopped by {stopped}; the same command resumes from the last checkpoint", file=sys.stderr)
+                sys.exit(stopped.exit_code)
             shown = error if isinstance(error, UserError) else as_user_error(error)
             if shown is None:
                 raise

@@ -36,12 +36,21 @@ _FULL_BELOW_BYTES = 16 << 20
 _STOPPED_FROM_OUTSIDE = {-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP}
 
 
+def causes(error: BaseException | None) -> list[BaseException]:
+    """An exception and what it came from, one after the other."""
+    chain: list[BaseException] = []
+    while error is not None and error not in chain:
+        chain.append(error)
+        error = error.__cause__ or error.__context__
+    return chain
+
+
 def as_user_error(error: BaseException, work: Path | None = None) -> UserError | None:
     """A full disk, a read-only folder and their like as a UserError; None where the machine isn't the cause.
 
     Libraries hide the cause: with `work`, an error without a number is the disk's if that is full there.
     """
-    for cause in _chain(error):
+    for cause in causes(error):
         if isinstance(cause, OSError) and cause.errno in _MACHINE:
             where = Path(os.fsdecode(cause.filename)) if isinstance(cause.filename, str | bytes) else work
             found = _free(where) if cause.errno in _OF_SPACE else None
@@ -58,14 +67,6 @@ def may_be_damage(error: Exception) -> bool:
     if isinstance(error, ProcessDied):
         return error.exit_code not in _STOPPED_FROM_OUTSIDE
     return not isinstance(error, UserError | MemoryError)
-
-
-def _chain(error: BaseException | None) -> list[BaseException]:
-    chain: list[BaseException] = []
-    while error is not None and error not in chain:
-        chain.append(error)
-        error = error.__cause__ or error.__context__
-    return chain
 
 
 def _probe(folder: Path) -> int | None:

@@ -3,6 +3,7 @@
 import contextlib
 import signal
 from collections.abc import Iterator
+from multiprocessing import resource_tracker
 from types import FrameType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -31,6 +32,8 @@ def signals_raise() -> Iterator[None]:
 def signals_held() -> Iterator[None]:
     """Processes that are started in the block never get Ctrl-C, as a terminal sends it to them too: their parent ends
     them. This process gets it when the block ends."""
+    # Begun with the first process, the tracker would let signals through again.
+    resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

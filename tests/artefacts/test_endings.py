@@ -15,6 +15,7 @@ import pytest
 from groundwalk.artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
 from groundwalk.artefacts.child import Report, Task, in_child
 from groundwalk.artefacts.cli import stage_app
+from groundwalk.artefacts.signals import Stopped
 
 WAITING = "waiting"
 
@@ -172,3 +173,32 @@ def test_a_stage_says_beforehand_that_the_disk_has_too_little_room(
     with pytest.raises(UserError, match=r"(?s)nearly full.*about 16 MiB for this stage.*3 MiB free"):
         execute(stage(fill), "place", "tiny", data)
     assert not data.run("tiny", "place", "import").exists()
+
+
+def test_a_stop_that_python_hides_in_another_error_is_still_a_stop(
+    data: DataRoot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As it does where a signal comes while a class is made: an import of SciPy."""
+
+    def hidden(r: StageRun[NoSettings]) -> None:
+        try:
+            raise Stopped(signal.SIGTERM)
+        except Stopped as stopped:
+            raise RuntimeError("Error calling __set_name__") from stopped
+
+    with pytest.raises(SystemExit) as ended:
+        stage_app(stage(hidden))(["--scene", "place", "--profile", "tiny", "--data", str(data.root)])
+    assert ended.value.code == 143 and capsys.readouterr().err.endswith("resumes from the last checkpoint\n")
+
+
+def test_the_first_process_of_all_is_started_with_signals_held_too() -> None:
+    code = (
+        "import multiprocessing, signal\n"
+        "from groundwalk.artefacts.signals import signals_held\n"
+        "with signals_held():\n"
+        "    process = multiprocessing.get_context('spawn').Process(target=int)\n"
+        "    process.start()\n"
+        "    print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert ended.stdout == "True\n", ended.stderr
