@@ -92,9 +92,7 @@ _CHURCH = {
     "p95": (None, 2.0),
     "file": (None, 2.0),
     "time, median": (None, 80.0),
-    "time, processor, median": (None, 80.0),
     "time with a prior, median": (None, 40.0),
-    "time with a prior, processor, median": (None, 40.0),
     "wrong answers": (None, 0.0),
     **_HONEST,
 }
