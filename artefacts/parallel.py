@@ -21,7 +21,7 @@ def in_parallel(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
     """`function` of each item, in order, on all cores that this process may use; a few items are worked on ahead."""
     workers = usable_cores()
     pending: deque[Future[R]] = deque()
-    with _single_threaded_opencv(), ThreadPoolExecutor(workers) as pool:
+    with single_threaded_opencv(), ThreadPoolExecutor(workers) as pool:
         for item in items:
             pending.append(pool.submit(function, item))
             if len(pending) > _AHEAD * workers:
@@ -31,8 +31,8 @@ def in_parallel(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
 
 
 @contextlib.contextmanager
-def _single_threaded_opencv() -> Iterator[None]:
-    """Small images on every core at once: threads inside each call would only get in each other's way."""
+def single_threaded_opencv() -> Iterator[None]:
+    """OpenCV's calls on one thread each: with small images, threads only get in each other's way."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

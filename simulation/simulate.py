@@ -15,6 +15,7 @@ from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.choices import Appearance
 from groundwalk.artefacts.files import partial_folder, read_json, swap_in, write_json
 from groundwalk.artefacts.locks import locked
+from groundwalk.artefacts.parallel import single_threaded_opencv
 from groundwalk.artefacts.progress import console, track
 from groundwalk.artefacts.resuming import run_resumable
 from groundwalk.artefacts.schemas import schema
@@ -119,12 +120,12 @@ def plan_sessions(
         if not is_saved(work / plan.mesh):
             build_mesh(plan.place, settings.texel_m, seed, track).save(work / plan.mesh)
         renderers[plan.mesh] = Renderer(TexturedMesh.load(work / plan.mesh))
-    cv2.setNumThreads(1)
     sessions = []
-    for item in track(outlines, "walking and measuring light"):
-        plan = then if item.test else by_day
-        renderer = renderers[plan.mesh]
-        sessions.append(plan_session(item, plan, settings, indoor, renderer, work / item.name, seed))
+    with single_threaded_opencv():
+        for item in track(outlines, "walking and measuring light"):
+            plan = then if item.test else by_day
+            renderer = renderers[plan.mesh]
+            sessions.append(plan_session(item, plan, settings, indoor, renderer, work / item.name, seed))
     return sessions
 
 
