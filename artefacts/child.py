@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.progress import Reporter
-from groundwalk.artefacts.signals import signals_held
+from groundwalk.artefacts.signals import signals_held_from_workers
 
 _TAIL_LINES = 15
 
@@ -93,7 +93,7 @@ def _start(task: Task, log: Path) -> _Running:
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(there, log, task.function, task.arguments), daemon=True)
-    with _added_to_environment(task.environment), signals_held():
+    with _added_to_environment(task.environment), signals_held_from_workers():
         process.start()
     there.close()
     return _Running(process, here)

@@ -32,13 +32,19 @@ def signals_raise() -> Iterator[None]:
 def signals_held() -> Iterator[None]:
     """Processes that are started in the block never get Ctrl-C, as a terminal sends it to them too: their parent ends
     them. This process gets it when the block ends."""
-    # Begun with the first process, the tracker would let signals through again.
-    resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def signals_held_from_workers() -> Iterator[None]:
+    """The same of multiprocessing's processes, whose tracker, begun with the first, would let Ctrl-C through again."""
+    resource_tracker.ensure_running()
+    with signals_held():
+        yield
 
 
 def _raise(number: int, _: FrameType | None) -> None:

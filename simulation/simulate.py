@@ -20,7 +20,7 @@ from groundwalk.artefacts.progress import console, track
 from groundwalk.artefacts.resuming import run_resumable
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import resolve_settings
-from groundwalk.artefacts.signals import signals_held
+from groundwalk.artefacts.signals import signals_held_from_workers
 from groundwalk.artefacts.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES, simulated_files
 from groundwalk.artefacts.tables import pose_frame, write_table
 from groundwalk.simulation.appearance import seen_as
@@ -147,7 +147,7 @@ def render_images(shots: list[Shot], settings: SimulateSettings, meshes: Path, p
             with_meshes.take(shot)
         return
     context = multiprocessing.get_context("spawn")
-    with signals_held():
+    with signals_held_from_workers():
         workers = context.Pool(min(processes, len(missing)), _start_worker, (meshes, settings))
     with workers as pool:
         for _ in track(pool.imap_unordered(_work, missing), "rendering images", len(missing)):

@@ -194,8 +194,8 @@ def test_a_stop_that_python_hides_in_another_error_is_still_a_stop(
 def test_the_first_process_of_all_is_started_with_signals_held_too() -> None:
     code = (
         "import multiprocessing, signal\n"
-        "from groundwalk.artefacts.signals import signals_held\n"
-        "with signals_held():\n"
+        "from groundwalk.artefacts.signals import signals_held_from_workers\n"
+        "with signals_held_from_workers():\n"
         "    process = multiprocessing.get_context('spawn').Process(target=int)\n"
         "    process.start()\n"
         "    print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))\n"

@@ -178,7 +178,7 @@ def test_the_first_step_that_fails_ends_a_run(tmp_path: Path, capfd: pytest.Capt
     data = DataRoot(tmp_path)
     (tmp_path / "runs" / "tiny" / "other").mkdir(parents=True)
     with pytest.raises(SystemExit) as ended:
-        run_steps([Step("clean", "place"), Step("view", "place"), Step("clean", "other")], "tiny", data)
+        run_steps([Step("clean", "Church"), Step("view", "Church"), Step("clean", "other")], "tiny", data)
     assert ended.value.code == 2 and "no recording to view" in capfd.readouterr().err
     assert (tmp_path / "runs" / "tiny" / "other").is_dir()  # a clean would have removed it
 
