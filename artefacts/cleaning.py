@@ -34,7 +34,9 @@ def clean_scene(data: DataRoot, profile: str, scene: str) -> Cleaned:
         data.profile(profile)
     if data.config_file("scenes", scene) is None and not any(map(os.path.lexists, (runs, captures))):
         raise UserError(
-            f"there is no scene {scene!r}", where=data.root, expected=f"{captures}, {runs} or a scene's file"
+            f"there is no scene {scene!r}",
+            where=data.root,
+            expected=f"a folder {captures} or {runs}, or a file scenes/{scene}.toml",
         )
     cleaned = Cleaned()
     through_link = runs.is_symlink() or runs.parent.is_symlink()

@@ -59,10 +59,13 @@ class App(typer.Typer):
                 return super().__call__(*args, **kwargs)
         except (Stopped, Exception) as error:
             # Python hides what stops it in some places, as while it makes a class.
-            for stopped in (cause for cause in causes(error) if isinstance(cause, Stopped)):
+            stopped = next((cause for cause in causes(error) if isinstance(cause, Stopped)), None)
+            if stopped is not None:
                 print(f"stopped by {stopped}; the same command resumes from the last checkpoint", file=sys.stderr)
                 sys.exit(stopped.exit_code)
-            shown = error if isinstance(error, UserError) else as_user_error(error)
+            shown = error if isinstance(error, UserError) else None
+            if isinstance(error, OSError):
+                shown = as_user_error(error)
             if shown is None:
                 raise
             print(f"error: {printable(str(shown))}", file=sys.stderr)

@@ -75,7 +75,9 @@ def _probe(folder: Path) -> int | None:
     try:
         if shutil.disk_usage(folder).free < _FULL_BELOW_BYTES:
             return errno.ENOSPC
-        if resource.getrlimit(resource.RLIMIT_FSIZE)[0] != resource.RLIM_INFINITY:
+        limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+        largest = max((file.lstat().st_size for file in folder.rglob("*")), default=0)
+        if limit != resource.RLIM_INFINITY and limit - largest < _FULL_BELOW_BYTES:
             return errno.EFBIG
         path.write_bytes(b"x")
         path.unlink()
@@ -84,10 +86,16 @@ def _probe(folder: Path) -> int | None:
     return None
 
 
-def _free(where: Path | None) -> str | None:
-    for folder in (where, *where.parents) if where is not None else ():
+def free_bytes(where: Path) -> int | None:
+    """Room on the disk of a path, or of what of it there is; None where that can't be told."""
+    for folder in (where, *where.parents):
         try:
-            return f"{shutil.disk_usage(folder).free / 2**20:,.0f} MiB free"
+            return shutil.disk_usage(folder).free
         except OSError:
             continue
     return None
+
+
+def _free(where: Path | None) -> str | None:
+    free = None if where is None else free_bytes(where)
+    return None if free is None else f"{free / 2**20:,.0f} MiB free"

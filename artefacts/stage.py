@@ -20,6 +20,7 @@ import rerun as rr
 
 from groundwalk import CHECKOUT
 from groundwalk.artefacts import progress, recording
+from groundwalk.artefacts.damage import free_bytes
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import (
     RECORDING,
@@ -239,13 +240,12 @@ def execute(
 
 def _refuse_small_disk(work: Path, needed: int) -> None:
     """UserError where a run has not enough room to begin or go on: better now than hours later."""
-    place = next(folder for folder in work.parents if folder.is_dir())
-    there = sum(path.lstat().st_size for path in work.rglob("*")) if work.is_dir() else 0
-    free = shutil.disk_usage(place).free
-    if free + there < needed:
+    there = sum(path.lstat().st_size for path in work.rglob("*"))
+    free = free_bytes(work)
+    if free is not None and free + there < needed:
         raise UserError(
             "the disk is nearly full",
-            where=place,
+            where=work.parent,
             expected=f"about {(needed - there) / 2**20:,.0f} MiB for this stage",
             found=f"{free / 2**20:,.0f} MiB free",
             do="free some space, or name a data folder on another disk with --data",
