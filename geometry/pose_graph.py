@@ -42,49 +42,58 @@ def smooth_chain(
     n = len(z)
     poses = poses.copy()
     normal = np.zeros((6 * n, 6 * n))
-    a = np.arange(n - 1)
     for _ in range(_MAX_ITERATIONS):
-        R, p = poses[:, :3, :3], poses[:, :3, 3]
-        turn = Rotation.from_matrix(z[:, :3, :3].swapaxes(1, 2) @ R).as_rotvec()
-        J = inverse_right_jacobian(turn)
-        off = p - z[:, :3, 3]
-        size = np.sqrt(np.sum((turn / measured_sd[1]) ** 2, axis=1) + np.sum((off / measured_sd[0]) ** 2, axis=1))
-        weight = np.minimum(1.0, huber / np.maximum(size, 1e-12))
-        # Blocks by frame: rotation (camera axes), position.
-        H = np.zeros((n, n, 6, 6))
-        g = np.zeros((n, 6))
-        i = np.arange(n)
-        rotation_weight = (weight / measured_sd[1] ** 2)[:, None]
-        H[i, i, :3, :3] = rotation_weight[..., None] * (J.swapaxes(1, 2) @ J)
-        H[i, i, 3:, 3:] = (weight / measured_sd[0] ** 2)[:, None, None] * np.eye(3)
-        g[:, :3] = rotation_weight * np.einsum("nij,ni->nj", J, turn)
-        g[:, 3:] = (weight / measured_sd[0] ** 2)[:, None] * off
-
-        step = relative(poses[:-1], poses[1:])
-        turn = Rotation.from_matrix((inverse(d) @ step)[:, :3, :3]).as_rotvec()
-        off = step[:, :3, 3] - d[:, :3, 3]
-        to_a = R[:-1].swapaxes(1, 2)
-        A, B = np.zeros((n - 1, 6, 6)), np.zeros((n - 1, 6, 6))
-        J = inverse_right_jacobian(turn)
-        A[:, :3, :3] = -J @ step[:, :3, :3].swapaxes(1, 2)
-        A[:, 3:, :3], A[:, 3:, 3:] = skew(step[:, :3, 3]), -to_a
-        B[:, :3, :3], B[:, 3:, 3:] = J, to_a
-        information = np.repeat([step_sd[1] ** -2.0, step_sd[0] ** -2.0], 3)
-        residual = np.concatenate([turn, off], axis=1) * information
-        At, Bt = A.swapaxes(1, 2) * information, B.swapaxes(1, 2) * information
-        H[a, a] += At @ A
-        H[a + 1, a + 1] += Bt @ B
-        H[a, a + 1] += At @ B
-        H[a + 1, a] += Bt @ A
-        g[:-1] += np.einsum("nij,ni->nj", A, residual)
-        g[1:] += np.einsum("nij,ni->nj", B, residual)
-
+        H, g = _of_measurements(z, poses, measured_sd, huber)
+        _add_steps(H, g, d, poses, step_sd)
         normal = H.transpose(0, 2, 1, 3).reshape(6 * n, 6 * n)
         update = -np.linalg.solve(normal, g.ravel()).reshape(n, 6)
-        poses[:, :3, :3] = R @ Rotation.from_rotvec(update[:, :3]).as_matrix()
-        poses[:, :3, 3] = p + update[:, 3:]
+        poses[:, :3, :3] = poses[:, :3, :3] @ Rotation.from_rotvec(update[:, :3]).as_matrix()
+        poses[:, :3, 3] += update[:, 3:]
         if np.abs(update).max() < _TOLERANCE:
             break
     last = np.zeros((6 * n, 6))
     last[-6:] = np.eye(6)
     return poses, np.asarray(np.linalg.solve(normal, last)[-6:], dtype=float)
+
+
+def _of_measurements(measured: Array, poses: Array, sd: tuple[float, float], huber: float) -> tuple[Array, Array]:
+    """What measured poses add to the normal equations: blocks (N, N, 6, 6) and right side (N, 6) by frame, rotation
+    (camera axes) before position."""
+    n = len(poses)
+    turn = Rotation.from_matrix(measured[:, :3, :3].swapaxes(1, 2) @ poses[:, :3, :3]).as_rotvec()
+    J = inverse_right_jacobian(turn)
+    off = poses[:, :3, 3] - measured[:, :3, 3]
+    size = np.sqrt(np.sum((turn / sd[1]) ** 2, axis=1) + np.sum((off / sd[0]) ** 2, axis=1))
+    weight = np.minimum(1.0, huber / np.maximum(size, 1e-12))
+    H, g = np.zeros((n, n, 6, 6)), np.zeros((n, 6))
+    i = np.arange(n)
+    rotation_weight, position_weight = (weight / sd[1] ** 2)[:, None], (weight / sd[0] ** 2)[:, None]
+    H[i, i, :3, :3] = rotation_weight[..., None] * (J.swapaxes(1, 2) @ J)
+    H[i, i, 3:, 3:] = position_weight[..., None] * np.eye(3)
+    g[:, :3] = rotation_weight * np.einsum("nij,ni->nj", J, turn)
+    g[:, 3:] = position_weight * off
+    return H, g
+
+
+def _add_steps(H: Array, g: Array, steps: Array, poses: Array, sd: tuple[float, float]) -> None:
+    """Add what steps (N-1, 4, 4) between neighbours say to the normal equations' blocks."""
+    n = len(poses)
+    step = relative(poses[:-1], poses[1:])
+    turn = Rotation.from_matrix((inverse(steps) @ step)[:, :3, :3]).as_rotvec()
+    off = step[:, :3, 3] - steps[:, :3, 3]
+    to_a = poses[:-1, :3, :3].swapaxes(1, 2)
+    A, B = np.zeros((n - 1, 6, 6)), np.zeros((n - 1, 6, 6))
+    J = inverse_right_jacobian(turn)
+    A[:, :3, :3] = -J @ step[:, :3, :3].swapaxes(1, 2)
+    A[:, 3:, :3], A[:, 3:, 3:] = skew(step[:, :3, 3]), -to_a
+    B[:, :3, :3], B[:, 3:, 3:] = J, to_a
+    information = np.repeat([sd[1] ** -2.0, sd[0] ** -2.0], 3)
+    residual = np.concatenate([turn, off], axis=1) * information
+    At, Bt = A.swapaxes(1, 2) * information, B.swapaxes(1, 2) * information
+    a = np.arange(n - 1)
+    H[a, a] += At @ A
+    H[a + 1, a + 1] += Bt @ B
+    H[a, a + 1] += At @ B
+    H[a + 1, a] += Bt @ A
+    g[:-1] += np.einsum("nij,ni->nj", A, residual)
+    g[1:] += np.einsum("nij,ni->nj", B, residual)

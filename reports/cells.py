@@ -51,12 +51,12 @@ def _cell(
     scene: SceneInputs,
     row: str,
     column: str,
-    value: float,
-    digits: int,
-    unit: str,
+    shown: tuple[float, int, str],
     source: tuple[int, str],
     **more: str,
 ) -> dict[str, object]:
+    """A row of `cells`; shown: the value, its digits and its unit; source: rows and table that it is from."""
+    value, digits, unit = shown
     base = {"source": OURS, "table": table, "environment": scene.environment, "scene": scene.name, "row": row}
     empty = dict.fromkeys(("model", "method", "options", "over", "statistic", "quantity"), "")
     text = more.pop("text", number(value, digits))
@@ -67,7 +67,7 @@ def _cell(
 def _dataset(scene: SceneInputs) -> Iterator[dict[str, object]]:
     def cell(column: str, value: float, unit: str, source: tuple[int, str], **more: str) -> dict[str, object]:
         keys = {"statistic": "value", "quantity": column}
-        return _cell(TABLE_I, scene, "scene", column, value, 0, unit, source, **(keys | more))
+        return _cell(TABLE_I, scene, "scene", column, (value, 0, unit), source, **(keys | more))
 
     yield cell("train images", scene.training_frames, "", (len(scene.frames), "import.frames"))
     yield cell("test images", scene.test_frames, "", (len(scene.frames), "import.frames"))
@@ -102,7 +102,7 @@ def _scores(scene: SceneInputs) -> Iterator[dict[str, object]]:
             column = column_name(s["model"], s["method"], s["over"], statistic, quantity, labels=labels)
             more = keys | {"statistic": statistic, "quantity": quantity}
             source = (int(s["certain" if statistic == "level" else "frames"]), "fuse.errors")
-            yield _cell(table, scene, s["subset"], column, float(value), digits, unit, source, **more)
+            yield _cell(table, scene, s["subset"], column, (float(value), digits, unit), source, **more)
 
 
 def _averages(rows: list[dict[str, object]]) -> list[dict[str, object]]:

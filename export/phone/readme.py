@@ -18,39 +18,11 @@ _STEPS = {
     "normalise": "divide by 255, subtract `mean`, divide by `sd`, channels first: the network's input `image`",
 }
 
-
-def readme(about: Mapping[str, Any], preprocessing: Preprocessing, errors: Mapping[str, Any]) -> str:
-    """What the bundle is and how to use it, for a person who has nothing else."""
-    scenes = ", ".join(about["scenes"])
-    size = "{width_px} x {height_px}".format(**preprocessing.image)
-    steps = "\n".join(
-        f"{number}. `{step['step']}`: {_STEPS[step['step']].format(**step)}."
-        for number, step in enumerate(preprocessing.steps, start=1)
-    )
-    files = "\n".join(
-        f"| `{network['file']}` | the network `{name}`, ONNX, {network['bytes'] / 2**20:.1f} MiB"
-        f"{' (recommended)' if name == about['network'] else ''} |"
-        for name, network in about["networks"].items()
-    )
-    if about["coreml"]:
-        files += f"\n| `{about['coreml']}` | the network as a Core ML program in half precision |"
-    simulated = (
-        "\nIts captures are simulated: its accuracy says nothing of a real place.\n" if about["simulated"] else ""
-    )
-    reduced = f"\nIt is smaller than in its paper: {about['reduced']}.\n" if about["reduced"] else ""
-    notes = "".join(f"- {note}\n" for note in about["notes"])
-    accuracy = (
-        f"\nOn the {errors['frames']} test frames it is wrong by {errors['position_median_m']:.2f} m and "
-        f"{errors['rotation_median_deg']:.1f} degrees (medians; means {errors['position_mean_m']:.2f} m, "
-        f"{errors['rotation_mean_deg']:.1f} degrees), in float32.\n"
-        if errors
-        else ""
-    )
-    return f"""# {about["label"]} of {scenes}
+_README = """# {label} of {scenes}
 
 A camera pose regressor: an image and its intrinsics in, position and rotation in the map of {scenes} out. Written by
-{about["written_by"]}, profile {about["profile"]}.
-{simulated if about["simulated"] else ""}{reduced}{accuracy}
+{written_by}, profile {profile}.
+{simulated}{reduced}{accuracy}
 ## Use it
 
 ```sh
@@ -86,3 +58,45 @@ has queries with the output of each step and of each network, and how far a port
 | `bundle.json` | format, version, sha256 of every file |
 
 {notes}"""
+
+
+def readme(about: Mapping[str, Any], preprocessing: Preprocessing, errors: Mapping[str, Any]) -> str:
+    """What the bundle is and how to use it, for a person who has nothing else."""
+    scenes = ", ".join(about["scenes"])
+    size = "{width_px} x {height_px}".format(**preprocessing.image)
+    steps = "\n".join(
+        f"{number}. `{step['step']}`: {_STEPS[step['step']].format(**step)}."
+        for number, step in enumerate(preprocessing.steps, start=1)
+    )
+    files = "\n".join(
+        f"| `{network['file']}` | the network `{name}`, ONNX, {network['bytes'] / 2**20:.1f} MiB"
+        f"{' (recommended)' if name == about['network'] else ''} |"
+        for name, network in about["networks"].items()
+    )
+    if about["coreml"]:
+        files += f"\n| `{about['coreml']}` | the network as a Core ML program in half precision |"
+    simulated = (
+        "\nIts captures are simulated: its accuracy says nothing of a real place.\n" if about["simulated"] else ""
+    )
+    reduced = f"\nIt is smaller than in its paper: {about['reduced']}.\n" if about["reduced"] else ""
+    notes = "".join(f"- {note}\n" for note in about["notes"])
+    accuracy = (
+        f"\nOn the {errors['frames']} test frames it is wrong by {errors['position_median_m']:.2f} m and "
+        f"{errors['rotation_median_deg']:.1f} degrees (medians; means {errors['position_mean_m']:.2f} m, "
+        f"{errors['rotation_mean_deg']:.1f} degrees), in float32.\n"
+        if errors
+        else ""
+    )
+    return _README.format(
+        label=about["label"],
+        written_by=about["written_by"],
+        profile=about["profile"],
+        scenes=scenes,
+        size=size,
+        steps=steps,
+        files=files,
+        simulated=simulated,
+        reduced=reduced,
+        notes=notes,
+        accuracy=accuracy,
+    )

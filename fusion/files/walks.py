@@ -78,14 +78,10 @@ def evaluated(
     unknown frames, quaternions that aren't of unit length. Raises UserError where no evaluated frame has ground truth,
     or fewer than half have a prediction.
     """
-    chosen = frames[frames["split"].isin(list(splits))]
-    if chosen.empty:
-        found = ", ".join(sorted(frames["split"].unique()))
-        raise UserError(f"scene {scene} has no frames to evaluate", expected=f"split {', '.join(splits)}", found=found)
+    chosen = _of_splits(scene, frames, list(splits))
     ordered = chosen.sort_values(["session_id", "t_ns"], kind="stable")
     apr_T = poses_for(ordered, predictions, "map_cam")
     covariance, unsound = _covariances(ordered, predictions)
-    walks = []
     vio_T, true_T = _poses(ordered, "vio_cam"), poses_for(ordered, truth, "map_cam")
     quality = _qualities(ordered, truth)
     true_T[quality == _NO_TRUTH] = np.nan
@@ -96,31 +92,11 @@ def evaluated(
             found=f"{len(ordered)} frames of split {', '.join(splits)}",
             do="look at the align stage's table checks, or give ground truth of the evaluated frames",
         )
-    gravity = _gravity(ordered)
-    # A new piece begins where the session or the split changes in time.
-    key = ordered["session_id"].astype(str) + "/" + ordered["split"]
-    piece = (key != key.shift()).cumsum().to_numpy()
-    for number in np.unique(piece):
-        rows = piece == number
-        first = ordered.iloc[int(np.argmax(rows))]
-        walks.append(
-            Walk(
-                scene,
-                str(first["session_id"]),
-                str(first["split"]),
-                ordered["frame_id"].to_numpy(object)[rows],
-                ordered["t_ns"].to_numpy(np.int64)[rows],
-                gravity[rows],
-                vio_T[rows],
-                apr_T[rows],
-                true_T[rows],
-                quality[rows],
-                None if covariance is None else covariance[rows],
-            )
-        )
+    walks = _walks(scene, ordered, (vio_T, apr_T, true_T), quality, covariance)
     listed = ordered["frame_id"].isin(predictions["frame_id"]).to_numpy()
     refused = _refused(ordered, predictions)
     unknown = int((~predictions["frame_id"].isin(frames["frame_id"])).sum())
+    evaluated_predictions = predictions[predictions["frame_id"].isin(ordered["frame_id"])]
     frame_counts = {
         "frames": len(ordered),
         "frames_out_of_order": int((chosen.groupby("session_id")["t_ns"].diff() < 0).sum()),
@@ -131,7 +107,6 @@ def evaluated(
         "odometry_quaternions_not_of_unit_length": _not_unit(ordered, "vio_cam"),
         "ground_truth_quaternions_not_of_unit_length": _not_unit(truth[truth["frame_id"].isin(ordered["frame_id"])]),
     }
-    evaluated_predictions = predictions[predictions["frame_id"].isin(ordered["frame_id"])]
     prediction_counts = {
         "prediction_quaternions_not_of_unit_length": _not_unit(evaluated_predictions),
         "frames_without_prediction": int((~listed).sum()),
@@ -149,6 +124,45 @@ def evaluated(
             do="check that frame_id is <session>/<six digits> as in the frames table",
         )
     return Evaluated(walks, frame_counts, prediction_counts)
+
+
+def _of_splits(scene: str, frames: pd.DataFrame, splits: list[str]) -> pd.DataFrame:
+    chosen = frames[frames["split"].isin(splits)]
+    if chosen.empty:
+        found = ", ".join(sorted(frames["split"].unique()))
+        raise UserError(f"scene {scene} has no frames to evaluate", expected=f"split {', '.join(splits)}", found=found)
+    return chosen
+
+
+def _walks(
+    scene: str,
+    ordered: pd.DataFrame,
+    poses: tuple[Array, Array, Array],
+    quality: NDArray[np.object_],
+    covariance: Array | None,
+) -> list[Walk]:
+    """The walks of frames in order; `poses` are odometry's, the predictions' and the true ones (N, 4, 4)."""
+    gravity = _gravity(ordered)
+    # A new walk begins where the session or the split changes in time.
+    key = ordered["session_id"].astype(str) + "/" + ordered["split"]
+    number = (key != key.shift()).cumsum().to_numpy()
+    walks = []
+    for rows in (number == n for n in np.unique(number)):
+        first = ordered.iloc[int(np.argmax(rows))]
+        walks.append(
+            Walk(
+                scene,
+                str(first["session_id"]),
+                str(first["split"]),
+                ordered["frame_id"].to_numpy(object)[rows],
+                ordered["t_ns"].to_numpy(np.int64)[rows],
+                gravity[rows],
+                *(of_kind[rows] for of_kind in poses),
+                quality[rows],
+                None if covariance is None else covariance[rows],
+            )
+        )
+    return walks
 
 
 def _covariances(frames: pd.DataFrame, predictions: pd.DataFrame) -> tuple[Array | None, int]:

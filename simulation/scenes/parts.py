@@ -8,7 +8,7 @@ import numpy as np
 from groundwalk.simulation import details, materials
 from groundwalk.simulation.canvas import Bgr, Canvas, vary
 from groundwalk.simulation.materials import Material
-from groundwalk.simulation.place import Builder, Xz
+from groundwalk.simulation.place import Builder, Vec, Xz
 
 BRICK_RED = materials.masonry(
     0.075, 0.22, [(62, 74, 150), (70, 84, 168), (58, 66, 128), (80, 98, 170)], (160, 168, 172)
@@ -155,79 +155,98 @@ def house(
     b.block((low[0], 0, low[1]), (high[0], top, high[1]))
 
 
+@dataclass(frozen=True)
+class _Front:
+    """A front's left corner, its direction and that out of it (x, z), width and heading."""
+
+    name: str
+    left: Vec
+    along: Vec
+    out: Vec
+    width_m: float
+    yaw_deg: float
+
+    def at(self, x: float, forward: float) -> Xz:
+        p = self.left + x * self.along + forward * self.out
+        return float(p[0]), float(p[1])
+
+
 def dress(b: Builder, name: str, left: Xz, right: Xz, facade: Facade) -> None:
     """Things that stand out from a front: awnings, balconies, hanging signs, boxes of flowers, a drainpipe."""
     a, c = np.array(left), np.array(right)
     width = float(np.linalg.norm(c - a))
     along = (c - a) / width
     out = np.array([-along[1], along[0]])
-    yaw = math.degrees(math.atan2(-along[1], along[0]))
+    front = _Front(name, a, along, out, width, math.degrees(math.atan2(-along[1], along[0])))
     rng = b.rng
-
-    def at(x: float, forward: float) -> Xz:
-        p = a + x * along + forward * out
-        return float(p[0]), float(p[1])
-
     if facade.shop:
-        tone, other = details.bright(rng), (230.0, 232.0, 234.0)
-
-        def striped(canvas: Canvas) -> None:
-            for k in range(int(canvas.width_m / 0.3) + 1):
-                canvas.box(0.3 * k, 0, 0.3 * k + 0.3, canvas.height_m, tone if k % 2 else other)
-            canvas.add(canvas.noise((0.05, 0.3, 1.0)), (8, 8, 8))
-
-        corner, high = at(0.3, 1.1), facade.storey_m - 0.75
-        run = (width - 0.6) * along
-        b.quad(
-            f"{name}.awning",
-            (corner[0], high, corner[1]),
-            (run[0], 0, run[1]),
-            (-1.1 * out[0], 0.4, -1.1 * out[1]),
-            striped,
-        )
+        _awning(b, front, facade)
     for k in range(facade.storeys - 1):
         if rng.random() < 0.6 and not facade.same:
-            x = rng.uniform(1.2, max(1.3, width - 1.2))
-            floor = (k + 1) * facade.storey_m + 0.2
-            rail = materials.masonry(0.9, 0.12, [(60, 60, 62), (150, 155, 160)], (30, 30, 30), 0.02, 20)
-            b.box(
-                f"{name}.balcony{k}",
-                at(x, 0.4),
-                (1.9, 0.95, 0.8),
-                rail,
-                bottom=floor,
-                yaw_deg=yaw,
-                faces="flrtu",
-                solid=False,
-            )
+            _balcony(b, front, facade, k)
     if rng.random() < 0.75:
-
-        def sign(canvas: Canvas) -> None:
-            canvas.fill(details.bright(canvas.rng))
-            details.emblem(canvas, canvas.width_m / 2, canvas.height_m * 0.62, 0.25 * canvas.width_m)
-            canvas.text(0.05, 0.12, 0.14, details.word(canvas.rng, 2), (245, 245, 245), canvas.width_m - 0.1)
-
-        b.box(
-            f"{name}.sign",
-            at(rng.uniform(0.5, width - 0.5), 0.5),
-            (0.06, 0.8, 0.8),
-            sign,
-            bottom=2.75,
-            yaw_deg=yaw,
-            solid=False,
-        )
-    pipe = materials.plain((90, 100, 96))
+        _sign(b, front)
     b.box(
         f"{name}.pipe",
-        at(width - 0.2, 0.07),
+        front.at(width - 0.2, 0.07),
         (0.12, facade.storeys * facade.storey_m, 0.12),
-        pipe,
-        yaw_deg=yaw,
+        materials.plain((90, 100, 96)),
+        yaw_deg=front.yaw_deg,
         faces="flr",
     )
     if rng.random() < 0.6:
         x = rng.uniform(0.8, max(0.9, width - 0.8))
-        planter(b, f"{name}.planter", at(x, 0.45), yaw)
+        planter(b, f"{name}.planter", front.at(x, 0.45), front.yaw_deg)
+
+
+def _awning(b: Builder, front: _Front, facade: Facade) -> None:
+    tone, other = details.bright(b.rng), (230.0, 232.0, 234.0)
+
+    def striped(canvas: Canvas) -> None:
+        for k in range(int(canvas.width_m / 0.3) + 1):
+            canvas.box(0.3 * k, 0, 0.3 * k + 0.3, canvas.height_m, tone if k % 2 else other)
+        canvas.add(canvas.noise((0.05, 0.3, 1.0)), (8, 8, 8))
+
+    corner, high = front.at(0.3, 1.1), facade.storey_m - 0.75
+    run, out = (front.width_m - 0.6) * front.along, front.out
+    b.quad(
+        f"{front.name}.awning",
+        (corner[0], high, corner[1]),
+        (run[0], 0, run[1]),
+        (-1.1 * out[0], 0.4, -1.1 * out[1]),
+        striped,
+    )
+
+
+def _balcony(b: Builder, front: _Front, facade: Facade, storey: int) -> None:
+    x = b.rng.uniform(1.2, max(1.3, front.width_m - 1.2))
+    b.box(
+        f"{front.name}.balcony{storey}",
+        front.at(x, 0.4),
+        (1.9, 0.95, 0.8),
+        materials.masonry(0.9, 0.12, [(60, 60, 62), (150, 155, 160)], (30, 30, 30), 0.02, 20),
+        bottom=(storey + 1) * facade.storey_m + 0.2,
+        yaw_deg=front.yaw_deg,
+        faces="flrtu",
+        solid=False,
+    )
+
+
+def _sign(b: Builder, front: _Front) -> None:
+    def sign(canvas: Canvas) -> None:
+        canvas.fill(details.bright(canvas.rng))
+        details.emblem(canvas, canvas.width_m / 2, canvas.height_m * 0.62, 0.25 * canvas.width_m)
+        canvas.text(0.05, 0.12, 0.14, details.word(canvas.rng, 2), (245, 245, 245), canvas.width_m - 0.1)
+
+    b.box(
+        f"{front.name}.sign",
+        front.at(b.rng.uniform(0.5, front.width_m - 0.5), 0.5),
+        (0.06, 0.8, 0.8),
+        sign,
+        bottom=2.75,
+        yaw_deg=front.yaw_deg,
+        solid=False,
+    )
 
 
 def planter(b: Builder, name: str, centre: Xz, yaw_deg: float = 0.0) -> None:

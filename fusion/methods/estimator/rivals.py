@@ -6,6 +6,7 @@ keyframe on: it gains what it explains the predictions since better than the ali
 odometry loses its frame there, and, for an alignment that was never in force, less how little was known of it
 beforehand."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -72,17 +73,7 @@ def best_rival(
     # Even one that explains every prediction well couldn't win: most often there is nothing to look at.
     if segment[0] == segment[-1] and gained(np.full((1, count), usual / 2)).max() < newness - _HOPELESS:
         return None
-    yaw, shift = measured[:, 3], measured[:, :3] - _turned(measured[:, 3], vio)
-    # Alignments that single predictions name are as uncertain as those: errors under them are twice as large.
-    named = judged.squared(yaw, shift) / 2
-    costs = robust.costs(named, _DIMENSIONS, dof)
-    costs[np.arange(count), np.arange(count)] = usual
-    best = np.argmax(np.where(np.tri(count, dtype=bool), gained(costs), -np.inf), axis=0)
-    # For each keyframe that may have begun it: the mean of what was named since, weighed under the best of them.
-    weight = np.triu(share * robust.weights(named[best], _DIMENSIONS, dof))
-    weight /= weight.sum(axis=1, keepdims=True)
-    yaw = np.angle(weight @ np.exp(1j * yaw))
-    shift = weight @ measured[:, :3] - _turned(yaw, weight @ vio)
+    yaw, shift = _named(judged, usual, share, dof, gained)
     gains = np.diag(gained(robust.costs(judged.squared(yaw, shift), _DIMENSIONS, dof))).copy()
     gains -= newness
     gains[~sign & (np.arange(count) > count - _WITHOUT_SIGN_LEAST)] = -np.inf
@@ -122,6 +113,25 @@ class _Judged(NamedTuple):
         whitening = self.whitening.reshape(-1, _DIMENSIONS, _DIMENSIONS)
         normalised = (whitening @ found[..., None])[..., 0]
         return np.asarray(((normalised @ self.precision) * normalised).sum(axis=-1))
+
+
+def _named(
+    judged: _Judged, usual: float, share: Array, dof: float, gained: Callable[[Array], Array]
+) -> tuple[Array, Array]:
+    """For each keyframe that may have begun a new alignment, its yaw (N,) and shift (N, 3): the mean of what the
+    predictions since name, weighed under the best of these. usual: what a prediction costs; share (N,): what each
+    counts; gained: what alignments gain by their costs (K, N)."""
+    measured, count = judged.measured, len(judged.vio)
+    yaw, shift = measured[:, 3], measured[:, :3] - _turned(measured[:, 3], judged.vio)
+    # Alignments that single predictions name are as uncertain as those: errors under them are twice as large.
+    named = judged.squared(yaw, shift) / 2
+    costs = robust.costs(named, _DIMENSIONS, dof)
+    costs[np.arange(count), np.arange(count)] = usual
+    best = np.argmax(np.where(np.tri(count, dtype=bool), gained(costs), -np.inf), axis=0)
+    weight = np.triu(share * robust.weights(named[best], _DIMENSIONS, dof))
+    weight /= weight.sum(axis=1, keepdims=True)
+    yaw = np.angle(weight @ np.exp(1j * yaw))
+    return yaw, weight @ measured[:, :3] - _turned(yaw, weight @ judged.vio)
 
 
 def _states(yaw: float, shift: Array, vio: Array) -> Array:

@@ -1,0 +1,290 @@
+"""How fusion methods bear what goes wrong in the middle of a walk, and how they begin: `python -m
+benchmarks.fusion_recovery`.
+
+Simulated test walks of the six scenes, with predictions as wrong as the published regressors'. A third of the way in,
+odometry jumps, turns or predictions go wrong. A method has recovered at the first frame whose error is at most 1.5
+times the larger of its error before (mean of 30 s) and of what the same method has at that frame of the walk as it was,
+in position and in rotation. `told` is what the other predictions allow: the same method, which is told of the trouble:
+it doesn't get the wrong predictions, or starts anew where odometry lost its frame. Writes
+docs/results/fusion_recovery.md and .csv.
+"""
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import typer
+from numpy.typing import NDArray
+
+from benchmarks import fusion_inputs as inputs
+from benchmarks.fusion_scores import OURS, RULE
+from benchmarks.regressor_errors.fit import REGRESSORS
+from benchmarks.results import circumstances, markdown_table
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.files import written_aside
+from groundwalk.artefacts.progress import track
+from groundwalk.fusion.methods import METHODS, resolve_options
+from groundwalk.fusion.methods.error_map import ErrorMap
+from groundwalk.fusion.methods.localiser import Estimate, Status
+from groundwalk.fusion.methods.offline import stepped
+from groundwalk.fusion.walk import Walk, known
+from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
+from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.simulation.scenes import NAMES
+
+app = new_app(__doc__ or "")
+
+_BEFORE_S, _AFTER_S, _FACTOR = 30, 60, 1.5
+_START_S = 10.0
+_FOLLOWED = (OURS, "error_state", "pose_graph", "window30", "last_good", RULE)
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """Something that goes wrong at a frame. spoilt: the walk with it, from a frame on. lasts_s: how long; recovery is
+    counted from its end. within_s: how soon a method should have recovered. of_odometry: odometry loses its frame."""
+
+    name: str
+    spoilt: Callable[[Walk, int, np.random.Generator], Walk]
+    lasts_s: int
+    within_s: int
+    of_odometry: bool = False
+
+
+def _jump(walk: Walk, at: int, rng: np.random.Generator) -> Walk:
+    way = yaw_rotation(rng.uniform(0, 2 * np.pi)) @ np.array([5.0, 0.0, 0.0])
+    return _with_odometry(walk, at, make_pose(np.eye(3), way))
+
+
+def _relocalisation(walk: Walk, at: int, rng: np.random.Generator) -> Walk:
+    turn = yaw_rotation(np.radians(30) * rng.choice([-1, 1]))
+    place = walk.vio_T_cam[at, :3, 3]
+    return _with_odometry(walk, at, make_pose(turn, place - turn @ place))
+
+
+def _silence(walk: Walk, at: int, rng: np.random.Generator) -> Walk:
+    predictions = walk.map_T_cam_apr.copy()
+    predictions[at : at + 10] = np.nan
+    return replace(walk, map_T_cam_apr=predictions)
+
+
+def _outliers(walk: Walk, at: int, rng: np.random.Generator) -> Walk:
+    """30 % of the predictions from there on are those of other frames of the walk, turned about."""
+    predictions = walk.map_T_cam_apr.copy()
+    gross = at + np.flatnonzero(rng.random(len(walk) - at) < 0.3)
+    predictions[gross] = walk.map_T_cam_apr[rng.permutation(len(walk))[: len(gross)]]
+    predictions[gross, :3, :3] = yaw_rotation(rng.uniform(0, 2 * np.pi, len(gross))) @ predictions[gross, :3, :3]
+    return replace(walk, map_T_cam_apr=predictions)
+
+
+def _wrong_place(walk: Walk, at: int, rng: np.random.Generator) -> Walk:
+    """60 s of a look-alike place: predictions move as the phone does, 10 m away and turned by 115 degrees."""
+    predictions = walk.map_T_cam_apr.copy()
+    place, turn = walk.map_T_cam[at, :3, 3], yaw_rotation(2.0)
+    shift = yaw_rotation(rng.uniform(0, 2 * np.pi)) @ np.array([10.0, 0.0, 0.0])
+    predictions[at : at + 60] = make_pose(turn, place + shift - turn @ place) @ predictions[at : at + 60]
+    return replace(walk, map_T_cam_apr=predictions)
+
+
+def _with_odometry(walk: Walk, at: int, new_T_vio: Array) -> Walk:
+    """The walk with another frame of odometry from a frame on."""
+    vio = walk.vio_T_cam.copy()
+    vio[at:] = new_T_vio @ vio[at:]
+    return replace(walk, vio_T_cam=vio)
+
+
+TROUBLES = [
+    Trouble("odometry jumps by 5 m", _jump, 0, 5, of_odometry=True),
+    Trouble("odometry turns by 30 deg in place", _relocalisation, 0, 5, of_odometry=True),
+    Trouble("10 s without predictions", _silence, 10, 5),
+    Trouble("30 % gross outliers from there on", _outliers, 0, 5),
+    Trouble("60 s of a look-alike place", _wrong_place, 60, 15),
+]
+
+
+@dataclass(frozen=True)
+class Course:
+    """A method's errors on a walk, infinite without a pose, and which frames it says it is lost at; (N,) each."""
+
+    position_m: Array
+    rotation_deg: Array
+    lost: NDArray[np.bool_]
+
+
+def course(walk: Walk, method: str, error_map: ErrorMap | None) -> Course:
+    localiser = METHODS[method].localiser(resolve_options(method), error_map)
+    estimates: Sequence[Estimate] = stepped(localiser, walk)  # type: ignore[arg-type]  # causal methods step
+    poses = np.array([np.full((4, 4), np.nan) if e.map_T_cam is None else e.map_T_cam for e in estimates])
+    position, rotation = np.full(len(walk), np.inf), np.full(len(walk), np.inf)
+    there = known(poses)
+    position[there] = position_error(poses[there], walk.map_T_cam[there])
+    rotation[there] = rotation_error_deg(poses[there], walk.map_T_cam[there])
+    lost = np.array([e.status in (Status.LOST, Status.NONE, Status.ALIGNING) for e in estimates])
+    return Course(position, rotation, lost)
+
+
+def recovery(plain: Course, spoilt: Course, at: int, end: int) -> tuple[float, float, bool]:
+    """Seconds from frame `end` until it has recovered, infinite where it doesn't within a minute; the share of the
+    frames between, trouble included, that it says it is lost at (NaN where there are none); whether any was off at
+    all. Walks have a frame a second."""
+    good = np.ones(len(plain.lost), dtype=bool)
+    for name in ("position_m", "rotation_deg"):
+        usual, now = getattr(plain, name), getattr(spoilt, name)
+        before = float(np.mean(usual[at - _BEFORE_S : at]))
+        good &= now <= _FACTOR * np.maximum(before, usual)
+    after = np.flatnonzero(good[end : end + _AFTER_S])
+    seconds = float(after[0]) if len(after) else np.inf
+    until = end + (int(after[0]) if len(after) else _AFTER_S)
+    bad = ~good[at:until]
+    return seconds, float(spoilt.lost[at:until][bad].mean()) if bad.any() else np.nan, bool(bad.any())
+
+
+def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, object]]:
+    """A row a walk, trouble and method of a scene and regressor."""
+    scene, model = pair
+    case = inputs.simulated_case(inputs.SIMULATED, scene, model, [0])
+    rows: list[dict[str, object]] = []
+    for number, (walk, error_map) in enumerate(zip(case.walks, case.error_maps, strict=True)):
+        at = len(walk) // 3
+        if at < _BEFORE_S or at + 60 + _AFTER_S > len(walk):
+            continue
+        for method in methods:
+            plain = course(walk, method, error_map)
+            rows += start_rows(scene, model, walk, method, plain)
+            for which, trouble in enumerate(TROUBLES):
+                rng = np.random.default_rng([number, which])
+                spoilt_walk = trouble.spoilt(walk, at, rng)
+                end = at + trouble.lasts_s
+                found = recovery(plain, course(spoilt_walk, method, error_map), at, end)
+                told = recovery(plain, told_of_it(trouble, walk, spoilt_walk, at, method, plain, error_map), at, end)
+                rows.append(
+                    {"scene": scene, "model": model, "walk": walk.session_id, "method": method, "what": trouble.name}
+                    | {"recovered_s": found[0], "lost_fraction": found[1], "off": found[2], "told_s": told[0]}
+                )
+    return rows
+
+
+def told_of_it(
+    trouble: Trouble, walk: Walk, spoilt: Walk, at: int, method: str, plain: Course, error_map: ErrorMap | None
+) -> Course:
+    """The errors of the same method where it is told of the trouble."""
+    if not trouble.of_odometry:
+        wrong = known(spoilt.map_T_cam_apr) & (spoilt.map_T_cam_apr != walk.map_T_cam_apr).any(axis=(1, 2))
+        left = np.where(wrong[:, None, None], np.nan, spoilt.map_T_cam_apr)
+        return course(replace(spoilt, map_T_cam_apr=left), method, error_map)
+    names = ("frame_id", "t_ns", "gravity", "vio_T_cam", "map_T_cam_apr", "map_T_cam")
+    rest = course(replace(spoilt, **{n: getattr(spoilt, n)[at:] for n in names}), method, error_map)
+    errors = ("position_m", "rotation_deg", "lost")
+    return Course(*(np.concatenate([getattr(plain, n)[:at], getattr(rest, n)]) for n in errors))
+
+
+def start_rows(scene: str, model: str, walk: Walk, method: str, plain: Course) -> Iterator[dict[str, object]]:
+    """When a method gives its first pose that it doesn't call lost, and the mean errors of the first 10 s."""
+    seconds = (walk.t_ns - walk.t_ns[0]) * 1e-9
+    said = np.flatnonzero(np.isfinite(plain.position_m) & ~plain.lost)
+    early = (seconds <= _START_S) & np.isfinite(plain.position_m)
+    yield {
+        "scene": scene,
+        "model": model,
+        "walk": walk.session_id,
+        "method": method,
+        "what": "start",
+        "first_s": float(seconds[said[0]]) if len(said) else np.inf,
+        "start_position_m": float(plain.position_m[early].mean()) if early.any() else np.nan,
+        "start_rotation_deg": float(plain.rotation_deg[early].mean()) if early.any() else np.nan,
+        "start_answered": float(early.sum() / (seconds <= _START_S).sum()),
+    }
+
+
+@app.command()
+def main(
+    out: Annotated[Path, typer.Option(help="Folder for fusion_recovery.md and .csv.")] = Path("docs/results"),
+    scenes: Annotated[str, typer.Option(help="Scenes, joined by commas.")] = ",".join(NAMES),
+    methods: Annotated[str, typer.Option(help="Causal methods, joined by commas.")] = ",".join(_FOLLOWED),
+    processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = os.cpu_count() or 1,
+) -> None:
+    """Run the methods, and write what came out."""
+    chosen = methods.split(",")
+    pairs = [(scene, model) for scene in scenes.split(",") for model in REGRESSORS]
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        parts = pool.imap(partial(rows_of, methods=chosen), pairs)
+        rows = pd.DataFrame([row for rows in track(parts, "scenes and regressors", len(pairs)) for row in rows])
+    out.mkdir(parents=True, exist_ok=True)
+    with written_aside(out / "fusion_recovery.csv") as partial_file:
+        rows.to_csv(partial_file, index=False, lineterminator="\n", float_format="%.6g")
+    text = "\n\n".join(_page(rows, chosen)) + "\n"
+    with written_aside(out / "fusion_recovery.md") as partial_file:
+        partial_file.write_text(text, encoding="utf-8")
+    print(text)
+
+
+def _page(rows: pd.DataFrame, methods: Sequence[str]) -> Iterable[str]:
+    yield "# Recovery of fusion methods, and their start"
+    yield (
+        "Written by `python -m benchmarks.fusion_recovery`; not to be edited. Simulated walks, odometry and "
+        "predictions, these as wrong as the published PN and MS-T, one frame and one prediction a second, seed 0. "
+        "A third of the way in something goes wrong. Recovered: error at most 1.5 times the larger of the mean of "
+        "the 30 s before and of the same method's error at that frame without the trouble, in position and in "
+        "rotation, within a minute of the trouble's end. Told: the same method where it is told of the trouble (it "
+        "doesn't get the wrong predictions, or starts anew where odometry lost its frame), which is what the other "
+        "predictions allow. Says so: share of the frames until then that are off and said to be lost, or have no "
+        "pose."
+    )
+    yield circumstances()
+    for trouble in TROUBLES:
+        yield f"## {trouble.name}"
+        yield markdown_table(_recovery_rows(rows[rows["what"] == trouble.name], methods, trouble.within_s))
+    yield "## Start"
+    yield (
+        "First pose: seconds until the first one that isn't said to be lost. Errors: means over the walks of those of "
+        f"the first {_START_S:g} s, over frames with a pose."
+    )
+    yield markdown_table(_start_table(rows[rows["what"] == "start"], methods))
+
+
+def _recovery_rows(rows: pd.DataFrame, methods: Sequence[str], within_s: int) -> Iterable[list[str]]:
+    limit = f"within {within_s} s, %"
+    yield ["method", "walks", limit, "median s", "90 % within s", f"told: {limit}", "told: median s", "says so, %"]
+    for method in methods:
+        of = rows[rows["method"] == method]
+        seconds, told = of["recovered_s"].to_numpy(float), of["told_s"].to_numpy(float)
+        yield [
+            method,
+            str(len(of)),
+            f"{100 * float((seconds <= within_s).mean()):.0f}",
+            _seconds(seconds, 50),
+            _seconds(seconds, 90),
+            f"{100 * float((told <= within_s).mean()):.0f}",
+            _seconds(told, 50),
+            f"{100 * float(of['lost_fraction'].mean()):.0f}" if of["lost_fraction"].notna().any() else "",
+        ]
+
+
+def _seconds(seconds: Array, percent: float) -> str:
+    return f"{float(np.percentile(seconds, percent, method='higher')):.0f}".replace("inf", "never")
+
+
+def _start_table(rows: pd.DataFrame, methods: Sequence[str]) -> Iterable[list[str]]:
+    rule = rows[rows["method"] == RULE].set_index(["scene", "model", "walk"])["first_s"]
+    yield ["method", "first pose, median s", "no later than the rule's, %", "position m", "rotation deg", "answered, %"]
+    for method in methods:
+        of = rows[rows["method"] == method].set_index(["scene", "model", "walk"])
+        first = of["first_s"].to_numpy(float)
+        yield [
+            method,
+            f"{float(np.median(first)):.0f}",
+            f"{100 * float((first <= rule.reindex(of.index).to_numpy(float)).mean()):.0f}",
+            f"{of['start_position_m'].mean():.3g}",
+            f"{of['start_rotation_deg'].mean():.3g}",
+            f"{100 * of['start_answered'].mean():.0f}",
+        ]
+
+
+if __name__ == "__main__":
+    app()
