@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from conftest import TEST, VAL, Boards
+from board_scene import TEST, VAL, Boards
 
 from groundwalk.artefacts import UserError, execute
 from groundwalk.artefacts.tables import poses_of

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import COUNT, TEST, VAL, Boards, other_board_picture
+from board_scene import COUNT, TEST, VAL, Boards, other_board_picture
 
 from groundwalk.artefacts import UserError, execute
 from groundwalk.artefacts.manifests import load_manifest

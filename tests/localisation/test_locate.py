@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from conftest import CAMERA, TEST, Boards, other_board_picture
+from board_scene import CAMERA, TEST, Boards, other_board_picture
 
 import groundwalk
 from groundwalk import UserError

@@ -42,7 +42,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 def sfm_tests() -> ModuleType:
     """The textured room that SfM's tests photograph."""
-    spec = importlib.util.spec_from_file_location("sfm_room", HERE.parent / "sfm" / "conftest.py")
+    spec = importlib.util.spec_from_file_location("sfm_room", HERE.parent / "sfm" / "textured_room.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module

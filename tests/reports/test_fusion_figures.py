@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import MODELS, MadeUpScene
+from made_up_scenes import MODELS, MadeUpScene
 
 from groundwalk.reports.figures import confidence, costs, sensitivity
 

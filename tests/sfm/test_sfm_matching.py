@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from conftest import Room
+from textured_room import Room
 
 from groundwalk.sfm.database import create_database, has_results, image_id, image_name, read_pair_results
 from groundwalk.sfm.pairs.features import extract_features

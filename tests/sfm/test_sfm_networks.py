@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pycolmap
 import pytest
-from conftest import Room
+from textured_room import Room
 
 from groundwalk.artefacts import UserError, execute
 from groundwalk.sfm.database import create_database, image_id, read_descriptors

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
-from conftest import Room, make_look_alike_rooms, make_room
+from textured_room import Room, make_look_alike_rooms, make_room
 
 from groundwalk.artefacts import UserError, execute
 from groundwalk.artefacts.tables import poses_of
