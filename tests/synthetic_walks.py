@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -48,7 +49,7 @@ class Walks:
         )
     )
 
-    def make(self, **changes) -> "Scene":
+    def make(self, **changes: Any) -> "Scene":
         return _make(replace(self, **changes))
 
 
@@ -74,7 +75,7 @@ class Scene:
     def recordings(self) -> dict[str, str]:
         return {s: s for s in self.frames["session_id"]}
 
-    def inputs(self, **changes) -> AlignInputs:
+    def inputs(self, **changes: Any) -> AlignInputs:
         """What the alignment works on."""
         tables = {"frames": self.frames, "sfm": self.sfm, "jumps": self.jumps, "recordings": self.recordings}
         return AlignInputs(**tables | changes)
@@ -207,7 +208,7 @@ def write_artefact(data: DataRoot, stage: str, tables: dict[str, pd.DataFrame]) 
     write_json(folder / "manifest.json", {"outputs": {}, "simulated": True})
 
 
-def filled(table: pd.DataFrame, stage: str, name: str, **values) -> pd.DataFrame:
+def filled(table: pd.DataFrame, stage: str, name: str, **values: object) -> pd.DataFrame:
     """The table with the columns that the schema asks for; those that this stage doesn't read get a plain value."""
     plain = {"float64": 0.5, "int64": 1, "string": "", "bool": False, "list<float64>": [], "list<string>": []}
     missing = {c.name: c for c in schema(stage, name).columns if c.name not in table}
@@ -248,7 +249,7 @@ def make_place(walks: Walks, root: DataRoot) -> None:
 
 
 @pytest.fixture
-def data(walks, tmp_path: Path) -> DataRoot:
+def data(walks: Walks, tmp_path: Path) -> DataRoot:
     """The scene Place with import and sfm done."""
     root = DataRoot(tmp_path / "data")
     make_place(walks, root)
@@ -256,7 +257,7 @@ def data(walks, tmp_path: Path) -> DataRoot:
 
 
 @pytest.fixture(scope="module")
-def data_of_module(walks, tmp_path_factory: pytest.TempPathFactory) -> DataRoot:
+def data_of_module(walks: Walks, tmp_path_factory: pytest.TempPathFactory) -> DataRoot:
     """The same for all tests of a module."""
     root = DataRoot(tmp_path_factory.mktemp("place") / "data")
     make_place(walks, root)

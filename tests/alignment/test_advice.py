@@ -2,11 +2,13 @@
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
+from synthetic_walks import Scene, Walks
 from test_checks import NOISE, mirror, of_walk, shuffle, turn_otherwise
 
 from groundwalk.alignment.checks.definitions import ANY_SCENE, DEFINITIONS
@@ -20,7 +22,7 @@ from groundwalk.geometry.poses import make_pose
 _LOOSE = {"lower": 0.0, "raise": 1e3}
 
 
-def run(scene, **settings) -> Examination:
+def run(scene: Scene, **settings: Any) -> Examination:
     return examine(scene.inputs(), AlignSettings(**settings))
 
 
@@ -28,13 +30,13 @@ def failures(found: Examination) -> list[CheckResult]:
     return with_status(found.checks, Status.FAILED)
 
 
-def without(scene, session_id: str):
+def without(scene: Scene, session_id: str) -> Scene:
     keep = (scene.frames["session_id"] != session_id).to_numpy()
     frames, images = (table[keep].reset_index(drop=True) for table in (scene.frames, scene.images))
     return replace(scene, frames=frames, images=images, true_T_cam=scene.true_T_cam[keep])
 
 
-def fold(scene) -> None:
+def fold(scene: Scene) -> None:
     rows = of_walk(scene, 0)
     half = len(rows) // 2
     sfm, vio = poses_of(scene.images, "sfm_cam"), poses_of(scene.frames, "vio_cam")
@@ -44,41 +46,41 @@ def fold(scene) -> None:
     scene.set_vio(vio)
 
 
-def scale_vio(scene) -> None:
+def scale_vio(scene: Scene) -> None:
     vio = poses_of(scene.frames, "vio_cam")
     vio[of_walk(scene, 1), :3, 3] *= 0.85
     scene.set_vio(vio)
 
 
-def tilt(scene) -> None:
+def tilt(scene: Scene) -> None:
     rows = of_walk(scene, 1)
     gravity = ["gravity_x", "gravity_y", "gravity_z"]
     turned = Rotation.from_euler("x", 8, degrees=True).apply(scene.frames.loc[rows, gravity].to_numpy(float).copy())
     scene.frames.loc[rows, gravity] = turned
 
 
-def lose(scene) -> None:
+def lose(scene: Scene) -> None:
     scene.images.loc[of_walk(scene, 1)[3:], "registered"] = False
 
 
-def lose_most(scene) -> None:
+def lose_most(scene: Scene) -> None:
     scene.images["registered"] = np.arange(len(scene.images)) % 3 == 0
 
 
-def displace(scene) -> None:
+def displace(scene: Scene) -> None:
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[of_walk(scene, 0)[12:15], :3, 3] += 3.0
     scene.set_sfm(sfm)
 
 
-def turn_one(scene) -> None:
+def turn_one(scene: Scene) -> None:
     sfm = poses_of(scene.images, "sfm_cam")
     row = of_walk(scene, 0)[14]
     sfm[row, :3, :3] = sfm[row, :3, :3] @ Rotation.from_euler("y", 60, degrees=True).as_matrix()
     scene.set_sfm(sfm)
 
 
-def stretch_unsure(scene) -> None:
+def stretch_unsure(scene: Scene) -> None:
     rows = of_walk(scene, 0)
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[rows, :3, 3] = sfm[rows[0], :3, 3] + 1.03 * (sfm[rows, :3, 3] - sfm[rows[0], :3, 3])
@@ -87,7 +89,7 @@ def stretch_unsure(scene) -> None:
     scene.images.loc[rows, "covariance"] = pd.Series(unsure, dtype=object).iloc[rows]
 
 
-def cut_in_two(scene) -> None:
+def cut_in_two(scene: Scene) -> None:
     rows = of_walk(scene, 0)
     scene.images.loc[rows[5:20], ["registered", "model_id"]] = [False, None]
     scene.images.loc[rows[20:], "model_id"] = "incremental/1"
@@ -110,7 +112,7 @@ _BROKEN = {
 
 
 @pytest.mark.parametrize("name", _BROKEN)
-def test_a_setting_that_is_advised_settles_its_check(walks, name: str) -> None:
+def test_a_setting_that_is_advised_settles_its_check(walks: Walks, name: str) -> None:
     scene = walks.make(**NOISE | {"sfm_m": 0.003, "sfm_deg": 0.02})
     _BROKEN[name](scene)
     check = next(c for c in failures(run(scene)) if c.name == name)
@@ -123,7 +125,7 @@ def test_a_setting_that_is_advised_settles_its_check(walks, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["session_registered", "session_motion", "session_scale", "session_vertical"])
-def test_without_the_session_that_is_named_all_passes(walks, name: str) -> None:
+def test_without_the_session_that_is_named_all_passes(walks: Walks, name: str) -> None:
     scene = walks.make(**NOISE)
     _BROKEN[name](scene)
     check = next(c for c in failures(run(scene)) if c.name == name)
@@ -131,7 +133,7 @@ def test_without_the_session_that_is_named_all_passes(walks, name: str) -> None:
     assert not failures(run(without(scene, check.subject.session_id)))
 
 
-def test_a_mirrored_session_is_to_be_written_unmirrored(walks) -> None:
+def test_a_mirrored_session_is_to_be_written_unmirrored(walks: Walks) -> None:
     scene = walks.make(**NOISE)
     mirror(scene, of_walk(scene, 1), 0)
     (check, *_) = failures(run(scene))
@@ -140,7 +142,7 @@ def test_a_mirrored_session_is_to_be_written_unmirrored(walks) -> None:
     assert not failures(run(scene))
 
 
-def test_a_run_that_is_refused_goes_through_with_the_share_that_it_names(walks) -> None:
+def test_a_run_that_is_refused_goes_through_with_the_share_that_it_names(walks: Walks) -> None:
     scene = walks.make(**NOISE)
     for number in (0, 1):
         shuffle(scene, of_walk(scene, number))

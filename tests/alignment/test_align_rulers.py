@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from synthetic_walks import align
+from synthetic_walks import Scene, Walks, align
 
 from groundwalk.alignment.examination import examine
 from groundwalk.alignment.ground_truth import AlignResult
@@ -46,20 +47,20 @@ SIZE = (1920, 1440)
 
 
 @pytest.fixture
-def scene(walks):
+def scene(walks: Walks) -> Scene:
     """Two walks, noise-free but for what a phone's VIO drifts by, with whole cameras."""
     made = walks.make(sessions=2, frames=60, drift_m=0.003)
     made.frames = made.frames.assign(fy=1400.0, cx=960.0, cy=720.0, distortion=[LENS] * len(made.frames))
     return made
 
 
-def ruler(**changes) -> Ruler:
+def ruler(**changes: Any) -> Ruler:
     (made,) = rulers_of([{**BOARD, **changes}])
     return made
 
 
 def sighted(
-    scene, of: Ruler, *, printed: float = 1.0, mirror: bool = False, near: int = 20, frames: int = 60
+    scene: Scene, of: Ruler, *, printed: float = 1.0, mirror: bool = False, near: int = 20, frames: int = 60
 ) -> RulerDetections:
     """The board 5 m in front of frame `near`, facing it, as the frames of its walk see it. `printed`: its true
     size as a share of the stated one."""
@@ -88,7 +89,7 @@ def sighted(
     )
 
 
-def read(scene, *sightings: RulerDetections) -> list[RulerMeasurement]:
+def read(scene: Scene, *sightings: RulerDetections) -> list[RulerMeasurement]:
     settings = AlignSettings()
     return measure_rulers(
         sightings,
@@ -99,19 +100,19 @@ def read(scene, *sightings: RulerDetections) -> list[RulerMeasurement]:
     )
 
 
-def aligned_by(scene, *sightings: RulerDetections) -> tuple[AlignResult, pd.DataFrame]:
+def aligned_by(scene: Scene, *sightings: RulerDetections) -> tuple[AlignResult, pd.DataFrame]:
     readings = read(scene, *sightings)
     aligned = align(scene.inputs(rulers=readings), AlignSettings())
     return aligned, aligned.checks[aligned.checks["check"] == "ruler_scale"].reset_index(drop=True)
 
 
-def stretch_vio(scene, factor: float) -> None:
+def stretch_vio(scene: Scene, factor: float) -> None:
     poses = poses_of(scene.frames, "vio_cam")
     poses[:, :3, 3] *= factor
     scene.set_vio(poses)
 
 
-def scale_error(scene, aligned: AlignResult) -> float:
+def scale_error(scene: Scene, aligned: AlignResult) -> float:
     """The map's scale against the truth."""
     path, true = aligned.map_T_cam[:60, :3, 3], scene.true_T_cam[:60, :3, 3]
     return float(
@@ -119,14 +120,14 @@ def scale_error(scene, aligned: AlignResult) -> float:
     )
 
 
-def test_a_board_agrees_with_a_right_scale(scene) -> None:
+def test_a_board_agrees_with_a_right_scale(scene: Scene) -> None:
     aligned, checks = aligned_by(scene, sighted(scene, ruler()))
     assert checks["status"].tolist() == ["passed"]
     assert checks["value"].iloc[0] + 2 * checks["sd"].iloc[0] < checks["limit"].iloc[0] == 0.03
     assert set(aligned.ground_truth["scale_source"]) == {"vio"}
 
 
-def test_a_wrong_vio_scale_is_named_with_figures(scene) -> None:
+def test_a_wrong_vio_scale_is_named_with_figures(scene: Scene) -> None:
     stretch_vio(scene, 1.05)
     _, checks = aligned_by(scene, sighted(scene, ruler()))
     assert checks["status"].tolist() == ["failed"] and checks["cause"].iloc[0] == "ruler and map inconsistent"
@@ -134,7 +135,7 @@ def test_a_wrong_vio_scale_is_named_with_figures(scene) -> None:
     assert "200 mm stated (+5." in checks["reason"].iloc[0] or "200 mm stated (+4." in checks["reason"].iloc[0]
 
 
-def test_a_board_sets_the_scale_and_half_of_it_judges(scene) -> None:
+def test_a_board_sets_the_scale_and_half_of_it_judges(scene: Scene) -> None:
     stretch_vio(scene, 1.015)
     plain, _ = aligned_by(scene)
     assert scale_error(scene, plain) == pytest.approx(0.015, abs=0.004)
@@ -147,14 +148,14 @@ def test_a_board_sets_the_scale_and_half_of_it_judges(scene) -> None:
     assert sighting.held_out.sum() == 35
 
 
-def test_a_print_of_another_size_sets_no_scale(scene) -> None:
+def test_a_print_of_another_size_sets_no_scale(scene: Scene) -> None:
     aligned, checks = aligned_by(scene, sighted(scene, ruler(use_for_scale=True), printed=0.9))
     assert checks["status"].tolist() == ["failed"]
     assert "its squares measure 180" in checks["reason"].iloc[0] and "200 mm stated" in checks["reason"].iloc[0]
     assert set(aligned.ground_truth["scale_source"]) == {"vio"} and abs(scale_error(scene, aligned)) < 0.01
 
 
-def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(scene) -> None:
+def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(scene: Scene) -> None:
     # VIO that may be off by so much tells no scale.
     still = AlignSettings(step_scale_sd=1e3)
     readings = read(scene, sighted(scene, ruler()))
@@ -167,13 +168,13 @@ def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(scene) -> None
     assert aligned.sessions["scale"].isna().all()
 
 
-def test_a_mirrored_board_judges_nothing(scene) -> None:
+def test_a_mirrored_board_judges_nothing(scene: Scene) -> None:
     aligned, checks = aligned_by(scene, sighted(scene, ruler(use_for_scale=True), mirror=True))
     assert checks["status"].tolist() == ["failed"] and "mirrored" in checks["reason"].iloc[0]
     assert set(aligned.ground_truth["scale_source"]) == {"vio"}
 
 
-def test_a_board_seen_once_is_undecided(scene) -> None:
+def test_a_board_seen_once_is_undecided(scene: Scene) -> None:
     sighting = sighted(scene, ruler(use_for_scale=True))
     first = sighting.row == sighting.row[0]
     once = replace(sighting, row=sighting.row[first], corner=sighting.corner[first], xy_px=sighting.xy_px[first])
@@ -183,7 +184,7 @@ def test_a_board_seen_once_is_undecided(scene) -> None:
     assert set(aligned.ground_truth["scale_source"]) == {"vio"}
 
 
-def test_views_from_nearly_one_place_are_undecided(scene, walks) -> None:
+def test_views_from_nearly_one_place_are_undecided(scene: Scene, walks: Walks) -> None:
     # The camera of the walk's middle, moved by half a centimetre from frame to frame.
     for row in range(60):
         scene.true_T_cam[row] = scene.true_T_cam[20] @ make_pose(np.eye(3), [0.005 * (row - 20), 0.0, 0.0])
@@ -192,7 +193,7 @@ def test_views_from_nearly_one_place_are_undecided(scene, walks) -> None:
     assert "degrees apart" in reading.problem
 
 
-def test_two_rulers_that_disagree_are_both_named(scene) -> None:
+def test_two_rulers_that_disagree_are_both_named(scene: Scene) -> None:
     other = ruler(name="small", dictionary="DICT_5X5_250", use_for_scale=True)
     aligned, checks = aligned_by(
         scene, sighted(scene, ruler(use_for_scale=True)), sighted(scene, other, printed=0.98, near=80)
@@ -203,13 +204,13 @@ def test_two_rulers_that_disagree_are_both_named(scene) -> None:
     assert set(aligned.ground_truth["scale_source"]) == {"vio"}
 
 
-def by_reference(scene, *, metric: bool) -> Reference:
+def by_reference(scene: Scene, *, metric: bool) -> Reference:
     scene.frames[[c for c in scene.frames if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
     return Reference(scene.true_T_cam, is_metric=metric, is_up_known=True, gives_map=True)
 
 
 @pytest.mark.parametrize("printed", [1.0, 0.9])
-def test_a_board_judges_the_scale_of_a_reference_and_never_sets_it(scene, printed: float) -> None:
+def test_a_board_judges_the_scale_of_a_reference_and_never_sets_it(scene: Scene, printed: float) -> None:
     reference = by_reference(scene, metric=True)
     readings = read(scene, sighted(scene, ruler(use_for_scale=True), printed=printed))
     found = examine(scene.inputs(rulers=readings, reference=reference), AlignSettings())
@@ -222,7 +223,7 @@ def test_a_board_judges_the_scale_of_a_reference_and_never_sets_it(scene, printe
     assert len(rulers_table(found.rulers)) == 3
 
 
-def test_a_board_says_nothing_of_a_reference_without_unit(scene) -> None:
+def test_a_board_says_nothing_of_a_reference_without_unit(scene: Scene) -> None:
     reference = by_reference(scene, metric=False)
     readings = read(scene, sighted(scene, ruler()))
     aligned = align(scene.inputs(rulers=readings, reference=reference), AlignSettings())
@@ -230,7 +231,7 @@ def test_a_board_says_nothing_of_a_reference_without_unit(scene) -> None:
     assert row["status"] == "undecided" and "the reference's unknown unit" in row["reason"]
 
 
-def test_the_table_has_a_row_a_part(scene) -> None:
+def test_the_table_has_a_row_a_part(scene: Scene) -> None:
     readings = read(scene, sighted(scene, ruler(use_for_scale=True)))
     found = examine(scene.inputs(rulers=readings), AlignSettings())
     table = rulers_table(found.rulers)
@@ -239,7 +240,7 @@ def test_the_table_has_a_row_a_part(scene) -> None:
     np.testing.assert_allclose(table["scale_error_percent"], 0, atol=0.3)
 
 
-def test_undistortion_inverts_the_lens(scene) -> None:
+def test_undistortion_inverts_the_lens(scene: Scene) -> None:
     rng = np.random.default_rng(0)
     xy = rng.uniform(-0.5, 0.5, (100, 2))
     matrix, distortion = camera_of(scene.frames, 3)
@@ -368,7 +369,7 @@ DISTANCE = {
         ({"kind": "charuco"}, ("list of tables", "[[ruler]]")),
     ],
 )
-def test_what_is_wrong_with_a_ruler_is_said(tables, words: tuple[str, ...]) -> None:
+def test_what_is_wrong_with_a_ruler_is_said(tables: Any, words: tuple[str, ...]) -> None:
     with pytest.raises(UserError) as error:
         rulers_of(tables)
     for word in words:
@@ -392,7 +393,7 @@ def test_rulers_come_from_the_scenes_file_and_concern_align_alone(tmp_path: Path
         data.scene("Place")
 
 
-def test_a_distances_frame_must_be_there(scene) -> None:
+def test_a_distances_frame_must_be_there(scene: Scene) -> None:
     (distance,) = rulers_of([DISTANCE])
     find_rulers([distance], scene.frames, Path)
     renamed = scene.frames.assign(frame_id=scene.frames["frame_id"] + "x")
@@ -403,7 +404,7 @@ def test_a_distances_frame_must_be_there(scene) -> None:
 # ------------------------------------------------------------------ stage
 
 
-def test_the_stage_with_a_distance_that_sets_the_scale(data: DataRoot, walks) -> None:
+def test_the_stage_with_a_distance_that_sets_the_scale(data: DataRoot, walks: Walks) -> None:
     """Two points 3 m apart, read off in five frames; the map is then as large as they say."""
     truth = read_table(data.captures("Place") / "true_poses.parquet", schema("simulate", "true_poses"))
     true_T_cam = poses_of(truth, "map_cam")[:20]

@@ -1,11 +1,13 @@
 """Which faults the checks find, by which cause, and what passes: synthetic walks, broken one way at a time."""
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
+from synthetic_walks import Scene, Walks
 
 from groundwalk.alignment.checks.results import CheckResult, main_failure, with_status
 from groundwalk.alignment.checks.summary import checks_table
@@ -23,15 +25,15 @@ FRAMES = 30
 NOISE = {"frames": FRAMES, "sfm_m": 0.01, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1, "phone_scale": 0.002}
 
 
-def run(scene) -> Examination:
+def run(scene: Scene) -> Examination:
     return examine(scene.inputs(), AlignSettings())
 
 
-def error(scene, found: Examination) -> UserError | None:
+def error(scene: Scene, found: Examination) -> UserError | None:
     return refusal(found, scene.frames, AlignSettings())
 
 
-def of_walk(scene, number: int) -> np.ndarray:
+def of_walk(scene: Scene, number: int) -> np.ndarray:
     """Rows of one walk."""
     return np.flatnonzero(scene.frames["session_id"] == f"walk{number}")
 
@@ -50,14 +52,14 @@ def without_ground_truth(found: Examination) -> set[int]:
     return {walk for walk, used in enumerate(found.has_ground_truth.reshape(-1, FRAMES)) if not used.any()}
 
 
-def test_clean_walks_pass_every_check(walks) -> None:
+def test_clean_walks_pass_every_check(walks: Walks) -> None:
     for seed in range(2):
         scene = walks.make(**NOISE | {"seed": seed})
         found = run(scene)
         assert not failed(found) and error(scene, found) is None and found.has_ground_truth.all()
 
 
-def mirror(scene, rows: np.ndarray, axis: int) -> None:
+def mirror(scene: Scene, rows: np.ndarray, axis: int) -> None:
     """SfM poses as mirrored images give them: the mirror image of the motion, in a gauge of its own."""
     flip = np.ones(4)
     flip[axis] = -1
@@ -67,7 +69,7 @@ def mirror(scene, rows: np.ndarray, axis: int) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_mirrored_images_are_named(walks, axis: int) -> None:
+def test_mirrored_images_are_named(walks: Walks, axis: int) -> None:
     scene = walks.make(**NOISE)
     mirror(scene, of_walk(scene, 1), axis)
     found = run(scene)
@@ -77,14 +79,14 @@ def test_mirrored_images_are_named(walks, axis: int) -> None:
     assert FailureCause.MIRRORED_IMAGES in error(scene, found).what and not found.has_ground_truth.any()
 
 
-def shuffle(scene, rows: np.ndarray) -> None:
+def shuffle(scene: Scene, rows: np.ndarray) -> None:
     """SfM poses of images that were swapped among each other."""
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[rows] = sfm[np.random.default_rng(0).permutation(rows)]
     scene.set_sfm(sfm)
 
 
-def test_shuffled_images_are_named(walks) -> None:
+def test_shuffled_images_are_named(walks: Walks) -> None:
     scene = walks.make(**NOISE)
     rows = of_walk(scene, 2)
     shuffle(scene, rows)
@@ -93,7 +95,7 @@ def test_shuffled_images_are_named(walks) -> None:
     assert "no relation" in found.exclusion[rows[0]]
 
 
-def turn_otherwise(scene, rows: np.ndarray, gain: float) -> None:
+def turn_otherwise(scene: Scene, rows: np.ndarray, gain: float) -> None:
     """SfM poses that turn `gain` times as far from one to the next, their steps right in their own axes."""
     sfm = poses_of(scene.images, "sfm_cam")
     turned = [sfm[rows[0]]]
@@ -106,7 +108,7 @@ def turn_otherwise(scene, rows: np.ndarray, gain: float) -> None:
 
 
 @pytest.mark.parametrize("gain", [0.91, 1.11])
-def test_wrong_intrinsics_are_named(walks, gain: float) -> None:
+def test_wrong_intrinsics_are_named(walks: Walks, gain: float) -> None:
     """SfM that turns about a tenth too little or too much, its steps right: what a wrong focal length does."""
     scene = walks.make(**NOISE)
     turn_otherwise(scene, of_walk(scene, 0), gain)
@@ -115,7 +117,7 @@ def test_wrong_intrinsics_are_named(walks, gain: float) -> None:
     assert FailureCause.WRONG_INTRINSICS in error(scene, found).what
 
 
-def test_a_wrong_vio_scale_costs_that_session_its_ground_truth(walks) -> None:
+def test_a_wrong_vio_scale_costs_that_session_its_ground_truth(walks: Walks) -> None:
     scene = walks.make(**NOISE)
     rows = of_walk(scene, 1)
     vio = poses_of(scene.frames, "vio_cam")
@@ -126,7 +128,7 @@ def test_a_wrong_vio_scale_costs_that_session_its_ground_truth(walks) -> None:
     assert "less than the others" in found.exclusion[rows[0]]
 
 
-def test_folded_places_cost_the_whole_model(walks) -> None:
+def test_folded_places_cost_the_whole_model(walks: Walks) -> None:
     """The second half of a walk laid on its first half, as look-alike places do."""
     scene = walks.make(**NOISE)
     rows = of_walk(scene, 0)
@@ -143,7 +145,7 @@ def test_folded_places_cost_the_whole_model(walks) -> None:
     assert FailureCause.PERCEPTUAL_ALIASING in error(scene, found).what
 
 
-def test_a_single_wrong_frame_is_no_fold(walks) -> None:
+def test_a_single_wrong_frame_is_no_fold(walks: Walks) -> None:
     scene = walks.make(**NOISE)
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[25] = sfm[5]
@@ -152,7 +154,7 @@ def test_a_single_wrong_frame_is_no_fold(walks) -> None:
     assert not faults(found) and not found.has_ground_truth[25] and found.has_ground_truth.sum() == len(sfm) - 1
 
 
-def test_a_session_of_another_scene_is_named(walks) -> None:
+def test_a_session_of_another_scene_is_named(walks: Walks) -> None:
     """It comes as a model of its own that no session shares, or not at all."""
     scene = walks.make(**NOISE)
     rows = of_walk(scene, 2)
@@ -167,7 +169,7 @@ def test_a_session_of_another_scene_is_named(walks) -> None:
     assert faults(found) == {(FailureCause.OTHER_SCENE, "walk2")} and without_ground_truth(found) == {2}
 
 
-def cut_off(scene, rows: np.ndarray) -> dict[str, str]:
+def cut_off(scene: Scene, rows: np.ndarray) -> dict[str, str]:
     """These rows as a session of their own, as import cuts them off at a VIO jump; the recording of each session."""
     recordings = scene.recordings
     session = scene.frames["session_id"].iloc[rows[0]]
@@ -175,7 +177,7 @@ def cut_off(scene, rows: np.ndarray) -> dict[str, str]:
     return recordings | {f"{session}.part2": session}
 
 
-def test_focal_lengths_that_the_images_deny_are_named_where_motion_hides_them(walks) -> None:
+def test_focal_lengths_that_the_images_deny_are_named_where_motion_hides_them(walks: Walks) -> None:
     scene = walks.make(**NOISE)
     scene.set_focal("walk0", 1.16, 0.005)
     scene.set_focal("walk1", 1.01, 0.005)
@@ -187,7 +189,7 @@ def test_focal_lengths_that_the_images_deny_are_named_where_motion_hides_them(wa
     )
 
 
-def test_a_focal_length_that_is_near_passes_and_one_hardly_known_is_undecided(walks) -> None:
+def test_a_focal_length_that_is_near_passes_and_one_hardly_known_is_undecided(walks: Walks) -> None:
     scene = walks.make(**NOISE)
     scene.set_focal("walk0", 1.025, 0.001)
     scene.set_focal("walk1", 1.05, 0.015)
@@ -198,7 +200,7 @@ def test_a_focal_length_that_is_near_passes_and_one_hardly_known_is_undecided(wa
     assert found.has_ground_truth.all() and not found.problem.any()
 
 
-def test_turns_are_odometrys_fault_where_the_images_confirm_the_focal_length(walks) -> None:
+def test_turns_are_odometrys_fault_where_the_images_confirm_the_focal_length(walks: Walks) -> None:
     scene = walks.make(**NOISE)
     turn_otherwise(scene, of_walk(scene, 1), 0.9)
     assert (FailureCause.WRONG_INTRINSICS, "walk1") in faults(run(scene))
@@ -206,7 +208,7 @@ def test_turns_are_odometrys_fault_where_the_images_confirm_the_focal_length(wal
     assert (FailureCause.WRONG_INTRINSICS, "walk1") not in faults(run(scene))
 
 
-def test_images_whose_pairs_move_as_vio_belong_to_its_poses(walks) -> None:
+def test_images_whose_pairs_move_as_vio_belong_to_its_poses(walks: Walks) -> None:
     scene = walks.make(**NOISE)
     rows = of_walk(scene, 1)
     shuffle(scene, rows)
@@ -220,7 +222,7 @@ def test_images_whose_pairs_move_as_vio_belong_to_its_poses(walks) -> None:
 
 
 @pytest.mark.parametrize("registered", [False, True])
-def test_what_a_vio_jump_cut_off_is_no_other_scene(walks, registered: bool) -> None:
+def test_what_a_vio_jump_cut_off_is_no_other_scene(walks: Walks, registered: bool) -> None:
     """A few frames that nothing ties to the map, by view or by VIO: not in the model, or in one of their own."""
     scene = walks.make(**NOISE)
     rows = of_walk(scene, 2)[-8:]
@@ -232,7 +234,7 @@ def test_what_a_vio_jump_cut_off_is_no_other_scene(walks, registered: bool) -> N
     assert found.has_ground_truth.sum() == 3 * FRAMES - 8
 
 
-def test_a_few_unsure_frames_are_no_fault_of_their_session(walks) -> None:
+def test_a_few_unsure_frames_are_no_fault_of_their_session(walks: Walks) -> None:
     scene = walks.make(frames=FRAMES, sfm_m=0.002, sfm_deg=0.02)
     unsure = [12, 14]
     covariance = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
@@ -244,7 +246,7 @@ def test_a_few_unsure_frames_are_no_fault_of_their_session(walks) -> None:
     assert np.flatnonzero(~found.has_ground_truth).tolist() == unsure and not faults(found)
 
 
-def test_the_picture_is_drawn_for_a_refused_run_too(walks, tmp_path) -> None:
+def test_the_picture_is_drawn_for_a_refused_run_too(walks: Walks, tmp_path: Path) -> None:
     scene = walks.make(**NOISE)
     mirror(scene, np.arange(3 * FRAMES), 0)
     found = run(scene)
@@ -256,7 +258,7 @@ def test_the_picture_is_drawn_for_a_refused_run_too(walks, tmp_path) -> None:
     assert set(table.loc[table["status"] != "passed", "cause"]) <= set(FailureCause)
 
 
-def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks) -> None:
+def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks: Walks) -> None:
     """A stretch whose scale is off by 3 %: within what VIO may drift by, so that only its own uncertainty tells."""
     scene = walks.make(frames=60, sfm_m=0.003, sfm_deg=0.02)
     rows = of_walk(scene, 0)
@@ -274,7 +276,7 @@ def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks) -> None:
     assert unsure.subject.session_id == "walk0" and unsure.cause == FailureCause.VIO_INCONSISTENT
 
 
-def test_one_unsure_frame_that_is_off_goes_alone(walks) -> None:
+def test_one_unsure_frame_that_is_off_goes_alone(walks: Walks) -> None:
     scene = walks.make(frames=30, sfm_m=0.002, sfm_deg=0.02)
     scene.images["covariance"] = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
     assert run(scene).has_ground_truth.all()

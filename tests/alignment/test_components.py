@@ -1,11 +1,14 @@
 """Models that nothing visual ties together: each aligned to VIO, joined by VIO within its drift, or left out."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from synthetic_walks import align
+from synthetic_walks import Scene, Walks, align
 
 from groundwalk.alignment.components import VioLink
+from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.vio_links import link_covariance
 from groundwalk.artefacts.choices import FailureCause
@@ -18,7 +21,7 @@ NOISE = {"sfm_m": 0.005, "sfm_deg": 0.03, "drift_m": 0.01, "drift_yaw_deg": 0.1}
 OTHER_GAUGE = Sim3(2.1, Rotation.from_euler("xyz", [1.0, 0.2, -0.7]).as_matrix(), np.array([-4.0, 9.0, 2.0]))
 
 
-def split(scene, rows: np.ndarray) -> None:
+def split(scene: Scene, rows: np.ndarray) -> None:
     """These rows as a second model in a gauge of its own."""
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[rows] = OTHER_GAUGE.poses(sfm[rows])
@@ -26,16 +29,16 @@ def split(scene, rows: np.ndarray) -> None:
     scene.images.loc[rows, "model_id"] = "incremental/1"
 
 
-def drop(scene, rows: np.ndarray) -> None:
+def drop(scene: Scene, rows: np.ndarray) -> None:
     scene.images.loc[rows, "registered"] = False
     scene.images.loc[rows, "model_id"] = None
 
 
-def run(scene, **settings):
+def run(scene: Scene, **settings: Any) -> AlignResult:
     return align(scene.inputs(), AlignSettings(**settings))
 
 
-def errors(aligned, scene) -> np.ndarray:
+def errors(aligned: AlignResult, scene: Scene) -> np.ndarray:
     """Position errors (N,) after a similarity fit of the first model, NaN without ground truth."""
     gt = poses_of(aligned.ground_truth, "map_cam")
     first = (aligned.ground_truth["component"] == 0).to_numpy(bool, na_value=False)
@@ -43,7 +46,7 @@ def errors(aligned, scene) -> np.ndarray:
     return position_error(true_S_map.poses(gt), scene.true_T_cam)
 
 
-def test_without_drift_two_models_of_one_walk_come_out_as_one(walks) -> None:
+def test_without_drift_two_models_of_one_walk_come_out_as_one(walks: Walks) -> None:
     scene = walks.make(sessions=1)
     split(scene, np.arange(35, 60))
     aligned = run(scene)
@@ -56,7 +59,7 @@ def test_without_drift_two_models_of_one_walk_come_out_as_one(walks) -> None:
     assert (aligned.checks["status"] == "passed").all()
 
 
-def test_a_link_is_as_good_as_its_covariance_says(walks) -> None:
+def test_a_link_is_as_good_as_its_covariance_says(walks: Walks) -> None:
     far, stated = [], []
     for seed in range(5):
         scene = walks.make(**NOISE | {"seed": seed, "sessions": 1, "drift_m": 0.028, "drift_yaw_deg": 0.5})
@@ -88,7 +91,7 @@ def test_link_covariance_is_that_of_samples() -> None:
     np.testing.assert_allclose(np.cov(samples.T), expected, atol=0.02 * expected.max())
 
 
-def test_a_longer_way_than_vio_may_be_trusted_for_is_no_link(walks) -> None:
+def test_a_longer_way_than_vio_may_be_trusted_for_is_no_link(walks: Walks) -> None:
     scene = walks.make(**NOISE | {"sessions": 1})
     split(scene, np.arange(45, 60))
     drop(scene, np.arange(30, 45))
@@ -100,7 +103,7 @@ def test_a_longer_way_than_vio_may_be_trusted_for_is_no_link(walks) -> None:
     assert (row["cause"], row["component"]) == (FailureCause.DISCONNECTED_SESSION, 1)
 
 
-def test_sessions_that_place_a_model_differently_are_believed_neither(walks) -> None:
+def test_sessions_that_place_a_model_differently_are_believed_neither(walks: Walks) -> None:
     scene = walks.make(**NOISE | {"sessions": 2})
     split(scene, np.r_[40:60, 100:120])
     assert (run(scene).ground_truth["quality"] != "none").all()
@@ -112,7 +115,7 @@ def test_sessions_that_place_a_model_differently_are_believed_neither(walks) -> 
     assert "apart" in gt["reason"].iloc[50]
 
 
-def test_a_model_without_motion_is_left_out(walks) -> None:
+def test_a_model_without_motion_is_left_out(walks: Walks) -> None:
     scene = walks.make(sessions=1)
     vio = poses_of(scene.frames, "vio_cam")
     vio[50:, :3, 3] = vio[50, :3, 3]

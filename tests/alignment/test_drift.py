@@ -1,5 +1,7 @@
 """Drift measures against evo's, the paper's formulas, and drifts that are known."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from evo.core import metrics as evo_metrics
@@ -28,7 +30,7 @@ def values(found: DriftSamples, definition: str, unit: str, interval_unit: str |
     return np.array(found.samples[key])
 
 
-def evo_errors(metric, gt: np.ndarray, vio: np.ndarray, align: bool = False, scale: bool = False) -> np.ndarray:
+def evo_errors(metric: Any, gt: np.ndarray, vio: np.ndarray, align: bool = False, scale: bool = False) -> np.ndarray:
     a, b = PosePath3D(poses_se3=list(gt)), PosePath3D(poses_se3=list(vio))
     if align:
         b.align(a, correct_scale=scale)

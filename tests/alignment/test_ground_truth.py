@@ -1,10 +1,13 @@
 """The whole alignment on synthetic walks: what it recovers, what it doesn't depend on, and what it refuses."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
-from synthetic_walks import align
+from synthetic_walks import Scene, Walks, align
 
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.settings import AlignSettings
@@ -27,7 +30,7 @@ PHONES = {
 }
 
 
-def run(scene, **settings) -> AlignResult:
+def run(scene: Scene, **settings: Any) -> AlignResult:
     return align(scene.inputs(), AlignSettings(**settings))
 
 
@@ -35,7 +38,7 @@ def ground_truth(aligned: AlignResult) -> np.ndarray:
     return poses_of(aligned.ground_truth, "map_cam")
 
 
-def against_truth(aligned: AlignResult, scene) -> tuple[Sim3, np.ndarray, np.ndarray]:
+def against_truth(aligned: AlignResult, scene: Scene) -> tuple[Sim3, np.ndarray, np.ndarray]:
     """true_S_map, and the errors after it in metres and degrees of the frames with ground truth."""
     gt = ground_truth(aligned)
     known = np.isfinite(gt[:, 0, 0])
@@ -48,7 +51,7 @@ def against_truth(aligned: AlignResult, scene) -> tuple[Sim3, np.ndarray, np.nda
     )
 
 
-def test_without_noise_the_truth_comes_back_exactly(walks) -> None:
+def test_without_noise_the_truth_comes_back_exactly(walks: Walks) -> None:
     scene = walks.make()
     aligned = run(scene)
     true_S_map, metres, degrees = against_truth(aligned, scene)
@@ -65,7 +68,7 @@ def test_without_noise_the_truth_comes_back_exactly(walks) -> None:
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_any_gauge_of_sfm_gives_the_same_ground_truth(walks, seed: int) -> None:
+def test_any_gauge_of_sfm_gives_the_same_ground_truth(walks: Walks, seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = walks.make(**PHONES | {"seed": seed, "sessions": 2, "frames": 30})
     other = Sim3(float(np.exp(2 * rng.normal())), Rotation.random(rng=rng).as_matrix(), rng.normal(0, 20, 3))
@@ -78,7 +81,7 @@ def test_any_gauge_of_sfm_gives_the_same_ground_truth(walks, seed: int) -> None:
     pd.testing.assert_frame_equal(a.sessions, b.sessions, rtol=1e-6, atol=1e-9)
 
 
-def test_scale_and_vertical_come_from_all_sessions_together(walks) -> None:
+def test_scale_and_vertical_come_from_all_sessions_together(walks: Walks) -> None:
     scenes = [walks.make(**PHONES | {"seed": seed}) for seed in range(2)]
     for scene in scenes:
         aligned = run(scene)
@@ -93,7 +96,7 @@ def test_scale_and_vertical_come_from_all_sessions_together(walks) -> None:
         np.testing.assert_allclose(own, scene.phone_scales, atol=0.005)
 
 
-def test_a_tenth_of_wrong_frames_is_found_and_moves_nothing(walks) -> None:
+def test_a_tenth_of_wrong_frames_is_found_and_moves_nothing(walks: Walks) -> None:
     scene = walks.make(**PHONES | {"sessions": 3})
     clean = run(scene)
     rng = np.random.default_rng(5)
@@ -110,7 +113,7 @@ def test_a_tenth_of_wrong_frames_is_found_and_moves_nothing(walks) -> None:
     assert position_error(ground_truth(aligned)[kept], ground_truth(clean)[kept]).max() < 0.15
 
 
-def test_a_session_with_another_scale_is_named_and_left_out_of_the_mean(walks) -> None:
+def test_a_session_with_another_scale_is_named_and_left_out_of_the_mean(walks: Walks) -> None:
     scene = walks.make(**PHONES | {"sessions": 4, "frames": 40})
     vio = poses_of(scene.frames, "vio_cam")
     vio[80:120, :3, 3] *= 1.1
@@ -123,7 +126,7 @@ def test_a_session_with_another_scale_is_named_and_left_out_of_the_mean(walks) -
     assert scale["walk2"] == pytest.approx(1.1, abs=0.01)
 
 
-def test_a_jumping_session_is_aligned_by_segment(walks) -> None:
+def test_a_jumping_session_is_aligned_by_segment(walks: Walks) -> None:
     scene = walks.make()
     vio = poses_of(scene.frames, "vio_cam")
     jump = make_pose(Rotation.from_euler("y", 20, degrees=True).as_matrix(), [3.0, 0, 1])
@@ -144,7 +147,7 @@ def test_a_jumping_session_is_aligned_by_segment(walks) -> None:
     np.testing.assert_allclose(aligned.fits[1].map_T_vio, aligned.fits[2].map_T_vio @ jump, atol=1e-8)
 
 
-def test_an_unannounced_jump_costs_the_frames_around_it_only(walks) -> None:
+def test_an_unannounced_jump_costs_the_frames_around_it_only(walks: Walks) -> None:
     """A break that import didn't see as VIO's is the model's: there is no ground truth beside it."""
     scene = walks.make()
     sfm = poses_of(scene.images, "sfm_cam")
@@ -156,7 +159,7 @@ def test_an_unannounced_jump_costs_the_frames_around_it_only(walks) -> None:
     assert set(aligned.ground_truth["reason"].iloc[refused]) == {"pose in SfM inconsistent with VIO"}
 
 
-def test_a_folded_model_is_refused_with_figures(walks) -> None:
+def test_a_folded_model_is_refused_with_figures(walks: Walks) -> None:
     """Look-alike places tied together: every few metres the model jumps back."""
     scene = walks.make()
     sfm = poses_of(scene.images, "sfm_cam")
@@ -168,7 +171,7 @@ def test_a_folded_model_is_refused_with_figures(walks) -> None:
     assert "checks failed" in str(error.value)
 
 
-def test_unregistered_frames_have_a_row_and_no_pose(walks) -> None:
+def test_unregistered_frames_have_a_row_and_no_pose(walks: Walks) -> None:
     scene = walks.make()
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[10:15] = np.nan
@@ -182,7 +185,7 @@ def test_unregistered_frames_have_a_row_and_no_pose(walks) -> None:
     assert gt["covariance"].iloc[20:25].isna().all() and (gt["quality"].iloc[20:25] == "B").all()
 
 
-def test_support_frames_help_to_judge_the_model_and_are_in_no_table(walks) -> None:
+def test_support_frames_help_to_judge_the_model_and_are_in_no_table(walks: Walks) -> None:
     scene = walks.make(**PHONES)
     whole = run(scene)
     support = np.arange(len(scene.frames)) % 3 == 1
@@ -200,7 +203,7 @@ def test_support_frames_help_to_judge_the_model_and_are_in_no_table(walks) -> No
     assert per_pair.set_index("session_id")["samples"]["all"] == 5 * 39
 
 
-def test_support_frames_that_are_not_registered_cost_the_dataset_nothing(walks) -> None:
+def test_support_frames_that_are_not_registered_cost_the_dataset_nothing(walks: Walks) -> None:
     scene = walks.make()
     scene.frames["support"] = np.arange(len(scene.frames)) % 3 > 0
     scene.images.loc[scene.frames["support"], "registered"] = False
@@ -214,14 +217,14 @@ def test_support_frames_that_are_not_registered_cost_the_dataset_nothing(walks) 
     assert "0 of 60" in str(error.value)
 
 
-def test_no_registered_frame_is_an_error(walks) -> None:
+def test_no_registered_frame_is_an_error(walks: Walks) -> None:
     scene = walks.make(frames=6)
     scene.images["registered"] = False
     with pytest.raises(UserError, match="registered no frame"):
         run(scene)
 
 
-def without_scale(scene) -> None:
+def without_scale(scene: Scene) -> None:
     """The map is upright, in a unit of its own, and says so everywhere."""
     aligned = run(scene)
     gt = aligned.ground_truth
@@ -236,17 +239,17 @@ def without_scale(scene) -> None:
 
 
 @pytest.mark.parametrize("changes", [{"frames": 1}, {"speed_m": 0.0, "sfm_m": 0.002}])
-def test_without_motion_there_is_a_map_without_scale(walks, changes) -> None:
+def test_without_motion_there_is_a_map_without_scale(walks: Walks, changes: Callable[[Scene], None]) -> None:
     without_scale(walks.make(jitter_m=0.002, **changes))
 
 
-def test_without_vio_there_is_a_map_without_scale(walks) -> None:
+def test_without_vio_there_is_a_map_without_scale(walks: Walks) -> None:
     scene = walks.make(frames=10)
     scene.set_vio(np.full((30, 4, 4), np.nan))
     without_scale(scene)
 
 
-def test_without_gravity_there_is_no_map(walks) -> None:
+def test_without_gravity_there_is_no_map(walks: Walks) -> None:
     scene = walks.make(frames=10)
     scene.frames[["gravity_x", "gravity_y", "gravity_z"]] = np.nan
     with pytest.raises(UserError, match="vertical") as error:
@@ -254,7 +257,7 @@ def test_without_gravity_there_is_no_map(walks) -> None:
     assert "gravity" in str(error.value.details["do"])
 
 
-def test_too_few_registered_frames_are_refused(walks) -> None:
+def test_too_few_registered_frames_are_refused(walks: Walks) -> None:
     scene = walks.make()
     scene.images.loc[np.arange(len(scene.images)) % 3 > 0, "registered"] = False
     with pytest.raises(UserError, match="too few frames") as error:

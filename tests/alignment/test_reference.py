@@ -2,12 +2,13 @@
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
-from synthetic_walks import align
+from synthetic_walks import Scene, Walks, align
 
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.reference.agreement import describe_agreement
@@ -24,22 +25,22 @@ from groundwalk.geometry.poses import make_pose
 WORLD = Sim3(1.0, Rotation.from_euler("xyz", [0.9, -0.2, 1.5]).as_matrix(), np.array([100.0, -20.0, 4.0]))
 
 
-def without_vio(scene):
+def without_vio(scene: Scene) -> Scene:
     frames = scene.frames.copy()
     frames[[c for c in frames if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
     return replace(scene, frames=frames)
 
 
-def stated(scene, map_T_cam: np.ndarray, **changes) -> Reference:
+def stated(scene: Scene, map_T_cam: np.ndarray, **changes: Any) -> Reference:
     return replace(Reference(map_T_cam, is_metric=True, is_up_known=False, gives_map=True), **changes)
 
 
-def run(scene, reference: Reference) -> AlignResult:
+def run(scene: Scene, reference: Reference) -> AlignResult:
     return align(scene.inputs(reference=reference), AlignSettings())
 
 
 @pytest.mark.parametrize("unit", [1.0, 7.3])
-def test_the_map_is_the_references_frame(walks, unit: float) -> None:
+def test_the_map_is_the_references_frame(walks: Walks, unit: float) -> None:
     scene = without_vio(walks.make(sfm_m=0.005, sfm_deg=0.02, sessions=2))
     world = replace(WORLD, scale=unit)
     reference = stated(scene, world.poses(scene.true_T_cam), is_metric=unit == 1.0)
@@ -63,7 +64,7 @@ def test_the_map_is_the_references_frame(walks, unit: float) -> None:
     assert ("no stated unit" in text) == (unit != 1.0) and "60 reference poses" in text
 
 
-def test_models_that_nothing_else_ties_lie_where_the_reference_has_them(walks) -> None:
+def test_models_that_nothing_else_ties_lie_where_the_reference_has_them(walks: Walks) -> None:
     scene = without_vio(walks.make(sessions=2))
     scene.images.loc[scene.frames["session_id"] == "walk1", "model_id"] = "incremental/1"
     own = (scene.frames["session_id"] == "walk1").to_numpy()
@@ -75,7 +76,7 @@ def test_models_that_nothing_else_ties_lie_where_the_reference_has_them(walks) -
     assert gt["component"].value_counts().to_dict() == {0: 60, 1: 60} and not gt["gt_uses_vio"].any()
 
 
-def test_frames_that_are_elsewhere_get_no_ground_truth(walks) -> None:
+def test_frames_that_are_elsewhere_get_no_ground_truth(walks: Walks) -> None:
     scene = without_vio(walks.make(sessions=2))
     reference = WORLD.poses(scene.true_T_cam)
     reference[10:15, :3, 3] += [0.0, 5.0, 0.0]
@@ -86,7 +87,7 @@ def test_frames_that_are_elsewhere_get_no_ground_truth(walks) -> None:
     assert aligned.checks["status"].eq("passed").all()
 
 
-def test_what_the_reference_does_not_confirm_is_class_c_and_turned_cameras_are_named(walks) -> None:
+def test_what_the_reference_does_not_confirm_is_class_c_and_turned_cameras_are_named(walks: Walks) -> None:
     scene = without_vio(walks.make(sessions=2))
     reference = WORLD.poses(scene.true_T_cam)
     reference[10:15, :3, 3] += [0.0, 0.3, 0.0]
@@ -99,7 +100,7 @@ def test_what_the_reference_does_not_confirm_is_class_c_and_turned_cameras_are_n
     assert float(degrees) == pytest.approx(0.8, abs=0.05) and "principal point" in text
 
 
-def test_a_session_in_another_world_is_refused_by_name(walks) -> None:
+def test_a_session_in_another_world_is_refused_by_name(walks: Walks) -> None:
     scene = without_vio(walks.make(sessions=3))
     reference = WORLD.poses(scene.true_T_cam)
     own = (scene.frames["session_id"] == "walk1").to_numpy()
@@ -112,7 +113,7 @@ def test_a_session_in_another_world_is_refused_by_name(walks) -> None:
     assert failed["cause"] == "SfM and reference inconsistent"
 
 
-def test_a_reference_that_nothing_agrees_with_is_refused(walks) -> None:
+def test_a_reference_that_nothing_agrees_with_is_refused(walks: Walks) -> None:
     scene = without_vio(walks.make(sessions=2))
     shuffled = WORLD.poses(scene.true_T_cam)[np.random.default_rng(0).permutation(len(scene.frames))]
     with pytest.raises(UserError, match="SfM and reference inconsistent"):
@@ -124,7 +125,7 @@ def test_a_reference_that_nothing_agrees_with_is_refused(walks) -> None:
 
 
 @pytest.mark.parametrize("metric", [True, False])
-def test_beside_vio_a_reference_is_compared_and_gives_nothing(walks, metric: bool) -> None:
+def test_beside_vio_a_reference_is_compared_and_gives_nothing(walks: Walks, metric: bool) -> None:
     scene = walks.make(sessions=2)
     plain = run(scene, None)
     reference = stated(scene, replace(WORLD, scale=1.02).poses(scene.true_T_cam), is_metric=metric, gives_map=False)

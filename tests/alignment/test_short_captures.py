@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from synthetic_walks import align
+from synthetic_walks import Scene, Walks, align
 
-from groundwalk.alignment.checks.results import with_status
+from groundwalk.alignment.checks.results import CheckResult, with_status
 from groundwalk.alignment.examination import examine
+from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.sessions import fit_session
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.decisions import Status
@@ -16,20 +17,20 @@ from groundwalk.geometry.poses import make_pose
 TABLE = {"sfm_m": 0.001, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1, "jitter_m": 0.001, "phone_scale": 0.01}
 
 
-def walk(walks, seed: int, path_m: float, **changes):
+def walk(walks: Walks, seed: int, path_m: float, **changes: float) -> Scene:
     frames = 20 + 8 * (seed % 5)
     return walks.make(**TABLE | {"seed": seed, "sessions": 1, "frames": frames, "speed_m": path_m / frames} | changes)
 
 
-def aligned(scene, **settings):
+def aligned(scene: Scene, **settings: float) -> AlignResult:
     return align(scene.inputs(), AlignSettings(**settings))
 
 
-def scale_error(walks, aligned) -> float:
+def scale_error(walks: Walks, aligned: AlignResult) -> float:
     return float(aligned.main.component.scale.log + np.log(walks.gauge.scale))
 
 
-def test_short_walks_get_ground_truth_and_an_honest_scale(walks) -> None:
+def test_short_walks_get_ground_truth_and_an_honest_scale(walks: Walks) -> None:
     ratios = []
     for seed in range(15):
         scene = walk(walks, seed, 0.5 + 0.17 * seed)
@@ -43,7 +44,7 @@ def test_short_walks_get_ground_truth_and_an_honest_scale(walks) -> None:
     assert np.abs(ratios).max() < 2.5 and np.sqrt(np.mean(np.square(ratios))) < 1.2
 
 
-def test_how_densely_a_short_walk_is_sampled_hardly_matters_to_its_scale(walks) -> None:
+def test_how_densely_a_short_walk_is_sampled_hardly_matters_to_its_scale(walks: Walks) -> None:
     scene = walk(walks, 1, 0.65, frames=180)
     sd = [aligned(scene).main.component.scale.sd]
     scene.frames["support"] = np.arange(180) % 6 > 0
@@ -52,12 +53,12 @@ def test_how_densely_a_short_walk_is_sampled_hardly_matters_to_its_scale(walks) 
     assert sd[0] == pytest.approx(sd[1], rel=0.4)
 
 
-def undecided_scale(scene):
+def undecided_scale(scene: Scene) -> list[CheckResult]:
     found = examine(scene.inputs(), AlignSettings())
     return [c for c in with_status(found.checks, Status.UNDECIDED) if c.name == "map_scale"]
 
 
-def test_a_longer_walk_a_second_session_or_a_larger_limit_decide_the_scale(walks) -> None:
+def test_a_longer_walk_a_second_session_or_a_larger_limit_decide_the_scale(walks: Walks) -> None:
     """What the check advises."""
     scene = walk(walks, 0, 2.3)
     (check,) = undecided_scale(scene)
@@ -69,7 +70,7 @@ def test_a_longer_walk_a_second_session_or_a_larger_limit_decide_the_scale(walks
     assert (loose.checks["status"] == "passed").all() and set(loose.ground_truth["scale_source"]) == {"vio"}
 
 
-def test_a_short_walk_that_sfm_bends_is_refused(walks) -> None:
+def test_a_short_walk_that_sfm_bends_is_refused(walks: Walks) -> None:
     """Limits follow the path: 8 cm of bend in 65 cm aren't what VIO drifts by."""
     scene = walk(walks, 2, 0.65)
     bend = np.linspace(-1, 1, len(scene.frames)) ** 2
@@ -78,7 +79,7 @@ def test_a_short_walk_that_sfm_bends_is_refused(walks) -> None:
     assert (result.checks["status"] == "failed").any() and (result.ground_truth["quality"] == "none").any()
 
 
-def test_rotations_are_compared_after_a_fit_of_rotations_even_on_a_straight_path(walks) -> None:
+def test_rotations_are_compared_after_a_fit_of_rotations_even_on_a_straight_path(walks: Walks) -> None:
     rng = np.random.default_rng(0)
     scene = walk(walks, 0, 1.0)
     result = aligned(scene)
@@ -92,7 +93,7 @@ def test_rotations_are_compared_after_a_fit_of_rotations_even_on_a_straight_path
     assert np.median(fit.sim3.rotation_deg) < 1e-6 and 0 < np.median(fit.sim3.position_m) < 0.01
 
 
-def test_drift_of_a_short_walk_is_measured_over_short_distances(walks) -> None:
+def test_drift_of_a_short_walk_is_measured_over_short_distances(walks: Walks) -> None:
     drift = aligned(walk(walks, 0, 1.9)).drift
     over = drift[(drift["definition"] == "distance_position") & (drift["session_id"] == "walk0")]
     assert over["interval"].tolist() == [0.25, 0.5, 1.0]

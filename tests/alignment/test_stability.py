@@ -1,9 +1,11 @@
 """The same walks sampled otherwise: what passed is never refused, and what was refused never passes."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from synthetic_walks import Scene, Walks
 from test_checks import of_walk, shuffle, turn_otherwise
 
 from groundwalk.alignment.checks.results import with_status
@@ -17,7 +19,7 @@ NOISE = {"frames": FRAMES, "speed_m": 0.5, "sfm_m": 0.005, "sfm_deg": 0.05, "dri
 SHORT = {"speed_m": 0.04, "sfm_m": 0.001}
 
 
-def status(scene) -> Status:
+def status(scene: Scene) -> Status:
     """Failed where a session gets no ground truth, undecided where a check of what was captured is."""
     found = examine(scene.inputs(), AlignSettings())
     lost = [not found.has_ground_truth[of_walk(scene, walk)].any() for walk in range(3)]
@@ -26,7 +28,7 @@ def status(scene) -> Status:
     return Status.UNDECIDED if with_status(found.checks, Status.UNDECIDED) else Status.PASSED
 
 
-def resampled(scene):
+def resampled(scene: Scene) -> Iterator[Scene]:
     """Every second and third image, both halves of each walk, and another order of the files."""
     place = np.tile(np.arange(FRAMES), 3)
     orders = [place % 2 == 0, place % 3 == 1, place < FRAMES // 2, place >= FRAMES // 2]
@@ -39,7 +41,7 @@ def resampled(scene):
         )
 
 
-def stretch_vio(scene, factor: float) -> None:
+def stretch_vio(scene: Scene, factor: float) -> None:
     vio, rows = poses_of(scene.frames, "vio_cam"), of_walk(scene, 1)
     vio[rows, :3, 3] *= factor
     scene.set_vio(vio)
@@ -58,7 +60,9 @@ def stretch_vio(scene, factor: float) -> None:
         ({}, lambda scene: shuffle(scene, of_walk(scene, 1)), Status.FAILED),
     ],
 )
-def test_no_sampling_turns_the_result_round(walks, changes, breaking, expected) -> None:
+def test_no_sampling_turns_the_result_round(
+    walks: Walks, changes: dict[str, float], breaking: Callable[[Scene], None] | None, expected: Status | None
+) -> None:
     """Near a limit (`expected` None) a sampling may leave undecided what another decides, but not the other way."""
     for seed in range(2):
         scene = walks.make(**NOISE | changes | {"seed": seed})

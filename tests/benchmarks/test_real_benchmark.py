@@ -2,6 +2,7 @@
 
 import csv
 import io
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -33,7 +34,7 @@ def moved(vio_T_cam: np.ndarray, seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("straight", [False, True])
-def test_models_that_agree_have_no_residuals_in_any_gauge(straight):
+def test_models_that_agree_have_no_residuals_in_any_gauge(straight: bool) -> None:
     vio_T_cam = poses(20, straight=straight)
     # A path that is straight but for a millimetre leaves the turn about it to noise, if positions alone decide.
     vio_T_cam[:, :3, 3] += np.random.default_rng(0).normal(0, 1e-3, (20, 3))
@@ -45,7 +46,7 @@ def test_models_that_agree_have_no_residuals_in_any_gauge(straight):
     assert placed.xyz_vio == pytest.approx(vio_T_cam[:, :3, 3])
 
 
-def test_rotations_are_compared_where_a_straight_path_leaves_the_turn_about_it_open():
+def test_rotations_are_compared_where_a_straight_path_leaves_the_turn_about_it_open() -> None:
     vio_T_cam = poses(30, straight=True)
     rng = np.random.default_rng(1)
     vio_T_cam[:, :3, 3] += rng.normal(0, 1e-3, (30, 3))
@@ -54,7 +55,7 @@ def test_rotations_are_compared_where_a_straight_path_leaves_the_turn_about_it_o
     assert np.median(place(vio_T_cam, sfm_T_cam, np.full(30, "a", object)).rotation_deg) < 1e-6
 
 
-def test_a_frame_that_is_off_shows_by_as_much():
+def test_a_frame_that_is_off_shows_by_as_much() -> None:
     vio_T_cam = poses(200)
     sfm_T_cam = vio_T_cam.copy()
     sfm_T_cam[7, :3, 3] += [0.0, 0.2, 0.0]
@@ -68,7 +69,7 @@ def test_a_frame_that_is_off_shows_by_as_much():
     assert np.isnan(placed.step_m[0]) and np.nanmedian(placed.step_m) < 0.005
 
 
-def test_frames_without_a_model_or_vio_and_groups_of_few_are_not_compared():
+def test_frames_without_a_model_or_vio_and_groups_of_few_are_not_compared() -> None:
     vio_T_cam = poses(20)
     sfm_T_cam = vio_T_cam.copy()
     sfm_T_cam[0], vio_T_cam[1] = np.nan, np.nan
@@ -77,7 +78,7 @@ def test_frames_without_a_model_or_vio_and_groups_of_few_are_not_compared():
     assert list(np.flatnonzero(np.isfinite(placed.position_m))) == list(range(2, 16))
 
 
-def test_a_target_is_held_against_the_worst_subject():
+def test_a_target_is_held_against_the_worst_subject() -> None:
     figures = [Figure("rms", 4.0, "mm"), Figure("rms", 6.0, "mm", subject="walk"), Figure("rms", 9.0, "mm", STOCK)]
     assert judge(figures, Target("rms", 5, "mm")).met
     worst = judge(figures, Target("rms", 5, "mm", every_subject=True))
@@ -87,12 +88,12 @@ def test_a_target_is_held_against_the_worst_subject():
 
 
 @pytest.mark.parametrize("figures", [[], [Figure("rms", np.nan)]])
-def test_a_figure_that_is_not_there_misses_its_target(figures):
+def test_a_figure_that_is_not_there_misses_its_target(figures) -> None:
     judged = judge(figures, Target("rms", 5))
     assert (judged.met, judged.value) == (False, None)
 
 
-def test_verdicts():
+def test_verdicts() -> None:
     assert verdict_of({"import": 0, "sfm": 0, "align": 0}, {}, []) == Verdict(PASSED)
     logs = {"import": "", "sfm": "working\nerror: too few frames for a model\n  where:    x\n"}
     assert verdict_of({"import": 0, "sfm": 2}, logs, []) == Verdict(REFUSED, "sfm", "too few frames for a model")
@@ -103,7 +104,7 @@ def test_verdicts():
     assert (crashed.outcome, crashed.cause) == (CRASHED, "ValueError: no")
 
 
-def test_a_failed_command_is_measured_and_its_words_are_kept(tmp_path):
+def test_a_failed_command_is_measured_and_its_words_are_kept(tmp_path: Path) -> None:
     status, cost = run_timed(["bash", "-c", "echo error: no >&2; exit 2"], tmp_path, tmp_path / "log")
     assert status == 2 and cost.wall_s > 0
     assert (tmp_path / "log").read_text(encoding="utf-8") == "error: no\n"
@@ -118,7 +119,7 @@ def frames_table(counts: dict[str, int]) -> pd.DataFrame:
     return pd.DataFrame(rows).sample(frac=1, random_state=0)
 
 
-def test_resamplings_leave_out_images_session_by_session_in_time():
+def test_resamplings_leave_out_images_session_by_session_in_time() -> None:
     frames = frames_table({"a": 7, "b": 4})
     keeps = {r.name: r.keep for r in RESAMPLINGS if r.keep is not None}
     assert left_out(frames, keeps["every 2nd image"]) == {f"{s}.jpg" for s in ("a/1", "a/3", "a/5", "b/1", "b/3")}
@@ -130,7 +131,7 @@ def test_resamplings_leave_out_images_session_by_session_in_time():
     assert left_out(frames, keeps["files in another order"]) == set()
 
 
-def test_a_resampled_copy_has_all_but_the_left_out_files_and_the_capture_stays(tmp_path):
+def test_a_resampled_copy_has_all_but_the_left_out_files_and_the_capture_stays(tmp_path: Path) -> None:
     source = tmp_path / "capture"
     for i in range(9):
         path = source / "walk" / f"frame_{i}.jpg"
@@ -157,12 +158,12 @@ def result() -> Result:
     return Result(*run, Verdict(PASSED), ["wrong intrinsics (session_focal_length, 1)"], figures, targets)
 
 
-def test_a_result_is_read_back_as_it_was(tmp_path):
+def test_a_result_is_read_back_as_it_was(tmp_path: Path) -> None:
     result().save(tmp_path)
     assert Result.load(tmp_path / "chair.json") == result()
 
 
-def test_the_report_says_met_and_missed_and_its_tables_are_whole(tmp_path):
+def test_the_report_says_met_and_missed_and_its_tables_are_whole(tmp_path: Path) -> None:
     tried = [Tried("chair", "whole", 30, Verdict(PASSED), PASSED, 30, {"A": 1, "B": 2, "C": 27})]
     tried.append(Tried("chair", "every 3rd image", 10, Verdict(REFUSED, "align", "disconnected session"), PASSED))
     write_report(tmp_path, [result()], tried)
@@ -180,7 +181,7 @@ def test_the_report_says_met_and_missed_and_its_tables_are_whole(tmp_path):
     assert agreeing(tried) == (0, 1)
 
 
-def test_only_captures_that_are_there_are_run(tmp_path, capsys):
+def test_only_captures_that_are_there_are_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "captures" / "charuco" / "walk").mkdir(parents=True)
     names = [case.name for case in standard_cases(tmp_path / "captures")]
     assert names == ["charuco", "charuco_walk"]
@@ -195,7 +196,7 @@ def test_only_captures_that_are_there_are_run(tmp_path, capsys):
     assert ended.value.code == 2
 
 
-def test_stock_has_an_opencv_camera_a_session_at_the_median_of_its_log(tmp_path):
+def test_stock_has_an_opencv_camera_a_session_at_the_median_of_its_log(tmp_path: Path) -> None:
     frames = pd.DataFrame({"session_id": list("aaab"), "width": 640, "height": 480, "fx": [500.0, 501, 509, 600]})
     frames[["fy", "cx", "cy"]] = [510.0, 320.0, 240.0]
     cameras, camera_of_frame = session_cameras(frames)

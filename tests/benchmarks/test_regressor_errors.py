@@ -6,7 +6,7 @@ import pytest
 from benchmarks.regressor_errors.fit import REGRESSORS, Walks, published
 from benchmarks.regressor_errors.model import AprModel, read_apr_models, simulate_apr
 from groundwalk.geometry import GeometryError
-from groundwalk.geometry.poses import make_pose, yaw_rotation
+from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.simulation.scenes import NAMES
 
@@ -31,11 +31,11 @@ def straight(length_m: float, step_m: float, turn_deg: float = 0.0) -> np.ndarra
     return make_pose(look, np.stack([x, np.full(len(x), 1.5), np.zeros(len(x))], axis=1))
 
 
-def offsets(truth, model=MODEL, map_seed=1, noise_seed=2):
+def offsets(truth: Array, model=MODEL, map_seed: int = 1, noise_seed: int = 2):
     return simulate_apr(truth, model, map_seed, noise_seed)[:, :3, 3] - truth[:, :3, 3]
 
 
-def test_bias_is_the_places_own():
+def test_bias_is_the_places_own() -> None:
     there = straight(30, 0.5)
     assert np.allclose(offsets(there, noise_seed=2), offsets(there[::-1], noise_seed=3)[::-1])
     assert not np.allclose(offsets(there), offsets(there, map_seed=9))
@@ -43,14 +43,14 @@ def test_bias_is_the_places_own():
     assert np.abs(offsets(there) - offsets(turned)).mean() > 0.1
 
 
-def test_bias_changes_over_its_length():
+def test_bias_changes_over_its_length() -> None:
     """Nearly the same a tenth of the length on, unrelated three lengths on."""
     e = np.concatenate([offsets(straight(200, 0.3), MODEL, seed)[:, [0, 2]] for seed in range(20)], axis=1)
     near, far = (np.corrcoef(e[:-k].ravel(), e[k:].ravel())[0, 1] for k in (1, 30))
     assert near > 0.95 and abs(far) < 0.25
 
 
-def test_noise_is_new_in_each_frame_and_has_heavy_tails():
+def test_noise_is_new_in_each_frame_and_has_heavy_tails() -> None:
     model = AprModel(**MODEL.__dict__ | {"position_noise": 1.0, "position_spread": 0.0, "rotation_noise": 1.0})
     e = np.concatenate([offsets(straight(400, 0.3), model, 1, seed) for seed in range(10)])[:, 0]
     assert abs(np.corrcoef(e[:-1], e[1:])[0, 1]) < 0.1
@@ -59,14 +59,14 @@ def test_noise_is_new_in_each_frame_and_has_heavy_tails():
     assert np.mean(np.abs(e) > 4 * spread) > 0.005
 
 
-def test_amplitude_scales_both_errors():
+def test_amplitude_scales_both_errors() -> None:
     truth = straight(30, 0.5)
     full, tenth = (simulate_apr(truth, MODEL, 1, 2, a) for a in (1.0, 0.1))
     assert np.allclose(position_error(tenth, truth), 0.1 * position_error(full, truth))
     assert np.allclose(rotation_error_deg(tenth, truth), 0.1 * rotation_error_deg(full, truth))
 
 
-def test_values_out_of_range_are_refused():
+def test_values_out_of_range_are_refused() -> None:
     with pytest.raises(GeometryError, match="position_noise"):
         AprModel(**MODEL.__dict__ | {"position_noise": 1.5})
 
@@ -74,7 +74,7 @@ def test_values_out_of_range_are_refused():
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", NAMES)
 @pytest.mark.parametrize("regressor", REGRESSORS)
-def test_committed_sizes_meet_the_published_rows(scene, regressor):
+def test_committed_sizes_meet_the_published_rows(scene, regressor) -> None:
     target, found = published(scene, regressor), Walks(scene, regressor, 3).figures(read_apr_models()[scene, regressor])
     # Least well: mean rotation in Office, where a few frames are off by far more than the rest.
     assert found.every[:4] == pytest.approx(target.every[:4], rel=0.4)

@@ -31,7 +31,7 @@ def rng() -> np.random.Generator:
 
 
 @pytest.mark.parametrize("common_scale", [True, False])
-def test_right_images_agree_and_turn_as_odometry_does(rng, common_scale: bool) -> None:
+def test_right_images_agree_and_turn_as_odometry_does(rng: np.random.Generator, common_scale: bool) -> None:
     poses = walk(rng)
     found = compare_motions(seen(poses, rng), relative(poses[:-1], poses[1:]), common_scale=common_scale)
     assert found.explained == 1 and found.agree.all() and found.mistake is None
@@ -39,14 +39,14 @@ def test_right_images_agree_and_turn_as_odometry_does(rng, common_scale: bool) -
 
 
 @pytest.mark.parametrize(("mistake", "mirror"), [(MIRRORED, [-1.0, 1, 1]), (UPSIDE_DOWN, [1.0, -1, 1])])
-def test_mirrored_images_are_told_and_which_way(rng, mistake: str, mirror: list[float]) -> None:
+def test_mirrored_images_are_told_and_which_way(rng: np.random.Generator, mistake: str, mirror: list[float]) -> None:
     poses = walk(rng)
     images = np.diag([*mirror, 1.0]) @ seen(poses, rng) @ np.diag([*mirror, 1.0])
     found = compare_motions(images, relative(poses[:-1], poses[1:]), common_scale=True)
     assert found.mistake == mistake and found.mirrors[mistake] == 1
 
 
-def test_shuffled_images_are_unrelated(rng) -> None:
+def test_shuffled_images_are_unrelated(rng: np.random.Generator) -> None:
     poses = walk(rng)
     images = seen(poses[rng.permutation(len(poses))], rng)
     found = compare_motions(images, relative(poses[:-1], poses[1:]), common_scale=True)
@@ -54,7 +54,7 @@ def test_shuffled_images_are_unrelated(rng) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
-def test_a_wrong_focal_length_shows_in_the_turns(rng, factor: float) -> None:
+def test_a_wrong_focal_length_shows_in_the_turns(rng: np.random.Generator, factor: float) -> None:
     """A focal length that is taken `factor` too long makes small turns so much smaller."""
     poses = walk(rng)
     images = seen(poses, rng)
@@ -64,7 +64,7 @@ def test_a_wrong_focal_length_shows_in_the_turns(rng, factor: float) -> None:
     assert found.mistake is None and found.turn_gain == pytest.approx(1 / factor, abs=0.01)
 
 
-def test_too_few_or_idle_pairs_tell_nothing(rng) -> None:
+def test_too_few_or_idle_pairs_tell_nothing(rng: np.random.Generator) -> None:
     still = np.tile(np.eye(4), (30, 1, 1))
     found = compare_motions(still, still, common_scale=True)
     assert found.pairs == 0 and found.mistake is None and np.isnan(found.turn_gain) and found.agree.all()

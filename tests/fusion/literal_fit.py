@@ -7,8 +7,11 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from groundwalk.fusion.methods.drift_aware import DriftAwareOptions
+from groundwalk.geometry.poses import Array
 
-def literal_fit(vio, apr, drift, o, turns=40):
+
+def literal_fit(vio: Array, apr: Array, drift: Array, o: DriftAwareOptions, turns: int = 40) -> Array:
     """The last poses' alignment: (N, 4) map position and yaw at each frame.
 
     vio, apr: poses (N, 4, 4). drift: variances (N, 4) of x, y, z, yaw on the way to each frame. o: options.
@@ -39,7 +42,9 @@ def literal_fit(vio, apr, drift, o, turns=40):
         weights = [_weight(e, v, covariance, o) for e, v in zip(errors, spread, strict=True)]
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
-        def residuals(flat, tilt=tilt, weights=weights, whiten=whiten, each=each):
+        def residuals(
+            flat: Array, tilt: Array = tilt, weights: list[float] = weights, whiten: Array = whiten, each: float = each
+        ) -> Array:
             y = flat.reshape(-1, 4)
             found = [
                 np.sqrt(each * share[i] * weights[i]) * (whiten @ (_error(y[i], vio[i], apr[i], tilt) / sizes))
@@ -56,7 +61,9 @@ def literal_fit(vio, apr, drift, o, turns=40):
         inverse = np.linalg.inv(best.jac.T @ best.jac).reshape(count, 4, count, 4)
         posterior = np.array([inverse[i, :, i] for i in range(count)])
 
-        def leaning(tilt, x=x, weights=weights, whiten=whiten, each=each):
+        def leaning(
+            tilt: Array, x: Array = x, weights: list[float] = weights, whiten: Array = whiten, each: float = each
+        ) -> Array:
             found = [
                 np.sqrt(0.1 * each * share[i] * weights[i]) * (whiten @ (_error(x[i], vio[i], apr[i], tilt) / sizes))
                 for i in range(count)
@@ -67,7 +74,7 @@ def literal_fit(vio, apr, drift, o, turns=40):
     return x
 
 
-def _error(x, vio, apr, tilt):
+def _error(x: Array, vio: Array, apr: Array, tilt: Array) -> Array:
     """Rotation (rad) before position error of a prediction in camera axes, when the camera is at x, y, z, yaw."""
     turn = _yaw(_heading(apr[:3, :3] @ vio[:3, :3].T))
     lean = Rotation.from_matrix(apr[:3, :3] @ vio[:3, :3].T @ turn.T).as_rotvec()
@@ -77,7 +84,7 @@ def _error(x, vio, apr, tilt):
     return np.concatenate([rotation, camera @ (apr[:3, 3] - x[:3])])
 
 
-def _slope(x, vio, sizes):
+def _slope(x: Array, vio: Array, sizes: Array) -> Array:
     """How a prediction's normalised error (6,) changes with x, y, z and yaw."""
     camera = (_yaw(x[3]) @ vio[:3, :3]).T
     slope = np.zeros((6, 4))
@@ -85,14 +92,14 @@ def _slope(x, vio, sizes):
     return slope / sizes[:, None]
 
 
-def _weight(error, spread, covariance, o):
+def _weight(error: Array, spread: Array, covariance: Array, o: DriftAwareOptions) -> float:
     precision = np.linalg.inv(covariance)
     return (o.degrees_of_freedom + 6) / (
         o.degrees_of_freedom + error @ precision @ error + np.trace(precision @ spread)
     )
 
 
-def _independent(vio, sizes, drift, precision, o):
+def _independent(vio: Array, sizes: Array, drift: Array, precision: Array, o: DriftAwareOptions) -> float:
     """What a prediction counts: as many as odometry lets one average over share their errors."""
     ratios = []
     for i in range(1, len(vio)):
@@ -102,7 +109,7 @@ def _independent(vio, sizes, drift, precision, o):
     return max(o.independent, 1 / (1 + np.exp(-0.5 * np.mean(np.log(ratios)))))
 
 
-def _shares(vio, o):
+def _shares(vio: Array, o: DriftAwareOptions) -> Array:
     found = [1.0]
     for a, b in pairwise(vio):
         gap = np.linalg.norm(b[:3, 3] - a[:3, 3])
@@ -111,9 +118,9 @@ def _shares(vio, o):
     return np.array(found)
 
 
-def _yaw(angle):
+def _yaw(angle: float) -> Array:
     return Rotation.from_rotvec([0, angle, 0]).as_matrix()
 
 
-def _heading(rotation):
+def _heading(rotation: Array) -> float:
     return np.arctan2(rotation[0, 2] - rotation[2, 0], rotation[0, 0] + rotation[2, 2])

@@ -3,11 +3,12 @@
 import numpy as np
 import pandas as pd
 from random_walks import random_walk
+from tables import Tables
 
 from groundwalk.artefacts.tables import pose_frame
 
 
-def tables(seeds: list[int], models: tuple[str, ...] = ("PN",), frames: int = 40):
+def tables(seeds: list[int], models: tuple[str, ...] = ("PN",), frames: int = 40) -> Tables:
     """Frames, ground truth and predictions of one test session a seed."""
     parts: dict[str, list[pd.DataFrame]] = {"frames": [], "truth": [], "predictions": []}
     for seed in seeds:

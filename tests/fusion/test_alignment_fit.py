@@ -25,10 +25,10 @@ from groundwalk.fusion.methods.estimator.prediction_noise import (
     whitening_of_covariance,
 )
 from groundwalk.geometry import GeometryError
-from groundwalk.geometry.poses import yaw_rotation
+from groundwalk.geometry.poses import Array, yaw_rotation
 
 
-def test_costs_are_those_of_students_t():
+def test_costs_are_those_of_students_t() -> None:
     errors = np.random.default_rng(0).normal(0, 3, (50, 6))
     density = multivariate_t(np.zeros(6), np.eye(6), df=0.7).logpdf(errors)
     found = -robust.costs((errors**2).sum(axis=1), 6, 0.7)
@@ -39,13 +39,13 @@ def test_costs_are_those_of_students_t():
     assert np.allclose(robust.weights(z, 6, 0.7), slope, rtol=1e-6)
 
 
-def test_middle_is_a_median():
+def test_middle_is_a_median() -> None:
     for count in (1, 2, 7, 50):
         values = np.random.default_rng(count).normal(size=count)
         assert robust.middle(values) == np.sort(values)[count // 2]
 
 
-def test_scatter_finds_the_covariance_of_students_t():
+def test_scatter_finds_the_covariance_of_students_t() -> None:
     rng = np.random.default_rng(1)
     root = rng.normal(size=(6, 6)) + 3 * np.eye(6)
     true = root @ root.T
@@ -58,7 +58,7 @@ def test_scatter_finds_the_covariance_of_students_t():
     assert np.allclose(found, true, atol=0.12 * np.abs(true).max())
 
 
-def test_with_few_predictions_the_shape_is_the_assumed_one_whatever_the_size():
+def test_with_few_predictions_the_shape_is_the_assumed_one_whatever_the_size() -> None:
     prior = Prior(side_turn_correlation(0.6), 20.0, 0.3)
     one = scatter(prior, np.full((1, 6), 5.0), np.zeros((1, 6, 6)), np.ones(1), np.ones(1))
     sd = np.sqrt(np.diag(one))
@@ -66,7 +66,7 @@ def test_with_few_predictions_the_shape_is_the_assumed_one_whatever_the_size():
     assert (sd > 3).all()
 
 
-def test_whitening_normalises_what_a_covariance_says():
+def test_whitening_normalises_what_a_covariance_says() -> None:
     rng = np.random.default_rng(3)
     map_R_cam, vio_R_cam = Rotation.random(2, rng=rng).as_matrix()
     root = rng.normal(size=(6, 6))
@@ -78,7 +78,7 @@ def test_whitening_normalises_what_a_covariance_says():
     assert np.allclose(whitening(sizes, vio_R_cam) @ np.r_[0, 0, 0, vio_R_cam[:, 1]], [0, 0, 0, 0, 1 / 5, 0])
 
 
-def test_a_full_table_drops_what_is_densest_and_keeps_the_newest_and_the_way():
+def test_a_full_table_drops_what_is_densest_and_keeps_the_newest_and_the_way() -> None:
     table = Keyframes(10)
     for i in range(200):
         table.add(along=float(i), drift=np.full(4, 1.0), vio=[i, 0, 0], time_s=float(i), rare=float(i % 7))
@@ -92,7 +92,7 @@ def test_a_full_table_drops_what_is_densest_and_keeps_the_newest_and_the_way():
     assert len(copy) == 10 and copy.column("along")[-1] == 200.0
 
 
-def chain(seed, count=12):
+def chain(seed: int, count: int = 12) -> tuple[Chain, Array, Array, Array]:
     rng = np.random.default_rng(seed)
     step = rng.normal(0, 1, (count, 3))
     precision = rng.uniform(1, 50, (count, 4))
@@ -103,11 +103,11 @@ def chain(seed, count=12):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_iterated_steps_reach_the_least_squares_of_scipy(seed):
+def test_iterated_steps_reach_the_least_squares_of_scipy(seed: int) -> None:
     terms, position, yaw, measured = chain(seed)
     information = np.tile(np.diag([2.0, 3.0, 2.0, 5.0]), (len(yaw), 1, 1))
 
-    def residuals(flat):
+    def residuals(flat: Array) -> Array:
         p, t = flat.reshape(-1, 4)[:, :3], flat.reshape(-1, 4)[:, 3]
         found = [np.sqrt([2.0, 3.0, 2.0, 5.0]) * (measured - np.column_stack([p, t]))]
         for i in range(1, len(t)):
@@ -124,7 +124,7 @@ def test_iterated_steps_reach_the_least_squares_of_scipy(seed):
     assert np.allclose(position, best[:, :3], atol=1e-5) and np.allclose(yaw, best[:, 3], atol=1e-5)
 
 
-def test_covariances_are_blocks_of_the_inverse():
+def test_covariances_are_blocks_of_the_inverse() -> None:
     terms, position, yaw, measured = chain(4)
     information = np.tile(np.eye(4), (len(yaw), 1, 1))
     found = solve(terms, position, yaw, information, measured - measured)
@@ -136,7 +136,7 @@ def test_covariances_are_blocks_of_the_inverse():
         assert np.allclose(found.covariance(i), inverse[4 * i : 4 * i + 4, 4 * i : 4 * i + 4])
 
 
-def test_what_nothing_binds_is_refused():
+def test_what_nothing_binds_is_refused() -> None:
     terms, position, yaw, measured = chain(5)
     terms.precision[6] = 0
     information = np.zeros((len(yaw), 4, 4))
@@ -145,13 +145,13 @@ def test_what_nothing_binds_is_refused():
         solve(terms, position, yaw, information, 0 * measured)
 
 
-def test_predictions_made_standing_still_count_as_one():
+def test_predictions_made_standing_still_count_as_one() -> None:
     along = np.array([0.0, 1.0, 1.0, 1.0, 1.0, 2.0])
     assert counted(along, 0.05).sum() < 3
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_the_fit_is_what_it_is_defined_to_be(seed):
+def test_the_fit_is_what_it_is_defined_to_be(seed: int) -> None:
     t_ns, _, vio, apr = upright_walk(seed, 9)
     options = DriftAwareOptions(rivals=False, distrust=False)
     fast = DriftAware(options)
@@ -169,7 +169,7 @@ def test_the_fit_is_what_it_is_defined_to_be(seed):
     assert np.abs(found - slow[:, :3]).max() < 1e-2
 
 
-def judged(vio, measured, size=0.25):
+def judged(vio: Array, measured: Array, size: float = 0.25) -> Array:
     """Factors of drift after predictions (N, 3) beside odometry (N, 3)."""
     quality = OdometryQuality()
     for i in range(len(vio)):
@@ -181,7 +181,7 @@ def judged(vio, measured, size=0.25):
     return quality.factors
 
 
-def test_drift_is_told_from_predictions_that_are_wrong_alike():
+def test_drift_is_told_from_predictions_that_are_wrong_alike() -> None:
     """Whatever size was expected of their errors."""
     rng = np.random.default_rng(6)
     vio = np.column_stack([2.0 * np.arange(90), np.zeros(90), np.zeros(90)])
@@ -194,7 +194,7 @@ def test_drift_is_told_from_predictions_that_are_wrong_alike():
         assert judged(vio, vio + drifted, size)[0] > 50
 
 
-def test_bounds_are_the_fits_own_where_errors_are_independent_and_grow_as_they_are_shared():
+def test_bounds_are_the_fits_own_where_errors_are_independent_and_grow_as_they_are_shared() -> None:
     t_ns, _, vio, apr = upright_walk(0, 30)
     localiser = DriftAware(DriftAwareOptions(keyframes=40))
     for t, v, a in zip(t_ns, vio, apr, strict=True):

@@ -1,6 +1,7 @@
 """The methods that ours is held against: each against a slow definition of its own, and what all of them promise."""
 
 import json
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from upright_walks import as_walk, upright_walk
 from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.methods.error_state import ErrorState, ErrorStateOptions
 from groundwalk.fusion.methods.last_good import LastGood, LastGoodOptions
-from groundwalk.fusion.methods.localiser import Status
+from groundwalk.fusion.methods.localiser import Estimate, Localiser, Status
 from groundwalk.fusion.methods.offline import Offline, stepped
 from groundwalk.fusion.methods.pose_graph import PoseGraph, PoseGraphOptions
 from groundwalk.fusion.methods.smoother import Smoother
@@ -22,24 +23,24 @@ from groundwalk.fusion.methods.vio_oracle import VioOracle
 from groundwalk.fusion.methods.window import Window, WindowOptions
 from groundwalk.geometry.fits import pose_residuals
 from groundwalk.geometry.pose_graph import smooth_chain
-from groundwalk.geometry.poses import inverse, make_pose, relative, yaw_rotation
+from groundwalk.geometry.poses import Array, inverse, make_pose, relative, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 BASELINES = ["last_good", "window30", "pose_graph", "error_state"]
 
 
-def poses(estimates):
+def poses(estimates: Iterable[Estimate]) -> Array:
     none = np.full((4, 4), np.nan)
     return np.array([none if e.map_T_cam is None else e.map_T_cam for e in estimates])
 
 
-def made(name):
+def made(name: str) -> Localiser:
     method = METHODS[name]
     return method.make(method.options())
 
 
 @pytest.mark.parametrize("name", BASELINES)
-def test_exact_predictions_and_odometry_give_exact_answers(name):
+def test_exact_predictions_and_odometry_give_exact_answers(name: str) -> None:
     t_ns, truth, _, _ = upright_walk(0, 40)
     vio = make_pose(yaw_rotation(1.0), [5.0, 1.0, -3.0]) @ truth
     answers = stepped(made(name), as_walk(t_ns, truth, vio, truth))
@@ -48,7 +49,7 @@ def test_exact_predictions_and_odometry_give_exact_answers(name):
 
 
 @pytest.mark.parametrize("name", BASELINES)
-def test_odometry_carries_frames_without_a_prediction(name):
+def test_odometry_carries_frames_without_a_prediction(name: str) -> None:
     """Odometry at a higher rate, exact here: the answers between predictions stay true."""
     t_ns, truth, _, _ = upright_walk(1, 60)
     vio = make_pose(yaw_rotation(-2.0), [1.0, 0.0, 8.0]) @ truth
@@ -61,7 +62,7 @@ def test_odometry_carries_frames_without_a_prediction(name):
 
 @pytest.mark.parametrize("name", BASELINES)
 @pytest.mark.parametrize("seed", [0, 3])
-def test_a_saved_state_goes_on_alike_and_does_not_grow(name, seed):
+def test_a_saved_state_goes_on_alike_and_does_not_grow(name: str, seed: int) -> None:
     walk = random_walk(seed, 80)
     whole = stepped(made(name), as_walk(walk.t_ns, walk.map_T_cam, walk.vio, walk.apr))
     localiser, sizes = made(name), []
@@ -77,7 +78,7 @@ def test_a_saved_state_goes_on_alike_and_does_not_grow(name, seed):
 
 
 @pytest.mark.parametrize("name", BASELINES)
-def test_jumps_and_lost_odometry(name):
+def test_jumps_and_lost_odometry(name: str) -> None:
     t_ns, truth, _, _ = upright_walk(2, 30)
     vio = make_pose(yaw_rotation(0.4), [2.0, 0.0, 0.0]) @ truth
     vio[15:, :3, 3] += [9.0, 0.0, 9.0]
@@ -88,7 +89,7 @@ def test_jumps_and_lost_odometry(name):
     assert np.allclose(poses(answers), truth, atol=1e-6)
 
 
-def test_last_good_is_the_last_pair_that_the_literal_check_passes():
+def test_last_good_is_the_last_pair_that_the_literal_check_passes() -> None:
     options = LastGoodOptions(vio_jump_m=1e6)
     for seed in range(20):
         walk = random_walk(seed)
@@ -110,20 +111,20 @@ def test_last_good_is_the_last_pair_that_the_literal_check_passes():
             assert (answers[i].status is Status.RELIABLE) == (good == i)
 
 
-def test_window_fits_its_pairs_better_than_any_alignment_nearby():
+def test_window_fits_its_pairs_better_than_any_alignment_nearby() -> None:
     """At its answer, a small motion any way makes the robust cost (Geman and McClure's) no smaller."""
     t_ns, truth, vio, apr = upright_walk(3, 45)
     options = WindowOptions()
     answer = stepped(Window(options), as_walk(t_ns, truth, vio, apr))[-1]
     kept = slice(-options.pairs, None)
 
-    def sizes(map_T_vio):
+    def sizes(map_T_vio: Array) -> Array:
         metres, angle = pose_residuals(apr[kept], vio[kept], map_T_vio)
         return np.hypot(metres / options.position_sd_m, angle / np.radians(options.rotation_sd_deg))
 
     width = max(2 * np.median(sizes(answer.map_T_vio)), 1.0)
 
-    def cost(map_T_vio):
+    def cost(map_T_vio: Array) -> float:
         r2 = (sizes(map_T_vio) / width) ** 2
         return np.sum(r2 / (1 + r2))
 
@@ -138,12 +139,12 @@ def test_window_fits_its_pairs_better_than_any_alignment_nearby():
 
 
 @pytest.mark.parametrize("huber", [np.inf, 2.0])
-def test_chain_is_at_the_least_cost(huber):
+def test_chain_is_at_the_least_cost(huber: float) -> None:
     """Against scipy's general solver, on poses that are turned any way."""
     rng = np.random.default_rng(4)
     truth = make_pose(Rotation.random(6, rng=rng).as_matrix(), rng.normal(0, 2, (6, 3)))
 
-    def wrong(poses, metres, radians):
+    def wrong(poses: Array, metres: float, radians: float) -> Array:
         turn = Rotation.from_rotvec(radians * rng.normal(size=(len(poses), 3))).as_matrix()
         return make_pose(poses[:, :3, :3] @ turn, poses[:, :3, 3] + metres * rng.normal(size=(len(poses), 3)))
 
@@ -152,7 +153,7 @@ def test_chain_is_at_the_least_cost(huber):
     sds = {"measured_sd": (0.5, 0.1), "step_sd": (0.05, 0.02)}
     solved, covariance = smooth_chain(measured, steps, measured, huber=huber, **sds)
 
-    def residuals(v):
+    def residuals(v: Array) -> Array:
         chain = make_pose(Rotation.from_rotvec(v[:, :3]).as_matrix(), v[:, 3:])
         turn = Rotation.from_matrix(measured[:, :3, :3].swapaxes(1, 2) @ chain[:, :3, :3]).as_rotvec() / 0.1
         own = np.hstack([turn, (chain[:, :3, 3] - measured[:, :3, 3]) / 0.5])
@@ -169,7 +170,7 @@ def test_chain_is_at_the_least_cost(huber):
     assert np.linalg.eigvalsh(covariance).min() > 0
 
 
-def test_pose_graph_window_is_the_chain_of_its_frames():
+def test_pose_graph_window_is_the_chain_of_its_frames() -> None:
     t_ns, truth, vio, apr = upright_walk(5, 30)
     options = PoseGraphOptions()
     answers = stepped(PoseGraph(options), as_walk(t_ns, truth, vio, apr))
@@ -184,7 +185,7 @@ def test_pose_graph_window_is_the_chain_of_its_frames():
     assert np.allclose(answers[-1].map_T_cam, chain[-1], atol=1e-5)
 
 
-def test_error_state_without_drift_is_the_average_of_the_predictions():
+def test_error_state_without_drift_is_the_average_of_the_predictions() -> None:
     """Without drift and gate the filter is least squares: standing still, the mean, and a covariance that says so."""
     rng = np.random.default_rng(6)
     options = ErrorStateOptions(drift_m=1e-9, drift_deg=1e-9, gate=1 - 1e-12)
@@ -195,7 +196,7 @@ def test_error_state_without_drift_is_the_average_of_the_predictions():
     assert np.allclose(answer.covariance[3:, 3:], np.eye(3) / 50, atol=1e-9)
 
 
-def test_error_state_refuses_outliers_and_begins_anew():
+def test_error_state_refuses_outliers_and_begins_anew() -> None:
     t_ns, truth, _, _ = upright_walk(7, 60)
     moved = truth.copy()
     moved[20, :3, 3] += 30.0
@@ -207,13 +208,13 @@ def test_error_state_refuses_outliers_and_begins_anew():
     assert np.allclose(answers[-1].map_T_cam, moved[-1], atol=1e-6)
 
 
-def test_offline_methods_say_so():
+def test_offline_methods_say_so() -> None:
     for method in METHODS.values():
         assert isinstance(method.make(method.options()), Offline) == (not method.causal)
     assert [m.id for m in METHODS.values() if not m.causal] == ["smoother", "vio_oracle"]
 
 
-def test_oracle_is_exact_for_odometry_without_drift_between_jumps():
+def test_oracle_is_exact_for_odometry_without_drift_between_jumps() -> None:
     t_ns, truth, _, apr = upright_walk(8, 50)
     vio = make_pose(yaw_rotation(1.0), [3.0, 0.0, 0.0]) @ truth
     vio[25:, :3, 3] += [9.0, 0.0, 9.0]
@@ -227,7 +228,7 @@ def test_oracle_is_exact_for_odometry_without_drift_between_jumps():
     assert {e.reasons for e in nothing} == {("no_odometry",), ("no_ground_truth",)}
 
 
-def test_smoother_beats_the_filter_and_knows_how_wrong_it_is():
+def test_smoother_beats_the_filter_and_knows_how_wrong_it_is() -> None:
     filtered, smoothed, inside = [], [], []
     for seed in range(3):
         t_ns, truth, vio, apr = upright_walk(seed, 150)
@@ -244,7 +245,7 @@ def test_smoother_beats_the_filter_and_knows_how_wrong_it_is():
     assert np.mean(inside) >= 0.9
 
 
-def test_smoother_does_not_care_which_way_time_runs():
+def test_smoother_does_not_care_which_way_time_runs() -> None:
     t_ns, truth, vio, apr = upright_walk(9, 60)
     forwards = poses(Smoother().estimates(as_walk(t_ns, truth, vio, apr)))
     backwards = poses(Smoother().estimates(as_walk(t_ns, truth[::-1], vio[::-1], apr[::-1])))[::-1]
@@ -252,7 +253,7 @@ def test_smoother_does_not_care_which_way_time_runs():
     assert np.linalg.norm(forwards[:, :3, 3] - backwards[:, :3, 3], axis=1).mean() < 0.1
 
 
-def test_smoother_answers_every_frame_that_can_be():
+def test_smoother_answers_every_frame_that_can_be() -> None:
     walk = random_walk(5, 40)
     given = as_walk(walk.t_ns, walk.map_T_cam, walk.vio, [None] * 3 + walk.apr[3:])
     answers = Smoother().estimates(given)

@@ -9,17 +9,18 @@ from upright_walks import as_walk
 from groundwalk.fusion.evaluation.fuse import Run, fuse
 from groundwalk.fusion.methods.decide import RuleWalk
 from groundwalk.fusion.methods.mobilearloc import MobileARLoc, MobileARLocOptions
+from groundwalk.fusion.walk import Walk
 from groundwalk.geometry import GeometryError
 
 RUN = Run("mobilearloc", "{}", "PN")
 
 
-def given(seed, frames=40):
+def given(seed: int, frames: int = 40) -> Walk:
     walk = random_walk(seed, frames)
     return as_walk(walk.t_ns, walk.map_T_cam, walk.vio, walk.apr)
 
 
-def assert_same(decided, fused):
+def assert_same(decided: Fused, fused: Fused) -> None:
     for name in ("status", "live_status"):
         assert list(getattr(decided, name)) == list(getattr(fused, name))
     for name in ("map_T_cam", "live_map_T_cam"):
@@ -27,7 +28,7 @@ def assert_same(decided, fused):
 
 
 @pytest.mark.parametrize("block", range(4))
-def test_says_what_the_steps_say(block):
+def test_says_what_the_steps_say(block: int) -> None:
     """On each frame of 200 walks: half with the defaults, half with random readings of the open points."""
     for seed in range(50 * block, 50 * block + 50):
         options = MobileARLocOptions() if seed % 2 else random_options(seed)
@@ -35,7 +36,7 @@ def test_says_what_the_steps_say(block):
         assert_same(RuleWalk(walk).decide(options), fuse(RUN, walk, MobileARLoc(options)))
 
 
-def test_a_sweep_over_one_walk_says_what_single_runs_say():
+def test_a_sweep_over_one_walk_says_what_single_runs_say() -> None:
     """What is kept for the next options is no other's."""
     walk = given(3, 120)
     prepared = RuleWalk(walk)
@@ -44,7 +45,7 @@ def test_a_sweep_over_one_walk_says_what_single_runs_say():
         assert_same(prepared.decide(options), fuse(RUN, walk, MobileARLoc(options)))
 
 
-def test_many_unreliable_frames_between_reliable_ones_change_nothing(monkeypatch):
+def test_many_unreliable_frames_between_reliable_ones_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Similarities are worked out some frames ahead; the next reliable frame may be further away."""
     monkeypatch.setattr("groundwalk.fusion.methods.decide._AHEAD", 1)
     for seed in range(30):
@@ -52,7 +53,7 @@ def test_many_unreliable_frames_between_reliable_ones_change_nothing(monkeypatch
         assert_same(RuleWalk(walk).decide(options), fuse(RUN, walk, MobileARLoc(options)))
 
 
-def test_walks_with_nothing_to_judge():
+def test_walks_with_nothing_to_judge() -> None:
     walk = random_walk(1)
     nothing = as_walk(walk.t_ns, walk.map_T_cam, walk.vio, [None] * 40)
     assert set(RuleWalk(nothing).decide(MobileARLocOptions()).status) == {"none"}

@@ -3,6 +3,7 @@
 What was measured stands beside some bounds."""
 
 import json
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -13,21 +14,24 @@ from upright_walks import as_walk, upright_walk
 
 from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.methods.error_map import ErrorMap
+from groundwalk.fusion.methods.localiser import Estimate, Localiser
 from groundwalk.fusion.methods.mobilearloc import MobileARLoc
 from groundwalk.fusion.methods.smoother import Smoother, SmootherOptions
-from groundwalk.geometry.poses import interpolate, make_pose, yaw_rotation
+from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
 
 
-def answers(localiser, t_ns, vio, apr):
+def answers(
+    localiser: Localiser, t_ns: Array, vio: Iterable[Array | None], apr: Iterable[Array | None]
+) -> list[Estimate]:
     return [localiser.step(int(t), v, a) for t, v, a in zip(t_ns, vio, apr, strict=True)]
 
 
-def poses(estimates):
+def poses(estimates: Iterable[Estimate]) -> Array:
     return np.array([e.map_T_cam for e in estimates])
 
 
-def test_every_frame_has_an_answer_and_it_beats_the_rule_and_the_raw_predictions():
+def test_every_frame_has_an_answer_and_it_beats_the_rule_and_the_raw_predictions() -> None:
     ours, rule, raw = [], [], []
     for seed in range(5):
         t_ns, truth, vio, apr = upright_walk(seed)
@@ -41,7 +45,7 @@ def test_every_frame_has_an_answer_and_it_beats_the_rule_and_the_raw_predictions
     assert (ours < 0.45 * rule).all() and (ours < 0.25 * raw).all()
 
 
-def test_covariance_holds_the_errors():
+def test_covariance_holds_the_errors() -> None:
     inside = []
     for seed in range(10, 18):
         t_ns, truth, vio, apr = upright_walk(seed)
@@ -53,7 +57,7 @@ def test_covariance_holds_the_errors():
     assert 0.9 <= np.mean(inside) <= 1.0  # 0.94
 
 
-def test_going_on_from_a_saved_state_changes_nothing_and_its_size_is_bounded():
+def test_going_on_from_a_saved_state_changes_nothing_and_its_size_is_bounded() -> None:
     t_ns, _, vio, apr = upright_walk(1, 60)
     options = DriftAwareOptions(keyframes=20)
     whole, localiser = answers(DriftAware(options), t_ns, vio, apr), DriftAware(options)
@@ -67,7 +71,7 @@ def test_going_on_from_a_saved_state_changes_nothing_and_its_size_is_bounded():
     assert max(sizes[30:]) <= 1.05 * max(sizes[2:30])
 
 
-def test_odometry_between_predictions_changes_little():
+def test_odometry_between_predictions_changes_little() -> None:
     """Ten odometry poses a second and one prediction: as good and as sure as at one pose a second."""
     found = {1: [], 10: []}
     for seed in range(4):
@@ -85,7 +89,7 @@ def test_odometry_between_predictions_changes_little():
     assert fine_error < 1.1 * error and sd < 1.3 * fine_sd and fine_sd < 1.3 * sd
 
 
-def test_frames_of_reference_do_not_matter():
+def test_frames_of_reference_do_not_matter() -> None:
     """Turning or moving odometry's frame moves nothing in the map; moving the map moves the answers with it."""
     t_ns, _, vio, apr = upright_walk(2, 80)
     other_T_vio = make_pose(yaw_rotation(1.1), [100.0, -3.0, 40.0])
@@ -98,7 +102,7 @@ def test_frames_of_reference_do_not_matter():
 
 
 @pytest.mark.parametrize("trouble", ["jump", "scale", "noise", "dropout"])
-def test_bad_odometry_never_makes_it_worse_than_the_predictions(trouble):
+def test_bad_odometry_never_makes_it_worse_than_the_predictions(trouble: str) -> None:
     for seed in range(4):
         rng = np.random.default_rng(seed)
         t_ns, truth, vio, apr = upright_walk(seed)
@@ -117,7 +121,7 @@ def test_bad_odometry_never_makes_it_worse_than_the_predictions(trouble):
         assert position_error(poses(estimates), truth).mean() < 0.75 * position_error(apr, truth).mean()  # at most 0.65
 
 
-def test_a_jump_too_short_to_see_is_answered_by_following_the_predictions():
+def test_a_jump_too_short_to_see_is_answered_by_following_the_predictions() -> None:
     """2 m within a second could be a walk; the predictions say that it wasn't one."""
     after = {True: [], False: []}
     for seed in range(4):
@@ -132,7 +136,7 @@ def test_a_jump_too_short_to_see_is_answered_by_following_the_predictions():
     assert np.mean(after[True]) < 0.9 * np.mean(after[False])
 
 
-def test_how_much_odometry_drifts_is_learnt():
+def test_how_much_odometry_drifts_is_learnt() -> None:
     """Ten times the usual drift is found within 40 m, and is no reason for good odometry's being distrusted."""
     found = {"usual": [], "bad": []}
     for seed in range(6):
@@ -151,7 +155,7 @@ def test_how_much_odometry_drifts_is_learnt():
     assert usual < 3 and bad > 15 and gain < 0.8 and loss < 1.1
 
 
-def test_a_prediction_counts_less_for_leaning():
+def test_a_prediction_counts_less_for_leaning() -> None:
     """Its gravity alone shows that it is a bad one."""
     for seed in range(4):
         t_ns, _, vio, apr = upright_walk(seed, 30, outliers=0.0)
@@ -161,7 +165,7 @@ def test_a_prediction_counts_less_for_leaning():
         assert weight < 0.3 * plain_weight
 
 
-def test_one_prediction_far_off_changes_next_to_nothing():
+def test_one_prediction_far_off_changes_next_to_nothing() -> None:
     """It is turned by 150 degrees and 12 m off; the answer hardly moves, and forgets it."""
     for seed in range(6):
         t_ns, _, vio, apr = upright_walk(seed, 40, outliers=0.0)
@@ -172,7 +176,7 @@ def test_one_prediction_far_off_changes_next_to_nothing():
         assert moved[20] < 0.2 and moved.max() < 0.7 and moved[39] < 0.15  # 0.62 in one walk, else 0.1
 
 
-def test_some_seconds_of_wrong_predictions_are_no_reason_to_leave_odometry():
+def test_some_seconds_of_wrong_predictions_are_no_reason_to_leave_odometry() -> None:
     """A look aside at what the regressor doesn't know: five predictions in a row at some other place."""
     strayed = []
     for seed in range(5):
@@ -188,7 +192,7 @@ def test_some_seconds_of_wrong_predictions_are_no_reason_to_leave_odometry():
     assert np.max(strayed) < 1.0  # 0.34
 
 
-def test_a_long_row_of_alike_mistakes_is_no_lost_odometry():
+def test_a_long_row_of_alike_mistakes_is_no_lost_odometry() -> None:
     """Ten predictions wrong in the same way, upright or leaning: without a sign odometry is still believed."""
     for seed, lean_deg in ((s, d) for s in range(4) for d in (0, 30)):
         t_ns, truth, vio, apr = upright_walk(seed, 80, noise_m=0.3, outliers=0.0)
@@ -199,7 +203,7 @@ def test_a_long_row_of_alike_mistakes_is_no_lost_odometry():
         assert position_error(fused, truth)[60:].mean() < 0.6  # at most 0.35
 
 
-def test_after_a_jump_it_is_lost_until_the_predictions_have_said_where():
+def test_after_a_jump_it_is_lost_until_the_predictions_have_said_where() -> None:
     """5 m, or 30 degrees about where odometry began; within some seconds it is as good as before."""
     for seed, turn_deg in ((s, d) for s in range(3) for d in (0, 30)):
         t_ns, truth, vio, apr = upright_walk(seed, noise_m=0.2, noise_deg=2.0, outliers=0.05)
@@ -217,7 +221,7 @@ def test_after_a_jump_it_is_lost_until_the_predictions_have_said_where():
         assert "lost" in statuses[100:106] and statuses[110:140].count("fused") > 20
 
 
-def test_a_minute_of_one_wrong_place_is_left_again():
+def test_a_minute_of_one_wrong_place_is_left_again() -> None:
     """Predictions of another place for a minute, that move as odometry does; then the old alignment holds again."""
     for seed in range(3):
         t_ns, truth, vio, apr = upright_walk(seed, 180, noise_m=0.2, noise_deg=2.0, outliers=0.05)
@@ -227,14 +231,14 @@ def test_a_minute_of_one_wrong_place_is_left_again():
         assert error[135:].mean() < 1.5 * error[30:60].mean() + 0.1
 
 
-def test_predictions_better_than_odometry_are_followed():
+def test_predictions_better_than_odometry_are_followed() -> None:
     for seed in range(3):
         t_ns, truth, vio, apr = upright_walk(seed, 50, noise_m=0.02, noise_deg=0.3, outliers=0.0)
         fused = poses(answers(DriftAware(), t_ns, vio, apr))
         assert position_error(fused, truth).mean() < 1.02 * position_error(apr, truth).mean()
 
 
-def localised(seed):
+def localised(seed: int) -> tuple[Array, Array, list[Estimate]]:
     """A walk with poses as a structure localiser gives them: millimetres with heavy tails, and stated covariances.
     Odometry drifts by 3 cm and half a degree a step, and its vertical leans by 0.05 degrees."""
     rng = np.random.default_rng(seed)
@@ -254,7 +258,7 @@ def localised(seed):
     return truth, apr, [localiser.step(int(t), v, a, None, c) for t, v, a, c in frames]
 
 
-def test_a_structure_localiser_is_hardly_made_worse_and_the_bounds_hold():
+def test_a_structure_localiser_is_hardly_made_worse_and_the_bounds_hold() -> None:
     ratios, inside = [], []
     for seed in range(3):
         truth, apr, estimates = localised(seed)
@@ -270,7 +274,7 @@ def test_a_structure_localiser_is_hardly_made_worse_and_the_bounds_hold():
     assert (np.mean(inside, axis=0) > 0.85).all(), inside
 
 
-def test_odometrys_vertical_is_learnt_from_predictions_that_know_it_better_and_from_no_others():
+def test_odometrys_vertical_is_learnt_from_predictions_that_know_it_better_and_from_no_others() -> None:
     truth, _, estimates = localised(0)
     assert rotation_error_deg(poses(estimates), truth)[40:].mean() < 0.025  # 0.05 with odometry's vertical
     t_ns, truth, vio, apr = upright_walk(0, 60)
@@ -279,7 +283,7 @@ def test_odometrys_vertical_is_learnt_from_predictions_that_know_it_better_and_f
     assert np.degrees(np.abs(localiser.save()["tilt"][0])).max() < 0.02
 
 
-def test_one_setting_serves_errors_of_every_size():
+def test_one_setting_serves_errors_of_every_size() -> None:
     for noise_m in (0.1, 0.5, 5.0):
         ratio = []
         for seed in range(3):
@@ -289,7 +293,7 @@ def test_one_setting_serves_errors_of_every_size():
         assert np.mean(ratio) < 0.5  # at most 0.31
 
 
-def test_covariances_that_predictions_bring_are_used_whatever_their_unit():
+def test_covariances_that_predictions_bring_are_used_whatever_their_unit() -> None:
     """Right but for a common factor, they tell which predictions are good."""
     errors = {"none": [], 1.0: [], 100.0: []}
     for seed in range(4):
@@ -308,7 +312,7 @@ def test_covariances_that_predictions_bring_are_used_whatever_their_unit():
     assert right < none and scaled < 1.05 * right
 
 
-def test_a_covariance_that_is_none_is_named():
+def test_a_covariance_that_is_none_is_named() -> None:
     t_ns, _, vio, apr = upright_walk(0, 3)
     localiser = DriftAware()
     for wrong in (np.zeros((6, 6)), -np.eye(6), np.full((6, 6), np.nan), np.triu(np.ones((6, 6)))):
@@ -317,7 +321,7 @@ def test_a_covariance_that_is_none_is_named():
     assert "covariance_invalid" not in localiser.step(int(t_ns[0]), vio[0], apr[0], None, np.eye(6)).reasons
 
 
-def test_the_later_the_answer_the_better():
+def test_the_later_the_answer_the_better() -> None:
     error = {0.0: [], 5.0: [], 30.0: [], None: []}
     for seed in range(4):
         t_ns, truth, vio, apr = upright_walk(seed, 100)
@@ -331,7 +335,7 @@ def test_the_later_the_answer_the_better():
     assert means[1] < 0.95 * means[0] and means[2] < means[1] and means[3] < 1.02 * means[2]
 
 
-def test_odometry_that_starts_anew_elsewhere_is_aligned_anew_and_one_that_comes_back_is_believed():
+def test_odometry_that_starts_anew_elsewhere_is_aligned_anew_and_one_that_comes_back_is_believed() -> None:
     again, back = [], []
     for seed in range(6):
         t_ns, truth, vio, apr = upright_walk(seed)
@@ -344,7 +348,7 @@ def test_odometry_that_starts_anew_elsewhere_is_aligned_anew_and_one_that_comes_
     assert np.mean(again) < 5 and np.mean(back) < 0.6  # 1.8 degrees
 
 
-def test_what_was_learnt_beforehand_is_used_and_can_be_switched_off():
+def test_what_was_learnt_beforehand_is_used_and_can_be_switched_off() -> None:
     """A regressor with the same bias along the same way, which held-out frames of another walk have shown."""
     ratio = []
     for seed in range(4):
@@ -353,7 +357,7 @@ def test_what_was_learnt_beforehand_is_used_and_can_be_switched_off():
         lean = np.sin(truth[:, :3, 3] @ rng.normal(0, 0.2, (3, 3)) + rng.uniform(0, 6, 3))
         bias = 1.5 * lean * [1.0, 0.2, 1.0]
 
-        def predicted(rng=rng, truth=truth, bias=bias):
+        def predicted(rng: np.random.Generator = rng, truth: Array = truth, bias: Array = bias) -> Array:
             shift = bias + rng.normal(0, 0.1, (200, 3))
             turn = Rotation.from_rotvec(np.radians(1) * rng.normal(size=(200, 3))).as_matrix()
             return make_pose(turn @ truth[:, :3, :3], truth[:, :3, 3] + shift)
@@ -373,7 +377,7 @@ def test_what_was_learnt_beforehand_is_used_and_can_be_switched_off():
     assert np.mean(ratio) < 0.5
 
 
-def test_a_regressor_that_takes_a_step_aside_for_a_turn_is_seen_through():
+def test_a_regressor_that_takes_a_step_aside_for_a_turn_is_seen_through() -> None:
     """How its errors go together is learnt, so that the yaw's tells of the position's."""
     with_it, without = [], []
     for seed in range(4):
@@ -389,7 +393,7 @@ def test_a_regressor_that_takes_a_step_aside_for_a_turn_is_seen_through():
     assert np.mean(with_it) < 0.9 * np.mean(without)  # 0.85
 
 
-def test_hopeless_walks_and_switched_off_ingredients_run():
+def test_hopeless_walks_and_switched_off_ingredients_run() -> None:
     switched_off = DriftAwareOptions(error_map=False, covariances=False, distrust=False, rivals=False)
     for seed in range(6):
         walk = random_walk(seed)

@@ -1,5 +1,7 @@
 """What held-out frames tell of a regressor: against errors that are made by a known rule."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from groundwalk.fusion.methods.error_map import LEAST_FRAMES, ErrorMap, errors_of
-from groundwalk.geometry.poses import make_pose, yaw_rotation
+from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 
 
-def walk(seed, frames=150, noise=0.1):
+def walk(seed: int, frames: int = 150, noise: float = 0.1) -> tuple[Array, Array]:
     """True poses on a course of 30 m, and predictions: wrong by a smooth function of the place, five times as much in
     the half with x > 0, and by noise."""
     rng = np.random.default_rng(seed)
@@ -26,17 +28,17 @@ def walk(seed, frames=150, noise=0.1):
     return true, make_pose(wrong @ lean @ true[:, :3, :3], xyz + error[:, 1:] * [1, 0.3, 1])
 
 
-def asked(error_map, apr):
+def asked(error_map: ErrorMap, apr: Array) -> list[Expected]:
     return [error_map.expected(p[:3, 3], p[:3, 2]) for p in apr]
 
 
 @pytest.fixture(scope="module")
-def learnt():
+def learnt() -> ErrorMap:
     true, apr = walk(0)
     return ErrorMap.learnt(apr, true)
 
 
-def test_errors_come_apart_into_yaw_position_and_tilt():
+def test_errors_come_apart_into_yaw_position_and_tilt() -> None:
     true = make_pose(Rotation.random(20, rng=0).as_matrix(), np.random.default_rng(0).normal(size=(20, 3)))
     yaw, shift = np.linspace(-2, 2, 20), np.array([1.0, -2.0, 3.0])
     error, tilt = errors_of(make_pose(yaw_rotation(yaw) @ true[:, :3, :3], true[:, :3, 3] + shift), true)
@@ -46,7 +48,7 @@ def test_errors_come_apart_into_yaw_position_and_tilt():
     assert errors_of(make_pose(lean @ true[:, :3, :3], true[:, :3, 3]), true)[1] == pytest.approx(0.1)
 
 
-def test_another_walks_errors_are_expected_and_so_is_what_is_left(learnt):
+def test_another_walks_errors_are_expected_and_so_is_what_is_left(learnt: ErrorMap) -> None:
     true, apr = walk(1)
     error, tilt = errors_of(apr, true)
     expected = asked(learnt, apr)
@@ -62,7 +64,7 @@ def test_another_walks_errors_are_expected_and_so_is_what_is_left(learnt):
     assert np.median(leans[hard]) > 4 * np.median(leans[easy]) and 0.3 < np.mean(tilt**2 / 2 / leans) < 3
 
 
-def beside(true, seed, deg_per_m):
+def beside(true: Array, seed: int, deg_per_m: float) -> tuple[Array, Array, Array]:
     """Predictions 0.3 m off to either side, turned left by so much a metre to the left, and a bit of noise on both."""
     rng = np.random.default_rng(seed)
     off = rng.normal(0, 0.3, len(true))
@@ -73,7 +75,7 @@ def beside(true, seed, deg_per_m):
     return make_pose(yaw_rotation(yaw) @ true[:, :3, :3], true[:, :3, 3] + shift), off, across
 
 
-def test_yaw_that_comes_with_an_error_to_the_side_is_told():
+def test_yaw_that_comes_with_an_error_to_the_side_is_told() -> None:
     true, _ = walk(3)
     apr, _, across = beside(true, 0, 12.0)
     told = ErrorMap.learnt(apr, true)
@@ -86,7 +88,7 @@ def test_yaw_that_comes_with_an_error_to_the_side_is_told():
         assert np.degrees(true[i, [0, 2], 2] @ expected.yaw_per_m) == pytest.approx(0, abs=2)
 
 
-def test_yaw_errors_of_their_own_are_left_alone():
+def test_yaw_errors_of_their_own_are_left_alone() -> None:
     slopes = []
     for seed in range(8):
         true, _ = walk(seed)
@@ -94,7 +96,7 @@ def test_yaw_errors_of_their_own_are_left_alone():
     assert np.count_nonzero(slopes) <= 3 and np.abs(np.degrees(slopes)).max() < 1.5
 
 
-def test_where_nothing_was_held_out_nothing_is_known(learnt):
+def test_where_nothing_was_held_out_nothing_is_known(learnt: ErrorMap) -> None:
     far = learnt.expected(np.array([500.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     assert far.error == pytest.approx(0) and (far.shared > 0).all()
     _, apr = walk(1)
@@ -102,7 +104,7 @@ def test_where_nothing_was_held_out_nothing_is_known(learnt):
     assert (far.shared > near).all()
 
 
-def test_moving_the_map_moves_nothing():
+def test_moving_the_map_moves_nothing() -> None:
     (true, apr), shift = walk(0), make_pose(np.eye(3), [40.0, -3.0, 90.0])
     here, there = ErrorMap.learnt(apr, true), ErrorMap.learnt(shift @ apr, shift @ true)
     _, queries = walk(1)
@@ -110,7 +112,7 @@ def test_moving_the_map_moves_nothing():
         assert a.error == pytest.approx(b.error, abs=1e-3) and a.shared == pytest.approx(b.shared, rel=1e-2)
 
 
-def test_a_table_gives_the_same_map(learnt, tmp_path):
+def test_a_table_gives_the_same_map(learnt: ErrorMap, tmp_path: Path) -> None:
     learnt.table().assign(scene="Place", model="PN").to_parquet(tmp_path / "map.parquet")
     again = ErrorMap.from_table(pd.read_parquet(tmp_path / "map.parquet"))
     _, apr = walk(2)
@@ -118,7 +120,7 @@ def test_a_table_gives_the_same_map(learnt, tmp_path):
         assert all(np.allclose(x, y, rtol=1e-9) for x, y in zip(a, b, strict=True))
 
 
-def test_too_few_frames_make_no_map_and_missing_ones_do_not_count():
+def test_too_few_frames_make_no_map_and_missing_ones_do_not_count() -> None:
     true, apr = walk(0)
     apr[LEAST_FRAMES - 1 :] = np.nan
     assert ErrorMap.learnt(apr, true) is None

@@ -1,5 +1,7 @@
 """The benchmark's walks are what they say, and its comparisons are right where the answer is known."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -47,13 +49,13 @@ def plain() -> Case:
     return case(SIMULATED)
 
 
-def test_the_same_seed_gives_the_same_walks(plain):
+def test_the_same_seed_gives_the_same_walks(plain: Case) -> None:
     again = case(SIMULATED)
     for a, b in zip(plain.walks, again.walks, strict=True):
         assert np.array_equal(a.map_T_cam_apr, b.map_T_cam_apr) and np.array_equal(a.vio_T_cam, b.vio_T_cam)
 
 
-def test_spoilt_odometry_is_spoilt_as_it_says(plain):
+def test_spoilt_odometry_is_spoilt_as_it_says(plain: Case) -> None:
     lengths = step_lengths(plain.walks[0].vio_T_cam)[0]
     assert step_lengths(case("scale 5 %").walks[0].vio_T_cam)[0] == pytest.approx(1.05 * lengths)
     noisy = step_lengths(case("noise 10 %").walks[0].vio_T_cam)[0]
@@ -67,7 +69,7 @@ def test_spoilt_odometry_is_spoilt_as_it_says(plain):
     assert np.mean(better) < 0.1
 
 
-def test_comparisons_and_recovery(plain):
+def test_comparisons_and_recovery(plain: Case) -> None:
     kidnapped = case(KIDNAPPED)
     assert all(np.diff(w.t_ns).max() > 10e9 for w in kidnapped.walks)
     summary, sessions = score(plain, METHODS)
@@ -87,7 +89,7 @@ def test_comparisons_and_recovery(plain):
     assert recovery.loc[RAW, "never %"] == 0 and recovery.loc[OURS, "walks"] == 2
 
 
-def test_ablations_leave_out_one_ingredient_each():
+def test_ablations_leave_out_one_ingredient_each() -> None:
     options = resolve_options(OURS)
     variants = ablations(options)
     base = options.model_dump()
@@ -97,7 +99,7 @@ def test_ablations_leave_out_one_ingredient_each():
     assert len({v.label for v in variants}) == len(variants) >= 4
 
 
-def test_targets_say_whether_they_are_reached():
+def test_targets_say_whether_they_are_reached() -> None:
     table = target_table([Target("a", "", 0.4, high=0.45), Target("b", "", 1.0, low=2.0), Target("c", "", 99, 90, 98)])
     assert list(table[""]) == ["ok", "short", "short"]
     assert list(table["wanted"]) == ["at most 0.45", "at least 2", "90 to 98"]
@@ -105,7 +107,7 @@ def test_targets_say_whether_they_are_reached():
 
 
 @pytest.mark.slow
-def test_recorded_walks_differ_from_their_truth_by_a_drift_of_the_fitted_size(shared_trajectories):
+def test_recorded_walks_differ_from_their_truth_by_a_drift_of_the_fitted_size(shared_trajectories: Path) -> None:
     tracks = {t.name: t for t in recorded_tracks(shared_trajectories)}
     assert len(tracks) == 10
     for name, track in tracks.items():

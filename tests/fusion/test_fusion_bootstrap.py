@@ -23,7 +23,7 @@ def errors_of(sessions: list[np.ndarray]) -> pd.DataFrame:
     return pd.concat(rows, ignore_index=True).assign(status="predicted", quality=None)
 
 
-def test_values_are_those_of_the_summary():
+def test_values_are_those_of_the_summary() -> None:
     results = evaluate([Inputs("Place", *tables([1, 2, 3]))], FuseSettings(methods=METHODS))
     summary = results.tables["summary"]
     ours = summary[summary["scored"] == "method"].set_index(["method", "subset"])
@@ -35,7 +35,7 @@ def test_values_are_those_of_the_summary():
         assert row["sessions"] == 3 and row["draws"] == 10
 
 
-def test_two_sessions_give_the_two_sessions():
+def test_two_sessions_give_the_two_sessions() -> None:
     rng = np.random.default_rng(0)
     sessions = [rng.uniform(0, 1, 40), rng.uniform(1, 2, 40)]
     found = intervals(errors_of(sessions)).set_index(["subset", "figure"]).loc[("all", "position_mean_m")]
@@ -43,12 +43,12 @@ def test_two_sessions_give_the_two_sessions():
     assert found["draws"] == 3
 
 
-def test_one_session_has_no_interval():
+def test_one_session_has_no_interval() -> None:
     found = intervals(errors_of([np.linspace(0, 1, 9)]))
     assert found["low"].isna().all() and found["high"].isna().all() and found["value"].notna().all()
 
 
-def test_levels_leave_out_uncertain_ground_truth():
+def test_levels_leave_out_uncertain_ground_truth() -> None:
     errors = errors_of([np.array([0.1, 0.1, 9.0]), np.array([0.1, 9.0, 9.0])])
     errors["quality"] = ["A", "C", "B", "A", "A", "C"]
     high = intervals(errors).set_index(["subset", "figure"]).loc[("all", "high_pct")]
@@ -58,7 +58,7 @@ def test_levels_leave_out_uncertain_ground_truth():
     assert nothing.loc["position_mean_m", "value"] == pytest.approx(np.mean([0.1, 0.1, 9.0, 0.1, 9.0, 9.0]))
 
 
-def test_interval_covers_the_true_mean_about_as_often_as_it_says():
+def test_interval_covers_the_true_mean_about_as_often_as_it_says() -> None:
     # Sessions differ in their mean error; the true mean over all sessions is 1.
     rng = np.random.default_rng(1)
     inside = 0
@@ -69,7 +69,7 @@ def test_interval_covers_the_true_mean_about_as_often_as_it_says():
     assert 50 <= inside <= 60
 
 
-def test_missing_frames_make_a_median_infinite_where_half_are_missing():
+def test_missing_frames_make_a_median_infinite_where_half_are_missing() -> None:
     found = intervals(errors_of([np.array([0.1, 0.2, np.nan]), np.array([np.nan, np.nan, 0.3])]))
     median = found.set_index(["subset", "figure"]).loc[("all", "position_median_m")]
     assert pd.isna(median["value"]) and median["low"] == pytest.approx(0.2) and pd.isna(median["high"])

@@ -2,12 +2,15 @@
 
 import hashlib
 import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
-from tables import tables
+from tables import Tables, tables
 from typer.testing import CliRunner
 
 from groundwalk.artefacts import UserError
@@ -21,11 +24,11 @@ from groundwalk.fusion.files.walks import evaluated
 SEEDS = [1, 2, 3]
 
 
-def run(frames, truth, predictions, **settings):
+def run(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame, **settings: Any) -> Results:
     return evaluate([Inputs("Place", frames, truth, predictions)], FuseSettings(**settings))
 
 
-def test_summary_counts_what_is_there():
+def test_summary_counts_what_is_there() -> None:
     results = run(*tables(SEEDS, ("PN", "MS-T")))
     errors, summary = results.tables["errors"], results.tables["summary"]
     ours = errors[(errors["method"] == "mobilearloc") & (errors["model"] == "PN")]
@@ -53,7 +56,7 @@ def test_summary_counts_what_is_there():
     assert (common["answered"] == common["frames"]).all() and len(set(common["frames"])) == 1
 
 
-def held_out_tables():
+def held_out_tables() -> list[pd.DataFrame]:
     """Four sessions, of which two were held out of training."""
     parts = [t.copy() for t in tables([1, 2, 3, 4])]
     for table in parts:
@@ -61,7 +64,7 @@ def held_out_tables():
     return parts
 
 
-def test_methods_learn_from_held_out_frames_and_never_from_those_that_are_judged():
+def test_methods_learn_from_held_out_frames_and_never_from_those_that_are_judged() -> None:
     frames, truth, predictions = held_out_tables()
     learnt, not_learnt = run(frames, truth, predictions), run(frames, truth, predictions, learn_from="")
     assert set(learnt.tables["errors"]["session_id"]) == {"s3", "s4"}
@@ -79,7 +82,7 @@ def test_methods_learn_from_held_out_frames_and_never_from_those_that_are_judged
     pd.testing.assert_frame_equal(run(relabelled, truth, predictions).tables["error_maps"], table)
 
 
-def test_held_out_frames_say_which_method_is_ahead():
+def test_held_out_frames_say_which_method_is_ahead() -> None:
     frames, truth, predictions = held_out_tables()
     found = run(frames, truth, predictions).tables["validation"]
     assert set(found["frames"]) == {80} and list(found.loc[found["ahead"], "method"]) != []
@@ -95,7 +98,7 @@ def test_held_out_frames_say_which_method_is_ahead():
     assert "validation" not in run(frames, truth, unseen).tables
 
 
-def test_offline_methods_do_not_shrink_what_causal_ones_are_compared_on():
+def test_offline_methods_do_not_shrink_what_causal_ones_are_compared_on() -> None:
     frames, truth, predictions = tables(SEEDS)
     causal = ["apr", "drift_aware"]
     # Where odometry is lost these two answer with the prediction, the bound with nothing.
@@ -106,7 +109,7 @@ def test_offline_methods_do_not_shrink_what_causal_ones_are_compared_on():
     pd.testing.assert_frame_equal(both.loc[causal], alone)
 
 
-def test_poses_confirmed_later_are_not_live():
+def test_poses_confirmed_later_are_not_live() -> None:
     poses = run(*tables(SEEDS)).tables["poses"]
     ours = poses[poses["method"] == "mobilearloc"]
     late = ours[ours["status"] != ours["live_status"]]
@@ -114,7 +117,7 @@ def test_poses_confirmed_later_are_not_live():
     assert np.isfinite(poses_of(late, "map_cam")).all()
 
 
-def test_each_session_starts_afresh():
+def test_each_session_starts_afresh() -> None:
     frames, truth, predictions = tables(SEEDS)
     together = run(frames, truth, predictions).tables["poses"]
     alone = [
@@ -126,7 +129,7 @@ def test_each_session_starts_afresh():
     pd.testing.assert_frame_equal(together[columns].sort_values(columns[:2]).reset_index(drop=True), expected)
 
 
-def test_row_order_does_not_matter_and_is_counted():
+def test_row_order_does_not_matter_and_is_counted() -> None:
     frames, truth, predictions = tables(SEEDS)
     shuffled = [t.sample(frac=1, random_state=0) for t in (frames, truth, predictions)]
     a, b = run(frames, truth, predictions), run(*shuffled)
@@ -134,7 +137,7 @@ def test_row_order_does_not_matter_and_is_counted():
     assert a.counts["frames_out_of_order"] == 0 < b.counts["frames_out_of_order"]
 
 
-def test_frames_that_cannot_be_scored_are_counted():
+def test_frames_that_cannot_be_scored_are_counted() -> None:
     frames, truth, predictions = tables([1])
     predictions.loc[3, "map_cam_tx"] = np.nan
     predictions.loc[4, [f"map_cam_q{a}" for a in "xyzw"]] = 0.0
@@ -147,7 +150,7 @@ def test_frames_that_cannot_be_scored_are_counted():
     assert counts["frames_without_ground_truth"] == 1
 
 
-def test_levels_leave_out_ground_truth_of_class_c_and_count_it():
+def test_levels_leave_out_ground_truth_of_class_c_and_count_it() -> None:
     frames, truth, predictions = tables([1, 2])
     quality = np.array(["A", "B", "C", "A"])[np.arange(len(truth)) % 4]
     methods = ["apr", "mobilearloc"]
@@ -178,7 +181,7 @@ def test_levels_leave_out_ground_truth_of_class_c_and_count_it():
     assert usual["too_uncertain"] == 20
 
 
-def test_without_sure_ground_truth_levels_are_empty_and_that_is_said():
+def test_without_sure_ground_truth_levels_are_empty_and_that_is_said() -> None:
     frames, truth, predictions = tables([1])
     results = run(frames, truth.assign(quality="C"), predictions, methods=["apr", "mobilearloc"])
     summary = results.tables["summary"]
@@ -188,7 +191,7 @@ def test_without_sure_ground_truth_levels_are_empty_and_that_is_said():
     assert any("no accuracy level can be scored" in line for line in report_lines(results))
 
 
-def test_quaternions_of_other_lengths_are_counted_and_taken_for_their_direction():
+def test_quaternions_of_other_lengths_are_counted_and_taken_for_their_direction() -> None:
     frames, truth, predictions = tables([1])
     plain = run(frames, truth, predictions, methods=["apr", "mobilearloc"])
     longer = predictions.copy()
@@ -200,7 +203,7 @@ def test_quaternions_of_other_lengths_are_counted_and_taken_for_their_direction(
     pd.testing.assert_frame_equal(results.tables["summary"], plain.tables["summary"])
 
 
-def test_covariances_that_predictions_bring_reach_the_walk_and_wrong_ones_are_counted():
+def test_covariances_that_predictions_bring_reach_the_walk_and_wrong_ones_are_counted() -> None:
     frames, truth, predictions = tables([1])
     stated = [np.eye(6).ravel().tolist() for _ in range(len(predictions))]
     stated[3], stated[4], stated[5] = None, (-np.eye(6)).ravel().tolist(), [1.0, 2.0]
@@ -213,7 +216,7 @@ def test_covariances_that_predictions_bring_reach_the_walk_and_wrong_ones_are_co
     assert plain.apr_covariance is None
 
 
-def test_frames_without_odometry_are_counted():
+def test_frames_without_odometry_are_counted() -> None:
     frames, truth, predictions = tables([1])
     plain = run(frames, truth, predictions).counts["frames_without_odometry"]
     frames.loc[20:23, [c for c in frames.columns if c.startswith("vio_cam")]] = np.nan
@@ -226,64 +229,64 @@ def test_frames_without_odometry_are_counted():
     assert ((poses.loc["drift_aware"].loc[lost, "live_status"] == "predicted") == predicted).all()
 
 
-def drop_column(frames, truth, predictions):
+def drop_column(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames, truth, predictions.drop(columns="map_cam_qw")
 
 
-def duplicate_prediction(frames, truth, predictions):
+def duplicate_prediction(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames, truth, pd.concat([predictions, predictions.iloc[:1]])
 
 
-def duplicate_frame(frames, truth, predictions):
+def duplicate_frame(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return pd.concat([frames, frames.iloc[:1]]), truth, predictions
 
 
-def same_time(frames, truth, predictions):
+def same_time(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     frames.loc[1, "t_ns"] = frames.loc[0, "t_ns"]
     return frames, truth, predictions
 
 
-def mixed_sessions(frames, truth, predictions):
+def mixed_sessions(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     predictions.loc[5, "session_id"] = "another"
     return frames, truth, predictions
 
 
-def little_overlap(frames, truth, predictions):
+def little_overlap(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames, truth, predictions.iloc[:10]
 
 
-def other_times(frames, truth, predictions):
+def other_times(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames, truth.assign(t_ns=truth["t_ns"] + 1), predictions
 
 
-def text_for_numbers(frames, truth, predictions):
+def text_for_numbers(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames.assign(vio_cam_tx="left"), truth, predictions
 
 
-def empty_session(frames, truth, predictions):
+def empty_session(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames.assign(session_id=frames["session_id"].where(frames.index != 3)), truth, predictions
 
 
-def empty_id(frames, truth, predictions):
+def empty_id(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames, truth, predictions.assign(frame_id=predictions["frame_id"].where(predictions.index != 3))
 
 
-def no_truth(frames, truth, predictions):
+def no_truth(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames, truth.assign(frame_id="x" + truth["frame_id"]), predictions
 
 
-def no_predictions(frames, truth, predictions):
+def no_predictions(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames, truth, predictions.iloc[:0]
 
 
-def no_frames(frames, truth, predictions):
+def no_frames(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames.iloc[:0], truth, predictions
 
 
-def w_first(*which):
+def w_first(*which: int) -> Spoil:
     """Spoils tables by writing the scalar part of quaternions first."""
 
-    def spoil(*made):
+    def spoil(*made: pd.DataFrame) -> Tables:
         for number in which:
             prefix = "vio_cam" if number == 0 else "map_cam"
             q = [f"{prefix}_q{a}" for a in "xyzw"]
@@ -293,37 +296,37 @@ def w_first(*which):
     return spoil
 
 
-def numbers_for_ids(frames, truth, predictions):
+def numbers_for_ids(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames, truth, predictions.assign(frame_id=range(len(predictions)))
 
 
-def seconds_for_nanoseconds(frames, truth, predictions):
+def seconds_for_nanoseconds(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames.assign(t_ns=frames["t_ns"] * 1e-9), truth, predictions
 
 
-def text_for_gravity(frames, truth, predictions):
+def text_for_gravity(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames.assign(gravity_x=0.0, gravity_y="down", gravity_z=0.0), truth, predictions
 
 
-def unknown_quality(frames, truth, predictions):
+def unknown_quality(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames, truth.assign(quality="good"), predictions
 
 
-def truth_without_poses(frames, truth, predictions):
+def truth_without_poses(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames, truth.assign(map_cam_tx=np.nan), predictions
 
 
-def truth_refused(frames, truth, predictions):
+def truth_refused(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames, truth.assign(quality="none"), predictions
 
 
-def euler_degrees(frames, truth, predictions):
+def euler_degrees(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     degrees = Rotation.from_matrix(poses_of(predictions, "map_cam")[:, :3, :3]).as_euler("xyz", degrees=True)
     columns = dict(zip(["map_cam_qx", "map_cam_qy", "map_cam_qz"], degrees.T, strict=True))
     return frames, truth, predictions.assign(map_cam_qw=0.0, **columns)
 
 
-def nan_predictions(frames, truth, predictions):
+def nan_predictions(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
     return frames, truth, predictions.assign(map_cam_tx=np.nan)
 
 
@@ -357,16 +360,16 @@ def nan_predictions(frames, truth, predictions):
         (no_frames, "no rows"),
     ],
 )
-def test_input_that_cannot_be_evaluated_is_refused(spoil, message):
+def test_input_that_cannot_be_evaluated_is_refused(spoil: Spoil, message: str) -> None:
     with pytest.raises(UserError, match=message):
         run(*spoil(*tables([2])))
 
 
-def test_what_puts_the_figures_in_doubt_is_said_before_them():
+def test_what_puts_the_figures_in_doubt_is_said_before_them() -> None:
     frames, truth, predictions = tables([1])
     finite = int(predictions["map_cam_tx"].notna().sum())
 
-    def warnings(changed):
+    def warnings(changed: pd.DataFrame) -> list[str]:
         lines = report_lines(run(frames, truth, changed))
         first_figure = next(i for i, line in enumerate(lines) if "mean error" in line)
         assert not any(line.startswith("warning") for line in lines[first_figure:])
@@ -382,7 +385,7 @@ def test_what_puts_the_figures_in_doubt_is_said_before_them():
     assert f"warning: {finite} predictions have quaternions" in warnings(doubled)[0]
 
 
-def test_options_are_recorded_and_checked():
+def test_options_are_recorded_and_checked() -> None:
     poses = run(*tables([1]), options={"mobilearloc": {"n": 3}}).tables["poses"]
     assert poses[poses["method"] == "mobilearloc"]["options"].str.contains('"n": 3').all()
     with pytest.raises(UserError, match="gama"):
@@ -391,13 +394,13 @@ def test_options_are_recorded_and_checked():
         run(*tables([1]), methods=["magic"])
 
 
-def test_what_was_run_is_listed_and_offline_methods_say_so():
+def test_what_was_run_is_listed_and_offline_methods_say_so() -> None:
     methods = run(*tables([1]), methods=["mobilearloc", "vio_oracle"]).tables["methods"].set_index("method")
     assert list(methods.index) == ["mobilearloc", "vio_oracle"] and list(methods["causal"]) == [True, False]
     assert '"n": 2' in methods.loc["mobilearloc", "options"] and "bound" in methods.loc["vio_oracle", "meaning"]
 
 
-def parquet_files(folder, *made):
+def parquet_files(folder: Path, *made: pd.DataFrame) -> Files:
     """The three tables as files."""
     files = Files(*(folder / f"{name}.parquet" for name in ("frames", "truth", "predictions")))
     for table, path in zip(made, (files.frames, files.ground_truth, files.predictions), strict=True):
@@ -405,24 +408,24 @@ def parquet_files(folder, *made):
     return files
 
 
-def write(files, out, force=False):
+def write(files: Files, out: Path, force: bool = False) -> None:
     evaluate_files(files, out, "Place", ['methods=["apr"]'], force)
 
 
-def spoil_truncated(path):
+def spoil_truncated(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:2000])
 
 
-def spoil_text(path):
+def spoil_text(path: Path) -> None:
     path.write_text("frame_id,session_id\n")
 
 
-def spoil_folder(path):
+def spoil_folder(path: Path) -> None:
     path.unlink()
     path.mkdir()
 
 
-def spoil_gone(path):
+def spoil_gone(path: Path) -> None:
     path.unlink()
 
 
@@ -435,7 +438,9 @@ def spoil_gone(path):
         (spoil_gone, "no such table"),
     ],
 )
-def test_files_that_are_no_tables_are_refused_and_nothing_is_left(tmp_path, spoil, message):
+def test_files_that_are_no_tables_are_refused_and_nothing_is_left(
+    tmp_path: Path, spoil: Callable[[Path], None], message: str
+) -> None:
     files = parquet_files(tmp_path, *tables([1]))
     spoil(files.predictions)
     before = sorted(tmp_path.rglob("*"))
@@ -444,7 +449,7 @@ def test_files_that_are_no_tables_are_refused_and_nothing_is_left(tmp_path, spoi
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_results_appear_whole_and_replace_nothing_but_results(tmp_path, monkeypatch):
+def test_results_appear_whole_and_replace_nothing_but_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files = parquet_files(tmp_path, *tables([1]))
     out = tmp_path / "out"
     for folder, message in (
@@ -467,7 +472,7 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path, monkeypa
         write(files, out)
     (out / "stale.parquet").touch()
 
-    def fail(*args):
+    def fail(*args: object) -> None:
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
@@ -480,13 +485,13 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path, monkeypa
     assert not (out / "stale.parquet").exists()
 
 
-def test_texts_may_be_dictionaries_and_ids_an_index(tmp_path):
+def test_texts_may_be_dictionaries_and_ids_an_index(tmp_path: Path) -> None:
     made = [t.astype({"frame_id": "category", "session_id": "category"}).set_index("frame_id") for t in tables([1])]
     write(parquet_files(tmp_path, *made), tmp_path / "out")
     assert len(read_table(tmp_path / "out" / "errors.parquet", schema("fuse", "errors"))) == 40
 
 
-def test_command_line(tmp_path):
+def test_command_line(tmp_path: Path) -> None:
     paths = [tmp_path / f"{name}.parquet" for name in ("frames", "truth", "predictions")]
     for table, path in zip(tables([1, 2]), paths, strict=True):
         table.drop(columns="split").to_parquet(path)

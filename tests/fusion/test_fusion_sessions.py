@@ -1,5 +1,7 @@
 """What a user sees of a session, on walks small enough to count by hand."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from upright_walks import as_walk
@@ -16,7 +18,9 @@ def along(metres: list[float], degrees: list[float] | None = None) -> Array:
     return make_pose(turn, np.outer(metres, [1.0, 0.0, 0.0]))
 
 
-def figures(seconds: list[float], answers: Array, vio: Array, apr: Array | None = None, truth: Array | None = None):
+def figures(
+    seconds: list[float], answers: Array, vio: Array, apr: Array | None = None, truth: Array | None = None
+) -> dict[str, Any]:
     truth = vio if truth is None else truth
     walk = as_walk(np.round(np.array(seconds) * SECOND).astype(np.int64), truth, vio, vio if apr is None else apr)
     status = np.array(["fused"] * len(walk), dtype=object)

@@ -1,6 +1,7 @@
 """The stage itself: a scene, and a group whose own predictions replace its members'."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -18,12 +19,12 @@ class Inputs(StageRun):
 
     tables: dict
 
-    def read(self, stage, table, scene=None):
+    def read(self, stage: str, table: str, scene: str | None = None) -> pd.DataFrame:
         rows = self.tables[stage, scene or self.scene.name]
         return rows[["model"]].drop_duplicates().assign(file="weights.pt") if table == "models" else rows
 
 
-def stage_run(tmp_path, scene, inputs):
+def stage_run(tmp_path: Path, scene: str, inputs: dict[tuple[str, str], pd.DataFrame]) -> Inputs:
     data = DataRoot(tmp_path)
     config, _ = data.scene(scene)
     work = tmp_path / "work"
@@ -33,7 +34,9 @@ def stage_run(tmp_path, scene, inputs):
     return r
 
 
-def scene_inputs(scene, seeds, models, localisers=()):
+def scene_inputs(
+    scene: str, seeds: list[int], models: tuple[str, ...], localisers: tuple[str, ...] = ()
+) -> dict[tuple[str, str], pd.DataFrame]:
     """Localisers' predictions are the true poses, but for every fourth frame, which they refuse."""
     frames, truth, predictions = tables(seeds, models)
     refused = np.arange(len(truth)) % 4 == 0
@@ -50,13 +53,13 @@ def scene_inputs(scene, seeds, models, localisers=()):
 
 
 @pytest.fixture
-def group(tmp_path):
+def group(tmp_path: Path) -> Path:
     (tmp_path / "scenes").mkdir()
     (tmp_path / "scenes" / "Both.toml").write_text('members = ["A", "B"]\nstages = ["train", "fuse"]\n')
     return tmp_path
 
 
-def test_a_scene_gets_all_tables_and_a_recording(tmp_path):
+def test_a_scene_gets_all_tables_and_a_recording(tmp_path: Path) -> None:
     inputs = scene_inputs("A", [1, 2], ("PN",))
     frames = inputs["import", "A"]
     # A support frame has neither ground truth nor a prediction.
@@ -70,7 +73,7 @@ def test_a_scene_gets_all_tables_and_a_recording(tmp_path):
     assert json.loads(json.dumps(r.figures))["frames"] == 80
 
 
-def test_a_group_uses_its_own_models_and_its_members_others(group):
+def test_a_group_uses_its_own_models_and_its_members_others(group: Path) -> None:
     inputs = scene_inputs("A", [1], ("PN", "MS-T")) | scene_inputs("B", [2], ("PN", "MS-T"))
     shared = [inputs["train", scene].query("model == 'MS-T'").assign(map_cam_tx=500.0) for scene in "AB"]
     r = stage_run(group, "Both", inputs | {("train", "Both"): pd.concat(shared)})
@@ -81,7 +84,7 @@ def test_a_group_uses_its_own_models_and_its_members_others(group):
     assert worst["PN"] < 10 and worst["MS-T"] > 100
 
 
-def test_structure_localisers_are_fused_and_their_refusals_fail(tmp_path):
+def test_structure_localisers_are_fused_and_their_refusals_fail(tmp_path: Path) -> None:
     inputs = scene_inputs("A", [1, 2], ("PN",), ("Map",))
     r = stage_run(tmp_path, "A", inputs)
     STAGE.run(r)
@@ -97,6 +100,6 @@ def test_structure_localisers_are_fused_and_their_refusals_fail(tmp_path):
     assert "Map" in set(errors.loc[errors["method"] == "mobilearloc", "model"])
 
 
-def test_a_regressor_and_a_localiser_of_one_name_are_refused(tmp_path):
+def test_a_regressor_and_a_localiser_of_one_name_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="a regressor and a structure localiser are called 'PN'"):
         STAGE.run(stage_run(tmp_path, "A", scene_inputs("A", [1], ("PN",), ("PN",))))

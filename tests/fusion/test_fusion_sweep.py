@@ -1,5 +1,8 @@
 """Sweeps over the rule's thresholds: the same figures as the frame-by-frame evaluation, and a figure."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 from tables import tables
 from typer.testing import CliRunner
@@ -16,7 +19,7 @@ WALKS = {("Place", model): joined.walks for model, joined in joined_walks(INPUTS
 
 
 @pytest.mark.parametrize("changed", [{}, {"n": 3, "d_th_m": 0.2}, {"o_th_deg": 8.0, "gamma": 0.999}])
-def test_a_setting_has_the_figures_of_the_evaluation(changed):
+def test_a_setting_has_the_figures_of_the_evaluation(changed: dict[str, Any]) -> None:
     options = {"mobilearloc": changed}
     summary = evaluate([INPUTS], FuseSettings(methods=["mobilearloc"], options=options)).tables["summary"]
     stepped = summary[summary["scored"] == "method"].set_index(["model", "subset"])
@@ -28,7 +31,7 @@ def test_a_setting_has_the_figures_of_the_evaluation(changed):
             assert row[figure] == pytest.approx(stepped.loc[key, figure], nan_ok=True), (key, figure)
 
 
-def test_one_at_a_time_and_every_combination():
+def test_one_at_a_time_and_every_combination() -> None:
     single, every = around(MobileARLocOptions(n=4)), grid(MobileARLocOptions())
     assert len(single) == sum(map(len, VALUES.values()))
     assert all(s.options.n == 4 for s in single if s.varied != "n")
@@ -40,12 +43,12 @@ def test_one_at_a_time_and_every_combination():
     assert all(default[name] in values for name, values in VALUES.items())
 
 
-def test_processes_change_nothing():
+def test_processes_change_nothing() -> None:
     settings = around(MobileARLocOptions())[:3]
     assert sweep(WALKS, settings, 2).equals(sweep(WALKS, settings))
 
 
-def test_command_line(tmp_path):
+def test_command_line(tmp_path: Path) -> None:
     paths = [tmp_path / f"{name}.parquet" for name in ("frames", "truth", "predictions")]
     for table, path in zip(tables([1, 2]), paths, strict=True):
         table.to_parquet(path)

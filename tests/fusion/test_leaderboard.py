@@ -1,9 +1,13 @@
 """The leaderboard: cases from folders, its figures beside the stage's, who is ahead, and its files."""
 
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import pytest
-from tables import tables
+from tables import Tables, tables
 from typer.testing import CliRunner
 
 from groundwalk.artefacts import UserError
@@ -16,7 +20,7 @@ from groundwalk.fusion.evaluation.validation import ahead_of
 NAMES = ("frames", "ground_truth", "predictions")
 
 
-def laid(folder, place, seeds, models=("PN",)):
+def laid(folder: Path, place: str, seeds: Iterable[int], models: tuple[str, ...] = ("PN",)) -> Tables:
     (folder / place).mkdir(parents=True)
     parts = tables(list(seeds), models)
     for name, table in zip(NAMES, parts, strict=True):
@@ -24,7 +28,7 @@ def laid(folder, place, seeds, models=("PN",)):
     return parts
 
 
-def test_figures_are_the_stages(tmp_path):
+def test_figures_are_the_stages(tmp_path: Path) -> None:
     parts = laid(tmp_path, "walks/Place", [1, 2])
     (tmp_path / "about.txt").write_text("made up, seed 1\n")
     cases, sources = cases_in(tmp_path)
@@ -41,14 +45,14 @@ def test_figures_are_the_stages(tmp_path):
     assert rows["step_p99_ms"].gt(0).all() and rows["position_within_pct"].isna().all()
 
 
-def made_up(rows):
+def made_up(rows: list[tuple[Any, ...]]) -> pd.DataFrame:
     columns = ["method", "causal", "coverage_pct", "position_mean_m", "rotation_mean_deg"]
     rest = dict.fromkeys(["high_pct", "medium_pct", "low_pct", "step_median_ms", "step_p99_ms"], 1.0)
     rest |= dict.fromkeys(["position_within_pct", "rotation_within_pct"], 95.0)
     return pd.DataFrame(rows, columns=columns).assign(group="g", scene="s", model="m", **rest)
 
 
-def test_ahead_is_the_causal_method_of_least_error_and_missing_answers_are_failures():
+def test_ahead_is_the_causal_method_of_least_error_and_missing_answers_are_failures() -> None:
     rows = made_up(
         [("apr", True, 100.0, 4.0, 4.0), ("mobilearloc", True, 100.0, 2.0, 2.0), ("vio_oracle", False, 100.0, 0.1, 0.1)]
     )
@@ -60,13 +64,13 @@ def test_ahead_is_the_causal_method_of_least_error_and_missing_answers_are_failu
     assert ahead_of(rows[rows["causal"]]) == "mobilearloc"
 
 
-def test_lags_are_held_against_none():
+def test_lags_are_held_against_none() -> None:
     rows = made_up([("smoother, 0 s late", False, 100.0, 2.0, 4.0), ("smoother, 5 s late", False, 100.0, 1.0, 3.0)])
     lags = lag_ratios(rows).set_index("lag s")
     assert lags.loc[5.0, "position"] == pytest.approx(0.5) and lags.loc[5.0, "rotation"] == pytest.approx(0.75)
 
 
-def test_the_command_writes_table_figures_and_plot(tmp_path):
+def test_the_command_writes_table_figures_and_plot(tmp_path: Path) -> None:
     laid(tmp_path / "in", "walks/Place", [1])
     found = CliRunner().invoke(
         app,
@@ -87,6 +91,6 @@ def test_the_command_writes_table_figures_and_plot(tmp_path):
     assert (tmp_path / "out" / "fusion_lag.png").stat().st_size > 0
 
 
-def test_an_empty_folder_is_named(tmp_path):
+def test_an_empty_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no predictions in the folder"):
         cases_in(tmp_path)

@@ -9,7 +9,7 @@ from random_walks import random_walk
 from upright_walks import upright_walk
 
 from groundwalk.fusion.methods import METHODS
-from groundwalk.fusion.methods.localiser import Localiser
+from groundwalk.fusion.methods.localiser import Estimate, Localiser
 from groundwalk.geometry.poses import interpolate
 from groundwalk.scoring.errors import position_error
 
@@ -25,7 +25,7 @@ def made(name: str) -> Localiser:
     return localiser
 
 
-def in_full(estimate) -> bytes:
+def in_full(estimate: Estimate) -> bytes:
     """Everything that an estimate says, to the bit."""
     arrays = (estimate.map_T_cam, estimate.covariance, estimate.map_T_vio)
     confirmed = [(t_ns, np.asarray(pose).tobytes()) for t_ns, pose in estimate.confirms]

@@ -1,6 +1,7 @@
 """The paper's rule against an independent literal one, and its invariances."""
 
 import json
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -8,10 +9,10 @@ from literal_rule import Frame, label_walk
 from random_walks import RandomWalk, random_walk
 from scipy.spatial.transform import Rotation
 
-from groundwalk.fusion.methods.localiser import Status
+from groundwalk.fusion.methods.localiser import Estimate, Status
 from groundwalk.fusion.methods.mobilearloc import MobileARLoc, MobileARLocOptions, reference, similarity
 from groundwalk.geometry import GeometryError
-from groundwalk.geometry.poses import make_pose, tq_from_pose
+from groundwalk.geometry.poses import Array, make_pose, tq_from_pose
 
 # Each option's other readings, for the random choice below.
 READINGS = {
@@ -43,7 +44,7 @@ def random_options(seed: int) -> MobileARLocOptions:
 
 
 def literal_frames(walk: RandomWalk) -> list[Frame]:
-    def parts(pose):
+    def parts(pose: Array | None):
         if pose is None:
             return None, None
         x, q = tq_from_pose(pose)
@@ -54,23 +55,23 @@ def literal_frames(walk: RandomWalk) -> list[Frame]:
     ]
 
 
-def fused(walk: RandomWalk, localiser: MobileARLoc):
+def fused(walk: RandomWalk, localiser: MobileARLoc) -> list[Estimate]:
     return [localiser.step(int(t), v, a) for t, v, a in zip(walk.t_ns, walk.vio, walk.apr, strict=True)]
 
 
-def labels(walk: RandomWalk, estimates):
+def labels(walk: RandomWalk, estimates: list[Estimate]) -> list[str]:
     """What the paper counts: the status of each frame, `reliable` where a later frame confirmed it."""
     confirmed = {t for e in estimates for t, _ in e.confirms}
     return ["reliable" if t in confirmed else str(e.status) for t, e in zip(walk.t_ns, estimates, strict=True)]
 
 
-def same_pose(pose, x, q):
+def same_pose(pose: Array, x, q) -> bool:
     xyz, quaternion = tq_from_pose(pose)
     return np.allclose(xyz, x, atol=2e-5) and abs(np.dot(quaternion, q)) > 1 - 1e-9
 
 
 @pytest.mark.parametrize("block", range(10))
-def test_agrees_with_the_literal_rule(block):
+def test_agrees_with_the_literal_rule(block: int) -> None:
     """On each frame and status of 1,000 walks: half with the defaults, half with random readings of the open points."""
     seen = set()
     for seed in range(100 * block, 100 * block + 100):
@@ -93,7 +94,7 @@ def test_agrees_with_the_literal_rule(block):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_going_on_from_a_saved_state_changes_nothing(seed):
+def test_going_on_from_a_saved_state_changes_nothing(seed: int) -> None:
     walk, options = random_walk(seed), random_options(seed)
     whole = fused(walk, MobileARLoc(options))
     localiser = MobileARLoc(options)
@@ -108,7 +109,7 @@ def test_going_on_from_a_saved_state_changes_nothing(seed):
             assert np.array_equal(estimate.map_T_cam, whole[i].map_T_cam)
 
 
-def test_the_state_does_not_grow():
+def test_the_state_does_not_grow() -> None:
     walk = random_walk(3, 400)
     localiser = MobileARLoc()
     sizes = []
@@ -119,7 +120,7 @@ def test_the_state_does_not_grow():
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_odometry_frame_does_not_matter(seed):
+def test_the_odometry_frame_does_not_matter(seed: int) -> None:
     """Odometry's origin and heading are arbitrary: moving them moves nothing in the map. So is the zero of time.
 
     Not so with `per_frame`: averaged transforms depend on how far away odometry's origin is.
@@ -135,7 +136,7 @@ def test_the_odometry_frame_does_not_matter(seed):
             assert np.allclose(one.map_T_cam, two.map_T_cam, atol=1e-6)
 
 
-def test_frames_without_a_prediction_change_no_decision():
+def test_frames_without_a_prediction_change_no_decision() -> None:
     """Odometry at 10 Hz between predictions at 1 Hz gives the same answers at the predictions, and more between."""
     t_s = np.arange(0, 20, 0.1)
     poses = make_pose(Rotation.from_rotvec(np.outer(0.1 * t_s, [0, 1, 0])).as_matrix(), np.outer(t_s, [1.0, 0.0, 0.3]))
@@ -149,7 +150,7 @@ def test_frames_without_a_prediction_change_no_decision():
             assert answer.status == "optimised" and np.allclose(answer.map_T_cam, pose, atol=1e-9)
 
 
-def straight(distances_m, apr_distances_m=None):
+def straight(distances_m: Sequence[float], apr_distances_m=None) -> RandomWalk:
     """A walk along x at 1 Hz: odometry and predictions."""
     apr = distances_m if apr_distances_m is None else apr_distances_m
     rotation = np.eye(3)
@@ -161,7 +162,7 @@ def straight(distances_m, apr_distances_m=None):
     )
 
 
-def test_thresholds_and_first_lock():
+def test_thresholds_and_first_lock() -> None:
     walk = straight([0, 1, 2, 3, 4], [0, 1.25, 2.25, 3.25, 4.75])
     estimates = fused(walk, MobileARLoc(MobileARLocOptions(d_th_m=0.5)))
     assert [e.status for e in estimates] == ["none", "none", "reliable", "reliable", "reliable"]
@@ -171,7 +172,7 @@ def test_thresholds_and_first_lock():
     assert [e.status for e in strict] == ["none", "reliable", "reliable", "reliable", "optimised"]
 
 
-def test_length_check_is_blind_to_direction_and_se3_is_not():
+def test_length_check_is_blind_to_direction_and_se3_is_not() -> None:
     """Point 3: a sideways error of 0.5 m on a 1 m step has an RPE of 0.12 m."""
     walk = straight([0, 1, 2, 3, 4])
     walk.apr[2] = make_pose(np.eye(3), [2, 0.5, 0])
@@ -181,7 +182,7 @@ def test_length_check_is_blind_to_direction_and_se3_is_not():
     assert whole[2].status == "none" and whole[2].signals["rpe_m"] == pytest.approx(0.5)
 
 
-def test_similarity_depends_on_the_origin_and_metric_does_not():
+def test_similarity_depends_on_the_origin_and_metric_does_not() -> None:
     """Point 5: 30 m from the origin a sideways error of 5 m scores 0.993, a radial one 1."""
     options, metric = MobileARLocOptions(), MobileARLocOptions(similarity="metric")
     far, sideways, radial = (make_pose(np.eye(3), x) for x in ([30, 0, 0], [30, 5, 0], [35, 0, 0]))
@@ -193,7 +194,7 @@ def test_similarity_depends_on_the_origin_and_metric_does_not():
 
 @pytest.mark.parametrize("average", ["gramkow", "karcher"])
 @pytest.mark.parametrize("how", ["averaged_poses", "per_frame"])
-def test_reference_of_exact_predictions_is_exact(average, how):
+def test_reference_of_exact_predictions_is_exact(average: str, how: str) -> None:
     """With predictions that differ from odometry by one transform and stand still, every way finds the transform."""
     rng = np.random.default_rng(0)
     map_T_vio = make_pose(Rotation.random(rng=rng).as_matrix(), [5.0, 1.0, -7.0])
@@ -202,7 +203,7 @@ def test_reference_of_exact_predictions_is_exact(average, how):
     assert np.allclose(reference(map_T_vio @ vio, vio, options), map_T_vio, atol=1e-9)
 
 
-def test_bad_input_is_refused_or_named():
+def test_bad_input_is_refused_or_named() -> None:
     localiser = MobileARLoc()
     pose = np.eye(4)
     assert localiser.step(10**9, pose, np.full((4, 4), np.nan)).reasons[0] == "prediction_invalid"

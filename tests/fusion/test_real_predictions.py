@@ -1,16 +1,18 @@
 """Published predictions read as walks."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.real_predictions import read_poses, real_cases
 from groundwalk.artefacts import UserError
-from groundwalk.geometry.poses import heading, make_pose, relative, yaw_rotation
+from groundwalk.geometry.poses import Array, heading, make_pose, relative, yaw_rotation
 from groundwalk.scoring.errors import position_error
 
 
-def written(folder, frames=12):
+def written(folder: Path, frames: int = 12) -> tuple[Array, Path]:
     """Two sequences in the files' conventions, up not being y, predicted 0.5 m off; the true poses in ours."""
     level = yaw_rotation(0.1 * np.arange(frames)) @ np.diag([1.0, -1.0, -1.0])
     truth = make_pose(level, np.column_stack([np.arange(frames), np.zeros((frames, 2))]))
@@ -28,7 +30,7 @@ def written(folder, frames=12):
     return truth, place
 
 
-def test_walks_are_upright_and_in_this_projects_conventions(tmp_path):
+def test_walks_are_upright_and_in_this_projects_conventions(tmp_path: Path) -> None:
     truth, _ = written(tmp_path)
     (case,) = real_cases(tmp_path, ["Hall"], [0, 1])
     assert (case.scene, case.model, len(case.walks)) == ("Hall", "PoseNet", 4)
@@ -42,7 +44,7 @@ def test_walks_are_upright_and_in_this_projects_conventions(tmp_path):
     assert np.ptp(turned) < np.radians(10)
 
 
-def test_what_cannot_be_read_is_said(tmp_path):
+def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
     _, place = written(tmp_path)
     with pytest.raises(UserError, match="no predictions for Attic"):
         real_cases(tmp_path, ["Attic"], [0])

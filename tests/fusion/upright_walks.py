@@ -1,5 +1,7 @@
 """Walks for the fusion tests whose odometry drifts in yaw and position only, as a phone's does."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -7,7 +9,9 @@ from groundwalk.fusion.walk import Walk
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 
 
-def upright_walk(seed: int, frames: int = 200, noise_m: float = 0.5, noise_deg: float = 3.0, outliers: float = 0.2):
+def upright_walk(
+    seed: int, frames: int = 200, noise_m: float = 0.5, noise_deg: float = 3.0, outliers: float = 0.2
+) -> tuple[Array, Array, Array, Array]:
     """Times, true poses, odometry (yaw and position drift) and predictions whose errors neighbours share."""
     rng = np.random.default_rng(seed)
     t_ns = np.arange(frames) * 10**9
@@ -27,7 +31,7 @@ def upright_walk(seed: int, frames: int = 200, noise_m: float = 0.5, noise_deg: 
     return t_ns, truth, vio_T_map @ truth, apr
 
 
-def as_walk(t_ns: Array, truth: Array, vio, apr) -> Walk:
+def as_walk(t_ns: Array, truth: Array, vio: Iterable[Array | None], apr: Iterable[Array | None]) -> Walk:
     """The same as a `Walk`; a pose that is None or NaN is missing."""
     none = np.full((4, 4), np.nan)
     count = len(t_ns)

@@ -5,7 +5,7 @@ import numpy as np
 from groundwalk.geometry.vlad import aggregate, k_means, nearest_centres
 
 
-def test_centres_are_means_of_the_points_nearest_to_them():
+def test_centres_are_means_of_the_points_nearest_to_them() -> None:
     rng = np.random.default_rng(0)
     true = np.array([[0, 0], [10, 0], [0, 10]], np.float32)
     points = (true[rng.integers(0, 3, 300)] + rng.normal(0, 0.1, (300, 2))).astype(np.float32)
@@ -17,7 +17,7 @@ def test_centres_are_means_of_the_points_nearest_to_them():
     np.testing.assert_array_equal(nearest_centres(points, centres), distance.argmin(axis=1))
 
 
-def test_a_descriptor_is_the_unit_sum_of_what_each_word_lacks():
+def test_a_descriptor_is_the_unit_sum_of_what_each_word_lacks() -> None:
     rng = np.random.default_rng(0)
     centres, points = rng.normal(size=(4, 3)).astype(np.float32), rng.normal(size=(50, 3)).astype(np.float32)
     words = np.zeros((4, 3))

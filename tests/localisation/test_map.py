@@ -2,13 +2,16 @@
 
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scenes import LOGGED, features, place, training, walk
 
 from groundwalk.artefacts import UserError
+from groundwalk.geometry.poses import Array
 from groundwalk.localisation.build import build_map
 from groundwalk.localisation.calibration import Trial, calibrated
 from groundwalk.localisation.compact import point_covariances, read_map, write_map
@@ -23,24 +26,24 @@ EXTRACTION, SETTINGS = StructureSettings(pairs_per_frame=6), MapSettings(max_poi
 
 
 @pytest.fixture(scope="module")
-def built():
+def built() -> Built:
     scene, views = place(), walk(15)
     prepared = prepare("room", training(scene, views), EXTRACTION)
     return scene, prepared, build_map(prepared, SETTINGS)
 
 
 @pytest.fixture(scope="module")
-def file(built, tmp_path_factory):
+def file(built: Built, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("map") / "map.gwm"
     write_map(path, built[2])
     return path
 
 
-def gravity_of(pose):
+def gravity_of(pose: Array) -> Array:
     return pose[:3, :3].T @ [0, -1.0, 0]
 
 
-def test_queries_are_localised(built, file):
+def test_queries_are_localised(built: Built, file: Path) -> None:
     localiser, views = MapLocaliser(read_map(file, "room")), walk(12, seed=9)
     for view in range(12):
         seen, truth = features(built[0], views, view, seed=5), views.map_T_cam[view]
@@ -53,7 +56,7 @@ def test_queries_are_localised(built, file):
             assert np.linalg.eigvalsh(answer.covariance).min() > 0
 
 
-def test_hloc_localises_the_same(built):
+def test_hloc_localises_the_same(built: Built) -> None:
     hloc = HLocLocaliser(built[1], HLocSettings(retrieved=5))
     views = walk(3, seed=9, moving=False)
     for view in range(3):
@@ -63,7 +66,7 @@ def test_hloc_localises_the_same(built):
     assert parts["descriptors"] == 128 * sum(len(f) for f in built[1].training.features)
 
 
-def test_bad_queries_are_refused_with_their_reason(built, file):
+def test_bad_queries_are_refused_with_their_reason(built: Built, file: Path) -> None:
     localiser = MapLocaliser(read_map(file))
     black = np.zeros((480, 640), np.uint8)
     assert localiser.localise(black, LOGGED).refusal == "few_features"
@@ -77,7 +80,7 @@ def test_bad_queries_are_refused_with_their_reason(built, file):
         assert answer.map_T_cam is None and answer.covariance is None and answer.refusal and answer.reason
 
 
-def test_hidden_points_take_no_part(built, file):
+def test_hidden_points_take_no_part(built: Built, file: Path) -> None:
     localiser = MapLocaliser(read_map(file))
     answer = localiser.localise_features(built[1].training.features[3], LOGGED)
     hidden = np.zeros(len(localiser.map.xyz), bool)
@@ -86,7 +89,7 @@ def test_hidden_points_take_no_part(built, file):
     assert not hidden[again.seen.points].any()
 
 
-def test_calibration_asks_for_more_inliers_than_wrong_answers_had(built, file):
+def test_calibration_asks_for_more_inliers_than_wrong_answers_had(built: Built, file: Path) -> None:
     localiser = MapLocaliser(read_map(file))
     views = built[1].training.views
     trials = [
@@ -97,12 +100,12 @@ def test_calibration_asks_for_more_inliers_than_wrong_answers_had(built, file):
     assert calibrated(trials[:3]).min_inliers == 30
 
 
-def test_same_training_frames_give_the_same_bytes(built, file, tmp_path):
+def test_same_training_frames_give_the_same_bytes(built: Built, file: Path, tmp_path: Path) -> None:
     write_map(tmp_path / "again.gwm", build_map(prepare("room", training(built[0], walk(15)), EXTRACTION), SETTINGS))
     assert (tmp_path / "again.gwm").read_bytes() == file.read_bytes()
 
 
-def test_a_map_comes_back_as_it_was_written(built, file):
+def test_a_map_comes_back_as_it_was_written(built: Built, file: Path) -> None:
     content, written = read_map(file), built[2]
     assert len(content.xyz) == 900
     np.testing.assert_allclose(content.xyz, written.xyz, atol=0.00051)
@@ -127,14 +130,16 @@ def test_a_map_comes_back_as_it_was_written(built, file):
         (lambda b: b"", "can't be read"),
     ],
 )
-def test_files_that_are_no_whole_map_are_refused(file, tmp_path, change, message):
+def test_files_that_are_no_whole_map_are_refused(
+    file: Path, tmp_path: Path, change: Callable[[bytes], bytes], message: str
+) -> None:
     damaged = tmp_path / "damaged.gwm"
     damaged.write_bytes(change(file.read_bytes()))
     with pytest.raises(UserError, match=message):
         read_map(damaged)
 
 
-def test_a_map_of_another_scene_or_kind_is_refused(file, tmp_path):
+def test_a_map_of_another_scene_or_kind_is_refused(file: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="another scene"):
         read_map(file, "Church")
     write_sections(tmp_path / "other", {"xyz": np.zeros(3, np.uint8)}, {"scene": "room"})
@@ -144,25 +149,25 @@ def test_a_map_of_another_scene_or_kind_is_refused(file, tmp_path):
         read_map(tmp_path / "none")
 
 
-def test_sections_are_aligned_and_named(file):
+def test_sections_are_aligned_and_named(file: Path) -> None:
     sections = read_sections(file)
     assert sections.metadata["scene"] == "room"
     for array in sections.arrays.values():
         assert not array.flags.writeable
 
 
-def test_a_killed_write_leaves_no_map(built, tmp_path, monkeypatch):
+def test_a_killed_write_leaves_no_map(built: Built, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("groundwalk.artefacts.files._sync", _killed)
     with pytest.raises(KeyboardInterrupt):
         write_map(tmp_path / "map.gwm", built[2])
     assert not (tmp_path / "map.gwm").exists()
 
 
-def _killed(*_):
+def _killed(*_: object) -> None:
     raise KeyboardInterrupt
 
 
-def test_a_map_is_read_and_asked_without_torch_open3d_and_pycolmap(file):
+def test_a_map_is_read_and_asked_without_torch_open3d_and_pycolmap(file: Path) -> None:
     program = f"""
 import sys
 from pathlib import Path
@@ -179,7 +184,9 @@ print(sorted({{"torch", "open3d", "pycolmap"}} & set(sys.modules)))
     assert done.stdout.strip() == "[]"
 
 
-def test_a_sure_answer_near_a_prior_is_of_a_small_image_and_others_of_the_whole(built, file, monkeypatch):
+def test_a_sure_answer_near_a_prior_is_of_a_small_image_and_others_of_the_whole(
+    built: Built, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     localiser, sizes = MapLocaliser(read_map(file)), []
     views = walk(3, seed=9, moving=False)
     seen = features(built[0], views, 1, seed=5)
@@ -194,7 +201,7 @@ def test_a_sure_answer_near_a_prior_is_of_a_small_image_and_others_of_the_whole(
         assert sizes == expected
 
 
-def test_an_unsure_point_says_less_of_the_pose_than_a_sure_one(built, file):
+def test_an_unsure_point_says_less_of_the_pose_than_a_sure_one(built: Built, file: Path) -> None:
     content = read_map(file)
     covariances = point_covariances(content)
     views = content.map_T_view[:, :3, 3]

@@ -7,14 +7,17 @@ from scenes import DOWN, LOGGED, READOUT_S, SEEN_BY, place, projected, walk
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from groundwalk.geometry.poses import inverse, make_pose, transform
+from groundwalk.geometry.poses import Array, inverse, make_pose, transform
+from groundwalk.localisation.frames import Views
 from groundwalk.localisation.pose import Observed, Priors, ransac, refine, upright_poses, upright_ransac
 from groundwalk.scoring.errors import normalised_squares, pose_error, position_error, rotation_error_deg
 
 PRIORS = Priors(angular_sd=0.2, velocity_sd=0.5, focal_sd=0.004, gravity_sd=0.001, pixel_sd=0.05)
 
 
-def observed(views, view, count=150, noise_px=0.0, outliers=0, seed=0):
+def observed(
+    views: Views, view: int, count: int = 150, noise_px: float = 0.0, outliers: int = 0, seed: int = 0
+) -> Observed:
     rng = np.random.default_rng([seed, view])
     xyz = place(points=2500).xyz
     px = projected(views, view, xyz)
@@ -24,13 +27,13 @@ def observed(views, view, count=150, noise_px=0.0, outliers=0, seed=0):
     return Observed(px, SEEN_BY.unproject(px), xyz)
 
 
-def off(pose, seed=0, metres=0.05, degrees=1.0):
+def off(pose: Array, seed: int = 0, metres: float = 0.05, degrees: float = 1.0) -> Array:
     rng = np.random.default_rng(seed)
     turn = Rotation.from_rotvec(np.radians(degrees) * rng.standard_normal(3)).as_matrix()
     return pose @ make_pose(turn, metres * rng.standard_normal(3))
 
 
-def test_two_points_and_the_vertical_give_the_pose():
+def test_two_points_and_the_vertical_give_the_pose() -> None:
     rng = np.random.default_rng(0)
     yaw = Rotation.from_rotvec([0, 0.7, 0]).as_matrix()
     move = np.array([0.3, -0.2, 5.0])
@@ -46,7 +49,7 @@ def test_two_points_and_the_vertical_give_the_pose():
 
 
 @pytest.mark.parametrize("upright", [True, False])
-def test_ransac_finds_the_pose_among_outliers(upright):
+def test_ransac_finds_the_pose_among_outliers(upright: bool) -> None:
     views = walk(3, moving=False)
     seen = observed(views, 1, 150, noise_px=0.3, outliers=75)
     truth, limit = views.map_T_cam[1], 4 / 480
@@ -58,14 +61,14 @@ def test_ransac_finds_the_pose_among_outliers(upright):
     assert position_error(pose, truth) < 0.1 and rotation_error_deg(pose, truth) < 1
 
 
-def test_ransac_says_none_where_nothing_fits():
+def test_ransac_says_none_where_nothing_fits() -> None:
     rng = np.random.default_rng(0)
     assert ransac(np.zeros((3, 2)), np.zeros((3, 3)), 0.01, 100, 0) is None
     found = upright_ransac(rng.uniform(-0.5, 0.5, (60, 2)), rng.uniform(-5, 5, (60, 3)), DOWN, 1e-3, 200, 0)
     assert found is None or found[1].sum() < 8
 
 
-def test_without_shutter_and_noise_it_is_colmaps_pose():
+def test_without_shutter_and_noise_it_is_colmaps_pose() -> None:
     views = walk(3, moving=False)
     seen = observed(views, 1, noise_px=0.5)
     still = Priors(1e-6, 1e-6, 1e-6, 1e-3, 0.5)
@@ -83,7 +86,7 @@ def test_without_shutter_and_noise_it_is_colmaps_pose():
     assert position_error(fit.map_T_cam, colmap) < 0.001 and rotation_error_deg(fit.map_T_cam, colmap) < 0.01
 
 
-def test_motion_and_focal_length_are_estimated():
+def test_motion_and_focal_length_are_estimated() -> None:
     views = walk(6, focal_sd=0.004)
     for view in range(6):
         fit = refine(off(views.map_T_cam[view]), observed(views, view), LOGGED, READOUT_S, PRIORS)
@@ -91,7 +94,7 @@ def test_motion_and_focal_length_are_estimated():
         assert abs(fit.focal_factor - 1) < 0.02
 
 
-def test_covariance_holds_and_gravity_makes_it_smaller():
+def test_covariance_holds_and_gravity_makes_it_smaller() -> None:
     views = walk(60, focal_sd=0.004)
     errors, covariances = [], []
     for view in range(60):
@@ -107,7 +110,7 @@ def test_covariance_holds_and_gravity_makes_it_smaller():
         assert 1.2 < np.median(squares) < 4.5  # chi2 of 3: 2.37
 
 
-def test_an_outlier_weighs_little():
+def test_an_outlier_weighs_little() -> None:
     views = walk(3, moving=False)
     seen = observed(views, 1, 100, noise_px=0.3)
     wrong = seen.ideal.copy()
@@ -119,7 +122,7 @@ def test_an_outlier_weighs_little():
     assert position_error(there, shifted) < 0.003
 
 
-def test_pose_error_is_by_which_the_truth_differs():
+def test_pose_error_is_by_which_the_truth_differs() -> None:
     truth = off(np.eye(4), 1)
     estimate = off(np.eye(4), 2)
     error = pose_error(estimate, truth)

@@ -13,7 +13,7 @@ from groundwalk.localisation.structure import matched_features, matches_of, stru
 from groundwalk.localisation.tracks import Rays, epipolar_error_px, tracks, triangulate
 
 
-def test_rays_of_a_rolling_shutter_go_through_the_points():
+def test_rays_of_a_rolling_shutter_go_through_the_points() -> None:
     views, xyz = walk(4), place().xyz
     px = projected(views, 2, xyz)
     seen = np.isfinite(px).all(axis=1)
@@ -24,7 +24,7 @@ def test_rays_of_a_rolling_shutter_go_through_the_points():
     assert np.median(480 * miss / np.linalg.norm(along, axis=1)) < 0.05  # px
 
 
-def _of_two_views(noise_px=0.0):
+def _of_two_views(noise_px: float = 0.0):
     views = walk(2, moving=False, reach_m=1)
     xyz = place().xyz
     px = np.stack([projected(views, view, xyz) for view in range(2)])
@@ -41,7 +41,7 @@ def _of_two_views(noise_px=0.0):
     return views, xyz[seen], px, every
 
 
-def test_points_are_opencvs_and_the_true_ones():
+def test_points_are_opencvs_and_the_true_ones() -> None:
     views, xyz, px, every = _of_two_views()
     count = len(xyz)
     assert epipolar_error_px(every[np.arange(count)], every[count + np.arange(count)]).max() < 1e-6
@@ -53,7 +53,7 @@ def test_points_are_opencvs_and_the_true_ones():
     np.testing.assert_allclose(points.xyz, xyz, atol=1e-5)
 
 
-def test_a_wrong_observation_is_left_out_and_a_lonely_point_dropped():
+def test_a_wrong_observation_is_left_out_and_a_lonely_point_dropped() -> None:
     views, xyz = walk(5, moving=False, reach_m=1), place().xyz
     px = np.stack([projected(views, view, xyz) for view in range(5)])
     point = int(np.flatnonzero(np.isfinite(px).all(axis=(0, 2)))[0])
@@ -70,14 +70,14 @@ def test_a_wrong_observation_is_left_out_and_a_lonely_point_dropped():
     assert len(two.xyz) == 0 and len(two.point) == 0
 
 
-def test_matches_are_mutual_and_pass_the_ratio():
+def test_matches_are_mutual_and_pass_the_ratio() -> None:
     a = np.eye(4, dtype=np.float32)
     b = np.concatenate([a[:3], a[2:3]])  # the last two look the same
     assert mutual_matches(a, b, 0.9).tolist() == [[0, 0], [1, 1]]
     assert len(mutual_matches(a[:1], b, 0.9)) == 0
 
 
-def test_pairs_are_of_frames_that_see_the_same():
+def test_pairs_are_of_frames_that_see_the_same() -> None:
     views = walk(9, moving=False)
     turned = views.map_T_cam.copy()
     turned[8] = turned[8] @ np.diag([-1.0, 1, -1, 1])
@@ -86,7 +86,7 @@ def test_pairs_are_of_frames_that_see_the_same():
     assert len(pairs) <= 18 and (np.abs(np.diff(pairs, axis=1)) <= 2).all()
 
 
-def test_structure_is_of_true_points():
+def test_structure_is_of_true_points() -> None:
     scene, views = place(), walk(10)
     given = training(scene, views)
     pairs = matched_features(views, given.features, 6)
@@ -97,7 +97,7 @@ def test_structure_is_of_true_points():
     assert not (fewer.view[fewer.points.feature] == 4).any()
 
 
-def test_selection_covers_cells_before_it_repeats_them():
+def test_selection_covers_cells_before_it_repeats_them() -> None:
     # Ten points in one cell, one in each of four others.
     point = np.arange(14)
     cell = np.r_[np.zeros(10, int), 1, 2, 3, 4]

@@ -85,7 +85,7 @@ def test_missing_frames_count_as_failed() -> None:
     assert np.isnan(accuracy_shares([], [])["low"])
 
 
-def test_classes_that_levels_count_promise_every_level_with_95_percent():
+def test_classes_that_levels_count_promise_every_level_with_95_percent() -> None:
     """By the limits of align's classes: 2.8 sigma of A and B lie within the strictest level; C has no limits."""
     settings = AlignSettings()
     bound = np.sqrt(chi2.ppf(0.95, 3))

@@ -7,7 +7,7 @@ from groundwalk.scoring.bootstrap import DRAWS, drawn_figures, draws, interval
 from groundwalk.scoring.scores import score
 
 
-def test_a_missing_pose_is_an_infinite_error():
+def test_a_missing_pose_is_an_infinite_error() -> None:
     rare = score([0.1, 0.2, np.nan], [1.0, 1.0, np.nan])
     assert (rare.frames, rare.answered) == (3, 2) and rare.mean_m == pytest.approx(0.15) and rare.median_m == 0.2
     assert rare.high == pytest.approx(200 / 3)
@@ -15,12 +15,12 @@ def test_a_missing_pose_is_an_infinite_error():
     assert np.isnan(score([], []).mean_m)
 
 
-def test_levels_are_over_certain_frames():
+def test_levels_are_over_certain_frames() -> None:
     of_all, of_certain = score([0.1, 9.0], [1.0, 1.0]), score([0.1, 9.0], [1.0, 1.0], np.array([True, False]))
     assert (of_all.high, of_certain.high) == (50, 100) and of_all.mean_m == of_certain.mean_m
 
 
-def test_each_session_counted_once_gives_the_score():
+def test_each_session_counted_once_gives_the_score() -> None:
     rng = np.random.default_rng(0)
     position, rotation = rng.exponential(0.4, 60), rng.exponential(4, 60)
     position[::7] = rotation[::7] = np.nan

@@ -43,7 +43,7 @@ def _noisy(poses: Array, rng: np.random.Generator) -> Array:
     return make_pose(turned @ poses[:, :3, :3], poses[:, :3, 3] + 0.01 * rng.normal(size=(len(poses), 3)))
 
 
-def test_a_right_model_agrees_in_any_gauge_and_models_need_share_none(rng) -> None:
+def test_a_right_model_agrees_in_any_gauge_and_models_need_share_none(rng: np.random.Generator) -> None:
     poses = _walks(rng)
     sfm = _noisy(poses, rng)
     assert _checked(_GAUGE.poses(sfm), poses).consistent.all()
@@ -56,7 +56,7 @@ def test_a_right_model_agrees_in_any_gauge_and_models_need_share_none(rng) -> No
     assert not torn[:_EACH].all() and torn[_EACH:].all()
 
 
-def test_frames_without_a_model_or_without_vio(rng) -> None:
+def test_frames_without_a_model_or_without_vio(rng: np.random.Generator) -> None:
     poses = _walks(rng)
     model = np.zeros(2 * _EACH, np.int64)
     model[[3, 50]] = -1
@@ -67,7 +67,7 @@ def test_frames_without_a_model_or_without_vio(rng) -> None:
     assert _checked(poses, np.full_like(poses, np.nan)).consistent.all()
 
 
-def test_a_scale_of_ones_own_and_a_known_jump_are_vios_not_the_models(rng) -> None:
+def test_a_scale_of_ones_own_and_a_known_jump_are_vios_not_the_models(rng: np.random.Generator) -> None:
     poses = _walks(rng)
     vio = poses.copy()
     vio[_EACH:, :3, 3] *= 1.1
@@ -78,7 +78,7 @@ def test_a_scale_of_ones_own_and_a_known_jump_are_vios_not_the_models(rng) -> No
     assert not _checked(sfm, vio).consistent.any()
 
 
-def test_a_model_of_folded_places_has_no_right_frame(rng) -> None:
+def test_a_model_of_folded_places_has_no_right_frame(rng: np.random.Generator) -> None:
     poses = _walks(rng)
     half = _EACH // 2
     poses[half:_EACH] = poses[:half]
@@ -89,19 +89,19 @@ def test_a_model_of_folded_places_has_no_right_frame(rng) -> None:
     assert not consistent[:_EACH].any() and consistent[_EACH:].all()
 
 
-def test_a_single_wrong_frame_is_wrong_alone(rng) -> None:
+def test_a_single_wrong_frame_is_wrong_alone(rng: np.random.Generator) -> None:
     poses = _walks(rng)
     sfm = _noisy(poses, rng)
     sfm[12, :3, 3] += [1.5, 0.0, 0.0]
     assert np.flatnonzero(~_checked(_GAUGE.poses(sfm), poses).consistent).tolist() == [12]
 
 
-def test_a_collapsed_model_agrees_nowhere(rng) -> None:
+def test_a_collapsed_model_agrees_nowhere(rng: np.random.Generator) -> None:
     poses = _walks(rng)
     assert not _checked(np.tile(np.eye(4), (2 * _EACH, 1, 1)), poses).consistent.any()
 
 
-def test_turns_that_are_all_too_small_are_the_focal_lengths_fault(rng) -> None:
+def test_turns_that_are_all_too_small_are_the_focal_lengths_fault(rng: np.random.Generator) -> None:
     poses = _walks(rng)
     vio = poses.copy()
     turns = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3])
@@ -112,7 +112,7 @@ def test_turns_that_are_all_too_small_are_the_focal_lengths_fault(rng) -> None:
     assert not _checked(_noisy(poses, rng), poses).turn_gains
 
 
-def test_turns_say_nothing_of_focal_lengths_where_more_is_wrong(rng) -> None:
+def test_turns_say_nothing_of_focal_lengths_where_more_is_wrong(rng: np.random.Generator) -> None:
     poses = _walks(rng)
     vio, sfm = poses.copy(), poses.copy()
     turns = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3])

@@ -145,7 +145,9 @@ def test_only_images_of_test_walks_differ(tmp_path: Path) -> None:
         assert {k for k in one if one[k] != two[k]} <= {"exposureDuration", "cameraGrain"}
 
 
-def test_captures_from_before_there_were_appearances_stay_up_to_date(tmp_path: Path, capsys) -> None:  # type: ignore[no-untyped-def]
+def test_captures_from_before_there_were_appearances_stay_up_to_date(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:  # type: ignore[no-untyped-def]
     """Their key knows no appearance, and it's the same."""
     folder = simulate("Office", "tiny", DataRoot(tmp_path), SMALL, processes=1)
     marker = json.loads((folder / "SIMULATED.json").read_text())
