@@ -12,9 +12,11 @@ from groundwalk.alignment.drift import DriftSamples, distance_pairs, drift_table
 from groundwalk.geometry.poses import make_pose, yaw_rotation
 from groundwalk.scoring.errors import rpe_roe
 
+Paths = tuple[np.ndarray, np.ndarray, np.ndarray]
+
 
 @pytest.fixture
-def paths() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def paths() -> Paths:
     """Times, ground truth and VIO of a walk of 100 frames."""
     rng = np.random.default_rng(3)
     xyz = np.cumsum(rng.normal(0, 0.6, (100, 3)), axis=0)
@@ -38,7 +40,7 @@ def evo_errors(metric: Any, gt: np.ndarray, vio: np.ndarray, align: bool = False
     return np.asarray(metric.error)
 
 
-def test_measures_agree_with_evo(paths) -> None:
+def test_measures_agree_with_evo(paths: Paths) -> None:
     t_ns, gt, vio = paths
     found = measure_drift(t_ns, gt, vio)
     part, rotation = evo_metrics.PoseRelation.translation_part, evo_metrics.PoseRelation.rotation_angle_deg
@@ -51,7 +53,7 @@ def test_measures_agree_with_evo(paths) -> None:
         np.testing.assert_allclose(values(found, name, "m"), expected, atol=1e-9)
 
 
-def test_errors_by_distance_agree_with_evo(paths) -> None:
+def test_errors_by_distance_agree_with_evo(paths: Paths) -> None:
     """Steps of a metre, so that a pair five metres apart is the same pair in both definitions."""
     t_ns, gt, vio = paths
     rng = np.random.default_rng(4)
@@ -67,7 +69,7 @@ def test_errors_by_distance_agree_with_evo(paths) -> None:
             np.testing.assert_allclose(found.samples[key], share * evo_errors(metric, gt, vio) / metres, atol=1e-9)
 
 
-def test_paper_measures_are_the_papers(paths) -> None:
+def test_paper_measures_are_the_papers(paths: Paths) -> None:
     t_ns, gt, vio = paths
     found = measure_drift(t_ns, gt, vio)
     rpe, roe = rpe_roe(gt, vio)
@@ -104,7 +106,7 @@ def test_pairs_by_time_and_distance() -> None:
     assert list(zip(first.tolist(), last.tolist(), strict=True)) == [(0, 2), (1, 3)]
 
 
-def test_the_table_pools_sessions_and_counts_samples(paths) -> None:
+def test_the_table_pools_sessions_and_counts_samples(paths: Paths) -> None:
     t_ns, gt, vio = paths
     table = drift_table({"a": measure_drift(t_ns, gt, vio), "b": measure_drift(t_ns[:20], gt[:20], vio[:20])})
     steps = table[(table["definition"] == "paper_rpe") & (table["interval_unit"] == "pair")]

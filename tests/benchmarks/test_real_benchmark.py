@@ -88,7 +88,7 @@ def test_a_target_is_held_against_the_worst_subject() -> None:
 
 
 @pytest.mark.parametrize("figures", [[], [Figure("rms", np.nan)]])
-def test_a_figure_that_is_not_there_misses_its_target(figures) -> None:
+def test_a_figure_that_is_not_there_misses_its_target(figures: list[Figure]) -> None:
     judged = judge(figures, Target("rms", 5))
     assert (judged.met, judged.value) == (False, None)
 

@@ -31,7 +31,7 @@ def straight(length_m: float, step_m: float, turn_deg: float = 0.0) -> np.ndarra
     return make_pose(look, np.stack([x, np.full(len(x), 1.5), np.zeros(len(x))], axis=1))
 
 
-def offsets(truth: Array, model=MODEL, map_seed: int = 1, noise_seed: int = 2):
+def offsets(truth: Array, model: AprModel = MODEL, map_seed: int = 1, noise_seed: int = 2) -> Array:
     return simulate_apr(truth, model, map_seed, noise_seed)[:, :3, 3] - truth[:, :3, 3]
 
 
@@ -74,7 +74,7 @@ def test_values_out_of_range_are_refused() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", NAMES)
 @pytest.mark.parametrize("regressor", REGRESSORS)
-def test_committed_sizes_meet_the_published_rows(scene, regressor) -> None:
+def test_committed_sizes_meet_the_published_rows(scene: str, regressor: str) -> None:
     target, found = published(scene, regressor), Walks(scene, regressor, 3).figures(read_apr_models()[scene, regressor])
     # Least well: mean rotation in Office, where a few frames are off by far more than the rest.
     assert found.every[:4] == pytest.approx(target.every[:4], rel=0.4)

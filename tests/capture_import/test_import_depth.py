@@ -1,5 +1,6 @@
 """Depth images: found by each format, checked, and kept where images are kept."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -59,7 +60,7 @@ def frames_jsonl(folder: Path, walk: Walk) -> None:
 
 
 @pytest.mark.parametrize("write", [scanner_app, stray_scanner, polycam, frames_jsonl])
-def test_each_frame_has_its_own_depth(tmp_path: Path, write) -> None:
+def test_each_frame_has_its_own_depth(tmp_path: Path, write: Callable[[Path, Walk], object]) -> None:
     walk = make_walk(8)
     write(tmp_path / "place" / "walk", walk)
     (found,) = find_recordings(tmp_path / "place", tmp_path / "unpacked", Limits())
@@ -121,7 +122,9 @@ def test_turned_images_have_turned_depth(tmp_path: Path) -> None:
         (lambda p: (p.unlink(), p.symlink_to("/etc/hostname")), "link out of the capture"),
     ],
 )
-def test_a_broken_depth_image_costs_the_depth_not_the_frame(tmp_path: Path, damage, reason: str) -> None:
+def test_a_broken_depth_image_costs_the_depth_not_the_frame(
+    tmp_path: Path, damage: Callable[[Path], object], reason: str
+) -> None:
     walk_folder = tmp_path / "captures" / "place" / "walk"
     scanner_app(walk_folder, make_walk(8), confidence=False)
     damage(walk_folder / "depth_00002.png")

@@ -2,13 +2,14 @@
 
 import json
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
-from capture_writers import make_walk, write_colmap, write_nerf_capture, write_nerfstudio
+from capture_writers import Walk, make_walk, write_colmap, write_nerf_capture, write_nerfstudio
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -164,7 +165,7 @@ def test_a_file_with_times_is_a_phone_capture_of_its_own(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("write", [write_colmap, write_nerfstudio])
-def test_each_folder_of_images_is_a_recording(tmp_path: Path, write) -> None:
+def test_each_folder_of_images_is_a_recording(tmp_path: Path, write: Callable[[Path, Walk], object]) -> None:
     root = tmp_path / "scene"
     write(root, make_walk(8, every=1))
     for i, name in ((i, f"{i:06d}.jpg") for i in range(8)):

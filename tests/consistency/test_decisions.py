@@ -10,7 +10,9 @@ _SIZE = st.floats(0, 100)
 
 
 @given(value=_SIZE, limit=_SIZE, sds=st.tuples(_SIZE, _SIZE), at_least=st.booleans())
-def test_less_certain_is_never_decided_more_easily(value: float, limit: float, sds, at_least: bool) -> None:
+def test_less_certain_is_never_decided_more_easily(
+    value: float, limit: float, sds: tuple[float, float], at_least: bool
+) -> None:
     sure, unsure = (decide(value, sd, limit, at_least=at_least) for sd in sorted(sds))
     assert unsure in (sure, Status.UNDECIDED)
 
@@ -27,7 +29,7 @@ def test_two_standard_errors_on_either_side_decide() -> None:
 
 
 @given(count=st.integers(0, 500), data=st.data())
-def test_the_error_of_a_share_is_that_of_its_posterior(count: int, data) -> None:
+def test_the_error_of_a_share_is_that_of_its_posterior(count: int, data: st.DataObject) -> None:
     alike = data.draw(st.integers(0, count))
     expected = beta(alike + 1, count - alike + 1).std()
     assert fraction_sd(alike / max(count, 1), count) == pytest.approx(expected)

@@ -3,36 +3,68 @@
 Nothing here is shared with fusion/ or geometry/. A frame is a `Frame`; a walk is a list of them from one session.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import acos, degrees, dist, hypot, pi, sin, sqrt
+from typing import TYPE_CHECKING
 
 from scipy.optimize import minimize
+
+if TYPE_CHECKING:
+    from groundwalk.fusion.methods.mobilearloc import MobileARLocOptions
+    from groundwalk.fusion.methods.pair_check import PairOptions
+
+Vector = tuple[float, ...]
+Pose = tuple[Vector, Vector]
+"""Position, and quaternion x, y, z, w."""
 
 
 @dataclass
 class Frame:
     t: float  # seconds
-    x_vio: tuple | None
-    q_vio: tuple | None  # x, y, z, w
-    x_apr: tuple | None
-    q_apr: tuple | None
+    vio: Pose | None
+    apr: Pose | None
+
+    @property
+    def x_vio(self) -> Vector:
+        assert self.vio is not None
+        return self.vio[0]
+
+    @property
+    def q_vio(self) -> Vector:
+        assert self.vio is not None
+        return self.vio[1]
+
+    @property
+    def x_apr(self) -> Vector:
+        assert self.apr is not None
+        return self.apr[0]
+
+    @property
+    def q_apr(self) -> Vector:
+        assert self.apr is not None
+        return self.apr[1]
 
 
 @dataclass
 class Answer:
     live: str = "none"  # what the app had in time
-    live_x: tuple | None = None
-    live_q: tuple | None = None
+    live_x: Vector | None = None
+    live_q: Vector | None = None
     label: str = "none"  # what the paper counts
-    x: tuple | None = None
-    q: tuple | None = None
+    x: Vector | None = None
+    q: Vector | None = None
 
 
-def conj(q):
+Numbered = list[tuple[int, Frame]]
+"""Frames with their indices in the walk."""
+
+
+def conj(q: Vector) -> Vector:
     return (-q[0], -q[1], -q[2], q[3])
 
 
-def mul(a, b):
+def mul(a: Vector, b: Vector) -> Vector:
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -43,27 +75,27 @@ def mul(a, b):
     )
 
 
-def turn(q, v):
+def turn(q: Vector, v: Vector) -> Vector:
     return mul(mul(q, (*v, 0.0)), conj(q))[:3]
 
 
-def add(a, b):
+def add(a: Vector, b: Vector) -> Vector:
     return tuple(i + j for i, j in zip(a, b, strict=True))
 
 
-def sub(a, b):
+def sub(a: Vector, b: Vector) -> Vector:
     return tuple(i - j for i, j in zip(a, b, strict=True))
 
 
-def dot(a, b):
+def dot(a: Vector, b: Vector) -> float:
     return sum(i * j for i, j in zip(a, b, strict=True))
 
 
-def angle_deg(a, b):
+def angle_deg(a: Vector, b: Vector) -> float:
     return degrees(2 * acos(min(1.0, abs(dot(a, b)))))
 
 
-def fermat_point(a, b, c):
+def fermat_point(a: Vector, b: Vector, c: Vector) -> Vector:
     """The point of least summed distance to three: a corner of 120 degrees or more, or the trilinear formula."""
     corners = [(a, b, c), (b, c, a), (c, a, b)]
     weights = []
@@ -78,29 +110,29 @@ def fermat_point(a, b, c):
     return tuple(sum(w * p[k] for w, (p, _, _) in zip(weights, corners, strict=True)) / sum(weights) for k in range(3))
 
 
-def middle(points, how):
+def middle(points: Sequence[Vector], how: str) -> Vector:
     mean = tuple(sum(p[k] for p in points) / len(points) for k in range(3))
     if how == "mean":
         return mean
     if len(points) == 3:
         return fermat_point(*points)
 
-    def cost(y):
+    def cost(y: Vector) -> float:
         return sum(dist(p, y) for p in points)
 
     found = minimize(cost, mean, method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-13, "maxiter": 5000})
     return min([tuple(found.x), *points], key=cost)
 
 
-def average_rotation(quaternions):
+def average_rotation(quaternions: Sequence[Vector]) -> Vector:
     first = quaternions[0]
-    summed = (0.0, 0.0, 0.0, 0.0)
+    summed: Vector = (0.0, 0.0, 0.0, 0.0)
     for q in quaternions:
         summed = add(summed, q if dot(q, first) >= 0 else tuple(-i for i in q))
     return tuple(i / sqrt(dot(summed, summed)) for i in summed)
 
 
-def align(run, o):
+def align(run: list[Frame], o: "MobileARLocOptions") -> Pose:
     """(x, q) of map_T_vio from a run of frames."""
     if o.reference == "per_frame":
         transforms = []
@@ -114,12 +146,12 @@ def align(run, o):
     return sub(x_apr, turn(q, x_vio)), q
 
 
-def carry(reference, f):
+def carry(reference: Pose, f: Frame) -> Pose:
     x, q = reference
     return add(x, turn(q, f.x_vio)), mul(q, f.q_vio)
 
 
-def pair_is_consistent(a, b, o):
+def pair_is_consistent(a: Frame, b: Frame, o: "PairOptions") -> bool:
     if not (o.interval_s - o.interval_tolerance_s <= round(b.t - a.t, 9) <= o.interval_s + o.interval_tolerance_s):
         return False
     if o.pair_check == "se3":
@@ -136,7 +168,7 @@ def pair_is_consistent(a, b, o):
     return rpe <= o.d_th_m and roe <= o.o_th_deg
 
 
-def frame_has_drifted(f, reference, o):
+def frame_has_drifted(f: Frame, reference: Pose, o: "MobileARLocOptions") -> bool:
     x, q = carry(reference, f)
     if o.similarity == "metric":
         return dist(x, f.x_apr) >= o.similarity_m or angle_deg(q, f.q_apr) >= o.similarity_deg
@@ -145,11 +177,12 @@ def frame_has_drifted(f, reference, o):
     return (cosine + abs(dot(q, f.q_apr))) / 2 <= o.gamma
 
 
-def split_at_jumps(frames, o):
+def split_at_jumps(frames: list[Frame], o: "MobileARLocOptions") -> list[Numbered]:
     """Pieces of a walk between odometry jumps."""
-    pieces, last = [[]], None
+    pieces: list[Numbered] = [[]]
+    last: Frame | None = None
     for index, f in enumerate(frames):
-        if f.x_vio is not None:
+        if f.vio is not None:
             limit = 0.0 if last is None else o.vio_speed_m_s * (f.t - last.t) + o.vio_jump_m
             if last is not None and dist(last.x_vio, f.x_vio) > limit:
                 pieces.append([])
@@ -158,7 +191,7 @@ def split_at_jumps(frames, o):
     return pieces
 
 
-def label_walk(frames, o):
+def label_walk(frames: list[Frame], o: "MobileARLocOptions") -> list[Answer]:
     """The rule's answers to a walk, one a frame."""
     answers = [Answer() for _ in frames]
     for piece in split_at_jumps(frames, o):
@@ -166,31 +199,34 @@ def label_walk(frames, o):
     return answers
 
 
-def _label_piece(piece, o, answers):
+def _label_piece(piece: Numbered, o: "MobileARLocOptions", answers: list[Answer]) -> None:
     need = o.n + 1 if o.alignment_frames == "n+1" else o.n + 2
-    stage, run, reference, low = "alignment", [], None, 0
-    seen = []  # every frame with a prediction, with whether it was consistent with the one before
+    stage, low = "alignment", 0
+    run: Numbered = []
+    reference: Pose | None = None
+    seen: list[
+        tuple[int, Frame, bool]
+    ] = []  # every frame with a prediction, with whether it was consistent with the one before
 
-    def say(index, status, pose, final=True):
+    def say(index: int, status: str, pose: Pose) -> None:
         a = answers[index]
         a.live, (a.live_x, a.live_q) = status, pose
-        if final:
-            a.label, a.x, a.q = status, *pose
+        a.label, (a.x, a.q) = status, pose
 
-    def carried(index, f, status):
+    def carried(index: int, f: Frame, status: str) -> None:
         if reference is None or (status == "aligning" and o.while_aligning == "none"):
             return
         say(index, status, carry(reference, f))
 
-    def lock(frames_of_run):
+    def lock(frames_of_run: Numbered) -> Pose:
         for i, f in frames_of_run:
             answers[i].label, answers[i].x, answers[i].q = "reliable", f.x_apr, f.q_apr
         return align([f for _, f in frames_of_run], o)
 
     for index, f in piece:
-        if f.x_vio is None:
+        if f.vio is None:
             continue
-        if f.x_apr is None:
+        if f.apr is None:
             carried(index, f, "optimised" if stage == "optimisation" else "aligning")
             continue
         consistent = bool(seen) and pair_is_consistent(seen[-1][1], f, o)
@@ -213,6 +249,7 @@ def _label_piece(piece, o, answers):
             carried(index, f, "optimised")
             continue
         say(index, "reliable", (f.x_apr, f.q_apr))
+        assert reference is not None
         low = low + 1 if frame_has_drifted(f, reference, o) else 0
         if low == o.n:
             stage, low = "alignment", 0

@@ -3,13 +3,15 @@
 import numpy as np
 import pandas as pd
 from random_walks import random_walk
-from tables import Tables
 
 from groundwalk.artefacts.tables import pose_frame
 
+Tables = tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]
+"""Frames, ground truth and predictions."""
+
 
 def tables(seeds: list[int], models: tuple[str, ...] = ("PN",), frames: int = 40) -> Tables:
-    """Frames, ground truth and predictions of one test session a seed."""
+    """Those of one test session a seed."""
     parts: dict[str, list[pd.DataFrame]] = {"frames": [], "truth": [], "predictions": []}
     for seed in seeds:
         walk = random_walk(seed, frames)
@@ -28,4 +30,5 @@ def tables(seeds: list[int], models: tuple[str, ...] = ("PN",), frames: int = 40
         parts["truth"].append(pd.concat([keys, pose_frame("map_cam", walk.map_T_cam)], axis=1))
         for model in models:
             parts["predictions"].append(pd.concat([keys.assign(model=model), pose_frame("map_cam", apr)], axis=1))
-    return tuple(pd.concat(p, ignore_index=True) for p in parts.values())
+    frames_table, truth, predictions = (pd.concat(p, ignore_index=True) for p in parts.values())
+    return frames_table, truth, predictions

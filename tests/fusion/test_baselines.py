@@ -97,9 +97,9 @@ def test_last_good_is_the_last_pair_that_the_literal_check_passes() -> None:
         answers = stepped(LastGood(options), as_walk(walk.t_ns, walk.map_T_cam, walk.vio, walk.apr))
         last, good = None, None
         for i, frame in enumerate(frames):
-            if frame.x_vio is None:
+            if frame.vio is None:
                 continue
-            if frame.x_apr is not None:
+            if frame.apr is not None:
                 if last is not None and pair_is_consistent(frames[last], frame, options):
                     good = i
                 last = i

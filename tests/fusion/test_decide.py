@@ -6,7 +6,7 @@ from random_walks import random_walk
 from test_mobilearloc import random_options
 from upright_walks import as_walk
 
-from groundwalk.fusion.evaluation.fuse import Run, fuse
+from groundwalk.fusion.evaluation.fuse import Fused, Run, fuse
 from groundwalk.fusion.methods.decide import RuleWalk
 from groundwalk.fusion.methods.mobilearloc import MobileARLoc, MobileARLocOptions
 from groundwalk.fusion.walk import Walk

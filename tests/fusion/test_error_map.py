@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from groundwalk.fusion.methods.error_map import LEAST_FRAMES, ErrorMap, errors_of
+from groundwalk.fusion.methods.error_map import LEAST_FRAMES, ErrorMap, Expected, errors_of
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 
 

@@ -17,11 +17,13 @@ from groundwalk.artefacts import UserError
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.fusion.__main__ import app
-from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate, report_lines
+from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, Results, evaluate, report_lines
 from groundwalk.fusion.files.tables import Files, evaluate_files
 from groundwalk.fusion.files.walks import evaluated
 
 SEEDS = [1, 2, 3]
+Spoil = Callable[..., Tables]
+"""What makes three tables into three that are wrong."""
 
 
 def run(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame, **settings: Any) -> Results:
@@ -286,7 +288,8 @@ def no_frames(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFra
 def w_first(*which: int) -> Spoil:
     """Spoils tables by writing the scalar part of quaternions first."""
 
-    def spoil(*made: pd.DataFrame) -> Tables:
+    def spoil(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
+        made = (frames, truth, predictions)
         for number in which:
             prefix = "vio_cam" if number == 0 else "map_cam"
             q = [f"{prefix}_q{a}" for a in "xyzw"]

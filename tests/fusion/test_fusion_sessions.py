@@ -1,5 +1,6 @@
 """What a user sees of a session, on walks small enough to count by hand."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ def along(metres: list[float], degrees: list[float] | None = None) -> Array:
 
 
 def figures(
-    seconds: list[float], answers: Array, vio: Array, apr: Array | None = None, truth: Array | None = None
+    seconds: Sequence[float], answers: Array, vio: Array, apr: Array | None = None, truth: Array | None = None
 ) -> dict[str, Any]:
     truth = vio if truth is None else truth
     walk = as_walk(np.round(np.array(seconds) * SECOND).astype(np.int64), truth, vio, vio if apr is None else apr)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from literal_rule import Frame, label_walk
+from literal_rule import Frame, Pose, Vector, label_walk
 from random_walks import RandomWalk, random_walk
 from scipy.spatial.transform import Rotation
 
@@ -44,15 +44,13 @@ def random_options(seed: int) -> MobileARLocOptions:
 
 
 def literal_frames(walk: RandomWalk) -> list[Frame]:
-    def parts(pose: Array | None):
+    def parts(pose: Array | None) -> Pose | None:
         if pose is None:
-            return None, None
+            return None
         x, q = tq_from_pose(pose)
         return tuple(x.tolist()), tuple(q.tolist())
 
-    return [
-        Frame(t * 1e-9, *parts(vio), *parts(apr)) for t, vio, apr in zip(walk.t_ns, walk.vio, walk.apr, strict=True)
-    ]
+    return [Frame(t * 1e-9, parts(vio), parts(apr)) for t, vio, apr in zip(walk.t_ns, walk.vio, walk.apr, strict=True)]
 
 
 def fused(walk: RandomWalk, localiser: MobileARLoc) -> list[Estimate]:
@@ -65,9 +63,10 @@ def labels(walk: RandomWalk, estimates: list[Estimate]) -> list[str]:
     return ["reliable" if t in confirmed else str(e.status) for t, e in zip(walk.t_ns, estimates, strict=True)]
 
 
-def same_pose(pose: Array, x, q) -> bool:
+def same_pose(pose: Array, x: Vector | None, q: Vector | None) -> bool:
+    assert x is not None and q is not None
     xyz, quaternion = tq_from_pose(pose)
-    return np.allclose(xyz, x, atol=2e-5) and abs(np.dot(quaternion, q)) > 1 - 1e-9
+    return np.allclose(xyz, x, atol=2e-5) and bool(abs(np.dot(quaternion, q)) > 1 - 1e-9)
 
 
 @pytest.mark.parametrize("block", range(10))
@@ -150,7 +149,7 @@ def test_frames_without_a_prediction_change_no_decision() -> None:
             assert answer.status == "optimised" and np.allclose(answer.map_T_cam, pose, atol=1e-9)
 
 
-def straight(distances_m: Sequence[float], apr_distances_m=None) -> RandomWalk:
+def straight(distances_m: Sequence[float], apr_distances_m: Sequence[float] | None = None) -> RandomWalk:
     """A walk along x at 1 Hz: odometry and predictions."""
     apr = distances_m if apr_distances_m is None else apr_distances_m
     rotation = np.eye(3)

@@ -1,5 +1,7 @@
 """Fits against evo's and COLMAP's own estimators, and the inputs that determine no fit."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pycolmap
 import pytest
@@ -21,7 +23,7 @@ from groundwalk.geometry.fits import (
     rotation_to_up,
     sim3_between,
 )
-from groundwalk.geometry.poses import make_pose, transform, yaw_rotation
+from groundwalk.geometry.poses import Array, make_pose, transform, yaw_rotation
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -155,7 +157,7 @@ vertical = np.outer(np.arange(5.0), [0.0, 1.0, 0.0])
 
 @pytest.mark.parametrize("fit", [fit_sim3, fit_se3])
 @pytest.mark.parametrize("points", [np.eye(3)[:2], line, np.ones((4, 3))])
-def test_undetermined_rotations_are_refused(fit, points) -> None:  # type: ignore[no-untyped-def]
+def test_undetermined_rotations_are_refused(fit: Callable[[Array, Array], object], points: Array) -> None:
     with pytest.raises(GeometryError):
         fit(points, points)
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.localisation.localisers import LOCALISERS
-from groundwalk.localisation.query import MapLocaliser
+from groundwalk.localisation.query import Answer, MapLocaliser
 from groundwalk.localisation.stage import STAGE
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 
@@ -102,7 +103,7 @@ def test_a_killed_run_resumes_and_ends_in_the_same_tables(
 ) -> None:
     made, asked = make_boards(), []
 
-    def killed_at_the_third(self, *arguments, **more):  # type: ignore[no-untyped-def]
+    def killed_at_the_third(self: MapLocaliser, *arguments: Any, **more: Any) -> Answer:
         asked.append(more)
         if len(asked) == 3:
             raise KeyboardInterrupt

@@ -8,20 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import LOGGED, features, place, training, walk
+from scenes import LOGGED, Place, features, place, training, walk
 
 from groundwalk.artefacts import UserError
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.build import build_map
 from groundwalk.localisation.calibration import Trial, calibrated
-from groundwalk.localisation.compact import point_covariances, read_map, write_map
+from groundwalk.localisation.compact import CompactMap, point_covariances, read_map, write_map
 from groundwalk.localisation.hloc import HLocLocaliser
 from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings, StructureSettings
 from groundwalk.localisation.map_file import read_sections, write_sections
-from groundwalk.localisation.prepared import prepare
+from groundwalk.localisation.prepared import Prepared, prepare
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 
+Built = tuple[Place, Prepared, CompactMap]
 EXTRACTION, SETTINGS = StructureSettings(pairs_per_frame=6), MapSettings(max_points=900)
 
 

@@ -5,8 +5,8 @@ import numpy as np
 from scenes import place, projected, training, walk
 from scipy.spatial import cKDTree
 
-from groundwalk.geometry.poses import inverse
-from groundwalk.localisation.frames import rays
+from groundwalk.geometry.poses import Array, inverse
+from groundwalk.localisation.frames import Views, rays
 from groundwalk.localisation.matching import covisible_pairs, mutual_matches
 from groundwalk.localisation.selection import covering_points
 from groundwalk.localisation.structure import matched_features, matches_of, structure_of
@@ -24,7 +24,7 @@ def test_rays_of_a_rolling_shutter_go_through_the_points() -> None:
     assert np.median(480 * miss / np.linalg.norm(along, axis=1)) < 0.05  # px
 
 
-def _of_two_views(noise_px: float = 0.0):
+def _of_two_views(noise_px: float = 0.0) -> tuple[Views, Array, Array, Rays]:
     views = walk(2, moving=False, reach_m=1)
     xyz = place().xyz
     px = np.stack([projected(views, view, xyz) for view in range(2)])

@@ -1,5 +1,6 @@
 """ALIKED and LightGlue: what is asked of COLMAP, what is said where they can't be run, and how descriptors are read."""
 
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -89,7 +90,7 @@ class _Asked:
             aliked=SimpleNamespace(lightglue=SimpleNamespace()),
         )
 
-    def _note(self, name: str):
+    def _note(self, name: str) -> Callable[..., None]:
         return lambda *_, **named: self.calls.append(named[name])
 
     def _note_matching(self, _database: Path, matching: SimpleNamespace, *_: object) -> None:
