@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pytest
 
@@ -117,8 +117,9 @@ def test_faults_of_a_package_are_named_and_ours_are_not_hidden(install: Install)
     with pytest.raises(UserError, match=r"^no picture$"), hats.guard("fez"):
         raise UserError("no picture")
     # A stage's process may hand it to another.
-    made, arguments = caught.value.__reduce__()  # type: ignore[misc]
-    again = made(*arguments)  # type: ignore[operator]
+    reduced: Any = caught.value.__reduce__()
+    made, arguments = reduced
+    again = made(*arguments)
     assert type(again) is PluginError and str(again) == str(caught.value) and again.reason == caught.value.reason
 
 

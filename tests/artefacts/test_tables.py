@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from known import cells
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import Split
@@ -31,7 +32,7 @@ SCHEMA = TableSchema(
 def example() -> pd.DataFrame:
     poses = np.stack([make_pose(np.eye(3), [1, 2, 3]), np.full((4, 4), np.nan)])
     frame = pd.DataFrame({"frame_id": ["a/000001", "a/000002"], "t_ns": [1, 2]}).join(pose_frame("map_cam", poses))
-    return frame.assign(covariance=[np.arange(36.0), None])
+    return frame.assign(covariance=cells([np.arange(36.0), None]))
 
 
 def test_table_round_trip(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def test_the_image_is_opencvs_up_to_interpolation(lens: tuple[float, ...]) -> No
     camera = _camera(lens)
     pinhole = pinhole_within(camera)
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-    image = cv2.GaussianBlur(_grid_photograph(camera), (0, 0), 3)
+    image: np.ndarray = cv2.GaussianBlur(_grid_photograph(camera), (0, 0), 3)
     ours = undistorted_image(image, camera, pinhole)[2:-2, 2:-2].astype(int)
     expected, shifted = (
         cv2.undistort(image, camera.matrix - by, np.array(lens), None, pinhole.matrix - half)[2:-2, 2:-2]

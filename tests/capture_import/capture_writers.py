@@ -79,7 +79,7 @@ def jpeg(index: int, width: int = WIDTH, height: int = HEIGHT) -> bytes:
 def write_scanner_app(folder: Path, walk: Walk, private: bool = False) -> None:
     """3D Scanner App, "All Data"."""
     folder.mkdir(parents=True)
-    info = {"title": "a room", "appVersionString": "1.9.7"}
+    info: dict[str, object] = {"title": "a room", "appVersionString": "1.9.7"}
     if private:
         info |= {"latitude": 48.123456, "longitude": 11.654321}
     (folder / "info.json").write_text(json.dumps(info))

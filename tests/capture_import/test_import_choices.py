@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import Clock
 from groundwalk.artefacts.settings import SplitRules
 from groundwalk.capture_import.capture import RawFrame, RawSession
 from groundwalk.capture_import.intake import Image, ImportedSession
@@ -129,7 +130,7 @@ def test_the_largest_steps_are_cut_where_not_all_can_be() -> None:
 
 
 def test_cells_are_narrow_but_no_more_than_so_many() -> None:
-    travelled = np.arange(1000) * 0.05  # in steps: half a step is ten images
+    travelled = 0.05 * np.arange(1000.0)  # in steps: half a step is ten images
     windows = [np.arange(i, i + 5) for i in range(0, 1000, 100)]
     cells = support_cells(travelled, windows, 1000)
     assert (np.diff(cells) >= 0).all() and np.unique(cells, return_counts=True)[1].max() == 10
@@ -142,7 +143,7 @@ def test_cells_are_narrow_but_no_more_than_so_many() -> None:
 @pytest.mark.parametrize("sampling", ["rate", "motion"])
 def test_thinning_to_a_number_is_even_whatever_the_rate(every: int, sampling: str) -> None:
     session = session_of(np.arange(0, 34, 0.1)[::every])  # at 1 Hz or 1 m 34 images
-    settings = ImportSettings(sampling=sampling, step_m=1.0)  # type: ignore[arg-type]
+    settings = ImportSettings(sampling=sampling, step_m=1.0)
     selection = select([session], settings, density_for([session], settings))["walk"]
     t_s = np.array([i.frame.t_ns for i in selection.images])[~selection.support] * 1e-9
     assert 60 <= len(t_s) <= 66
@@ -166,7 +167,7 @@ def session_of(seconds: np.ndarray, speed_m_s: float = 1.0) -> ImportedSession:
         RawFrame(number, str(number), round(1e9 * s), pose)
         for number, (s, pose) in enumerate(zip(seconds, poses, strict=True))
     ]
-    raw = RawSession("walk", "none", "", "boot", Path(), frames)
+    raw = RawSession("walk", "none", "", Clock.BOOT, Path(), frames)
     return ImportedSession("walk", raw, frames, [Image(frame, ImageCheck(96, 72, 0.5, "")) for frame in frames], [])
 
 

@@ -10,6 +10,7 @@ import pytest
 from capture_writers import scan_all
 
 from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.checks.clock import check_clock
 from groundwalk.capture_import.checks.convention import CONVENTIONS, check_convention
@@ -32,8 +33,8 @@ UNDONE_BY = {
 def room(tmp_path: Path, count: int = 10, step_m: float = 0.12, pace: float = 1.0) -> ImportedSession:
     """A walk along two textured walls at different depths, seen by a camera that looks around."""
     rng = np.random.default_rng(3)
-    texture = cv2.resize(rng.integers(0, 255, (150, 150), dtype=np.uint8), (1200, 1200), interpolation=cv2.INTER_CUBIC)
-    texture = cv2.addWeighted(texture, 0.5, rng.integers(0, 255, texture.shape, dtype=np.uint8), 0.5, 0)
+    coarse = cv2.resize(rng.integers(0, 255, (150, 150), dtype=np.uint8), (1200, 1200), interpolation=cv2.INTER_CUBIC)
+    texture = cv2.addWeighted(coarse, 0.5, rng.integers(0, 255, (1200, 1200), dtype=np.uint8), 0.5, 0)
     k = np.array([[300.0, 0, 165], [0, 300.0, 118], [0, 0, 1]])
     images = []
     for i in range(count):
@@ -49,7 +50,7 @@ def room(tmp_path: Path, count: int = 10, step_m: float = 0.12, pace: float = 1.
         camera = Intrinsics(k[0, 0], k[1, 1], k[0, 2], k[1, 2])
         frame = RawFrame(i, path.name, i * 10**8, pose, ImageFile(path), camera)
         images.append(Image(frame, check_image(path.read_bytes(), 1.0)[0]))
-    raw = RawSession("room", "test", "phone", "boot", tmp_path, [i.frame for i in images])
+    raw = RawSession("room", "test", "phone", Clock.BOOT, tmp_path, [i.frame for i in images])
     return ImportedSession("room", raw, [i.frame for i in images], images, [])
 
 

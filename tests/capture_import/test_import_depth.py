@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from capture_writers import Walk, make_walk, write_frames_jsonl, write_polycam, write_scanner_app, write_stray_scanner
+from known import read_picture, rows, there
 
 from groundwalk.artefacts import DataRoot, execute
 from groundwalk.capture_import.capture import Limits
@@ -67,9 +68,10 @@ def test_each_frame_has_its_own_depth(tmp_path: Path, write: Callable[[Path, Wal
     raw = found.read(Limits())
     assert len(raw.frames) == 8
     for index, frame in enumerate(raw.frames):
-        assert (cv2.imread(str(frame.depth.path), cv2.IMREAD_UNCHANGED) == depth_mm(index)).all()
+        depth = there(frame.depth)
+        assert (read_picture(depth.path, cv2.IMREAD_UNCHANGED) == depth_mm(index)).all()
         if write is not frames_jsonl:
-            levels = cv2.imread(str(frame.depth.confidence), cv2.IMREAD_UNCHANGED)
+            levels = read_picture(there(depth.confidence), cv2.IMREAD_UNCHANGED)
             assert set(levels.ravel()) == {(index % 3) * (127 if write is polycam else 1)}
 
 
@@ -92,11 +94,11 @@ def test_depth_goes_where_images_go(tmp_path: Path, images: str) -> None:
     scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(8))
     folder, frames, rejects = run(tmp_path, f"images={images!r}")
     assert not len(rejects) and frames["depth"].notna().all() and frames["depth_confidence"].notna().all()
-    for row in frames.itertuples():
+    for row in rows(frames):
         for entry in (row.depth, row.depth_confidence):
             assert entry.startswith("import:") == (images != "reference")
         place = folder if images != "reference" else tmp_path / "captures" / "place"
-        pixels = cv2.imread(str(place / row.depth.removeprefix("import:")), cv2.IMREAD_UNCHANGED)
+        pixels = read_picture(place / row.depth.removeprefix("import:"), cv2.IMREAD_UNCHANGED)
         assert (pixels == depth_mm(int(row.frame_id[-6:]))).all()
 
 
@@ -106,8 +108,8 @@ def test_turned_images_have_turned_depth(tmp_path: Path) -> None:
     walk.vio_T_cam[:] = walk.vio_T_cam @ turn
     scanner_app(tmp_path / "captures" / "place" / "walk", walk)
     folder, frames, _ = run(tmp_path, "upright=true")
-    for row in frames.itertuples():
-        pixels = cv2.imread(str(folder / row.depth.removeprefix("import:")), cv2.IMREAD_UNCHANGED)
+    for row in rows(frames):
+        pixels = read_picture(folder / row.depth.removeprefix("import:"), cv2.IMREAD_UNCHANGED)
         assert pixels.shape[1] / pixels.shape[0] == row.width / row.height
         assert (pixels == np.rot90(depth_mm(int(row.frame_id[-6:])), -1)).all()
 

@@ -19,6 +19,7 @@ from capture_writers import (
     write_stray_scanner,
     write_video,
 )
+from known import rows, there
 
 from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.capture_import.capture import Limits
@@ -68,7 +69,7 @@ def test_a_written_walk_reads_back_the_same(tmp_path: Path, name: str) -> None:
         assert not session.images
         return
     for found in session.images:
-        index = int(np.argmin(np.abs(poses - found.frame.vio_T_cam).sum(axis=(1, 2))))
+        index = int(np.argmin(np.abs(poses - there(found.frame.vio_T_cam)).sum(axis=(1, 2))))
         camera = found.frame.intrinsics
         assert camera is not None
         if writer.camera:
@@ -83,7 +84,7 @@ def test_video_frames_are_joined_to_their_own_poses(tmp_path: Path, name: str) -
     WRITERS[name].write(tmp_path / "captures" / "place" / "walk", walk)
     folder = execute(STAGE, "place", "tiny", DataRoot(tmp_path))
     frames = pd.read_parquet(folder / "frames.parquet")
-    for row in frames.itertuples():
+    for row in rows(frames):
         index = int(np.argmin(np.abs(walk.t_ns - row.t_ns)))
         written = decode_rgb((folder / row.image.removeprefix("import:")).read_bytes(), 1000)
         errors = [np.abs(written.astype(int) - image(i)[:, :, ::-1]).mean() for i in range(24)]

@@ -10,7 +10,9 @@ import pytest
 from capture_writers import image, make_walk
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
+from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import RawFrame, RawSession
 from groundwalk.capture_import.checks.health import check_session, find_jumps, gravity_of
 from groundwalk.capture_import.media.images import BadImage, check_image, sharpness
@@ -19,7 +21,7 @@ from groundwalk.geometry.poses import Array, make_pose, nearest_rotation, rotati
 
 def session_of(t_ns: np.ndarray, poses: list[Array | None]) -> RawSession:
     frames = [RawFrame(i, f"row {i}", int(t), pose) for i, (t, pose) in enumerate(zip(t_ns, poses, strict=True))]
-    return RawSession("walk", "test", "phone", "boot", Path(), frames)
+    return RawSession("walk", "test", "phone", Clock.BOOT, Path(), frames)
 
 
 @given(st.lists(st.integers(0, 2**62), max_size=60))
@@ -91,10 +93,11 @@ def test_gravity_points_down_in_the_image_of_an_upright_phone() -> None:
 
 
 def test_sharpness_falls_with_blur_and_not_with_exposure() -> None:
-    gray = cv2.cvtColor(cv2.resize(image(3), (640, 480), interpolation=cv2.INTER_NEAREST), cv2.COLOR_BGR2GRAY)
+    large = cv2.resize(image(3), (640, 480), interpolation=cv2.INTER_NEAREST)
+    gray: NDArray[np.uint8] = cv2.cvtColor(large, cv2.COLOR_BGR2GRAY).astype(np.uint8)
     last = sharpness(gray)
     for length in (3, 7, 15, 31):
-        blurred = sharpness(cv2.blur(gray, (length, 1)))
+        blurred = sharpness(cv2.blur(gray, (length, 1)).astype(np.uint8))
         assert blurred < last
         last = blurred
     assert sharpness((gray * 0.5).astype(np.uint8)) == pytest.approx(sharpness(gray), abs=0.02)

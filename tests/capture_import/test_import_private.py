@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from capture_writers import HEIGHT, WIDTH, image, jpeg, make_walk, write_scanner_app, write_stray_scanner
+from known import rows
 
 from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.artefacts.manifests import load_manifest
@@ -120,7 +121,7 @@ def test_blurred_images_are_written_and_counted(tmp_path: Path, monkeypatch: pyt
     figures = load_manifest(artefact)["figures"]
     frames = pd.read_parquet(artefact / "frames.parquet")
     bright = 0
-    for row in frames.itertuples():
+    for row in rows(frames):
         number = int(row.frame_id[-6:])
         original = gray(image(number)[:, :, ::-1])
         has_face = is_bright(original)
@@ -151,7 +152,7 @@ def test_the_blurring_of_a_face_is_in_the_artefact(tmp_path: Path) -> None:
     assert np.flatnonzero(frames["blurred_faces"] > 0).tolist() == [2, 7]
     assert load_manifest(artefact)["figures"]["blurred_faces"] == frames["blurred_faces"].sum()
     detect = CascadeDetector()
-    for row in frames.itertuples():
+    for row in rows(frames):
         if row.blurred_faces:
             written = decode_rgb((artefact / row.image.removeprefix("import:")).read_bytes(), 1000)
             assert not [r for r in detect(written) if r.kind == "face"]

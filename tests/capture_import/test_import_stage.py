@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from capture_writers import HEIGHT, WIDTH, make_walk, write_frames_jsonl, write_scanner_app
+from known import read_picture, rows
 
 from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.artefacts.tables import poses_of
@@ -98,7 +99,7 @@ def test_support_frames_are_added_between_frames_that_stay_the_same(tmp_path: Pa
         assert (row["frames"], row["support_frames"]) == ((~used["support"]).sum(), used["support"].sum())
         assert row["support_frames"] <= row["frames"] and row["frames"] < row["images"]
         own = used[~used["support"]]
-        for extra in used[used["support"]].itertuples():
+        for extra in rows(used[used["support"]]):
             assert extra.split == own["split"].iloc[(own["t_ns"] - extra.t_ns).abs().argmin()]
 
 
@@ -128,7 +129,7 @@ def test_images_copied_or_linked_are_the_same_bytes(tmp_path: Path, images: str)
     write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk())
     frames = run_import(tmp_path, "place", f"images='{images}'")["frames"]
     folder = tmp_path / "runs/tiny/place/import"
-    for row in frames.itertuples():
+    for row in rows(frames):
         number = int(row.frame_id[-6:])
         copied = (folder / row.image.removeprefix("import:")).read_bytes()
         assert copied == (tmp_path / f"captures/place/walk/frame_{number:05d}.jpg").read_bytes()
@@ -186,7 +187,7 @@ def test_images_that_cannot_be_trusted_are_rejects(tmp_path: Path) -> None:
     rows = [json.loads(line) for line in lines]
     rows[4]["tracking"] = "lost"
     rows[6]["tracking"] = "limited"
-    sharp = cv2.imread(str(folder / "images" / "9.jpg"))
+    sharp = read_picture(folder / "images" / "9.jpg")
     cv2.imwrite(str(folder / "images" / "9.jpg"), cv2.blur(sharp, (31, 1)))
     for i in (15, *range(20, 30)):  # one lacks its pose, then ten in a row do
         del rows[i]["vio_T_cam"]

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from capture_writers import HEIGHT, WIDTH, image, make_walk, write_scanner_app
+from known import rows
 
 from groundwalk.artefacts import DataRoot, execute
 from groundwalk.artefacts.tables import poses_of
@@ -27,7 +28,7 @@ def test_points_stay_on_their_pixels(tmp_path: Path, quarters: int) -> None:
     frames = pd.read_parquet(folder / "frames.parquet")
     assert (frames["gravity_y"] > 0.9).all()
     vio = poses_of(pd.read_parquet(folder / "vio.parquet"), "vio_cam")
-    for row, vio_T_cam in zip(frames.itertuples(), poses_of(frames, "vio_cam"), strict=True):
+    for row, vio_T_cam in zip(rows(frames), poses_of(frames, "vio_cam"), strict=True):
         index = int(row.frame_id[-6:])
         np.testing.assert_allclose(vio[index], vio_T_cam, atol=1e-9)
         points = transform(walk.vio_T_cam[index], np.random.default_rng(index).uniform([-1, -1, 2], [1, 1, 5], (20, 3)))

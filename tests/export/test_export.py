@@ -10,6 +10,7 @@ import pandas as pd
 import pycolmap
 import pytest
 from evo.tools import file_interface
+from known import cell, cells, read_picture, rows, there
 from typer.testing import CliRunner
 
 from groundwalk.alignment.stage import STAGE
@@ -91,7 +92,7 @@ def _images(data: DataRoot) -> pd.DataFrame:
 def _model(frames: pd.DataFrame, sfm_T_cam: Array) -> pycolmap.Reconstruction:
     """A model of these frames and a point a metre or so ahead of each, seen by it and the next one."""
     model = pycolmap.Reconstruction()
-    for row, frame in enumerate(frames.itertuples(index=False), start=1):
+    for row, frame in enumerate(rows(frames), start=1):
         params = [frame.fx, frame.fy, frame.cx, frame.cy, *frame.distortion]
         camera = pycolmap.Camera(camera_id=row, model="OPENCV", width=frame.width, height=frame.height, params=params)
         model.add_camera_with_trivial_rig(camera)
@@ -178,7 +179,7 @@ def test_colmap_reads_two_models_in_one_map(scene: DataRoot, name: str) -> None:
     execute(STAGE, "Place", "tiny", scene, force=True)
     out = _export(scene, name)
     assert sorted(path.name for path in (out / "sparse").iterdir()) == ["0", "1"]
-    truth, found = _truth(scene), {}
+    truth, found = _truth(scene), dict[str, Array]()
     for number in (0, 1):
         model = pycolmap.Reconstruction(out / "sparse" / str(number))
         own = _poses(model, _frame_of(out))
@@ -199,8 +200,9 @@ def _poses(model: pycolmap.Reconstruction, frame_of: dict[str, str]) -> dict[str
 
 def test_evo_reads_tum(scene: DataRoot) -> None:
     out = _export(scene, "tum")
-    truth, found = _truth(scene), {}
-    for session_id, of_session in truth.groupby("session_id"):
+    truth, found = _truth(scene), dict[str, Array]()
+    for key, of_session in truth.groupby("session_id"):
+        session_id = str(key)
         trajectory = file_interface.read_tum_trajectory_file(str(out / session_id / "groundtruth.txt"))
         np.testing.assert_allclose(trajectory.timestamps, of_session["t_ns"] / 1e9, atol=1e-6)
         found |= dict(zip(of_session.index, trajectory.poses_se3, strict=True))
@@ -223,7 +225,7 @@ def test_nerfstudio_poses_are_opengl_cameras_in_a_world_with_z_up(scene: DataRoo
         right, up, back, position = np.linalg.solve(applied, np.array(frame["transform_matrix"])).T[:, :3]
         found[frame_id] = make_pose(np.stack([right, -up, -back], axis=1), position)
         given = [frame[key] for key in ("fl_x", "fl_y", "cx", "cy")]
-        assert given == truth.loc[frame_id, ["fx", "fy", "cx", "cy"]].tolist()
+        assert given == truth.loc[frame_id, ["fx", "fy", "cx", "cy"]].to_numpy().tolist()
         assert (out / frame["file_path"]).is_file()
     _assert_same(scene, found)
     named = {split: content[f"{split}_filenames"] for split in ("train", "val", "test")}
@@ -247,11 +249,11 @@ def test_our_importer_reads_its_data_sets(scene: DataRoot, name: str) -> None:
     for session in sessions:
         assert not session.rejects
         for raw in session.frames:
+            assert raw.image is not None
             frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
-            found[frame_id] = raw.vio_T_cam
-            pixels = cv2.imread(str(raw.image.path))
-            assert (pixels == cv2.imread(str(_image(scene, frame_id)))).all()
-            camera, columns = raw.intrinsics, ["fx", "fy", "cx", "cy"]
+            found[frame_id] = there(raw.vio_T_cam)
+            assert (read_picture(raw.image.path) == read_picture(_image(scene, frame_id))).all()
+            camera, columns = there(raw.intrinsics), ["fx", "fy", "cx", "cy"]
             stated = [camera.fx, camera.fy, camera.cx, camera.cy]
             np.testing.assert_allclose(stated, truth.loc[frame_id, columns].to_numpy(float), atol=1e-6)
     _assert_same(scene, found)
@@ -268,9 +270,10 @@ def test_our_importer_reads_what_other_tools_read(scene: DataRoot, name: str) ->
         assert not session.rejects and not session.notes
         assert (session.pose_source, session.is_metric, session.is_gravity_aligned) == ("reference", True, True)
         for raw in session.frames:
+            assert raw.image is not None
             frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
-            found[frame_id] = raw.vio_T_cam
-            camera, columns = raw.intrinsics, ["fx", "fy", "cx", "cy"]
+            found[frame_id] = there(raw.vio_T_cam)
+            camera, columns = there(raw.intrinsics), ["fx", "fy", "cx", "cy"]
             stated = [camera.fx, camera.fy, camera.cx, camera.cy]
             np.testing.assert_allclose(stated, truth.loc[frame_id, columns].to_numpy(float), atol=1e-6)
             assert camera.distortion == () and raw.image.path.is_file()
@@ -296,15 +299,16 @@ def test_a_map_of_unknown_unit_is_not_exported_as_metres(scene: DataRoot, scale_
 def test_intrinsics_that_a_format_has_no_place_for_lie_beside(scene: DataRoot) -> None:
     truth = _truth(scene)
     out = _export(scene, "7scenes")
+    columns = ["fx", "fy", "cx", "cy"]
     for image, frame_id in _frame_of(out).items():
         k = np.loadtxt(out / image.replace(".color.png", ".intrinsics.txt"))
-        assert k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == truth.loc[frame_id, ["fx", "fy", "cx", "cy"]].tolist()
-    columns = ["fx", "fy", "cx", "cy"]
+        assert k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == truth.loc[frame_id, columns].to_numpy().tolist()
     for name in ("tum", "cambridge"):
         listed = pd.read_csv(_export(scene, name) / "frames.csv").set_index("frame_id")
-        for frame_id, row in truth.iterrows():
-            assert listed.loc[frame_id, columns].tolist() == row[columns].tolist()
-            assert listed.loc[frame_id, ["width", "height"]].tolist() == [1920, 1440]
+        for key, row in truth.iterrows():
+            frame_id = str(key)
+            assert listed.loc[frame_id, columns].to_numpy().tolist() == row[columns].tolist()
+            assert listed.loc[frame_id, ["width", "height"]].to_numpy().tolist() == [1920, 1440]
 
 
 @pytest.mark.parametrize("name", EXPORTERS)
@@ -314,8 +318,8 @@ def test_frames_without_ground_truth_are_left_out_and_listed(scene: DataRoot, na
     assert (note["frames"], note["excluded"], note["simulated"], note["format"]) == (FRAMES, 1, True, name)
     listed = pd.read_csv(out / "frames.csv", keep_default_na=False).set_index("frame_id")
     assert len(listed) == FRAMES + 1
-    assert listed.loc[UNREGISTERED, ["image", "quality"]].tolist() == ["", "none"]
-    assert "register" in listed.loc[UNREGISTERED, "reason"]
+    assert listed.loc[UNREGISTERED, ["image", "quality"]].to_numpy().tolist() == ["", "none"]
+    assert "register" in cell(listed, UNREGISTERED, "reason")
     assert not [p for p in out.rglob("*") if p.suffix in (".jpg", ".png")]
 
 
@@ -380,7 +384,13 @@ def _give_lens(scene: DataRoot, lens: tuple[float, ...]) -> dict[str, Array]:
     )
     path = scene.run("tiny", "Place", "align") / "ground_truth.parquet"
     gt = read_table(path, schema("align", "ground_truth"))
-    gt = gt.assign(fx=230.0 + 0.1 * np.arange(len(gt)), fy=231.0, cx=161.3, cy=118.4, distortion=[list(lens)] * len(gt))
+    gt = gt.assign(
+        fx=230.0 + 0.1 * np.arange(len(gt)),
+        fy=231.0,
+        cx=161.3,
+        cy=118.4,
+        distortion=cells([list(lens)] * len(gt)),
+    )
     write_table(path, gt, schema("align", "ground_truth"))
     manifest = json.loads(path.with_name("manifest.json").read_text())
     path.with_name("manifest.json").write_text(json.dumps(manifest | {"outputs": output_hashes(path.parent)}))
@@ -397,14 +407,14 @@ def _give_lens(scene: DataRoot, lens: tuple[float, ...]) -> dict[str, Array]:
 
 def _dots_off_px(image: Path, world_T_cam: Array, K: Array, points: Array) -> float:
     """How far the image's dots are from where a pinhole projects the points, at most."""
-    pixels = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE).astype(float)
+    pixels = read_picture(image, cv2.IMREAD_GRAYSCALE).astype(float)
     expected = transform(inverse(world_T_cam), points) @ K.T
     off = []
     for u, v in expected[:, :2] / expected[:, 2:]:
         columns, rows = (np.arange(int(c) - 7, int(c) + 8) for c in (u, v))
         window = np.maximum(pixels[np.ix_(rows, columns)] - 8, 0)
         at = np.array([window.sum(0) @ (columns + 0.5), window.sum(1) @ (rows + 0.5)]) / window.sum()
-        off.append(np.linalg.norm(at - [u, v]))
+        off.append(float(np.linalg.norm(at - [u, v])))
     return max(off)
 
 
@@ -418,20 +428,21 @@ def test_formats_without_distortion_get_images_of_pinholes(scene: DataRoot, name
     frame_of, found = _frame_of(out), {}
     for session in _sessions(out):
         for raw in session.frames:
+            assert raw.image is not None
             image = raw.image.path
             frame_id = frame_of[image.relative_to(out).as_posix()]
-            found[frame_id] = raw.vio_T_cam
-            camera = raw.intrinsics
+            found[frame_id] = there(raw.vio_T_cam)
+            camera = there(raw.intrinsics)
             K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
             if name == "7scenes":
                 K = np.loadtxt(image.with_name(image.name.replace(".color.png", ".intrinsics.txt")))
-            assert listed.loc[frame_id, ["fx", "fy", "cx", "cy"]].tolist() == pytest.approx(
+            assert listed.loc[frame_id, ["fx", "fy", "cx", "cy"]].to_numpy().tolist() == pytest.approx(
                 K[[0, 1, 0, 1], [0, 1, 2, 2]]
             )
-            assert _dots_off_px(image, raw.vio_T_cam, K, points[frame_id]) < 0.2
+            assert _dots_off_px(image, found[frame_id], K, points[frame_id]) < 0.2
             captured = _truth(scene).loc[frame_id]
             K = np.array([[captured["fx"], 0, captured["cx"]], [0, captured["fy"], captured["cy"]], [0, 0, 1]])
-            assert _dots_off_px(_image(scene, frame_id), raw.vio_T_cam, K, points[frame_id]) > 1
+            assert _dots_off_px(_image(scene, frame_id), found[frame_id], K, points[frame_id]) > 1
     _assert_same(scene, found)
 
 
@@ -440,7 +451,7 @@ def test_undistorted_images_are_written_where_others_are_linked(scene: DataRoot)
     shown = _export_output(scene, "cambridge")
     assert f"{FRAMES} images undistorted" in shown and "JPEG of quality 95" in shown
     image = scene.root.parent / "out" / "cambridge" / "seq1" / "frame00000.jpg"
-    assert not image.is_symlink() and cv2.imread(str(image)).shape == (240, 320, 3)
+    assert not image.is_symlink() and read_picture(image).shape == (240, 320, 3)
     assert "images undistorted" not in _export_output(scene, "tum")
     linked = next((scene.root.parent / "out" / "tum").rglob("*.jpg"))
     assert linked.is_symlink()
@@ -474,10 +485,11 @@ def test_a_lens_that_moves_no_corner_is_none(scene: DataRoot) -> None:
     truth, frame_of, columns = _truth(scene), _frame_of(out), ["fx", "fy", "cx", "cy"]
     for session in _sessions(out):
         for raw in session.frames:
+            assert raw.image is not None
             frame_id = frame_of[raw.image.path.relative_to(out).as_posix()]
             assert raw.image.path.read_bytes() == _image(scene, frame_id).read_bytes()
-            camera = raw.intrinsics
-            assert [camera.fx, camera.fy, camera.cx, camera.cy] == truth.loc[frame_id, columns].tolist()
+            camera = there(raw.intrinsics)
+            assert [camera.fx, camera.fy, camera.cx, camera.cy] == truth.loc[frame_id, columns].to_numpy().tolist()
             assert (camera.width, camera.height, camera.distortion) == (*SIZE, ())
 
 

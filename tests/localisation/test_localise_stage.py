@@ -14,8 +14,9 @@ from groundwalk.artefacts import UserError, execute
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import poses_of
+from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.localisers import LOCALISERS
-from groundwalk.localisation.query import Answer, MapLocaliser
+from groundwalk.localisation.query import MapLocaliser
 from groundwalk.localisation.stage import STAGE
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 

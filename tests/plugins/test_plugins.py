@@ -149,7 +149,7 @@ def test_a_package_runs_from_import_to_report(
     assert methods["label"].to_dict() == {"apr": "regressor alone", "keep_first": "first"}
     assert json.loads(methods["options"]["keep_first"]) == {"predictions": 2}
     poses = table(data, "fuse", "poses").query("method == 'keep_first' and model == 'mean_colour'").sort_values("t_ns")
-    alignment = poses[[c for c in poses if c.startswith("map_vio_")]].to_numpy()
+    alignment = poses[[c for c in poses.columns if c.startswith("map_vio_")]].to_numpy()
     assert len(alignment) == 10 and np.ptp(alignment[1:], axis=0).max() < 1e-12  # kept from the second on
 
     page = (data / "runs/tiny/Room/report/page.html").read_text()
@@ -202,7 +202,7 @@ def test_a_broken_package_is_named_and_the_rest_goes_on(packages: list[Path], da
 def test_predictions_from_elsewhere_take_part_to_the_end(data: Path) -> None:
     """Without any package: the true poses, half a metre off, as a regressor called mine."""
     truth = table(data, "align", "ground_truth")
-    mine = truth[["frame_id", *(c for c in truth if c.startswith("map_cam_"))]].dropna().assign(model="mine")
+    mine = truth[["frame_id", *(c for c in truth.columns if c.startswith("map_cam_"))]].dropna().assign(model="mine")
     (data / "predictions").mkdir()
     mine.assign(map_cam_tx=mine["map_cam_tx"] + 0.5).to_parquet(data / "predictions" / "mine.parquet")
     configure(data, EXAMPLE.split("[train]")[0] + '[train]\nmodels = []\npredictions = "predictions/mine.parquet"\n')

@@ -3,11 +3,13 @@
 import json
 from collections.abc import Callable
 from itertools import product
+from typing import Any
 
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from known import cells
 from scipy.spatial.transform import Rotation
 
 from groundwalk.artefacts.files import hash_files, write_json
@@ -68,9 +70,9 @@ class MadeUpScene:
         frames = self.frames
         imported = pd.concat([frames, pose_frame("vio_cam", self.map_T_cam)], axis=1).assign(
             clock="boot", image=frames["frame_id"] + ".jpg", image_sha256="", width=64, height=48, fx=50.0, fy=50.0,
-            cx=32.0, cy=24.0, distortion=[[] for _ in range(len(frames))], gravity_x=1.0, gravity_y=0.0, gravity_z=0.0,
-            tracking="normal", sharpness=0.5, exposure_s=0.01, blurred_faces=None,
-            blurred_plates=None, support=False, depth=None, depth_confidence=None,
+            cx=32.0, cy=24.0, distortion=cells([] for _ in range(len(frames))),
+            gravity_x=1.0, gravity_y=0.0, gravity_z=0.0, tracking="normal", sharpness=0.5, exposure_s=0.01,
+            blurred_faces=None, blurred_plates=None, support=False, depth=None, depth_confidence=None,
         )  # fmt: skip
         # A support frame, which SfM didn't register: no figure of the report may count it.
         support = imported.iloc[[0]].assign(frame_id="walk_1/000900", t_ns=SECOND // 2, support=True)
@@ -85,12 +87,12 @@ class MadeUpScene:
             scale_source="vio",
             vertical_source="gravity",
             component=0,
-            fx=50.0, fy=50.0, cx=32.0, cy=24.0, distortion=[[0.09, -0.12, 0.0, 0.0]] * len(frames),
+            fx=50.0, fy=50.0, cx=32.0, cy=24.0, distortion=cells([[0.09, -0.12, 0.0, 0.0]] * len(frames)),
             camera_origin="estimated",
         )  # fmt: skip
         # One test frame without ground truth: it can't be scored, and must be counted as such.
         lost = truth.index[truth["split"] == "test"][3]
-        truth.loc[lost, [c for c in truth if c.startswith("map_cam")]] = np.nan
+        truth.loc[lost, [c for c in truth.columns if c.startswith("map_cam")]] = np.nan
         truth.loc[lost, ["quality", "reason"]] = "none", "not registered"
         localised, predictions, poses, errors = [], [], [], []
         for model in self.models:
@@ -135,7 +137,7 @@ class MadeUpScene:
         return np.arange(len(self.frames)) % 6 == 0
 
     def _localised(self, model: str, poses: Array) -> pd.DataFrame:
-        refusal = pd.Series(np.where(self.refused, "thin_evidence", None), dtype=object)
+        refusal = pd.Series(cells("thin_evidence" if refused else None for refused in self.refused), dtype=object)
         return pd.concat([self.frames, pose_frame("map_cam", poses)], axis=1).assign(
             model=model, scene=self.name, picked_scene=self.name, covariance=None, inference_ms=60.0, cpu_ms=80.0,
             inliers=90, candidates=120, refusal=refusal, reason=refusal,
@@ -165,8 +167,9 @@ class MadeUpScene:
         rows = []
         for model, (method, options, *_), session in product(self.models, METHODS, ("walk_3", "walk_4")):
             never = method == "apr" and session == "walk_4"
-            row = {"method": method, "options": options, "model": model, "scene": self.name, "session_id": session}
+            row: dict[str, object] = {"method": method, "options": options, "model": model, "scene": self.name}
             row |= {
+                "session_id": session,
                 "split": "test",
                 "frames": 30,
                 "answered": 0 if never else 27,
@@ -196,7 +199,8 @@ class MadeUpScene:
         rows = []
         for model in self.models:
             for method, value in (("apr", 2.0), ("mobilearloc", 1.5), ("smoother", 1.0)):
-                key = {"method": method, "options": "{}", "model": model, "scene": self.name, "subset": "all"}
+                key: dict[str, object] = {"method": method, "options": "{}"}
+                key |= {"model": model, "scene": self.name, "subset": "all"}
                 key |= {"value": value, "low": 0.8 * value, "high": None if method == "apr" else 1.3 * value}
                 figures = ("position_mean_m", "rotation_mean_deg")
                 rows += [key | {"figure": figure, "sessions": 2, "draws": 3} for figure in figures]
@@ -277,7 +281,7 @@ class MadeUpScene:
             track_length=np.where(registered, 6.5, np.nan), triangulation_deg=np.where(registered, 12.0, np.nan),
             held_out_matches=40, held_out_px=np.where(registered, 0.5, np.nan),
             fitted_px=np.where(registered, 0.4, np.nan), fx=480.0, fy=480.0, cx=320.0, cy=240.0,
-            distortion=[[0.09, -0.12, 0.0, 0.0]] * count, readout_s=0.015, camera_origin="estimated",
+            distortion=cells([[0.09, -0.12, 0.0, 0.0]] * count), readout_s=0.015, camera_origin="estimated",
         )  # fmt: skip
         support = images.iloc[[lost]].assign(frame_id="walk_1/000900")
         return pd.concat([images, support], ignore_index=True)
@@ -287,7 +291,7 @@ class MadeUpScene:
         frame = pd.DataFrame({"session_id": sessions, "segment": 0})
         for column in schema("align", "sessions").columns:
             if column.name not in frame and not column.name.startswith("map_vio"):
-                plain = {"int64": 30, "string": "vio", "float64": 0.021}[column.dtype]
+                plain: Any = {"int64": 30, "string": "vio", "float64": 0.021}[column.dtype]
                 frame[column.name] = 1.003 if column.name == "scale" else plain
         identity = np.tile(np.eye(4), (len(frame), 1, 1))
         return pd.concat([frame, pose_frame("map_vio", identity), pose_frame("map_vio_yaw", identity)], axis=1)
@@ -404,7 +408,7 @@ def write_group(data: DataRoot, name: str, members: list[str]) -> None:
         train[table] = train[table].drop_duplicates("epoch" if table == "history" else "model").copy()
         train[table]["scenes"] = [members] * len(train[table])
     errors = joined("fuse", "errors")
-    columns = [c for c in errors if c.endswith(("position_m", "rotation_deg"))]
+    columns = [c for c in errors.columns if c.endswith(("position_m", "rotation_deg"))]
     errors.loc[errors["model"] == "MS-T", columns] *= 0.5
     write_stage(data, name, "train", train, True)
     fused = {table: joined("fuse", table) for table in ("poses", "sweep", "intervals", "sessions")}
@@ -434,7 +438,7 @@ def make_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., DataRoot
     """A function that makes a data folder with these scenes, and a group of them where it's named:
     `make_run(Church={"train": 60}, simulated=True)`."""
 
-    def make(simulated: bool = True, group: str = "", **scenes: dict[str, int]) -> DataRoot:
+    def make(simulated: bool = True, group: str = "", **scenes: Any) -> DataRoot:
         data = DataRoot(tmp_path_factory.mktemp("data"))
         for seed, (name, options) in enumerate(scenes.items()):
             write_scene(data, MadeUpScene(name, seed, **options), simulated)

@@ -1,19 +1,23 @@
 """The figures of fusion's own tables show what the tables say."""
 
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pandas as pd
 import pytest
+from known import there
 from made_up_scenes import MODELS, MadeUpScene
+from matplotlib.lines import Line2D
 
 from groundwalk.reports.figures import confidence, costs, sensitivity
+from groundwalk.reports.inputs import SceneInputs
 
 
 @pytest.fixture(scope="module")
-def scene() -> SimpleNamespace:
+def scene() -> SceneInputs:
     tables = MadeUpScene("Church", 0, train=60).tables()["fuse"]
-    return SimpleNamespace(
+    made = SimpleNamespace(
         name="Church",
         models=list(MODELS),
         sweep=tables["sweep"],
@@ -21,12 +25,22 @@ def scene() -> SimpleNamespace:
         offline={"smoother"},
         raw_methods={"apr"},
     )
+    return cast(SceneInputs, made)
 
 
-def test_sensitivity_has_a_line_a_model_in_each_panel(scene: SimpleNamespace) -> None:
-    axes = sensitivity(scene, scene.sweep).figure.axes
+def along_x(line: Line2D) -> list[float]:
+    return np.asarray(line.get_xdata(), float).tolist()
+
+
+def along_y(line: Line2D) -> list[float]:
+    return np.asarray(line.get_ydata(), float).tolist()
+
+
+def test_sensitivity_has_a_line_a_model_in_each_panel(scene: SceneInputs) -> None:
+    sweep = there(scene.sweep)
+    axes = sensitivity(scene, sweep).figure.axes
     assert len(axes) == 12 and all([line.get_label() for line in ax.lines] == scene.models for ax in axes)
-    rows = scene.sweep[(scene.sweep["subset"] == "all") & (scene.sweep["model"] == MODELS[1])]
+    rows = sweep[(sweep["subset"] == "all") & (sweep["model"] == MODELS[1])]
     thresholds = ("n", "d_th_m", "o_th_deg", "gamma")
     for column, threshold in enumerate(thresholds):
         varied = rows[rows["varied"] == threshold]
@@ -34,10 +48,10 @@ def test_sensitivity_has_a_line_a_model_in_each_panel(scene: SimpleNamespace) ->
             (varied["position_mean_m"], varied["rotation_mean_deg"], varied["coverage_pct"] / 10)
         ):
             line = axes[4 * row + column].lines[1]
-            assert list(line.get_xdata()) == list(varied[threshold]) and list(line.get_ydata()) == pytest.approx(values)
+            assert along_x(line) == list(varied[threshold]) and along_y(line) == pytest.approx(values)
 
 
-def test_intervals_stand_about_each_methods_mean(scene: SimpleNamespace) -> None:
+def test_intervals_stand_about_each_methods_mean(scene: SceneInputs) -> None:
     named = confidence(scene)
     positions = named.figure.axes[0]
     assert [t.get_text() for t in positions.get_yticklabels()] == [
@@ -45,10 +59,10 @@ def test_intervals_stand_about_each_methods_mean(scene: SimpleNamespace) -> None
         *(f"{m} smoother (offline)" for m in MODELS),
     ]
     span, middle = positions.lines[2:4]
-    assert list(span.get_xdata()) == pytest.approx([1.2, 1.95]) and list(middle.get_xdata()) == [1.5]
+    assert along_x(span) == pytest.approx([1.2, 1.95]) and along_x(middle) == [1.5]
     assert "2 test sessions" in named.caption and "3 ways" in named.caption
     # A bound that is infinite has no end to draw to, but its mean is there.
-    assert pd.isna(positions.lines[0].get_xdata()[1]) and list(positions.lines[1].get_xdata()) == [2.0]
+    assert np.isnan(along_x(positions.lines[0])[1]) and along_x(positions.lines[1]) == [2.0]
 
 
 def test_costs_stand_where_bytes_time_and_the_median_error_say() -> None:

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from known import rows
 
 from groundwalk.reports.checks import AGREES, CAUTION, DISAGREES, check_tables, decimals, meets, percent, rounded, whole
 from groundwalk.reports.published import PrintedTables, load_claims, load_published
@@ -70,7 +71,7 @@ def test_text_that_says_other_than_its_tables_is_found(published: pd.DataFrame) 
     assert set(wrong.loc[wrong["scene"] == "average", "column"]) == NOT_HALVED
     rises = wrong[~wrong["scene"].isin(["each scene", "average"])]
     assert set(zip(rises["scene"], rises["column"], strict=True)) == set(RISES)
-    for row in rises.itertuples():
+    for row in rows(rises):
         assert f"({RISES[row.scene, row.column]:+.1f} %)" in row.printed
 
 
@@ -109,7 +110,7 @@ def printed_from_frames(frames: int, shares: tuple[float, float], seed: int) -> 
                 levels.append(keys | dict.fromkeys(("high", "medium", "low"), np.nan) | {"share": 0.0})
                 continue
             for statistic in (np.mean, np.median):
-                t, r = np.round(statistic(e, axis=0), 2)
+                t, r = np.round(np.asarray(statistic(e, axis=0)), 2)
                 errors.append(keys | {"statistic": statistic.__name__, "translation_m": t, "rotation_deg": r})
             within = [((e[:, 0] <= m) & (e[:, 1] <= d)).mean() for m, d in ((0.25, 2), (0.5, 5), (5, 10))]
             row = dict(zip(("high", "medium", "low"), np.round(100 * np.array(within), 1), strict=True))

@@ -8,6 +8,7 @@ import csv
 from pathlib import Path
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import Clock, Tracking
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -45,13 +46,13 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             ),
             image=ImageFile(inside(path, row["image"])),
             intrinsics=Intrinsics.of(number(row, name) for name in ("fx", "fy", "cx", "cy")),
-            tracking="normal",
+            tracking=Tracking.NORMAL,
         )
 
     rows = [(source, (index, text)) for index, (source, text) in enumerate(lines)]
     frames, rejects = collect(rows, session_id, read_row)
     refuse_unreadable(path, frames, rejects, ",".join(COLUMNS))
-    return RawSession(session_id, FORMAT.id, "unknown", "boot", path, frames, rejects)
+    return RawSession(session_id, FORMAT.id, "unknown", Clock.BOOT, path, frames, rejects)
 
 
 FORMAT = Format(
