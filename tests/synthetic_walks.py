@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from known import cells
 from scipy.spatial.transform import Rotation
 
 from groundwalk.alignment.examination import examine, refusal
@@ -77,7 +78,12 @@ class Scene:
 
     def inputs(self, **changes: Any) -> AlignInputs:
         """What the alignment works on."""
-        tables = {"frames": self.frames, "sfm": self.sfm, "jumps": self.jumps, "recordings": self.recordings}
+        tables: dict[str, Any] = {
+            "frames": self.frames,
+            "sfm": self.sfm,
+            "jumps": self.jumps,
+            "recordings": self.recordings,
+        }
         return AlignInputs(**tables | changes)
 
     def in_gauge(self, other_S_sfm: Sim3) -> "Scene":
@@ -85,10 +91,10 @@ class Scene:
         images = self.images.copy()
         poses = other_S_sfm.poses(poses_of(images, "sfm_cam"))
         images[pose_frame("sfm_cam", poses).columns] = pose_frame("sfm_cam", poses)
-        images["covariance"] = [
+        images["covariance"] = cells(
             None if c is None else covariance_in_map(np.reshape(c, (1, 6, 6)), other_S_sfm).ravel().tolist()
             for c in images["covariance"]
-        ]
+        )
         return replace(self, images=images)
 
     def set_sfm(self, sfm_T_cam: np.ndarray) -> None:
@@ -212,7 +218,9 @@ def filled(table: pd.DataFrame, stage: str, name: str, **values: object) -> pd.D
     """The table with the columns that the schema asks for; those that this stage doesn't read get a plain value."""
     plain = {"float64": 0.5, "int64": 1, "string": "", "bool": False, "list<float64>": [], "list<string>": []}
     missing = {c.name: c for c in schema(stage, name).columns if c.name not in table}
-    extra = {k: values.get(k, next(iter(c.choices)) if c.choices else plain[c.dtype]) for k, c in missing.items()}
+    extra: dict[str, Any] = {
+        k: values.get(k, next(iter(c.choices)) if c.choices else plain[c.dtype]) for k, c in missing.items()
+    }
     return table.assign(**{k: [v] * len(table) if isinstance(v, list) else v for k, v in extra.items()})
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from known import cells
 from synthetic_walks import Scene, Walks, align
 
 from groundwalk.alignment.examination import examine
@@ -23,7 +24,7 @@ from groundwalk.alignment.rulers.measurement import (
     undistorted,
 )
 from groundwalk.alignment.rulers.scale_check import describe, rulers_table
-from groundwalk.alignment.rulers.settings import CharucoRuler, Ruler, rulers_of
+from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, rulers_of
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.stage import STAGE
 from groundwalk.artefacts import DataRoot, UserError, execute
@@ -50,17 +51,18 @@ SIZE = (1920, 1440)
 def scene(walks: Walks) -> Scene:
     """Two walks, noise-free but for what a phone's VIO drifts by, with whole cameras."""
     made = walks.make(sessions=2, frames=60, drift_m=0.003)
-    made.frames = made.frames.assign(fy=1400.0, cx=960.0, cy=720.0, distortion=[LENS] * len(made.frames))
+    made.frames = made.frames.assign(fy=1400.0, cx=960.0, cy=720.0, distortion=cells([LENS] * len(made.frames)))
     return made
 
 
-def ruler(**changes: Any) -> Ruler:
+def ruler(**changes: Any) -> CharucoRuler:
     (made,) = rulers_of([{**BOARD, **changes}])
+    assert isinstance(made, CharucoRuler)
     return made
 
 
 def sighted(
-    scene: Scene, of: Ruler, *, printed: float = 1.0, mirror: bool = False, near: int = 20, frames: int = 60
+    scene: Scene, of: CharucoRuler, *, printed: float = 1.0, mirror: bool = False, near: int = 20, frames: int = 60
 ) -> RulerDetections:
     """The board 5 m in front of frame `near`, facing it, as the frames of its walk see it. `printed`: its true
     size as a share of the stated one."""
@@ -70,7 +72,9 @@ def sighted(
     map_T_board = scene.true_T_cam[near] @ make_pose(np.eye(3), [0.0, 0.0, 5.0])
     xyz = transform(map_T_board, on_board)
     rng = np.random.default_rng(near)
-    rows, corner, pixels = [], [], []
+    rows: list[int] = []
+    corner: list[int] = []
+    pixels: list[Array] = []
     for row in range(60 * (near // 60), 60 * (near // 60) + frames):
         seen = transform(inverse(scene.true_T_cam[row]), xyz)
         if (seen[:, 2] < 1).any():
@@ -205,7 +209,7 @@ def test_two_rulers_that_disagree_are_both_named(scene: Scene) -> None:
 
 
 def by_reference(scene: Scene, *, metric: bool) -> Reference:
-    scene.frames[[c for c in scene.frames if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    scene.frames[[c for c in scene.frames.columns if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
     return Reference(scene.true_T_cam, is_metric=metric, is_up_known=True, gives_map=True)
 
 
@@ -244,7 +248,8 @@ def test_undistortion_inverts_the_lens(scene: Scene) -> None:
     rng = np.random.default_rng(0)
     xy = rng.uniform(-0.5, 0.5, (100, 2))
     matrix, distortion = camera_of(scene.frames, 3)
-    pixels, _ = cv2.projectPoints(np.column_stack([xy, np.ones(100)]), np.zeros(3), np.zeros(3), matrix, distortion)
+    seen = np.column_stack([xy, np.ones(100)])
+    pixels: np.ndarray = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), matrix, distortion)[0]
     found, focal_px = undistorted(scene.frames, np.full(100, 3), pixels.reshape(-1, 2))
     np.testing.assert_allclose(found, xy, atol=1e-9)
     assert (focal_px == 1400.0).all()
@@ -288,6 +293,7 @@ def test_tags_are_detected_and_an_id_seen_twice_is_not() -> None:
     for tag, (x, y) in ((3, (50, 60)), (7, (250, 60)), (7, (450, 60)), (11, (250, 280))):
         image[y : y + 120, x : x + 120] = cv2.aruco.generateImageMarker(dictionary, tag, 120)
     (tags,) = rulers_of([{"kind": "apriltag", "tag_mm": 100, "ids": [3, 7]}])
+    assert isinstance(tags, AprilTagRuler)
     found = detect(tags, image)
     assert found.corner.tolist() == [12, 13, 14, 15]
     np.testing.assert_allclose(found.xy, [[50, 60], [170, 60], [170, 180], [50, 180]], atol=0.6)
@@ -341,7 +347,7 @@ def test_a_real_board_is_detected(shared_captures: Path) -> None:
 
 # ------------------------------------------------------------------ settings
 
-DISTANCE = {
+DISTANCE: dict[str, Any] = {
     "kind": "distance",
     "length_m": 1.253,
     "points": [
@@ -412,7 +418,7 @@ def test_the_stage_with_a_distance_that_sets_the_scale(data: DataRoot, walks: Wa
     image = data.captures("Place") / "grey.png"
     cv2.imwrite(str(image), np.full((144, 192), 128, dtype=np.uint8))
     frames = read_table(folder / "frames.parquet", schema("import", "frames")).assign(
-        image=image.name, image_sha256=sha256_of(image), distortion=[[]] * 40
+        image=image.name, image_sha256=sha256_of(image), distortion=cells([[]] * 40)
     )
     write_table(folder / "frames.parquet", frames, schema("import", "frames"))
     ends = transform(true_T_cam[8], np.array([[-1.5, 0.0, 8.0], [1.5, 0.0, 8.0]]))

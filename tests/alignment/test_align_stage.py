@@ -76,7 +76,7 @@ def _check_recording(path: Path, gt: pd.DataFrame) -> None:
         # One colour a session, in both plots.
         colours = [value(f"/residuals/{of}/{walk}", "SeriesLines:colors") for of in ("position_m", "rotation_deg")]
         assert colours[0] == colours[1]
-    position = np.stack(gt["covariance"]).reshape(-1, 6, 6)[:, 3:, 3:]
+    position = np.stack(list(gt["covariance"])).reshape(-1, 6, 6)[:, 3:, 3:]
     half_sizes = np.sort(value("/map/ground_truth/bounds_95_times_10", ":half_sizes"), axis=1)
     np.testing.assert_allclose(
         half_sizes, 10 * np.sqrt(chi2.ppf(0.95, 3) * np.linalg.eigvalsh(position)), rtol=1e-3, atol=1e-6

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from known import there
 from scipy.spatial.transform import Rotation
 from synthetic_walks import Scene, Walks
 
@@ -38,7 +39,7 @@ def of_walk(scene: Scene, number: int) -> np.ndarray:
     return np.flatnonzero(scene.frames["session_id"] == f"walk{number}")
 
 
-def faults(found: Examination) -> set[tuple[str, str]]:
+def faults(found: Examination) -> set[tuple[FailureCause | None, str]]:
     """Causes and sessions of all failed checks but those of windows."""
     return {(c.cause, c.subject.session_id) for c in failed(found) if not c.name.startswith("window")}
 
@@ -76,7 +77,7 @@ def test_mirrored_images_are_named(walks: Walks, axis: int) -> None:
     assert (FailureCause.MIRRORED_IMAGES, "walk1") in faults(found) and without_ground_truth(found) == {1}
     mirror(scene, np.concatenate([of_walk(scene, 0), of_walk(scene, 2)]), axis)
     found = run(scene)
-    assert FailureCause.MIRRORED_IMAGES in error(scene, found).what and not found.has_ground_truth.any()
+    assert FailureCause.MIRRORED_IMAGES in there(error(scene, found)).what and not found.has_ground_truth.any()
 
 
 def shuffle(scene: Scene, rows: np.ndarray) -> None:
@@ -114,7 +115,7 @@ def test_wrong_intrinsics_are_named(walks: Walks, gain: float) -> None:
     turn_otherwise(scene, of_walk(scene, 0), gain)
     found = run(scene)
     assert (FailureCause.WRONG_INTRINSICS, "walk0") in faults(found) and not found.has_ground_truth.any()
-    assert FailureCause.WRONG_INTRINSICS in error(scene, found).what
+    assert FailureCause.WRONG_INTRINSICS in there(error(scene, found)).what
 
 
 def test_a_wrong_vio_scale_costs_that_session_its_ground_truth(walks: Walks) -> None:
@@ -142,7 +143,7 @@ def test_folded_places_cost_the_whole_model(walks: Walks) -> None:
     scene.set_sfm(sfm)
     found = run(scene)
     assert (FailureCause.PERCEPTUAL_ALIASING, "walk0") in faults(found) and not found.has_ground_truth.any()
-    assert FailureCause.PERCEPTUAL_ALIASING in error(scene, found).what
+    assert FailureCause.PERCEPTUAL_ALIASING in there(error(scene, found)).what
 
 
 def test_a_single_wrong_frame_is_no_fold(walks: Walks) -> None:
@@ -161,7 +162,7 @@ def test_a_session_of_another_scene_is_named(walks: Walks) -> None:
     scene.images.loc[rows, "model_id"] = "incremental/1"
     found = run(scene)
     assert faults(found) == {(FailureCause.OTHER_SCENE, "")} and without_ground_truth(found) == {2}
-    assert "walk2" in main_failure(found.checks).reason
+    assert "walk2" in there(main_failure(found.checks)).reason
 
     scene.images.loc[rows, "registered"] = False
     scene.images.loc[rows, "model_id"] = None
@@ -272,8 +273,8 @@ def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks: Walks) -> None:
     found = run(scene)
     assert found.has_ground_truth[60:].all() and not found.has_ground_truth[rows].any()
     assert "uncertain pose" in found.exclusion[rows[0]]
-    (unsure,) = [c for c in failed(found) if c.name == "session_uncertain"]
-    assert unsure.subject.session_id == "walk0" and unsure.cause == FailureCause.VIO_INCONSISTENT
+    (check,) = [c for c in failed(found) if c.name == "session_uncertain"]
+    assert check.subject.session_id == "walk0" and check.cause == FailureCause.VIO_INCONSISTENT
 
 
 def test_one_unsure_frame_that_is_off_goes_alone(walks: Walks) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
+from known import cells
 from scipy.spatial.transform import Rotation
-from synthetic_walks import Scene
 
 from groundwalk.alignment.checks.depth import check_depth
 from groundwalk.alignment.checks.results import with_status
@@ -55,9 +55,13 @@ def floor_depth(map_T_cam: Array) -> Array:
     return -map_T_cam[1, 3] / rays[..., 1]
 
 
+Placed = tuple[pd.DataFrame, pd.DataFrame, PlacedComponent]
+"""Frames, SfM's images and one placed model."""
+
+
 @pytest.fixture
-def scene(tmp_path: Path) -> Scene:
-    """Frames, SfM's images and one placed model, with the depth images and the model in `tmp_path`."""
+def scene(tmp_path: Path) -> Placed:
+    """With the depth images and the model in `tmp_path`."""
     map_T_cam = cameras()
     sfm_T_cam = GAUGE.poses(map_T_cam)
     points = np.random.default_rng(1).uniform([-0.5, 0, -0.4], [0.5, 0, 0.4], (150, 3))
@@ -81,7 +85,7 @@ def scene(tmp_path: Path) -> Scene:
         model.add_point3D(xyz, pycolmap.Track(track))
     (tmp_path / "model").mkdir()
     model.write_binary(tmp_path / "model")
-    table = pd.DataFrame(frames).assign(fx=500.0, fy=500.0, cx=320.0, cy=240.0, distortion=[[]] * COUNT)
+    table = pd.DataFrame(frames).assign(fx=500.0, fy=500.0, cx=320.0, cy=240.0, distortion=cells([[]] * COUNT))
     table["depth"] = [f"depth{i}.png" for i in range(COUNT)]
     table["depth_confidence"] = [f"conf{i}.png" for i in range(COUNT)]
     component = Component(
@@ -97,7 +101,7 @@ def scene(tmp_path: Path) -> Scene:
     return table, pose_frame("sfm_cam", sfm_T_cam), placed
 
 
-def samples_of(scene: Scene, tmp_path: Path, scale: float = 1.0) -> DepthSamples:
+def samples_of(scene: Placed, tmp_path: Path, scale: float = 1.0) -> DepthSamples:
     frames, images, placed = scene
     to_map = placed.map_S_sfm
     wrong = PlacedComponent(placed.component, Sim3(scale * to_map.scale, to_map.rotation, to_map.translation))
@@ -106,7 +110,7 @@ def samples_of(scene: Scene, tmp_path: Path, scale: float = 1.0) -> DepthSamples
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.1])
-def test_the_ratio_is_that_of_the_scales(scene: Scene, tmp_path: Path, scale: float) -> None:
+def test_the_ratio_is_that_of_the_scales(scene: Placed, tmp_path: Path, scale: float) -> None:
     samples = samples_of(scene, tmp_path, scale)
     assert len(samples.map_m) > 300 and set(samples.confidence) == {2}
     # Millimetres are rounded: half of one at a metre.
@@ -123,7 +127,7 @@ def test_the_ratio_is_that_of_the_scales(scene: Scene, tmp_path: Path, scale: fl
     assert ("9.09% less" in line) == (scale == 1.1)
 
 
-def test_an_error_that_grows_with_distance_is_named(scene: Scene, tmp_path: Path) -> None:
+def test_an_error_that_grows_with_distance_is_named(scene: Placed, tmp_path: Path) -> None:
     samples = samples_of(scene, tmp_path)
     samples = replace(samples, sensor_m=samples.sensor_m * (1 + 0.06 * (samples.map_m - 2)))
     checks, _ = check_depth(agreement_table(samples, seed=0), AlignSettings(max_depth_scale_error=0.2))
@@ -131,14 +135,14 @@ def test_an_error_that_grows_with_distance_is_named(scene: Scene, tmp_path: Path
     assert failed.name == "session_depth_by_distance" and "differs with distance" in failed.reason
 
 
-def test_what_its_standard_error_leaves_open_is_undecided(scene: Scene, tmp_path: Path) -> None:
+def test_what_its_standard_error_leaves_open_is_undecided(scene: Placed, tmp_path: Path) -> None:
     table = agreement_table(samples_of(scene, tmp_path, 1.06), seed=0)
     checks, _ = check_depth(table.assign(median_ratio_se=0.01), AlignSettings())
     (of_scale,) = [c for c in checks if c.name == "session_depth_scale"]
     assert of_scale.status is Status.UNDECIDED and not of_scale.exclusions and not len(of_scale.undecided_rows)
 
 
-def test_too_little_depth_judges_nothing(scene: Scene, tmp_path: Path) -> None:
+def test_too_little_depth_judges_nothing(scene: Placed, tmp_path: Path) -> None:
     frames, images, placed = scene
     frames.loc[2:, "depth"] = None
     samples = samples_of((frames, images, placed), tmp_path, 1.3)
@@ -150,7 +154,7 @@ def test_too_little_depth_judges_nothing(scene: Scene, tmp_path: Path) -> None:
     assert not len(agreement_table(samples_of((frames, images, placed), tmp_path), seed=0))
 
 
-def test_the_cloud_lies_on_the_floor(scene: Scene, tmp_path: Path) -> None:
+def test_the_cloud_lies_on_the_floor(scene: Placed, tmp_path: Path) -> None:
     frames, _, _ = scene
     (cloud,) = depth_clouds(frames, cameras(), np.ones(COUNT, dtype=bool), lambda entry: tmp_path / entry).values()
     assert 1000 < len(cloud) <= 60_000 and np.abs(cloud[:, 1]).max() < 2e-3

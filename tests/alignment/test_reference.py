@@ -27,7 +27,7 @@ WORLD = Sim3(1.0, Rotation.from_euler("xyz", [0.9, -0.2, 1.5]).as_matrix(), np.a
 
 def without_vio(scene: Scene) -> Scene:
     frames = scene.frames.copy()
-    frames[[c for c in frames if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    frames[[c for c in frames.columns if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
     return replace(scene, frames=frames)
 
 
@@ -35,7 +35,7 @@ def stated(scene: Scene, map_T_cam: np.ndarray, **changes: Any) -> Reference:
     return replace(Reference(map_T_cam, is_metric=True, is_up_known=False, gives_map=True), **changes)
 
 
-def run(scene: Scene, reference: Reference) -> AlignResult:
+def run(scene: Scene, reference: Reference | None) -> AlignResult:
     return align(scene.inputs(reference=reference), AlignSettings())
 
 
@@ -142,7 +142,7 @@ def test_beside_vio_a_reference_is_compared_and_gives_nothing(walks: Walks, metr
 def test_the_stage_says_what_gave_scale_and_vertical(data: DataRoot) -> None:
     folder = data.run("tiny", "Place", "import")
     frames = read_table(folder / "frames.parquet", schema("import", "frames"))
-    frames[[c for c in frames if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
+    frames[[c for c in frames.columns if c.startswith(("vio_cam_", "gravity_"))]] = np.nan
     write_table(folder / "frames.parquet", frames, schema("import", "frames"))
     truth = read_table(data.captures("Place") / "true_poses.parquet", schema("simulate", "true_poses"))
     reference = pd.concat(

@@ -1,5 +1,7 @@
 """Covariances against Monte Carlo, and quality classes."""
 
+from typing import Any
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -57,7 +59,7 @@ def test_largest_sd_looks_along_the_worst_axis() -> None:
 
 def test_a_class_needs_all_of_its_limits_and_says_which_it_lacks() -> None:
     good = FrameMeasures(position_sd_m=0.005, rotation_sd_deg=0.02, observations=400, reprojection_deg=0.05)
-    cases = [
+    cases: list[tuple[dict[str, Any], str, str]] = [
         ({}, "A", ""),
         ({"position_sd_m": 0.03}, "B", "class B: position uncertain 0.03 m (limit 0.02)"),
         ({"position_sd_m": 0.03, "rotation_sd_deg": 0.42}, "C", "class C: rotation uncertain 0.42 deg (limit 0.3)"),

@@ -3,6 +3,7 @@
 import numpy as np
 import pycolmap
 import pytest
+from known import there
 
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.cameras import Camera, centred_pinhole, pinhole_within
@@ -21,7 +22,7 @@ def test_a_camera_projects_as_colmaps_does() -> None:
         camera_id=1, model="OPENCV", width=320, height=240, params=[241.0, 242.5, 161.7, 117.2, *_LENSES[2]]
     )
     px = camera.project(points)
-    assert np.allclose(px, theirs.img_from_cam(np.column_stack([points, np.ones(50)])), atol=1e-9)
+    assert np.allclose(px, there(theirs.img_from_cam(np.column_stack([points, np.ones(50)]))), atol=1e-9)
     assert np.allclose(camera.unproject(px), points, atol=1e-9)
 
 

@@ -1,5 +1,7 @@
 """Errors against evo, and what the paper's definitions do and don't see."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from evo.core import metrics as evo_metrics
@@ -73,7 +75,7 @@ def test_relative_errors_do_not_see_the_frame(seed: int) -> None:
 def test_the_papers_rpe_is_blind_to_direction() -> None:
     # A one-metre step with half a metre of sideways error: 0.12 m by the paper's rule, 0.5 m as a motion.
     straight = make_pose(np.eye(3), [[0, 0, 0], [1, 0, 0]])
-    sideways = make_pose(np.eye(3), [[0, 0, 0], [1, 0, 0.5]])
+    sideways = make_pose(np.eye(3), [[0.0, 0.0, 0.0], [1.0, 0.0, 0.5]])
     assert rpe_roe(straight, sideways)[0][0] == pytest.approx(np.hypot(1, 0.5) - 1)
     assert relative_error(straight, sideways)[0][0] == pytest.approx(0.5)
 
@@ -92,4 +94,5 @@ def test_classes_that_levels_count_promise_every_level_with_95_percent() -> None
     strictest = np.min(list(ACCURACY_LEVELS.values()), axis=0)
     for limits in (settings.quality_a, settings.quality_b):
         assert bound * limits.max_position_sd_m <= strictest[0] and bound * limits.max_rotation_sd_deg <= strictest[1]
-    assert list(sure_enough(["A", "B", "C", "none", None, np.nan])) == [True, True, False, False, True, True]
+    stated: list[Any] = ["A", "B", "C", "none", None, np.nan]
+    assert list(sure_enough(stated)) == [True, True, False, False, True, True]

@@ -33,4 +33,4 @@ def test_each_session_counted_once_gives_the_score() -> None:
     assert figures["rotation_median_deg"][0] == pytest.approx(expected.median_deg)
     assert figures["medium_pct"][0] == pytest.approx(expected.medium)
     low, high = interval(figures["position_mean_m"][1:])
-    assert low < expected.mean_m < high
+    assert low is not None and high is not None and low < expected.mean_m < high

@@ -166,8 +166,7 @@ def _bundle_adjusted(world_T_cam: Array, xyz: Array, seen_px_NP2: Array) -> tupl
     options.ceres.loss_function_scale = _LOSS_PX
     options.ceres.solver_options.num_threads = 1
     pycolmap.bundle_adjustment(model, options)
-    poses = [model.image(row + 1).cam_from_world().inverse().matrix() for row in range(len(world_T_cam))]
-    poses = np.array(poses)
+    poses = np.array([model.image(row + 1).cam_from_world().inverse().matrix() for row in range(len(world_T_cam))])
     points = model.points3D
     return make_pose(poses[:, :, :3], poses[:, :, 3]), np.array([points[i].xyz for i in sorted(points)])
 

@@ -2,6 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
+from known import cells
 
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import Array, inverse, make_pose
@@ -55,6 +56,6 @@ def _log(model: pycolmap.Reconstruction, settings: SfmSettings | None = None) ->
     cameras = [model.camera(row + 1) for row in range(6)]
     focal = [camera.mean_focal_length() for camera in cameras]
     frames = frames.assign(fx=focal, fy=focal, cx=cameras[0].width / 2, cy=cameras[0].height / 2)
-    frames = frames.assign(width=cameras[0].width, height=cameras[0].height, distortion=[[0.0] * 4] * 6)
+    frames = frames.assign(width=cameras[0].width, height=cameras[0].height, distortion=cells([[0.0] * 4] * 6))
     log = frames[["session_id", "t_ns", *pose_frame("vio_cam", poses).columns]]
     return camera_log(frames, {"walk": "phone"}, log, settings or SfmSettings(lens="stated"))

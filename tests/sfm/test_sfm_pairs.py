@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from groundwalk.artefacts.choices import PairOrigin
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 from groundwalk.sfm.pairs.candidates import (
     first_origins,
@@ -119,9 +120,9 @@ def test_transitive_pairs_close_chains_of_verified_pairs_alone() -> None:
 def test_a_pair_keeps_the_first_origin_that_proposed_it() -> None:
     pairs, origin = first_origins(
         [
-            ("sequence", np.array([[0, 1], [1, 2]])),
-            ("vio", np.array([[0, 2], [1, 2]])),
-            ("retrieval", unique_pairs([])),
+            (PairOrigin.SEQUENCE, np.array([[0, 1], [1, 2]])),
+            (PairOrigin.VIO, np.array([[0, 2], [1, 2]])),
+            (PairOrigin.RETRIEVAL, unique_pairs([])),
         ],
         3,
     )

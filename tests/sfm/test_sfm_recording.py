@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from known import there
 
 from groundwalk.geometry.cameras import Camera
 from groundwalk.sfm.recording import _log_view, _undistorted
@@ -37,7 +38,7 @@ def test_points_lie_on_their_features_in_the_shown_image(tmp_path: Path) -> None
     _log_view(stream, _undistorted(tmp_path / "dots.png", _CAMERA), _CAMERA, model, 0, 1.0)
 
     jpeg = np.array(stream.logged["sfm/camera/image"].blob.as_arrow_array()[0].as_py(), np.uint8)
-    image = cv2.imdecode(jpeg, cv2.IMREAD_GRAYSCALE).astype(float)
+    image = there(cv2.imdecode(jpeg, cv2.IMREAD_GRAYSCALE)).astype(float)
     assert image.shape == (360, 480)
     shown = np.array(stream.logged["sfm/camera/image/seen"].positions.as_arrow_array().to_pylist())
     assert len(shown) == 5

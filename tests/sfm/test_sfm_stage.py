@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
+from known import read_picture
 from textured_room import Room, make_look_alike_rooms, make_room
 
 from groundwalk.artefacts import UserError, execute
@@ -117,7 +118,7 @@ def test_every_mapper_places_the_room_right(room: Room, mapper: str) -> None:
 def test_mirrored_images_are_named(room: Room) -> None:
     for image in room.frames.loc[room.frames["session_id"] == "two", "image"]:
         path = room.data.captures("room") / image
-        cv2.imwrite(str(path), cv2.imread(str(path))[:, ::-1])
+        cv2.imwrite(str(path), read_picture(path)[:, ::-1])
     room.note_images()
     with pytest.raises(UserError) as caught:
         _run(room, "retrieval_pairs=0", "sequence_pairs=6", "transitive_pairs=0")

@@ -3,6 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -51,7 +52,7 @@ def make_room(folder: Path, per_walk: int = 7, same_place: bool = True) -> Room:
     tables = []
     for number, (session, poses) in enumerate(walks.items()):
         seed = 0 if same_place else 10 * number
-        textures = [_texture(np.linalg.norm(u), np.linalg.norm(v), seed + i) for i, (_, u, v) in enumerate(_WALLS)]
+        textures = [_texture(_length(u), _length(v), seed + i) for i, (_, u, v) in enumerate(_WALLS)]
         tables.append(_frames(data, session, poses, [_photograph(textures, pose) for pose in poses]))
     frames = pd.concat(tables, ignore_index=True)
     _write_import(data, frames, list(walks))
@@ -61,7 +62,7 @@ def make_room(folder: Path, per_walk: int = 7, same_place: bool = True) -> Room:
 def make_look_alike_rooms(folder: Path, apart_m: float = 20.0, per_room: int = 7) -> Room:
     """One walk through two rooms that look the same; nothing is to be seen on the way from one to the other."""
     data, session, dark = DataRoot(folder / "data"), "one", 3
-    textures = [_texture(np.linalg.norm(u), np.linalg.norm(v), i) for i, (_, u, v) in enumerate(_WALLS)]
+    textures = [_texture(_length(u), _length(v), i) for i, (_, u, v) in enumerate(_WALLS)]
     inside = _walk(per_room, 1.5, 2.6)
     between = np.repeat(inside[-1:], dark, axis=0)
     between[:, 0, 3] += apart_m * np.linspace(0, 1, dark + 2)[1:-1]
@@ -108,6 +109,10 @@ def _walk(count: int, height_m: float, distance_m: float) -> Array:
     return make_pose(np.stack([right, np.cross(forward, right), forward], axis=2), centre)
 
 
+def _length(side: tuple[float, ...]) -> float:
+    return float(np.linalg.norm(side))
+
+
 def _texture(width_m: float, height_m: float, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     size = (int(width_m * _TEXELS_PER_M), int(height_m * _TEXELS_PER_M))
@@ -115,7 +120,7 @@ def _texture(width_m: float, height_m: float, seed: int) -> np.ndarray:
         weight * cv2.resize(rng.uniform(0, 1, (size[1] // cell + 1, size[0] // cell + 1)), size)
         for weight, cell in ((0.5, 6), (0.3, 14), (0.2, 40))
     ]
-    return np.uint8(255 * np.clip(1.6 * (np.sum(layers, axis=0) - 0.5) + 0.5, 0, 1))
+    return (255 * np.clip(1.6 * (np.sum(layers, axis=0) - 0.5) + 0.5, 0, 1)).astype(np.uint8)
 
 
 def _photograph(textures: list[np.ndarray], room_T_cam: Array) -> np.ndarray:
@@ -140,7 +145,9 @@ def _write_import(data: DataRoot, frames: pd.DataFrame, sessions: list[str]) -> 
     folder.mkdir(parents=True)
     _write(folder, "frames", frames)
     # The phone logs a pose a frame and nothing between them.
-    _write(folder, "vio", frames[["session_id", "t_ns", *(c for c in frames if c.startswith("vio_cam_"))]].copy())
+    _write(
+        folder, "vio", frames[["session_id", "t_ns", *(c for c in frames.columns if c.startswith("vio_cam_"))]].copy()
+    )
     _write(folder, "sessions", pd.DataFrame({"session_id": sessions, "recording": sessions}))
     _write(folder, "jumps", pd.DataFrame({"session_id": [], "t_ns": []}).astype({"session_id": str, "t_ns": "int64"}))
     _note_images(data)
@@ -158,7 +165,7 @@ def _note_images(data: DataRoot) -> None:
 def _write(folder: Path, name: str, table: pd.DataFrame) -> None:
     """Columns that the test has no use for get a value of their type."""
     columns = schema("import", name)
-    blank = {"float64": 0.0, "int64": 0, "bool": False, "string": "", "list<float64>": None}
+    blank: dict[str, Any] = {"float64": 0.0, "int64": 0, "bool": False, "string": "", "list<float64>": None}
     for column in columns.columns:
         if column.name not in table:
             table[column.name] = next(iter(column.choices)) if column.choices else blank[column.dtype]

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from known import read_picture
 
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.choices import Appearance
@@ -96,7 +97,7 @@ def test_shadows_move_with_the_sun() -> None:
         side = len(light) / 16
         darkest.append(np.array([columns.mean() / side - 8, rows.mean() / side - 8]))
         # A shadow lies on the other side of what throws it.
-        assert darkest[-1] @ np.array(place.light.sun)[[0, 2]] < 0  # type: ignore[index]
+        assert darkest[-1] @ np.array(place.light.sun)[[0, 2]] < 0
     assert np.linalg.norm(darkest[0] - darkest[1]) > 1
 
 
@@ -137,7 +138,7 @@ def test_only_images_of_test_walks_differ(tmp_path: Path) -> None:
     differ = {p for p in files if (same / p).read_bytes() != (other / p).read_bytes()}
     pictures = {p for p in files if p.parts[0] == "test-1" and p.suffix == ".jpg"}
     assert pictures <= differ and all(p.parts[0] == "test-1" for p in differ)
-    changed = cv2.absdiff(*(cv2.imread(str(f / min(pictures))) for f in (same, other)))
+    changed = cv2.absdiff(*(read_picture(f / min(pictures)) for f in (same, other)))
     assert changed.mean() > 3
     for path in sorted(p for p in differ if p.suffix == ".json"):
         one, two = (json.loads((f / path).read_text()) for f in (same, other))
@@ -147,7 +148,7 @@ def test_only_images_of_test_walks_differ(tmp_path: Path) -> None:
 
 def test_captures_from_before_there_were_appearances_stay_up_to_date(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:  # type: ignore[no-untyped-def]
+) -> None:
     """Their key knows no appearance, and it's the same."""
     folder = simulate("Office", "tiny", DataRoot(tmp_path), SMALL, processes=1)
     marker = json.loads((folder / "SIMULATED.json").read_text())

@@ -6,9 +6,9 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+from known import read_picture
 
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.schemas import schema
@@ -131,7 +131,7 @@ def test_pictures_go_with_every_kth_pose(finished: Path) -> None:
         indices = [int(p.stem[-5:]) for p in sorted((finished / name).glob("*.jpg"))]
         assert indices == list(range(0, count["poses"], 5))
         assert len(indices) == count["images"]
-        image = cv2.imread(str(finished / name / "frame_00000.jpg"))
+        image = read_picture(finished / name / "frame_00000.jpg")
         assert image.shape == (72, 96, 3)
         assert 40 < image.mean() < 220
         assert image.std() > 10

@@ -101,7 +101,7 @@ def room() -> tuple[SceneryPlan, Renderer, np.ndarray]:
     ends = [((-h, -h), (h, -h)), ((h, -h), (h, h)), ((h, h), (-h, h)), ((-h, h), (-h, -h))]
     corners = []
     for k, (left, right) in enumerate(ends):
-        b.wall(f"wall{k}", left, right, 0, 3, checkers)  # type: ignore[arg-type]
+        b.wall(f"wall{k}", left, right, 0, 3, checkers)
         along = (np.array(right) - left) / (2 * h)
         for i, j in product(range(1, round(2 * h / SQUARE_M)), range(1, round(3 / SQUARE_M))):
             x, z = left + along * i * SQUARE_M
@@ -148,7 +148,7 @@ def offsets(session: SimulatedSession, settings: SimulateSettings) -> tuple[np.n
         if not 5 <= i < len(session.t_ns) - 5:
             continue
         shot = session.shots[k]
-        sharp = renderer.render(shot.view, Sky(0), settings.supersampling).image[..., 1]
+        sharp: np.ndarray = renderer.render(shot.view, Sky(0), settings.supersampling).image[..., 1]
         # Single precision and blurred: on sharp edges the corner finder leans towards pixel centres.
         sharp = cv2.GaussianBlur(sharp, (0, 0), 1.0)
         expected = predicted(session, i, corners)
