@@ -114,7 +114,7 @@ def _shares(vio: Array, o: DriftAwareOptions) -> Array:
     for a, b in pairwise(vio):
         gap = np.linalg.norm(b[:3, 3] - a[:3, 3])
         gap += o.turn_length_m * np.linalg.norm(Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec())
-        found.append(gap / (gap + o.apart_m))
+        found.append(float(gap / (gap + o.apart_m)))
     return np.array(found)
 
 

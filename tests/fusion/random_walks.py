@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.poses import Array, make_pose
@@ -10,7 +11,7 @@ from groundwalk.geometry.poses import Array, make_pose
 
 @dataclass
 class RandomWalk:
-    t_ns: Array  # (N,) int64
+    t_ns: NDArray[np.int64]  # (N,)
     map_T_cam: Array  # (N, 4, 4) true poses
     vio: list[Array | None]
     apr: list[Array | None]

@@ -7,7 +7,7 @@ from test_mobilearloc import random_options
 from upright_walks import as_walk
 
 from groundwalk.fusion.evaluation.fuse import Fused, Run, fuse
-from groundwalk.fusion.methods.decide import RuleWalk
+from groundwalk.fusion.methods.decide import Decisions, RuleWalk
 from groundwalk.fusion.methods.mobilearloc import MobileARLoc, MobileARLocOptions
 from groundwalk.fusion.walk import Walk
 from groundwalk.geometry import GeometryError
@@ -20,7 +20,7 @@ def given(seed: int, frames: int = 40) -> Walk:
     return as_walk(walk.t_ns, walk.map_T_cam, walk.vio, walk.apr)
 
 
-def assert_same(decided: Fused, fused: Fused) -> None:
+def assert_same(decided: Decisions, fused: Fused) -> None:
     for name in ("status", "live_status"):
         assert list(getattr(decided, name)) == list(getattr(fused, name))
     for name in ("map_T_cam", "live_map_T_cam"):

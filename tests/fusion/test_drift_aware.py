@@ -7,6 +7,8 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
+from known import there
+from numpy.typing import NDArray
 from random_walks import random_walk
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -22,7 +24,7 @@ from groundwalk.scoring.errors import position_error, rotation_error_deg, within
 
 
 def answers(
-    localiser: Localiser, t_ns: Array, vio: Iterable[Array | None], apr: Iterable[Array | None]
+    localiser: Localiser, t_ns: NDArray[np.int64], vio: Iterable[Array | None], apr: Iterable[Array | None]
 ) -> list[Estimate]:
     return [localiser.step(int(t), v, a) for t, v, a in zip(t_ns, vio, apr, strict=True)]
 
@@ -50,10 +52,9 @@ def test_covariance_holds_the_errors() -> None:
     for seed in range(10, 18):
         t_ns, truth, vio, apr = upright_walk(seed)
         for estimate, pose in zip(answers(DriftAware(), t_ns, vio, apr), truth, strict=True):
-            error = pose[:3, 3] - estimate.map_T_cam[:3, 3]
-            covariance = estimate.covariance[3:, 3:]
-            inside.append(error @ np.linalg.solve(covariance, error) <= chi2.ppf(0.95, 3))
-            assert np.linalg.eigvalsh(estimate.covariance).min() > 0
+            error, covariance = pose[:3, 3] - there(estimate.map_T_cam)[:3, 3], there(estimate.covariance)
+            inside.append(error @ np.linalg.solve(covariance[3:, 3:], error) <= chi2.ppf(0.95, 3))
+            assert np.linalg.eigvalsh(covariance).min() > 0
     assert 0.9 <= np.mean(inside) <= 1.0  # 0.94
 
 
@@ -67,13 +68,14 @@ def test_going_on_from_a_saved_state_changes_nothing_and_its_size_is_bounded() -
         sizes.append(len(text))
         localiser = DriftAware(options)
         localiser.restore(json.loads(text))
-        assert np.array_equal(localiser.step(int(t_ns[i]), vio[i], apr[i]).map_T_cam, whole[i].map_T_cam)
+        again = localiser.step(int(t_ns[i]), vio[i], apr[i])
+        assert np.array_equal(there(again.map_T_cam), there(whole[i].map_T_cam))
     assert max(sizes[30:]) <= 1.05 * max(sizes[2:30])
 
 
 def test_odometry_between_predictions_changes_little() -> None:
     """Ten odometry poses a second and one prediction: as good and as sure as at one pose a second."""
-    found = {1: [], 10: []}
+    found: dict[int, list[tuple[float, float]]] = {1: [], 10: []}
     for seed in range(4):
         t_ns, truth, vio, apr = upright_walk(seed, 100)
         for rate in found:
@@ -123,7 +125,7 @@ def test_bad_odometry_never_makes_it_worse_than_the_predictions(trouble: str) ->
 
 def test_a_jump_too_short_to_see_is_answered_by_following_the_predictions() -> None:
     """2 m within a second could be a walk; the predictions say that it wasn't one."""
-    after = {True: [], False: []}
+    after: dict[bool, list[float]] = {True: [], False: []}
     for seed in range(4):
         t_ns, truth, vio, apr = upright_walk(seed, noise_m=0.15, outliers=0.05)
         vio = vio.copy()
@@ -138,7 +140,7 @@ def test_a_jump_too_short_to_see_is_answered_by_following_the_predictions() -> N
 
 def test_how_much_odometry_drifts_is_learnt() -> None:
     """Ten times the usual drift is found within 40 m, and is no reason for good odometry's being distrusted."""
-    found = {"usual": [], "bad": []}
+    found: dict[str, list[tuple[float, float]]] = {"usual": [], "bad": []}
     for seed in range(6):
         rng = np.random.default_rng(seed)
         t_ns, truth, vio, apr = upright_walk(seed, 60, noise_m=0.1, noise_deg=1.0, outliers=0.1)
@@ -295,7 +297,7 @@ def test_one_setting_serves_errors_of_every_size() -> None:
 
 def test_covariances_that_predictions_bring_are_used_whatever_their_unit() -> None:
     """Right but for a common factor, they tell which predictions are good."""
-    errors = {"none": [], 1.0: [], 100.0: []}
+    errors: dict[float | None, list[float]] = {None: [], 1.0: [], 100.0: []}
     for seed in range(4):
         rng = np.random.default_rng(seed)
         t_ns, truth, vio, _ = upright_walk(seed, 100)
@@ -305,7 +307,7 @@ def test_covariances_that_predictions_bring_are_used_whatever_their_unit() -> No
         for factor, found in errors.items():
             localiser, fused = DriftAware(), []
             for i in range(100):
-                stated = None if factor == "none" else factor * np.diag(np.repeat([0.05 * sd[i], sd[i]], 3) ** 2)
+                stated = None if factor is None else factor * np.diag(np.repeat([0.05 * sd[i], sd[i]], 3) ** 2)
                 fused.append(localiser.step(int(t_ns[i]), vio[i], apr[i], None, stated))
             found.append(position_error(poses(fused), truth)[5:].mean())
     none, right, scaled = (np.mean(found) for found in errors.values())
@@ -317,12 +319,12 @@ def test_a_covariance_that_is_none_is_named() -> None:
     localiser = DriftAware()
     for wrong in (np.zeros((6, 6)), -np.eye(6), np.full((6, 6), np.nan), np.triu(np.ones((6, 6)))):
         estimate = DriftAware().step(int(t_ns[0]), vio[0], apr[0], None, wrong)
-        assert "covariance_invalid" in estimate.reasons and np.isfinite(estimate.map_T_cam).all()
+        assert "covariance_invalid" in estimate.reasons and np.isfinite(there(estimate.map_T_cam)).all()
     assert "covariance_invalid" not in localiser.step(int(t_ns[0]), vio[0], apr[0], None, np.eye(6)).reasons
 
 
 def test_the_later_the_answer_the_better() -> None:
-    error = {0.0: [], 5.0: [], 30.0: [], None: []}
+    error: dict[float | None, list[float]] = {0.0: [], 5.0: [], 30.0: [], None: []}
     for seed in range(4):
         t_ns, truth, vio, apr = upright_walk(seed, 100)
         walk = as_walk(t_ns, truth, vio, apr)
@@ -379,7 +381,8 @@ def test_what_was_learnt_beforehand_is_used_and_can_be_switched_off() -> None:
 
 def test_a_regressor_that_takes_a_step_aside_for_a_turn_is_seen_through() -> None:
     """How its errors go together is learnt, so that the yaw's tells of the position's."""
-    with_it, without = [], []
+    with_it: list[float] = []
+    without: list[float] = []
     for seed in range(4):
         rng = np.random.default_rng(seed)
         t_ns, truth, vio, _ = upright_walk(seed)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from known import cell
 
 from benchmarks.fusion_inputs import (
     KIDNAPPED,
@@ -76,12 +77,12 @@ def test_comparisons_and_recovery(plain: Case) -> None:
     ratios = against(summary, SIMULATED, RULE)
     assert ratios.loc[RULE].to_numpy() == pytest.approx(1.0)
     rows = overview(summary, SIMULATED)
-    assert rows.loc[OURS, "coverage %"] == 100 > rows.loc[RULE, "coverage %"]
+    assert cell(rows, OURS, "coverage %") == 100 > cell(rows, RULE, "coverage %")
     assert rows.loc[OURS, "position /rule"] == pytest.approx(rows["position m"][OURS] / rows["position m"][RULE])
     intervals = ratio_intervals(sessions, SIMULATED)
     assert intervals.loc[RULE].to_numpy() == pytest.approx(1.0)
     for name, unit in (("position", "m"), ("rotation", "deg")):
-        low, middle, high = intervals.loc[OURS, [f"{name} from", f"{name} /rule", f"{name} to"]]
+        low, middle, high = (cell(intervals, OURS, f"{name} {part}") for part in ("from", "/rule", "to"))
         assert middle == pytest.approx(ratios.loc[OURS][f"{name}_mean_{unit}"].mean()) and low < middle < high
     assert set(worst(summary, [SIMULATED])["method"]) == {RULE, OURS}
     _, sessions = score(kidnapped, METHODS)

@@ -1,5 +1,7 @@
 """Confidence intervals: their values are the summary's, and they cover what other sessions would have given."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -23,6 +25,11 @@ def errors_of(sessions: list[np.ndarray]) -> pd.DataFrame:
     return pd.concat(rows, ignore_index=True).assign(status="predicted", quality=None)
 
 
+def row_of(found: pd.DataFrame, figure: str) -> Any:
+    """The figure's row of all frames."""
+    return found.set_index(["subset", "figure"]).loc[("all", figure)]
+
+
 def test_values_are_those_of_the_summary() -> None:
     results = evaluate([Inputs("Place", *tables([1, 2, 3]))], FuseSettings(methods=METHODS))
     summary = results.tables["summary"]
@@ -38,7 +45,7 @@ def test_values_are_those_of_the_summary() -> None:
 def test_two_sessions_give_the_two_sessions() -> None:
     rng = np.random.default_rng(0)
     sessions = [rng.uniform(0, 1, 40), rng.uniform(1, 2, 40)]
-    found = intervals(errors_of(sessions)).set_index(["subset", "figure"]).loc[("all", "position_mean_m")]
+    found = row_of(intervals(errors_of(sessions)), "position_mean_m")
     assert (found["low"], found["high"]) == pytest.approx([s.mean() for s in sessions])
     assert found["draws"] == 3
 
@@ -51,7 +58,7 @@ def test_one_session_has_no_interval() -> None:
 def test_levels_leave_out_uncertain_ground_truth() -> None:
     errors = errors_of([np.array([0.1, 0.1, 9.0]), np.array([0.1, 9.0, 9.0])])
     errors["quality"] = ["A", "C", "B", "A", "A", "C"]
-    high = intervals(errors).set_index(["subset", "figure"]).loc[("all", "high_pct")]
+    high = row_of(intervals(errors), "high_pct")
     assert (high["value"], high["low"], high["high"]) == (50, 50, 50)
     nothing = intervals(errors.assign(quality="C")).set_index(["subset", "figure"]).loc["all"]
     assert nothing.loc["high_pct", ["value", "low", "high"]].isna().all()
@@ -64,13 +71,13 @@ def test_interval_covers_the_true_mean_about_as_often_as_it_says() -> None:
     inside = 0
     for _ in range(60):
         sessions = [np.clip(level + 0.1 * rng.standard_normal(10), 0, None) for level in rng.uniform(0.5, 1.5, 20)]
-        found = intervals(errors_of(sessions)).set_index(["subset", "figure"]).loc[("all", "position_mean_m")]
+        found = row_of(intervals(errors_of(sessions)), "position_mean_m")
         inside += bool(found["low"] <= 1.0 <= found["high"])
     assert 50 <= inside <= 60
 
 
 def test_missing_frames_make_a_median_infinite_where_half_are_missing() -> None:
     found = intervals(errors_of([np.array([0.1, 0.2, np.nan]), np.array([np.nan, np.nan, 0.3])]))
-    median = found.set_index(["subset", "figure"]).loc[("all", "position_median_m")]
+    median = row_of(found, "position_median_m")
     assert pd.isna(median["value"]) and median["low"] == pytest.approx(0.2) and pd.isna(median["high"])
     assert DRAWS >= 1000

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from known import there
 from scipy.spatial.transform import Rotation
 from tables import Tables, tables
 from typer.testing import CliRunner
@@ -34,7 +35,8 @@ def test_summary_counts_what_is_there() -> None:
     results = run(*tables(SEEDS, ("PN", "MS-T")))
     errors, summary = results.tables["errors"], results.tables["summary"]
     ours = errors[(errors["method"] == "mobilearloc") & (errors["model"] == "PN")]
-    row = summary[(summary["method"] == "mobilearloc") & (summary["model"] == "PN")].set_index(["subset", "scored"]).loc
+    of_rule = summary[(summary["method"] == "mobilearloc") & (summary["model"] == "PN")]
+    row: Any = of_rule.set_index(["subset", "scored"]).loc
 
     reliable = ours[ours["status"] == "reliable"]
     assert row["rp", "method"]["frames"] == len(reliable)
@@ -166,13 +168,14 @@ def test_levels_leave_out_ground_truth_of_class_c_and_count_it() -> None:
     assert list(errors.loc[errors["method"] == "apr", "quality"]) == list(quality)
     keys = ["method", "subset", "scored"]
     found, before = (r.tables["summary"].set_index(keys) for r in (results, plain))
+    rows: Any = found.loc
     rule = errors[errors["method"] == "mobilearloc"]
     for subset, part, prefix in (
         ("all", rule, "live_"),
         ("rp", rule[rule["status"] == "reliable"], ""),
     ):
         sure = part[part["quality"] != "C"]
-        row = found.loc[("mobilearloc", subset, "method")]
+        row = rows[("mobilearloc", subset, "method")]
         high = (sure[f"{prefix}position_m"] <= 0.25) & (sure[f"{prefix}rotation_deg"] <= 2)
         assert row["high_pct"] == pytest.approx(100 * high.mean()) and row["too_uncertain"] == len(part) - len(sure) > 0
     counted = ["frames", "answered", "frames_pct", "position_mean_m", "rotation_median_deg"]
@@ -207,12 +210,13 @@ def test_quaternions_of_other_lengths_are_counted_and_taken_for_their_direction(
 
 def test_covariances_that_predictions_bring_reach_the_walk_and_wrong_ones_are_counted() -> None:
     frames, truth, predictions = tables([1])
-    stated = [np.eye(6).ravel().tolist() for _ in range(len(predictions))]
+    stated: list[Any] = [np.eye(6).ravel().tolist() for _ in range(len(predictions))]
     stated[3], stated[4], stated[5] = None, (-np.eye(6)).ravel().tolist(), [1.0, 2.0]
     found = evaluated("Hall", frames, truth, predictions.assign(covariance=stated), ["test"])
     (walk,) = found.walks
-    there = np.isfinite(walk.apr_covariance).all(axis=(1, 2))
-    assert list(np.flatnonzero(~there)) == [3, 4, 5] and np.array_equal(walk.apr_covariance[0], np.eye(6))
+    covariance = there(walk.apr_covariance)
+    known = np.isfinite(covariance).all(axis=(1, 2))
+    assert list(np.flatnonzero(~known)) == [3, 4, 5] and np.array_equal(covariance[0], np.eye(6))
     assert found.prediction_counts["prediction_covariances_not_positive_definite"] == 2
     (plain,) = evaluated("Hall", frames, truth, predictions.assign(covariance=None), ["test"]).walks
     assert plain.apr_covariance is None
@@ -244,7 +248,7 @@ def duplicate_frame(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.D
 
 
 def same_time(frames: pd.DataFrame, truth: pd.DataFrame, predictions: pd.DataFrame) -> Tables:
-    frames.loc[1, "t_ns"] = frames.loc[0, "t_ns"]
+    frames.loc[frames.index[1], "t_ns"] = frames["t_ns"].iloc[0]
     return frames, truth, predictions
 
 
@@ -400,7 +404,7 @@ def test_options_are_recorded_and_checked() -> None:
 def test_what_was_run_is_listed_and_offline_methods_say_so() -> None:
     methods = run(*tables([1]), methods=["mobilearloc", "vio_oracle"]).tables["methods"].set_index("method")
     assert list(methods.index) == ["mobilearloc", "vio_oracle"] and list(methods["causal"]) == [True, False]
-    assert '"n": 2' in methods.loc["mobilearloc", "options"] and "bound" in methods.loc["vio_oracle", "meaning"]
+    assert '"n": 2' in methods["options"]["mobilearloc"] and "bound" in methods["meaning"]["vio_oracle"]
 
 
 def parquet_files(folder: Path, *made: pd.DataFrame) -> Files:

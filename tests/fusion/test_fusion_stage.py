@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from known import cells
 from tables import tables
 
 from groundwalk.artefacts import DataRoot, StageRun, UserError
@@ -17,7 +18,7 @@ from groundwalk.fusion.stage import STAGE, FuseSettings
 class Inputs(StageRun):
     """A stage run whose inputs are tables in memory: {(stage, scene): table}."""
 
-    tables: dict
+    tables: dict[tuple[str, str], pd.DataFrame]
 
     def read(self, stage: str, table: str, scene: str | None = None) -> pd.DataFrame:
         rows = self.tables[stage, scene or self.scene.name]
@@ -40,8 +41,8 @@ def scene_inputs(
     """Localisers' predictions are the true poses, but for every fourth frame, which they refuse."""
     frames, truth, predictions = tables(seeds, models)
     refused = np.arange(len(truth)) % 4 == 0
-    poses = [column for column in truth if column.startswith("map_cam")]
-    said = truth.assign(scene=scene, refusal=np.where(refused, "few_matches", None))
+    poses = [column for column in truth.columns if column.startswith("map_cam")]
+    said = truth.assign(scene=scene, refusal=cells("few_matches" if none else None for none in refused))
     said.loc[refused, poses] = np.nan
     localised = [said.assign(model=model) for model in localisers] or [said[:0].assign(model="")]
     return {

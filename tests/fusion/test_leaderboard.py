@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from known import cell
 from tables import Tables, tables
 from typer.testing import CliRunner
 
@@ -35,8 +36,8 @@ def test_figures_are_the_stages(tmp_path: Path) -> None:
     assert [(c.group, c.scene, c.model, len(c.walks)) for c in cases] == [("walks", "Place", "PN", 2)]
     assert "1 scenes" in sources[0] and sources[1] == "made up, seed 1"
     rows = scores(cases, entrants(["last_good"])).set_index("method")
-    summary = evaluate([Inputs("Place", *parts)], FuseSettings(methods=["apr", "mobilearloc", "last_good"]))
-    summary = summary.tables["summary"]
+    results = evaluate([Inputs("Place", *parts)], FuseSettings(methods=["apr", "mobilearloc", "last_good"]))
+    summary = results.tables["summary"]
     summary = summary[(summary["subset"] == "all") & (summary["scored"] == "method")].set_index("method")
     assert list(rows.index) == ["apr", "mobilearloc", "last_good"]
     for figure in ("frames", "coverage_pct", "position_mean_m", "rotation_mean_deg", "high_pct", "low_pct"):
@@ -67,7 +68,7 @@ def test_ahead_is_the_causal_method_of_least_error_and_missing_answers_are_failu
 def test_lags_are_held_against_none() -> None:
     rows = made_up([("smoother, 0 s late", False, 100.0, 2.0, 4.0), ("smoother, 5 s late", False, 100.0, 1.0, 3.0)])
     lags = lag_ratios(rows).set_index("lag s")
-    assert lags.loc[5.0, "position"] == pytest.approx(0.5) and lags.loc[5.0, "rotation"] == pytest.approx(0.75)
+    assert cell(lags, 5.0, "position") == pytest.approx(0.5) and cell(lags, 5.0, "rotation") == pytest.approx(0.75)
 
 
 def test_the_command_writes_table_figures_and_plot(tmp_path: Path) -> None:

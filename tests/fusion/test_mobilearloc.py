@@ -2,9 +2,11 @@
 
 import json
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
+from known import there
 from literal_rule import Frame, Pose, Vector, label_walk
 from random_walks import RandomWalk, random_walk
 from scipy.spatial.transform import Rotation
@@ -15,7 +17,7 @@ from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, make_pose, tq_from_pose
 
 # Each option's other readings, for the random choice below.
-READINGS = {
+READINGS: dict[str, list[Any]] = {
     "n": [2, 2, 1, 3],
     "d_th_m": [0.4, 0.4, 0.2],
     "o_th_deg": [4.0, 4.0, 2.0],
@@ -72,7 +74,7 @@ def same_pose(pose: Array, x: Vector | None, q: Vector | None) -> bool:
 @pytest.mark.parametrize("block", range(10))
 def test_agrees_with_the_literal_rule(block: int) -> None:
     """On each frame and status of 1,000 walks: half with the defaults, half with random readings of the open points."""
-    seen = set()
+    seen: set[str] = set()
     for seed in range(100 * block, 100 * block + 100):
         options = MobileARLocOptions() if seed % 2 else random_options(seed)
         localiser = MobileARLoc(options)
@@ -105,7 +107,7 @@ def test_going_on_from_a_saved_state_changes_nothing(seed: int) -> None:
         assert estimate.status == whole[i].status and estimate.reasons == whole[i].reasons
         assert (estimate.map_T_cam is None) == (whole[i].map_T_cam is None)
         if estimate.map_T_cam is not None:
-            assert np.array_equal(estimate.map_T_cam, whole[i].map_T_cam)
+            assert np.array_equal(estimate.map_T_cam, there(whole[i].map_T_cam))
 
 
 def test_the_state_does_not_grow() -> None:
@@ -132,7 +134,7 @@ def test_the_odometry_frame_does_not_matter(seed: int) -> None:
     assert [e.status for e in a] == [e.status for e in b]
     for one, two in zip(a, b, strict=True):
         if one.map_T_cam is not None:
-            assert np.allclose(one.map_T_cam, two.map_T_cam, atol=1e-6)
+            assert np.allclose(one.map_T_cam, there(two.map_T_cam), atol=1e-6)
 
 
 def test_frames_without_a_prediction_change_no_decision() -> None:
@@ -146,7 +148,7 @@ def test_frames_without_a_prediction_change_no_decision() -> None:
         if has_apr:
             assert answer.status == sparse.step(round(t * 1e9), pose, pose).status
         elif t > 2:
-            assert answer.status == "optimised" and np.allclose(answer.map_T_cam, pose, atol=1e-9)
+            assert answer.status == "optimised" and np.allclose(there(answer.map_T_cam), pose, atol=1e-9)
 
 
 def straight(distances_m: Sequence[float], apr_distances_m: Sequence[float] | None = None) -> RandomWalk:
@@ -154,7 +156,7 @@ def straight(distances_m: Sequence[float], apr_distances_m: Sequence[float] | No
     apr = distances_m if apr_distances_m is None else apr_distances_m
     rotation = np.eye(3)
     return RandomWalk(
-        np.arange(len(distances_m)) * 10**9,
+        np.arange(len(distances_m), dtype=np.int64) * 10**9,
         make_pose(rotation, np.outer(apr, [1, 0, 0])),
         list(make_pose(rotation, np.outer(distances_m, [1, 0, 0]))),
         list(make_pose(rotation, np.outer(apr, [1, 0, 0]))),

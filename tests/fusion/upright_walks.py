@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from groundwalk.fusion.walk import Walk
@@ -11,10 +12,10 @@ from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 
 def upright_walk(
     seed: int, frames: int = 200, noise_m: float = 0.5, noise_deg: float = 3.0, outliers: float = 0.2
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[NDArray[np.int64], Array, Array, Array]:
     """Times, true poses, odometry (yaw and position drift) and predictions whose errors neighbours share."""
     rng = np.random.default_rng(seed)
-    t_ns = np.arange(frames) * 10**9
+    t_ns = np.arange(frames, dtype=np.int64) * 10**9
     heading = np.cumsum(rng.normal(0, 0.2, frames))
     position = np.cumsum(np.stack([np.sin(heading), rng.normal(0, 0.02, frames), np.cos(heading)], 1), axis=0)
     truth = make_pose(yaw_rotation(heading), position)
@@ -31,7 +32,7 @@ def upright_walk(
     return t_ns, truth, vio_T_map @ truth, apr
 
 
-def as_walk(t_ns: Array, truth: Array, vio: Iterable[Array | None], apr: Iterable[Array | None]) -> Walk:
+def as_walk(t_ns: NDArray[np.int64], truth: Array, vio: Iterable[Array | None], apr: Iterable[Array | None]) -> Walk:
     """The same as a `Walk`; a pose that is None or NaN is missing."""
     none = np.full((4, 4), np.nan)
     count = len(t_ns)
