@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from known import cells
 
 from groundwalk.artefacts.files import sha256_of, write_json
 from groundwalk.artefacts.schemas import schema
@@ -105,7 +106,7 @@ def write_scene(data: Path, name: str, train: int, test: int, seed: int) -> Path
     frames = pd.concat([keys, unknown], axis=1).assign(
         clock="boot", image=images, image_sha256=hashes, width=WIDTH, height=HEIGHT, fx=FOCAL, fy=FOCAL
     )
-    frames = frames.assign(cx=WIDTH / 2, cy=HEIGHT / 2, distortion=[[]] * len(keys), tracking="normal")
+    frames = frames.assign(cx=WIDTH / 2, cy=HEIGHT / 2, distortion=cells([[]] * len(keys)), tracking="normal")
     frames = frames.assign(gravity_x=0.0, gravity_y=1.0, gravity_z=0.0, sharpness=1.0, exposure_s=0.01)
     frames = frames.assign(blurred_faces=None, blurred_plates=None, support=False, depth=None, depth_confidence=None)
     truth_T = map_T_cam.copy()

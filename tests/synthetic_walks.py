@@ -221,7 +221,8 @@ def filled(table: pd.DataFrame, stage: str, name: str, **values: object) -> pd.D
     extra: dict[str, Any] = {
         k: values.get(k, next(iter(c.choices)) if c.choices else plain[c.dtype]) for k, c in missing.items()
     }
-    return table.assign(**{k: [v] * len(table) if isinstance(v, list) else v for k, v in extra.items()})
+    columns: dict[str, Any] = {k: [v] * len(table) if isinstance(v, list) else v for k, v in extra.items()}
+    return table.assign(**columns)
 
 
 def make_place(walks: Walks, root: DataRoot) -> None:

@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from enum import EnumType
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -85,8 +86,8 @@ def message_texts() -> Iterator[tuple[str, str]]:
 def choice_texts() -> Iterator[tuple[str, str]]:
     """All enumerations of texts that are written to files."""
     for value in vars(choices).values():
-        if isinstance(value, type) and value.__module__ == choices.__name__:
-            yield from (("", text) for text in value)
+        if isinstance(value, EnumType) and value.__module__ == choices.__name__:
+            yield from (("", str(text)) for text in list[Any](value))
 
 
 def doc_texts() -> Iterator[tuple[str, str]]:

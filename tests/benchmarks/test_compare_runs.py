@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -23,7 +24,7 @@ RENAMES = """
 """
 
 
-def run(folder: Path, table: str, columns: dict[str, list], figures: dict[str, float]) -> Path:
+def run(folder: Path, table: str, columns: dict[str, list[Any]], figures: dict[str, float]) -> Path:
     stage = folder / "align"
     stage.mkdir(parents=True)
     pq.write_table(pa.table(columns), stage / f"{table}.parquet")
@@ -39,7 +40,7 @@ def compare(older: Path, newer: Path, tmp_path: Path) -> tuple[int, str]:
 
 
 def test_renamed_values_are_equal_and_others_are_not(tmp_path: Path) -> None:
-    values = {"x": [1.0, float("nan")], "cov": [[0.1], None], "seconds": [1.0, 2.0]}
+    values: dict[str, list[Any]] = {"x": [1.0, float("nan")], "cov": [[0.1], None], "seconds": [1.0, 2.0]}
     older = run(tmp_path / "a", "gate", {**values, "verdict": ["bad", None]}, {"seen": 2})
     renamed = {**values, "seconds": [3.0, 2.0], "status": ["failed", None]}
     code, text = compare(older, run(tmp_path / "b", "checks", renamed, {"count": 2}), tmp_path)

@@ -1,6 +1,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from known import cells
 
 from benchmarks.regressors import ABLATIONS, ablation_settings, cell, errors_and_honesty
 from groundwalk.artefacts.tables import pose_frame
@@ -15,7 +16,7 @@ def test_figures_of_answers() -> None:
     true_poses = pose_frame("map_cam", np.tile(np.eye(4), (count, 1, 1)))
     truth = pd.concat([pd.DataFrame({"frame_id": names}), true_poses], axis=1)
     estimated = make_pose(yaw_rotation(np.radians(10 * sd)), off)
-    covariance = [np.diag([1.0] * 3 + [s * s] * 3).ravel().tolist() for s in sd]
+    covariance = cells(np.diag([1.0] * 3 + [s * s] * 3).ravel().tolist() for s in sd)
     answers = pd.concat([pd.DataFrame({"frame_id": names, "split": "test"}), pose_frame("map_cam", estimated)], axis=1)
     figures = errors_and_honesty(answers.assign(covariance=covariance), truth)
     assert figures["position median"] == pytest.approx(np.median(np.linalg.norm(off, axis=1)))

@@ -83,7 +83,7 @@ def test_the_frame_starts_at_the_camera_upright_and_faces_its_heading() -> None:
 
 @pytest.mark.parametrize("down", [1.0, -1.0])
 def test_a_start_that_looks_straight_down_or_up_has_a_heading_too(down: float) -> None:
-    camera = make_pose([[1, 0, 0], [0, 0, -down], [0, down, 0]], [1.0, 2.0, 3.0])
+    camera = make_pose([[1.0, 0.0, 0.0], [0.0, 0.0, -down], [0.0, down, 0.0]], [1.0, 2.0, 3.0])
     world_T_vio = start_frame(camera)
     np.testing.assert_allclose(world_T_vio[:3, 1], [0, 1, 0], atol=1e-12)
     # Seen from above with the image's top ahead (looking down), or behind (looking up): towards -z of the frame.
@@ -200,7 +200,7 @@ def test_estimators_give_back_what_was_simulated() -> None:
     place, walk = place_and_walk(9, seed=1)
     seen = [rewalk(walk, place, [0.01, 0.005, 0.01], seed, model) for seed in range(10)]
 
-    rpe_m = model.position_walk_m_per_sqrt_m * np.sqrt(2 * wander_variance(1.0, model.correlation_m))
+    rpe_m = model.position_walk_m_per_sqrt_m * float(np.sqrt(2 * wander_variance(1.0, model.correlation_m)))
     position, height, yaw = fit_position(seen, rpe_m), fit_height(seen), fit_yaw_drift(seen)
     assert position.scale.best == pytest.approx(model.scale_std, rel=0.5)
     assert position.walk.best == pytest.approx(model.position_walk_m_per_sqrt_m, rel=0.15)

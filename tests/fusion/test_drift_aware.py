@@ -86,7 +86,8 @@ def test_odometry_between_predictions_changes_little() -> None:
             assert all(e.map_T_cam is not None for e in estimates)
             error = position_error(poses(estimates[::rate]), truth).mean()
             # The last before a prediction has the largest covariance.
-            found[rate].append((error, np.mean([e.signals["position_sd_m"] for e in estimates[rate - 1 :: rate]])))
+            sds = [e.signals["position_sd_m"] for e in estimates[rate - 1 :: rate]]
+            found[rate].append((error, float(np.mean(sds))))
     (error, sd), (fine_error, fine_sd) = (np.mean(found[rate], axis=0) for rate in (1, 10))
     assert fine_error < 1.1 * error and sd < 1.3 * fine_sd and fine_sd < 1.3 * sd
 

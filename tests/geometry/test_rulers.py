@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import Sim3
-from groundwalk.geometry.poses import Array, inverse, make_pose, transform
+from groundwalk.geometry.poses import inverse, make_pose, transform
 from groundwalk.geometry.rulers import Corners, Observations, RulerFit, measure, triangulate
 
 FOCAL_PX = 1400.0
@@ -16,8 +16,8 @@ GAUGE = Sim3(0.4, Rotation.from_euler("xyz", [0.3, 1.0, -0.5]).as_matrix(), np.a
 
 
 def board(columns: int = 10, rows: int = 7) -> Corners:
-    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-    xyz_m: Array = SQUARE_M * np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    x, y = np.meshgrid(np.arange(columns, dtype=float), np.arange(rows, dtype=float))
+    xyz_m = SQUARE_M * np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     return Corners(xyz_m, np.zeros(x.size, dtype=int))
 
 

@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from known import cells
 
 from groundwalk.artefacts import DataRoot, Settings, Stage, StageRun, execute
 from groundwalk.artefacts.files import sha256_of
@@ -66,7 +68,7 @@ class MadeUpRun:
             r.write(table.name, tables.get(table.name, filled(table.stage, table.name, 0)))
 
     @property
-    def _keys(self) -> dict[str, list[object]]:
+    def _keys(self) -> dict[str, list[Any]]:
         ids = [f"walk-{i // 6}{self.suffix}/{i:06d}" for i in range(FRAMES)]
         splits = ["train", "train", "train", "val", "val", "train"] + ["test"] * 6
         return {
@@ -96,7 +98,7 @@ class MadeUpRun:
         poses = self.map_T_cam.copy()
         poses[LOST] = np.nan
         truth = filled("align", "ground_truth", FRAMES, **self._keys, **pose_frame("map_cam", poses), quality="A")
-        truth = truth.assign(fx=31.0, fy=31.0, cx=16.0, cy=12.0, distortion=[[0.1, -0.2]] * FRAMES)
+        truth = truth.assign(fx=31.0, fy=31.0, cx=16.0, cy=12.0, distortion=cells([[0.1, -0.2]] * FRAMES))
         truth.loc[LOST, "quality"] = "none"
         sessions = filled("align", "sessions", 2, session_id=["walk-0", "walk-1"])
         return {"ground_truth": truth.assign(scale_source="vio", vertical_source="gravity"), "sessions": sessions}

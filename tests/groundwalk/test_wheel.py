@@ -30,13 +30,21 @@ def site_packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (folder / "tree" / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / name, folder / "tree" / name)
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
-    build = ["wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", folder, folder / "tree"]
+    build: list[str | Path] = [
+        "wheel",
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "--wheel-dir",
+        folder,
+        folder / "tree",
+    ]
     subprocess.run([*pip, *build], check=True, env=without_python_path())
     venv.create(folder / "environment", symlinks=True)
     python = folder / "environment" / "bin" / "python"
     (wheel,) = folder.glob("groundwalk-*.whl")
     # An editable installation leaves its metadata in the tree, which PYTHONPATH names: pip would find it installed.
-    install = [*pip, "--python", python, "install", "--quiet", "--no-deps", wheel]
+    install: list[str | Path] = [*pip, "--python", python, "install", "--quiet", "--no-deps", wheel]
     subprocess.run(install, check=True, env=without_python_path())
     (found,) = (folder / "environment").glob("lib/python*/site-packages")
     return found

@@ -108,7 +108,7 @@ def board(rng: np.random.Generator) -> np.ndarray:
 
 def picture(boards: list[np.ndarray], pose: Array) -> np.ndarray:
     """What a pinhole sees of boards at z = 0 and, left of it, at z = -0.7."""
-    shown = np.full((HEIGHT, WIDTH), 128, np.uint8)
+    shown: np.ndarray = np.full((HEIGHT, WIDTH), 128, np.uint8)
     for image, z, x in ((boards[1], -0.7, -2.0), (boards[0], 0.0, -0.7)):
         to_cam = pose[:3, :3].T
         # Board pixels are 5 mm.

@@ -58,8 +58,8 @@ def projected(views: Views, view: int, xyz: Array) -> Array:
             cam = still - time_s * (views.velocity[view] + np.cross(views.angular[view], still))
             px = np.where(cam[:, 2:] > 0.1, camera.project(cam[:, :2] / cam[:, 2:]), np.nan)
     # Far outside the image the lens' polynomial turns back into it.
-    inside = ((px >= 0) & (px <= [camera.width, camera.height]) & (np.abs(still[:, :2]) < still[:, 2:])).all(axis=1)
-    return np.where(inside[:, None], px, np.nan)
+    within = (px >= 0) & (px <= [camera.width, camera.height]) & (np.abs(still[:, :2]) < still[:, 2:])
+    return np.where(np.all(within, axis=1, keepdims=True), px, np.nan)
 
 
 def features(scene: Place, views: Views, view: int, seed: int = 3, noise_px: float = 0.3) -> Features:

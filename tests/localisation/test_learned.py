@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from board_scene import TEST, VAL, Boards
+from numpy.typing import NDArray
 
 from groundwalk.artefacts import UserError, execute
 from groundwalk.artefacts.tables import poses_of
@@ -31,20 +32,25 @@ KINDS = [
 ]
 
 
+def bytes_of(values: np.ndarray) -> NDArray[np.uint8]:
+    """From the least, black, to the largest, white."""
+    return cv2.normalize(values, np.empty_like(values), 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+
+
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.id)
 def test_matches_of_a_kind_are_of_the_same_places_of_two_images(kind: FeatureKind) -> None:
     rng = np.random.default_rng(0)
     sizes = (4, 16, 64)
-    noise = sum(cv2.resize(rng.random((480 // s, 640 // s)), (640, 480), interpolation=cv2.INTER_CUBIC) for s in sizes)
-    image = cv2.normalize(noise, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    coarse = [rng.random((480 // s, 640 // s)) for s in sizes]
+    image = bytes_of(np.sum([cv2.resize(c, (640, 480), interpolation=cv2.INTER_CUBIC) for c in coarse], axis=0))
     b_H_a = np.array([[1.05, 0.04, -12.0], [-0.03, 0.98, 9.0], [2e-5, -3e-5, 1.0]])
     # OpenCV has the centre of the first pixel at (0, 0).
     half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
     other = cv2.warpPerspective(image, np.linalg.inv(half) @ b_H_a @ half, (640, 480), borderMode=cv2.BORDER_REFLECT)
-    a, b = (kind.extract(i, 500, 640) for i in (image, other))
+    a, b = (kind.extract(i.astype(np.uint8), 500, 640) for i in (image, other))
     assert 200 <= len(a) <= 500
-    described = [replace(features, descriptors=unit(features.descriptors)) for features in (a, b)]
-    matches = kind.match(*described, (640, 480), (640, 480))
+    of_a, of_b = (replace(features, descriptors=unit(features.descriptors)) for features in (a, b))
+    matches = kind.match(of_a, of_b, (640, 480), (640, 480))
     moved = cv2.perspectiveTransform(a.px[matches[:, 0]][None].astype(float), b_H_a)[0]
     error_px = np.linalg.norm(moved - b.px[matches[:, 1]], axis=1)
     assert len(matches) > 100
@@ -55,9 +61,8 @@ def test_matches_of_a_kind_are_of_the_same_places_of_two_images(kind: FeatureKin
 @pytest.mark.parametrize("kind", KINDS[1:], ids=lambda kind: kind.id)
 def test_an_enlarged_image_has_the_same_features_at_its_own_pixels(kind: FeatureKind) -> None:
     rng = np.random.default_rng(1)
-    image = cv2.resize(rng.random((60, 80)), (640, 480), interpolation=cv2.INTER_CUBIC)
-    image = cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
-    twice = cv2.resize(image, (1280, 960), interpolation=cv2.INTER_NEAREST)
+    image = bytes_of(cv2.resize(rng.random((60, 80)), (640, 480), interpolation=cv2.INTER_CUBIC))
+    twice = cv2.resize(image, (1280, 960), interpolation=cv2.INTER_NEAREST).astype(np.uint8)
     small, large = kind.extract(image, 200, 640), kind.extract(twice, 200, 640)
     assert large.px == pytest.approx(2 * small.px, abs=0.05)
     assert kind.match(small, small, (640, 480), (640, 480)).shape[1] == 2

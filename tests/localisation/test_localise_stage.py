@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from board_scene import COUNT, TEST, VAL, Boards, other_board_picture
+from known import read_picture
 
 from groundwalk.artefacts import UserError, execute
 from groundwalk.artefacts.manifests import load_manifest
@@ -39,7 +40,7 @@ def of_frame(predictions: pd.DataFrame, row: int, model: str = "Map") -> pd.Seri
 def test_every_query_is_localised_and_what_it_cost_is_said(boards: Boards) -> None:
     manifest = run(boards)
     predictions, models, storage = (boards.table(name) for name in ("predictions", "models", "storage"))
-    queries = np.flatnonzero(TEST | VAL)
+    queries = np.flatnonzero(TEST | VAL).tolist()
     assert models["model"].tolist() == ["Map", "HLoc"]
     for model in models["model"]:
         for row in queries:
@@ -69,20 +70,20 @@ def test_the_map_is_the_same_without_the_images_of_other_splits(make_boards: Mak
     made = make_boards()
     run(made)
     with_all = made.map_bytes()
-    for row in np.flatnonzero(TEST | VAL):
+    for row in np.flatnonzero(TEST | VAL).tolist():
         cv2.imwrite(str(made.image(row)), np.zeros((240, 320), np.uint8))
     made.note_images()
     run(made, 'models=["Map"]', 'splits=["train"]')
     assert made.map_bytes() == with_all
-    made.image(np.flatnonzero(TEST)[0]).unlink()
+    made.image(int(np.flatnonzero(TEST)[0])).unlink()
     with pytest.raises(UserError, match="1 of 18 images aren't as import saw them"):
         run(made, 'models=["Map"]', 'splits=["train", "test"]')
 
 
 def test_bad_images_are_refused_as_rows(make_boards: MakeBoards) -> None:
     made = make_boards()
-    black, blurred, elsewhere, whole = np.flatnonzero(TEST)[:4]
-    picture = cv2.imread(str(made.image(blurred)), cv2.IMREAD_GRAYSCALE)
+    black, blurred, elsewhere, whole = np.flatnonzero(TEST)[:4].tolist()
+    picture = read_picture(made.image(blurred), cv2.IMREAD_GRAYSCALE)
     cv2.imwrite(str(made.image(black)), np.zeros_like(picture))
     cv2.imwrite(str(made.image(blurred)), cv2.GaussianBlur(picture, (0, 0), 25))
     cv2.imwrite(str(made.image(elsewhere)), other_board_picture(made.map_T_cam[elsewhere]))
@@ -118,7 +119,11 @@ def test_a_killed_run_resumes_and_ends_in_the_same_tables(
     assert (made.data.run("tiny", "Boards", ".localise.partial") / "scratch" / "Map" / "1.npz").is_file()
 
     calls = []
-    counted = lambda self, *a, **m: calls.append(m) or localise(self, *a, **m)  # noqa: E731
+
+    def counted(self: MapLocaliser, *arguments: Any, **more: Any) -> Answer:
+        calls.append(more)
+        return localise(self, *arguments, **more)
+
     monkeypatch.setattr(MapLocaliser, "localise", counted)
     monkeypatch.setattr("groundwalk.localisation.build.build_map", None)  # the map is there
     assert run(made)["resumed"]
@@ -126,8 +131,8 @@ def test_a_killed_run_resumes_and_ends_in_the_same_tables(
     run(boards)
     assert made.map_bytes() == boards.map_bytes()
     for name in ("predictions", "storage"):
-        tables = [b.table(name).drop(columns=TIMED, errors="ignore") for b in (made, boards)]
-        pd.testing.assert_frame_equal(*tables)
+        resumed, whole = (b.table(name).drop(columns=TIMED, errors="ignore") for b in (made, boards))
+        pd.testing.assert_frame_equal(resumed, whole)
 
 
 def test_no_localisers_give_empty_tables(make_boards: MakeBoards) -> None:

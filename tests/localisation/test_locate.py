@@ -9,7 +9,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from board_scene import CAMERA, TEST, Boards, other_board_picture
+from board_scene import CAMERA, HEIGHT, TEST, WIDTH, Boards, other_board_picture
+from known import read_picture
 
 import groundwalk
 from groundwalk import UserError
@@ -24,7 +25,8 @@ from groundwalk.scoring.errors import position_error
 SMALL = ["max_features=300", "pairs_per_frame=5", "localisers.Map.max_points=400"]
 ROW = int(np.flatnonzero(TEST)[1])
 DOWN = [0.0, 1.0, 0.0]
-NUMBERS = [CAMERA[name] for name in ("fx", "fy", "cx", "cy")]
+FOUR = (CAMERA["fx"], CAMERA["fy"], CAMERA["cx"], CAMERA["cy"])
+NUMBERS = list(FOUR)
 K = [[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]]
 
 
@@ -41,10 +43,10 @@ def map_file(run: groundwalk.Run) -> Path:
 
 @pytest.fixture
 def picture(boards: Boards) -> np.ndarray:
-    return np.asarray(cv2.imread(str(boards.image(ROW)), cv2.IMREAD_GRAYSCALE))
+    return read_picture(boards.image(ROW), cv2.IMREAD_GRAYSCALE)
 
 
-@pytest.mark.parametrize("intrinsics", [CAMERA, Camera(**CAMERA), K, NUMBERS, np.array(NUMBERS)])
+@pytest.mark.parametrize("intrinsics", [CAMERA, Camera(WIDTH, HEIGHT, *FOUR), K, NUMBERS, np.array(NUMBERS)])
 def test_a_run_localises_an_image(run: groundwalk.Run, boards: Boards, intrinsics: Any) -> None:
     truth, file = boards.map_T_cam[ROW], boards.image(ROW)
     for image in (file, str(file), read_image(file)):
@@ -70,7 +72,7 @@ def test_a_run_refuses_what_it_cannot_localise(run: groundwalk.Run, boards: Boar
         (turned, {"image_size"}),
         (cv2.resize(picture, (160, 120)), {"image_size"}),
     ):
-        answer = run.localise(image, intrinsics=CAMERA, gravity=DOWN)
+        answer = run.localise(image.astype(np.uint8), intrinsics=CAMERA, gravity=DOWN)
         assert answer.refusal in refusals and answer.reason
         assert answer.map_T_cam is None and answer.covariance is None
 
@@ -113,7 +115,7 @@ def locate(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_command_answers_a_folder_with_intrinsics_beside(map_file: Path, boards: Boards, tmp_path: Path) -> None:
-    picture = cv2.imread(str(boards.image(ROW)))
+    picture = read_picture(boards.image(ROW))
     cv2.imwrite(str(tmp_path / "a.png"), picture)
     cv2.imwrite(str(tmp_path / "black.png"), np.zeros_like(picture))
     cv2.imwrite(str(tmp_path / "small.png"), cv2.resize(picture, (160, 120)))

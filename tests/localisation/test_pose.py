@@ -3,6 +3,7 @@
 import numpy as np
 import pycolmap
 import pytest
+from known import there
 from scenes import DOWN, LOGGED, READOUT_S, SEEN_BY, place, projected, walk
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -54,9 +55,10 @@ def test_ransac_finds_the_pose_among_outliers(upright: bool) -> None:
     seen = observed(views, 1, 150, noise_px=0.3, outliers=75)
     truth, limit = views.map_T_cam[1], 4 / 480
     if upright:
-        pose, inliers = upright_ransac(seen.ideal, seen.xyz, truth[:3, :3].T @ DOWN, limit, 400, 0)
+        found = upright_ransac(seen.ideal, seen.xyz, truth[:3, :3].T @ DOWN, limit, 400, 0)
     else:
-        pose, inliers = ransac(seen.ideal, seen.xyz, limit, 2000, 0)
+        found = ransac(seen.ideal, seen.xyz, limit, 2000, 0)
+    pose, inliers = there(found)
     assert inliers[75:].mean() > 0.85 and inliers[:75].mean() < 0.1
     assert position_error(pose, truth) < 0.1 and rotation_error_deg(pose, truth) < 1
 
@@ -81,7 +83,7 @@ def test_without_shutter_and_noise_it_is_colmaps_pose() -> None:
     options.max_num_iterations = 200
     start = pycolmap.Rigid3d(pycolmap.Rotation3d(world[:3, :3]), world[:3, 3])
     found = pycolmap.refine_absolute_pose(start, seen.px, seen.xyz, np.ones(len(seen.px), bool), camera, options)
-    colmap = inverse(np.vstack([found["cam_from_world"].matrix(), [0, 0, 0, 1]]))
+    colmap = inverse(np.vstack([there(found)["cam_from_world"].matrix(), [0, 0, 0, 1]]))
     # Residuals are on the undistorted image here, on the distorted one there.
     assert position_error(fit.map_T_cam, colmap) < 0.001 and rotation_error_deg(fit.map_T_cam, colmap) < 0.01
 

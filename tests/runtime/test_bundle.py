@@ -26,7 +26,7 @@ from groundwalk.runtime.preprocessing import Preprocessing
 from groundwalk.runtime.queries import Query
 
 NUMBERS = [FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2]
-CAMERA = Camera(WIDTH, HEIGHT, *NUMBERS)
+CAMERA = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
 BLOCKED = ("torch", "open3d", "pycolmap", "pandas", "pyarrow", "scipy", "rerun", "matplotlib")
 
 
@@ -211,7 +211,7 @@ def test_an_upright_network_sees_the_same_however_the_phone_is_rolled(roll_deg: 
         """What a camera rolled by an angle sees of a distant picture, turned upright."""
         turn = Rotation.from_euler("z", roll, degrees=True)  # cam_R_level is its inverse
         about = cv2.getRotationMatrix2D((199.5, 199.5), roll, 1.0)
-        pixels = cv2.warpAffine(world, about, (400, 400))[140:260, 120:280]
+        pixels = cv2.warpAffine(world, about, (400, 400))[140:260, 120:280].astype(np.uint8)
         gravity = turn.inv().apply([0.0, 1.0, 0.0])
         query = Query(pixels, Camera(160, 120, 135, 135, 80, 60), gravity, None)
         return list(upright.run(query))[-1][1].astype(float)
@@ -220,8 +220,8 @@ def test_an_upright_network_sees_the_same_however_the_phone_is_rolled(roll_deg: 
 
 
 def test_an_upright_network_is_tilted_by_gravity() -> None:
-    steps = ({"step": "upright_crop", "width_px": 4, "height_px": 4},)
-    upright = Preprocessing({}, {}, steps)
+    crop: dict[str, Any] = {"step": "upright_crop", "width_px": 4, "height_px": 4}
+    upright = Preprocessing({}, {}, (crop,))
     map_R_cam = Rotation.from_euler("xyz", [160, 30, 25], degrees=True).as_matrix()
     gravity = map_R_cam.T @ [0, -1, 0]
     seen = map_R_cam @ upright_rotation(gravity)
@@ -233,7 +233,7 @@ def test_an_upright_network_is_tilted_by_gravity() -> None:
     with pytest.raises(UserError, match="an image has no gravity"):
         image = {"width_px": 16, "height_px": 12}
         lens = {"focal_factor": 1.0, "distortion": []}
-        steps = ({"step": "resize", "short_side_px": 8}, *steps)
+        steps = ({"step": "resize", "short_side_px": 8}, crop)
         query = Query(np.zeros((12, 16, 3), np.uint8), Camera(16, 12, 12, 12, 8, 6), None, None)
         list(Preprocessing(image, lens, steps).run(query))
 

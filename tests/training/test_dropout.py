@@ -41,7 +41,8 @@ def test_attention_has_the_values_and_gradients_of_what_it_computes(monkeypatch:
     mask = torch.rand(5, 7, generator=torch.Generator().manual_seed(2)) > 0.4
     monkeypatch.setattr(dropout, "_kept", lambda *_: mask.clone())
     mine, plain = tensors(5, 7, 7), tensors(5, 7, 7)
-    answer = attention(*mine, 0.5)
+    q, k, v = mine
+    answer = attention(q, k, v, 0.5)
     q, k, v = plain
     expected = (torch.softmax(q @ k.transpose(-1, -2) / 2, dim=-1) * mask * 2) @ v
     assert torch.allclose(answer, expected, atol=1e-6)

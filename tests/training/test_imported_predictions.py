@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,10 +16,10 @@ MakeScene = Callable[..., Path]
 SETTINGS = ["models=[]", "resize=40", "crop=32", "device=cpu", 'predictions="mine.parquet"']
 
 
-def written(data: Path, **changes: object) -> pd.DataFrame:
+def written(data: Path, **changes: Any) -> pd.DataFrame:
     """Two regressors' predictions of every frame with ground truth: that truth, quaternions of length 2."""
     truth = pd.read_parquet(data / "runs/tiny/Wall/align/ground_truth.parquet")
-    poses = [c for c in truth if c.startswith("map_cam_")]
+    poses = [c for c in truth.columns if c.startswith("map_cam_")]
     rows = truth.loc[truth["map_cam_tx"].notna(), ["frame_id", *poses]]
     rows = pd.concat([rows.assign(model="ours"), rows.assign(model="theirs")], ignore_index=True)
     rows[poses[3:]] *= 2

@@ -92,7 +92,7 @@ def test_frames_of_two_lenses_are_trained_on_as_one_camera(tmp_path: Path) -> No
     assert virtual_focal(frames) == pytest.approx((240 / 240 + 470 / 480) / 2)
     cache = ImageCache.build(tmp_path, [np.zeros((72, 96, 3), np.uint8)] * 2)
     shared = as_training_frames(frames, cache, 0.98).K_N33
-    expected = [[0.98 * 72, 0, 48], [0, 0.98 * 72, 36], [0, 0, 1]]
+    expected = np.array([[0.98 * 72, 0, 48], [0, 0.98 * 72, 36], [0, 0, 1]])
     assert np.allclose(shared, [expected, expected], rtol=0, atol=1e-12)
     captured = as_training_frames(frames, cache, None).K_N33
     assert captured[0] == pytest.approx(np.array([[72, 0, 48.9], [0, 72, 35.1], [0, 0, 1]]))

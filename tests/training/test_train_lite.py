@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -178,10 +179,13 @@ def test_a_resumed_run_with_cached_features_ends_in_the_same_weights(
                 raise Killed
             return scored(history)
 
+        def without_backbone(folder: Path, _: object, *more: Any) -> Path:
+            return feature_cache(folder, None, *more)  # type: ignore[arg-type]
+
         patched.setattr(loop, "held_out_score", killed_at_3)
         with pytest.raises(Killed):
             start("killed")
-        patched.setattr(loop, "feature_cache", lambda *a: feature_cache(*a[:1], None, *a[2:]))  # type: ignore[arg-type]
+        patched.setattr(loop, "feature_cache", without_backbone)
         patched.setattr(loop, "held_out_score", scored)
         resumed = start("killed")  # would fail if features were computed again
     assert whole.keys() == resumed.keys()
@@ -227,7 +231,7 @@ def test_the_stage_trains_on_twelve_frames(make_scene: Callable[..., Path], name
     covariance = np.stack(predictions["covariance"].tolist()).reshape(-1, 6, 6)
     assert (np.linalg.eigvalsh(covariance) > 0).all()
     assert (card.loc[0, ["resize_px", "crop_px", "width_px", "upright"]] == [32, 32, 43, True]).all()
-    assert "efficientnet-lite0" in card.loc[0, "weights"]
+    assert "efficientnet-lite0" in card["weights"][0]
 
 
 def test_the_transformer_holds_several_scenes() -> None:

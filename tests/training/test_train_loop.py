@@ -57,9 +57,8 @@ def random_frames(folder: Path, count: int) -> Frames:
     K = np.tile(np.array([[40.0, 0, 24], [0, 40, 18], [0, 0, 1]]), (count, 1, 1))
     position = rng.uniform(-5, 5, (count, 3))
     gravity = np.tile([0.0, 1, 0], (count, 1))
-    return Frames(
-        ImageCache(folder), np.arange(count), K, position, quaternion, *np.zeros((2, count), np.int64), gravity
-    )
+    scene, session = np.zeros((2, count), np.int64)
+    return Frames(ImageCache(folder), np.arange(count), K, position, quaternion, scene, session, gravity)
 
 
 def overfitted(folder: Path, name: str, epochs: int, **settings: object) -> list[float]:
@@ -117,6 +116,8 @@ def test_a_resumed_run_ends_in_the_same_weights(tmp_path: Path, monkeypatch: pyt
     class Killed(Exception):
         pass
 
+    evaluations = 0
+
     def killed_at_4(*arguments: object) -> object:
         nonlocal evaluations
         evaluations += 1
@@ -124,7 +125,6 @@ def test_a_resumed_run_ends_in_the_same_weights(tmp_path: Path, monkeypatch: pyt
             raise Killed
         return pose_errors(*arguments)  # type: ignore[arg-type]
 
-    evaluations = 0
     with monkeypatch.context() as patched:
         patched.setattr(loop, "pose_errors", killed_at_4)
         with pytest.raises(Killed):

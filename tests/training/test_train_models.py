@@ -1,3 +1,5 @@
+from collections.abc import Callable
+
 import pytest
 import torch
 from torch import nn
@@ -28,7 +30,7 @@ def small_mst(scenes: int = 1) -> MSTransformer:
 
 
 @pytest.mark.parametrize(("model", "mib"), [(PoseNet, 85.3), (MSTransformer, 70.9)])
-def test_sizes_are_those_published(model: type[BackboneRegressor], mib: float) -> None:
+def test_sizes_are_those_published(model: Callable[[], BackboneRegressor], mib: float) -> None:
     assert model().bytes() / 2**20 == pytest.approx(mib, abs=0.05)
 
 
@@ -150,6 +152,7 @@ def test_learned_weights_balance_the_losses() -> None:
     model.loss_weights(position, rotation).backward()
     assert model.loss_weights.sx.grad is not None
     assert float(model.loss_weights.sx.grad) == pytest.approx(0, abs=1e-6)
+    assert model.loss_weights.sq.grad is not None
     assert float(model.loss_weights.sq.grad) == pytest.approx(0, abs=1e-6)
 
 
