@@ -99,7 +99,7 @@ def _weight(error: Array, spread: Array, covariance: Array, o: DriftAwareOptions
     )
 
 
-def _independent(vio: Array, sizes: Array, drift: Array, precision: Array, o: DriftAwareOptions) -> float:
+def _independent(vio: Array, sizes: Array, drift: Array, precision: np.ndarray, o: DriftAwareOptions) -> float:
     """What a prediction counts: as many as odometry lets one average over share their errors."""
     ratios = []
     for i in range(1, len(vio)):

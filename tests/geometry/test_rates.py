@@ -10,14 +10,14 @@ from groundwalk.geometry.rates import rates_at
 _STEP_NS = 100_000_000
 
 
-def _turning(t_s: Array) -> Array:
+def _turning(t_s: np.ndarray) -> Array:
     """A camera that turns ever faster about its own axis and speeds up along x, (N, 4, 4)."""
     angle = 0.3 * t_s + 0.2 * t_s**2
     rotation = Rotation.from_rotvec(np.outer(angle, [0.0, 0.6, 0.8])).as_matrix()
     return make_pose(rotation, np.stack([0.5 * t_s**2, 0 * t_s, t_s], axis=1))
 
 
-def _sway(t_s: Array) -> tuple[Array, Array, Array]:
+def _sway(t_s: np.ndarray) -> tuple[Array, Array, Array]:
     """A camera that nods and sways at 2 Hz as it is carried: poses (N, 4, 4), angular velocity and velocity (N, 3)."""
     phase = 4 * np.pi * t_s
     rotation = Rotation.from_rotvec(np.outer(0.02 * np.sin(phase), [1.0, 0, 0])).as_matrix()
@@ -28,7 +28,7 @@ def _sway(t_s: Array) -> tuple[Array, Array, Array]:
 
 
 def test_rates_of_steps_are_not_smoothed_away() -> None:
-    log_ns = np.arange(100, dtype=np.int64) * _STEP_NS
+    log_ns = np.arange(100) * _STEP_NS
     t_ns = log_ns[20:80]
     _, angular, velocity = _sway(t_ns * 1e-9)
     rates = rates_at(t_ns, log_ns, _sway(log_ns * 1e-9)[0], 0.3)
@@ -40,14 +40,14 @@ def test_rates_of_steps_are_not_smoothed_away() -> None:
 
 
 def test_difference_says_how_far_rates_may_be_off() -> None:
-    log_ns, t_ns = np.arange(100, dtype=np.int64) * _STEP_NS, np.arange(200, 800, dtype=np.int64) * (_STEP_NS // 10)
+    log_ns, t_ns = np.arange(100) * _STEP_NS, np.arange(200, 800, dtype=np.int64) * (_STEP_NS // 10)
     rates = rates_at(t_ns, log_ns, _sway(log_ns * 1e-9)[0], 0.3)
     error = rates.angular - _sway(t_ns * 1e-9)[1]
     assert 0.2 < np.sqrt(np.mean(error**2)) / np.sqrt(np.mean((rates.angular_difference / 2) ** 2)) < 1
 
 
 def test_rates_are_those_of_a_motion_with_constant_acceleration() -> None:
-    log_ns = np.arange(20, dtype=np.int64) * _STEP_NS
+    log_ns = np.arange(20) * _STEP_NS
     t_s = np.array([0.45, 0.7, 1.234])
     poses = _turning(t_s)
     rates = rates_at(np.round(t_s * 1e9).astype(np.int64), log_ns, _turning(log_ns * 1e-9), 0.3)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.training import loop, weights
 from groundwalk.training.data import Frames, ImageCache, View
-from groundwalk.training.features import feature_cache
+from groundwalk.training.features import FeatureCache, feature_cache
 from groundwalk.training.loop import Run, refuse_divergence, take_best, train
 from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
 from groundwalk.training.models.efficientnet_lite import EfficientNetLite0, folded
@@ -179,7 +179,7 @@ def test_a_resumed_run_with_cached_features_ends_in_the_same_weights(
                 raise Killed
             return scored(history)
 
-        def without_backbone(folder: Path, _: object, *more: Any) -> Path:
+        def without_backbone(folder: Path, _: object, *more: Any) -> FeatureCache:
             return feature_cache(folder, None, *more)  # type: ignore[arg-type]
 
         patched.setattr(loop, "held_out_score", killed_at_3)
