@@ -2,16 +2,19 @@
 with what each counts and how their errors go together. It shares no code with fusion/."""
 
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from groundwalk.fusion.methods.drift_aware import DriftAwareOptions
 from groundwalk.geometry.poses import Array
 
+if TYPE_CHECKING:
+    from groundwalk.fusion.methods.drift_aware import DriftAwareOptions
 
-def literal_fit(vio: Array, apr: Array, drift: Array, o: DriftAwareOptions, turns: int = 40) -> Array:
+
+def literal_fit(vio: Array, apr: Array, drift: Array, o: "DriftAwareOptions", turns: int = 40) -> Array:
     """The last poses' alignment: (N, 4) map position and yaw at each frame.
 
     vio, apr: poses (N, 4, 4). drift: variances (N, 4) of x, y, z, yaw on the way to each frame. o: options.
@@ -92,14 +95,14 @@ def _slope(x: Array, vio: Array, sizes: Array) -> Array:
     return slope / sizes[:, None]
 
 
-def _weight(error: Array, spread: Array, covariance: Array, o: DriftAwareOptions) -> float:
+def _weight(error: Array, spread: Array, covariance: Array, o: "DriftAwareOptions") -> float:
     precision = np.linalg.inv(covariance)
     return (o.degrees_of_freedom + 6) / (
         o.degrees_of_freedom + error @ precision @ error + np.trace(precision @ spread)
     )
 
 
-def _independent(vio: Array, sizes: Array, drift: Array, precision: np.ndarray, o: DriftAwareOptions) -> float:
+def _independent(vio: Array, sizes: Array, drift: Array, precision: np.ndarray, o: "DriftAwareOptions") -> float:
     """What a prediction counts: as many as odometry lets one average over share their errors."""
     ratios = []
     for i in range(1, len(vio)):
@@ -109,7 +112,7 @@ def _independent(vio: Array, sizes: Array, drift: Array, precision: np.ndarray, 
     return max(o.independent, 1 / (1 + np.exp(-0.5 * np.mean(np.log(ratios)))))
 
 
-def _shares(vio: Array, o: DriftAwareOptions) -> Array:
+def _shares(vio: Array, o: "DriftAwareOptions") -> Array:
     found = [1.0]
     for a, b in pairwise(vio):
         gap = np.linalg.norm(b[:3, 3] - a[:3, 3])
