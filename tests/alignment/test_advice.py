@@ -129,12 +129,7 @@ def test_a_setting_that_is_advised_settles_its_check(walks: Walks, name: CheckNa
 
 @pytest.mark.parametrize(
     "name",
-    [
-        CheckName.SESSION_REGISTERED,
-        CheckName.SESSION_MOTION,
-        CheckName.SESSION_SCALE,
-        CheckName.SESSION_VERTICAL,
-    ],
+    [CheckName.SESSION_REGISTERED, CheckName.SESSION_MOTION, CheckName.SESSION_SCALE, CheckName.SESSION_VERTICAL],
 )
 def test_without_the_session_that_is_named_all_passes(walks: Walks, name: CheckName) -> None:
     scene = walks.make(**NOISE)

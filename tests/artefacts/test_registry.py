@@ -117,7 +117,7 @@ def test_faults_of_a_package_are_named_and_ours_are_not_hidden(install: Install)
     with pytest.raises(UserError, match=r"^no picture$"), hats.guard("fez"):
         raise UserError("no picture")
     # A stage's process may hand it to another.
-    reduced: Any = caught.value.__reduce__()
+    reduced: Any = caught.value.__reduce__()  # which may be a text as well, by its type
     made, arguments = reduced
     again = made(*arguments)
     assert type(again) is PluginError and str(again) == str(caught.value) and again.reason == caught.value.reason

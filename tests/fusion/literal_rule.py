@@ -204,9 +204,8 @@ def _label_piece(piece: Numbered, o: "MobileARLocOptions", answers: list[Answer]
     stage, low = "alignment", 0
     run: Numbered = []
     reference: Pose | None = None
-    seen: list[
-        tuple[int, Frame, bool]
-    ] = []  # every frame with a prediction, with whether it was consistent with the one before
+    # Every frame with a prediction, with whether it was consistent with the one before.
+    seen: list[tuple[int, Frame, bool]] = []
 
     def say(index: int, status: str, pose: Pose) -> None:
         a = answers[index]

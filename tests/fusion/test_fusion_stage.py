@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from known import cells
 from tables import tables
 
 from groundwalk.artefacts import DataRoot, StageRun, UserError
@@ -42,7 +41,9 @@ def scene_inputs(
     frames, truth, predictions = tables(seeds, models)
     refused = np.arange(len(truth)) % 4 == 0
     poses = [column for column in truth.columns if column.startswith("map_cam")]
-    said = truth.assign(scene=scene, refusal=cells("few_matches" if none else None for none in refused))
+    said = truth.assign(
+        scene=scene, refusal=np.array(["few_matches" if none else None for none in refused], dtype=object)
+    )
     said.loc[refused, poses] = np.nan
     localised = [said.assign(model=model) for model in localisers] or [said[:0].assign(model="")]
     return {

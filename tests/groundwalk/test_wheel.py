@@ -30,16 +30,8 @@ def site_packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (folder / "tree" / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / name, folder / "tree" / name)
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
-    build: list[str | Path] = [
-        "wheel",
-        "--quiet",
-        "--no-deps",
-        "--no-build-isolation",
-        "--wheel-dir",
-        folder,
-        folder / "tree",
-    ]
-    subprocess.run([*pip, *build], check=True, env=without_python_path())
+    build = [*pip, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir"]
+    subprocess.run([*build, folder, folder / "tree"], check=True, env=without_python_path())
     venv.create(folder / "environment", symlinks=True)
     python = folder / "environment" / "bin" / "python"
     (wheel,) = folder.glob("groundwalk-*.whl")
