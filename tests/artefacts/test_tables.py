@@ -1,5 +1,6 @@
 """Tables keep their schema's promises on the way out and in."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,9 +70,11 @@ def test_a_nullable_column_that_an_older_table_lacks_is_null(tmp_path: Path) -> 
         (lambda f: f.assign(map_cam_qw=[2.0, np.nan]), "quaternion"),
     ],
 )
-def test_a_table_that_breaks_its_schema_is_not_written(tmp_path: Path, change: object, message: str) -> None:
+def test_a_table_that_breaks_its_schema_is_not_written(
+    tmp_path: Path, change: Callable[[pd.DataFrame], pd.DataFrame], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
-        write_table(tmp_path / "t.parquet", change(example()), SCHEMA)  # type: ignore[operator]
+        write_table(tmp_path / "t.parquet", change(example()), SCHEMA)
     assert not list(tmp_path.iterdir())
 
 

@@ -1,11 +1,12 @@
 """Images are decoded once: the checks and the recording take what the scan has put aside."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from capture_writers import make_walk, write_scanner_app, write_stray_scanner
+from capture_writers import Walk, make_walk, write_scanner_app, write_stray_scanner
 from rerun.chunk import RrdReader
 
 from groundwalk.artefacts import DataRoot, execute
@@ -30,17 +31,19 @@ def frames_of(folder: Path) -> list[RawFrame]:
 
 
 @pytest.mark.parametrize("write", [write_scanner_app, write_stray_scanner])
-def test_what_the_checks_want_is_put_aside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: object) -> None:
-    write(tmp_path / "place" / "walk", make_walk(60, every=1))  # type: ignore[operator]
+def test_what_the_checks_want_is_put_aside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Callable[[Path, Walk], object]
+) -> None:
+    write(tmp_path / "place" / "walk", make_walk(60, every=1))
     frames = frames_of(tmp_path / "place")
     kept = Views([tmp_path], Limits())
     assert len([look for look in kept.scan(frames) if isinstance(look, ImageScan)]) == 60
     missed: list[RawFrame] = []
     again = views.load_gray
 
-    def counted(frames: Sequence[RawFrame], *options: object) -> object:
+    def counted(frames: Sequence[RawFrame], *options: Any) -> object:
         missed.extend(frames)
-        return again(frames, *options)  # type: ignore[arg-type]
+        return again(frames, *options)
 
     monkeypatch.setattr(views, "load_gray", counted)
     wanted = sorted({i for pair in parallax_pairs(frames) for i in pair})

@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
-from capture_writers import HEIGHT, WIDTH, image, jpeg, make_walk, write_scanner_app, write_stray_scanner
+from capture_writers import HEIGHT, WIDTH, Walk, image, jpeg, make_walk, write_scanner_app, write_stray_scanner
 from known import rows
 
 from groundwalk.artefacts import DataRoot, UserError, execute
@@ -63,8 +64,8 @@ def png_with_metadata(index: int) -> bytes:
 
 
 @pytest.mark.parametrize("write", [jpeg_with_metadata, png_with_metadata])
-def test_metadata_goes_and_pixels_stay(write: object) -> None:
-    data = write(3)  # type: ignore[operator]
+def test_metadata_goes_and_pixels_stay(write: Callable[[int], bytes]) -> None:
+    data = write(3)
     bare = without_metadata(data)
     assert PLACE in data and PLACE not in bare
     assert b"ICC_PROFILE" in bare or write is png_with_metadata
@@ -109,8 +110,10 @@ def test_what_a_detector_finds_is_erased_where_it_is(quarters: int) -> None:
 
 
 @pytest.mark.parametrize("write", [write_scanner_app, write_stray_scanner])
-def test_blurred_images_are_written_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: object) -> None:
-    write(tmp_path / "captures" / "place" / "walk", make_walk())  # type: ignore[operator]
+def test_blurred_images_are_written_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Callable[[Path, Walk], object]
+) -> None:
+    write(tmp_path / "captures" / "place" / "walk", make_walk())
 
     def detect(rgb: np.ndarray) -> list[Region]:
         # Bright images have a face, so that some have none.

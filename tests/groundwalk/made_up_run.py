@@ -28,14 +28,14 @@ NEEDS = {
 DEFAULTS = {"float64": 0.0, "int64": 0, "bool": False, "string": "", "list<float64>": [], "list<string>": []}
 
 
-def filled(stage: str, table: str, count: int, **columns: object) -> pd.DataFrame:
+def filled(stage: str, table: str, count: int, **columns: Any) -> pd.DataFrame:
     """A table of its schema: null where that may be, else the first choice, zero or nothing, but for columns given."""
     of = schema(stage, table)
     values = {
         c.name: [None if c.nullable else next(iter(c.choices or ()), DEFAULTS[c.dtype])] * count for c in of.columns
     }
     values |= {f"{prefix}_qw": [1.0] * count for prefix in pose_prefixes(of)}
-    return pd.DataFrame(values, dtype=object).assign(**columns)  # type: ignore[arg-type]
+    return pd.DataFrame(values, dtype=object).assign(**columns)
 
 
 @dataclass

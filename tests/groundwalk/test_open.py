@@ -5,6 +5,7 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -281,8 +282,8 @@ def test_the_documented_lines_run(page: str, make_run: Make, capsys: pytest.Capt
     assert 3 <= len([line for line in block.splitlines() if line]) <= 5
     opened = f'open("place", profile="tiny", data={str(made.data.root)!r})'
     assert 'open("Church")' in block
-    names: dict[str, object] = {}
+    names: dict[str, Any] = {}
     exec(block.replace('open("Church")', opened), names)
     assert "real captures" in capsys.readouterr().out
     if "image" in names:
-        assert names["image"].shape == (24, 32, 3) and names["sample"]["frame_id"] == "walk-0/000000"  # type: ignore[attr-defined, index]
+        assert names["image"].shape == (24, 32, 3) and names["sample"]["frame_id"] == "walk-0/000000"

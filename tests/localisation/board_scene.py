@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -90,7 +91,7 @@ def _boards(root: Path, frames: int) -> Boards:
     return made
 
 
-def filled(stage: str, table: str, count: int, **columns: object) -> pd.DataFrame:
+def filled(stage: str, table: str, count: int, **columns: Any) -> pd.DataFrame:
     """A table of its schema: null where that may be, elsewhere the first choice, zero or nothing, but for the
     columns given."""
     of = schema(stage, table)
@@ -99,7 +100,7 @@ def filled(stage: str, table: str, count: int, **columns: object) -> pd.DataFram
         for c in of.columns
     }
     values |= {f"{prefix}_qw": [1.0] * count for prefix in pose_prefixes(of)}
-    return pd.DataFrame(values, dtype=object).assign(**columns)  # type: ignore[arg-type]
+    return pd.DataFrame(values, dtype=object).assign(**columns)
 
 
 def board(rng: np.random.Generator) -> np.ndarray:

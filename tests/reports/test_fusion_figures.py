@@ -76,9 +76,9 @@ def test_costs_stand_where_bytes_time_and_the_median_error_say() -> None:
         runtime_ms=lambda model: {"small": 50.0, "large": 10.0, "lost": 10.0}[model],
         label=str.upper,
     )
-    bytes_, time = costs(scene).figure.axes  # type: ignore[arg-type]
+    bytes_, time = costs(cast(SceneInputs, scene)).figure.axes
     # A missing pose is a failure; a model whose median is one has no place.
     for ax, places in ((bytes_, [(2, 3), (16, 300)]), (time, [(50, 3), (10, 300)])):
-        shown = np.array([line.get_xydata()[0] for line in ax.lines])  # type: ignore[index]
+        shown = np.array([(along_x(line)[0], along_y(line)[0]) for line in ax.lines])
         assert shown == pytest.approx(np.array(places))
         assert [text.get_text() for text in ax.texts] == ["SMALL", "LARGE"]

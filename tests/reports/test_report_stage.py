@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from known import there
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.files import write_json
@@ -264,7 +265,7 @@ def assert_balanced(tex: str) -> None:
     plain = re.sub(r"\\[\\{}&%#$_]", "", tex)
     assert plain.count("{") == plain.count("}")
     assert re.findall(r"\\begin\{(\S+?)\}", tex) == re.findall(r"\\end\{(\S+?)\}", tex)[::-1]
-    columns = len(re.search(r"\\begin\{tabular\}\{([lr]+)\}", tex)[1])  # type: ignore[index]
+    columns = len(there(re.search(r"\\begin\{tabular\}\{([lr]+)\}", tex))[1])
     for line in tex.splitlines():
         if line.endswith(r"\\"):
             spans = [int(n) for n in re.findall(r"\\multicolumn\{(\d+)\}", line)]

@@ -6,7 +6,7 @@ import pytest
 from groundwalk.geometry.poses import inverse, make_pose, transform
 from groundwalk.simulation.canvas import Canvas
 from groundwalk.simulation.mesh import build_mesh
-from groundwalk.simulation.place import Builder, Light
+from groundwalk.simulation.place import Builder, Light, Material
 from groundwalk.simulation.render import Renderer, Sky, View
 
 FLAT = Light(ambient=1.0, sun=None)
@@ -24,10 +24,10 @@ def fine_noise(c: Canvas) -> None:
     c.add(c.noise((0.02, 0.05, 0.2)), (40, 40, 40))
 
 
-def room(paint: object, glass: bool = False) -> Builder:
+def room(paint: Material, glass: bool = False) -> Builder:
     """A wall of 4 x 3 m in the plane z = -2, seen from +z; with a pane at z = -1."""
     b = Builder("room", (10, 10), 3, FLAT, 0)
-    b.wall("wall", (-2, -2), (2, -2), 0, 3, paint)  # type: ignore[arg-type]
+    b.wall("wall", (-2, -2), (2, -2), 0, 3, paint)
     if glass:
         b.quad("pane", (-2, 0, -1), (4, 0, 0), (0, 3, 0), fine_noise, glass=True)
     return b

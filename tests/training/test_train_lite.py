@@ -180,7 +180,8 @@ def test_a_resumed_run_with_cached_features_ends_in_the_same_weights(
             return scored(history)
 
         def without_backbone(folder: Path, _: object, *more: Any) -> FeatureCache:
-            return feature_cache(folder, None, *more)  # type: ignore[arg-type]
+            nothing: Any = None
+            return feature_cache(folder, nothing, *more)
 
         patched.setattr(loop, "held_out_score", killed_at_3)
         with pytest.raises(Killed):

@@ -1,5 +1,6 @@
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -118,12 +119,12 @@ def test_a_resumed_run_ends_in_the_same_weights(tmp_path: Path, monkeypatch: pyt
 
     evaluations = 0
 
-    def killed_at_4(*arguments: object) -> object:
+    def killed_at_4(*arguments: Any) -> object:
         nonlocal evaluations
         evaluations += 1
         if evaluations == 4:
             raise Killed
-        return pose_errors(*arguments)  # type: ignore[arg-type]
+        return pose_errors(*arguments)
 
     with monkeypatch.context() as patched:
         patched.setattr(loop, "pose_errors", killed_at_4)
