@@ -143,6 +143,7 @@ def _walks(
 ) -> list[Walk]:
     """The walks of frames in order; `poses` are odometry's, the predictions' and the true ones (N, 4, 4)."""
     gravity = _gravity(ordered)
+    vio_T, apr_T, true_T = poses
     # A new walk begins where the session or the split changes in time.
     key = ordered["session_id"].astype(str) + "/" + ordered["split"]
     number = (key != key.shift()).cumsum().to_numpy()
@@ -157,7 +158,9 @@ def _walks(
                 ordered["frame_id"].to_numpy(object)[rows],
                 ordered["t_ns"].to_numpy(np.int64)[rows],
                 gravity[rows],
-                *(of_kind[rows] for of_kind in poses),
+                vio_T[rows],
+                apr_T[rows],
+                true_T[rows],
                 quality[rows],
                 None if covariance is None else covariance[rows],
             )
