@@ -81,12 +81,15 @@ check: $(installed) ## Lint, format, types, layering
 	@$(MAKE) --no-print-directory types
 	@$(py) -m pytest --quiet tests/test_layering.py
 
-# mypy doesn't follow the path that groundwalk's __init__ sets, so that it gets links laid out as a wheel is.
+# mypy doesn't follow the path that groundwalk's __init__ sets, so that it gets links laid out as a wheel is. Of the
+# conftest.py files it takes no two, by that name.
 types: ## Types alone, of whatever is installed in .venv
 	@rm -rf build/types && mkdir -p build/types/groundwalk
 	@ln -s $(addprefix ../../../,$(wildcard groundwalk/*.py) $(filter-out benchmarks groundwalk,\
 		$(patsubst %/__init__.py,%,$(wildcard */__init__.py)))) build/types/groundwalk
-	@ln -s ../../benchmarks build/types/benchmarks
+	@ln -s ../../benchmarks ../../tests build/types
+	@mkdir build/types/conftests && cd build/types/conftests && \
+		for file in ../../../tests/*/conftest.py; do ln -s $$file conftest_$$(basename $$(dirname $$file)).py; done
 	@cd build/types && ../../.venv/bin/mypy --config-file ../../pyproject.toml --cache-dir ../../.mypy_cache --no-error-summary
 
 test: $(installed) check ## Checks and tests, under ten minutes on two cores
