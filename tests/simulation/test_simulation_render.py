@@ -5,8 +5,9 @@ import pytest
 
 from groundwalk.geometry.poses import inverse, make_pose, transform
 from groundwalk.simulation.canvas import Canvas
+from groundwalk.simulation.materials import Material
 from groundwalk.simulation.mesh import build_mesh
-from groundwalk.simulation.place import Builder, Light, Material
+from groundwalk.simulation.place import Builder, Light
 from groundwalk.simulation.render import Renderer, Sky, View
 
 FLAT = Light(ambient=1.0, sun=None)
