@@ -12,7 +12,7 @@ from groundwalk.artefacts.child import Report
 from groundwalk.artefacts.files import written_aside
 from groundwalk.training.data import Frames, Jitter, Turns, View, normalised, pose_batch
 from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch
-from groundwalk.training.regressor_settings import RegressorSettings
+from groundwalk.training.regressor_settings import LiteSettings
 
 _BATCH = 32
 
@@ -45,20 +45,19 @@ def feature_cache(
     model: FrozenRegressor,
     training: Frames,
     view: View,
-    settings: RegressorSettings,
-    copies: int,
+    settings: LiteSettings,
     seed: int,
-    device: torch.device,
     report: Report,
 ) -> FeatureCache:
     """Fill `folder`, unless it is there from an earlier run; `quaternions.npy` comes last and marks it as whole.
 
     A copy's randomness comes from (seed, copy).
     """
-    done = folder / "quaternions.npy"
+    done, copies = folder / "quaternions.npy", settings.copies
     if not done.exists():
         folder.mkdir(parents=True, exist_ok=True)
         model.eval()
+        device = next(model.parameters()).device
         turns = Turns(*settings.turn_deg) if settings.turn_deg else Turns(0, 0, 0)
         files: list[NDArray[np.float16]] = []
         quaternions = []

@@ -91,9 +91,7 @@ class FeatureSource:
         self, report: Report, model: FrozenRegressor, training: Frames, held_out: Frames, settings: Any, run: Run
     ) -> None:
         self.model, self.held_out, self.run = model, held_out, run
-        self.cache = feature_cache(
-            run.folder / _FEATURES, model, training, run.view, settings, settings.copies, run.seed, run.device, report
-        )
+        self.cache = feature_cache(run.folder / _FEATURES, model, training, run.view, settings, run.seed, report)
         self.scene_N = self.cache.scene_M
         with torch.no_grad():
             self.held_out_features = model.eval().features(held_out.centre_crops(run.view, run.device))
