@@ -47,33 +47,34 @@ class AlignResult:
 def build(frames: pd.DataFrame, images: pd.DataFrame, examination: Examination, settings: AlignSettings) -> AlignResult:
     """Ground truth by what was examined; `frames` is import's table, `images` SfM's in its order."""
     dataset = ~frames["support"].to_numpy(bool)
-    found, images, frames = examination.where(dataset), images[dataset].reset_index(drop=True), dataset_frames(frames)
+    examination, frames = examination.where(dataset), dataset_frames(frames)
+    images = images[dataset].reset_index(drop=True)
     map_T_cam, component = np.full((len(frames), 4, 4), np.nan), np.full(len(frames), -1)
     sfm_T_cam = poses_of(images, "sfm_cam")
-    for placed in found.placed:
+    for placed in examination.placed:
         rows = placed.component.registered_rows
         map_T_cam[rows], component[rows] = placed.map_S_sfm.poses(sfm_T_cam[rows]), placed.component.index
     # By session, for whoever reads the table; models of one session one after the other.
     segments = sorted(
-        ((s, p) for p in found.placed for s in p.component.segments),
+        ((s, p) for p in examination.placed for s in p.component.segments),
         key=lambda item: (item[0].session_id, item[0].index, item[0].component),
     )
-    sd, has_ground_truth = settings.fit_sd, found.has_ground_truth
+    sd, has_ground_truth = settings.fit_sd, examination.has_ground_truth
     fits = [
         fit_session(s, map_T_cam[s.rows], has_ground_truth[s.rows], sd, is_metric=p.component.scale.is_known)
         for s, p in segments
     ]
-    residuals = found.residual_m, np.degrees(found.residual_rad)
-    ground_truth, class_counts = _ground_truth(frames, images, map_T_cam, found, settings)
+    residuals = examination.residual_m, np.degrees(examination.residual_rad)
+    ground_truth, class_counts = _ground_truth(frames, images, map_T_cam, examination, settings)
     return AlignResult(
         ground_truth=ground_truth,
         sessions=sessions_table(fits, [p for _, p in segments], settings.max_scale_sd),
         drift=_drift(fits),
-        checks=checks_table(found.checks),
+        checks=checks_table(examination.checks),
         residuals=residuals_table(fits, frames["frame_id"].to_numpy(str), *residuals),
-        reference_agreement=agreement_table(frames, map_T_cam, component, found.reference),
+        reference_agreement=agreement_table(frames, map_T_cam, component, examination.reference),
         class_counts=class_counts,
-        placed=found.placed,
+        placed=examination.placed,
         map_T_cam=map_T_cam,
         fits=fits,
     )
@@ -98,9 +99,9 @@ class _FrameTruth(NamedTuple):
 
 
 def _frame_truth(
-    frames: pd.DataFrame, images: pd.DataFrame, map_T_cam: Array, found: Examination, settings: AlignSettings
+    frames: pd.DataFrame, images: pd.DataFrame, map_T_cam: Array, examination: Examination, settings: AlignSettings
 ) -> _FrameTruth:
-    count, has_ground_truth = len(frames), found.has_ground_truth
+    count, has_ground_truth = len(frames), examination.has_ground_truth
     truth = _FrameTruth(
         np.full(count, -1),
         np.full((count, 6, 6), np.nan),
@@ -110,7 +111,7 @@ def _frame_truth(
         np.zeros(count, dtype=bool),
     )
     sfm_covariance = sfm_covariances(images["covariance"])
-    for placed in found.placed:
+    for placed in examination.placed:
         component, rows = placed.component, placed.component.registered_rows
         rows = rows[has_ground_truth[rows]]
         if not len(rows):
@@ -133,14 +134,14 @@ def _frame_truth(
 
 
 def _ground_truth(
-    frames: pd.DataFrame, images: pd.DataFrame, map_T_cam: Array, found: Examination, settings: AlignSettings
+    frames: pd.DataFrame, images: pd.DataFrame, map_T_cam: Array, examination: Examination, settings: AlignSettings
 ) -> tuple[pd.DataFrame, list[str]]:
     """The align.ground_truth table, and how many frames have which class for which reason."""
-    has_ground_truth = found.has_ground_truth
+    has_ground_truth = examination.has_ground_truth
     map_T_cam = np.where(has_ground_truth[:, None, None], map_T_cam, np.nan)
-    truth = _frame_truth(frames, images, map_T_cam, found, settings)
+    truth = _frame_truth(frames, images, map_T_cam, examination, settings)
     sd_m, sd_rad = largest_sd(truth.model_covariance)
-    grades = grade_frames(frames, images, truth.model_covariance, found.problem, settings)
+    grades = grade_frames(frames, images, truth.model_covariance, examination.problem, settings)
     table = frames[["frame_id", "session_id", "split", "t_ns"]].copy()
     table["component"] = pd.Series(truth.component, index=table.index).where(has_ground_truth).astype("Int64")
     covariances = [c.ravel().tolist() if np.isfinite(c).all() else None for c in truth.covariance]
@@ -148,7 +149,7 @@ def _ground_truth(
     table["position_sd_m"] = sd_m
     table["rotation_sd_deg"] = np.degrees(sd_rad)
     table["quality"] = np.where(has_ground_truth, [g.quality for g in grades], QualityClass.NONE)
-    table["reason"] = np.where(has_ground_truth, [g.reason for g in grades], found.exclusion)
+    table["reason"] = np.where(has_ground_truth, [g.reason for g in grades], examination.exclusion)
     table["scale_source"] = truth.scale_source
     table["vertical_source"] = truth.vertical_source
     # Later stages need the cameras that go with these poses, and read no table of SfM.

@@ -63,12 +63,12 @@ class App(typer.Typer):
             if stopped is not None:
                 print(f"stopped by {stopped}; the same command resumes from the last checkpoint", file=sys.stderr)
                 sys.exit(stopped.exit_code)
-            shown = error if isinstance(error, UserError) else None
+            message = error if isinstance(error, UserError) else None
             if isinstance(error, OSError):
-                shown = as_user_error(error)
-            if shown is None:
+                message = as_user_error(error)
+            if message is None:
                 raise
-            print(f"error: {printable(str(shown))}", file=sys.stderr)
+            print(f"error: {printable(str(message))}", file=sys.stderr)
             sys.exit(2)
 
 
@@ -126,6 +126,6 @@ def settings_help(section: str, model: type[Settings]) -> str:
     ]
     for name, info in model.model_fields.items():
         default = info.get_default(call_default_factory=True)
-        shown = "" if isinstance(default, Settings) else f" (default {default!r})"
-        lines.append(f"- `{name}`{shown}: {info.description or ''}")
+        default_text = "" if isinstance(default, Settings) else f" (default {default!r})"
+        lines.append(f"- `{name}`{default_text}: {info.description or ''}")
     return "\n".join(lines)

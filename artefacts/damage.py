@@ -53,8 +53,8 @@ def as_user_error(error: BaseException, work: Path | None = None) -> UserError |
     for cause in causes(error):
         if isinstance(cause, OSError) and cause.errno in _MACHINE:
             where = Path(os.fsdecode(cause.filename)) if isinstance(cause.filename, str | bytes) else work
-            found = _free(where) if cause.errno in _OF_SPACE else None
-            return UserError(_MACHINE[cause.errno], where=where, found=found, do=_DO.get(cause.errno))
+            room = _free(where) if cause.errno in _OF_SPACE else None
+            return UserError(_MACHINE[cause.errno], where=where, found=room, do=_DO.get(cause.errno))
     if work is not None and isinstance(error, RuntimeError | ProcessDied | OSError) and (number := _probe(work)):
         text = str(error).split("\n")[0][:200]
         return UserError(_MACHINE[number], where=work, found=f"{_free(work)}; {text}", do=_DO.get(number))

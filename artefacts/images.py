@@ -47,6 +47,6 @@ def read_image(path: Path) -> Image:
     intrinsics are the sensor's). UserError where it isn't there or can't be decoded."""
     image = cv2.imread(str(path), cv2.IMREAD_COLOR_BGR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
-        found = "a file that isn't an image" if path.exists() else "no such file"
-        raise UserError("an image can't be read", where=path, found=found, do="import the capture again")
+        actual = "a file that isn't an image" if path.exists() else "no such file"
+        raise UserError("an image can't be read", where=path, found=actual, do="import the capture again")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)

@@ -171,14 +171,14 @@ def missing_input(stage: str, folder: Path, scene: str, profile: str) -> UserErr
 
 def capture_files(captures: Path) -> list[Path]:
     """The files of a capture folder that import may read: not those which hold the simulator's truth or notes."""
-    found = []
+    paths = []
     for base, folders, names in os.walk(captures, followlinks=False):
         folders[:] = sorted(f for f in folders if not f.startswith("."))
         at_top = Path(base) == captures
         for name in sorted(names):
             if not (name.startswith(".") or (at_top and name in TRUTH_FILES)):
-                found.append(Path(base) / name)
-    return found
+                paths.append(Path(base) / name)
+    return paths
 
 
 def _capture_state(captures: Path) -> dict[str, tuple[int, int]]:

@@ -158,8 +158,8 @@ def lines_of(path: Path, limits: Limits, is_row: Callable[[str], bool] = bool) -
         rows.append((f"{path.name} line {number}", line))
         size += sys.getsizeof(line)
         if len(rows) > limits.max_rows or size > limits.max_parsed_bytes:
-            found = f"more than {limits.max_rows} rows, or {limits.max_parsed_bytes >> 20} MiB of them"
-            raise _unreadable(path, found)
+            actual = f"more than {limits.max_rows} rows, or {limits.max_parsed_bytes >> 20} MiB of them"
+            raise _unreadable(path, actual)
     return rows
 
 
@@ -203,8 +203,8 @@ def parsed_bytes(text: str) -> int:
     return sys.getsizeof(text) + len(text) + sum(size * text.count(character) for character, size in sizes.items())
 
 
-def _unreadable(path: Path, found: object) -> UserError:
-    return UserError("a log can't be read", where=path, found=found)
+def _unreadable(path: Path, actual: object) -> UserError:
+    return UserError("a log can't be read", where=path, found=actual)
 
 
 def row_major_pose(values: Sequence[float] | Array) -> Array:

@@ -36,9 +36,9 @@ def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> r
     """A tab a scene and model: the paths on the left; errors, status and decisions over time on the right. `gates` has
     the thresholds of each method's signals."""
     methods = list(dict.fromkeys(f.run.method for f in fused))
-    shown = [method for method in methods if METHODS[method].shown]
+    initial = [method for method in methods if METHODS[method].visible]
     # The others are switched on in the viewer's list of entities.
-    hidden = [method for method in methods if method not in shown] if len(shown) > 1 else []
+    hidden = [method for method in methods if method not in initial] if len(initial) > 1 else []
     tabs = []
     for scene, model in dict.fromkeys((f.walk.scene, f.run.model) for f in fused):
         at = _path(scene, model)
@@ -154,7 +154,7 @@ def _signals(fused: list[Fused]) -> dict[str, list[str]]:
     for f in fused:
         if METHODS[f.run.method].fuses:
             names.setdefault(f.run.method, set()).update(name for e in f.estimates for name in e.signals)
-    return {method: sorted(found) for method, found in names.items()}
+    return {method: sorted(keys) for method, keys in names.items()}
 
 
 def _vio_aligned(f: Fused) -> Array:

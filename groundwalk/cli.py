@@ -113,8 +113,8 @@ class _LoadedWhenRun(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         name, command, rest = super().resolve_command(ctx, args)
-        found = next((c for c in all_commands() if c.name == name), None)
-        return name, found.load(for_completion=ctx.resilient_parsing) if found else command, rest
+        record = next((c for c in all_commands() if c.name == name), None)
+        return name, record.load(for_completion=ctx.resilient_parsing) if record else command, rest
 
 
 app = new_app(

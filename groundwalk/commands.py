@@ -87,9 +87,9 @@ def _captures(data: DataRoot, scene: str) -> str:
 
 def _finished(data: DataRoot, scene: str) -> list[str]:
     """`<profile>: <stages>` of each profile that the scene was run with."""
-    found = []
+    runs = []
     for folder in sorted((data.root / "runs").glob(f"*/{scene}")):
         stages = [stage for stage in STAGES if (folder / stage / MANIFEST).is_file()]
         if stages:
-            found.append(f"{folder.parent.name}: {', '.join(stages)}")
-    return found
+            runs.append(f"{folder.parent.name}: {', '.join(stages)}")
+    return runs

@@ -70,9 +70,9 @@ def _outdated(folder: Path, manifests: dict[str, dict[str, Any]]) -> dict[str, s
             scene, _, needed = source.partition("/")
             if needed not in STAGES:
                 continue
-            own = scene == manifest["scene"].get("name")
-            now = manifests.get(needed) if own else read_json(folder.parent / scene / needed / MANIFEST)
-            if own and needed in outdated:
+            same_scene = scene == manifest["scene"].get("name")
+            now = manifests.get(needed) if same_scene else read_json(folder.parent / scene / needed / MANIFEST)
+            if same_scene and needed in outdated:
                 outdated.setdefault(stage, outdated[needed])
             elif now and now.get("outputs") != hashes:
                 outdated.setdefault(stage, f"{needed} of scene {scene}")

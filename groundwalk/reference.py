@@ -190,9 +190,9 @@ def _rows(model: type[Settings], schema: Mapping[str, Any], defs: Mapping[str, A
         if isinstance(value, Settings):
             inside = type(value).model_json_schema()
             for row_name, kind, _, text in _rows(type(value), inside, inside.get("$defs", {}), f"{prefix}{name}."):
-                yield row_name, kind, _shown(getattr(value, row_name.rpartition(".")[2])), text
+                yield row_name, kind, _value_text(getattr(value, row_name.rpartition(".")[2])), text
             continue
-        default = "required" if field.is_required() else _shown(value)
+        default = "required" if field.is_required() else _value_text(value)
         yield f"{prefix}{name}", _kind(schema["properties"][name], defs), default, field.description or ""
 
 
@@ -217,7 +217,7 @@ def _kind(schema: Mapping[str, Any], defs: Mapping[str, Any]) -> str:
     return ", ".join([kind, *(f"{sign} {schema[key]:g}" for key, sign in bounds.items() if key in schema)])
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     """A default as TOML writes it; what TOML has no word for is an empty cell."""
     if isinstance(value, Enum):
         value = value.value
@@ -228,7 +228,7 @@ def _shown(value: Any) -> str:
     if isinstance(value, str):
         return f'`"{value}"`'
     if isinstance(value, list | tuple):
-        return f"`[{', '.join(_shown(item).strip('`') for item in value)}]`"
+        return f"`[{', '.join(_value_text(item).strip('`') for item in value)}]`"
     return f"`{value}`"
 
 
@@ -260,7 +260,7 @@ def _option_default(parameter: Any) -> str:
     if isinstance(parameter.show_default, str):
         return parameter.show_default
     default = parameter.default
-    return _shown(str(default) if isinstance(default, Path) else default).replace('"', "") if default != "" else ""
+    return _value_text(str(default) if isinstance(default, Path) else default).replace('"', "") if default != "" else ""
 
 
 def _is_enum(annotation: Any) -> bool:

@@ -46,9 +46,9 @@ def _frames(run: Run) -> Iterator[tuple[str, str]]:
 
 def _ground_truth(truth: pd.DataFrame) -> Iterator[tuple[str, str]]:
     classes = truth["quality"].value_counts()
-    shown = ", ".join(f"{name} {classes[name]}" for name in ("A", "B", "C") if name in classes)
+    figures = ", ".join(f"{name} {classes[name]}" for name in ("A", "B", "C") if name in classes)
     with_pose = truth[truth["map_cam_tx"].notna()]
-    text = f"{len(with_pose)} of {len(truth)} frames{f' ({shown})' if shown else ''}"
+    text = f"{len(with_pose)} of {len(truth)} frames{f' ({figures})' if figures else ''}"
     for what, column in (("scale", "scale_source"), ("vertical", "vertical_source")):
         sources = with_pose[column].dropna().unique()
         text += f"; {what} by {', '.join(sources)}" if len(sources) else ""
@@ -62,6 +62,6 @@ def _errors(table: pd.DataFrame) -> Iterator[tuple[str, str]]:
     rows: Any = table[(table["subset"] == "all") & (table["scored"] == "method")].itertuples(index=False)
     for row in rows:
         medians = [(float(row.position_median_m), "{:.2f} m"), (float(row.rotation_median_deg), "{:.1f} deg")]
-        shown = ", ".join("infinite" if np.isnan(value) else pattern.format(value) for value, pattern in medians)
+        figures = ", ".join("infinite" if np.isnan(value) else pattern.format(value) for value, pattern in medians)
         subject = f"{row.method}, {row.model}" + (f", {row.scene}" if several else "")
-        yield subject, f"median {shown}; {row.answered} of {row.frames} test frames have a pose"
+        yield subject, f"median {figures}; {row.answered} of {row.frames} test frames have a pose"

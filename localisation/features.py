@@ -48,7 +48,7 @@ def extract(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Featur
     ones."""
     small, scale = shrunk(grey, max_side)
     sift = cv2.SIFT.create(nfeatures=max_features, enable_precise_upscale=True)
-    keypoints, found = sift.detectAndCompute(small, None)
+    keypoints, sift_rows = sift.detectAndCompute(small, None)
     if not keypoints:
         nothing = np.zeros((0, 2), np.float32), np.zeros(0, np.float32)
         return Features(*nothing, np.zeros((0, DESCRIPTOR_SIZE), np.uint8))
@@ -56,7 +56,7 @@ def extract(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Featur
     order = np.argsort([-k.response for k in keypoints], kind="stable")[:max_features]
     px = (np.array([k.pt for k in keypoints])[order] + 0.5) * scale
     size = np.array([k.size for k in keypoints])[order] * scale.mean()
-    return Features(px.astype(np.float32), size.astype(np.float32), root_sift(np.asarray(found, np.float32)[order]))
+    return Features(px.astype(np.float32), size.astype(np.float32), root_sift(np.asarray(sift_rows, np.float32)[order]))
 
 
 def shrunk(grey: NDArray[np.uint8], max_side: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:

@@ -135,8 +135,8 @@ def _absolute_pose(px: Array, xyz: Array, camera: Camera, seed: int) -> tuple[Ar
     options = pycolmap.AbsolutePoseEstimationOptions()
     options.ransac.max_error = _MAX_PX * max(camera.width, camera.height) / 640 / 2
     options.ransac.random_seed = seed
-    found = pycolmap.estimate_and_refine_absolute_pose(px, xyz, colmap, options, return_covariance=False)
-    if found is None:
+    solution = pycolmap.estimate_and_refine_absolute_pose(px, xyz, colmap, options, return_covariance=False)
+    if solution is None:
         return None
-    matrix = found["cam_from_world"].matrix()
-    return inverse(make_pose(matrix[:, :3], matrix[:, 3])), np.asarray(found["inlier_mask"], bool)
+    matrix = solution["cam_from_world"].matrix()
+    return inverse(make_pose(matrix[:, :3], matrix[:, 3])), np.asarray(solution["inlier_mask"], bool)

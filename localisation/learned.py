@@ -26,16 +26,16 @@ _ALIKED_THRESHOLD = 0.2  # the authors' choice
 def extract_xfeat(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Features:
     """XFeat's strongest features of a grey image (H, W), first shrunk to at most `max_side` px a side."""
     small, scale = shrunk(grey, max_side)
-    found = _xfeat().detectAndCompute(_tensor(small), top_k=max_features)[0]
-    return _features(found["keypoints"], found["scores"], found["descriptors"], scale, max_features)
+    answer = _xfeat().detectAndCompute(_tensor(small), top_k=max_features)[0]
+    return _features(answer["keypoints"], answer["scores"], answer["descriptors"], scale, max_features)
 
 
 def extract_aliked(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Features:
     """ALIKED's (n16) strongest features of a grey image (H, W), first shrunk to at most `max_side` px a side."""
     small, scale = shrunk(grey, max_side)
     with torch.inference_mode():
-        found = _aliked()(_tensor(small))[0]
-    return _features(found.keypoints, found.keypoint_scores, found.descriptors, scale, max_features)
+        answer = _aliked()(_tensor(small))[0]
+    return _features(answer.keypoints, answer.keypoint_scores, answer.descriptors, scale, max_features)
 
 
 def match_xfeat(a: Features, b: Features, a_size: tuple[int, int], b_size: tuple[int, int]) -> NDArray[np.int64]:

@@ -72,8 +72,8 @@ def _answer(ask: Callable[[Query], Row], path: Path, common: Row, *, among_other
     except UserError as error:
         if not among_others:
             raise
-        found = error.details["found"]
-        reason = error.what if found is None else f"{error.what}: {found}"
+        actual = error.details["found"]
+        reason = error.what if actual is None else f"{error.what}: {actual}"
         nothing: Row = dict.fromkeys(("position_m", "quaternion", "covariance"))
         return nothing | {"refusal": Refusal.BAD_INPUT, "reason": reason}
     return ask(query)
@@ -97,8 +97,8 @@ def read_localiser(path: Path, scene: str = "") -> "FileLocaliser":
 def _asked(map_: Path | None, bundle: Path | None, scene: str, network: str, verify: bool) -> Callable[[Query], Row]:
     """What answers a query with a row: the map or the bundle, whichever is named."""
     if (map_ is None) == (bundle is None):
-        found = "neither" if map_ is None else "both"
-        raise UserError("images are localised in a map or by a bundle", expected="--map or --bundle", found=found)
+        options = "neither" if map_ is None else "both"
+        raise UserError("images are localised in a map or by a bundle", expected="--map or --bundle", found=options)
     if bundle is not None:
         opened = _open(bundle, scene, network, verify)
         return lambda query: _row(opened.ask(query))

@@ -81,12 +81,12 @@ def ransac(
     params.randomGeneratorState = seed
     params.final_polisher = cv2.NONE_POLISHER
     try:
-        found = cv2.solvePnPRansac(xyz_M3, ideal_M2, np.eye(3), None, params=params)
+        solution = cv2.solvePnPRansac(xyz_M3, ideal_M2, np.eye(3), None, params=params)
     except cv2.error:  # it has no other way to say that no sample gave a pose
         return None
-    if not found[0]:
+    if not solution[0]:
         return None
-    cam_R_map, cam_t = Rotation.from_rotvec(np.ravel(found[2])).as_matrix(), np.ravel(found[3])
+    cam_R_map, cam_t = Rotation.from_rotvec(np.ravel(solution[2])).as_matrix(), np.ravel(solution[3])
     cam = xyz_M3 @ cam_R_map.T + cam_t
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.linalg.norm(cam[:, :2] / cam[:, 2:] - ideal_M2, axis=1)

@@ -151,12 +151,12 @@ class MapLocaliser:
                 Refusal.FEW_MATCHES, f"{len(matches)} matches, {_MIN_MATCHES} needed", clock, len(matches), 0, seen
             )
         with clock.part("ransac"):
-            found = asked.pose(matches, seed)
-        if found is None or found[1].sum() < _MIN_POSE:
+            solution = asked.pose(matches, seed)
+        if solution is None or solution[1].sum() < _MIN_POSE:
             reason = f"no pose explains {_MIN_POSE} of {len(matches)} matches"
             return refused(Refusal.NO_POSE, reason, clock, len(matches), 0, seen)
         with clock.part("refinement"):
-            fit, inliers = self._refined(found[0], matches[found[1]], product, asked)
+            fit, inliers = self._refined(solution[0], matches[solution[1]], product, asked)
         seen, limit = seen_by(asked.px, rows, matches, inliers), self.map.calibration.min_inliers
         # What the pose itself brought to the keypoints near where it predicts points is no evidence for it.
         agreeing = _common(matches, inliers)
@@ -301,13 +301,13 @@ def _predicted(fit: Fit, xyz: Array, camera: Camera, readout_s: float) -> Array:
     at = still[ahead, :2] / still[ahead, 2:]
     wide = 1.5 * np.array([camera.width / camera.fx, camera.height / camera.fy])
     ahead, at = ahead[(np.abs(at) < wide).all(axis=1)], at[(np.abs(at) < wide).all(axis=1)]
-    shown = camera.project(at * fit.focal_factor)
+    image_px = camera.project(at * fit.focal_factor)
     # The row says when a point was exposed; where it was then differs by some pixels, not by many rows.
-    time_s = row_times(shown, camera.height, readout_s)[:, None]
+    time_s = row_times(image_px, camera.height, readout_s)[:, None]
     cam = still[ahead] - time_s * (fit.velocity + still[ahead] @ skew(fit.angular).T)
-    shown = camera.project(cam[:, :2] / cam[:, 2:] * fit.focal_factor)
-    inside = ((shown >= 0) & (shown <= [camera.width, camera.height])).all(axis=1)
-    px[ahead[inside]] = shown[inside]
+    image_px = camera.project(cam[:, :2] / cam[:, 2:] * fit.focal_factor)
+    inside = ((image_px >= 0) & (image_px <= [camera.width, camera.height])).all(axis=1)
+    px[ahead[inside]] = image_px[inside]
     return px
 
 

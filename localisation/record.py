@@ -71,8 +71,8 @@ def record(
         stream.log(f"/{model}/map", rr.Points3D(xyz, colors=NEUTRAL, radii=rr.Radius.ui_points(1)), static=True)
         stream.log(f"/{model}/inliers", rr.SeriesLines(colors=LOCALISERS[model].colour, names="inliers"), static=True)
     true = poses_of(truth.set_index("frame_id").reindex(queries["frame_id"]), "map_cam")
-    shown = np.unique(np.linspace(0, len(queries) - 1, min(_MOST_QUERIES, len(queries))).round().astype(int))
-    for row in shown.tolist() if answers else []:
+    chosen = np.unique(np.linspace(0, len(queries) - 1, min(_MOST_QUERIES, len(queries))).round().astype(int))
+    for row in chosen.tolist() if answers else []:
         frame = queries.iloc[row]
         stream.set_time(_FRAMES, sequence=row)
         set_time(stream, int(frame["t_ns"]))

@@ -203,10 +203,10 @@ def report_accuracy(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFr
     r.figure(f"{name} test wrong", wrong)
     r.figure(f"{name} test within 0.25 m and 2 deg, %", within)
     r.figure(f"{name} test median position_m", median if np.isfinite(median) else None)
-    shown = f"median {100 * median:.2g} cm" if np.isfinite(median) else "no median, as most are refused"
+    median_text = f"median {100 * median:.2g} cm" if np.isfinite(median) else "no median, as most are refused"
     r.say(
-        f"{name}: {shown}, {within:.1f} % within 0.25 m and 2 deg of {len(tested)} test frames; {int((~given).sum())} "
-        f"refused, {wrong} off by more than {_WRONG_M:g} m or {_WRONG_DEG:g} deg"
+        f"{name}: {median_text}, {within:.1f} % within 0.25 m and 2 deg of {len(tested)} test frames; "
+        f"{int((~given).sum())} refused, {wrong} off by more than {_WRONG_M:g} m or {_WRONG_DEG:g} deg"
     )
 
 

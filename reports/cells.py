@@ -51,12 +51,12 @@ def _cell(
     scene: SceneInputs,
     row: str,
     column: str,
-    shown: tuple[float, int, str],
+    figure: tuple[float, int, str],
     source: tuple[int, str],
     **more: str,
 ) -> dict[str, object]:
     """A row of `cells`; shown: the value, its digits and its unit; source: rows and table that it is from."""
-    value, digits, unit = shown
+    value, digits, unit = figure
     base = {"source": OURS, "table": table, "environment": scene.environment, "scene": scene.name, "row": row}
     empty = dict.fromkeys(("model", "method", "options", "over", "statistic", "quantity"), "")
     text = more.pop("text", number(value, digits))
@@ -130,8 +130,8 @@ def published_cells(tables: PrintedTables, scenes: list[SceneInputs]) -> pd.Data
             return
         base = {"source": PUBLISHED, "table": table, "environment": s["environment"], "scene": s["scene"], "row": row}
         empty = dict.fromkeys(("model", "method", "options", "over", "statistic", "quantity"), "")
-        shown = {"value": value, "text": text, "unit": unit, "source_rows": 1, "source_table": _PUBLISHED_FILES[table]}
-        rows.append({**base, "column": column, **empty, **more, **shown})
+        figure = {"value": value, "text": text, "unit": unit, "source_rows": 1, "source_table": _PUBLISHED_FILES[table]}
+        rows.append({**base, "column": column, **empty, **more, **figure})
 
     of_environment = tables.dataset.groupby("environment")["scene"].agg(set)
     complete = {str(environment) for environment, members in of_environment.items() if members <= names}

@@ -279,8 +279,8 @@ def stage_settings(scene: SceneInputs) -> list[tuple[str, str]]:
 
 def versions(scene: SceneInputs) -> str:
     """The versions that the stages ran with."""
-    found: dict[str, list[str]] = {}
+    of_package: dict[str, list[str]] = {}
     for m in scene.manifests.values():
         for package, version in m["versions"].items():
-            found.setdefault(package, []).append(version)
-    return ", ".join(f"{package} {' and '.join(dict.fromkeys(v))}" for package, v in found.items())
+            of_package.setdefault(package, []).append(version)
+    return ", ".join(f"{package} {' and '.join(dict.fromkeys(v))}" for package, v in of_package.items())

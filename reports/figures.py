@@ -171,10 +171,10 @@ def error_distributions(scene: SceneInputs) -> NamedFigure:
             for level in levels:
                 ax.axvline(level, color=style.NEUTRAL, lw=0.8, ls=(0, (1, 2)))
             _cumulative(ax, raw, len(raw), style.APR, "-", "alone, all frames")
-            if shown := _fused_label(scene):
-                count, every = int(scored.sum()), f"{shown} in time, all frames, missing = failed"
-                _cumulative(ax, raw[scored], count, style.APR, "--", f"alone, the frames that {shown} answers")
-                _cumulative(ax, fused[scored], count, style.FUSED, "--", f"{shown}, the frames that it answers")
+            if fused_label := _fused_label(scene):
+                count, every = int(scored.sum()), f"{fused_label} in time, all frames, missing = failed"
+                _cumulative(ax, raw[scored], count, style.APR, "--", f"alone, the frames that {fused_label} answers")
+                _cumulative(ax, fused[scored], count, style.FUSED, "--", f"{fused_label}, the frames that it answers")
                 _cumulative(ax, in_time, len(in_time), style.FUSED, "-", every)
             ax.set(xscale="log", ylim=(0, 102), title=f"{scene.label(model)}: {quantity}")
             ax.set_xlabel(f"{quantity} error ({'m' if unit == 'm' else '°'})")
@@ -299,7 +299,7 @@ def confidence(scene: SceneInputs) -> NamedFigure:
     for ax, (quantity, label) in zip(axes, (("position_mean_m", "m"), ("rotation_mean_deg", "°")), strict=True):
         of_quantity = rows[rows["figure"] == quantity].set_index(["model", "method"])
         for y, name in enumerate(names):
-            found: Any = of_quantity.loc[name]
+            interval: Any = of_quantity.loc[name]
             colour = (
                 style.APR
                 if name[1] in scene.raw_methods
@@ -307,8 +307,8 @@ def confidence(scene: SceneInputs) -> NamedFigure:
                 if name[1] in scene.offline
                 else style.FUSED
             )
-            ax.plot([found["low"], found["high"]], [y, y], color=colour, lw=1.2)
-            ax.plot(found["value"], y, "o", color=colour, ms=4)
+            ax.plot([interval["low"], interval["high"]], [y, y], color=colour, lw=1.2)
+            ax.plot(interval["value"], y, "o", color=colour, ms=4)
         ax.set(title=f"Mean {quantity.split('_')[0]} error ({label})", xlim=(0, None))
         ax.grid(axis="y", visible=False)
     labels = [f"{model} {method}{' (offline)' if method in scene.offline else ''}" for model, method in names]

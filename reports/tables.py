@@ -81,10 +81,10 @@ class Tables:
         for scene in self.scenes.values():
             for model, parts in scene.storage.groupby("model", sort=False):
                 largest = parts.sort_values("bytes", ascending=False, kind="stable").head(_PARTS)
-                shown = [f"{part} {n / 2**20:.2f}" for part, n in zip(largest["part"], largest["bytes"], strict=True)]
+                entry = [f"{part} {n / 2**20:.2f}" for part, n in zip(largest["part"], largest["bytes"], strict=True)]
                 rest = parts["bytes"].sum() - largest["bytes"].sum()
-                shown += [f"others {rest / 2**20:.2f}"] if rest else []
-                notes.append(f"{scene.name}, storage of {scene.label(str(model))} in MB: {', '.join(shown)}.")
+                entry += [f"others {rest / 2**20:.2f}"] if rest else []
+                notes.append(f"{scene.name}, storage of {scene.label(str(model))} in MB: {', '.join(entry)}.")
         return notes
 
     def errors(self) -> Grid:
@@ -114,8 +114,8 @@ class Tables:
         def cell(look: Look, name: str) -> str:
             levels = [look(f"{name} level {level}") for level in LEVELS]
             share = look(f"{name} share frames")
-            shown = EMPTY if EMPTY in levels else "/".join(levels)
-            return shown if share == EMPTY else f"{shown} ({share})"
+            entry = EMPTY if EMPTY in levels else "/".join(levels)
+            return entry if share == EMPTY else f"{entry} ({share})"
 
         blocks = [b for row, title in SUBSET_TITLES.items() for b in self._blocks(TABLE_III, row, title, names, cell)]
         caption = (
@@ -143,7 +143,7 @@ class Tables:
                     method, options = map(str, key)
                     label = column_name(scene.label(str(model)), method, "all", labels=scene.method_labels)
                     if len(cells.loc[cells["method"] == method, "options"].unique()) > 1:
-                        label += f" {shown_options(options)}"
+                        label += f" {options_text(options)}"
                     rows = offline if method in scene.offline else causal
                     rows.append(Row((scene.name, label, *self._method_numbers(way)), OURS))
                 blocks.append(Block(f"{scene.name}, {model}", tuple(causal)))
@@ -304,7 +304,7 @@ def card_text(card: pd.Series) -> str:
     return f"{card['model']}: {'; '.join(parts)}"
 
 
-def shown_options(options: str) -> str:
+def options_text(options: str) -> str:
     """A method's options, JSON, as `key=value`."""
     values = json.loads(options) if options else {}
     return ", ".join(f"{key}={value}" for key, value in values.items())

@@ -216,11 +216,11 @@ def _quaternion(rotation: Array) -> Array:
     return vector if vector[3] >= 0 else -vector
 
 
-def _not_golden(what: str, where: Path, limit: float, found: float, unit: str) -> UserError:
+def _not_golden(what: str, where: Path, limit: float, actual: float, unit: str) -> UserError:
     return UserError(
         f"a bundle's golden query comes out differently here: {what}",
         where=where,
         expected=f"at most {limit:.3g} {unit}",
-        found=f"{found:.3g} {unit}",
+        found=f"{actual:.3g} {unit}",
         do="use network fp32, or update onnxruntime and opencv-python-headless",
     )

@@ -32,8 +32,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     newer version, lacks a file, or has one that was changed."""
     path = folder / MANIFEST
     if not path.is_file():
-        found = "no such folder" if not folder.is_dir() else f"no {MANIFEST} in it"
-        raise UserError("this isn't a bundle", where=folder, found=found, expected="what `groundwalk export` wrote")
+        actual = "no such folder" if not folder.is_dir() else f"no {MANIFEST} in it"
+        raise UserError("this isn't a bundle", where=folder, found=actual, expected="what `groundwalk export` wrote")
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:

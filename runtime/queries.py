@@ -52,11 +52,11 @@ def query_of(image: Path | NDArray[Any], known: Mapping[str, Any], where: object
     )
     longer = max(width, height, 1)
     if not (_MIN_FOCAL < fx / longer < _MAX_FOCAL and _MIN_FOCAL < fy / longer < _MAX_FOCAL):
-        found = f"{fx:g} and {fy:g} px for an image {width} x {height} px"
-        raise UserError("focal lengths can't be those of this image", where=where, found=found)
+        actual = f"{fx:g} and {fy:g} px for an image {width} x {height} px"
+        raise UserError("focal lengths can't be those of this image", where=where, found=actual)
     if not (0 < cx < width and 0 < cy < height):
-        found = f"({cx:g}, {cy:g}) px for an image {width} x {height} px"
-        raise UserError("the principal point isn't in the image", where=where, found=found)
+        actual = f"({cx:g}, {cy:g}) px for an image {width} x {height} px"
+        raise UserError("the principal point isn't in the image", where=where, found=actual)
     off = max(abs(cx - width / 2), abs(cy - height / 2))
     if known.get("width") is None and known.get("height") is None and off > _MAX_OFF_CENTRE * longer:
         raise UserError(
@@ -98,13 +98,13 @@ def image_files(images: Path) -> list[Path]:
     """An image, or those of a folder by name; UserError where there is none."""
     if images.is_file():
         return [images]
-    found = sorted(path for path in images.glob("*") if path.suffix.lower() in _IMAGES) if images.is_dir() else []
-    if not found:
+    files = sorted(path for path in images.glob("*") if path.suffix.lower() in _IMAGES) if images.is_dir() else []
+    if not files:
         kind = "no image in this folder" if images.is_dir() else "no such file or folder"
         raise UserError(
             "there are no images to localise", where=images, found=kind, expected=", ".join(sorted(_IMAGES))
         )
-    return found
+    return files
 
 
 def file_query(path: Path, common: Mapping[str, Any]) -> Query:
@@ -143,8 +143,8 @@ def numbers(text: str, count: int, option: str) -> list[float]:
 def _pixels(image: Path | NDArray[Any]) -> NDArray[np.uint8]:
     pixels = read_image(image) if isinstance(image, Path) else np.asarray(image)
     if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or pixels.shape[2:] not in ((), (3,)) or not pixels.size:
-        found = f"{pixels.dtype} of shape {pixels.shape}"
-        raise UserError("this isn't an image", found=found, expected="uint8, RGB (H, W, 3) or grey (H, W)")
+        actual = f"{pixels.dtype} of shape {pixels.shape}"
+        raise UserError("this isn't an image", found=actual, expected="uint8, RGB (H, W, 3) or grey (H, W)")
     return pixels
 
 

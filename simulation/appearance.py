@@ -172,7 +172,7 @@ def _rearrange(place: Place, route: Route, rng: np.random.Generator) -> None:
     count = math.ceil(MOVED_FRACTION * len(place.movables))
     chosen = [place.movables[k] for k in rng.permutation(len(place.movables))[:count]]
     feet = beside_course(route)
-    taken = [(o.low, o.high) for o in place.obstacles]
+    occupied = [(o.low, o.high) for o in place.obstacles]
     removed: list[Movable] = []
     added: list[_Thing] = []
     for number, item in enumerate(chosen):
@@ -180,18 +180,18 @@ def _rearrange(place: Place, route: Route, rng: np.random.Generator) -> None:
         kind = ("moved", "new", "removed")[number % 3]
         if kind != "new":
             removed.append(item)
-        spot = None if kind == "removed" else _free_spot(thing, place, feet, taken, rng)
+        spot = None if kind == "removed" else _free_spot(thing, place, feet, occupied, rng)
         if spot is not None:
             new = thing.moved(*spot, suffix=".new" if kind == "new" else "")
             added.append(new)
-            taken.append((new.low, new.high))
+            occupied.append((new.low, new.high))
     gone = {id(part) for item in removed for part in (*place.quads[item.quads], *place.crowns[item.crowns])}
     place.quads = [q for q in place.quads if id(q) not in gone] + [q for thing in added for q in thing.quads]
     place.crowns = [k for k in place.crowns if id(k) not in gone] + [k for thing in added for k in thing.crowns]
 
 
 def _free_spot(
-    thing: _Thing, place: Place, feet: Vec, taken: list[tuple[Vec, Vec]], rng: np.random.Generator
+    thing: _Thing, place: Place, feet: Vec, occupied: list[tuple[Vec, Vec]], rng: np.random.Generator
 ) -> tuple[Vec, float] | None:
     """Where the thing can stand on its floor, off the course and clear of everything, and turned how; None where
     nowhere near."""
@@ -201,7 +201,7 @@ def _free_spot(
         there = thing.moved(to, yaw)
         low, high = there.low - _GAP_M, there.high + _GAP_M
         inside = (there.low >= place.low)[[0, 2]].all() and (there.high <= place.high)[[0, 2]].all()
-        hits = any((low < h).all() and (high > o).all() for o, h in taken)
+        hits = any((low < h).all() and (high > o).all() for o, h in occupied)
         level = feet[np.abs(feet[:, 1] - thing.low[1]) < _FLOOR_M]
         gap = np.maximum(np.maximum(there.low - level, level - there.high), 0)[:, [0, 2]]
         near = len(level) > 0 and float(np.linalg.norm(gap, axis=1).min()) < 2 * MARGIN_M

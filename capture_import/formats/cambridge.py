@@ -56,9 +56,9 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     for name, split in _LISTS.items():
         file = path.parent / name
         if file.is_file():
-            own = lines_of(file, limits, lambda line: line.startswith(f"{path.name}/"))
-            rows += own
-            splits |= {split} if own else set()
+            of_split = lines_of(file, limits, lambda line: line.startswith(f"{path.name}/"))
+            rows += of_split
+            splits |= {split} if of_split else set()
     focal = _focal_lengths(path.parent / "reconstruction.nvm", path.name, limits)
     cameras = _intrinsics(path.parent / "frames.csv", path.name, limits)
 
@@ -106,14 +106,14 @@ def _focal_lengths(file: Path, folder: str, limits: Limits) -> dict[str, float]:
         raise UserError(
             "reconstruction.nvm is missing", where=file, do="it comes with the data set; it has the focal lengths"
         )
-    found = {}
+    by_name = {}
     for _, line in lines_of(file, limits, lambda line: line.lstrip().startswith(f"{folder}/")):
         fields = line.split()
         # A camera's row: name, focal length, quaternion, centre, radial distortion, 0.
         if len(fields) == 11 and fields[0].startswith(f"{folder}/"):
             value = float(fields[1]) if re.fullmatch(r"[0-9.]+(e[+-]?\d+)?", fields[1]) else np.nan
-            found[Path(fields[0]).stem] = value
-    return found
+            by_name[Path(fields[0]).stem] = value
+    return by_name
 
 
 def _intrinsics(file: Path, folder: str, limits: Limits) -> dict[str, Intrinsics]:
@@ -125,14 +125,14 @@ def _intrinsics(file: Path, folder: str, limits: Limits) -> dict[str, Intrinsics
     rows = csv.DictReader(line for _, line in lines)
     if not {"image", *_CAMERA, "distortion"} <= set(rows.fieldnames or ()):
         return {}
-    found = {}
+    by_name = {}
     try:
         for row in rows:
             if not row["image"]:
                 continue
             fx, fy, cx, cy = (number(row, name) for name in _CAMERA[2:])
             lens = tuple(split_numbers(row["distortion"] or ""))
-            found[row["image"]] = Intrinsics(fx, fy, cx, cy, whole(row, "width"), whole(row, "height"), lens)
+            by_name[row["image"]] = Intrinsics(fx, fy, cx, cy, whole(row, "width"), whole(row, "height"), lens)
     except (BadRow, csv.Error) as error:
         raise UserError(
             "an export's cameras can't be read",
@@ -141,7 +141,7 @@ def _intrinsics(file: Path, folder: str, limits: Limits) -> dict[str, Intrinsics
             found=error,
             do="export the scene again",
         ) from None
-    return found
+    return by_name
 
 
 def _size(image: Path) -> tuple[int, int]:

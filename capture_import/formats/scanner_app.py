@@ -45,8 +45,8 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the JSON files of one recording; those that can't be read become rejects."""
-    found = {int(m[1]): p for p in path.iterdir() if (m := _FRAME.fullmatch(p.name))}
-    rows = [(found[index].name, (found[index], index)) for index in sorted(found)]
+    files = {int(m[1]): p for p in path.iterdir() if (m := _FRAME.fullmatch(p.name))}
+    rows = [(files[index].name, (files[index], index)) for index in sorted(files)]
     frames, rejects = collect(rows, session_id, _read_frame)
     refuse_unreadable(path, frames, rejects, "frame_XXXXX.json with time, cameraPoseARFrame and intrinsics")
     orphans = sorted(p for p in path.glob("frame_*.jpg") if not p.with_suffix(".json").exists())

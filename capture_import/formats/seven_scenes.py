@@ -39,8 +39,8 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the poses and join the colour images by number."""
-    found = {int(m[1]): p for p in path.iterdir() if (m := _POSE.fullmatch(p.name))}
-    rows = [(found[index].name, (index, found[index])) for index in sorted(found)]
+    files = {int(m[1]): p for p in path.iterdir() if (m := _POSE.fullmatch(p.name))}
+    rows = [(files[index].name, (index, files[index])) for index in sorted(files)]
     frames, rejects = collect(rows, session_id, _read_row)
     refuse_unreadable(path, frames, rejects, "frame-000000.pose.txt with 16 numbers")
     nominal = any(frame.intrinsics is _CAMERA for frame in frames)

@@ -109,5 +109,5 @@ def _extract(archive: Path, content: zipfile.ZipFile, member: zipfile.ZipInfo, p
     return size
 
 
-def _refused(archive: Path, found: str) -> UserError:
-    return UserError("an archive is refused", where=archive, found=found, do="unpack it yourself where you trust it")
+def _refused(archive: Path, actual: str) -> UserError:
+    return UserError("an archive is refused", where=archive, found=actual, do="unpack it yourself where you trust it")

@@ -180,8 +180,8 @@ def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator
         for model, predictions in scene.predictions.groupby("model", sort=False):
             both = true & held["frame_id"].isin(predictions["frame_id"])
             if len(held) and both.mean() >= 0.5:
-                found = evaluated(scene.scene, held, scene.truth, pd.DataFrame(predictions), [settings.learn_from])
-                yield str(model), found.walks
+                table = pd.DataFrame(predictions)
+                yield str(model), evaluated(scene.scene, held, scene.truth, table, [settings.learn_from]).walks
 
 
 def joined_walks(inputs: Inputs, splits: list[str]) -> Iterator[tuple[str, Evaluated]]:
@@ -189,10 +189,10 @@ def joined_walks(inputs: Inputs, splits: list[str]) -> Iterator[tuple[str, Evalu
     check_frames(inputs.frames, inputs.truth, f"of {inputs.scene}")
     check_predictions(inputs.frames, inputs.predictions, f"of {inputs.scene}")
     for model, predictions in inputs.predictions.groupby("model", sort=False):
-        found = evaluated(inputs.scene, inputs.frames, inputs.truth, predictions, splits)
+        evaluated_walks = evaluated(inputs.scene, inputs.frames, inputs.truth, predictions, splits)
         if model not in inputs.made_here:
-            refuse_scalar_first(found.walks, f"of {inputs.scene}")
-        yield str(model), found
+            refuse_scalar_first(evaluated_walks.walks, f"of {inputs.scene}")
+        yield str(model), evaluated_walks
 
 
 def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:

@@ -64,9 +64,9 @@ def _check(estimates: list[Estimate], walk: Walk) -> None:
         if not isinstance(estimate, Estimate):
             raise TypeError(f"it gave a {type(estimate).__name__}, not an Estimate, for frame {number}")
         for name, shape in (("map_T_cam", (4, 4)), ("map_T_vio", (4, 4)), ("covariance", (6, 6))):
-            found = getattr(estimate, name)
-            if found is not None and (np.shape(found) != shape or not np.isfinite(found).all()):
-                what = f"shape {np.shape(found)}" if np.shape(found) != shape else "values that aren't finite"
+            part = getattr(estimate, name)
+            if part is not None and (np.shape(part) != shape or not np.isfinite(part).all()):
+                what = f"shape {np.shape(part)}" if np.shape(part) != shape else "values that aren't finite"
                 raise ValueError(f"its {name} for frame {number} has {what}, expected {shape}, or None")
     given = [e.map_T_cam for e in estimates if e.map_T_cam is not None]
     if given and not is_rigid(np.array(given)).all():
@@ -123,9 +123,9 @@ def error_rows(fused: Fused) -> pd.DataFrame:
 
 def signal_rows(fused: Fused) -> pd.DataFrame:
     """Table fuse.signals: the numbers behind the decisions."""
-    taken = [(i, name, value) for i, e in enumerate(fused.estimates) for name, value in e.signals.items()]
-    index = [i for i, _, _ in taken]
-    names, values = [name for _, name, _ in taken], [value for _, _, value in taken]
+    named = [(i, name, value) for i, e in enumerate(fused.estimates) for name, value in e.signals.items()]
+    index = [i for i, _, _ in named]
+    names, values = [name for _, name, _ in named], [value for _, _, value in named]
     return _keys(fused).iloc[index].reset_index(drop=True).assign(signal=names, value=np.array(values, dtype=float))
 
 

@@ -65,10 +65,10 @@ class Entrant:
 def entrants(names: Sequence[str] = ()) -> list[Entrant]:
     """Methods by id, all there are if none is named, and the smoother with each lag."""
     chosen = list(dict.fromkeys([RAW, RULE, *(names or METHODS)]))
-    found = [Entrant(name, name, resolve_options(name)) for name in chosen]
+    listing = [Entrant(name, name, resolve_options(name)) for name in chosen]
     if LATE in chosen:
-        found += [Entrant(f"{LATE}, {lag:g} s late", LATE, resolve_options(LATE, {"lag_s": lag})) for lag in LAGS_S]
-    return found
+        listing += [Entrant(f"{LATE}, {lag:g} s late", LATE, resolve_options(LATE, {"lag_s": lag})) for lag in LAGS_S]
+    return listing
 
 
 # ---------------------------------------------------------------- cases
@@ -203,13 +203,13 @@ def within_bounds(fused: Fused) -> NDArray[np.bool_]:
 
 def ahead(rows: pd.DataFrame) -> pd.DataFrame:
     """For each case the causal method that is ahead, and its mean errors."""
-    found = []
+    listing = []
     causal = rows[rows["causal"]]
     for key, group in causal.groupby(KEY, sort=False):
         best = ahead_of(group)
         errors = group.loc[group["method"] == best, ERRORS].iloc[0]
-        found.append(dict(zip(KEY, key, strict=True)) | {"ahead": best} | errors.to_dict())
-    return pd.DataFrame(found)
+        listing.append(dict(zip(KEY, key, strict=True)) | {"ahead": best} | errors.to_dict())
+    return pd.DataFrame(listing)
 
 
 def ratios(rows: pd.DataFrame) -> pd.DataFrame:
@@ -219,7 +219,7 @@ def ratios(rows: pd.DataFrame) -> pd.DataFrame:
     indexed = rows.set_index(KEY)
     ratio = indexed[ERRORS] / rule.reindex(indexed.index)
     table = indexed.assign(position=ratio[ERRORS[0]], rotation=ratio[ERRORS[1]]).reset_index()
-    found = []
+    listing = []
     for (group, name), part in table.groupby(["group", "method"], sort=False):
         row: dict[str, Any] = {"group": group, "method": name if part["causal"].all() else f"{name} (offline)"}
         for quantity in ("position", "rotation"):
@@ -231,5 +231,5 @@ def ratios(rows: pd.DataFrame) -> pd.DataFrame:
             inside = part[f"{quantity}_within_pct"]
             row[f"{quantity} in bounds %"] = f"{inside.mean():.0f} ({inside.min():.0f})" if inside.notna().any() else ""
         row["ms median / p99"] = f"{part['step_median_ms'].median():.2f} / {part['step_p99_ms'].max():.2f}"
-        found.append(row)
-    return pd.DataFrame(found).replace("nan / nan", "")
+        listing.append(row)
+    return pd.DataFrame(listing).replace("nan / nan", "")

@@ -88,7 +88,7 @@ def _counts(rows: pd.DataFrame) -> str:
 def _by_scene(rows: pd.DataFrame) -> pd.DataFrame:
     """Who is ahead in each case, beside the raw regressor and the rule."""
     indexed = rows.set_index([*KEY, "method"])
-    found = []
+    listing = []
     for best in ahead(rows).to_dict("records"):
         key = tuple(best[name] for name in KEY)
         row = {"scene": best["scene"], "model": best["model"]}
@@ -99,21 +99,21 @@ def _by_scene(rows: pd.DataFrame) -> pd.DataFrame:
             row[f"{label}: mean"] = f"{figures[ERRORS[0]]:.3g} m, {figures[ERRORS[1]]:.3g}°"
         best_row = indexed.loc[(*key, best["ahead"])]
         row["p95"] = f"{best_row['position_p95_m']:.3g} m, {best_row['rotation_p95_deg']:.3g}°"
-        found.append(row)
-    return pd.DataFrame(found).fillna("")
+        listing.append(row)
+    return pd.DataFrame(listing).fillna("")
 
 
 def lag_ratios(rows: pd.DataFrame) -> pd.DataFrame:
     """Mean errors of late answers over those without a lag, a row a group and lag; empty where no lags were run."""
     none = rows[rows["method"] == f"{LATE}, {LAGS_S[0]:g} s late"].set_index(KEY)[ERRORS]
-    found = []
+    listing = []
     for lag, name in [*((lag, f"{LATE}, {lag:g} s late") for lag in LAGS_S), (np.inf, LATE)]:
         part = rows[rows["method"] == name].set_index(KEY)[ERRORS]
         if len(part) and len(none):
             means = (part / none.reindex(part.index)).apply(np.log).groupby("group", sort=False).mean().apply(np.exp)
             for group, (position, rotation) in means.iterrows():
-                found.append({"group": group, "lag s": lag, "position": position, "rotation": rotation})
-    return pd.DataFrame(found)
+                listing.append({"group": group, "lag s": lag, "position": position, "rotation": rotation})
+    return pd.DataFrame(listing)
 
 
 def write_lag_figure(lags: pd.DataFrame, path: Path) -> None:
@@ -135,9 +135,9 @@ def write_lag_figure(lags: pd.DataFrame, path: Path) -> None:
 
 def markdown(table: pd.DataFrame) -> str:
     """A table in Markdown; an index with a name is its first column."""
-    shown = table.reset_index() if table.index.name else table
-    lines = ["| " + " | ".join(map(str, shown.columns)) + " |", "|---" * len(shown.columns) + "|"]
-    lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in shown.itertuples(index=False)]
+    plain = table.reset_index() if table.index.name else table
+    lines = ["| " + " | ".join(map(str, plain.columns)) + " |", "|---" * len(plain.columns) + "|"]
+    lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in plain.itertuples(index=False)]
     return "\n".join(lines)
 
 

@@ -64,8 +64,8 @@ def sweep(walks: Walks, settings: Sequence[Setting], processes: int = 1) -> pd.D
     # The longest first, so that no process is left with one at the end.
     order = sorted(walks, key=lambda key: -sum(len(w) for w in walks[key]))
     with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-        found = dict(zip(order, pool.map(_rows, order, [walks[k] for k in order], repeat(settings)), strict=True))
-    return pd.DataFrame([row for key in walks for row in found[key]])
+        decisions = dict(zip(order, pool.map(_rows, order, [walks[k] for k in order], repeat(settings)), strict=True))
+    return pd.DataFrame([row for key in walks for row in decisions[key]])
 
 
 def _rows(key: tuple[str, str], walks: Sequence[Walk], settings: Sequence[Setting]) -> list[dict[str, Any]]:
@@ -73,10 +73,10 @@ def _rows(key: tuple[str, str], walks: Sequence[Walk], settings: Sequence[Settin
     total = sum(int(p.scored.sum()) for p in prepared)
     rows = []
     for setting in settings:
-        found = [(p, p.rule.decide(setting.options)) for p in prepared]
+        decisions = [(p, p.rule.decide(setting.options)) for p in prepared]
         name = dict(zip(("scene", "model"), key, strict=True)) | {"varied": setting.varied}
         name |= {threshold: getattr(setting.options, threshold) for threshold in VALUES}
-        for subset, position_m, rotation_deg, sure in _subsets(found):
+        for subset, position_m, rotation_deg, sure in _subsets(decisions):
             rows.append(name | {"subset": subset} | figures(position_m, rotation_deg, sure, total))
     return rows
 
@@ -99,21 +99,21 @@ class _Prepared:
         return position_m, rotation_deg
 
 
-def _subsets(found: Iterable[tuple[_Prepared, Decisions]]) -> Iterator[tuple[str, Array, Array, Flags]]:
+def _subsets(decisions: Iterable[tuple[_Prepared, Decisions]]) -> Iterator[tuple[str, Array, Array, Flags]]:
     """Subset, errors in metres and in degrees, and whether the ground truth is sure enough for the accuracy levels:
     the paper's rp+opt, and all frames in time."""
     parts: dict[str, list[tuple[Array, Array, Flags]]] = {"rp+opt": [], "all": []}
-    for prepared, decided in found:
+    for prepared, decided in decisions:
         for subset, status, poses in (
             ("rp+opt", decided.status, decided.map_T_cam),
             ("all", decided.live_status, decided.live_map_T_cam),
         ):
             reliable = status == str(Status.RELIABLE)
-            taken = prepared.scored.copy()
+            counted = prepared.scored.copy()
             if subset == "rp+opt":
-                taken &= reliable | (status == str(Status.OPTIMISED))
+                counted &= reliable | (status == str(Status.OPTIMISED))
             position_m, rotation_deg = prepared.errors(poses, reliable | (status == str(Status.PREDICTED)))
-            parts[subset].append((position_m[taken], rotation_deg[taken], prepared.sure[taken]))
+            parts[subset].append((position_m[counted], rotation_deg[counted], prepared.sure[counted]))
     for subset, errors in parts.items():
         position_m, rotation_deg, sure = (np.concatenate(e) for e in zip(*errors, strict=True))
         yield subset, position_m, rotation_deg, sure

@@ -119,8 +119,8 @@ def _settings(scene: str, overrides: list[str]) -> FuseSettings:
 def _read(path: Path) -> pd.DataFrame:
     """A Parquet table; UserError where there is none."""
     if not path.is_file():
-        found = "a folder" if path.is_dir() else None
-        raise UserError("there is no such table", where=path, expected="a Parquet file", found=found)
+        actual = "a folder" if path.is_dir() else None
+        raise UserError("there is no such table", where=path, expected="a Parquet file", found=actual)
     try:
         table = pq.read_table(path)
         # A table whose frames are pandas' index has them as columns again.

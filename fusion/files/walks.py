@@ -129,8 +129,8 @@ def evaluated(
 def _of_splits(scene: str, frames: pd.DataFrame, splits: list[str]) -> pd.DataFrame:
     chosen = frames[frames["split"].isin(splits)]
     if chosen.empty:
-        found = ", ".join(sorted(frames["split"].unique()))
-        raise UserError(f"scene {scene} has no frames to evaluate", expected=f"split {', '.join(splits)}", found=found)
+        actual = ", ".join(sorted(frames["split"].unique()))
+        raise UserError(f"scene {scene} has no frames to evaluate", expected=f"split {', '.join(splits)}", found=actual)
     return chosen
 
 
@@ -174,16 +174,16 @@ def _covariances(frames: pd.DataFrame, predictions: pd.DataFrame) -> tuple[Array
     if "covariance" not in predictions.columns or not predictions["covariance"].notna().any():
         return None, 0
     stated = predictions.set_index("frame_id")["covariance"].reindex(frames["frame_id"])
-    found, unsound = np.full((len(frames), 6, 6), np.nan), 0
+    covariances, unsound = np.full((len(frames), 6, 6), np.nan), 0
     for i, numbers in enumerate(stated):
         if numbers is None or np.ndim(numbers) == 0:
             continue
         matrix = np.asarray(numbers, dtype=float).ravel()
         if matrix.size == 36 and is_covariance(matrix.reshape(6, 6)):
-            found[i] = matrix.reshape(6, 6)
+            covariances[i] = matrix.reshape(6, 6)
         else:
             unsound += 1
-    return found, unsound
+    return covariances, unsound
 
 
 def _refused(frames: pd.DataFrame, predictions: pd.DataFrame) -> Flags:

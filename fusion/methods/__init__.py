@@ -16,7 +16,7 @@ class Method(Entry):
     """How to make a method: `make(options)`; `options` is the settings model, whose values every result records.
 
     make: a fresh one with a `step` as `Localiser` has it, or an `Offline` where causal is false.
-    colour: of its poses in recordings. shown: recordings show it at first; others are switched on in the viewer.
+    colour: of its poses in recordings. visible: recordings show it at first; others are switched on in the viewer.
     fuses: it uses odometry; the one that doesn't is the raw regressor, which the others are held against.
     learns: `make(options, error_map)` takes an `ErrorMap` of the regressor in the scene, where there is one.
     causal: it answers a frame from that frame and the ones before it, as an app must. One that isn't makes an
@@ -33,7 +33,7 @@ class Method(Entry):
     gives_covariance: bool
     fuses: bool = True
     learns: bool = False
-    shown: bool = False
+    visible: bool = False
 
     def localiser(self, options: MethodOptions, error_map: ErrorMap | None = None) -> Stepping | Offline:
         """A fresh one. `error_map` is what held-out frames say of the regressor; most methods have no use for it."""

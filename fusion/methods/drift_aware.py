@@ -128,7 +128,7 @@ class DriftAware(Localiser):
         self._vio: tuple[int, Array] | None = None
         self._distrust = np.ones(4)  # factors of odometry's drift variances: x, y, z, yaw
         self._quality = OdometryQuality()
-        self._taken_m = 0.0  # `_along_m` at the newest prediction
+        self._predicted_at_m = 0.0  # `_along_m` at the newest prediction
         self._along_m = 0.0
         self._drift = np.zeros(4)  # variances since the newest keyframe
         self._segment = 0
@@ -221,12 +221,12 @@ class DriftAware(Localiser):
             np.array([*position, turned]),
             np.array([3 / precision[3:].sum(), 1 / precision[1]]),
             way,
-            self._along_m - self._taken_m,
+            self._along_m - self._predicted_at_m,
             self._drift,
             state[3],
             1.0 if self._known is None else float(self._known[3, 3]),
         )
-        self._taken_m = self._along_m
+        self._predicted_at_m = self._along_m
         self._distrust = self._quality.factors
 
     def _carried(self, vio_T_cam: Array, keyframe: int = -1) -> Array:
@@ -404,7 +404,7 @@ class DriftAware(Localiser):
             "drift": plain(self._drift),
             "distrust": plain(self._distrust),
             "quality": self._quality.save(),
-            "taken_m": self._taken_m,
+            "predicted_at_m": self._predicted_at_m,
             "segment": self._segment,
             "count": self._count,
             "watched": self._watched,
@@ -418,7 +418,7 @@ class DriftAware(Localiser):
         self._covariance, self._drift = np.array(state["covariance"]), np.array(state["drift"])
         self._tilt, self._tilt_variance = np.array(state["tilt"][0]), state["tilt"][1]
         self._known, self._bound = array(state["known"]), array(state["bound"])
-        self._distrust, self._taken_m = np.array(state["distrust"]), state["taken_m"]
+        self._distrust, self._predicted_at_m = np.array(state["distrust"]), state["predicted_at_m"]
         self._quality.restore(state["quality"])
         self._vio = None if state["vio"] is None else (state["vio"][0], np.array(state["vio"][1]))
         self._along_m, self._segment, self._count = state["along_m"], state["segment"], state["count"]

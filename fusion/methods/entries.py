@@ -22,7 +22,7 @@ APR = Method(
     causal=True,
     gives_covariance=False,
     fuses=False,
-    shown=True,
+    visible=True,
 )
 MOBILEARLOC = Method(
     id="mobilearloc",
@@ -33,7 +33,7 @@ MOBILEARLOC = Method(
     options=MobileARLocOptions,
     causal=True,
     gives_covariance=False,
-    shown=True,
+    visible=True,
 )
 LAST_GOOD = Method(
     id="last_good",
@@ -85,7 +85,7 @@ DRIFT_AWARE = Method(
     causal=True,
     gives_covariance=True,
     learns=True,
-    shown=True,
+    visible=True,
 )
 SMOOTHER = Method(
     id="smoother",

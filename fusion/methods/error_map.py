@@ -243,8 +243,8 @@ def _fitted(where: Array, error: Array, logs: Array, yaw_per_m: float) -> Reach:
         return total
 
     bounds = list(zip(start - 4 * _PRIOR_SD, start + 4 * _PRIOR_SD, strict=True))
-    found = minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20, "eps": 1e-4})
-    return _reach(found.x, yaw_per_m)
+    optimum = minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20, "eps": 1e-4})
+    return _reach(optimum.x, yaw_per_m)
 
 
 _PRIOR_SD = np.array([1.0, 0.5, 0.4, 1.0, 1.0])

@@ -74,14 +74,14 @@ def errors(position: Array, yaw: Array, measured_position: Array, measured_yaw: 
     """
     c, s = np.cos(yaw), np.sin(yaw)
     apart = measured_position - position
-    found = np.empty((len(apart), 6))
-    found[:, 0] = c * tilt[:, 0] - s * tilt[:, 1]
-    found[:, 1] = (measured_yaw - yaw + np.pi) % (2 * np.pi) - np.pi
-    found[:, 2] = s * tilt[:, 0] + c * tilt[:, 1]
-    found[:, 3] = c * apart[:, 0] - s * apart[:, 2]
-    found[:, 4] = apart[:, 1]
-    found[:, 5] = s * apart[:, 0] + c * apart[:, 2]
-    return found
+    error = np.empty((len(apart), 6))
+    error[:, 0] = c * tilt[:, 0] - s * tilt[:, 1]
+    error[:, 1] = (measured_yaw - yaw + np.pi) % (2 * np.pi) - np.pi
+    error[:, 2] = s * tilt[:, 0] + c * tilt[:, 1]
+    error[:, 3] = c * apart[:, 0] - s * apart[:, 2]
+    error[:, 4] = apart[:, 1]
+    error[:, 5] = s * apart[:, 0] + c * apart[:, 2]
+    return error
 
 
 def solve(chain: Chain, position: Array, yaw: Array, information: Array, gradient: Array) -> Solution:
@@ -108,9 +108,9 @@ def solve(chain: Chain, position: Array, yaw: Array, information: Array, gradien
         horizontal = q[:, 0]
         # A yaw before turns the step: d(step)/d(yaw) = (dz, 0, -dx), and turns the increments after it.
         bent_x, bent_z = horizontal * dz, -horizontal * dx
-        own = blocks.reshape(count, -1)[:, :16:5]  # a view of the diagonal blocks' diagonals
-        own[1:] += q
-        own[:-1] += q
+        diagonals = blocks.reshape(count, -1)[:, :16:5]  # a view of the diagonal blocks' diagonals
+        diagonals[1:] += q
+        diagonals[:-1] += q
         diagonal[:-1, 0, 3] += bent_x
         diagonal[:-1, 3, 0] += bent_x
         diagonal[:-1, 2, 3] += bent_z

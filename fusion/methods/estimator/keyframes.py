@@ -91,7 +91,7 @@ class Keyframes:
         """Take over rows that `save` gave."""
         self._count = 0
         if rows:
-            found = np.array(rows)
-            self._rows = np.zeros((max(len(self._rows), len(found)), _width))
-            self._rows[: len(found)] = found
-            self._count = len(found)
+            table = np.array(rows)
+            self._rows = np.zeros((max(len(self._rows), len(table)), _width))
+            self._rows[: len(table)] = table
+            self._count = len(table)

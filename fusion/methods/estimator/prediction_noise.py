@@ -47,9 +47,9 @@ def side_turn_correlation(correlation: float) -> Array:
 
 def whitening(size: Array, vio_R_cam: Array) -> Array:
     """B (6, 6), which normalises an error in odometry's axes: to camera axes, over the sizes (6,)."""
-    found = np.zeros((6, 6))
-    found[:3, :3] = found[3:, 3:] = vio_R_cam.T
-    return found / size[:, None]
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = matrix[3:, 3:] = vio_R_cam.T
+    return matrix / size[:, None]
 
 
 def sizes_expected(expected: Expected) -> Array:

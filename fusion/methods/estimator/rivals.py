@@ -107,11 +107,11 @@ class _Judged(NamedTuple):
         alignments, count = len(yaw), len(self.vio)
         position = shift[:, None] + _turned(yaw[:, None], self.vio[None])
         measured = np.tile(self.measured, (alignments, 1))
-        found = errors(
+        error = errors(
             position.reshape(-1, 3), np.repeat(yaw, count), measured[:, :3], measured[:, 3], measured[:, 4:]
         ).reshape(alignments, count, _DIMENSIONS)
         whitening = self.whitening.reshape(-1, _DIMENSIONS, _DIMENSIONS)
-        normalised = (whitening @ found[..., None])[..., 0]
+        normalised = (whitening @ error[..., None])[..., 0]
         return np.asarray(((normalised @ self.precision) * normalised).sum(axis=-1))
 
 
@@ -153,9 +153,9 @@ def _earlier(keyframes: Keyframes) -> tuple[Array, Array, list[float]]:
 def _turned(yaw: Array, points: Array) -> Array:
     c, s = np.cos(yaw), np.sin(yaw)
     x, z = points[..., 0], points[..., 2]
-    found = np.empty((*np.broadcast_shapes(c.shape, x.shape), 3))
-    found[..., 0], found[..., 1], found[..., 2] = c * x + s * z, points[..., 1], c * z - s * x
-    return found
+    turned = np.empty((*np.broadcast_shapes(c.shape, x.shape), 3))
+    turned[..., 0], turned[..., 1], turned[..., 2] = c * x + s * z, points[..., 1], c * z - s * x
+    return turned
 
 
 def _log_density(keyframes: Keyframes, covariance: Array) -> float:

@@ -46,5 +46,5 @@ METHOD = Method(
     options=KeepFirstOptions,
     causal=True,
     gives_covariance=False,
-    shown=True,
+    visible=True,
 )
