@@ -49,7 +49,8 @@ class DepthFile:
 
     `path` is a 16-bit PNG of one channel: millimetres along the camera's z axis, 0: none. It shows what the frame's
     image shows, at another resolution. `confidence` is an 8-bit PNG of the same size: 0, 1, 2 or 0, 127, 255 for low,
-    medium and high.
+    medium and high. Import makes such PNGs of `.depth` and `.conf` (pixels row by row, compressed by LZFSE) and `.exr`,
+    whose depth is in metres as float32.
     """
 
     path: Path

@@ -351,7 +351,7 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
 
 STAGE = Stage(
     name="import",
-    version=6,
+    version=7,
     settings=ImportSettings,
     needs=(),
     run=run,

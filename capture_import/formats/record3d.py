@@ -7,8 +7,9 @@ https://github.com/marek-simonik/record3d. What matters:
 - `K`: 9 numbers, column-major; `perFrameIntrinsicCoeffs`, where there is one, fx fy cx cy a frame, for `w` x `h`;
 - time is `frameTimestamps` in seconds where there is one, else the frame's number over `fps`;
 - images and poses belong together by number; exports are known where one has a few more than the other;
-- `rgbd/<n>.depth` and `.conf` aren't read: they are compressed by LZFSE (float32, metres; 0 to 2), for which Python has
-  no decoder of its own.
+- `rgbd/<n>.depth`: metres as float32, row by row, 192x256 (LiDAR) or 480x640 (Face ID) of an upright image, and
+  `rgbd/<n>.conf`: 0 to 2, both compressed by LZFSE (the author's answers in the repository's issues 7 and 93); an
+  exported folder has `depth/<n>.exr` instead, metres as float32 in the red channel, without confidence (issue 53).
 """
 
 from pathlib import Path
@@ -16,8 +17,9 @@ from typing import Any
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import Clock
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
 from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.media.float_depth import missing_decoder
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -49,6 +51,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     times = content.get("frameTimestamps")
     coefficients = content.get("perFrameIntrinsicCoeffs")
     found = {int(p.stem): p for p in images.glob("*.jpg") if p.stem.isdecimal()}
+    depths, missing = _depths(path, images)
 
     def read_row(source: str, index: int) -> RawFrame:
         qx, qy, qz, qw, *t = numbers({source: poses[index]}, source, 7)
@@ -59,12 +62,13 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             vio_T_cam=from_arkit(quaternion_pose(t, [qx, qy, qz, qw])),
             image=ImageFile(found[index]) if index in found else None,
             intrinsics=_intrinsics(content, coefficients, index),
+            depth=depths.get(index),
         )
 
     frames, rejects = collect([(f"pose {i}", i) for i in range(len(poses))], session_id, read_row)
     refuse_unreadable(path, frames, rejects, "poses of 7 numbers, K, w, h, and frameTimestamps or fps")
     rejects += [Reject(session_id, found[i].name, None, "image has no pose") for i in sorted(found) if i >= len(poses)]
-    notes = []
+    notes = [f"its depth isn't read: {missing}"] if missing else []
     if len(found) != len(poses):
         notes.append(f"{len(found)} images and {len(poses)} poses: joined by number")
     clock = Clock.VIDEO if isinstance(times, list) else Clock.FRAME_INDEX
@@ -77,6 +81,15 @@ def _metadata(path: Path) -> Path | None:
 
 def _images(path: Path) -> Path | None:
     return next((p for name in ("rgbd", "rgb") if (p := path / name).is_dir()), None)
+
+
+def _depths(path: Path, images: Path) -> tuple[dict[int, DepthFile], str | None]:
+    """Depth by the frame's number; none, and why, where a decoder is missing."""
+    files = [p for p in (*images.glob("*.depth"), *(path / "depth").glob("*.exr")) if p.stem.isdecimal()]
+    if files and (missing := missing_decoder(files[0])):
+        return {}, missing
+    depths = {int(p.stem): DepthFile.if_there(p, p.with_suffix(".conf")) for p in files}
+    return {index: depth for index, depth in depths.items() if depth is not None}, None
 
 
 def _time(content: dict[str, Any], times: object, index: int) -> int:
@@ -102,7 +115,7 @@ def _intrinsics(content: dict[str, Any], coefficients: object, index: int) -> In
 FORMAT = Format(
     id="record3d",
     label="Record3D",
-    meaning="images, VIO",
+    meaning="images, VIO, depth",
     looks_for="name.r3d, or metadata with rgbd/ or rgb/",
     detect=detect,
     read=read,

@@ -5,6 +5,7 @@ import stat
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,6 +15,13 @@ from groundwalk.artefacts import UserError
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.capture_import.capture import Reject
 from groundwalk.capture_import.intake import Image
+from groundwalk.capture_import.media.float_depth import (
+    FLOAT_SUFFIXES,
+    decode_exr,
+    decode_lzfse,
+    missing_decoder,
+    to_millimetres,
+)
 from groundwalk.capture_import.media.images import BadImage, image_size
 from groundwalk.capture_import.media.placing import Placement
 
@@ -35,8 +43,8 @@ def place_depths(images: Sequence[Image], session_id: str, where: Placement) -> 
     """Check and place the depth images of a session's selected images, in their order.
 
     They stay in the capture folder, or go where images go: copied, linked, and always written to the artefact from an
-    archive or where images are turned, as they are then turned, too. One that can't be used is a reject; its frame
-    stays.
+    archive, where images are turned, as they are then turned, too, and as a PNG where they aren't one. One that can't
+    be used is a reject; its frame stays.
     """
     placed, rejects = [], []
     for image, result in zip(images, in_parallel(lambda i: _place(i, session_id, where), images), strict=True):
@@ -63,7 +71,7 @@ def _place(image: Image, session_id: str, where: Placement) -> PlacedDepth | tup
             continue
         try:
             data = _read(file, where)
-            pixels = _decode(data, np.dtype(dtype), where.limits.max_megapixels)
+            pixels = _decode(file, data, np.dtype(dtype), size, where.limits.max_megapixels)
             _check_shape(pixels, size, shape)
         except BadImage as error:
             return file.name, f"depth {'image' if dtype is np.uint16 else 'confidence'} {error}"
@@ -86,7 +94,16 @@ def _read(file: Path, where: Placement) -> bytes:
         raise BadImage(f"can't be read: {error.strerror}") from None
 
 
-def _decode(data: bytes, dtype: np.dtype[np.generic], max_megapixels: float) -> NDArray[np.generic]:
+def _decode(
+    file: Path, data: bytes, dtype: np.dtype[Any], size: tuple[int, int], max_megapixels: float
+) -> NDArray[Any]:
+    """Pixels (H, W) of a depth image, in millimetres, or of a confidence image."""
+    if file.suffix in FLOAT_SUFFIXES:
+        if missing := missing_decoder(file):
+            raise BadImage(f"can't be decoded: {missing}")
+        if file.suffix == ".conf":
+            return decode_lzfse(data, dtype, size)
+        return to_millimetres(decode_exr(data) if file.suffix == ".exr" else decode_lzfse(data, np.dtype("<f4"), size))
     width, height = image_size(data)
     if width * height > max_megapixels * 1e6:
         raise BadImage(f"of {width}x{height} is larger than {max_megapixels:g} megapixels")
@@ -114,14 +131,14 @@ def _placed(
     file: Path, data: bytes, pixels: NDArray[np.generic], image: Image, session_id: str, where: Placement
 ) -> str:
     """Entry of a depth or confidence image."""
-    in_capture = file.is_relative_to(where.root)
-    if where.how == "reference" and in_capture and not where.quarters:
+    in_capture, is_png = file.is_relative_to(where.root), file.suffix == ".png"
+    if where.how == "reference" and in_capture and is_png and not where.quarters:
         return file.relative_to(where.root).as_posix()
     kind = "depth" if pixels.dtype == np.uint16 else "depth_confidence"
     target = where.work / kind / session_id / f"{image.frame.number:06d}.png"
     target.parent.mkdir(parents=True, exist_ok=True)
     target.unlink(missing_ok=True)  # from a killed run
-    if where.how == "link" and in_capture and not where.quarters:
+    if where.how == "link" and in_capture and is_png and not where.quarters:
         try:
             os.link(file.resolve(), target)
         except OSError as error:
@@ -131,7 +148,7 @@ def _placed(
                 found=error.strerror,
                 do='set images = "copy" or "reference" in [import]',
             ) from None
-    elif where.quarters:
+    elif where.quarters or not is_png:
         turned = np.ascontiguousarray(np.rot90(pixels, -where.quarters))
         target.write_bytes(cv2.imencode(".png", turned)[1].tobytes())
     else:

@@ -1,5 +1,7 @@
 """Depth images: found by each format, checked, and kept where images are kept."""
 
+import struct
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,7 +9,15 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from capture_writers import Walk, make_walk, write_frames_jsonl, write_polycam, write_scanner_app, write_stray_scanner
+from capture_writers import (
+    Walk,
+    make_walk,
+    write_frames_jsonl,
+    write_polycam,
+    write_record3d,
+    write_scanner_app,
+    write_stray_scanner,
+)
 from known import read_picture, rows, there
 
 from groundwalk.artefacts import DataRoot, execute
@@ -135,3 +145,113 @@ def test_a_broken_depth_image_costs_the_depth_not_the_frame(
     assert frames.loc[frames["depth"].isna(), "frame_id"].tolist() == ["walk/000002"]
     assert frames["depth_confidence"].isna().all()
     assert rejects["source"].tolist() == ["depth_00002.png"] and reason in rejects["reason"][0]
+
+
+def exr(pixels: np.ndarray) -> bytes:
+    """An uncompressed OpenEXR image with one channel, R, of float32, by the format's description at openexr.com."""
+    height, width = pixels.shape
+    box = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    attributes = [
+        (b"channels", b"chlist", b"R\0" + struct.pack("<4i", 2, 0, 1, 1) + b"\0"),
+        (b"compression", b"compression", b"\0"),
+        (b"dataWindow", b"box2i", box),
+        (b"displayWindow", b"box2i", box),
+        (b"lineOrder", b"lineOrder", b"\0"),
+        (b"pixelAspectRatio", b"float", struct.pack("<f", 1)),
+        (b"screenWindowCenter", b"v2f", struct.pack("<2f", 0, 0)),
+        (b"screenWindowWidth", b"float", struct.pack("<f", 1)),
+    ]
+    head = b"\x76\x2f\x31\x01" + struct.pack("<i", 2)
+    sized = [(name, kind, struct.pack("<i", len(value)) + value) for name, kind, value in attributes]
+    head += b"".join(b"\0".join(parts) for parts in sized) + b"\0"
+    rows = [struct.pack("<2i", y, 4 * width) + row.tobytes() for y, row in enumerate(pixels.astype("<f4"))]
+    starts = len(head) + 8 * height + len(rows[0]) * np.arange(height, dtype="<u8")
+    return head + starts.tobytes() + b"".join(rows)
+
+
+def depth_m(index: int) -> np.ndarray:
+    """`depth_mm` as Record3D has it, with pixels that have no depth."""
+    metres = depth_mm(index).astype(np.float32) / 1000
+    metres[0, :3] = [np.nan, np.inf, 100.0]
+    return metres
+
+
+def expected_mm(index: int) -> np.ndarray:
+    millimetres = depth_mm(index)
+    millimetres[0, :3] = 0
+    return millimetres
+
+
+def r3d(folder: Path, walk: Walk, compress) -> None:
+    write_record3d(folder, walk, archive=True)
+    with zipfile.ZipFile(folder.with_suffix(".r3d"), "a") as archive:
+        for i in np.flatnonzero(walk.has_image):
+            archive.writestr(f"rgbd/{i}.depth", compress(depth_m(i).tobytes()))
+            archive.writestr(f"rgbd/{i}.conf", compress(np.full(SHAPE, i % 3, np.uint8).tobytes()))
+
+
+def test_depth_of_an_r3d_archive_becomes_png(tmp_path: Path) -> None:
+    lzfse = pytest.importorskip("liblzfse", reason="pyliblzfse isn't installed (groundwalk[record3d])")
+    r3d(tmp_path / "captures" / "place" / "walk", make_walk(8, every=1), lzfse.compress)
+    folder, frames, rejects = run(tmp_path)
+    assert not len(rejects) and len(frames) == 8
+    for row in frames.itertuples():
+        index = int(row.frame_id[-6:])
+        depth, confidence = (
+            cv2.imread(str(folder / entry.removeprefix("import:")), cv2.IMREAD_UNCHANGED)
+            for entry in (row.depth, row.depth_confidence)
+        )
+        assert (depth == expected_mm(index)).all() and depth.dtype == np.uint16
+        assert (confidence == index % 3).all() and confidence.dtype == np.uint8
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (lambda data: data[: len(data) // 2], "can't be decoded"),
+        (lambda data: b"RVL" + data, "isn't compressed by LZFSE"),
+        (lambda data: b"", "isn't compressed by LZFSE"),
+    ],
+)
+def test_broken_lzfse_costs_the_depth_not_the_frame(tmp_path: Path, damage, reason: str) -> None:
+    lzfse = pytest.importorskip("liblzfse", reason="pyliblzfse isn't installed (groundwalk[record3d])")
+    r3d(tmp_path / "captures" / "place" / "walk", make_walk(8), lambda data: damage(lzfse.compress(data)))
+    _, frames, rejects = run(tmp_path)
+    assert len(frames) == 4 and frames["depth"].isna().all()
+    assert rejects["reason"].str.contains(reason).all() and len(rejects) == 4
+
+
+def test_lzfse_of_another_shape_is_a_reject(tmp_path: Path) -> None:
+    lzfse = pytest.importorskip("liblzfse", reason="pyliblzfse isn't installed (groundwalk[record3d])")
+    r3d(tmp_path / "captures" / "place" / "walk", make_walk(8), lambda data: lzfse.compress(data[:-4]))
+    _, frames, rejects = run(tmp_path)
+    assert len(frames) == 4 and frames["depth"].isna().all()
+    assert rejects["reason"].str.contains("shaped like 96x72").all()
+
+
+def test_depth_of_an_exported_folder_is_read_where_exr_is_turned_on(tmp_path: Path, monkeypatch) -> None:
+    folder = tmp_path / "captures" / "place" / "walk"
+    write_record3d(folder, make_walk(8))
+    (folder / "depth").mkdir()
+    for i in range(8):
+        (folder / "depth" / f"{i}.exr").write_bytes(exr(depth_m(i)))
+    monkeypatch.delenv("OPENCV_IO_ENABLE_OPENEXR", raising=False)
+    (found,) = find_recordings(folder, tmp_path, Limits())
+    raw = found.read(Limits())
+    assert not any(frame.depth for frame in raw.frames)
+    assert any("OPENCV_IO_ENABLE_OPENEXR=1" in note for note in raw.notes)
+    monkeypatch.setenv("OPENCV_IO_ENABLE_OPENEXR", "1")
+    result, frames, rejects = run(tmp_path)
+    assert not len(rejects) and frames["depth"].notna().all() and frames["depth_confidence"].isna().all()
+    for row in frames.itertuples():
+        depth = cv2.imread(str(result / row.depth.removeprefix("import:")), cv2.IMREAD_UNCHANGED)
+        assert (depth == expected_mm(int(row.frame_id[-6:]))).all()
+
+
+def test_without_a_decoder_the_note_says_what_to_install(tmp_path: Path, monkeypatch) -> None:
+    r3d(tmp_path / "place" / "walk", make_walk(8), lambda data: b"bvx-" + data)
+    monkeypatch.setattr("groundwalk.capture_import.media.float_depth.find_spec", lambda name: None)
+    (found,) = find_recordings(tmp_path / "place", tmp_path / "unpacked", Limits())
+    raw = found.read(Limits())
+    assert len(raw.frames) == 8 and not any(frame.depth for frame in raw.frames)
+    assert any("pip install 'groundwalk[record3d]'" in note for note in raw.notes)
