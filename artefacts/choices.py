@@ -29,6 +29,15 @@ class Tracking(StrEnum):
     UNKNOWN = "unknown"
 
 
+class ImageSide(StrEnum):
+    """A side of an image."""
+
+    TOP = "top"
+    RIGHT = "right"
+    BOTTOM = "bottom"
+    LEFT = "left"
+
+
 class Clock(StrEnum):
     """What times count from."""
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock, PoseSource, SessionSplit, Tracking
+from groundwalk.artefacts.choices import Clock, ImageSide, PoseSource, SessionSplit, Tracking
 from groundwalk.geometry.poses import Array
 
 
@@ -120,7 +120,8 @@ class RawSession:
 
     `pose_source`: the phone's odometry, or a reference from elsewhere, as in public data sets, which must never pass
     for VIO. `is_gravity_aligned` is False where the world's +y may not be up, `is_metric` where a reference states no
-    unit. `split` is what a public data set states that the recording is for.
+    unit. `split` is what a public data set states that the recording is for, `first_row` the side of the images that
+    the sensor reads out first, where the capture states it.
     """
 
     session_id: str
@@ -134,4 +135,5 @@ class RawSession:
     is_gravity_aligned: bool = True
     is_metric: bool = True
     split: SessionSplit | None = None
+    first_row: ImageSide | None = None
     notes: Sequence[str] = field(default_factory=tuple)

@@ -41,6 +41,11 @@ class ImportSettings(Settings):
     images: Literal["reference", "copy", "link"] = Field(
         "reference", description="use images where the capture has them, or copy or hard-link them"
     )
+    first_row: Literal["auto", "top", "right", "bottom", "left"] = Field(
+        "auto",
+        description="side of the images, as captured, that the sensor reads out first (rolling shutter); auto: what "
+        "the capture states, or else top, and right of images higher than wide",
+    )
     upright: bool = Field(
         False, description="turn images upright by gravity, a quarter turn at a time, with intrinsics and poses"
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from groundwalk.artefacts import Stage, StageRun, UserError
+from groundwalk.artefacts.choices import ImageSide
 from groundwalk.artefacts.files import write_json
 from groundwalk.artefacts.simulated import appearance_of
 from groundwalk.artefacts.tables import dataset_frames
@@ -24,7 +25,7 @@ from groundwalk.capture_import.media.depth import place_depths
 from groundwalk.capture_import.media.images import ImageCheck
 from groundwalk.capture_import.media.placing import Placement, place_images
 from groundwalk.capture_import.media.spool import Spool
-from groundwalk.capture_import.media.upright import quarters_to_upright, turned
+from groundwalk.capture_import.media.upright import first_row, quarters_to_upright, turned
 from groundwalk.capture_import.recording import blueprint, log_session
 from groundwalk.capture_import.selection import Selection, density_for, select
 from groundwalk.capture_import.settings import ImportSettings
@@ -128,7 +129,12 @@ def _placed_frames(
     )
     places = place_images(selection.images, session.session_id, where)
     depths, rejects = place_depths(selection.images, session.session_id, where)
-    return frames_table(session, selection, places, depths), rejects
+    stated = session.recording.first_row if r.settings.first_row == "auto" else r.settings.first_row
+
+    def first_row_of(width: int, height: int) -> ImageSide:
+        return first_row(width, height, stated, quarters)
+
+    return frames_table(session, selection, places, depths, first_row_of), rejects
 
 
 def _rejects_of(

@@ -1,13 +1,13 @@
 """The import stage's tables from its sessions."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import get_args
 
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts.choices import LengthUnit, PoseSource, SessionSplit, Split, UpAxis
+from groundwalk.artefacts.choices import ImageSide, LengthUnit, PoseSource, SessionSplit, Split, UpAxis
 from groundwalk.artefacts.tables import dataset_frames, pose_frame
 from groundwalk.capture_import.capture import Reject
 from groundwalk.capture_import.checks.health import gravity_of
@@ -19,10 +19,14 @@ from groundwalk.capture_import.selection import Selection
 
 
 def frames_table(
-    session: ImportedSession, used: Selection, places: Sequence[PlacedImage], depths: Sequence[PlacedDepth]
+    session: ImportedSession,
+    used: Selection,
+    places: Sequence[PlacedImage],
+    depths: Sequence[PlacedDepth],
+    first_row_of: Callable[[int, int], ImageSide],
 ) -> pd.DataFrame:
     """Rows of `frames`, all but the split; and what the split is made from: the recording's name in `recording`, and
-    what a public data set states that it's for in `stated_split`."""
+    what a public data set states that it's for in `stated_split`. `first_row_of` takes the size of an image."""
     raw = session.recording
     rows = []
     for image, support, place, depth in zip(used.images, used.support, places, depths, strict=True):
@@ -46,6 +50,7 @@ def frames_table(
                 "cx": camera.cx,
                 "cy": camera.cy,
                 "distortion": list(camera.distortion),
+                "first_row": first_row_of(image.check.width, image.check.height),
                 "tracking": image.frame.tracking,
                 "sharpness": image.check.sharpness,
                 "exposure_s": math.nan if exposure is None else exposure,

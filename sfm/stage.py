@@ -137,7 +137,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=12,
+    version=13,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -40,6 +40,8 @@ def images_table(
     table[["cx", "cy"]] = cameras.intrinsics[:, 2:]
     table["distortion"] = distortion_lists(cameras.coefficients[cameras.lens])
     table["readout_s"] = cameras.readout_s[cameras.lens]
+    for name, of_frame in (("angular", cameras.angular), ("velocity", cameras.velocity)):
+        table[[f"{name}_{axis}" for axis in "xyz"]] = of_frame
     table["keypoints"] = keypoints_N
     table["observations"] = model.observations()
     table["track_length"] = model.frame_track_length()

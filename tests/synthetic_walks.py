@@ -165,6 +165,9 @@ def _make(w: Walks) -> Scene:
                 "t_ns": 10**12 * (number + 1) + 10**9 * np.arange(w.frames),
                 "tracking": "normal",
                 "fx": 1400.0,
+                "width": 1920,
+                "height": 1440,
+                "first_row": "top",
                 "support": False,
                 **{f"gravity_{axis}": gravity[:, i] for i, axis in enumerate("xyz")},
             }
@@ -188,6 +191,8 @@ def _make(w: Walks) -> Scene:
             "covariance": [np.diag(sigma**2).ravel().tolist()] * len(table),
             **{"fx": 1400.0, "fy": 1400.0, "cx": 960.0, "cy": 720.0, "distortion": [[]] * len(table)},
             "camera_origin": "prior",
+            "readout_s": 0.0,
+            **{f"{name}_{axis}": 0.0 for name in ("angular", "velocity") for axis in "xyz"},
         }
     )
     scene = Scene(

@@ -1,6 +1,6 @@
 """Frames of a capture with the phone's poses, and everything that was rejected."""
 
-from groundwalk.artefacts.choices import Clock, LengthUnit, PoseSource, SessionSplit, Split, Tracking, UpAxis
+from groundwalk.artefacts.choices import Clock, ImageSide, LengthUnit, PoseSource, SessionSplit, Split, Tracking, UpAxis
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _SESSION = Column("session_id", "string", "recording; a part of one where VIO jumped (`walk`, `walk.part2`)")
@@ -26,6 +26,13 @@ TABLES = [
             Column("cx", "float64", "principal point, x; the first pixel's outer corner is 0", "px"),
             Column("cy", "float64", "principal point, y; the first pixel's outer corner is 0", "px"),
             Column("distortion", "list<float64>", "OpenCV's k1, k2, p1, p2, k3, ...; empty: none"),
+            Column(
+                "first_row",
+                "string",
+                "side of the image that the sensor reads out first (rolling shutter); sfm estimates a readout time "
+                "below 0 where it is the opposite one",
+                choices=ImageSide,
+            ),
             *pose_columns("vio_cam", "vio_T_cam by the phone's odometry", nullable=True),
             Column("gravity_x", "float64", "unit vector of gravity, x", "", "cam", nullable=True),
             Column("gravity_y", "float64", "unit vector of gravity, y", "", "cam", nullable=True),
@@ -57,7 +64,7 @@ TABLES = [
                 nullable=True,
             ),
         ],
-        version="2.1",
+        version="2.2",
     ),
     TableSchema(
         "import",

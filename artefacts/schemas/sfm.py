@@ -37,6 +37,14 @@ TABLES = [
             Column("cy", "float64", "principal point, y, as import has it", "px"),
             Column("distortion", "list<float64>", "OpenCV's k1, k2, p1, p2, k3, ... that go with the pose"),
             Column("readout_s", "float64", "rolling shutter: time from the first to the last row", "s"),
+            *(
+                Column(f"angular_{a}", "float64", f"angular velocity at the middle row, {a}, adjusted", "rad/s", "cam")
+                for a in "xyz"
+            ),
+            *(
+                Column(f"velocity_{a}", "float64", f"velocity by VIO, {a}; 0: unknown", "sfm units/s", "cam")
+                for a in "xyz"
+            ),
             Column("camera_origin", "string", "where the lens is from", choices=CameraOrigin),
             Column("uses_vio", "bool", "VIO positions were the start of this pose (mapper vio)"),
             Column("keypoints", "int64", "features found in the image"),
@@ -55,7 +63,7 @@ TABLES = [
                 True,
             ),
         ],
-        version="3.0",
+        version="3.1",
         renamed=_HELD_OUT_RENAMED,
     ),
     TableSchema(
@@ -116,7 +124,7 @@ TABLES = [
     TableSchema(
         "sfm",
         "residuals",
-        "Mean residuals of each model and lens by radius and by image row; plotted in residuals.png.",
+        "Mean residuals of each model and lens by radius and by the sensor's row; plotted in residuals.png.",
         [
             Column("model_id", "string", "the model: models.model_id"),
             Column("lens_id", "string", "the lens: lenses.lens_id"),
@@ -127,7 +135,7 @@ TABLES = [
                 "have in common, RMS over frames",
                 choices=ResidualPattern,
             ),
-            Column("band_from", "float64", "where the band begins: radius in focal lengths, row in image heights"),
+            Column("band_from", "float64", "where it begins: radius in focal lengths, row as a share of the readout"),
             Column("band_to", "float64", "where the band ends"),
             Column("observations", "int64", "features in the band"),
             Column("residual_px", "float64", "the residual; below 0 for row: less than by chance", "px"),

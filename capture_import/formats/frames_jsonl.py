@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock, Tracking
+from groundwalk.artefacts.choices import Clock, ImageSide, Tracking
 from groundwalk.capture_import.capture import (
     DepthFile,
     ImageFile,
@@ -74,7 +74,8 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     rows = [(source, (i, line)) for i, (source, line) in enumerate(lines[1:])]
     frames, rejects = collect(rows, session_id, read_row)
     refuse_unreadable(path, frames, rejects, "rows with t_ns, vio_T_cam, image and intrinsics")
-    return RawSession(session_id, FORMAT.id, header["device"], Clock(header["clock"]), path, frames, rejects)
+    clock, first_row = Clock(header["clock"]), header["first_row"]
+    return RawSession(session_id, FORMAT.id, header["device"], clock, path, frames, rejects, first_row=first_row)
 
 
 def _header(path: Path, line: str) -> dict[str, Any]:
@@ -83,20 +84,22 @@ def _header(path: Path, line: str) -> dict[str, Any]:
     except BadRow:
         header = {}
     device, clock = header.get("device", "unknown"), header.get("clock", Clock.BOOT)
+    first_row = header.get("first_row")
     if (
         header.get("groundwalk") != "frames"
         or header.get("version") != _VERSION
         or not isinstance(device, str)
         or clock not in [*Clock]
+        or first_row not in [None, *ImageSide]
     ):
         raise UserError(
             "the first line of frames.jsonl isn't its header",
             where=path / "frames.jsonl",
             expected=f'{{"groundwalk": "frames", "version": {_VERSION}, "device": "...", "clock": "boot"}}, '
-            f"clock one of {', '.join(Clock)}",
+            f"clock one of {', '.join(Clock)}; if there is a first_row, one of {', '.join(ImageSide)}",
             found=line[:120] or "an empty file",
         )
-    return {"device": device, "clock": clock}
+    return {"device": device, "clock": clock, "first_row": first_row and ImageSide(first_row)}
 
 
 def _depth(path: Path, row: dict[str, Any]) -> DepthFile:

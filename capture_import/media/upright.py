@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.artefacts.choices import ImageSide
 from groundwalk.capture_import.capture import Intrinsics, RawFrame
 from groundwalk.capture_import.checks.health import gravity_of
 from groundwalk.capture_import.intake import Image, ImportedSession
@@ -41,6 +42,19 @@ def turned(session: ImportedSession, quarters: int) -> ImportedSession:
         frame = replace(_turned_pose(image.frame, quarters), intrinsics=camera)
         images.append(Image(frame, replace(image.check, width=width, height=height)))
     return replace(session, frames=list(frames.values()), images=images)
+
+
+def first_row(width: int, height: int, stated: str | None, quarters: int) -> ImageSide:
+    """The side of an image that is read out first, after quarter turns clockwise; of `width` and `height` then.
+
+    `stated` is the side before turning. Where it's None: phones' sensors read the rows of wide images from the top, and
+    apps turn these clockwise to make high ones.
+    """
+    clockwise = list(ImageSide)
+    if stated is None:
+        was_high = (height > width) == (quarters % 2 == 0) and height != width
+        stated = ImageSide.RIGHT if was_high else ImageSide.TOP
+    return clockwise[(clockwise.index(ImageSide(stated)) + quarters) % 4]
 
 
 def turned_pixels(image: NDArray[np.uint8], quarters: int) -> NDArray[np.uint8]:

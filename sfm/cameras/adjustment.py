@@ -1,10 +1,10 @@
 """Bundle adjustment with a camera as phones have it: a lens and a rolling shutter that a device's frames share, a focal
 length that a session's frames share up to a factor, and a focus that breathes.
 
-Of an observation in image row y the point is seen from where the camera was at tau = (y / height - 1/2) readout after
-the middle row: with angular velocity w and velocity v in the axes of the camera, a point p there is seen along
-exp(-w tau) (p - v tau). The lens is OpenCV's k1, k2 (`groundwalk.geometry.lens`), further coefficients stay as
-they are stated.
+Of an observation the point is seen from where the camera was at tau = share readout after the middle row, share = y /
+height - 1/2 where the sensor's rows are the image's (`groundwalk.geometry.shutter`): with angular velocity w and
+velocity v in the axes of the camera, a point p there is seen along exp(-w tau) (p - v tau). The lens is OpenCV's k1, k2
+(`groundwalk.geometry.lens`), further coefficients stay as they are stated.
 
 Unknowns: poses and points; k1, k2 and readout time of each lens; the logarithm of the factor of each session's focal
 lengths; and of each frame what its focal length deviates by from that and its angular velocity. All but poses and
@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from groundwalk.geometry.lens import distort_with_slope
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN, cauchy_weights
+from groundwalk.geometry.shutter import readout_share
 from groundwalk.sfm.cameras.normal_equations import block_rows, similarities
 
 Ints = NDArray[np.int64]
@@ -43,13 +44,14 @@ _FOCUS_LAG_S, _FOCUS_NOISE = 5.0, 1e-3
 class Cameras:
     """Cameras of N frames of S sessions and L lenses: what a device states and what is estimated of it.
 
-    `intrinsics` (N, 4) are fx, fy, cx, cy as logged, `height` (N,) px, `lens` and `session` (N,) indices, `t_s` (N,);
+    `intrinsics` (N, 4) are fx, fy, cx, cy as logged, `readout_line` (N, 3) says when a pixel is exposed
+    (`groundwalk.geometry.shutter`), `lens` and `session` (N,) indices, `t_s` (N,);
     `coefficients` (L, 8) OpenCV's, `readout_s` (L,); `log_focal` (S,) and `focus` (N,) logarithms of factors to the
     focal lengths; `angular` (N, 3) rad/s and `velocity` (N, 3) sfm units/s in the camera's axes.
     """
 
     intrinsics: Array
-    height: Array
+    readout_line: Array
     lens: Ints
     session: Ints
     t_s: Array
@@ -137,7 +139,7 @@ def _forward(bundle: Bundle, cameras: Cameras, *, shutter: bool = True) -> _Forw
     cam_R_sfm = np.swapaxes(bundle.sfm_T_cam[:, :3, :3], 1, 2)[i]
     offset = bundle.xyz[bundle.point] - bundle.sfm_T_cam[i, :3, 3]
     p = np.einsum("mij,mj->mi", cam_R_sfm, offset)
-    row = bundle.observed_px[:, 1] / cameras.height[i] - 0.5
+    row = readout_share(cameras.readout_line[i], bundle.observed_px)
     tau = row * cameras.readout_s[cameras.lens[i]] if shutter else np.zeros(len(i))
     turn = Rotation.from_rotvec(-cameras.angular[i] * tau[:, None])
     q = turn.apply(p - cameras.velocity[i] * tau[:, None])

@@ -21,6 +21,7 @@ from groundwalk.artefacts.choices import CameraOrigin
 from groundwalk.artefacts.files import written_aside
 from groundwalk.geometry.lens import distort, max_shift, undistort
 from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.geometry.shutter import readout_lines, readout_share
 from groundwalk.sfm.cameras.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
 from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.database import Ints, create_database, image_id
@@ -202,7 +203,7 @@ def calibrate(
 def read_pair_matches(database: Path, frames: pd.DataFrame, pairs: Pairs, motion: Motion, seed: int) -> PairMatches:
     """The verified matches of pairs (P, 2), some of each, as rays of their frames."""
     intrinsics = frames[["fx", "fy", "cx", "cy"]].to_numpy(float)
-    height, session = frames["height"].to_numpy(float), frames["session_id"].to_numpy(str)
+    line, session = lines_of(frames), frames["session_id"].to_numpy(str)
     centre = frames[["vio_cam_tx", "vio_cam_ty", "vio_cam_tz"]].to_numpy(float)
     rng = np.random.default_rng(seed)
     columns: dict[str, list[Array]] = {
@@ -235,7 +236,7 @@ def read_pair_matches(database: Path, frames: pd.DataFrame, pairs: Pairs, motion
             for name, row, points, side in (("a", a, xy[0], 0), ("b", b, xy[1], 1)):
                 observed_px = points[sample[:, side]]
                 columns[f"xy_{name}"].append((observed_px - intrinsics[row, 2:]) / intrinsics[row, :2])
-                columns[f"row_{name}"].append(observed_px[:, 1] / height[row] - 0.5)
+                columns[f"row_{name}"].append(readout_share(line[row], observed_px))
                 columns[f"focal_{name}"].append(np.full(len(sample), intrinsics[row, :2].mean()))
     if not poses:
         empty = np.empty(0)
@@ -298,16 +299,22 @@ def _spread(pairs: Pairs, count: int) -> Pairs:
     return pairs[np.unique(np.linspace(0, len(pairs) - 1, count).round().astype(int))]
 
 
-def to_middle_row(xy_M2: Array, frame: Any, readout_s: float, angular: Array) -> Array:
+def lines_of(frames: pd.DataFrame) -> Array:
+    """(N, 3) when each frame's pixels are exposed (`groundwalk.geometry.shutter`)."""
+    return readout_lines(frames["first_row"], frames["width"], frames["height"])
+
+
+def to_middle_row(xy_M2: Array, frame: Any, line: Array, readout_s: float, angular: Array) -> Array:
     """Pixels (M, 2) where a frame would have them if all rows were exposed with the middle one: turned by its angular
-    velocity (3,). The effect of its velocity depends on depth, and is left to the adjustment."""
+    velocity (3,). `line` (3,) says when they are exposed. The effect of its velocity depends on depth, and is left to
+    the adjustment."""
     if not readout_s or not len(xy_M2):
         return xy_M2
     focal, centre = np.array([frame.fx, frame.fy]), np.array([frame.cx, frame.cy])
     coefficients = np.asarray(frame.distortion, float)
     rays = np.ones((len(xy_M2), 3))
     rays[:, :2] = undistort((xy_M2 - centre) / focal, coefficients)
-    tau = readout_s * (xy_M2[:, 1] / frame.height - 0.5)
+    tau = readout_s * readout_share(line, xy_M2)
     rays = Rotation.from_rotvec(tau[:, None] * angular).apply(rays)
     return distort(rays[:, :2] / rays[:, 2:], coefficients) * focal + centre
 
@@ -325,7 +332,7 @@ def write_calibrated_database(
     partial = target.with_name(target.name + ".partial")
     partial.unlink(missing_ok=True)
     create_database(partial, frames, names)
-    readout = calibration.readout_s[calibration.lens]
+    readout, line = calibration.readout_s[calibration.lens], lines_of(frames)
     with (
         pycolmap.Database.open(source) as features,
         pycolmap.Database.open(partial) as opened,
@@ -333,8 +340,8 @@ def write_calibrated_database(
     ):
         for row, frame in enumerate(frames.itertuples(index=False)):
             keypoints = features.read_keypoints(image_id(row))
-            moved = to_middle_row(keypoints[:, :2].astype(float), frame, float(readout[row]), motion.angular[row])
-            keypoints[:, :2] = moved
+            xy, angular = keypoints[:, :2].astype(float), motion.angular[row]
+            keypoints[:, :2] = to_middle_row(xy, frame, line[row], float(readout[row]), angular)
             opened.write_keypoints(image_id(row), keypoints)
             opened.write_descriptors(image_id(row), features.read_descriptors(image_id(row)))
             report(row + 1)

@@ -20,7 +20,7 @@ from groundwalk.sfm.cameras.adjustment import (
     marginal_readout,
     project,
 )
-from groundwalk.sfm.cameras.calibration import Calibration, prior_lenses
+from groundwalk.sfm.cameras.calibration import Calibration, lines_of, prior_lenses
 from groundwalk.sfm.cameras.motion import Motion, motion_by_vio
 from groundwalk.sfm.database import Ints, image_id
 from groundwalk.sfm.settings import SfmSettings
@@ -41,12 +41,12 @@ _OUTLIER_SIGMAS = 4.0
 class CameraLog:
     """The cameras of N frames before a model of them is adjusted.
 
-    `intrinsics` (N, 4), `height` (N,) px, `session` (N,) names, `t_s` (N,) on each session's clock, and vio_T_cam
-    (N, 4, 4).
+    `intrinsics` (N, 4), `readout_line` (N, 3) as in `Cameras`, `session` (N,) names, `t_s` (N,) on each session's
+    clock, and vio_T_cam (N, 4, 4).
     """
 
     intrinsics: Array
-    height: Array
+    readout_line: Array
     session: np.ndarray
     t_s: Array
     vio_T_cam: Array
@@ -60,7 +60,7 @@ def camera_log(
     """From import's frames, the sessions' devices, and all poses of the log (table import.vio)."""
     return CameraLog(
         frames[["fx", "fy", "cx", "cy"]].to_numpy(float),
-        frames["height"].to_numpy(float),
+        lines_of(frames),
         frames["session_id"].to_numpy(str),
         frames["t_ns"].to_numpy(np.int64) * 1e-9,
         poses_of(frames, "vio_cam"),
@@ -114,7 +114,7 @@ def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cam
     count, lens = len(log.t_s), log.calibration.lens
     every = Cameras(
         log.intrinsics,
-        log.height,
+        log.readout_line,
         np.arange(count),
         np.arange(count),
         log.t_s,
@@ -181,7 +181,7 @@ def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSetting
     units_per_m = _units_per_m(bundle.sfm_T_cam, log.vio_T_cam[rows], session)
     cameras = Cameras(
         log.intrinsics[rows],
-        log.height[rows],
+        log.readout_line[rows],
         lens,
         session,
         log.t_s[rows],

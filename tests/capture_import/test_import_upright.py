@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from capture_writers import HEIGHT, WIDTH, image, make_walk, write_scanner_app
+from capture_writers import HEIGHT, WIDTH, image, make_walk, write_frames_jsonl, write_scanner_app
 from known import rows
 
-from groundwalk.artefacts import DataRoot, execute
+from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.capture_import.media.images import decode_rgb
+from groundwalk.capture_import.media.upright import first_row
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import inverse, make_pose, transform
 
@@ -41,7 +42,40 @@ def test_points_stay_on_their_pixels(tmp_path: Path, quarters: int) -> None:
         np.testing.assert_allclose(row.fx * after[:, 0] / after[:, 2] + row.cx, u, atol=1e-6)
         np.testing.assert_allclose(row.fy * after[:, 1] / after[:, 2] + row.cy, v, atol=1e-6)
         assert (row.width, row.height) == (width, height)
+        assert row.first_row == ["top", "right", "bottom", "left"][quarters]
         if quarters:
             written = decode_rgb((folder / row.image.removeprefix("import:")).read_bytes(), 1000)
             expected = np.rot90(image(index)[:, :, ::-1], -quarters)
             assert np.abs(written.astype(int) - expected).mean() < 20
+
+
+@pytest.mark.parametrize(
+    ("size", "stated", "quarters", "side"),
+    [
+        ((1920, 1440), None, 0, "top"),
+        ((1440, 1920), None, 0, "right"),  # an app turned it clockwise
+        ((1440, 1920), None, 1, "right"),  # import turned it
+        ((1920, 1440), None, 1, "bottom"),  # both did
+        ((1440, 1440), None, 1, "right"),
+        ((1440, 1920), "left", 0, "left"),
+        ((1440, 1920), "left", 2, "right"),
+        ((1920, 1440), "bottom", 3, "right"),
+    ],
+)
+def test_the_first_row_is_where_turns_put_it(
+    size: tuple[int, int], stated: str | None, quarters: int, side: str
+) -> None:
+    assert first_row(*size, stated, quarters) == side
+
+
+def test_the_setting_goes_before_what_the_capture_states(tmp_path: Path) -> None:
+    folder = tmp_path / "captures" / "place" / "walk"
+    write_frames_jsonl(folder, make_walk(8))
+    log = folder / "frames.jsonl"
+    log.write_text(log.read_text().replace('"groundwalk"', '"first_row": "bottom", "groundwalk"', 1))
+    for settings, side in (([], "bottom"), (["first_row='left'"], "left"), (["upright=true"], "bottom")):
+        frames = pd.read_parquet(execute(STAGE, "place", "tiny", DataRoot(tmp_path), settings) / "frames.parquet")
+        assert set(frames["first_row"]) == {side}
+    log.write_text(log.read_text().replace('"bottom"', '"down"', 1))
+    with pytest.raises(UserError, match="first_row"):
+        execute(STAGE, "place", "tiny", DataRoot(tmp_path))

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse
+from groundwalk.geometry.shutter import readout_lines
 from groundwalk.sfm.cameras.adjustment import (
     Adjusted,
     Bundle,
@@ -30,7 +31,7 @@ _LENS, _READOUT_S = (0.092, -0.125), 0.02
 _ANGULAR_SD, _FOCUS_SD = 0.02, 0.003
 
 
-def _walk(seed: int) -> tuple[Bundle, Cameras]:
+def _walk(seed: int, first_row: str = "top") -> tuple[Bundle, Cameras]:
     """A camera in the middle of points all around, turning and walking; what it really sees."""
     rng = np.random.default_rng(seed)
     angle = np.linspace(0, 2.0, _FRAMES)
@@ -42,7 +43,7 @@ def _walk(seed: int) -> tuple[Bundle, Cameras]:
     xyz = direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(7, 13, (_POINTS, 1))
     cameras = Cameras(
         np.tile([483.0, 483.0, 320.0, 236.0], (_FRAMES, 1)),
-        np.full(_FRAMES, 480.0),
+        readout_lines([first_row] * _FRAMES, 640, 480),
         np.zeros(_FRAMES, int),
         np.arange(_FRAMES) * 2 // _FRAMES,
         np.arange(_FRAMES, dtype=float),
@@ -69,12 +70,16 @@ def _walk(seed: int) -> tuple[Bundle, Cameras]:
     return bundle, cameras
 
 
-def _adjusted(seed: int) -> tuple[Adjusted, Bundle, Cameras]:
+def _adjusted(
+    seed: int, first_row: str = "top", assumed_first_row: str | None = None
+) -> tuple[Adjusted, Bundle, Cameras]:
     """The walk adjusted from noisy observations and VIO's angular velocities; the lens as phones have it on average."""
-    truth, cameras = _walk(seed)
+    truth, cameras = _walk(seed, first_row)
+    assumed = readout_lines([assumed_first_row or first_row] * _FRAMES, 640, 480)
     rng = np.random.default_rng(100 + seed)
     mean = replace(
         cameras,
+        readout_line=assumed,
         coefficients=np.array([[0.08, -0.12, 0, 0, 0, 0, 0, 0]], float),
         readout_s=np.zeros(1),
         log_focal=np.zeros(2),
@@ -143,6 +148,23 @@ def test_lens_readout_and_poses_are_recovered() -> None:
     assert adjusted.cameras.readout_s[0] == pytest.approx(_READOUT_S, abs=0.0015)
     assert np.abs(adjusted.cameras.angular - cameras.angular).max() < 3 * _ANGULAR_SD
     assert _position_error_m(adjusted.bundle, truth) < 0.008
+
+
+@pytest.mark.parametrize("first_row", ["right", "bottom", "left"])
+def test_readout_runs_along_the_axis_that_is_stated(first_row: str) -> None:
+    adjusted, truth, _ = _adjusted(0, first_row)
+    assert adjusted.cameras.readout_s[0] == pytest.approx(_READOUT_S, abs=0.0015)
+    assert _position_error_m(adjusted.bundle, truth) < 0.008
+
+
+def test_the_opposite_side_gives_a_readout_below_0_and_another_axis_is_worse() -> None:
+    right, truth, _ = _adjusted(0, "right")
+    left, _, _ = _adjusted(0, "right", "left")
+    assert left.cameras.readout_s[0] == pytest.approx(-_READOUT_S, abs=0.0015)
+    assert left.loss_px == pytest.approx(right.loss_px, rel=0.01)
+    top, _, _ = _adjusted(0, "right", "top")
+    assert top.loss_px > 1.1 * right.loss_px
+    assert _position_error_m(top.bundle, truth) > 2 * _position_error_m(right.bundle, truth)
 
 
 def test_a_camera_without_shutter_and_lens_leaves_the_truth_wrong() -> None:

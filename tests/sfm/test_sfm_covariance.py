@@ -110,7 +110,7 @@ def _covariance(bundle: Bundle, blobs: np.ndarray | None = None) -> Array | None
     size = np.array(_SIZE_PX) / 2
     cameras = Cameras(
         np.tile([_FOCAL_PX, _FOCAL_PX, *size], (_FRAMES, 1)),
-        np.full(_FRAMES, float(_SIZE_PX[1])),
+        np.tile([0, 1 / _SIZE_PX[1], -0.5], (_FRAMES, 1)),
         np.zeros(_FRAMES, int),
         np.zeros(_FRAMES, int),
         np.arange(_FRAMES, dtype=float),

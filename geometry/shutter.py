@@ -1,0 +1,43 @@
+"""A rolling shutter: when each pixel of an image is exposed, and where its camera is then.
+
+A sensor reads its rows one after another. They run along the image's rows where the image is as the sensor has it, and
+along its columns where an app has turned it upright.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from groundwalk.geometry.poses import Array, make_pose
+
+# By the side of the image that is read out first: factors of x / width and y / height, and the constant, of the share
+# of the readout.
+_SHARE = {"top": (0, 1, -0.5), "right": (-1, 0, 0.5), "bottom": (0, -1, 0.5), "left": (1, 0, -0.5)}
+
+
+def readout_lines(first_row: Iterable[str], width_N: ArrayLike, height_N: ArrayLike) -> Array:
+    """(N, 3) a, b, c of each image, for `readout_share`.
+
+    `first_row` are the sides that the sensor reads out first (`top`, `right`, `bottom`, `left`), sizes are in pixels.
+    """
+    lines = np.array([_SHARE[side] for side in first_row], float).reshape(-1, 3)
+    lines[:, 0] /= np.asarray(width_N, float)
+    lines[:, 1] /= np.asarray(height_N, float)
+    return lines
+
+
+def readout_share(line: Array, xy_M2: Array) -> Array:
+    """(M,) when pixels (M, 2) are exposed after the middle row, as a share of the readout time, -0.5 to 0.5:
+    a x + b y + c, with `line` (3,) of all or (M, 3) of each, and the first pixel's outer corner at (0, 0)."""
+    return line[..., 0] * xy_M2[:, 0] + line[..., 1] * xy_M2[:, 1] + line[..., 2]
+
+
+def rows_in_camera(angular_M3: Array, velocity_M3: Array, tau_M: Array) -> Array:
+    """cam_T_row (M, 4, 4): the camera at a row's time, `tau_M` seconds after the middle row, in its axes at that.
+
+    It turns by its angular velocity (M, 3), rad/s, and moves by its velocity (M, 3), both in its axes.
+    """
+    tau = np.asarray(tau_M, float)[:, None]
+    return make_pose(Rotation.from_rotvec(angular_M3 * tau).as_matrix(), velocity_M3 * tau)

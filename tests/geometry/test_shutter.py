@@ -1,0 +1,32 @@
+"""When the pixels of an image are exposed."""
+
+import cv2
+import numpy as np
+import pytest
+
+from groundwalk.geometry.shutter import readout_lines, readout_share
+
+WIDTH, HEIGHT = 64, 48
+
+
+@pytest.mark.parametrize(
+    ("side", "turn"),
+    [
+        ("top", None),
+        ("right", cv2.ROTATE_90_CLOCKWISE),
+        ("bottom", cv2.ROTATE_180),
+        ("left", cv2.ROTATE_90_COUNTERCLOCKWISE),
+    ],
+)
+def test_a_turned_image_is_exposed_as_its_sensor_was(side: str, turn: int | None) -> None:
+    share = np.tile((np.arange(HEIGHT)[:, None] + 0.5) / HEIGHT - 0.5, (1, WIDTH))
+    image = share if turn is None else cv2.rotate(share, turn)
+    height, width = image.shape
+    (line,) = readout_lines([side], width, height)
+    x, y = (index.ravel() + 0.5 for index in np.meshgrid(np.arange(width), np.arange(height)))
+    assert np.allclose(readout_share(line, np.column_stack([x, y])), image.ravel())
+
+
+def test_each_image_has_its_own_line() -> None:
+    lines = readout_lines(["top", "left"], [640, 480], [480, 640])
+    assert np.allclose(readout_share(lines, np.array([[0.0, 480.0], [480.0, 0.0]])), [0.5, 0.5])
