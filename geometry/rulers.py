@@ -37,16 +37,24 @@ class Corners:
 @dataclass(frozen=True)
 class Observations:
     """M observations: corner (M,) by index, frame (M,) by index of its pose, undistorted normalised image coordinates
-    (M, 2), and the focal length (M,) that turns these into pixels."""
+    (M, 2), and the focal length (M,) that turns these into pixels. `cam_T_row` (M, 4, 4): the camera when the
+    observation's row was exposed, in the axes of the frame's pose; None without a rolling shutter."""
 
     corner: Indices
     frame: Indices
     xy: Array
     focal_px: Array
+    cam_T_row: Array | None = None
+
+    def poses(self, model_T_cam: Array) -> Array:
+        """(M, 4, 4) where the camera was at each observation, of the frames' poses (F, 4, 4)."""
+        poses = model_T_cam[self.frame]
+        return poses if self.cam_T_row is None else poses @ self.cam_T_row
 
     def where(self, mask: Mask) -> "Observations":
         """Those of a mask (M,)."""
-        return Observations(self.corner[mask], self.frame[mask], self.xy[mask], self.focal_px[mask])
+        rows = None if self.cam_T_row is None else self.cam_T_row[mask]
+        return Observations(self.corner[mask], self.frame[mask], self.xy[mask], self.focal_px[mask], rows)
 
 
 @dataclass(frozen=True)
@@ -108,11 +116,11 @@ def in_two_frames(observations: Observations, count: int) -> Mask:
 def triangulate(observations: Observations, model_T_cam: Array, count: int, weights: Array) -> Array:
     """Corners (count, 3) with the least weighted sum of squared reprojection errors; NaN for those without
     observations. `model_T_cam` (F, 4, 4) are the frames' poses, `weights` (M,)."""
-    corner, rotation = observations.corner, model_T_cam[observations.frame, :3, :3]
-    rays = np.einsum("mij,mj->mi", rotation, np.column_stack([observations.xy, np.ones(len(corner))]))
+    corner, poses = observations.corner, observations.poses(model_T_cam)
+    rays = np.einsum("mij,mj->mi", poses[:, :3, :3], np.column_stack([observations.xy, np.ones(len(corner))]))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    centres = model_T_cam[observations.frame, :3, 3]
+    centres = poses[:, :3, 3]
     origin = centres.mean(axis=0)
     offsets = _sums(across @ (centres - origin)[:, :, None], corner, count, weights)
     xyz = origin + _solve(_sums(across, corner, count, weights), offsets)
@@ -184,7 +192,7 @@ def measure(
 
 
 def _linearise(observations: Observations, model_T_cam: Array, xyz: Array) -> _Linearization:
-    pose = model_T_cam[observations.frame]
+    pose = observations.poses(model_T_cam)
     cam_R_model = np.swapaxes(pose[:, :3, :3], 1, 2)
     arm = xyz[observations.corner] - pose[:, :3, 3]
     x, y, z = np.moveaxis(np.einsum("mij,mj->mi", cam_R_model, arm), 1, 0)

@@ -26,6 +26,7 @@ from groundwalk.geometry import GeometryError
 from groundwalk.geometry.lens import distort, undistort
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rulers import Corners, Observations, RulerFit, measure
+from groundwalk.geometry.shutter import readout_lines, readout_share, rows_in_camera
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -54,12 +55,14 @@ class RulerDetections:
 
 @dataclass(frozen=True)
 class RulerMeasurement:
-    """A ruler in a model. `in_model` (M,) are the observations in frames of the model, and `fits` the measurements by
-    part of the ruler. `problem`: why they decide nothing; `notes`: remarks for the user."""
+    """A ruler in a model. `in_model` (M,) are the observations in frames of the model, `cam_T_row` (M, 4, 4) where the
+    camera was when each one's row was exposed, in the axes of its frame's pose, and `fits` the measurements by part of
+    the ruler. `problem`: why they decide nothing; `notes`: remarks for the user."""
 
     detections: RulerDetections
     model_id: str
     in_model: Mask
+    cam_T_row: Array
     fits: dict[RulerPart, RulerFit] = field(default_factory=dict)
     problem: str = ""
     notes: tuple[str, ...] = ()
@@ -129,8 +132,9 @@ def measure_rulers(
 ) -> list[RulerMeasurement]:
     """Each ruler in each model that has frames of it; one without a model where none has.
 
-    `frames` is import's table with SfM's focal lengths, `images` SfM's in its order. Views less than `min_angle`
-    (radians) apart, or a standard error above `max_sd`, decide nothing.
+    `frames` is import's table with SfM's cameras, `images` SfM's in its order. As in SfM, lens and rolling shutter are
+    undone: a corner is seen by the adjusted lens from where the camera was when its row was exposed. Views less than
+    `min_angle` (radians) apart, or a standard error above `max_sd`, decide nothing.
     """
     measurements = []
     poses, covariance = poses_of(images, "sfm_cam"), sfm_covariances(images["covariance"])
@@ -139,16 +143,28 @@ def measure_rulers(
         models = pd.unique(model_id[ruler.row[registered[ruler.row]]])
         if not len(models):
             problem = ruler.absence or "seen only in frames that SfM didn't register"
-            measurements.append(RulerMeasurement(ruler, "", np.zeros(len(ruler.row), dtype=bool), problem=problem))
+            unseen = np.zeros(len(ruler.row), dtype=bool)
+            measurements.append(RulerMeasurement(ruler, "", unseen, np.empty((0, 4, 4)), problem=problem))
             continue
         xy, focal_px = undistorted(frames, ruler.row, ruler.xy_px)
-        observations = Observations(ruler.corner, ruler.row, xy, focal_px)
+        cam_T_row = _rows_in_camera(frames, images, ruler)
+        observations = Observations(ruler.corner, ruler.row, xy, focal_px, cam_T_row)
         for model in models:
             in_model = registered[ruler.row] & (model_id[ruler.row] == model) & np.isfinite(xy).all(axis=1)
-            measurement = RulerMeasurement(ruler, str(model), in_model)
+            measurement = RulerMeasurement(ruler, str(model), in_model, cam_T_row)
             fits = _fit_parts(measurement, observations, poses, covariance)
             measurements.append(_judged(replace(measurement, fits=fits), frames, min_angle, max_sd))
     return measurements
+
+
+def _rows_in_camera(frames: pd.DataFrame, images: pd.DataFrame, ruler: RulerDetections) -> Array:
+    """cam_T_row (M, 4, 4) of a ruler's observations."""
+    line = readout_lines(frames["first_row"], frames["width"], frames["height"])[ruler.row]
+    tau = images["readout_s"].to_numpy(float)[ruler.row] * readout_share(line, ruler.xy_px)
+    angular, velocity = (
+        images[[f"{name}_{axis}" for axis in "xyz"]].to_numpy(float)[ruler.row] for name in ("angular", "velocity")
+    )
+    return rows_in_camera(angular, velocity, tau)
 
 
 def undistorted(frames: pd.DataFrame, rows: Indices, xy_px: Array) -> tuple[Array, Array]:

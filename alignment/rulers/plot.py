@@ -94,11 +94,13 @@ def _draw_image(
 ) -> None:
     """The image with most of the corners that took part: as detected, and the nominal ruler as reprojected."""
     detections = measurement.detections
-    rows, corner, xy_px = (a[measurement.in_model] for a in (detections.row, detections.corner, detections.xy_px))
+    observed = (detections.row, detections.corner, detections.xy_px, measurement.cam_T_row)
+    rows, corner, xy_px, cam_T_row = (a[measurement.in_model] for a in observed)
     row = int(np.bincount(rows[fit.inlier]).argmax())
     in_image = rows == row
     matrix, distortion = camera_of(frames, row)
-    in_cam = transform(inverse(sfm_T_cam[row]), fit.fitted[np.unique(corner[in_image & fit.inlier])])
+    inlier = in_image & fit.inlier
+    in_cam = transform(inverse(sfm_T_cam[row] @ cam_T_row[inlier]), fit.fitted[corner[inlier]])
     reprojected, _ = cv2.projectPoints(in_cam, np.zeros(3), np.zeros(3), matrix, distortion)
     axes.imshow(
         read_grey(image_path(str(frames["image"].iloc[row]))),

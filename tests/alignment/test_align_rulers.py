@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from known import cells
+from scipy.spatial.transform import Rotation
 from synthetic_walks import Scene, Walks, align
 
 from groundwalk.alignment.examination import examine
@@ -28,12 +29,14 @@ from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, ru
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.stage import STAGE
 from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.choices import RulerPart
 from groundwalk.artefacts.files import sha256_of
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import resolve_settings
 from groundwalk.artefacts.stage import load_manifest
 from groundwalk.artefacts.tables import poses_of, read_table, write_table
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
+from groundwalk.geometry.shutter import readout_lines, readout_share
 
 BOARD = {
     "kind": "charuco",
@@ -242,6 +245,42 @@ def test_the_table_has_a_row_a_part(scene: Scene) -> None:
     assert table["part"].tolist() == ["all", "for_scale", "held_out"] and table["used_for_scale"].all()
     assert (table["corner_rms_mm"] < 10).all() and (table["reprojection_px"] < 0.5).all()
     np.testing.assert_allclose(table["scale_error_percent"], 0, atol=0.3)
+
+
+@pytest.mark.parametrize("first_row", ["top", "left"])
+def test_a_rolling_shutter_is_undone_in_corners(scene: Scene, first_row: str) -> None:
+    """Each corner is seen from where the camera was at its row's time, some of them 10 px off."""
+    rng = np.random.default_rng(4)
+    readout_s, motion = 0.02, rng.normal(0, 0.4, (len(scene.frames), 6))
+    still = sighted(scene, ruler())
+    xyz = transform(scene.true_T_cam[20] @ make_pose(np.eye(3), [0.0, 0.0, 5.0]), still.corners.xyz_m)
+    (line,) = readout_lines([first_row], *SIZE)
+    pixels = still.xy_px.copy()
+    for i, (row, corner) in enumerate(zip(still.row, still.corner, strict=True)):
+        for _ in range(4):
+            turn, velocity = motion[row, :3], motion[row, 3:]
+            tau = readout_s * readout_share(line, pixels[i][None])[0]
+            row_T_cam = inverse(make_pose(Rotation.from_rotvec(turn * tau).as_matrix(), velocity * tau))
+            in_row = transform(row_T_cam @ inverse(scene.true_T_cam[row]), xyz[corner])
+            seen: np.ndarray = cv2.projectPoints(in_row[None], np.zeros(3), np.zeros(3), *camera_of(scene.frames, row))[0]
+            pixels[i] = seen.ravel()
+    pixels += rng.normal(0, 0.2, pixels.shape)
+    scene.frames["first_row"] = first_row
+    scene_at_rest = replace(scene)
+    (ignored,) = read(scene, replace(still, xy_px=pixels))
+    # Velocities are in the model's units.
+    step, true_step = (
+        np.linalg.norm(p[1, :3, 3] - p[0, :3, 3]) for p in (poses_of(scene.images, "sfm_cam"), scene.true_T_cam)
+    )
+    motion[:, 3:] *= step / true_step
+    columns = [f"{name}_{axis}" for name in ("angular", "velocity") for axis in "xyz"]
+    scene.images = scene.images.assign(readout_s=readout_s, **dict(zip(columns, motion.T, strict=True)))
+    (undone,) = read(scene, replace(still, xy_px=pixels))
+    (reference,) = read(scene_at_rest, still)
+    fits = [reading.fits[RulerPart.ALL] for reading in (reference, undone, ignored)]
+    residual_px = [np.nanmedian(np.linalg.norm(fit.residual_px, axis=1)) for fit in fits]
+    assert residual_px[1] < 1.2 * residual_px[0] and residual_px[2] > 3 * residual_px[0]
+    assert abs(fits[1].log_scale - fits[0].log_scale) < 0.002
 
 
 def test_undistortion_inverts_the_lens(scene: Scene) -> None:
