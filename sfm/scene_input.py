@@ -15,6 +15,7 @@ from groundwalk.artefacts.hints import run_command
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.sfm.cameras.calibration import Calibration, calibrate, with_lenses, write_calibrated_database
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log
+from groundwalk.sfm.cameras.motion import motion_by_vio
 from groundwalk.sfm.database import create_database, has_features, image_name, keypoint_counts
 from groundwalk.sfm.pairs.candidates import unique_pairs
 from groundwalk.sfm.pairs.features import extract_features, features_name
@@ -160,4 +161,5 @@ def _calibrated(r: StageRun[SfmSettings], scene: SceneInput) -> SceneInput:
             scene.in_child("calibrating lenses", Task(calibrate, arguments, None, ONE_THREAD))
     calibration = Calibration.load(path)
     frames = with_lenses(scene.frames, calibration)
-    return replace(scene, frames=frames, cameras=replace(scene.cameras, calibration=calibration))
+    motion = motion_by_vio(frames, r.read("import", "vio"), calibration.time_offset_s[calibration.lens])
+    return replace(scene, frames=frames, cameras=replace(scene.cameras, calibration=calibration, motion=motion))

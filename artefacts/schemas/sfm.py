@@ -82,6 +82,9 @@ TABLES = [
             Column("k1_focal_correlation", "float64", "correlation of k1 with focal scales, mean", "", "", True),
             Column("readout_s", "float64", "rolling shutter: time from the first to the last row", "s"),
             Column("readout_sd_s", "float64", "standard deviation of the readout time", "s", "", True),
+            Column("time_offset_s", "float64", "time stamps minus times of middle rows", "s", "", True),
+            Column("time_offset_sd_s", "float64", "standard error of the time offset", "s", "", True),
+            Column("time_offset_used", "bool", "held-out matches accept the time offset: motion is taken there"),
             Column("stated_k1", "float64", "k1 that the capture states; 0: none"),
             Column("stated_k2", "float64", "k2 that the capture states; 0: none"),
             Column("origin", "string", "where k1 and k2 are from", choices=CameraOrigin),
@@ -103,7 +106,7 @@ TABLES = [
                 True,
             ),
         ],
-        version="2.0",
+        version="2.1",
         renamed={"heldout_stated_px": "held_out_stated_px", "heldout_px": "held_out_px"},
     ),
     TableSchema(

@@ -19,11 +19,13 @@ from scipy.spatial.transform import Rotation
 from groundwalk.artefacts.child import Report
 from groundwalk.artefacts.choices import CameraOrigin
 from groundwalk.artefacts.files import written_aside
+from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.lens import distort, max_shift, undistort
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.shutter import readout_lines, readout_share
 from groundwalk.sfm.cameras.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
 from groundwalk.sfm.cameras.motion import Motion
+from groundwalk.sfm.cameras.time_offset import estimate_time_offset
 from groundwalk.sfm.database import Ints, create_database, image_id
 from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.matching import match_pairs
@@ -54,7 +56,9 @@ _MIN_WRONG_SIGMAS, _MIN_WRONG_PX, _MIN_WRONG_GAIN = 5.0, 1.0, 0.02
 class Lens:
     """A lens: its frames' device, size and coefficients (OpenCV's order, 8), readout time, covariance (3, 3) of k1, k2
     and readout, where they are from, the stated lens (8), and the median Sampson distance of held-out matches, px, with
-    the stated lens and with this one; None where nothing was estimated."""
+    the stated lens and with this one; None where nothing was estimated. `stamp_offset_s` is the estimate of time stamps
+    minus times of the middle rows, with its standard error, `time_offset_s` the same where held-out matches accept it,
+    else 0."""
 
     lens_id: str
     frames: int
@@ -69,6 +73,9 @@ class Lens:
     held_out_stated_px: float | None = None
     held_out_px: float | None = None
     stated_is_wrong: bool = False
+    stamp_offset_s: float | None = None
+    stamp_offset_sd_s: float | None = None
+    time_offset_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -87,6 +94,11 @@ class Calibration:
     def readout_s(self) -> Array:
         """(L,)"""
         return np.array([lens.readout_s for lens in self.lenses], float)
+
+    @property
+    def time_offset_s(self) -> Array:
+        """(L,) time stamps minus times of the middle rows."""
+        return np.array([lens.time_offset_s for lens in self.lenses], float)
 
     def save(self, path: Path) -> None:
         """Write it whole or not at all."""
@@ -209,7 +221,7 @@ def read_pair_matches(database: Path, frames: pd.DataFrame, pairs: Pairs, motion
     columns: dict[str, list[Array]] = {
         name: [] for name in ("pair", "xy_a", "xy_b", "row_a", "row_b", "focal_a", "focal_b")
     }
-    poses, twist_a, twist_b = [], [], []
+    poses, twist_a, twist_b, ends = [], [], [], []
     with pycolmap.Database.open(database) as opened:
         for a, b in pairs.tolist():
             geometry = opened.read_two_view_geometry(image_id(a), image_id(b))
@@ -231,6 +243,7 @@ def read_pair_matches(database: Path, frames: pd.DataFrame, pairs: Pairs, motion
             apart_m = max(float(np.nan_to_num(apart_m, nan=np.inf, posinf=np.inf)), _MIN_DISTANCE_M)
             twist_a.append(np.r_[motion.angular[a], motion.velocity[a] / apart_m])
             twist_b.append(np.r_[motion.angular[b], motion.velocity[b] / apart_m])
+            ends.append([a, b])
             sample = matches[np.sort(rng.permutation(len(matches))[:_MAX_MATCHES])]
             columns["pair"].append(np.full(len(sample), len(poses) - 1))
             for name, row, points, side in (("a", a, xy[0], 0), ("b", b, xy[1], 1)):
@@ -242,10 +255,11 @@ def read_pair_matches(database: Path, frames: pd.DataFrame, pairs: Pairs, motion
         empty = np.empty(0)
         return PairMatches(
             np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)), empty, empty, empty, empty,
-            np.empty((0, 4, 4)), np.empty((0, 6)), np.empty((0, 6)),
+            np.empty((0, 4, 4)), np.empty((0, 6)), np.empty((0, 6)), np.empty((0, 2), np.int64),
         )  # fmt: skip
     joined: dict[str, Any] = {name: np.concatenate(parts) for name, parts in columns.items()}
-    return PairMatches(**joined, a_T_b=np.stack(poses), twist_a=np.stack(twist_a), twist_b=np.stack(twist_b))
+    twists = {"twist_a": np.stack(twist_a), "twist_b": np.stack(twist_b)}
+    return PairMatches(**joined, a_T_b=np.stack(poses), **twists, frames=np.array(ends, np.int64))
 
 
 def _estimated(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: Pairs, seed: int) -> Lens:
@@ -274,6 +288,11 @@ def _estimated(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: P
             estimate, estimated_px = weak, weak_px
             prior = replace(prior, prior_covariance=_WEAK_PRIOR.tolist())
     check: dict[str, Any] = {"held_out_stated_px": stated_px, "held_out_px": estimated_px}
+    chosen = as_stated if estimated_px > stated_px else estimate
+    offset = estimate_time_offset(chosen, fitted, checked, _rotations_by_vio(matches.frames, frames))
+    if offset is not None:
+        check |= {"stamp_offset_s": offset.offset_s, "stamp_offset_sd_s": offset.sd_s}
+        check["time_offset_s"] = offset.offset_s if offset.accepted else 0.0
     if estimated_px > stated_px:
         return replace(prior, **check)
     coefficients = [*estimate.parameters[:2].tolist(), *prior.coefficients[2:]]
@@ -286,6 +305,15 @@ def _estimated(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: P
         origin=CameraOrigin.ESTIMATED,
         stated_is_wrong=wrong,
     )
+
+
+def _rotations_by_vio(pairs: Pairs, frames: pd.DataFrame) -> Array:
+    """a_R_b (P, 3, 3) of pairs (P, 2) of frames, NaN where they aren't of one session."""
+    rotation, session = poses_of(frames, "vio_cam")[:, :3, :3], frames["session_id"].to_numpy(str)
+    a, b = pairs.T
+    a_R_b: Array = np.swapaxes(rotation[a], 1, 2) @ rotation[b]
+    a_R_b[session[a] != session[b]] = np.nan
+    return a_R_b
 
 
 def _median_px(matches: PairMatches, estimate: LensEstimate) -> float:

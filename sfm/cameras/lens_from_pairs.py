@@ -31,7 +31,7 @@ class PairMatches:
     """M matches of P pairs of one lens. Distorted image points at unit focal length (M, 2), the share of the readout
     at which each row was exposed (M,), -0.5 to 0.5, mean focal lengths in pixels (M,); per pair: relative poses
     a_T_b (P, 4, 4) with translations of length 1, and the twist of each camera (P, 6): angular velocity (rad/s) and
-    velocity in units of the pair's translation per second, in its axes."""
+    velocity in units of the pair's translation per second, in its axes; and the rows of its frames (P, 2)."""
 
     pair: Ints
     xy_a: Array
@@ -43,6 +43,7 @@ class PairMatches:
     a_T_b: Array
     twist_a: Array
     twist_b: Array
+    frames: Ints
 
     def selected(self, keep_M: NDArray[np.bool_]) -> "PairMatches":
         """Some of the matches, of the same pairs."""

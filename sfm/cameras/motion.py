@@ -22,13 +22,15 @@ class Motion:
     velocity: Array
 
 
-def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame) -> Motion:
-    """From the frames' poses and all poses of the log (table import.vio).
+def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame, time_offset_s: Array | float = 0.0) -> Motion:
+    """From the frames' poses and all poses of the log (table import.vio), `time_offset_s` (N,) before the frames' time
+    stamps.
 
     The sd is half of what the rates of splines and of neighbouring poses differ by, root mean square over the session:
     the motion of a hand between two logged poses isn't known better.
     """
-    rates = rates_by_vio(frames, log)
+    offset_ns = np.round(1e9 * np.asarray(time_offset_s)).astype(np.int64)
+    rates = rates_by_vio(frames.assign(t_ns=frames["t_ns"] - offset_ns), log)
     has_rate = ~np.isnan(rates.angular[:, 0])
     has_difference = ~np.isnan(rates.angular_difference[:, 0])
     sd = np.full(len(frames), _UNKNOWN_ANGULAR_SD)

@@ -12,6 +12,9 @@ from groundwalk.sfm.model import Model
 from groundwalk.sfm.quality.residuals import pattern_of
 from groundwalk.sfm.settings import SfmSettings
 
+# A time offset is worth a line where it is so large and so clear.
+_MIN_OFFSET_S, _OFFSET_SIGMAS = 0.002, 3.0
+
 
 def report_models(
     r: StageRun[SfmSettings], made: AttemptModels, model: Model, check: HeldOutCheck, attempts: list[Attempt], best: int
@@ -70,6 +73,12 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
             f"{lens['k2_sd']:.4f}, readout {1000 * lens['readout_s']:.1f} ± {1000 * lens['readout_sd_s']:.1f} ms "
             f"({lens['origin']})"
         )
+        offset_s, sd_s = lens["time_offset_s"], lens["time_offset_sd_s"]
+        if lens["time_offset_used"] and abs(offset_s) > max(_MIN_OFFSET_S, _OFFSET_SIGMAS * sd_s):
+            r.say(
+                f"lens of {lens['lens_id']}: images were taken {1000 * abs(offset_s):.1f} ± {1000 * sd_s:.1f} ms "
+                f"{'before' if offset_s > 0 else 'after'} their time stamps, by VIO's rotations"
+            )
         if lens["stated_is_wrong"]:
             r.say(
                 f"lens of {lens['lens_id']}: the STATED DISTORTION IS LIKELY WRONG (k1 {lens['stated_k1']:.4f}, k2 "

@@ -1,0 +1,80 @@
+"""The offset between a frame's time stamp and its middle row, from turns in pairs of images and in VIO.
+
+Where the middle row was exposed dt before the time stamp, VIO's poses are those of dt later: in a pair of frames its
+relative rotation differs from that of the images by exp(w_a dt) in front and exp(-w_b dt) behind, with the angular
+velocities w. A constant rotation of the camera against VIO's, or slow drift, doesn't look like that.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.robust import CAUCHY_WIDTH
+from groundwalk.sfm.cameras.lens_from_pairs import LensEstimate, PairMatches, sampson_of
+
+_STEPS = 10
+_MIN_PAIRS = 10
+_MIN_SD_RAD = 1e-4
+
+
+@dataclass(frozen=True)
+class TimeOffset:
+    """Time stamp minus time of the middle row, s, its standard error, and the median Sampson distance of held-out
+    matches, px, with VIO's rotations at the time stamps and at this offset from them."""
+
+    offset_s: float
+    sd_s: float
+    held_out_stamp_px: float
+    held_out_px: float
+
+    @property
+    def accepted(self) -> bool:
+        """Held-out matches agree better with the offset than without."""
+        return self.held_out_px < self.held_out_stamp_px
+
+
+def estimate_time_offset(
+    fitted: LensEstimate, matches: PairMatches, held_out: PairMatches, vio_a_R_b: Array
+) -> TimeOffset | None:
+    """The offset that all pairs share, from the poses fitted to `matches`; `held_out` are other matches of the pairs.
+
+    `vio_a_R_b` (P, 3, 3) are the pairs' rotations by VIO at the time stamps, NaN where there are none. None where too
+    few pairs turn. A Cauchy loss on the difference of rotations; the standard error allows for errors that the pairs of
+    one frame share (Fafchamps and Gubert, Journal of Development Economics 83, 2007).
+    """
+    used = np.isfinite(vio_a_R_b[:, 0, 0])
+    rotation = fitted.a_T_b[used, :3, :3]
+    angular_a, angular_b = matches.twist_a[used, :3], matches.twist_b[used, :3]
+    slope = np.einsum("pji,pj->pi", rotation, angular_a) - angular_b
+    if used.sum() < _MIN_PAIRS or not slope.any():
+        return None
+    offset, information = 0.0, 0.0
+    for _ in range(_STEPS):
+        at_offset = rotations_at(vio_a_R_b[used], angular_a, angular_b, offset)
+        difference = Rotation.from_matrix(np.swapaxes(rotation, 1, 2) @ at_offset).as_rotvec()
+        size = np.linalg.norm(difference, axis=1)
+        # The median length of three normal components is 1.54 sigma.
+        loss = CAUCHY_WIDTH * max(float(np.median(size)) / 1.54, _MIN_SD_RAD)
+        weight = 1 / (1 + (size / loss) ** 2)
+        information = float(np.sum(weight * np.sum(slope**2, axis=1)))
+        score = weight * np.sum(slope * difference, axis=1)
+        offset -= float(score.sum()) / information
+    score -= weight * np.sum(slope**2, axis=1) * (score.sum() / information)
+    frames = matches.frames[used]
+    by_frame = np.bincount(frames.ravel(), np.repeat(score, 2))
+    scatter = max(float(np.sum(by_frame**2) - np.sum(score**2)), float(np.sum(score**2)))
+    errors = []
+    for at in (0.0, offset):
+        a_T_b = fitted.a_T_b.copy()
+        a_T_b[used, :3, :3] = rotations_at(vio_a_R_b[used], angular_a, angular_b, at)
+        distance = np.abs(sampson_of(held_out, a_T_b, fitted.parameters))
+        errors.append(float(np.median(distance[used[held_out.pair]])))
+    return TimeOffset(offset, float(np.sqrt(scatter)) / information, *errors)
+
+
+def rotations_at(a_R_b: Array, angular_a: Array, angular_b: Array, offset_s: float) -> Array:
+    """Rotations of pairs (P, 3, 3) a time before their time stamps, by the frames' angular velocities (P, 3)."""
+    before_a, before_b = (Rotation.from_rotvec(-offset_s * w).as_matrix() for w in (angular_a, angular_b))
+    return np.swapaxes(before_a, 1, 2) @ a_R_b @ before_b
