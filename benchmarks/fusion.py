@@ -20,7 +20,7 @@ import json
 import multiprocessing
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -272,6 +272,11 @@ _COMMON = ["position /rule, common", "rotation /rule, common"]
 app = new_app(__doc__ or "")
 
 
+def _refuse_unknown(names: Iterable[str], known: Iterable[str]) -> None:
+    if unknown := set(names) - set(known):
+        raise UserError(f"unknown: {', '.join(sorted(unknown))}", expected=", ".join(known))
+
+
 @app.command()
 def main(
     recordings: Annotated[Path, typer.Option(help="Folder of real odometry: docs/explanation/vio-drift.md.")] = Path(
@@ -290,9 +295,8 @@ def main(
     """Run it and print the tables. `--set` takes the fuse stage's settings: `options.drift_aware.rivals=false`."""
     settings = resolve_settings(FuseSettings, "fuse", DataRoot(SHIPPED_DATA), "demo", "benchmark", set_ or [])
     chosen = [k.strip() for k in kinds.split(",")]
-    for name, known in ((chosen, KINDS), (scenes.split(","), NAMES)):
-        if set(name) - set(known):
-            raise UserError(f"unknown: {', '.join(sorted(set(name) - set(known)))}", expected=", ".join(known))
+    _refuse_unknown(chosen, KINDS)
+    _refuse_unknown(scenes.split(","), NAMES)
     if quick:
         settings = settings.model_copy(update={"methods": [RAW, RULE, OURS]})
         chosen = [k for k in chosen if k in (inputs.SIMULATED, *inputs.BAD_ODOMETRY)]
@@ -313,7 +317,7 @@ def main(
     walks = [w for case in cases for w in case.walks]
     first = replace(cases[0], walks=cases[0].walks[:1], error_maps=cases[0].error_maps[:1])
     steps = step_table(methods, [first])
-    batch, batch_went = frames_per_second(walks)
+    batch, batch_now = frames_per_second(walks)
     speed = [
         Target(STEP_MEDIAN, "", float(steps["median ms"].loc[OURS]), high=0.2),
         Target(STEP_P99, "", float(steps["99 % ms"].loc[OURS]), high=1.0),
@@ -327,11 +331,15 @@ def main(
     tasks = list(plan.tasks())
     parts = list(track(_all(tasks, processes), "running the methods", len(tasks)))
     summary, sessions = (pd.concat(p, ignore_index=True) for p in zip(*parts, strict=True))
-    text = report(plan, summary, sessions, steps, speed, [f"{BATCH}: {batch_went:.0f}"])
+    text = report(plan, summary, sessions, steps, speed, [f"{BATCH}: {batch_now:.0f}"])
     print(text)
+    _write(out, text, {"summary": summary, "sessions": sessions, "steps": steps.reset_index()}, speed)
+
+
+def _write(out: Path, text: str, tables: Mapping[str, pd.DataFrame], speed: Sequence[Target]) -> None:
+    """Write benchmark.md and benchmark.json."""
     out.mkdir(parents=True, exist_ok=True)
     (out / "benchmark.md").write_text(text + "\n", encoding="utf-8")
-    tables = {"summary": summary, "sessions": sessions, "steps": steps.reset_index()}
     content = {name: json.loads(table.to_json(orient="records")) for name, table in tables.items()}
     content["speed"] = {t.what: t.found for t in speed}
     (out / "benchmark.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

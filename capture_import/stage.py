@@ -70,29 +70,15 @@ def run(r: StageRun[ImportSettings]) -> None:
     quarters = to_upright if r.settings.upright else dict.fromkeys(to_upright, 0)
     sessions = [turned(s, quarters[s.session_id]) for s in sessions]
     with r.step("tables"):
-        used = _select_images(r, sessions)
-        parts = []
-        for session in sessions:
-            selection = used[session.session_id]
-            if selection.images:
-                turns = (quarters[session.session_id], to_upright[session.session_id])
-                placed, bad = _placed_frames(r, session, selection, turns, detect)
-                parts.append(placed)
-                rejects += bad
-        frames = pd.concat(parts, ignore_index=True)
+        frames, bad = _all_frames(r, sessions, {i: (quarters[i], to_upright[i]) for i in quarters}, detect)
+        rejects += bad
         dataset = dataset_frames(frames)
         split = split_frames(dataset, r.scene.split, r.settings.split_by == "time")
         frames["split"] = nearest_split(frames, dataset.assign(split=split.of_frame))
         frames = frames[frames["split"] != "unused"].reset_index(drop=True)
         table = sessions_table(sessions, frames, reference_is_metric=r.settings.reference_is_metric)
-        r.write("frames", frames.drop(columns=["recording", "stated_split"]))
-        r.write("sessions", table)
-        r.write("rejects", rejects_table(rejects))
-        r.write("jumps", jumps_table(sessions))
         by_session = {s.session_id: frames[frames["session_id"] == s.session_id] for s in sessions}
-        reference = [reference_table(s, by_session[s.session_id]) for s in sessions]
-        r.write("reference", pd.concat(reference, ignore_index=True))
-        r.write("vio", pd.concat([vio_table(s) for s in sessions], ignore_index=True))
+        _write(r, sessions, frames, table, by_session, rejects)
     _report(r, sessions, frames, table, rejects, split)
     _report_same_images(r, frames)
     if detect is not None:
@@ -103,6 +89,43 @@ def run(r: StageRun[ImportSettings]) -> None:
             rejected = _rejects_of(session, sessions, rejects)
             spooled = _spooled(r, session.recording.session_id)
             log_session(stream, session, by_session[session.session_id], rejected, _image_path(r.work, root), spooled)
+
+
+def _all_frames(
+    r: StageRun[ImportSettings],
+    sessions: list[ImportedSession],
+    quarters: dict[str, tuple[int, int]],
+    detect: CascadeDetector | None,
+) -> tuple[pd.DataFrame, list[Reject]]:
+    """The rows of `frames` of all sessions, their images in place, and what was rejected of them. quarters: by session,
+    by how many an image was turned, and by how many it would have to be."""
+    used = _select_images(r, sessions)
+    parts, rejects = [], []
+    for session in sessions:
+        selection = used[session.session_id]
+        if selection.images:
+            placed, bad = _placed_frames(r, session, selection, quarters[session.session_id], detect)
+            parts.append(placed)
+            rejects += bad
+    return pd.concat(parts, ignore_index=True), rejects
+
+
+def _write(
+    r: StageRun[ImportSettings],
+    sessions: list[ImportedSession],
+    frames: pd.DataFrame,
+    table: pd.DataFrame,
+    by_session: dict[str, pd.DataFrame],
+    rejects: list[Reject],
+) -> None:
+    """Write the stage's tables; `table` is that of sessions."""
+    r.write("frames", frames.drop(columns=["recording", "stated_split"]))
+    r.write("sessions", table)
+    r.write("rejects", rejects_table(rejects))
+    r.write("jumps", jumps_table(sessions))
+    reference = [reference_table(s, by_session[s.session_id]) for s in sessions]
+    r.write("reference", pd.concat(reference, ignore_index=True))
+    r.write("vio", pd.concat([vio_table(s) for s in sessions], ignore_index=True))
 
 
 def _placed_frames(

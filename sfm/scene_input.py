@@ -13,7 +13,13 @@ from groundwalk.artefacts.child import Task, in_child
 from groundwalk.artefacts.choices import Tracking
 from groundwalk.artefacts.hints import run_command
 from groundwalk.artefacts.tables import poses_of
-from groundwalk.sfm.cameras.calibration import Calibration, calibrate, with_lenses, write_calibrated_database
+from groundwalk.sfm.cameras.calibration import (
+    Calibration,
+    CalibrationImages,
+    calibrate,
+    with_lenses,
+    write_calibrated_database,
+)
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log
 from groundwalk.sfm.cameras.motion import motion_by_vio
 from groundwalk.sfm.database import create_database, has_features, image_name, keypoint_counts
@@ -156,8 +162,8 @@ def _calibrated(r: StageRun[SfmSettings], scene: SceneInput) -> SceneInput:
         with r.step("calibration"):
             proposals = pairs_within_sessions(r.settings, scene.frames, scene.recording_N, scene.vio)
             pairs = unique_pairs(np.concatenate([pairs for _, pairs in proposals]))
-            prior, motion = scene.cameras.calibration, scene.cameras.motion
-            arguments = (database, scene.frames, scene.names, pairs, prior, motion, r.settings, r.seed, path)
+            images = CalibrationImages(scene.frames, scene.names, scene.cameras.motion)
+            arguments = ((database, path), images, pairs, scene.cameras.calibration, r.settings, r.seed)
             scene.in_child("calibrating lenses", Task(calibrate, arguments, None, ONE_THREAD))
     calibration = Calibration.load(path)
     frames = with_lenses(scene.frames, calibration)

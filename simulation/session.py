@@ -121,9 +121,7 @@ def plan_session(
     phone = camera.draw_phone(settings, scenery.place.name, seed)
     walk = plan_walk(scenery.route, scenery.place, duration, plan.side, plan.start, walk_seed)
 
-    t = np.round(np.arange(count) / settings.rate_hz * _CAMERA_HZ) / _CAMERA_HZ
-    t = np.clip(t + time_seed.normal(0, 4e-5, count), 0, None)
-    t = t if count < 2 or np.diff(t).min() > 0 else np.arange(count) / settings.rate_hz
+    t = _frame_times(count, settings.rate_hz, time_seed)
     time_s = plan.boot_s + t
     logged = camera.intrinsics(t, settings.width, settings.height, focus_seed)
     sky_seed = int(seeds.generate_state(1)[0])
@@ -148,23 +146,29 @@ def plan_session(
         image_every=every,
     )
     truth = _truth(walk, t, logged, camera.focus_breathing(t, settings, breath_seed), phone)
-    shots = []
-    for i in frames.image_indices:
-        shots.append(
-            Shot(
-                path=folder / f"{FRAME.format(i)}.jpg",
-                mesh=scenery.mesh,
-                view=_view(truth, i, walk, t[i], settings),
-                velocity_cam=truth.velocity_cam_N3[i],
-                spin_cam=truth.spin_cam_N3[i],
-                exposure=exposures[i],
-                sky=place.sky,
-                sky_seed=sky_seed,
-                clock_s=float(t[i]),
-                noise_seed=zlib.crc32(f"{seed}/{scenery.place.name}/{plan.name}/{i}".encode()),
-            )
+    shots = [
+        Shot(
+            path=folder / f"{FRAME.format(i)}.jpg",
+            mesh=scenery.mesh,
+            view=_view(truth, i, walk, t[i], settings),
+            velocity_cam=truth.velocity_cam_N3[i],
+            spin_cam=truth.spin_cam_N3[i],
+            exposure=exposures[i],
+            sky=place.sky,
+            sky_seed=sky_seed,
+            clock_s=float(t[i]),
+            noise_seed=zlib.crc32(f"{seed}/{place.name}/{plan.name}/{i}".encode()),
         )
+        for i in frames.image_indices
+    ]
     return SimulatedSession(frames, truth, shots)
+
+
+def _frame_times(count: int, rate_hz: float, rng: np.random.Generator) -> Vec:
+    """Seconds (N,) at which a phone's camera, whose own rate is another one, has frames, with their jitter."""
+    t = np.round(np.arange(count) / rate_hz * _CAMERA_HZ) / _CAMERA_HZ
+    t = np.clip(t + rng.normal(0, 4e-5, count), 0, None)
+    return t if count < 2 or np.diff(t).min() > 0 else np.arange(count) / rate_hz
 
 
 def _truth(walk: PlannedWalk, t: Vec, logged_N4: Vec, focus: Vec, phone: Phone) -> Truth:

@@ -64,10 +64,7 @@ def simulate(
             console.print(f"{title}: up to date", markup=False)
             return final
         reduced = _reduced(settings, data, scene)
-        if reduced:
-            smaller = ", ".join(f"{name} {here} instead of {full}" for name, (here, full) in reduced.items())
-            console.print(f"  smaller than in profile paper: {smaller}", markup=False)
-
+        _say_reduced(reduced)
         sessions: list[SimulatedSession] = []
 
         def attempt() -> None:
@@ -96,6 +93,12 @@ def simulate(
     images = sum(len(s.shots) for s in sessions)
     console.print(f"{title}: {len(sessions)} sessions, {images} images → {final}", markup=False)
     return final
+
+
+def _say_reduced(reduced: dict[str, tuple[Any, Any]]) -> None:
+    if reduced:
+        smaller = ", ".join(f"{name} {here} instead of {full}" for name, (here, full) in reduced.items())
+        console.print(f"  smaller than in profile paper: {smaller}", markup=False)
 
 
 def _that_matter(settings: SimulateSettings) -> dict[str, Any]:

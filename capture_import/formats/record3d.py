@@ -50,7 +50,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         raise UserError("Record3D's metadata has no poses", where=metadata, expected="poses: a list")
     times = content.get("frameTimestamps")
     coefficients = content.get("perFrameIntrinsicCoeffs")
-    found = {int(p.stem): p for p in images.glob("*.jpg") if p.stem.isdecimal()}
+    files = {int(p.stem): p for p in images.glob("*.jpg") if p.stem.isdecimal()}
     depths, missing = _depths(path, images)
 
     def read_row(source: str, index: int) -> RawFrame:
@@ -60,17 +60,17 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             source=source,
             t_ns=_time(content, times, index),
             vio_T_cam=from_arkit(quaternion_pose(t, [qx, qy, qz, qw])),
-            image=ImageFile(found[index]) if index in found else None,
+            image=ImageFile(files[index]) if index in files else None,
             intrinsics=_intrinsics(content, coefficients, index),
             depth=depths.get(index),
         )
 
     frames, rejects = collect([(f"pose {i}", i) for i in range(len(poses))], session_id, read_row)
     refuse_unreadable(path, frames, rejects, "poses of 7 numbers, K, w, h, and frameTimestamps or fps")
-    rejects += [Reject(session_id, found[i].name, None, "image has no pose") for i in sorted(found) if i >= len(poses)]
+    rejects += [Reject(session_id, files[i].name, None, "image has no pose") for i in sorted(files) if i >= len(poses)]
     notes = [f"its depth isn't read: {missing}"] if missing else []
-    if len(found) != len(poses):
-        notes.append(f"{len(found)} images and {len(poses)} poses: joined by number")
+    if len(files) != len(poses):
+        notes.append(f"{len(files)} images and {len(poses)} poses: joined by number")
     clock = Clock.VIDEO if isinstance(times, list) else Clock.FRAME_INDEX
     return RawSession(session_id, FORMAT.id, "iOS, Record3D", clock, path, frames, rejects, notes=notes)
 

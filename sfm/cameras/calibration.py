@@ -186,28 +186,36 @@ def distortion_lists(coefficients_N8: Array) -> list[list[float]]:
     return [row[: 8 if row[4:].any() else 4].tolist() for row in coefficients_N8]
 
 
+@dataclass(frozen=True)
+class CalibrationImages:
+    """What lenses are estimated from: the frames table, its images' names in the database, and how each moved."""
+
+    frames: pd.DataFrame
+    names: Sequence[str]
+    motion: Motion
+
+
 def calibrate(
     report: Report,
-    database: Path,
-    frames: pd.DataFrame,
-    names: Sequence[str],
+    files: tuple[Path, Path],
+    images: CalibrationImages,
     pairs: Pairs,
     prior: Calibration,
-    motion: Motion,
     settings: SfmSettings,
     seed: int,
-    output: Path,
 ) -> None:
-    """Match some of the pairs (P, 2) in `database`, whose cameras have the prior's lenses; write a `Calibration`."""
+    """Match some of the pairs (P, 2) in the first of the files, a database whose cameras have the prior's lenses; write
+    a `Calibration` to the second."""
+    database, output = files
     lens = prior.lens
     pairs = pairs[lens[pairs[:, 0]] == lens[pairs[:, 1]]]
     of_lens = [_spread(pairs[lens[pairs[:, 0]] == k], _MAX_PAIRS) for k in range(len(prior.lenses))]
-    match_pairs(report, database, names, np.concatenate([np.empty((0, 2), np.int64), *of_lens]), settings, seed)
+    match_pairs(report, database, images.names, np.concatenate([np.empty((0, 2), np.int64), *of_lens]), settings, seed)
     lenses = []
     for before, lens_pairs in zip(prior.lenses, of_lens, strict=True):
-        matches = read_pair_matches(database, frames, lens_pairs, motion, seed)
+        matches = read_pair_matches(database, images.frames, lens_pairs, images.motion, seed)
         if len(matches.a_T_b) >= _MIN_PAIRS:
-            before = _estimated(before, matches, frames, lens_pairs, seed)
+            before = _estimated(before, matches, images.frames, lens_pairs, seed)
         lenses.append(before)
     replace(prior, lenses=lenses).save(output)
 

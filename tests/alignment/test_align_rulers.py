@@ -262,7 +262,9 @@ def test_a_rolling_shutter_is_undone_in_corners(scene: Scene, first_row: str) ->
             tau = readout_s * readout_share(line, pixels[i][None])[0]
             row_T_cam = inverse(make_pose(Rotation.from_rotvec(turn * tau).as_matrix(), velocity * tau))
             in_row = transform(row_T_cam @ inverse(scene.true_T_cam[row]), xyz[corner])
-            seen: np.ndarray = cv2.projectPoints(in_row[None], np.zeros(3), np.zeros(3), *camera_of(scene.frames, row))[0]
+            seen: np.ndarray = cv2.projectPoints(in_row[None], np.zeros(3), np.zeros(3), *camera_of(scene.frames, row))[
+                0
+            ]
             pixels[i] = seen.ravel()
     pixels += rng.normal(0, 0.2, pixels.shape)
     scene.frames["first_row"] = first_row
