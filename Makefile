@@ -75,11 +75,12 @@ clean: | $(installed) ## Remove the scene's artefacts of this profile and its si
 	@$(py) -m groundwalk clean $(arguments)
 
 # ---------------------------------------------------------------- development
-check: $(installed) ## Lint, format, types, layering
+check: lint types ## Lint, format, types, layering
+	@$(py) -m pytest --quiet tests/test_layering.py
+
+lint: $(installed) ## Lint and format
 	@.venv/bin/ruff check --quiet .
 	@.venv/bin/ruff format --quiet --check .
-	@$(MAKE) --no-print-directory types
-	@$(py) -m pytest --quiet tests/test_layering.py
 
 # mypy doesn't follow the path that groundwalk's __init__ sets, so that it gets links laid out as a wheel is. Of the
 # conftest.py files it takes no two, by that name.
@@ -92,8 +93,11 @@ types: ## Types alone, of whatever is installed in .venv
 		for file in ../../../tests/*/conftest.py; do ln -s $$file conftest_$$(basename $$(dirname $$file)).py; done
 	@cd build/types && ../../.venv/bin/mypy --config-file ../../pyproject.toml --cache-dir ../../.mypy_cache --no-error-summary
 
-test: $(installed) check ## Checks and tests, under ten minutes on two cores
-	@$(py) -m pytest -n 2 -m "not slow"
+# mypy works on one core: it runs beside the tests.
+test: lint ## Checks and tests, under ten minutes on two cores
+	@mkdir -p build; $(MAKE) --no-print-directory types > build/types.txt 2>&1 & types=$$!; \
+		$(py) -m pytest -n 2 --dist worksteal -m "not slow"; tests=$$?; \
+		wait $$types && exit $$tests; cat build/types.txt; exit 1
 
 test-slow: $(installed) ## Whole-pipeline cases
 	@$(py) -m pytest -m slow
@@ -167,4 +171,4 @@ help: ## This text
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
 .NOTPARALLEL:
-.PHONY: all $(stages) simulate install paper view clean check types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-training bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
+.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-training bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
