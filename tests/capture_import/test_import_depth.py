@@ -164,9 +164,9 @@ def exr(pixels: np.ndarray) -> bytes:
     head = b"\x76\x2f\x31\x01" + struct.pack("<i", 2)
     sized = [(name, kind, struct.pack("<i", len(value)) + value) for name, kind, value in attributes]
     head += b"".join(b"\0".join(parts) for parts in sized) + b"\0"
-    rows = [struct.pack("<2i", y, 4 * width) + row.tobytes() for y, row in enumerate(pixels.astype("<f4"))]
-    starts = len(head) + 8 * height + len(rows[0]) * np.arange(height, dtype="<u8")
-    return head + starts.tobytes() + b"".join(rows)
+    lines = [struct.pack("<2i", y, 4 * width) + row.tobytes() for y, row in enumerate(pixels.astype("<f4"))]
+    starts = len(head) + 8 * height + len(lines[0]) * np.arange(height, dtype="<u8")
+    return head + starts.tobytes() + b"".join(lines)
 
 
 def depth_m(index: int) -> np.ndarray:
@@ -182,10 +182,10 @@ def expected_mm(index: int) -> np.ndarray:
     return millimetres
 
 
-def r3d(folder: Path, walk: Walk, compress) -> None:
+def r3d(folder: Path, walk: Walk, compress: Callable[[bytes], bytes]) -> None:
     write_record3d(folder, walk, archive=True)
     with zipfile.ZipFile(folder.with_suffix(".r3d"), "a") as archive:
-        for i in np.flatnonzero(walk.has_image):
+        for i in np.flatnonzero(walk.has_image).tolist():
             archive.writestr(f"rgbd/{i}.depth", compress(depth_m(i).tobytes()))
             archive.writestr(f"rgbd/{i}.conf", compress(np.full(SHAPE, i % 3, np.uint8).tobytes()))
 
@@ -195,10 +195,10 @@ def test_depth_of_an_r3d_archive_becomes_png(tmp_path: Path) -> None:
     r3d(tmp_path / "captures" / "place" / "walk", make_walk(8, every=1), lzfse.compress)
     folder, frames, rejects = run(tmp_path)
     assert not len(rejects) and len(frames) == 8
-    for row in frames.itertuples():
+    for row in rows(frames):
         index = int(row.frame_id[-6:])
         depth, confidence = (
-            cv2.imread(str(folder / entry.removeprefix("import:")), cv2.IMREAD_UNCHANGED)
+            read_picture(folder / entry.removeprefix("import:"), cv2.IMREAD_UNCHANGED)
             for entry in (row.depth, row.depth_confidence)
         )
         assert (depth == expected_mm(index)).all() and depth.dtype == np.uint16
@@ -213,7 +213,9 @@ def test_depth_of_an_r3d_archive_becomes_png(tmp_path: Path) -> None:
         (lambda data: b"", "isn't compressed by LZFSE"),
     ],
 )
-def test_broken_lzfse_costs_the_depth_not_the_frame(tmp_path: Path, damage, reason: str) -> None:
+def test_broken_lzfse_costs_the_depth_not_the_frame(
+    tmp_path: Path, damage: Callable[[bytes], bytes], reason: str
+) -> None:
     lzfse = pytest.importorskip("liblzfse", reason="pyliblzfse isn't installed (groundwalk[record3d])")
     r3d(tmp_path / "captures" / "place" / "walk", make_walk(8), lambda data: damage(lzfse.compress(data)))
     _, frames, rejects = run(tmp_path)
@@ -229,7 +231,9 @@ def test_lzfse_of_another_shape_is_a_reject(tmp_path: Path) -> None:
     assert rejects["reason"].str.contains("shaped like 96x72").all()
 
 
-def test_depth_of_an_exported_folder_is_read_where_exr_is_turned_on(tmp_path: Path, monkeypatch) -> None:
+def test_depth_of_an_exported_folder_is_read_where_exr_is_turned_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "captures" / "place" / "walk"
     write_record3d(folder, make_walk(8))
     (folder / "depth").mkdir()
@@ -243,12 +247,12 @@ def test_depth_of_an_exported_folder_is_read_where_exr_is_turned_on(tmp_path: Pa
     monkeypatch.setenv("OPENCV_IO_ENABLE_OPENEXR", "1")
     result, frames, rejects = run(tmp_path)
     assert not len(rejects) and frames["depth"].notna().all() and frames["depth_confidence"].isna().all()
-    for row in frames.itertuples():
-        depth = cv2.imread(str(result / row.depth.removeprefix("import:")), cv2.IMREAD_UNCHANGED)
+    for row in rows(frames):
+        depth = read_picture(result / row.depth.removeprefix("import:"), cv2.IMREAD_UNCHANGED)
         assert (depth == expected_mm(int(row.frame_id[-6:]))).all()
 
 
-def test_without_a_decoder_the_note_says_what_to_install(tmp_path: Path, monkeypatch) -> None:
+def test_without_a_decoder_the_note_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     r3d(tmp_path / "place" / "walk", make_walk(8), lambda data: b"bvx-" + data)
     monkeypatch.setattr("groundwalk.capture_import.media.float_depth.find_spec", lambda name: None)
     (found,) = find_recordings(tmp_path / "place", tmp_path / "unpacked", Limits())

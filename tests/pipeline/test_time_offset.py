@@ -23,7 +23,7 @@ def test_the_offset_of_time_stamps_is_estimated(tmp_path: Path, offset_s: float)
     CliRunner().invoke(simulation_app, arguments, catch_exceptions=False)
     execute(IMPORT, SCENE, "tiny", DataRoot(tmp_path))
     lenses = pd.read_parquet(execute(SFM, SCENE, "tiny", DataRoot(tmp_path)) / "lenses.parquet")
-    lens = lenses.loc[lenses["frames"].idxmax()]
+    lens = lenses.sort_values("frames").iloc[-1]
     print(
         f"{1000 * lens['time_offset_s']:.2f} ± {1000 * lens['time_offset_sd_s']:.2f} ms for {1000 * offset_s:g}, "
         f"readout {1000 * lens['readout_s']:.1f} ± {1000 * lens['readout_sd_s']:.1f} ms"

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from known import read_picture, there
 from typer.testing import CliRunner
 
 from groundwalk.artefacts import DataRoot, execute
@@ -37,11 +38,11 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> DataRoot:
         (folder / "images").mkdir(parents=True)
         rows = [{"groundwalk": "frames", "version": 1, "device": raw.device, "clock": raw.clock}]
         for frame in raw.frames:
-            row = {"t_ns": frame.t_ns, "vio_T_cam": (frame.vio_T_cam @ inverse(CLOCKWISE)).ravel().tolist()}
+            row = {"t_ns": frame.t_ns, "vio_T_cam": (there(frame.vio_T_cam) @ inverse(CLOCKWISE)).ravel().tolist()}
             if frame.image is not None:
-                image = cv2.rotate(cv2.imread(str(frame.image.path)), cv2.ROTATE_90_CLOCKWISE)
+                image = cv2.rotate(read_picture(frame.image.path), cv2.ROTATE_90_CLOCKWISE)
                 height, width = image.shape[:2]
-                name, camera = f"images/{frame.number:06d}.png", frame.intrinsics
+                name, camera = f"images/{frame.number:06d}.png", there(frame.intrinsics)
                 cv2.imwrite(str(folder / name), image)
                 row |= {"image": name, "width": width, "height": height}
                 row |= {"fx": camera.fy, "fy": camera.fx, "cx": width - camera.cy, "cy": camera.cx}
