@@ -1,6 +1,7 @@
 """Stage 5: train the absolute pose regressors, and predict the pose of every frame."""
 
 import json
+import math
 import platform
 from dataclasses import dataclass
 from itertools import cycle
@@ -31,6 +32,7 @@ from groundwalk.training.inputs import (
 )
 from groundwalk.training.loop import Run, save, take_best, train
 from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.precision import WORDS, Precision, faster, step_seconds
 from groundwalk.training.predict import predict
 from groundwalk.training.record import blueprint, record
 from groundwalk.training.regressor_settings import RegressorSettings
@@ -207,6 +209,7 @@ class Job:
     held_out: Frames
     run: Run
     origin: str
+    precision_reason: str
 
     def model(self) -> PoseRegressor:
         """The model with its first weights."""
@@ -226,12 +229,15 @@ def prepare(r: StageRun[TrainSettings], name: str, data: Frames, frames: pd.Data
         model = regressor.make(settings, len(r.leaves), outdoor)
         check_regressor(model, len(r.leaves), view, regressor.gives_covariance)
         origin = model.initialise(training.poses(torch.device("cpu")), settings, r.data.root / "weights")
-        save(folder / _FIRST, {"origin": origin, "state": model.state_dict()})
-    origin = torch.load(folder / _FIRST)["origin"]
+        chosen, why = choose_precision(model, settings, training, view, device)
+        save(folder / _FIRST, {"origin": origin, "precision": (chosen, why), "state": model.state_dict()})
+    first = torch.load(folder / _FIRST)
+    origin, (precision, why) = first["origin"], first["precision"]
     r.say(f"{name}: first weights: {origin}")
-    mixed_precision = choose_precision(settings.mixed_precision, device)
-    run = Run(name, device, mixed_precision, view, r.seed, folder, r.settings.checkpoint_s)
-    return Job(settings, r.leaves, outdoor, training, held_out, run, origin)
+    r.say(f"{name}: trains in {WORDS[precision]}: {why}")
+    r.figure(f"{name} precision", precision)
+    run = Run(name, device, precision, view, r.seed, folder, r.settings.checkpoint_s)
+    return Job(settings, r.leaves, outdoor, training, held_out, run, origin, why)
 
 
 def train_prepared(report: Report, job: Job, threads: int) -> PluginError | None:
@@ -284,7 +290,7 @@ def finish(
         "seed": run.seed,
         "config": json.dumps(settings.model_dump(mode="json"), sort_keys=True),
         "reduced": r.settings.reduced,
-        "device": describe(run),
+        "device": describe(job),
         "train_seconds": float(curve["seconds"].sum()),
     }
     return card, curve, trained
@@ -357,27 +363,32 @@ def choose_device(wanted: str) -> torch.device:
     return torch.device("cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu")
 
 
-def choose_precision(wanted: str, device: torch.device) -> bool:
-    """Whether to train in bfloat16: with `auto` where there are instructions for it, as emulation is slower."""
-    if wanted != "auto":
-        return wanted == "bf16"
-    if device.type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
-    return torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
+def choose_precision(
+    model: PoseRegressor, settings: RegressorSettings, training: Frames, view: View, device: torch.device
+) -> tuple[Precision, str]:
+    """The precision to train in, and why that one."""
+    if settings.precision != "measured":
+        return settings.precision, "setting precision"
+    seconds = step_seconds(model, training, settings.batch, view, device)
+    if not math.isfinite(seconds["bf16"]):
+        return "fp32", "it can't compute in bfloat16"
+    ratio = seconds["fp32"] / seconds["bf16"]
+    return faster(seconds), f"a step in bfloat16 measured {ratio:.2f} times as fast as in float32"
 
 
-def describe(run: Run) -> str:
-    """The device in words, with the precision."""
+def describe(job: Job) -> str:
+    """The device in words, with the precision and its reason."""
+    run = job.run
     if run.device.type == "cuda":
         machine = torch.cuda.get_device_name()
     else:
         machine = f"{platform.machine()} CPU, {torch.get_num_threads()} threads"
-    return f"{machine}, trained in {'bfloat16' if run.mixed_precision else 'float32'}"
+    return f"{machine}, trained in {WORDS[run.precision]} ({job.precision_reason})"
 
 
 STAGE = Stage(
     name="train",
-    version=8,
+    version=9,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,
