@@ -15,11 +15,13 @@ from groundwalk.artefacts import Stage, StageRun, UserError, recording
 from groundwalk.artefacts.child import Report, Task, in_children
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.poses import tq_from_pose
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.training.build import Trained, save_trained
 from groundwalk.training.checks import check_regressor
-from groundwalk.training.data import Frames, ImageCache, View
-from groundwalk.training.evaluation import answers, errors, mean_pose_errors
+from groundwalk.training.data import Frames, ImageCache, View, pose_batch
+from groundwalk.training.evaluation import answers, descriptors, errors, mean_pose_errors
 from groundwalk.training.imported import imported_card, read_imported
 from groundwalk.training.inputs import (
     as_training_frames,
@@ -32,6 +34,7 @@ from groundwalk.training.inputs import (
 )
 from groundwalk.training.loop import Run, save, take_best, train
 from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.neighbours import neighbour_covariances
 from groundwalk.training.precision import WORDS, Precision, faster, step_seconds
 from groundwalk.training.predict import predict
 from groundwalk.training.record import blueprint, record
@@ -164,6 +167,8 @@ def predicted(
             with r.step(f"predict {name}"):
                 order = r.track(range(len(frames)), f"{name}: predicting")
                 estimates = predict(trained.model, data, trained.scenes, job.run.view, job.run.device, order)
+                if not REGRESSORS.find(name).gives_covariance:
+                    estimates["covariance"] = covariances_from_neighbours(trained, data, estimates, frames, job.run)
     except PluginError as fault:
         faults.append(fault)
         return None
@@ -172,6 +177,34 @@ def predicted(
     predictions = pd.concat([keys, estimates], axis=1).assign(model=name)
     report_accuracy(r, name, frames, data, predictions)
     return Result(card, predictions, curve)
+
+
+def covariances_from_neighbours(
+    trained: Trained, data: Frames, estimates: pd.DataFrame, frames: pd.DataFrame, run: Run
+) -> "pd.Series[Any]":
+    """The estimates' covariances out of the scatter of training frames that look alike; null in a scene with too few
+    held-out frames, and of a regressor without descriptors."""
+    found = pd.Series([None] * len(estimates), dtype=object)
+    described = descriptors(trained.model, data, run.view, run.device)
+    if described is None:
+        return found
+    position, quaternion = tq_from_pose(poses_of(estimates, "map_cam"))
+    for index, scene in enumerate(trained.scenes):
+        picked = (estimates["picked_scene"] == scene).to_numpy()
+        known = {
+            split: np.intersect1d(rows_with_truth(frames, split), np.flatnonzero(picked & (data.scene_N == index)))
+            for split in ("train", "val")
+        }
+        rows = np.flatnonzero(picked)
+        covariance = neighbour_covariances(
+            described[rows],
+            pose_batch(position[rows], quaternion[rows], data.scene_N[rows], torch.device("cpu")),
+            data.select(rows).poses(torch.device("cpu")),
+            *(torch.from_numpy(np.searchsorted(rows, known[split])) for split in ("train", "val")),
+        )
+        if covariance is not None:
+            found[rows] = pd.Series(covariance.flatten(1).tolist(), index=rows)
+    return found
 
 
 def leave_out(r: StageRun[TrainSettings], faults: list[PluginError], results: int) -> None:
