@@ -38,6 +38,11 @@ class RegressorSettings(Settings):
     precision: Literal["measured", "fp32", "bf16"] = Field(
         "measured", description="of training; measured: bf16 (bfloat16) where steps in it take clearly less time"
     )
+    neighbour_covariances: bool = Field(
+        False,
+        description="where the regressor states no covariances, state those of the scatter of training frames that look"
+        " alike to it; fusion then uses them",
+    )
     resize: int | None = Field(
         None, ge=32, description="shorter side of this regressor's images, pixels; without it that of [train] resize"
     )

@@ -167,7 +167,7 @@ def predicted(
             with r.step(f"predict {name}"):
                 order = r.track(range(len(frames)), f"{name}: predicting")
                 estimates = predict(trained.model, data, trained.scenes, job.run.view, job.run.device, order)
-                if not REGRESSORS.find(name).gives_covariance:
+                if job.settings.neighbour_covariances and not REGRESSORS.find(name).gives_covariance:
                     estimates["covariance"] = covariances_from_neighbours(trained, data, estimates, frames, job.run)
     except PluginError as fault:
         faults.append(fault)
