@@ -21,8 +21,9 @@ from benchmarks.official_mst import CONFIG, official_model
 from benchmarks.results import circumstances, markdown_table
 from groundwalk.artefacts.cli import new_app
 from groundwalk.training.data import Frames, ImageCache, Jitter, View, normalised
-from groundwalk.training.loop import Run, make_optimiser, precision
+from groundwalk.training.loop import make_optimiser
 from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.precision import WORDS, Precision, autocast
 from groundwalk.training.regressors import REGRESSORS
 
 app = new_app(__doc__ or "")
@@ -60,8 +61,8 @@ def main(
     with tempfile.TemporaryDirectory() as name:
         frames = _frames(Path(name))
         for model in ("MS-T", "PN"):
-            for mixed in (False, True):
-                speeds.append(_ours(model, frames, mixed, steps))
+            for precision in WORDS:
+                speeds.append(_ours(model, frames, precision, steps))
                 print(speeds[-1], f"{speeds[-1].images_per_s:.3g} images/s", flush=True)
     notes = ["The official code wasn't timed: no folder with it was named (`official=`)."]
     if official is not None:
@@ -74,7 +75,7 @@ def main(
     _write(out, speeds, notes)
 
 
-def _ours(model: str, frames: Frames, mixed: bool, steps: int) -> Speed:
+def _ours(model: str, frames: Frames, precision: Precision, steps: int) -> Speed:
     regressor = REGRESSORS[model]
     settings: Any = regressor.settings.model_validate({"weights": "scratch"})
     batch = int(settings.batch) if model == "MS-T" else _IMAGES
@@ -82,7 +83,6 @@ def _ours(model: str, frames: Frames, mixed: bool, steps: int) -> Speed:
     net: PoseRegressor = regressor.make(settings, 1, True)
     net.to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
     optimiser = make_optimiser(net, settings)
-    run = Run(model, _CPU, mixed, _VIEW, 0, Path())
     rng = np.random.default_rng(0)
     loading: list[float] = []
 
@@ -91,15 +91,14 @@ def _ours(model: str, frames: Frames, mixed: bool, steps: int) -> Speed:
         image, poses = frames.select(np.arange(batch)).training_crops(_VIEW, None, rng, _CPU)
         image = normalised(Jitter(*settings.jitter).apply(image, rng)).contiguous(memory_format=torch.channels_last)
         loading.append(time.process_time() - start)
-        with precision(run):
+        with autocast(precision, _CPU):
             loss = net.loss(image, poses)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
 
     seconds = _median_s(step, steps)
-    kind = "bfloat16" if mixed else "float32"
-    return Speed(model, batch, kind, seconds, float(np.median(loading)) / seconds)
+    return Speed(model, batch, WORDS[precision], seconds, float(np.median(loading)) / seconds)
 
 
 def _official(folder: Path, steps: int) -> Speed:

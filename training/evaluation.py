@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from groundwalk.geometry.averages import quaternion_mean
 from groundwalk.geometry.poses import quaternion_angle
@@ -31,6 +32,20 @@ def answers(model: PoseRegressor, frames: Frames, view: View, device: torch.devi
         parts.append(model(frames.select(rows).centre_crops(view, device)))
     columns: list[Any] = [None if part[0] is None else torch.cat(part) for part in zip(*parts, strict=True)]
     return PoseBatch(*columns)
+
+
+@torch.no_grad()
+def descriptors(model: PoseRegressor, frames: Frames, view: View, device: torch.device) -> Tensor | None:
+    """The model's descriptors (N, D) of centre crops; None where it has none."""
+    model.eval()
+    parts = []
+    for start in range(0, len(frames), _BATCH):
+        rows = np.arange(start, min(start + _BATCH, len(frames)))
+        part = model.describe(frames.select(rows).centre_crops(view, device))
+        if part is None:
+            return None
+        parts.append(part.float().cpu())
+    return torch.cat(parts)
 
 
 def errors(

@@ -1,6 +1,5 @@
 """The training loop, the same for every regressor."""
 
-import contextlib
 import math
 import time
 from collections.abc import Iterator
@@ -12,7 +11,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.child import Report
@@ -21,6 +19,7 @@ from groundwalk.training.data import Frames, Jitter, Turns, View, normalised
 from groundwalk.training.evaluation import errors, pose_errors
 from groundwalk.training.features import feature_cache
 from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
+from groundwalk.training.precision import Precision, autocast
 from groundwalk.training.regressor_settings import RegressorSettings
 
 CHECKPOINT = "checkpoint.pt"
@@ -36,7 +35,7 @@ class Run:
 
     title: str
     device: torch.device
-    mixed_precision: bool
+    precision: Precision
     view: View
     seed: int
     folder: Path
@@ -77,7 +76,7 @@ class ImageSource:
         rows = self.training.sequences(rows, *self.model.sequence())
         image, poses = self.training.select(rows).training_crops(self.run.view, turns, rng, self.run.device)
         image = normalised(Jitter(*self.settings.jitter).apply(image, rng))
-        with precision(self.run):
+        with autocast(self.run.precision, self.run.device):
             return self.model.loss(image.contiguous(memory_format=torch.channels_last), poses)
 
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -102,7 +101,7 @@ class FeatureSource:
 
     def loss(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Tensor:
         features, poses = self.cache.rows(rows, self.run.device)
-        with precision(self.run):
+        with autocast(self.run.precision, self.run.device):
             return self.model.feature_loss(features, poses)
 
     @torch.no_grad()
@@ -265,18 +264,6 @@ def epoch_batches(scene_N: NDArray[np.int64], batch: int, rng: np.random.Generat
     drawn = [np.concatenate([rows, rng.choice(rows, largest - len(rows))]) for rows in scenes]
     order = rng.permutation(np.concatenate(drawn))
     yield from np.array_split(order, math.ceil(len(order) / batch))
-
-
-@contextlib.contextmanager
-def precision(run: Run) -> Iterator[None]:
-    """bfloat16 where the run asks for it."""
-    with contextlib.ExitStack() as stack:
-        if run.mixed_precision:
-            stack.enter_context(torch.autocast(run.device.type, torch.bfloat16))
-            if run.device.type == "cpu":
-                # The fused attention's bfloat16 backward is several times slower on a CPU than plain products.
-                stack.enter_context(sdpa_kernel(SDPBackend.MATH))
-        yield
 
 
 def save(path: Path, content: dict[str, Any]) -> None:

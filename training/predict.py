@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import pose_from_tq
@@ -39,15 +40,19 @@ def predict(
         milliseconds.append((time.perf_counter() - start) * 1e3)
         for parts, of_frame in zip((position, quaternion), frame.camera_poses(poses, view), strict=True):
             parts.append(of_frame[0])
-        covariance.append(
-            None if poses.covariance_B66 is None else poses.covariance_B66[0].double().cpu().flatten().tolist()
-        )
+        covariance.append(None if poses.covariance_B66 is None else _symmetric(poses.covariance_B66[0]))
         scene.append(scenes[int(poses.scene_B[0])])
     finite = np.asarray(np.isfinite(np.hstack([position, quaternion])).all(axis=1))
     if not finite.all():
         raise ValueError(f"{int((~finite).sum())} of {len(finite)} predictions aren't finite")
     table = pose_frame("map_cam", pose_from_tq(np.array(position), np.array(quaternion)))
     return table.assign(picked_scene=scene, covariance=pd.Series(covariance, dtype=object), inference_ms=milliseconds)
+
+
+def _symmetric(covariance_66: Tensor) -> list[float]:
+    """The matrix's numbers; single precision leaves it unsymmetric enough to be refused by who reads it."""
+    as_double = covariance_66.double().cpu()
+    return ((as_double + as_double.T) / 2).flatten().tolist()
 
 
 def _wait(device: torch.device) -> None:

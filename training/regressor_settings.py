@@ -1,6 +1,6 @@
 """Settings of the regressors: what the paper's models train with, unless a profile says otherwise."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -9,6 +9,8 @@ from groundwalk.artefacts import Settings
 
 class RegressorSettings(Settings):
     """How one regressor is trained: what the training loop needs to know of any."""
+
+    renamed: ClassVar[dict[str, str]] = {"mixed_precision": "precision"}
 
     epochs: int = Field(300, gt=0, description="passes over the training frames")
     batch: int = Field(64, gt=1, description="images a step")
@@ -33,8 +35,13 @@ class RegressorSettings(Settings):
         description="largest yaw, pitch and roll (degrees) by which a training image is turned together with its"
         " pose; without it a random crop keeps the image's pose, as in the paper",
     )
-    mixed_precision: Literal["auto", "off", "bf16"] = Field(
-        "auto", description="bfloat16 in training; auto: where the processor computes in it"
+    precision: Literal["measured", "fp32", "bf16"] = Field(
+        "measured", description="of training; measured: bf16 (bfloat16) where steps in it take clearly less time"
+    )
+    neighbour_covariances: bool = Field(
+        False,
+        description="where the regressor states no covariances, state those of the scatter of training frames that look"
+        " alike to it; fusion then uses them",
     )
     resize: int | None = Field(
         None, ge=32, description="shorter side of this regressor's images, pixels; without it that of [train] resize"
@@ -142,8 +149,8 @@ class LiteSettings(RegressorSettings):
         description="largest yaw, pitch and roll (degrees) by which a training image is turned together with its"
         " pose; without it copies differ in colour only",
     )
-    mixed_precision: Literal["auto", "off", "bf16"] = Field(
-        "off", description="bfloat16 in training; auto: where the processor computes in it"
+    precision: Literal["measured", "fp32", "bf16"] = Field(
+        "fp32", description="of training; measured: bf16 (bfloat16) where steps in it take clearly less time"
     )
     resize: int | None = Field(120, ge=32, description="shorter side of this regressor's images, pixels")
     whole_image: bool = Field(

@@ -1,6 +1,7 @@
 """Stage 5: train the absolute pose regressors, and predict the pose of every frame."""
 
 import json
+import math
 import platform
 from dataclasses import dataclass
 from itertools import cycle
@@ -14,11 +15,13 @@ from groundwalk.artefacts import Stage, StageRun, UserError, recording
 from groundwalk.artefacts.child import Report, Task, in_children
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.poses import tq_from_pose
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.training.build import Trained, save_trained
 from groundwalk.training.checks import check_regressor
-from groundwalk.training.data import Frames, ImageCache, View
-from groundwalk.training.evaluation import answers, errors, mean_pose_errors
+from groundwalk.training.data import Frames, ImageCache, View, pose_batch
+from groundwalk.training.evaluation import answers, descriptors, errors, mean_pose_errors
 from groundwalk.training.imported import imported_card, read_imported
 from groundwalk.training.inputs import (
     as_training_frames,
@@ -31,6 +34,8 @@ from groundwalk.training.inputs import (
 )
 from groundwalk.training.loop import Run, save, take_best, train
 from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.neighbours import neighbour_covariances
+from groundwalk.training.precision import WORDS, Precision, faster, step_seconds
 from groundwalk.training.predict import predict
 from groundwalk.training.record import blueprint, record
 from groundwalk.training.regressor_settings import RegressorSettings
@@ -162,6 +167,8 @@ def predicted(
             with r.step(f"predict {name}"):
                 order = r.track(range(len(frames)), f"{name}: predicting")
                 estimates = predict(trained.model, data, trained.scenes, job.run.view, job.run.device, order)
+                if job.settings.neighbour_covariances and not REGRESSORS.find(name).gives_covariance:
+                    estimates["covariance"] = covariances_from_neighbours(trained, data, estimates, frames, job.run)
     except PluginError as fault:
         faults.append(fault)
         return None
@@ -170,6 +177,34 @@ def predicted(
     predictions = pd.concat([keys, estimates], axis=1).assign(model=name)
     report_accuracy(r, name, frames, data, predictions)
     return Result(card, predictions, curve)
+
+
+def covariances_from_neighbours(
+    trained: Trained, data: Frames, estimates: pd.DataFrame, frames: pd.DataFrame, run: Run
+) -> "pd.Series[Any]":
+    """The estimates' covariances out of the scatter of training frames that look alike; null in a scene with too few
+    held-out frames, and of a regressor without descriptors."""
+    found = pd.Series([None] * len(estimates), dtype=object)
+    described = descriptors(trained.model, data, run.view, run.device)
+    if described is None:
+        return found
+    position, quaternion = tq_from_pose(poses_of(estimates, "map_cam"))
+    for index, scene in enumerate(trained.scenes):
+        picked = (estimates["picked_scene"] == scene).to_numpy()
+        known = {
+            split: np.intersect1d(rows_with_truth(frames, split), np.flatnonzero(picked & (data.scene_N == index)))
+            for split in ("train", "val")
+        }
+        rows = np.flatnonzero(picked)
+        covariance = neighbour_covariances(
+            described[rows],
+            pose_batch(position[rows], quaternion[rows], data.scene_N[rows], torch.device("cpu")),
+            data.select(rows).poses(torch.device("cpu")),
+            *(torch.from_numpy(np.searchsorted(rows, known[split])) for split in ("train", "val")),
+        )
+        if covariance is not None:
+            found[rows] = pd.Series(covariance.flatten(1).tolist(), index=rows)
+    return found
 
 
 def leave_out(r: StageRun[TrainSettings], faults: list[PluginError], results: int) -> None:
@@ -207,6 +242,7 @@ class Job:
     held_out: Frames
     run: Run
     origin: str
+    precision_reason: str
 
     def model(self) -> PoseRegressor:
         """The model with its first weights."""
@@ -226,12 +262,15 @@ def prepare(r: StageRun[TrainSettings], name: str, data: Frames, frames: pd.Data
         model = regressor.make(settings, len(r.leaves), outdoor)
         check_regressor(model, len(r.leaves), view, regressor.gives_covariance)
         origin = model.initialise(training.poses(torch.device("cpu")), settings, r.data.root / "weights")
-        save(folder / _FIRST, {"origin": origin, "state": model.state_dict()})
-    origin = torch.load(folder / _FIRST)["origin"]
+        chosen, why = choose_precision(model, settings, training, view, device)
+        save(folder / _FIRST, {"origin": origin, "precision": (chosen, why), "state": model.state_dict()})
+    first = torch.load(folder / _FIRST)
+    origin, (precision, why) = first["origin"], first["precision"]
     r.say(f"{name}: first weights: {origin}")
-    mixed_precision = choose_precision(settings.mixed_precision, device)
-    run = Run(name, device, mixed_precision, view, r.seed, folder, r.settings.checkpoint_s)
-    return Job(settings, r.leaves, outdoor, training, held_out, run, origin)
+    r.say(f"{name}: trains in {WORDS[precision]}: {why}")
+    r.figure(f"{name} precision", precision)
+    run = Run(name, device, precision, view, r.seed, folder, r.settings.checkpoint_s)
+    return Job(settings, r.leaves, outdoor, training, held_out, run, origin, why)
 
 
 def train_prepared(report: Report, job: Job, threads: int) -> PluginError | None:
@@ -284,7 +323,7 @@ def finish(
         "seed": run.seed,
         "config": json.dumps(settings.model_dump(mode="json"), sort_keys=True),
         "reduced": r.settings.reduced,
-        "device": describe(run),
+        "device": describe(job),
         "train_seconds": float(curve["seconds"].sum()),
     }
     return card, curve, trained
@@ -357,27 +396,32 @@ def choose_device(wanted: str) -> torch.device:
     return torch.device("cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu")
 
 
-def choose_precision(wanted: str, device: torch.device) -> bool:
-    """Whether to train in bfloat16: with `auto` where there are instructions for it, as emulation is slower."""
-    if wanted != "auto":
-        return wanted == "bf16"
-    if device.type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
-    return torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
+def choose_precision(
+    model: PoseRegressor, settings: RegressorSettings, training: Frames, view: View, device: torch.device
+) -> tuple[Precision, str]:
+    """The precision to train in, and why that one."""
+    if settings.precision != "measured":
+        return settings.precision, "setting precision"
+    seconds = step_seconds(model, training, settings.batch, view, device)
+    if not math.isfinite(seconds["bf16"]):
+        return "fp32", "it can't compute in bfloat16"
+    ratio = seconds["fp32"] / seconds["bf16"]
+    return faster(seconds), f"a step in bfloat16 measured {ratio:.2f} times as fast as in float32"
 
 
-def describe(run: Run) -> str:
-    """The device in words, with the precision."""
+def describe(job: Job) -> str:
+    """The device in words, with the precision and its reason."""
+    run = job.run
     if run.device.type == "cuda":
         machine = torch.cuda.get_device_name()
     else:
         machine = f"{platform.machine()} CPU, {torch.get_num_threads()} threads"
-    return f"{machine}, trained in {'bfloat16' if run.mixed_precision else 'float32'}"
+    return f"{machine}, trained in {WORDS[run.precision]} ({job.precision_reason})"
 
 
 STAGE = Stage(
     name="train",
-    version=8,
+    version=9,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,

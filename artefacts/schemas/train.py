@@ -23,7 +23,8 @@ TABLES = [
             Column(
                 "covariance",
                 "list<float64>",
-                "6x6, row-major, of map_cam's error: rotation then translation; null where the regressor gives none",
+                "6x6, row-major, of map_cam's error: rotation then translation; null where neither the regressor nor "
+                "held-out frames give one",
                 "rad, m",
                 "map",
                 True,

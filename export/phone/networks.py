@@ -51,6 +51,8 @@ def write_onnx(trained: Trained, height: int, width: int, out: Path) -> None:
     except ImportError as error:
         do = "pip install 'groundwalk[phone]', or onnx and onnxscript"
         raise UserError("exporting needs more packages", found=error, do=do) from None
+    for node in program.model.graph:  # type: ignore[union-attr]
+        node.metadata_props.clear()  # the exporter's call stacks: megabytes that no one reads
     program.save(out, external_data=False)  # type: ignore[union-attr]
 
 

@@ -164,7 +164,7 @@ def test_a_resumed_run_with_cached_features_ends_in_the_same_weights(
 
     def start(name: str) -> dict[str, torch.Tensor]:
         model, settings = small_model(frames)
-        train(silent, model, frames, frames, settings, Run("test", CPU, False, View(32, 48, True), 7, tmp_path / name))
+        train(silent, model, frames, frames, settings, Run("test", CPU, "fp32", View(32, 48, True), 7, tmp_path / name))
         take_best(model, tmp_path / name)
         return model.state_dict()
 
@@ -195,7 +195,7 @@ def test_a_resumed_run_with_cached_features_ends_in_the_same_weights(
 
 
 def test_a_growing_loss_is_refused(tmp_path: Path) -> None:
-    run = Run("test", CPU, False, View(32, 32), 0, tmp_path)
+    run = Run("test", CPU, "fp32", View(32, 32), 0, tmp_path)
     refuse_divergence(5.0, 1e-3, [{"train_loss": 4.0}], run)
     (tmp_path / loop.CHECKPOINT).touch()
     with pytest.raises(UserError, match=r"the loss grows[\s\S]*checkpoint[\s\S]*lower learning_rate"):
@@ -258,6 +258,6 @@ def test_frames_that_are_all_alike_give_finite_poses(tmp_path: Path) -> None:
     frames = random_frames(tmp_path / "images", 12)
     alike = frames.select(np.zeros(12, np.int64))
     model, settings = small_model(alike)
-    train(silent, model, alike, alike, settings, Run("test", CPU, False, View(32, 48), 0, tmp_path / "run"))
+    train(silent, model, alike, alike, settings, Run("test", CPU, "fp32", View(32, 48), 0, tmp_path / "run"))
     history = take_best(model, tmp_path / "run")
     assert np.isfinite(history[-1]["val_position_m"]) and history[-1]["val_position_m"] < 0.1

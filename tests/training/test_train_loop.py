@@ -72,7 +72,7 @@ def overfitted(folder: Path, name: str, epochs: int, **settings: object) -> list
     model = entry.make(chosen, 1, False)
     assert isinstance(model, BackboneRegressor)
     model.frames.fit(frames.poses(CPU), True, True)
-    train(silent, model, frames, frames, chosen, Run("test", CPU, False, View(32, 32), 0, folder, 1000))
+    train(silent, model, frames, frames, chosen, Run("test", CPU, "fp32", View(32, 32), 0, folder, 1000))
     history = take_best(model, folder)
     assert history[-1]["train_loss"] < history[0]["train_loss"] - 2
     both = zip(pose_errors(model, frames, View(32, 32), CPU), mean_pose_errors(frames, frames), strict=True)
@@ -108,7 +108,7 @@ def test_a_resumed_run_ends_in_the_same_weights(tmp_path: Path, monkeypatch: pyt
     def start(name: str) -> tuple[SmallRegressor, list[dict[str, object]]]:
         torch.manual_seed(3)
         model = SmallRegressor()
-        train(silent, model, frames, frames, settings, Run("test", CPU, False, View(32, 32), 7, tmp_path / name))
+        train(silent, model, frames, frames, settings, Run("test", CPU, "fp32", View(32, 32), 7, tmp_path / name))
         history = take_best(model, tmp_path / name)
         return model, [{k: v for k, v in row.items() if k != "seconds"} for row in history]
 
@@ -149,7 +149,7 @@ def test_a_diverging_run_says_so(tmp_path: Path) -> None:
     frames = random_frames(tmp_path / "images", 4)
     settings = PoseNetSettings(epochs=20, batch=4, learning_rate=1e30)
     with pytest.raises(UserError, match=r"loss is not finite[\s\S]*lower learning_rate"):
-        train(silent, SmallRegressor(), frames, frames, settings, Run("test", CPU, False, View(32, 32), 0, tmp_path))
+        train(silent, SmallRegressor(), frames, frames, settings, Run("test", CPU, "fp32", View(32, 32), 0, tmp_path))
 
 
 def test_learning_rates() -> None:

@@ -2,6 +2,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 import torch
@@ -11,6 +12,7 @@ from groundwalk.artefacts.images import read_image
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.artefacts.resizing import pinhole_image
 from groundwalk.artefacts.tables import camera_of, dataset_frames
+from groundwalk.fusion.methods.localiser import is_covariance
 from groundwalk.training.build import load_trained
 from groundwalk.training.data import normalised, to_tensor
 from groundwalk.training.stage import STAGE
@@ -44,6 +46,7 @@ def test_the_stage_predicts_every_frame_and_says_what_it_trained(make_scene: Mak
         assert sorted(mine["frame_id"]) == sorted(frames["frame_id"])
         assert set(mine["split"]) == {"train", "val", "test"}
         assert (mine["inference_ms"] > 0).all()
+        assert mine["covariance"].isna().all()
     assert cards["model"].tolist() == ["PN", "MS-T"]
     assert cards["weights"].tolist() == ["scratch", "scratch"]
     assert cards["train_frames"].tolist() == [9, 9] and cards["val_frames"].tolist() == [1, 1]
@@ -66,6 +69,18 @@ def test_the_stage_predicts_every_frame_and_says_what_it_trained(make_scene: Mak
     with torch.no_grad():
         poses = trained.model(normalised(image))
     assert poses.position_B3.numpy() == pytest.approx(position, abs=1e-5)
+
+
+def test_held_out_frames_give_the_paper_s_regressors_covariances(make_scene: MakeScene) -> None:
+    data = DataRoot(make_scene())
+    chosen = [f"regressors.{name}.neighbour_covariances=true" for name in ("PN", "MS-T")]
+    folder = execute(STAGE, "Wall", "tiny", data, [*SMALL, "val_fraction=0.45", *chosen])
+    predictions = table(folder, "predictions")
+    assert table(folder, "models")["val_frames"].tolist() == [4, 4]
+    covariance = np.stack(predictions["covariance"].tolist()).reshape(-1, 6, 6)
+    assert len(covariance) == len(predictions)
+    assert all(is_covariance(matrix) for matrix in covariance)
+    assert not [name for name in load_trained(folder / "weights" / "PN.pt").model.state_dict() if "covariance" in name]
 
 
 def test_images_are_as_captured_where_the_settings_say_so(make_scene: MakeScene) -> None:

@@ -40,6 +40,10 @@ class PoseNet(BackboneRegressor):
         scene = torch.zeros(len(position), dtype=torch.long, device=position.device)
         return self.frames.to_map(position, exp_quaternion(log_q), scene)
 
+    def describe(self, image_B3HW: Tensor) -> Tensor:
+        features: Tensor = self.backbone(image_B3HW)
+        return features
+
     def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
         """L1 of position and of log-quaternion, on the hemisphere w >= 0."""
         position, log_q = self._regress(image_B3HW)

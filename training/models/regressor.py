@@ -112,6 +112,13 @@ class PoseRegressor(nn.Module, ABC):
         """How many frames of one session a training example has, and how many frames lie from one to the next."""
         return 1, 1
 
+    def describe(self, image_B3HW: Tensor) -> Tensor | None:
+        """What the network computes poses from (B, D): images that are near each other in it look alike to the network.
+
+        Covariances of a regressor that states none come from it; None: there are none.
+        """
+        return None
+
     def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
         """Called once after training with the answers to the held-out frames, to scale covariances by."""
 

@@ -5,14 +5,14 @@ import torch
 from torch import Tensor, nn
 
 from groundwalk.training.models.regressor import PoseBatch, SceneFrames
-from groundwalk.training.rotations import conjugate, log_quaternion, multiply
+from groundwalk.training.rotations import as_matrix, conjugate, log_quaternion, multiply
 
 _MIN_FRAMES = 20
 _QUANTILE = 0.9
 _CHI2_QUANTILE = 6.25  # of three degrees of freedom at _QUANTILE
 _FACTORS = (0.25, 100.0)
 # Below a millimetre and a hundredth of a degree a covariance from samples says nothing.
-_FLOOR = torch.tensor([2e-4] * 3 + [1e-3] * 3)
+FLOOR = torch.tensor([2e-4] * 3 + [1e-3] * 3)
 
 
 def rotation_vector(q_from_B4: Tensor, q_to_B4: Tensor) -> Tensor:
@@ -25,16 +25,13 @@ def scatter(answer: PoseBatch, position_SB3: Tensor, quaternion_SB4: Tensor) -> 
     rotation = rotation_vector(answer.quaternion_B4.expand_as(quaternion_SB4), quaternion_SB4)
     error = torch.cat([rotation, position_SB3 - answer.position_B3], dim=-1)
     covariance = torch.einsum("sbi,sbj->bij", error, error) / len(error)
-    return covariance + torch.diag(_FLOOR.to(covariance.device).square())
+    return covariance + torch.diag(FLOOR.to(covariance.device).square())
 
 
 def diagonal_in_map(frames: SceneFrames, scene_B: Tensor, rotation_sd_B3: Tensor, position_sd_B3: Tensor) -> Tensor:
     """Covariances (B, 6, 6) in the map frame of standard deviations by axis in the frame that the network regresses
     in."""
-    axes = torch.eye(3, device=scene_B.device).expand(len(scene_B), 3, 3)
-    turn = frames.turn[scene_B][:, None].expand(-1, 3, 4)
-    as_quaternion = torch.cat([axes, torch.zeros_like(axes[..., :1])], dim=-1)
-    map_R_net = multiply(multiply(turn, as_quaternion), conjugate(turn))[..., :3].mT
+    map_R_net = as_matrix(frames.turn[scene_B])
     rotation = map_R_net @ torch.diag_embed(rotation_sd_B3.square()) @ map_R_net.mT
     position = torch.diag_embed((position_sd_B3 * frames.scale[scene_B]).square())
     zero = torch.zeros_like(rotation)
