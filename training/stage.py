@@ -184,10 +184,10 @@ def covariances_from_neighbours(
 ) -> "pd.Series[Any]":
     """The estimates' covariances out of the scatter of training frames that look alike; null in a scene with too few
     held-out frames, and of a regressor without descriptors."""
-    found = pd.Series([None] * len(estimates), dtype=object)
+    covariances = pd.Series([None] * len(estimates), dtype=object)
     described = descriptors(trained.model, data, run.view, run.device)
     if described is None:
-        return found
+        return covariances
     position, quaternion = tq_from_pose(poses_of(estimates, "map_cam"))
     for index, scene in enumerate(trained.scenes):
         picked = (estimates["picked_scene"] == scene).to_numpy()
@@ -203,8 +203,8 @@ def covariances_from_neighbours(
             *(torch.from_numpy(np.searchsorted(rows, known[split])) for split in ("train", "val")),
         )
         if covariance is not None:
-            found[rows] = pd.Series(covariance.flatten(1).tolist(), index=rows)
-    return found
+            covariances[rows] = pd.Series(covariance.flatten(1).tolist(), index=rows)
+    return covariances
 
 
 def leave_out(r: StageRun[TrainSettings], faults: list[PluginError], results: int) -> None:
