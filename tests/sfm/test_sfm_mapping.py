@@ -55,7 +55,7 @@ def _log(model: pycolmap.Reconstruction, settings: SfmSettings | None = None) ->
     frames = pose_frame("vio_cam", poses).assign(session_id="walk", t_ns=np.arange(6) * 1_000_000_000)
     cameras = [model.camera(row + 1) for row in range(6)]
     focal = [camera.mean_focal_length() for camera in cameras]
-    frames = frames.assign(fx=focal, fy=focal, cx=cameras[0].width / 2, cy=cameras[0].height / 2)
+    frames = frames.assign(first_row="top", fx=focal, fy=focal, cx=cameras[0].width / 2, cy=cameras[0].height / 2)
     frames = frames.assign(width=cameras[0].width, height=cameras[0].height, distortion=cells([[0.0] * 4] * 6))
     log = frames[["session_id", "t_ns", *pose_frame("vio_cam", poses).columns]]
     return camera_log(frames, {"walk": "phone"}, log, settings or SfmSettings(lens="stated"))
