@@ -128,6 +128,9 @@ bench-training: $(installed) ## Training steps in images a second of a core; off
 bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures to reach (build/fusion)
 	@$(py) -m benchmarks.fusion $(if $(wildcard build/trained/runs),--data build/trained)
 
+bench-recovery: $(installed) ## How fusion methods bear what goes wrong in a walk, and how they start
+	@$(py) -m benchmarks.fusion_recovery
+
 bench-trained: $(installed) ## Train the regressors of bench-fusion's trained walks (build/trained); an hour and a half
 	@$(py) -m benchmarks.fusion_trained
 
@@ -171,4 +174,4 @@ help: ## This text
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
 .NOTPARALLEL:
-.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-training bench-fusion bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
+.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-training bench-fusion bench-recovery bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
