@@ -168,7 +168,14 @@ def test_a_covariance_is_exported_with_its_pose(tmp_path: Path) -> None:
         assert given == pytest.approx(model(image).covariance_B66.numpy(), rel=1e-5)
 
 
-@pytest.mark.parametrize("name", REGRESSORS.builtin)
+# Half a minute each: transformers of many layers.
+SLOW_TO_EXPORT = ("MS-T", "MST-Lite")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW_TO_EXPORT else []) for name in REGRESSORS.builtin],
+)
 def test_every_regressor_has_a_network(name: str, tmp_path: Path) -> None:
     torch.manual_seed(0)
     entry = REGRESSORS[name]
