@@ -161,12 +161,22 @@ def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, obj
                 rng = np.random.default_rng([number, which])
                 spoilt_walk = trouble.spoilt(walk, at, rng)
                 end = at + trouble.lasts_s
-                found = recovery(plain, course(spoilt_walk, method, error_map), at, end)
-                told = recovery(plain, told_of_it(trouble, walk, spoilt_walk, at, method, plain, error_map), at, end)
+                recovered_s, lost, off = recovery(plain, course(spoilt_walk, method, error_map), at, end)
+                informed = told_of_it(trouble, walk, spoilt_walk, at, method, plain, error_map)
+                told_s = recovery(plain, informed, at, end)[0]
                 rows.append(
-                    {"scene": scene, "model": model, "walk": walk.session_id, "method": method, "what": trouble.name}
-                    | {"recovered_s": found[0], "lost_fraction": found[1], "off": found[2], "told_s": told[0]}
-                    | {"before_m": float(plain.position_m[at - _BEFORE_S : at].mean())}
+                    {
+                        "scene": scene,
+                        "model": model,
+                        "walk": walk.session_id,
+                        "method": method,
+                        "what": trouble.name,
+                        "recovered_s": recovered_s,
+                        "lost_fraction": lost,
+                        "off": off,
+                        "told_s": told_s,
+                        "before_m": float(plain.position_m[at - _BEFORE_S : at].mean()),
+                    }
                 )
     return rows
 
