@@ -84,7 +84,7 @@ def _outliers(walk: Walk, at: int, rng: np.random.Generator) -> Walk:
 
 
 def _wrong_place(walk: Walk, at: int, rng: np.random.Generator) -> Walk:
-    """60 s of a look-alike place: predictions move as the phone does, 10 m away and turned by 115 degrees."""
+    """60 s of perceptual aliasing: predictions move as the phone does, 10 m away and turned by 115 degrees."""
     predictions = walk.map_T_cam_apr.copy()
     place, turn = walk.map_T_cam[at, :3, 3], yaw_rotation(2.0)
     shift = yaw_rotation(rng.uniform(0, 2 * np.pi)) @ np.array([10.0, 0.0, 0.0])
@@ -104,7 +104,7 @@ TROUBLES = [
     Trouble("odometry turns by 30 deg in place", _relocalisation, 0, 5, of_odometry=True),
     Trouble("10 s without predictions", _silence, 10, 5),
     Trouble("30 % gross outliers from there on", _outliers, 0, 5),
-    Trouble("60 s of a look-alike place", _wrong_place, 60, 15),
+    Trouble("60 s of perceptual aliasing", _wrong_place, 60, 15),
 ]
 
 
