@@ -63,10 +63,8 @@ class App(typer.Typer):
             if stopped is not None:
                 print(f"stopped by {stopped}; the same command resumes from the last checkpoint", file=sys.stderr)
                 sys.exit(stopped.exit_code)
-            message = error if isinstance(error, UserError) else None
-            if isinstance(error, OSError):
-                message = as_user_error(error)
-            if message is None:
+            message = as_user_error(error) if isinstance(error, OSError) else error
+            if not isinstance(message, UserError):
                 raise
             print(f"error: {printable(str(message))}", file=sys.stderr)
             sys.exit(2)

@@ -222,7 +222,7 @@ class Registry(Mapping[str, E], Generic[E]):
 
     def _load(self, source: Source, loaded: "_Loaded[E]") -> None:
         try:
-            reason = self._ids(source, loaded)
+            reason = self._id_clash(source, loaded)
             record = None if reason else source.point.load()
             reason = reason or "; ".join(self._faults(record, source))
         except (Exception, SystemExit) as error:
@@ -236,7 +236,7 @@ class Registry(Mapping[str, E], Generic[E]):
             loaded.entries[record.id] = record
             loaded.sources[record.id] = source
 
-    def _ids(self, source: Source, loaded: "_Loaded[E]") -> str:
+    def _id_clash(self, source: Source, loaded: "_Loaded[E]") -> str:
         name = source.point.name
         return f"its id is taken: {loaded.sources[name]}" if name in loaded.entries else ""
 

@@ -29,13 +29,12 @@ from benchmarks.results import circumstances, markdown_table
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.progress import track
+from groundwalk.fusion.evaluation.fuse import Run, fuse, pose_errors
 from groundwalk.fusion.methods import METHODS, resolve_options
 from groundwalk.fusion.methods.error_map import ErrorMap
-from groundwalk.fusion.methods.localiser import Estimate, Status
-from groundwalk.fusion.methods.offline import stepped
+from groundwalk.fusion.methods.localiser import Status
 from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
-from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.simulation.scenes import NAMES
 
 app = new_app(__doc__ or "")
@@ -118,15 +117,10 @@ class Course:
 
 
 def course(walk: Walk, method: str, error_map: ErrorMap | None) -> Course:
-    localiser = METHODS[method].localiser(resolve_options(method), error_map)
-    estimates: Sequence[Estimate] = stepped(localiser, walk)  # type: ignore[arg-type]  # causal methods step
-    poses = np.array([np.full((4, 4), np.nan) if e.map_T_cam is None else e.map_T_cam for e in estimates])
-    position, rotation = np.full(len(walk), np.inf), np.full(len(walk), np.inf)
-    there = known(poses)
-    position[there] = position_error(poses[there], walk.map_T_cam[there])
-    rotation[there] = rotation_error_deg(poses[there], walk.map_T_cam[there])
-    lost = np.array([e.status in (Status.LOST, Status.NONE, Status.ALIGNING) for e in estimates])
-    return Course(position, rotation, lost)
+    fused = fuse(Run(method, "", ""), walk, METHODS[method].localiser(resolve_options(method), error_map))
+    errors = pose_errors(fused.live_map_T_cam, walk.map_T_cam)
+    position, rotation = (np.where(np.isnan(error), np.inf, error) for error in errors)
+    return Course(position, rotation, np.isin(fused.live_status, [Status.LOST, Status.NONE, Status.ALIGNING]))
 
 
 def recovery(plain: Course, spoilt: Course, at: int, end: int) -> tuple[float, float, bool]:

@@ -55,7 +55,7 @@ def _cell(
     source: tuple[int, str],
     **more: str,
 ) -> dict[str, object]:
-    """A row of `cells`; shown: the value, its digits and its unit; source: rows and table that it is from."""
+    """A row of `cells`; figure: the value, its digits and its unit; source: rows and table that it is from."""
     value, digits, unit = figure
     base = {"source": OURS, "table": table, "environment": scene.environment, "scene": scene.name, "row": row}
     empty = dict.fromkeys(("model", "method", "options", "over", "statistic", "quantity"), "")

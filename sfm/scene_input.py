@@ -162,8 +162,8 @@ def _calibrated(r: StageRun[SfmSettings], scene: SceneInput) -> SceneInput:
         with r.step("calibration"):
             proposals = pairs_within_sessions(r.settings, scene.frames, scene.recording_N, scene.vio)
             pairs = unique_pairs(np.concatenate([pairs for _, pairs in proposals]))
-            images = CalibrationImages(scene.frames, scene.names, scene.cameras.motion)
-            arguments = ((database, path), images, pairs, scene.cameras.calibration, r.settings, r.seed)
+            images = CalibrationImages(database, scene.frames, scene.names, scene.cameras.motion)
+            arguments = (images, pairs, scene.cameras.calibration, r.settings, r.seed, path)
             scene.in_child("calibrating lenses", Task(calibrate, arguments, None, ONE_THREAD))
     calibration = Calibration.load(path)
     frames = with_lenses(scene.frames, calibration)

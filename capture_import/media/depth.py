@@ -22,7 +22,7 @@ from groundwalk.capture_import.media.float_depth import (
     missing_decoder,
     to_millimetres,
 )
-from groundwalk.capture_import.media.images import BadImage, image_size
+from groundwalk.capture_import.media.images import BadImage, decoded, image_size
 from groundwalk.capture_import.media.placing import Placement
 
 # Depth images are small; a larger file isn't one.
@@ -107,10 +107,7 @@ def _decode(
     width, height = image_size(data)
     if width * height > max_megapixels * 1e6:
         raise BadImage(f"of {width}x{height} is larger than {max_megapixels:g} megapixels")
-    try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        pixels = None
+    pixels = decoded(data, cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise BadImage("is broken: it can't be decoded")
     if pixels.dtype != dtype or pixels.ndim != 2:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.capture_import.media.images import BadImage
+from groundwalk.capture_import.media.images import BadImage, decoded
 
 FLOAT_SUFFIXES = (".depth", ".conf", ".exr")
 _LZFSE_START = b"bvx"
@@ -58,10 +58,7 @@ def decode_exr(data: bytes) -> NDArray[Any]:
     """
     if not data.startswith(_EXR_START):
         raise BadImage("is no OpenEXR file")
-    try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        pixels = None
+    pixels = decoded(data, cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise BadImage("is broken: it can't be decoded")
     if pixels.dtype != np.float32:

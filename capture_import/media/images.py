@@ -179,11 +179,16 @@ def _decode_jpeg(data: bytes, colours: str, width: int, height: int, long_side: 
         raise BadImage(f"image is broken: {error}") from None
 
 
-def _decode_png(data: bytes, flags: int) -> Any:
+def decoded(data: bytes, flags: int) -> Any:
+    """Pixels by OpenCV; None where it can't decode them."""
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
-        image = None
+        return None
+
+
+def _decode_png(data: bytes, flags: int) -> Any:
+    image = decoded(data, flags)
     if image is None:
         raise BadImage("image is broken: the PNG can't be decoded")
     return image

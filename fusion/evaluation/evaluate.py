@@ -189,10 +189,10 @@ def joined_walks(inputs: Inputs, splits: list[str]) -> Iterator[tuple[str, Evalu
     check_frames(inputs.frames, inputs.truth, f"of {inputs.scene}")
     check_predictions(inputs.frames, inputs.predictions, f"of {inputs.scene}")
     for model, predictions in inputs.predictions.groupby("model", sort=False):
-        evaluated_walks = evaluated(inputs.scene, inputs.frames, inputs.truth, predictions, splits)
+        of_model = evaluated(inputs.scene, inputs.frames, inputs.truth, predictions, splits)
         if model not in inputs.made_here:
-            refuse_scalar_first(evaluated_walks.walks, f"of {inputs.scene}")
-        yield str(model), evaluated_walks
+            refuse_scalar_first(of_model.walks, f"of {inputs.scene}")
+        yield str(model), of_model
 
 
 def stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:

@@ -64,8 +64,8 @@ def sweep(walks: Walks, settings: Sequence[Setting], processes: int = 1) -> pd.D
     # The longest first, so that no process is left with one at the end.
     order = sorted(walks, key=lambda key: -sum(len(w) for w in walks[key]))
     with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-        decisions = dict(zip(order, pool.map(_rows, order, [walks[k] for k in order], repeat(settings)), strict=True))
-    return pd.DataFrame([row for key in walks for row in decisions[key]])
+        rows = dict(zip(order, pool.map(_rows, order, [walks[k] for k in order], repeat(settings)), strict=True))
+    return pd.DataFrame([row for key in walks for row in rows[key]])
 
 
 def _rows(key: tuple[str, str], walks: Sequence[Walk], settings: Sequence[Setting]) -> list[dict[str, Any]]:

@@ -188,8 +188,10 @@ def distortion_lists(coefficients_N8: Array) -> list[list[float]]:
 
 @dataclass(frozen=True)
 class CalibrationImages:
-    """What lenses are estimated from: the frames table, its images' names in the database, and how each moved."""
+    """What lenses are estimated from: a database with features, the frames table, its images' names in the database,
+    and how each moved."""
 
+    database: Path
     frames: pd.DataFrame
     names: Sequence[str]
     motion: Motion
@@ -197,23 +199,23 @@ class CalibrationImages:
 
 def calibrate(
     report: Report,
-    files: tuple[Path, Path],
     images: CalibrationImages,
     pairs: Pairs,
     prior: Calibration,
     settings: SfmSettings,
     seed: int,
+    output: Path,
 ) -> None:
-    """Match some of the pairs (P, 2) in the first of the files, a database whose cameras have the prior's lenses; write
-    a `Calibration` to the second."""
-    database, output = files
+    """Match some of the pairs (P, 2) of images, whose cameras in the database have the prior's lenses; write a
+    `Calibration`."""
     lens = prior.lens
     pairs = pairs[lens[pairs[:, 0]] == lens[pairs[:, 1]]]
     of_lens = [_spread(pairs[lens[pairs[:, 0]] == k], _MAX_PAIRS) for k in range(len(prior.lenses))]
-    match_pairs(report, database, images.names, np.concatenate([np.empty((0, 2), np.int64), *of_lens]), settings, seed)
+    sample = np.concatenate([np.empty((0, 2), np.int64), *of_lens])
+    match_pairs(report, images.database, images.names, sample, settings, seed)
     lenses = []
     for before, lens_pairs in zip(prior.lenses, of_lens, strict=True):
-        matches = read_pair_matches(database, images.frames, lens_pairs, images.motion, seed)
+        matches = read_pair_matches(images.database, images.frames, lens_pairs, images.motion, seed)
         if len(matches.a_T_b) >= _MIN_PAIRS:
             before = _estimated(before, matches, images.frames, lens_pairs, seed)
         lenses.append(before)
