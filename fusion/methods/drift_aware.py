@@ -6,7 +6,7 @@ keyframes (keyframes.py); with each new one the alignment's whole course is fitt
 (aligner.py), so that what a prediction counts is decided in hindsight. Where the newest ones are explained
 better by another alignment, odometry has lost its frame, or found it again (rivals.py)."""
 
-from math import acos, atan2, cos, pi, radians, sin, sqrt
+from math import acos, atan2, cos, degrees, hypot, pi, radians, sin, sqrt
 
 import numpy as np
 from pydantic import Field
@@ -25,6 +25,7 @@ from groundwalk.fusion.methods.estimator.prediction_noise import (
 )
 from groundwalk.fusion.methods.estimator.rivals import Rival, best_rival
 from groundwalk.fusion.methods.estimator.robust import middle
+from groundwalk.fusion.methods.estimator.way import Way
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, State, Status, array, plain
 from groundwalk.fusion.methods.odometry import OdometryOptions
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
@@ -39,6 +40,14 @@ class DriftAwareOptions(OdometryOptions):
 
     vio_speed_m_s: float = Field(1.5, gt=0, description="fastest motion that odometry is believed without question")
     vio_jump_m: float = Field(0.5, gt=0, description="motion beyond that speed that counts as an odometry jump")
+    vio_turn_deg_s: float = Field(360.0, gt=0, description="fastest turn that odometry is believed without question")
+    vio_turn_jump_deg: float = Field(15.0, gt=0, description="turn beyond that speed that counts as an odometry jump")
+    bridge_s: float = Field(2.0, ge=0, description="longest jump over which the phone is taken to have gone on")
+    bridge_m_s: float = Field(
+        0.5, gt=0, description="how far a jump's second takes the phone from where it was going, one sigma"
+    )
+    bridge_deg: float = Field(3.0, gt=0, description="heading error of odometry across a jump, one sigma")
+    bridge_deg_s: float = Field(60.0, gt=0, description="how far the phone turns in a second of a jump that turns")
     vio_gap_s: float = Field(10.0, gt=0, description="time without a frame after which odometry may have begun anew")
     position_sd_m: float = Field(0.3, gt=0, description="a prediction's first assumed position error an axis")
     rotation_sd_deg: float = Field(8.0, gt=0, description="a prediction's first assumed rotation error an axis")
@@ -126,6 +135,7 @@ class DriftAware(Localiser):
         self._known: Array | None = None  # the fit's own covariance of the newest keyframe's state
         self._bound: Array | None = None  # covariance (4, 4) of the newest keyframe's x, y, z and yaw, in map axes
         self._vio: tuple[int, Array] | None = None
+        self._way = Way()
         self._distrust = np.ones(4)  # factors of odometry's drift variances: x, y, z, yaw
         self._quality = OdometryQuality()
         self._predicted_at_m = 0.0  # `_along_m` at the newest prediction
@@ -146,7 +156,9 @@ class DriftAware(Localiser):
             self._watched |= self._vio is not None
             return self._without_odometry(map_T_cam_apr)
         reasons: tuple[str, ...] = ()
-        if self._vio is not None and self._move(t_ns, vio_T_cam):
+        if self._vio is None:
+            self._way.begin(vio_T_cam[:3, 3])
+        elif self._move(t_ns, vio_T_cam):
             self._watched = True
             reasons = ("odometry_jump",)
         self._vio = (t_ns, vio_T_cam)
@@ -169,9 +181,22 @@ class DriftAware(Localiser):
         dx, dy, dz = (now[i][3] - last[i][3] for i in range(3))
         length = sqrt(dx * dx + dy * dy + dz * dz)
         trace = sum(now[i][k] * last[i][k] for i in range(3) for k in range(3))
-        self._along_m += length + o.turn_length_m * acos(min(1.0, max(-1.0, (trace - 1) / 2)))
+        angle = acos(min(1.0, max(-1.0, (trace - 1) / 2)))
+        gone = seconds > o.vio_gap_s
+        turned = degrees(angle) > o.vio_turn_deg_s * seconds + o.vio_turn_jump_deg
+        jumped = turned or length > o.vio_speed_m_s * seconds + o.vio_jump_m
+        if jumped and seconds <= o.bridge_s:
+            sd_deg = o.bridge_deg_s * seconds if turned else 0.0
+            moved = self._way.bridge(
+                self._vio[1], vio_T_cam, seconds, turned, o.bridge_m_s * seconds, radians(o.bridge_deg + sd_deg)
+            )
+            self._segment += 1
+            length, angle = hypot(*moved), 0.0 if turned else angle
+        elif not jumped:
+            self._way.go([dx, dy, dz], seconds)
+        self._along_m += length + o.turn_length_m * angle
         self._drift = self._drift + length * self._drift_a_metre + seconds * self._drift_a_second
-        return length > o.vio_speed_m_s * seconds + o.vio_jump_m or seconds > o.vio_gap_s
+        return jumped or gone
 
     def _take(self, t_ns: int, vio_T_cam: Array, map_T_cam_apr: Array) -> None:
         """Keep a prediction as the newest keyframe."""
@@ -197,13 +222,19 @@ class DriftAware(Localiser):
             whitening=normalised,
             measured=[*position, yaw, *lean],
             vio=vio_T_cam[:3, 3],
+            step=self._way.step(vio_T_cam[:3, 3]),
+            turn=self._way.turn,
             drift=self._drift + _LEAST_DRIFT,
+            loose=self._way.loose,
             state=state,
+            posterior=self._keyframes.column("posterior")[-1] if len(self._keyframes) else np.zeros(16),
+            age=0.0,
             along=self._along_m,
             time_s=t_ns * 1e-9,
             segment=self._segment,
             rare=np.log((1 - loss) / loss),
         )
+        self._way.begin(vio_T_cam[:3, 3])
         self._drift, self._watched = np.zeros(4), False
         self._count += 1
 
@@ -213,7 +244,7 @@ class DriftAware(Localiser):
         if self._watched:
             self._quality.lost()
         elif len(self._keyframes):
-            way = vio_T_cam[:3, 3] - self._keyframes.column("vio")[-1]
+            way = np.array(self._way.step(vio_T_cam[:3, 3]))
         # A yaw is measured as it was before, give or take half a turn.
         turned = state[3] + (yaw - state[3] + pi) % (2 * pi) - pi
         precision = np.square(normalised).sum(axis=1)
@@ -232,9 +263,12 @@ class DriftAware(Localiser):
     def _carried(self, vio_T_cam: Array, keyframe: int = -1) -> Array:
         """Position and yaw (4,) of a camera: a keyframe's, by default the newest's, moved on by odometry."""
         x, y, z, yaw = self._keyframes.column("state")[keyframe].tolist()
-        dx, dy, dz = (vio_T_cam[:3, 3] - self._keyframes.column("vio")[keyframe]).tolist()
+        if keyframe == -1:
+            (dx, dy, dz), turn = self._way.step(vio_T_cam[:3, 3]), self._way.turn
+        else:
+            (dx, dy, dz), turn = (vio_T_cam[:3, 3] - self._keyframes.column("vio")[keyframe]).tolist(), 0.0
         c, s = cos(yaw), sin(yaw)
-        return np.array([x + c * dx + s * dz, y + dy, z + c * dz - s * dx, yaw])
+        return np.array([x + c * dx + s * dz, y + dy, z + c * dz - s * dx, yaw + turn])
 
     # ------------------------------------------------------------ the fit
 
@@ -302,10 +336,11 @@ class DriftAware(Localiser):
     def _innovation(self, known: Array) -> float:
         """Squared error of the newest prediction, with what was known and has drifted since the one before."""
         keyframes = self._keyframes
-        way = keyframes.column("vio")[-1] - keyframes.column("vio")[-2]
+        way = keyframes.column("step")[-1]
         F = np.eye(4)
         F[0, 3], F[2, 3] = way[2], -way[0]
-        known = F @ known @ F.T + np.diag(self._distrust * keyframes.column("drift")[-1])
+        added = self._distrust * keyframes.column("drift")[-1] + keyframes.column("loose")[-1]
+        known = F @ known @ F.T + np.diag(added)
         return innovation(keyframes, self._belief, known)
 
     def _iterated(self, newest: float | None = None) -> Fit:
@@ -327,15 +362,17 @@ class DriftAware(Localiser):
         if rival.segment is None:
             self._segment += 1
             keyframes.column("segment")[rival.begin :] = self._segment
+            keyframes.column("loose")[rival.begin] = rival.kept.loose
             return
         # An earlier alignment holds again: what lies between was another frame of odometry's, or wrong predictions.
         segment = keyframes.column("segment")
         segment[rival.begin :] = rival.segment
         same = np.flatnonzero(segment == rival.segment)
         before = int(same[same < rival.begin][-1])
-        drift = keyframes.column("drift")
-        drift[rival.begin] = drift[before + 1 : rival.begin + 1].sum(axis=0)
+        step = keyframes.column("vio")[rival.begin] - keyframes.column("vio")[before]
         keyframes.keep(np.concatenate([np.arange(before + 1), np.arange(rival.begin, len(keyframes))]))
+        for name, value in (("step", step), ("turn", 0.0), ("loose", 0.0)):
+            keyframes.column(name)[before + 1] = value
         self._segment = int(keyframes.column("segment")[-1])
 
     # ------------------------------------------------------------ answers
@@ -361,12 +398,12 @@ class DriftAware(Localiser):
         map_T_vio[:3, :3] = map_T_vio[:3, :3] @ _leaning(self._tilt)
         map_T_vio[:3, 3] -= map_T_vio[:3, :3] @ vio_T_cam[:3, 3]
         map_T_cam = map_T_vio @ vio_T_cam
-        moved = map_T_vio[:3, :3] @ (vio_T_cam[:3, 3] - self._keyframes.column("vio")[keyframe])
+        key_x, _, key_z, _ = self._keyframes.column("state")[keyframe].tolist()
         F = np.eye(4)
-        F[0, 3], F[2, 3] = moved[2], -moved[0]
-        bound = F @ (self._widened * bound) @ F.T + np.diag(
-            self._distrust * self._drift if keyframe == -1 else np.zeros(4)
-        )
+        F[0, 3], F[2, 3] = z - key_z, key_x - x
+        bound = F @ (self._widened * bound) @ F.T
+        if keyframe == -1:
+            bound += np.diag(self._distrust * self._drift + self._way.loose)
         covariance = np.zeros((6, 6))
         tilt_variance = self.options.tilt_covariance_factor * self._tilt_variance + _TILT_JITTER
         covariance[0, 0] = covariance[2, 2] = tilt_variance
@@ -400,6 +437,7 @@ class DriftAware(Localiser):
             "known": plain(self._known),
             "bound": plain(self._bound),
             "vio": None if self._vio is None else [self._vio[0], plain(self._vio[1])],
+            "way": self._way.save(),
             "along_m": self._along_m,
             "drift": plain(self._drift),
             "distrust": plain(self._distrust),
@@ -421,6 +459,7 @@ class DriftAware(Localiser):
         self._distrust, self._predicted_at_m = np.array(state["distrust"]), state["predicted_at_m"]
         self._quality.restore(state["quality"])
         self._vio = None if state["vio"] is None else (state["vio"][0], np.array(state["vio"][1]))
+        self._way.restore(state["way"])
         self._along_m, self._segment, self._count = state["along_m"], state["segment"], state["count"]
         self._watched, self._doubted = state["watched"], state["doubted"]
         self._stated = state["stated"]

@@ -100,7 +100,8 @@ def chain(seed: int, count: int = 12) -> tuple[Chain, Array, Array, Array]:
     precision[:, 2] = precision[:, 0]
     position, yaw = np.cumsum(rng.normal(0, 1, (count, 3)), axis=0), rng.normal(0, 0.3, count)
     measured = np.column_stack([position + rng.normal(0, 0.5, (count, 3)), yaw + rng.normal(0, 0.2, count)])
-    return Chain(step, precision), position, yaw, measured
+    turn = rng.normal(0, 0.2, count)
+    return Chain(step, turn, precision), position, yaw, measured
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -113,7 +114,7 @@ def test_iterated_steps_reach_the_least_squares_of_scipy(seed: int) -> None:
         found = [np.sqrt([2.0, 3.0, 2.0, 5.0]) * (measured - np.column_stack([p, t]))]
         for i in range(1, len(t)):
             e = yaw_rotation(-t[i - 1]) @ (p[i] - p[i - 1]) - terms.step[i]
-            found.append(np.sqrt(terms.precision[i]) * [*e, t[i] - t[i - 1]])
+            found.append(np.sqrt(terms.precision[i]) * [*e, t[i] - t[i - 1] - terms.turn[i]])
         return np.concatenate([np.ravel(f) for f in found])
 
     best = least_squares(residuals, np.column_stack([position, yaw]).ravel(), xtol=1e-12, ftol=1e-14).x.reshape(-1, 4)

@@ -79,11 +79,9 @@ class Fit:
 
 def chain_of(keyframes: Keyframes, distrust: Array) -> Chain:
     """Odometry's part of the problem, its variances `distrust` (4,) times the usual ones."""
-    vio, segment = keyframes.column("vio"), keyframes.column("segment")
-    step, precision = np.zeros((len(vio), 3)), np.zeros((len(vio), 4))
-    step[1:] = vio[1:] - vio[:-1]
-    precision[1:] = (segment[1:] == segment[:-1])[:, None] / (distrust * keyframes.column("drift")[1:])
-    return Chain(step, precision)
+    precision = 1 / (distrust * keyframes.column("drift") + keyframes.column("loose"))
+    precision[0] = 0.0
+    return Chain(keyframes.column("step"), keyframes.column("turn"), precision)
 
 
 def counted(along: Array, apart_m: float) -> Array:

@@ -3,8 +3,9 @@
 Odometry and map share their vertical, so what is unknown at keyframe i is the camera's map position c_i (3,) and the
 yaw of map_R_vio, theta_i. Two kinds of terms bind them:
 
-- odometry's drift is a random walk: theta_i - theta_(i-1) and c_i - c_(i-1) - R(theta_(i-1)) (v_i - v_(i-1)) are zero
-  up to variances that grow with the way between them (v: odometry's position);
+- odometry's drift is a random walk: theta_i - theta_(i-1) - t_i and c_i - c_(i-1) - R(theta_(i-1)) s_i are zero up to
+  variances that grow with the way between them. s_i is odometry's step and t_i is 0, but where odometry's frame was
+  lost and bridged;
 - a prediction is the pose up to an error, normalised and in camera axes (prediction_noise.py): r_i = B_i
   [rotation error, position error], both in the map's axes turned back by theta_i.
 
@@ -28,10 +29,11 @@ _ROWS = 4 + 4 + 3  # of the blocks below: diagonal, subdiagonal, and zeros to re
 
 
 class Chain(NamedTuple):
-    """What odometry says: `step` (N, 3) is v_i - v_(i-1), `precision` (N, 4) of x, y, z and yaw from the keyframe
-    before (horizontal ones equal); row 0 and rows of precision 0 are bound to nothing before them."""
+    """What odometry says: `step` (N, 3), `turn` (N,) and `precision` (N, 4) of x, y, z and yaw from the keyframe before
+    (horizontal ones equal); row 0 and rows of precision 0 are bound to nothing before them."""
 
     step: Array
+    turn: Array
     precision: Array
 
 
@@ -104,6 +106,7 @@ def solve(chain: Chain, position: Array, yaw: Array, information: Array, gradien
         e = np.empty((count - 1, 4))
         e[:, 0], e[:, 1], e[:, 2], e[:, 3] = dx, moved[:, 1], dz, turned
         e[:, :3] -= chain.step[1:]
+        e[:, 3] -= chain.turn[1:]
         weighted = q * e
         horizontal = q[:, 0]
         # A yaw before turns the step: d(step)/d(yaw) = (dz, 0, -dx), and turns the increments after it.

@@ -25,8 +25,8 @@ def alignment_covariance(keyframes: Keyframes, fit: Fit, model: Model, index: in
     unknown = keyframes.column("whitening").reshape(count, 6, 6)[:, :, UNKNOWN]
     moved = np.linalg.inv(np.linalg.cholesky(fit.covariance)) @ (unknown @ answer)
     moved *= np.sqrt(fit.counted * fit.weights)[:, None, None]
-    vio = keyframes.column("vio")
-    apart = vio[:, None] - vio
+    place = keyframes.column("state")[:, :3]
+    apart = place[:, None] - place
     alike = model.shared * np.exp(np.sqrt((apart * apart) @ np.ones(3)) / -model.shared_m)
     alike.flat[:: count + 1] = 1.0
     together = (alike @ moved.reshape(count, -1)).reshape(-1, 4)

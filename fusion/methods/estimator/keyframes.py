@@ -9,20 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from groundwalk.geometry.poses import Array
+from groundwalk.geometry.poses import Array, yaw_rotation
 
 # Columns of the table, by what they hold.
 _WIDTHS = {
     "whitening": 36,  # B (6, 6): from odometry's axes to normalised errors in camera axes
     "measured": 6,  # predicted position (m), yaw against odometry, tilt about the map's x and z (rad)
     "vio": 3,  # odometry's position
+    "step": 3,  # odometry's step from the keyframe before, in its axes there
+    "turn": 1,  # what odometry's axes have turned by since: its frame was lost, and bridged (rad)
     "drift": 4,  # variances that odometry's drift adds on the way from the keyframe before: x, y, z, yaw
+    "loose": 4,  # what a loss of its frame adds to them
     "state": 4,  # the camera's map position and the yaw of map_R_vio, as estimated
     "posterior": 16,  # covariance (4, 4) of the state, in axes turned back by the yaw, as it was `age` iterations ago
     "age": 1,
     "along": 1,  # motion since the start
     "time_s": 1,
-    "segment": 1,  # counts up where odometry lost its frame
+    "segment": 1,  # counts up where odometry lost its frame, or may have
     "rare": 1,  # logarithm of the odds against that, before the keyframe
 }
 _COLUMNS = {}
@@ -63,10 +66,13 @@ class Keyframes:
     def remove(self, index: int) -> None:
         """Take one out; the way to the next one is then the way over it."""
         if index + 1 < self._count:
-            after = self._rows[index + 1]
-            if after[_COLUMNS["segment"]] == self._rows[index, _COLUMNS["segment"]]:
-                after[_COLUMNS["drift"]] += self._rows[index, _COLUMNS["drift"]]
-                after[_COLUMNS["rare"]] = min(after[_COLUMNS["rare"]], self._rows[index, _COLUMNS["rare"]])
+            before, after = self._rows[index], self._rows[index + 1]
+            step, turn = _COLUMNS["step"], _COLUMNS["turn"]
+            after[step] = before[step] + yaw_rotation(float(before[turn][0])) @ after[step]
+            for name in ("turn", "drift", "loose"):
+                after[_COLUMNS[name]] += before[_COLUMNS[name]]
+            if after[_COLUMNS["segment"]] == before[_COLUMNS["segment"]]:
+                after[_COLUMNS["rare"]] = min(after[_COLUMNS["rare"]], before[_COLUMNS["rare"]])
         self._rows[index : self._count - 1] = self._rows[index + 1 : self._count]
         self._count -= 1
 

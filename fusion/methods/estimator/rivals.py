@@ -4,9 +4,11 @@ After odometry has lost its frame, the newest predictions agree on an alignment 
 the newest keyframes names an alignment, and each earlier segment has its last one. A rival is one of them from some
 keyframe on: it gains what it explains the predictions since better than the alignment in force does, less how rarely
 odometry loses its frame there, and, for an alignment that was never in force, less how little was known of it
-beforehand."""
+beforehand. Odometry that has lost its frame may still know one thing of two: the place, as where it turned on the spot,
+or the heading, as where it jumped aside. Such a rival keeps the one and takes the other from the predictions."""
 
 from collections.abc import Callable
+from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -16,31 +18,52 @@ from groundwalk.fusion.methods.estimator.alignment_chain import UNKNOWN, errors
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
 from groundwalk.geometry.poses import Array
 
-# Volume of the places and headings that a phone may turn up at: m, m, m up, rad.
-_ANYWHERE = 40.0 * 40.0 * 3.0 * 2 * np.pi
+# Extent of the places and headings that a phone may turn up at: m, m up, m, rad.
+_ANYWHERE = np.array([40.0, 3.0, 40.0, 2 * np.pi])
 _DIMENSIONS = 6
 # Odds below exp(_SIGN) against a loss of odometry's frame: it jumped, or was gone.
 _SIGN = 1.0
 _WITHOUT_SIGN = 0.5
-_WITHOUT_SIGN_LEAST = 7  # predictions that must agree where odometry gave no sign: a look aside takes some seconds
 _HOPELESS = 5.0  # nats behind, where a rival needn't be worked out
 _BACK = 3.0  # log odds against an earlier alignment's holding again
 
 
+_LOST = 1e4  # variance (m^2, rad^2) of what isn't known any more from one keyframe to the next
+
+
+class Kept(Enum):
+    """What a new alignment has of the one before: nothing, where the camera is, or where it looks. The value is what
+    that leaves unknown of x, y, z and yaw."""
+
+    NOTHING = (True, True, True, True)
+    PLACE = (False, False, False, True)
+    HEADING = (True, True, True, False)
+
+    @property
+    def loose(self) -> Array:
+        """Variances (4,) of x, y, z and yaw from the keyframe before."""
+        return np.where(self.value, _LOST, 0.0)
+
+
+# Predictions that must agree where odometry gave no sign: a look aside takes some seconds.
+_LEAST = {Kept.NOTHING: 7, Kept.PLACE: 4, Kept.HEADING: 7}
+
+
 class Rival(NamedTuple):
-    """States (N - begin, 4) of the keyframes from `begin` on under another alignment, what it gains in nats, and the
-    earlier segment whose alignment it is; None for a new one."""
+    """States (N - begin, 4) of the keyframes from `begin` on under another alignment, what it gains in nats, what it
+    keeps of the one in force, and the earlier segment whose alignment it is; None for a new one."""
 
     begin: int
     state: Array
     gain: float
+    kept: Kept
     segment: float | None
 
 
 def best_rival(
     keyframes: Keyframes, covariance: Array, squared: Array, dof: float, recent: int, counted: Array
 ) -> Rival | None:
-    """The rival that gains most; None where none can win, or a segment has just begun and there is no earlier one.
+    """The rival that gains most; None where none can win.
 
     covariance (6, 6) and squared (N,): of the keyframes' errors as they are. recent: how many keyframes judge. counted
     (N,): what each counts in that, as neighbours are wrong alike.
@@ -48,7 +71,6 @@ def best_rival(
     segment, rare = keyframes.column("segment"), keyframes.column("rare")
     first = max(len(keyframes) - recent, int(np.argmax(segment == segment[-1])))
     count = len(keyframes) - first
-    begins_anew = first == 0 or segment[first - 1] != segment[-1]
     measured, vio = keyframes.column("measured")[first:], keyframes.column("vio")[first:]
     judged = _Judged(
         measured, vio, keyframes.column("whitening")[first:], np.asarray(np.linalg.inv(covariance), dtype=float)
@@ -69,28 +91,56 @@ def best_rival(
         return np.asarray(new_share * better(costs) - new_rare)
 
     usual = float(robust.costs(np.array([robust.middle(squared)]), _DIMENSIONS, dof)[0])
-    newness = np.log(_ANYWHERE) + _log_density(keyframes, covariance)
+    newness = _newness(keyframes, covariance)
     # Even one that explains every prediction well couldn't win: most often there is nothing to look at.
-    if segment[0] == segment[-1] and gained(np.full((1, count), usual / 2)).max() < newness - _HOPELESS:
+    if segment[0] == segment[-1] and gained(np.full((1, count), usual / 2)).max() < min(newness.values()) - _HOPELESS:
         return None
-    yaw, shift = _named(judged, usual, share, dof, gained)
-    gains = np.diag(gained(robust.costs(judged.squared(yaw, shift), _DIMENSIONS, dof))).copy()
-    gains -= newness
-    gains[~sign & (np.arange(count) > count - _WITHOUT_SIGN_LEAST)] = -np.inf
-    if begins_anew:
-        gains[0] = -np.inf
-    begin = int(np.argmax(gains))
+    yaw, weight = _named(judged, usual, share, dof, gained)
+    carried = _carried(keyframes, first)
+    loose = keyframes.column("loose")[first:] >= _LOST
     rival = None
-    if np.isfinite(gains[begin]):
-        rival = Rival(first + begin, _states(yaw[begin], shift[begin], vio[begin:]), float(gains[begin]), None)
+    for kept, (of_yaw, shift) in _new(yaw, weight, carried, measured, vio).items():
+        gains = np.diag(gained(robust.costs(judged.squared(of_yaw, shift), _DIMENSIONS, dof))) - newness[kept]
+        # What is new where it was lost before is the alignment in force.
+        gains[~sign & (np.arange(count) > count - _LEAST[kept]) | loose[:, kept.value].all(axis=1)] = -np.inf
+        if first == 0:
+            gains[0] = -np.inf
+        begin = int(np.argmax(gains))
+        if np.isfinite(gains[begin]) and (rival is None or gains[begin] > rival.gain):
+            state = _states(of_yaw[begin], shift[begin], vio[begin:])
+            rival = Rival(first + begin, state, float(gains[begin]), kept, None)
     old_yaw, old_shift, segments = _earlier(keyframes)
     if segments:
         gains = better(robust.costs(judged.squared(old_yaw, old_shift), _DIMENSIONS, dof)) - np.minimum(new_rare, _BACK)
         which, begin = (int(i) for i in np.unravel_index(int(np.argmax(gains)), gains.shape))
         if rival is None or gains[which, begin] > rival.gain:
             state = _states(old_yaw[which], old_shift[which], vio[begin:])
-            rival = Rival(first + begin, state, float(gains[which, begin]), segments[which])
+            rival = Rival(first + begin, state, float(gains[which, begin]), Kept.NOTHING, segments[which])
     return rival
+
+
+def _new(yaw: Array, weight: Array, carried: Array, measured: Array, vio: Array) -> dict[Kept, tuple[Array, Array]]:
+    """Yaw (N,) and shift (N, 3) of the alignments that may begin at each keyframe, by what they keep. yaw (N,) and
+    weight (N, N): `_named`; carried (N, 4): where the alignment before has the camera."""
+    place, heading = weight @ measured[:, :3], weight @ vio
+    before = carried[:, 3]
+    return {
+        Kept.NOTHING: (yaw, place - _turned(yaw, heading)),
+        Kept.PLACE: (yaw, carried[:, :3] - _turned(yaw, vio)),
+        Kept.HEADING: (before, place - _turned(before, heading)),
+    }
+
+
+def _carried(keyframes: Keyframes, first: int) -> Array:
+    """Position and yaw (N, 4) of the keyframes from `first` on, each carried by odometry from the one before; that of
+    the very first is its own."""
+    state = keyframes.column("state")
+    before = state[np.maximum(np.arange(first, len(state)) - 1, 0)]
+    moved = _turned(before[:, 3], keyframes.column("step")[first:])
+    carried = np.column_stack([before[:, :3] + moved, before[:, 3] + keyframes.column("turn")[first:]])
+    if first == 0:
+        carried[0] = state[0]
+    return carried
 
 
 class _Judged(NamedTuple):
@@ -118,9 +168,9 @@ class _Judged(NamedTuple):
 def _named(
     judged: _Judged, usual: float, share: Array, dof: float, gained: Callable[[Array], Array]
 ) -> tuple[Array, Array]:
-    """For each keyframe that may have begun a new alignment, its yaw (N,) and shift (N, 3): the mean of what the
-    predictions since name, weighed under the best of these. usual: what a prediction costs; share (N,): what each
-    counts; gained: what alignments gain by their costs (K, N)."""
+    """For each keyframe that may have begun a new alignment, its yaw (N,), the mean of what the predictions since name,
+    and what these count in it (N, N), weighed under the best of them. usual: what a prediction costs; share (N,): what
+    each counts; gained: what alignments gain by their costs (K, N)."""
     measured, count = judged.measured, len(judged.vio)
     yaw, shift = measured[:, 3], measured[:, :3] - _turned(measured[:, 3], judged.vio)
     # Alignments that single predictions name are as uncertain as those: errors under them are twice as large.
@@ -130,8 +180,7 @@ def _named(
     best = np.argmax(np.where(np.tri(count, dtype=bool), gained(costs), -np.inf), axis=0)
     weight = np.triu(share * robust.weights(named[best], _DIMENSIONS, dof))
     weight /= weight.sum(axis=1, keepdims=True)
-    yaw = np.angle(weight @ np.exp(1j * yaw))
-    return yaw, weight @ measured[:, :3] - _turned(yaw, weight @ judged.vio)
+    return np.angle(weight @ np.exp(1j * yaw)), weight
 
 
 def _states(yaw: float, shift: Array, vio: Array) -> Array:
@@ -158,8 +207,13 @@ def _turned(yaw: Array, points: Array) -> Array:
     return turned
 
 
-def _log_density(keyframes: Keyframes, covariance: Array) -> float:
-    """Logarithm of the density at its top, in 1/(m^3 rad), of the alignment that the newest prediction names."""
+def _newness(keyframes: Keyframes, covariance: Array) -> dict[Kept, float]:
+    """How much narrower, in nats, the newest prediction names what isn't kept than it was known beforehand."""
     unknown = keyframes.column("whitening")[-1].reshape(6, 6)[:, UNKNOWN]
-    information = unknown.T @ np.linalg.solve(covariance, unknown)
-    return float(np.linalg.slogdet(information / (2 * np.pi))[1] / 2)
+    information = unknown.T @ np.linalg.solve(covariance, unknown) / (2 * np.pi)
+    newness = {}
+    for kept in Kept:
+        lost = np.array(kept.value)
+        log_density = float(np.linalg.slogdet(information[np.ix_(lost, lost)])[1] / 2)
+        newness[kept] = float(np.log(_ANYWHERE[lost]).sum()) + log_density
+    return newness
