@@ -14,15 +14,18 @@ TRUTH_FILES = (TRUE_POSES, TRUE_CAMERAS)
 FRAME = "frame_{:05d}"
 
 
-def appearance_of(captures: Path) -> Appearance:
-    """What the test walks of a simulated capture folder see, beside its training walks; UserError where its marker says
-    something unknown."""
-    stated = read_json(captures / SIMULATED_MARKER).get("appearance", Appearance.SAME)
-    if stated not in list(Appearance):
+def appearances_of(captures: Path) -> dict[str, Appearance]:
+    """What is seen on each session of a capture folder whose marker says it: none of a real one. UserError where the
+    marker says something unknown."""
+    where = captures / SIMULATED_MARKER
+    sessions = read_json(where).get("sessions", {})
+    try:
+        return {name: Appearance(facts["appearance"]) for name, facts in sessions.items() if "appearance" in facts}
+    except (AttributeError, TypeError, ValueError) as error:
         expected = f"appearance one of {', '.join(Appearance)}"
-        where = captures / SIMULATED_MARKER
-        raise UserError("the marker of simulated captures is damaged", where=where, expected=expected, found=stated)
-    return Appearance(stated)
+        raise UserError(
+            "the marker of simulated captures is damaged", where=where, expected=expected, found=error
+        ) from None
 
 
 def simulated_files(marker: dict[str, Any]) -> set[str]:

@@ -17,7 +17,7 @@ from groundwalk.artefacts.choices import Appearance
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.files import read_json, written_aside
 from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.simulated import SIMULATED_MARKER, TRUE_POSES
+from groundwalk.artefacts.simulated import SIMULATED_MARKER, TRUE_POSES, appearances_of
 from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.simulate import plan_sessions, render_images, write_truth
@@ -50,7 +50,7 @@ def frames_in(captures: Path, appearance: Appearance, out: Path, processes: int)
     """Images of a simulated capture's test walks in a light, in folders of `out` named by session; those that are there
     are kept. UserError where the capture isn't simulated, or was simulated by another version."""
     marker = _marker(captures)
-    settings = SimulateSettings.model_validate({**marker["settings"], "appearance": appearance})
+    settings = SimulateSettings.model_validate({**marker["settings"], "appearances": [appearance]})
     indoor, seed = marker["environment"] == "indoor", marker["seed"]
     out.mkdir(parents=True, exist_ok=True)
     sessions = plan_sessions(marker["scene"], settings, indoor, out, seed, test_only=True)
@@ -65,11 +65,11 @@ def frames_in(captures: Path, appearance: Appearance, out: Path, processes: int)
 
 def _marker(captures: Path) -> dict[str, Any]:
     marker = read_json(captures / SIMULATED_MARKER)
-    if not marker or marker.get("appearance", Appearance.SAME) != Appearance.SAME:
+    if set(appearances_of(captures).values()) != {Appearance.SAME}:
         raise UserError(
             "this isn't a simulated capture whose test walks have the training walks' light",
             where=captures / SIMULATED_MARKER,
-            do="simulate the scene with appearance same",
+            do="simulate the scene with appearances same alone",
         )
     return marker
 

@@ -10,7 +10,7 @@ import pandas as pd
 from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.choices import ImageSide
 from groundwalk.artefacts.files import write_json
-from groundwalk.artefacts.simulated import appearance_of
+from groundwalk.artefacts.simulated import appearances_of
 from groundwalk.artefacts.tables import dataset_frames
 from groundwalk.capture_import.capture import RawFrame, Reject
 from groundwalk.capture_import.checks.clock import MAX_OFFSET_S, ClockCheck, check_clock
@@ -44,8 +44,6 @@ from groundwalk.capture_import.tables import (
 def run(r: StageRun[ImportSettings]) -> None:
     """Import the scene's captures."""
     root = r.captures.resolve()
-    if r.simulated:
-        r.figure("appearance", appearance_of(r.captures))
     detect = CascadeDetector() if r.settings.blur else None
     with r.step("images"):
         unpacked = r.scratch / "unpacked"
@@ -76,7 +74,9 @@ def run(r: StageRun[ImportSettings]) -> None:
         split = split_frames(dataset, r.scene.split, r.settings.split_by == "time")
         frames["split"] = nearest_split(frames, dataset.assign(split=split.of_frame))
         frames = frames[frames["split"] != "unused"].reset_index(drop=True)
-        table = sessions_table(sessions, frames, reference_is_metric=r.settings.reference_is_metric)
+        table = sessions_table(
+            sessions, frames, appearances_of(root), reference_is_metric=r.settings.reference_is_metric
+        )
         by_session = {s.session_id: frames[frames["session_id"] == s.session_id] for s in sessions}
         _write(r, sessions, frames, table, by_session, rejects)
     _report(r, sessions, frames, table, rejects, split)
@@ -380,7 +380,7 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
 
 STAGE = Stage(
     name="import",
-    version=7,
+    version=8,
     settings=ImportSettings,
     needs=(),
     run=run,

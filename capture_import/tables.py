@@ -1,13 +1,13 @@
 """The import stage's tables from its sessions."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import get_args
 
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts.choices import ImageSide, LengthUnit, PoseSource, SessionSplit, Split, UpAxis
+from groundwalk.artefacts.choices import Appearance, ImageSide, LengthUnit, PoseSource, SessionSplit, Split, UpAxis
 from groundwalk.artefacts.tables import dataset_frames, pose_frame
 from groundwalk.capture_import.capture import Reject
 from groundwalk.capture_import.checks.health import gravity_of
@@ -89,10 +89,14 @@ def reference_table(session: ImportedSession, frames: pd.DataFrame) -> pd.DataFr
 
 
 def sessions_table(
-    sessions: Sequence[ImportedSession], frames: pd.DataFrame, *, reference_is_metric: bool
+    sessions: Sequence[ImportedSession],
+    frames: pd.DataFrame,
+    appearances: Mapping[str, Appearance],
+    *,
+    reference_is_metric: bool,
 ) -> pd.DataFrame:
-    """One row a session; `frames` is the frames table with its splits. `reference_is_metric`: references
-    without a stated unit are in metres."""
+    """One row a session; `frames` is the frames table with its splits, `appearances` says what is seen in simulated
+    recordings. `reference_is_metric`: references without a stated unit are in metres."""
     rows = []
     for session in sessions:
         used = frames[frames["session_id"] == session.session_id]
@@ -116,6 +120,7 @@ def sessions_table(
                 "reference_unit": None
                 if session.recording.pose_source == PoseSource.VIO
                 else (LengthUnit.METRE if reference_is_metric or session.recording.is_metric else LengthUnit.UNKNOWN),
+                "appearance": appearances.get(session.recording.session_id),
                 "up": UpAxis.Y if session.recording.is_gravity_aligned else UpAxis.UNKNOWN,
             }
         )

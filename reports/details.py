@@ -9,11 +9,12 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.artefacts.progress import format_seconds
-from groundwalk.reports.cells import number
+from groundwalk.reports.cells import LEVELS, number
 from groundwalk.reports.checks import AGREES
 from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
+from groundwalk.reports.statistics import by_walk
 from groundwalk.scoring.errors import SURE_CLASSES
 
 
@@ -173,6 +174,24 @@ def users(scene: SceneInputs) -> Grid:
         f"a frame ({EMPTY}: there was no such time)."
     )
     return _grid(f"users-{scene.name}", "What a user sees", caption, columns, rows, 2)
+
+
+def walks(scene: SceneInputs) -> Grid:
+    """What each model alone is worth on each test walk, or in each appearance of a simulated scene."""
+    by, scores = by_walk(scene)
+    columns = ["model", by, "frames", "answered", "median (m)", "median (°)", *(f"{level} (%)" for level in LEVELS)]
+    rows = []
+    for (model, walk), s in scores.items():
+        errors = [number(s.median_m, 2 if s.median_m >= 0.1 else 4), number(s.median_deg, 2)]
+        levels = [number(value, 1) for value in (s.high, s.medium, s.low)]
+        rows.append([scene.label(model), walk, s.frames, s.answered, *errors, *levels])
+    caption = (
+        "Every model alone, without VIO, over the test frames with ground truth; a frame without a pose counts as "
+        "failed. Levels: within 0.25 m and 2°, 0.5 m and 5°, 5 m and 10°."
+    )
+    if by == "appearance":
+        caption += " The walks are the same in each appearance, pose by pose; training frames are of appearance same."
+    return _grid(f"walks-{scene.name}", f"Errors by {by}", caption, columns, rows, 2)
 
 
 def drift(scene: SceneInputs) -> Grid:

@@ -15,6 +15,7 @@ from groundwalk.geometry.poses import Array
 from groundwalk.reports import style
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD
+from groundwalk.reports.statistics import by_walk
 from groundwalk.scoring.scores import SUBSETS
 
 _NS = 1e-9
@@ -42,6 +43,7 @@ def scene_figures(scene: SceneInputs) -> dict[str, list[NamedFigure]]:
             "training": [learning_curves(scene)] if len(scene.history) else [],
             "fusion": [
                 *(timeline(scene, model) for model in scene.models),
+                walks(scene),
                 *([sensitivity(scene, scene.sweep)] if scene.sweep is not None else []),
                 confidence(scene),
             ],
@@ -220,6 +222,27 @@ def costs(scene: SceneInputs) -> NamedFigure:
         "without a pose counts as failed. Times are the clock's, on the machine that made the predictions."
     )
     return NamedFigure("costs", caption, figure)
+
+
+def walks(scene: SceneInputs) -> NamedFigure:
+    """Median position error and share of the finest level, a model alone, by test walk or appearance."""
+    by, scores = by_walk(scene)
+    groups = list(dict.fromkeys(walk for _, walk in scores))
+    figure, axes = style.new_figure(1, 2, 2.4)
+    for model, marker in zip(scene.models, cycle("osD^vP"), strict=False):
+        of_model = [scores[model, walk] for walk in groups]
+        drawn: Any = {"marker": marker, "ms": 4.5, "lw": 1, "color": style.APR, "label": scene.label(model)}
+        drawn |= {"ls": "-" if model in set(scene.localisers["model"]) else "--"}
+        axes[0].plot(groups, [100 * s.median_m for s in of_model], **drawn)
+        axes[1].plot(groups, [s.high for s in of_model], **drawn)
+    axes[0].set(yscale="log", ylabel="median position error (cm)")
+    axes[1].set(ylim=(-3, 103), ylabel="within 0.25 m and 2° (%)")
+    for ax in axes:
+        ax.margins(x=0.1)
+        ax.set_xticks(range(len(groups)), [_short(walk) for walk in groups])
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7.5)
+    caption = f"{scene.name}: every model alone by {by}, over all test frames; a frame without a pose counts as failed."
+    return NamedFigure("walks", caption, figure)
 
 
 # --- fusion -----------------------------------------------------------------------------------------------------

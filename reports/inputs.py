@@ -19,11 +19,11 @@ ENOUGH_TRAINING_FRAMES = 100
 LEAK_S = 5.0
 
 # What the test walks of a simulated scene see, in words.
-APPEARANCES = {
-    Appearance.SAME: "test walks in the training walks' light",
-    Appearance.OTHER_HOUR: "test walks at another hour",
-    Appearance.EVENING: "test walks in the evening",
-    Appearance.OTHER_MONTH: "test walks in another month",
+_APPEARANCES = {
+    Appearance.SAME: "in the training walks' light",
+    Appearance.OTHER_HOUR: "at another hour",
+    Appearance.EVENING: "in the evening",
+    Appearance.OTHER_MONTH: "in another month",
 }
 
 
@@ -39,7 +39,6 @@ class SceneInputs:
     name: str
     environment: str
     simulated: bool
-    appearance: Appearance
     profile: str
     seed: int
     frames: pd.DataFrame
@@ -81,6 +80,12 @@ class SceneInputs:
     def scored_frames(self) -> int:
         """Test frames with ground truth: what every share and level is a share of."""
         return int(self.errors.loc[self.errors["split"] == "test", "frame_id"].nunique())
+
+    @property
+    def test_appearances(self) -> list[Appearance]:
+        """What the test walks of a simulated scene see, each once."""
+        seen = self.sessions.loc[self.sessions["split"] != "train", "appearance"].dropna()
+        return [appearance for appearance in Appearance if appearance in set(seen)]
 
     @property
     def uncertain_frames(self) -> int:
@@ -140,8 +145,8 @@ class SceneInputs:
 
     def marker(self) -> str:
         """What must stand by every number of this scene."""
-        light = APPEARANCES[self.appearance]
-        kind = f"simulated, {light}" if self.simulated else "real capture"
+        light = ", ".join(_APPEARANCES[appearance] for appearance in self.test_appearances)
+        kind = f"simulated, test walks {light}" if self.simulated else "real capture"
         return f"{kind}, {self.profile} profile, seed {self.seed}, {len(self.frames)} frames"
 
     def extent_m(self) -> tuple[float, float, float]:
@@ -210,7 +215,6 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         name=leaf,
         environment=r.data.scene(leaf)[0].environment,
         simulated=bool(manifests["import"]["simulated"]),
-        appearance=Appearance(manifests["import"]["figures"].get("appearance", Appearance.SAME)),
         profile=r.profile,
         seed=r.seed,
         frames=frames,

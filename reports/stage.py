@@ -88,6 +88,7 @@ def _section(r: StageRun[ReportSettings], scene: SceneInputs, all_cells: pd.Data
         "models": details.models(scene),
         "localisers": details.localisers(scene),
         "users": details.users(scene),
+        "walks": details.walks(scene),
     }
     return page.SceneSection(
         scene=scene,
@@ -113,7 +114,7 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
 
 STAGE = Stage(
     name="report",
-    version=6,
+    version=7,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import", "sfm", "align", "localise", "train", "fuse"),

@@ -9,6 +9,7 @@ from dataclasses import asdict
 import pandas as pd
 
 from groundwalk.artefacts import UserError
+from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.scoring.scores import SUBSETS, Score, score
@@ -68,6 +69,22 @@ def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dic
         add(method, options, "all", "all", _scored(part, "live_"))
         add(method, options, "common", "subset", _scored(part[~part["frame_id"].isin(missed)], "live_"))
     return rows
+
+
+def by_walk(scene: SceneInputs) -> tuple[str, dict[tuple[str, str], Score]]:
+    """What each model alone scores over the test frames of each test walk or, where the test walks of a simulated scene
+    were taken in several appearances, of each of these: what they were told apart by, and scores by (model, walk)."""
+    appearances = scene.test_appearances
+    by = "appearance" if len(appearances) > 1 else "test walk"
+    seen = scene.sessions.set_index("session_id")["appearance"]
+    errors = scene.errors[scene.errors["split"] == "test"].drop_duplicates(["model", "frame_id"])
+    walks = errors["session_id"].map(seen) if len(appearances) > 1 else errors["session_id"]
+    groups = [str(appearance) for appearance in appearances] if len(appearances) > 1 else sorted(set(walks))
+    return by, {
+        (model, walk): _scored(errors[(errors["model"] == model) & (walks == walk)], "apr_")
+        for model in scene.models
+        for walk in groups
+    }
 
 
 def _scored(errors: pd.DataFrame, prefix: str) -> Score:

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from groundwalk.artefacts.choices import Appearance
 from groundwalk.artefacts.files import written_aside
 from groundwalk.geometry.poses import inverse
 from groundwalk.simulation import camera
@@ -29,15 +30,20 @@ _MOTION_S = 0.01
 
 @dataclass(frozen=True)
 class SessionOutline:
-    """A session's place in the plan: its name, number of images, preferred side of the course and start on it;
-    whether it's a test walk."""
+    """A session's place in the plan: its name, number of images, preferred side of the course and start on it, when the
+    phone was started, and what is seen on it."""
 
     name: str
     images: int
     side: float
     start: float
     boot_s: float
-    test: bool = False
+    appearance: Appearance = Appearance.SAME
+
+    @property
+    def walk(self) -> str:
+        """The walk's name: sessions of one walk differ in their appearance alone."""
+        return self.name.removesuffix(f"-{self.appearance}")
 
 
 @dataclass(frozen=True)
@@ -70,8 +76,9 @@ class Truth:
 
 @dataclass(frozen=True)
 class SimulatedSession:
-    """A planned session: what is written as JSON, the truth, and the images to render."""
+    """A planned session: what is seen on it, what is written as JSON, the truth, and the images to render."""
 
+    appearance: Appearance
     frames: SessionFrames
     truth: Truth
     shots: list[Shot]
@@ -83,13 +90,15 @@ class SimulatedSession:
 
 
 def outline(settings: SimulateSettings, scene: str, seed: int) -> list[SessionOutline]:
-    """The sessions of a scene: training walks spread over the course's width, test walks between them, hours apart."""
+    """The sessions of a scene: training walks spread over the course's width, test walks between them, hours apart.
+
+    Each test walk is there once in each appearance."""
     rng = np.random.default_rng([seed, zlib.crc32(scene.encode())])
     boot = rng.uniform(15_000, 40_000)
     sessions = []
-    for kind, frames, min_sessions in (
-        ("train", settings.train_frames, settings.train_sessions),
-        ("test", settings.test_frames, settings.test_sessions),
+    for kind, frames, min_sessions, appearances in (
+        ("train", settings.train_frames, settings.train_sessions, (Appearance.SAME,)),
+        ("test", settings.test_frames, settings.test_sessions, settings.appearances),
     ):
         total = max(2, round(settings.frame_fraction * frames))
         count = max(min_sessions, math.ceil(total / settings.image_hz / settings.max_session_s))
@@ -98,7 +107,10 @@ def outline(settings: SimulateSettings, scene: str, seed: int) -> list[SessionOu
             reach = 1.0 if kind == "train" else 0.6
             side = reach * (2 * k / (count - 1) - 1) if count > 1 else 0.0
             start = (k + float(rng.uniform(0, 0.6))) / count
-            sessions.append(SessionOutline(f"{kind}-{k + 1}", images, side, start, boot, kind == "test"))
+            walk = f"{kind}-{k + 1}"
+            for appearance in appearances:
+                name = walk if appearance == appearances[0] else f"{walk}-{appearance}"
+                sessions.append(SessionOutline(name, images, side, start, boot, appearance))
             boot += images / settings.image_hz + rng.uniform(2, 6) * 3600
     return sessions
 
@@ -113,7 +125,7 @@ def plan_session(
     seed: int,
 ) -> SimulatedSession:
     """Walk, VIO and exposures: all of a session but its images, which go to `folder`."""
-    seeds = np.random.SeedSequence([seed, zlib.crc32(f"{scenery.place.name}/{plan.name}".encode())])
+    seeds = np.random.SeedSequence([seed, zlib.crc32(f"{scenery.place.name}/{plan.walk}".encode())])
     walk_seed, focus_seed, light_seed, time_seed, breath_seed = (np.random.default_rng(s) for s in seeds.spawn(5))
     every = max(1, round(settings.rate_hz / settings.image_hz))
     count = plan.images * every
@@ -161,7 +173,7 @@ def plan_session(
         )
         for i in frames.image_indices
     ]
-    return SimulatedSession(frames, truth, shots)
+    return SimulatedSession(plan.appearance, frames, truth, shots)
 
 
 def _frame_times(count: int, rate_hz: float, rng: np.random.Generator) -> Vec:

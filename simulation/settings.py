@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, field_validator
 from pydantic_core import PydanticCustomError
 
 from groundwalk.artefacts import Settings
@@ -26,7 +26,7 @@ def _between(low: float, high: float) -> BeforeValidator:
 class SimulateSettings(Settings):
     """How much is simulated and how finely."""
 
-    renamed: ClassVar[dict[str, str]] = {"frame_share": "frame_fraction"}
+    renamed: ClassVar[dict[str, str]] = {"frame_share": "frame_fraction", "appearance": "appearances"}
 
     width: int = Field(640, ge=64, description="image width, pixels")
     height: int = Field(480, ge=48, description="image height, pixels")
@@ -59,10 +59,18 @@ class SimulateSettings(Settings):
     focus_breathing: Annotated[float | Drawn, _between(0, 0.02)] = Field(
         _PHONE, description='largest error of the logged focal length, as a fraction; "drawn": 0 to 0.003, by session'
     )
-    appearance: Appearance = Field(
-        Appearance.SAME,
-        description="what the test walks see, beside the training walks: same; other_hour: sun elsewhere; "
-        "evening: low warm sun, artificial light, noise; other_month: overcast, other foliage and ground, a fifth of "
-        "the movable objects moved, removed or new",
+    appearances: tuple[Appearance, ...] = Field(
+        (Appearance.SAME,),
+        min_length=1,
+        description="what the test walks see, beside the training walks, each walk once in each: same; other_hour: sun "
+        "elsewhere; evening: low warm sun, artificial light, noise; other_month: overcast, other foliage and ground, a "
+        "fifth of the movable objects moved, removed or new",
     )
     jpeg_quality: int = Field(90, ge=50, le=100, description="JPEG quality")
+
+    @field_validator("appearances")
+    @classmethod
+    def _refuse_twice(cls, appearances: tuple[Appearance, ...]) -> tuple[Appearance, ...]:
+        if len(set(appearances)) < len(appearances):
+            raise PydanticCustomError("twice", "should name each appearance once")
+        return appearances

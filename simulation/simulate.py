@@ -31,7 +31,7 @@ from groundwalk.simulation.scenes import NAMES, SceneryPlan, scenery
 from groundwalk.simulation.session import Shot, SimulatedSession, outline, plan_session, take
 from groundwalk.simulation.settings import SimulateSettings
 
-VERSION = 2  # goes up when the same settings give other captures
+VERSION = 3  # goes up when the same settings give other captures
 
 
 def simulate(
@@ -53,7 +53,7 @@ def simulate(
     settings = resolve_settings(SimulateSettings, "simulate", data, profile, scene, overrides or [])
     config = data.scene(scene)[0]
     final = data.captures(scene)
-    parts = {"version": VERSION, "scene": scene, "seed": seed, "settings": _that_matter(settings)}
+    parts = {"version": VERSION, "scene": scene, "seed": seed, "settings": settings.model_dump(mode="json")}
     key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
     title = f"simulate · {scene} · {profile}"
     work = partial_folder(final)
@@ -82,9 +82,8 @@ def simulate(
             "profile": profile,
             "environment": config.environment,
             "extent_m": config.extent_m,
-            "appearance": settings.appearance.value,
             "reduced": {name: {"here": here, "paper": full} for name, (here, full) in reduced.items()},
-            "sessions": {s.frames.name: _count(s) for s in sessions},
+            "sessions": {s.frames.name: {**_count(s), "appearance": s.appearance.value} for s in sessions},
         }
         for mesh in {shot.mesh for session in sessions for shot in session.shots}:
             shutil.rmtree(work / mesh)
@@ -101,35 +100,31 @@ def _say_reduced(reduced: dict[str, tuple[Any, Any]]) -> None:
         console.print(f"  smaller than in profile paper: {smaller}", markup=False)
 
 
-def _that_matter(settings: SimulateSettings) -> dict[str, Any]:
-    """The settings that what is simulated depends on; captures from before there were appearances stay up to date."""
-    same = settings.appearance == Appearance.SAME
-    return settings.model_dump(mode="json", exclude={"appearance"} if same else None)
-
-
 def plan_sessions(
     scene: str, settings: SimulateSettings, indoor: bool, work: Path, seed: int, *, test_only: bool = False
 ) -> list[SimulatedSession]:
-    """Every session of the scene, or those of its test walks; the place as the training walks and as the test walks see
-    it is left painted in folders of `work` for the renderers."""
-    by_day = scenery(scene, seed)
-    then = by_day
-    if settings.appearance != Appearance.SAME:
-        place = seen_as(settings.appearance, by_day.place, by_day.route, seed)
-        then = SceneryPlan(place, by_day.route, f"mesh-{settings.appearance}")
-    outlines = [item for item in outline(settings, scene, seed) if item.test or not test_only]
-    renderers = {}
-    for plan in (by_day, then) if not test_only else (then,):
+    """Every session of the scene, or those of its test walks; the place as each of them sees it is left painted in
+    folders of `work` for the renderers."""
+    outlines = [o for o in outline(settings, scene, seed) if not (test_only and o.walk.startswith("train"))]
+    plans, renderers = {}, {}
+    for appearance in dict.fromkeys(o.appearance for o in outlines):
+        plan = plans[appearance] = _scenery_seen_as(appearance, scene, seed)
         if not is_saved(work / plan.mesh):
             build_mesh(plan.place, settings.texel_m, seed, track).save(work / plan.mesh)
-        renderers[plan.mesh] = Renderer(TexturedMesh.load(work / plan.mesh))
+        renderers[appearance] = Renderer(TexturedMesh.load(work / plan.mesh))
     sessions = []
     with single_threaded_opencv():
         for item in track(outlines, "walking and measuring light"):
-            plan = then if item.test else by_day
-            renderer = renderers[plan.mesh]
+            plan, renderer = plans[item.appearance], renderers[item.appearance]
             sessions.append(plan_session(item, plan, settings, indoor, renderer, work / item.name, seed))
     return sessions
+
+
+def _scenery_seen_as(appearance: Appearance, scene: str, seed: int) -> SceneryPlan:
+    plan = scenery(scene, seed)
+    if appearance == Appearance.SAME:
+        return plan
+    return SceneryPlan(seen_as(appearance, plan.place, plan.route, seed), plan.route, f"mesh-{appearance}")
 
 
 def _count(session: SimulatedSession) -> dict[str, int]:

@@ -1,6 +1,16 @@
 """Frames of a capture with the phone's poses, and everything that was rejected."""
 
-from groundwalk.artefacts.choices import Clock, ImageSide, LengthUnit, PoseSource, SessionSplit, Split, Tracking, UpAxis
+from groundwalk.artefacts.choices import (
+    Appearance,
+    Clock,
+    ImageSide,
+    LengthUnit,
+    PoseSource,
+    SessionSplit,
+    Split,
+    Tracking,
+    UpAxis,
+)
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _SESSION = Column("session_id", "string", "recording; a part of one where VIO jumped (`walk`, `walk.part2`)")
@@ -98,8 +108,15 @@ TABLES = [
                 choices=LengthUnit,
             ),
             Column("up", "string", "up in the world of the poses", nullable=True, choices=UpAxis),
+            Column(
+                "appearance",
+                "string",
+                "what is seen in a simulated recording, beside the training walks; null for a real one",
+                nullable=True,
+                choices=Appearance,
+            ),
         ],
-        version="3.0",
+        version="3.1",
         renamed={"poses_are": "pose_source"},
     ),
     TableSchema(

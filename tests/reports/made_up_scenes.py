@@ -33,9 +33,10 @@ class MadeUpScene:
 
     def __init__(
         self, name: str, seed: int, train: int = 60, test: int = 30, mixed: bool = False, uncertain: float = 0.0,
-        localisers: tuple[str, ...] = (),
+        localisers: tuple[str, ...] = (), appearances: tuple[str, str] = ("same", "same"),
     ) -> None:  # fmt: skip
         self.name, self.localisers = name, localisers
+        self.appearances = dict(zip(("walk_3", "walk_4"), appearances, strict=True))
         self.models = (*MODELS, *localisers)
         self.rng = np.random.default_rng(seed)
         splits = {"walk_1": "train", "walk_2": "train", "walk_3": "test", "walk_4": "test"}
@@ -260,6 +261,7 @@ class MadeUpScene:
                     "pose_source": "vio",
                     "reference_unit": None,
                     "up": "+y",
+                    "appearance": self.appearances.get(str(session), "same"),
                     "split": split,
                 }
             )

@@ -170,6 +170,29 @@ def test_structure_localisers_stand_beside_the_regressors(make_run: MakeRun) -> 
     assert wrong["column"].tolist() == ["Map pose"] and wrong["status"].tolist() == ["agrees"]
 
 
+@pytest.mark.parametrize("appearances", [("same", "same"), ("same", "evening")])
+def test_errors_by_walk_or_by_appearance(appearances: tuple[str, str], make_run: MakeRun) -> None:
+    data = make_run(Yard={"train": 30, "test": 24, "localisers": ("Map",), "appearances": appearances})
+    folder = execute(STAGE, "Yard", "tiny", data)
+    errors = table_of(data, "Yard", "fuse", "errors")
+    errors = errors[errors["split"] == "test"].drop_duplicates(["model", "frame_id"])
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    table = page[page.index('id="walks-Yard"') :]
+    table = table[: table.index("</table>")]
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", r) for r in re.findall(r"<tr.*?</tr>", table)]
+    walks = ["walk_3", "walk_4"] if appearances[0] == appearances[1] else list(appearances)
+    assert [row[:2] for row in rows if row] == [[model, walk] for model in ("PN", "MS-T", "Map") for walk in walks]
+    for row in filter(None, rows):
+        session = ["walk_3", "walk_4"][walks.index(row[1])]
+        metres = errors.loc[(errors["model"] == row[0]) & (errors["session_id"] == session), "apr_position_m"]
+        assert row[2:4] == [str(len(metres)), str(int(metres.notna().sum()))]
+        assert float(row[4]) == pytest.approx(metres.fillna(np.inf).median(), abs=0.01)
+    assert ("Errors by appearance" in page) == (walks == list(appearances))
+    light = "in the training walks' light, in the evening" if "evening" in walks else "in the training walks' light"
+    assert f"simulated, test walks {light}, tiny profile" in (folder / "tables" / "table1.md").read_text()
+    assert (folder / "figures" / "Yard-walks.png").is_file()
+
+
 def test_the_page_shows_what_a_user_sees(church: tuple[DataRoot, Path]) -> None:
     _, folder = church
     page = (folder / "page.html").read_text(encoding="utf-8")

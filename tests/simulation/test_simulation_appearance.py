@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from known import read_picture
 
-from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.artefacts.choices import Appearance
-from groundwalk.artefacts.simulated import appearance_of
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.simulated import appearances_of
+from groundwalk.artefacts.tables import read_table
+from groundwalk.capture_import.stage import STAGE as IMPORT
 from groundwalk.simulation.appearance import MOVED_FRACTION, seen_as
 from groundwalk.simulation.camera import auto_exposure
 from groundwalk.simulation.canvas import Canvas
@@ -125,47 +128,55 @@ def test_in_the_evening_lanterns_and_windows_shine_and_images_are_noisy() -> Non
     assert late.noise > 2 * day.noise and late.duration_s > day.duration_s
 
 
-def test_only_images_of_test_walks_differ(tmp_path: Path) -> None:
-    folders = {}
-    for appearance in (Appearance.SAME, Appearance.EVENING):
-        settings = [*SMALL, f"appearance={appearance}"]
-        folders[appearance] = simulate("Office", "tiny", DataRoot(tmp_path / appearance), settings, processes=1)
-        marker = json.loads((folders[appearance] / "SIMULATED.json").read_text())
-        assert marker["appearance"] == appearance_of(folders[appearance]) == appearance
-    same, other = folders.values()
-    files = sorted(p.relative_to(same) for p in same.rglob("*") if p.is_file() and p.name != "SIMULATED.json")
-    assert files == sorted(p.relative_to(other) for p in other.rglob("*") if p.is_file() and p.name != "SIMULATED.json")
-    differ = {p for p in files if (same / p).read_bytes() != (other / p).read_bytes()}
-    pictures = {p for p in files if p.parts[0] == "test-1" and p.suffix == ".jpg"}
-    assert pictures <= differ and all(p.parts[0] == "test-1" for p in differ)
-    changed = cv2.absdiff(*(read_picture(f / min(pictures)) for f in (same, other)))
+def test_a_test_walk_in_two_appearances_differs_in_its_images_alone(tmp_path: Path) -> None:
+    folder = simulate("Office", "tiny", DataRoot(tmp_path), [*SMALL, "appearances=['same', 'evening']"], processes=1)
+    day, late = "test-1", "test-1-evening"
+    others = dict.fromkeys(["train-1", "train-2", day], Appearance.SAME)
+    assert appearances_of(folder) == {**others, late: Appearance.EVENING}
+    files = sorted(p.name for p in (folder / day).iterdir())
+    assert files == sorted(p.name for p in (folder / late).iterdir())
+    differ = {name for name in files if (folder / day / name).read_bytes() != (folder / late / name).read_bytes()}
+    pictures = {name for name in files if name.endswith(".jpg")}
+    assert pictures and pictures <= differ
+    changed = cv2.absdiff(*(read_picture(folder / session / min(pictures)) for session in (day, late)))
     assert changed.mean() > 3
-    for path in sorted(p for p in differ if p.suffix == ".json"):
-        one, two = (json.loads((f / path).read_text()) for f in (same, other))
+    for name in sorted(differ - pictures):
+        one, two = (json.loads((folder / session / name).read_text()) for session in (day, late))
         # Auto exposure follows the light; where the phone is doesn't.
-        assert {k for k in one if one[k] != two[k]} <= {"exposureDuration", "cameraGrain"}
+        assert {k for k in one if one[k] != two[k]} <= {"exposureDuration", "cameraGrain", "title"}
+
+    alone = simulate("Office", "tiny", DataRoot(tmp_path / "alone"), [*SMALL, "appearances=['evening']"], processes=1)
+    assert appearances_of(alone)["test-1"] == Appearance.EVENING
+    for name in files:
+        if name not in pictures and name != "info.json":  # noise is drawn by the session's name, and info.json has it
+            assert (alone / day / name).read_bytes() == (folder / late / name).read_bytes()
+
+    imported = execute(IMPORT, "Office", "tiny", DataRoot(tmp_path), ["min_frames=1"])
+    sessions = read_table(imported / "sessions.parquet", schema("import", "sessions")).set_index("session_id")
+    assert sessions["appearance"].to_dict() == appearances_of(folder)
 
 
-def test_captures_from_before_there_were_appearances_stay_up_to_date(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Their key knows no appearance, and it's the same."""
-    folder = simulate("Office", "tiny", DataRoot(tmp_path), SMALL, processes=1)
-    marker = json.loads((folder / "SIMULATED.json").read_text())
-    assert "appearance" not in marker["settings"]
-    del marker["appearance"]
-    (folder / "SIMULATED.json").write_text(json.dumps(marker))
-    assert appearance_of(folder) == Appearance.SAME
-    simulate("Office", "tiny", DataRoot(tmp_path), SMALL, processes=1)
-    assert "up to date" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    "marker", ['{"sessions": {"test-1": {"appearance": "noon or evening"}}}', '{"sessions": ["test-1"]}']
+)
+def test_an_unknown_appearance_is_said(marker: str, tmp_path: Path) -> None:
+    (tmp_path / "SIMULATED.json").write_text(marker)
+    with pytest.raises(UserError, match=r"(?s)damaged.*evening"):
+        appearances_of(tmp_path)
 
 
-def test_an_unknown_appearance_is_said(tmp_path: Path) -> None:
-    (tmp_path / "SIMULATED.json").write_text('{"appearance": "noon"}')
-    with pytest.raises(UserError, match=r"(?s)damaged.*evening.*noon"):
-        appearance_of(tmp_path)
-    with pytest.raises(UserError, match="appearance"):
-        simulate("Office", "tiny", DataRoot(tmp_path), [*SMALL, "appearance=noon"], processes=1)
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("appearances=['noon']", "noon"),
+        ("appearances=['evening', 'evening']", "once"),
+        ("appearances=[]", "appearances"),
+        ("appearance='evening'", "renamed to 'appearances'"),
+    ],
+)
+def test_appearances_that_cannot_be_simulated_are_refused(setting: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=said):
+        simulate("Office", "tiny", DataRoot(tmp_path), [*SMALL, setting], processes=1)
 
 
 def test_a_place_without_movable_things_keeps_its_things() -> None:
