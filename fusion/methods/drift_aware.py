@@ -42,12 +42,12 @@ class DriftAwareOptions(OdometryOptions):
     vio_jump_m: float = Field(0.5, gt=0, description="motion beyond that speed that counts as an odometry jump")
     vio_turn_deg_s: float = Field(360.0, gt=0, description="fastest turn that odometry is believed without question")
     vio_turn_jump_deg: float = Field(15.0, gt=0, description="turn beyond that speed that counts as an odometry jump")
-    bridge_s: float = Field(2.0, ge=0, description="longest jump over which the phone is taken to have gone on")
-    bridge_m_s: float = Field(
+    jump_s: float = Field(2.0, ge=0, description="longest jump over which the phone is taken to have gone on")
+    jump_m_s: float = Field(
         0.5, gt=0, description="how far a jump's second takes the phone from where it was going, one sigma"
     )
-    bridge_deg: float = Field(3.0, gt=0, description="heading error of odometry across a jump, one sigma")
-    bridge_deg_s: float = Field(60.0, gt=0, description="how far the phone turns in a second of a jump that turns")
+    jump_deg: float = Field(3.0, gt=0, description="heading error of odometry across a jump, one sigma")
+    jump_deg_s: float = Field(60.0, gt=0, description="how far the phone turns in a second of a jump that turns")
     vio_gap_s: float = Field(10.0, gt=0, description="time without a frame after which odometry may have begun anew")
     position_sd_m: float = Field(0.3, gt=0, description="a prediction's first assumed position error an axis")
     rotation_sd_deg: float = Field(8.0, gt=0, description="a prediction's first assumed rotation error an axis")
@@ -185,10 +185,10 @@ class DriftAware(Localiser):
         gone = seconds > o.vio_gap_s
         turned = degrees(angle) > o.vio_turn_deg_s * seconds + o.vio_turn_jump_deg
         jumped = turned or length > o.vio_speed_m_s * seconds + o.vio_jump_m
-        if jumped and seconds <= o.bridge_s:
-            sd_deg = o.bridge_deg_s * seconds if turned else 0.0
+        if jumped and seconds <= o.jump_s:
+            sd_deg = o.jump_deg_s * seconds if turned else 0.0
             moved = self._way.bridge(
-                self._vio[1], vio_T_cam, seconds, turned, o.bridge_m_s * seconds, radians(o.bridge_deg + sd_deg)
+                self._vio[1], vio_T_cam, seconds, turned, o.jump_m_s * seconds, radians(o.jump_deg + sd_deg)
             )
             self._segment += 1
             length, angle = hypot(*moved), 0.0 if turned else angle
