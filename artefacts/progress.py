@@ -18,6 +18,7 @@ from rich.progress import (
 T = TypeVar("T")
 
 _LOG_EVERY_S = 10.0
+_TELLING = 0.02  # of the work, before which the time left is anyone's guess
 console = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
@@ -77,8 +78,11 @@ class Reporter:
             return f"{self.done} done"
         if not self.done:
             return f"0/{self.total}"
+        done = f"{self.done}/{self.total} ({100 * self.done / self.total:.0f} %)"
+        if self.done < _TELLING * self.total:
+            return done
         left = (now - self._start) / self.done * (self.total - self.done)
-        return f"{self.done}/{self.total} ({100 * self.done / self.total:.0f} %), {format_seconds(left)} left"
+        return f"{done}, {format_seconds(left)} left"
 
 
 def track(items: Iterable[T], text: str, total: int | None = None) -> Iterator[T]:

@@ -180,6 +180,7 @@ def main(
     ablations: Annotated[bool, typer.Option(help="PN-Lite's settings one at a time, too")] = True,
     work: Annotated[Path, typer.Option(help="folder for what is trained")] = Path("build/regressors"),
     out: Annotated[Path, typer.Option(help="folder for regressors.md and .csv")] = Path("docs/results"),
+    train: Annotated[bool, typer.Option(help="train what isn't in the folder of trainings yet")] = True,
 ) -> None:
     """Train, score, and write the tables."""
     root = DataRoot(data)
@@ -194,6 +195,8 @@ def main(
             for case, settings in all_of_them.items():
                 for seed in range(seeds):
                     folder = work / f"{case.replace(' ', '-').replace(',', '')}-{seed}"
+                    if not train and not (folder / f"{scene}.json").exists():
+                        continue
                     folder.mkdir(parents=True, exist_ok=True)
                     figures = trained(folder, root, scene, profile, seed, settings)
                     results.setdefault(title, {}).setdefault(case, []).append(figures)

@@ -36,6 +36,11 @@ def number(value: float, digits: int) -> str:
     return EMPTY if math.isnan(value) else f"{value:.{digits}f}"
 
 
+def digits_of(error: float) -> int:
+    """How many decimals an error has, in metres or degrees: two as in the paper, and one more where it's below 0.1."""
+    return 3 if error < 0.1 else 2
+
+
 def our_cells(scenes: list[SceneInputs]) -> pd.DataFrame:
     """All cells of ours: Tables I to IV of each scene, and Table II's averages over each environment's scenes."""
     rows: list[dict[str, object]] = []
@@ -90,7 +95,9 @@ def _scores(scene: SceneInputs) -> Iterator[dict[str, object]]:
     for _, s in scene_scores(scene.errors, scene.name, scene.offline).iterrows():
         paper = s["subset"] in SUBSETS
         numbers = [
-            (statistic, q, s[f"{statistic}_{u}"], u, 2) for statistic in ("mean", "median") for q, u in ERRORS.items()
+            (statistic, q, s[f"{statistic}_{u}"], u, digits_of(s[f"{statistic}_{u}"]))
+            for statistic in ("mean", "median")
+            for q, u in ERRORS.items()
         ]
         numbers += [("level", level, s[level], "%", 1) for level in LEVELS]
         if not paper or s["over"] == "subset":
@@ -115,7 +122,7 @@ def _averages(rows: list[dict[str, object]]) -> list[dict[str, object]]:
             # A scene without a figure leaves none for the average either: it would be one over other scenes.
             value = float(scenes["value"].mean(skipna=False))
             row: dict[str, object] = {str(name): cell for name, cell in scenes.iloc[0].items()}
-            row |= {"scene": AVERAGE, "options": "", "value": value, "text": number(value, 2)}
+            row |= {"scene": AVERAGE, "options": "", "value": value, "text": number(value, digits_of(value))}
             averages.append(row | {"source_rows": int(scenes["source_rows"].sum())})
     return averages
 

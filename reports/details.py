@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.artefacts.progress import format_seconds
-from groundwalk.reports.cells import LEVELS, number
+from groundwalk.reports.cells import LEVELS, digits_of, number
 from groundwalk.reports.checks import AGREES
 from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row
 from groundwalk.reports.inputs import SceneInputs
@@ -182,7 +182,7 @@ def walks(scene: SceneInputs) -> Grid:
     columns = ["model", by, "frames", "answered", "median (m)", "median (°)", *(f"{level} (%)" for level in LEVELS)]
     rows = []
     for (model, walk), s in scores.items():
-        errors = [number(s.median_m, 2 if s.median_m >= 0.1 else 4), number(s.median_deg, 2)]
+        errors = [number(error, digits_of(error)) for error in (s.median_m, s.median_deg)]
         levels = [number(value, 1) for value in (s.high, s.medium, s.low)]
         rows.append([scene.label(model), walk, s.frames, s.answered, *errors, *levels])
     caption = (

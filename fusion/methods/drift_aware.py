@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from groundwalk.fusion.methods.error_map import ErrorMap
-from groundwalk.fusion.methods.estimator.aligner import Belief, Fit, Model, counted, innovation, iterate
+from groundwalk.fusion.methods.estimator.aligner import DIMENSIONS, Belief, Fit, Model, counted, innovation, iterate
 from groundwalk.fusion.methods.estimator.bounds import alignment_covariance
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality
@@ -170,7 +170,7 @@ class DriftAware(Localiser):
             reasons = ("first_prediction",)
         self._take(t_ns, vio_T_cam, map_T_cam_apr)
         signals = self._fit()
-        return self._estimate(vio_T_cam, reasons, signals)
+        return self._estimate(vio_T_cam, reasons, signals, map_T_cam_apr if self._stated else None)
 
     def _move(self, t_ns: int, vio_T_cam: Array) -> bool:
         """Count the motion since the last frame; returns whether odometry jumped."""
@@ -211,7 +211,8 @@ class DriftAware(Localiser):
         self._stated = self._apr_covariance is not None and self.options.covariances
         if self._stated:
             assert self._apr_covariance is not None
-            normalised = whitening_of_covariance(self._apr_covariance, map_T_cam_apr[:3, :3], vio_T_cam[:3, :3])
+            beside_odometry = self._apr_covariance + np.diag([_TILT_JITTER, 0.0, _TILT_JITTER, 0.0, 0.0, 0.0])
+            normalised = whitening_of_covariance(beside_odometry, map_T_cam_apr[:3, :3], vio_T_cam[:3, :3])
         else:
             normalised = whitening(sizes, vio_T_cam[:3, :3])
         state = self._carried(vio_T_cam) if len(self._keyframes) else np.array([*position, yaw])
@@ -377,10 +378,17 @@ class DriftAware(Localiser):
 
     # ------------------------------------------------------------ answers
 
-    def _estimate(self, vio_T_cam: Array, reasons: tuple[str, ...], signals: dict[str, float]) -> Estimate:
+    def _estimate(
+        self,
+        vio_T_cam: Array,
+        reasons: tuple[str, ...],
+        signals: dict[str, float],
+        map_T_cam_apr: Array | None = None,
+    ) -> Estimate:
+        """The newest frame's pose; `map_T_cam_apr` is its prediction, where that brought a covariance."""
         assert self._bound is not None
         status = Status.LOST if self._doubted or self._watched else Status.FUSED
-        return self._posed(vio_T_cam, -1, self._bound, status, reasons, signals)
+        return self._posed(vio_T_cam, -1, self._bound, status, reasons, signals, map_T_cam_apr)
 
     def _posed(
         self,
@@ -390,12 +398,18 @@ class DriftAware(Localiser):
         status: Status,
         reasons: tuple[str, ...],
         signals: dict[str, float],
+        map_T_cam_apr: Array | None = None,
     ) -> Estimate:
         """The pose that odometry gives when a keyframe's alignment, of covariance `bound` (4, 4), carries it."""
         x, y, z, yaw = self._carried(vio_T_cam, keyframe)
         c, s = cos(yaw), sin(yaw)
         map_T_vio = np.array([[c, 0.0, s, x], [0.0, 1.0, 0.0, y], [-s, 0.0, c, z], [0.0, 0.0, 0.0, 1.0]])
         map_T_vio[:3, :3] = map_T_vio[:3, :3] @ _leaning(self._tilt)
+        tilt_variance = self.options.tilt_covariance_factor * self._tilt_variance + _TILT_JITTER
+        if map_T_cam_apr is not None:
+            apart = map_T_cam_apr[:3, :3] @ (map_T_vio[:3, :3] @ vio_T_cam[:3, :3]).T
+            tilt, tilt_variance = self._tilt_of(apart, tilt_variance)
+            map_T_vio[:3, :3] = _leaning(tilt) @ map_T_vio[:3, :3]
         map_T_vio[:3, 3] -= map_T_vio[:3, :3] @ vio_T_cam[:3, 3]
         map_T_cam = map_T_vio @ vio_T_cam
         key_x, _, key_z, _ = self._keyframes.column("state")[keyframe].tolist()
@@ -405,13 +419,23 @@ class DriftAware(Localiser):
         if keyframe == -1:
             bound += np.diag(self._distrust * self._drift + self._way.loose)
         covariance = np.zeros((6, 6))
-        tilt_variance = self.options.tilt_covariance_factor * self._tilt_variance + _TILT_JITTER
         covariance[0, 0] = covariance[2, 2] = tilt_variance
         covariance[1, 1] = bound[3, 3]
         covariance[1, 3:] = covariance[3:, 1] = bound[3, :3]
         covariance[3:, 3:] = bound[:3, :3]
         signals["position_sd_m"] = sqrt(bound[0, 0] + bound[1, 1] + bound[2, 2])
         return Estimate(map_T_cam, status, covariance, map_T_vio, (), reasons, signals)
+
+    def _tilt_of(self, rotation: Array, of_odometry: float) -> tuple[Array, float]:
+        """What the newest prediction, turned from odometry's pose by a rotation (3, 3), says of the tilt about the
+        map's x and z, (2,), and what variance that leaves of odometry's."""
+        assert self._apr_covariance is not None and self._last is not None
+        weight = min(float(self._last.weights[-1]), 1.0)
+        factor = float(self._covariance.trace()) / (DIMENSIONS * weight)
+        of_prediction = factor * self._apr_covariance[:3:2, :3:2]
+        gain = of_odometry * np.linalg.inv(of_odometry * np.eye(2) + of_prediction)
+        _, (x, z) = _yaw_and_lean(rotation)
+        return gain @ np.array([x, z]), float((gain @ of_prediction).trace()) / 2
 
     def _without_odometry(self, map_T_cam_apr: Array | None) -> Estimate:
         """The prediction by itself."""

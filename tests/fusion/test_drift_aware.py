@@ -272,7 +272,7 @@ def test_predictions_better_than_odometry_are_followed() -> None:
 
 def localised(seed: int) -> tuple[Array, Array, list[Estimate]]:
     """A walk with poses as a structure localiser gives them: millimetres with heavy tails, and stated covariances.
-    Odometry drifts by 3 cm and half a degree a step, and its vertical leans by 0.05 degrees."""
+    Odometry drifts by 3 cm and half a degree a step, its vertical leans by 0.05 degrees, and its rotations jitter."""
     rng = np.random.default_rng(seed)
     t_ns, truth, vio, _ = upright_walk(seed, 120)
     count = len(t_ns)
@@ -281,6 +281,8 @@ def localised(seed: int) -> tuple[Array, Array, list[Estimate]]:
     vio[1:, :3, 3] = vio[0, :3, 3] + np.cumsum((yaw_rotation(turn[:-1]) @ steps[:, :, None])[:, :, 0], axis=0)
     vio[:, :3, :3] = yaw_rotation(turn) @ vio[:, :3, :3]
     vio = make_pose(Rotation.from_rotvec(np.radians([0.05, 0, 0])).as_matrix(), np.zeros(3)) @ vio
+    jitter = Rotation.from_rotvec(np.radians(rng.normal(0, 0.02, (count, 3))))
+    vio[:, :3, :3] = vio[:, :3, :3] @ jitter.as_matrix()
     sd = 0.002 * np.exp(rng.normal(0, 1.1, count))
     off = (sd * np.exp(rng.normal(0, 0.7, count)))[:, None] * rng.normal(size=(2, count, 3))
     apr = make_pose(Rotation.from_rotvec(0.05 * off[0]).as_matrix() @ truth[:, :3, :3], truth[:, :3, 3] + off[1])
@@ -292,7 +294,7 @@ def localised(seed: int) -> tuple[Array, Array, list[Estimate]]:
 
 def test_a_structure_localiser_is_hardly_made_worse_and_the_bounds_hold() -> None:
     ratios, inside = [], []
-    for seed in range(3):
+    for seed in range(6):
         truth, apr, estimates = localised(seed)
         fused = poses(estimates)
         errors = [(position_error(x, truth), rotation_error_deg(x, truth)) for x in (fused, apr)]
@@ -301,8 +303,8 @@ def test_a_structure_localiser_is_hardly_made_worse_and_the_bounds_hold() -> Non
         )
         inside.append(within_bounds(fused, truth, np.array([e.covariance for e in estimates])).mean(axis=0))
     (position_p95, position), (rotation_p95, rotation) = np.mean(ratios, axis=0)
-    assert position_p95 < 1.02 and position < 1.02, (position_p95, position)  # 0.98, 1.00
-    assert rotation_p95 < 0.8 and rotation < 0.8, (rotation_p95, rotation)
+    assert position_p95 < 1.06 and position < 1.0, (position_p95, position)  # 1.03, 0.97
+    assert rotation_p95 < 0.9 and rotation < 0.9, (rotation_p95, rotation)  # 0.81, 0.82
     assert (np.mean(inside, axis=0) > 0.85).all(), inside
 
 
