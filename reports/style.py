@@ -9,6 +9,8 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
@@ -91,11 +93,16 @@ def save(figure: Figure, folder: Path, name: str) -> str:
     """Write <name>.png (on white) and <name>.svg; the SVG, whose text takes the colour of the page around it, is
     returned too. The same figure gives the same bytes."""
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
-        figure.savefig(folder / f"{name}.png", dpi=150, facecolor="white", metadata={"Software": None})
+        # By the canvases, as savefig draws everything twice.
+        background = figure.get_facecolor()
+        figure.set_dpi(150)
+        figure.set_facecolor("white")
+        FigureCanvasAgg(figure).print_png(folder / f"{name}.png", metadata={"Software": None})
+        figure.set_facecolor(background)
         # The layout stands now, and takes as long as drawing.
         figure.set_layout_engine("none")
         buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+        FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
     svg = buffer.getvalue()
     # Inside HTML there's no place for an XML prologue, and no name may be that of another figure's element.
     svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
