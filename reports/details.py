@@ -229,7 +229,7 @@ def models(scene: SceneInputs) -> Grid:
     facts: list[tuple[str, list[Any]]] = [
         ("weights of the backbone", [c.weights for c in cards]),
         ("layers", [c.layers or EMPTY for c in cards]),
-        ("reduced from the paper", _of_trained(cards, lambda c: c.reduced or "nothing")),
+        ("reduced from the paper", _of_trained(cards, _reduced)),
         ("trained on", [", ".join(c.scenes) for c in cards]),
         ("device", [c.device for c in cards]),
         ("parameters", _of_trained(cards, lambda c: f"{c.parameters:,.0f} ({c.bytes / 2**20:.1f} MiB)")),
@@ -266,6 +266,10 @@ def localisers(scene: SceneInputs) -> Grid | None:
 def _of_trained(cards: list[Any], text: Callable[[Any], str]) -> list[str]:
     """A line of the model cards; nothing is known of how imported predictions came about."""
     return [text(card) if card.file else EMPTY for card in cards]
+
+
+def _reduced(card: Any) -> str:
+    return "not in the paper" if pd.isna(card.reduced) else card.reduced or "nothing"
 
 
 def checks(findings: pd.DataFrame, source: str) -> Grid | None:

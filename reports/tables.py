@@ -299,9 +299,15 @@ def card_text(card: pd.Series) -> str:
         f"input {card['crop_px']:.0f} px",
         *([str(card["layers"])] if card["layers"] else []),
         f"{card['epochs']:.0f} epochs on {card['train_frames']:.0f} frames, seed {card['seed']}",
-        f"reduced from the paper: {card['reduced']}" if card["reduced"] else "as in the paper",
+        _beside_the_paper(card["reduced"]),
     ]
     return f"{card['model']}: {'; '.join(parts)}"
+
+
+def _beside_the_paper(reduced: str | None) -> str:
+    if reduced is None or pd.isna(reduced):
+        return "not in the paper"
+    return f"reduced from the paper: {reduced}" if reduced else "as in the paper"
 
 
 def options_text(options: str) -> str:

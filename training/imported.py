@@ -61,7 +61,7 @@ def imported_card(r: StageRun[TrainSettings], name: str, rows: pd.DataFrame, ori
         **dict.fromkeys((*unknown, *view)),
         "seed": r.seed,
         "config": "{}",
-        "reduced": "",
+        "reduced": None,
         "device": "elsewhere",
         "inference_ms": None if rows["inference_ms"].isna().all() else float(rows["inference_ms"].median()),
     }

@@ -322,7 +322,7 @@ def finish(
         "best_epoch": int(curve.loc[curve["selected"], "epoch"].iloc[0]),
         "seed": run.seed,
         "config": json.dumps(settings.model_dump(mode="json"), sort_keys=True),
-        "reduced": r.settings.reduced,
+        "reduced": r.settings.reduced if REGRESSORS[name].in_paper else None,
         "device": describe(job),
         "train_seconds": float(curve["seconds"].sum()),
     }
@@ -421,7 +421,7 @@ def describe(job: Job) -> str:
 
 STAGE = Stage(
     name="train",
-    version=9,
+    version=10,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,

@@ -103,11 +103,16 @@ TABLES = [
             Column("best_epoch", "int64", "the epoch whose weights the model has", nullable=True),
             Column("seed", "int64", "seed of everything random"),
             Column("config", "string", "settings of this model, JSON"),
-            Column("reduced", "string", "what the profile makes smaller than in the paper; empty: nothing"),
+            Column(
+                "reduced",
+                "string",
+                "what the profile makes smaller than in the paper; empty: nothing, null: it isn't in the paper",
+                nullable=True,
+            ),
             Column("device", "string", "where it was trained and timed, and in which precision it was trained"),
             Column("inference_ms", "float64", "median of predictions.inference_ms", "ms", nullable=True),
             Column("train_seconds", "float64", "wall time of training", "s", nullable=True),
         ],
-        version="1.3",
+        version="1.4",
     ),
 ]

@@ -57,7 +57,7 @@ def write_bundle(regressor: TrainedRegressor, folder: Path) -> list[str]:
         "scenes": list(regressor.scenes),
         "profile": regressor.profile,
         "simulated": regressor.simulated,
-        "reduced": regressor.card["reduced"],
+        "reduced": regressor.card["reduced"] or "",
         "written_by": f"groundwalk {version('groundwalk')}",
         "network": "int8" if "int8" in networks else "fp32",
         "networks": {name: {"file": file.name, "bytes": file.stat().st_size} for name, file in networks.items()},
