@@ -113,7 +113,8 @@ def test_recorded_walks_differ_from_their_truth_by_a_drift_of_the_fitted_size(sh
     assert len(tracks) == 10
     for name, track in tracks.items():
         steps_m, _ = relative_error(track.vio_T_cam, track.map_T_cam)
-        assert 0.003 < np.median(steps_m) < 0.02, name
+        # The ARCore log has 13 s of a phone that hardly moves.
+        assert ("arcore_logger" in name or np.median(steps_m) > 0.003) and np.median(steps_m) < 0.02, name
         assert (steps_m.max() > 1) == ("floor_2_straight" in name)
         # However far odometry drifts or jumps, it knows where down is.
         leans = np.degrees(np.arccos(np.sum(track.vio_T_cam[:, 1, :3] * track.map_T_cam[:, 1, :3], axis=1).clip(-1, 1)))
