@@ -18,7 +18,7 @@ _SHARE = {"top": (0, 1, -0.5), "right": (-1, 0, 0.5), "bottom": (0, -1, 0.5), "l
 
 
 def readout_lines(first_row: Iterable[str], width_N: ArrayLike, height_N: ArrayLike) -> Array:
-    """(N, 3) a, b, c of each image, for `readout_share`.
+    """(N, 3) a, b, c of each image, for `readout_fraction`.
 
     `first_row` are the sides that the sensor reads out first (`top`, `right`, `bottom`, `left`), sizes are in pixels.
     """
@@ -28,7 +28,7 @@ def readout_lines(first_row: Iterable[str], width_N: ArrayLike, height_N: ArrayL
     return lines
 
 
-def readout_share(line: Array, xy_M2: Array) -> Array:
+def readout_fraction(line: Array, xy_M2: Array) -> Array:
     """(M,) when pixels (M, 2) are exposed after the middle row, as a share of the readout time, -0.5 to 0.5:
     a x + b y + c, with `line` (3,) of all or (M, 3) of each, and the first pixel's outer corner at (0, 0)."""
     return line[..., 0] * xy_M2[:, 0] + line[..., 1] * xy_M2[:, 1] + line[..., 2]

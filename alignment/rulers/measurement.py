@@ -26,7 +26,7 @@ from groundwalk.geometry import GeometryError
 from groundwalk.geometry.lens import distort, undistort
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rulers import Corners, Observations, RulerFit, measure
-from groundwalk.geometry.shutter import readout_lines, readout_share, rows_in_camera
+from groundwalk.geometry.shutter import readout_fraction, readout_lines, rows_in_camera
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -160,7 +160,7 @@ def measure_rulers(
 def _rows_in_camera(frames: pd.DataFrame, images: pd.DataFrame, ruler: RulerDetections) -> Array:
     """cam_T_row (M, 4, 4) of a ruler's observations."""
     line = readout_lines(frames["first_row"], frames["width"], frames["height"])[ruler.row]
-    tau = images["readout_s"].to_numpy(float)[ruler.row] * readout_share(line, ruler.xy_px)
+    tau = images["readout_s"].to_numpy(float)[ruler.row] * readout_fraction(line, ruler.xy_px)
     angular, velocity = (
         images[[f"{name}_{axis}" for axis in "xyz"]].to_numpy(float)[ruler.row] for name in ("angular", "velocity")
     )

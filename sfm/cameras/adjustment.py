@@ -20,10 +20,11 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, lapack
 from scipy.sparse import bsr_array, coo_array, csr_array
 from scipy.spatial.transform import Rotation
 
+from groundwalk.artefacts.progress import track
 from groundwalk.geometry.lens import distort_with_slope
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN, cauchy_weights
-from groundwalk.geometry.shutter import readout_share
+from groundwalk.geometry.shutter import readout_fraction
 from groundwalk.sfm.cameras.normal_equations import block_rows, similarities
 
 Ints = NDArray[np.int64]
@@ -139,7 +140,7 @@ def _forward(bundle: Bundle, cameras: Cameras, *, shutter: bool = True) -> _Forw
     cam_R_sfm = np.swapaxes(bundle.sfm_T_cam[:, :3, :3], 1, 2)[i]
     offset = bundle.xyz[bundle.point] - bundle.sfm_T_cam[i, :3, 3]
     p = np.einsum("mij,mj->mi", cam_R_sfm, offset)
-    row = readout_share(cameras.readout_line[i], bundle.observed_px)
+    row = readout_fraction(cameras.readout_line[i], bundle.observed_px)
     tau = row * cameras.readout_s[cameras.lens[i]] if shutter else np.zeros(len(i))
     turn = Rotation.from_rotvec(-cameras.angular[i] * tau[:, None])
     q = turn.apply(p - cameras.velocity[i] * tau[:, None])
@@ -344,7 +345,8 @@ def adjust(
     prior_mean, information = camera_unknowns(priors.mean), prior_information(cameras, priors)
     damping = 1e-6
     loss_px = loss_widening * loss_of(project(bundle, cameras) - bundle.observed_px)
-    for _ in range(steps):
+    # It mostly takes fewer steps.
+    for _ in track(range(steps), "adjusting cameras"):
         linear = linearize(bundle, cameras)
         loss_px = loss_widening * loss_of(linear.residual)
         weight = cauchy_weights(linear.residual, loss_px)

@@ -22,7 +22,7 @@ from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.lens import distort, max_shift, undistort
 from groundwalk.geometry.poses import Array, inverse, make_pose
-from groundwalk.geometry.shutter import readout_lines, readout_share
+from groundwalk.geometry.shutter import readout_fraction, readout_lines
 from groundwalk.sfm.cameras.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
 from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.cameras.time_offset import estimate_time_offset
@@ -259,7 +259,7 @@ def read_pair_matches(database: Path, frames: pd.DataFrame, pairs: Pairs, motion
             for name, row, points, side in (("a", a, xy[0], 0), ("b", b, xy[1], 1)):
                 observed_px = points[sample[:, side]]
                 columns[f"xy_{name}"].append((observed_px - intrinsics[row, 2:]) / intrinsics[row, :2])
-                columns[f"row_{name}"].append(readout_share(line[row], observed_px))
+                columns[f"row_{name}"].append(readout_fraction(line[row], observed_px))
                 columns[f"focal_{name}"].append(np.full(len(sample), intrinsics[row, :2].mean()))
     if not poses:
         empty = np.empty(0)
@@ -352,7 +352,7 @@ def to_middle_row(xy_M2: Array, frame: Any, line: Array, readout_s: float, angul
     coefficients = np.asarray(frame.distortion, float)
     rays = np.ones((len(xy_M2), 3))
     rays[:, :2] = undistort((xy_M2 - centre) / focal, coefficients)
-    tau = readout_s * readout_share(line, xy_M2)
+    tau = readout_s * readout_fraction(line, xy_M2)
     rays = Rotation.from_rotvec(tau[:, None] * angular).apply(rays)
     return distort(rays[:, :2] / rays[:, 2:], coefficients) * focal + centre
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.lens import undistort
 from groundwalk.geometry.poses import Array, relative
-from groundwalk.geometry.shutter import readout_share, rows_in_camera
+from groundwalk.geometry.shutter import readout_fraction, rows_in_camera
 from groundwalk.sfm.cameras.adjustment import Cameras
 from groundwalk.sfm.database import Ints, create_database, image_id, image_name, read_keypoints
 from groundwalk.sfm.mapping.held_out import choose_held_out
@@ -141,5 +141,5 @@ def _rays_of(cameras: Cameras, sfm_T_cam: Array, frame_M: Ints, xy_M2: Array) ->
     for number, lens in enumerate(lenses):
         members = of_match == number
         rays[members, :2] = undistort(distorted[members], lens)
-    tau = readout_share(cameras.readout_line[frame_M], xy_M2) * cameras.readout_s[cameras.lens[frame_M]]
+    tau = readout_fraction(cameras.readout_line[frame_M], xy_M2) * cameras.readout_s[cameras.lens[frame_M]]
     return rays, sfm_T_cam[frame_M] @ rows_in_camera(cameras.angular[frame_M], cameras.velocity[frame_M], tau)

@@ -14,7 +14,7 @@ from scipy.sparse import csr_array, vstack
 
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.robust import cauchy_weights
-from groundwalk.geometry.shutter import readout_share
+from groundwalk.geometry.shutter import readout_fraction
 from groundwalk.sfm.cameras.adjustment import (
     Adjusted,
     Ints,
@@ -130,7 +130,7 @@ def coherence(adjusted: Adjusted, residual_M2: Array, blob_P: Ints) -> tuple[flo
     _, first = np.unique(key, return_index=True)
     residual, frame, observed_px = residual[first], bundle.frame[first], bundle.observed_px[first]
     line = cameras.readout_line[frame]
-    band = np.clip((readout_share(line, observed_px) + 0.5) * _BANDS, 0, _BANDS - 1).astype(np.int64)
+    band = np.clip((readout_fraction(line, observed_px) + 0.5) * _BANDS, 0, _BANDS - 1).astype(np.int64)
     offset_px = observed_px - cameras.intrinsics[frame, 2:]
     across = line[:, 1] * offset_px[:, 0] - line[:, 0] * offset_px[:, 1]
     column = np.clip((across + 1) / 2 * _COLUMNS, 0, _COLUMNS - 1)

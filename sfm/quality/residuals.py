@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from groundwalk.artefacts.choices import ResidualPattern
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.shutter import readout_share
+from groundwalk.geometry.shutter import readout_fraction
 from groundwalk.sfm.cameras.adjustment import Adjusted, Ints, project, summed
 
 LENS, SHUTTER = "lens", "rolling shutter or stabilised video"
@@ -33,7 +33,7 @@ def residual_patterns(model_id: str, lens_ids: list[str], adjusted: Adjusted) ->
     offset = (bundle.observed_px - cameras.intrinsics[frame, 2:]) / cameras.focal[frame]
     radius = np.linalg.norm(offset, axis=1)
     outward = np.sum(residual * offset, axis=1) / np.maximum(radius, 1e-9)
-    row = np.clip(readout_share(cameras.readout_line[frame], bundle.observed_px) + 0.5, 0, 1 - 1e-9)
+    row = np.clip(readout_fraction(cameras.readout_line[frame], bundle.observed_px) + 0.5, 0, 1 - 1e-9)
     rows = []
     for lens, lens_id in enumerate(lens_ids):
         observations = np.flatnonzero(cameras.lens[frame] == lens)

@@ -36,7 +36,7 @@ from groundwalk.artefacts.settings import resolve_settings
 from groundwalk.artefacts.stage import load_manifest
 from groundwalk.artefacts.tables import poses_of, read_table, write_table
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
-from groundwalk.geometry.shutter import readout_lines, readout_share
+from groundwalk.geometry.shutter import readout_fraction, readout_lines
 
 BOARD = {
     "kind": "charuco",
@@ -259,7 +259,7 @@ def test_a_rolling_shutter_is_undone_in_corners(scene: Scene, first_row: str) ->
     for i, (row, corner) in enumerate(zip(still.row, still.corner, strict=True)):
         for _ in range(4):
             turn, velocity = motion[row, :3], motion[row, 3:]
-            tau = readout_s * readout_share(line, pixels[i][None])[0]
+            tau = readout_s * readout_fraction(line, pixels[i][None])[0]
             row_T_cam = inverse(make_pose(Rotation.from_rotvec(turn * tau).as_matrix(), velocity * tau))
             in_row = transform(row_T_cam @ inverse(scene.true_T_cam[row]), xyz[corner])
             seen: np.ndarray = cv2.projectPoints(in_row[None], np.zeros(3), np.zeros(3), *camera_of(scene.frames, row))[

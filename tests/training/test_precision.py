@@ -89,9 +89,10 @@ def test_a_resumed_run_keeps_its_precision(make_scene: Callable[..., Path], monk
     assert device.endswith("trained in bfloat16 (a step in bfloat16 measured 3.00 times as fast as in float32)")
 
 
-def test_a_setting_decides_instead(make_scene: Callable[..., Path]) -> None:
+def test_a_setting_decides_instead(make_scene: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
     data = DataRoot(make_scene())
-    folder = execute(stage.STAGE, "Wall", "tiny", data, [*SETTINGS, "regressors.PN.precision=bf16"])
-    assert load_manifest(folder)["figures"]["PN precision"] == "bf16"
+    monkeypatch.setattr(stage, "step_seconds", lambda *_: {"fp32": 3.0, "bf16": 1.0})
+    folder = execute(stage.STAGE, "Wall", "tiny", data, [*SETTINGS, "regressors.PN.precision=fp32"])
+    assert load_manifest(folder)["figures"]["PN precision"] == "fp32"
     with pytest.raises(UserError, match=r"renamed to 'precision'"):
         execute(stage.STAGE, "Wall", "tiny", data, [*SETTINGS, "regressors.PN.mixed_precision=auto"])
