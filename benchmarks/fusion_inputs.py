@@ -27,9 +27,9 @@ from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, learnt
 from groundwalk.fusion.files.walks import evaluated
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.walk import Walk, known
-from groundwalk.geometry.poses import Array, heading, interpolate, inverse, make_pose, relative, yaw_rotation
+from groundwalk.geometry.poses import Array, heading, interpolate, inverse, make_pose, yaw_rotation
 from groundwalk.scoring.errors import step_lengths
-from groundwalk.simulation.vio import FITTED, VioModel, simulate_vio
+from groundwalk.simulation.vio import FITTED, VioModel, simulate_vio, start_frame
 
 SIMULATED, RECORDED, MEASURED, TRAINED = "simulated", "recorded", "measured", "trained"
 KIDNAPPED, BETTER_APR = "kidnapped", "better APR"
@@ -141,10 +141,10 @@ def _kidnapped(scene: str, seed: int) -> list[Track]:
     for track in simulated_tracks(scene, seed):
         middle = len(track.t_ns) // 2
         away = min(_AWAY_S, middle // 2)
-        after = inverse(relative(track.vio_T_cam[0], track.vio_T_cam[middle]))
+        anew = inverse(start_frame(track.vio_T_cam[middle]))
         kept = np.r_[: middle - away // 2, middle + away // 2 : len(track.t_ns)]
         vio = track.vio_T_cam.copy()
-        vio[middle:] = after @ vio[middle:]
+        vio[middle:] = anew @ vio[middle:]
         tracks.append(Track(track.name, track.t_ns[kept], track.map_T_cam[kept], vio[kept]))
     return tracks
 
