@@ -98,7 +98,7 @@ class DriftAwareOptions(OdometryOptions):
     rivals: bool = Field(True, description="try other alignments: odometry may have lost its frame")
     recent: int = Field(10, ge=2, description="newest predictions that judge other alignments")
     evidence: float = Field(0.7, gt=0, le=1, description="how much a prediction counts in judging other alignments")
-    loss: float = Field(1e-5, gt=0, lt=0.5, description="probability that odometry loses its frame unnoticed, a frame")
+    loss: float = Field(1e-6, gt=0, lt=0.5, description="probability that odometry loses its frame unnoticed, a frame")
     tilt_sd_deg: float = Field(0.05, gt=0, description="odometry's gravity error an axis, one sigma")
     tilt_covariance_factor: float = Field(36.0, gt=0, description="what its covariance is multiplied with")
 
