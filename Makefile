@@ -96,7 +96,7 @@ types: ## Types alone, of whatever is installed in .venv
 # mypy works on one core: it runs beside the tests.
 test: lint ## Checks and tests, under ten minutes on two cores
 	@mkdir -p build; $(MAKE) --no-print-directory types > build/types.txt 2>&1 & types=$$!; \
-		$(py) -m pytest -n 2 --dist worksteal -m "not slow"; tests=$$?; \
+		OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(py) -m pytest -n 2 --dist worksteal -m "not slow"; tests=$$?; \
 		wait $$types && exit $$tests; cat build/types.txt; exit 1
 
 test-slow: $(installed) ## Whole-pipeline cases

@@ -1,12 +1,14 @@
-"""Work on all cores for what lets go of Python's lock: decoding and OpenCV."""
+"""Work on all cores for what lets go of Python's lock, decoding and OpenCV; and on one for what is too small."""
 
 import contextlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
 from typing import TypeVar
 
 import cv2
+from threadpoolctl import ThreadpoolController
 
 from groundwalk.artefacts.cores import usable_cores
 
@@ -39,3 +41,16 @@ def single_threaded_opencv() -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(before)
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Matrix products on one thread each: of small ones, several threads take longer, and several times as much of all
+    cores."""
+    with _controller().limit(limits=1, user_api="blas"):
+        yield

@@ -96,15 +96,15 @@ def compare(
     before, after = run_values(older, between), run_values(newer)
     stages = {name.split(".")[0] for name in after}
     before = {name: rows for name, rows in before.items() if name.split(".")[0] in stages}
-    found = {name: f"only in {newer if name in after else older}" for name in sorted(before.keys() ^ after.keys())}
-    found |= {name: text for name in before.keys() & after.keys() if (text := difference(before[name], after[name]))}
-    wrong = [name for name in found if between.reason(name) is None]
-    for name in sorted(found):
+    unlike = {name: f"only in {newer if name in after else older}" for name in sorted(before.keys() ^ after.keys())}
+    unlike |= {name: text for name in before.keys() & after.keys() if (text := difference(before[name], after[name]))}
+    wrong = [name for name in unlike if between.reason(name) is None]
+    for name in sorted(unlike):
         print(
-            f"{'different' if name in wrong else 'may differ'}: {name}: {found[name]} ({between.reason(name) or '-'})"
+            f"{'different' if name in wrong else 'may differ'}: {name}: {unlike[name]} ({between.reason(name) or '-'})"
         )
-    equal = len(before.keys() & after.keys() - found.keys())
-    print(f"{equal} columns and figures equal, {len(found) - len(wrong)} may differ, {len(wrong)} differ")
+    equal = len(before.keys() & after.keys() - unlike.keys())
+    print(f"{equal} columns and figures equal, {len(unlike) - len(wrong)} may differ, {len(wrong)} differ")
     if wrong:
         raise typer.Exit(1)
 

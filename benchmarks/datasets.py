@@ -41,12 +41,12 @@ def main(
     sections = [_HEAD, f"{circumstances()} Profile {profile}."]
     for dataset, rows in published.groupby("dataset", sort=False):
         scenes = [scene for scene in rows["scene"].unique() if scene != "average"]
-        ours = {scene: own_errors(DataRoot(data), profile, f"{PREFIXES[str(dataset)]}-{scene}") for scene in scenes}
+        ours = {scene: errors_of(DataRoot(data), profile, f"{PREFIXES[str(dataset)]}-{scene}") for scene in scenes}
         sections += [f"## {dataset}", markdown_table(_table(rows, [*scenes, "average"], ours))]
     (out / "datasets.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
 
 
-def own_errors(data: DataRoot, profile: str, scene: str) -> dict[str, tuple[float, float]]:
+def errors_of(data: DataRoot, profile: str, scene: str) -> dict[str, tuple[float, float]]:
     """Median position and rotation errors on the scene's test frames by regressor; {} where it hasn't been run."""
     train, align = (data.run(profile, scene, stage) for stage in ("train", "align"))
     if not (train / MANIFEST).is_file():

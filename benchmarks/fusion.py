@@ -341,7 +341,7 @@ def _write(out: Path, text: str, tables: Mapping[str, pd.DataFrame], speed: Sequ
     out.mkdir(parents=True, exist_ok=True)
     (out / "benchmark.md").write_text(text + "\n", encoding="utf-8")
     content = {name: json.loads(table.to_json(orient="records")) for name, table in tables.items()}
-    content["speed"] = {t.what: t.found for t in speed}
+    content["speed"] = {t.what: t.value for t in speed}
     (out / "benchmark.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 

@@ -303,7 +303,7 @@ def _smooth(rng: np.random.Generator, along_m: Array) -> Array:
 @cache
 def _recordings(folder: Path) -> dict[Path, tuple[str, NDArray[np.int64], Array]]:
     """Name, t_ns (N,) and vio_T_cam (N, 4, 4) of each recording that import can read, by its file or folder."""
-    found = {}
+    recordings = {}
     for path in sorted([folder, *folder.rglob("*")]):
         form = next((f for f in FORMATS.values() if f.detect(path)), None)
         if form is None:
@@ -311,8 +311,8 @@ def _recordings(folder: Path) -> dict[Path, tuple[str, NDArray[np.int64], Array]
         session = form.read(path, path.stem, Limits())
         posed = [(f.t_ns, f.vio_T_cam) for f in session.frames if f.vio_T_cam is not None]
         t_ns, first = np.unique([t for t, _ in posed], return_index=True)
-        found[path] = (f"{form.id}/{path.stem}", t_ns.astype(np.int64), np.array([posed[i][1] for i in first]))
-    return found
+        recordings[path] = (f"{form.id}/{path.stem}", t_ns.astype(np.int64), np.array([posed[i][1] for i in first]))
+    return recordings
 
 
 def _without_jumps(t_ns: NDArray[np.int64], vio_T_cam: Array) -> Array:

@@ -184,8 +184,8 @@ def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, obj
                 spoilt_walk = trouble.spoilt(refined(walk, rate), rate * at, rng)
                 end = at + trouble.lasts_s
                 recovered_s, lost, off = recovery(plain, course(spoilt_walk, method, error_map, rate), at, end)
-                informed = told_of_it(trouble, walk, spoilt_walk, at, method, plain, error_map)
-                told_s = recovery(plain, informed, at, end)[0]
+                informed = informed_course(trouble, walk, spoilt_walk, at, method, plain, error_map)
+                informed_s = recovery(plain, informed, at, end)[0]
                 rows.append(
                     {
                         "scene": scene,
@@ -196,14 +196,14 @@ def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, obj
                         "recovered_s": recovered_s,
                         "lost_fraction": lost,
                         "off": off,
-                        "told_s": told_s,
+                        "informed_s": informed_s,
                         "before_m": float(plain.position_m[at - _BEFORE_S : at].mean()),
                     }
                 )
     return rows
 
 
-def told_of_it(
+def informed_course(
     trouble: Trouble, walk: Walk, spoilt: Walk, at: int, method: str, plain: Course, error_map: ErrorMap | None
 ) -> Course:
     """The errors of the same method where it is told of the trouble."""
@@ -265,7 +265,7 @@ def _page(rows: pd.DataFrame, methods: Sequence[str]) -> Iterable[str]:
         "predictions, these as wrong as the published PN and MS-T, one frame and one prediction a second, seed 0; "
         "with 30 frames a second, one has a prediction. A third of the way in something goes wrong. Recovered: "
         "error at most 1.5 times the larger of the mean of the 30 s before and of the same method's error at that "
-        "frame without the trouble, in position and in rotation, within a minute of the trouble's end. Told: the "
+        "frame without the trouble, in position and in rotation, within a minute of the trouble's end. Informed: the "
         "same method where it is told of the trouble (it doesn't get the wrong predictions, or starts anew where "
         "odometry lost its frame), which is what the other predictions allow. Says so: share of the frames until "
         "then that are off and said to be lost, or have no pose."
@@ -291,13 +291,13 @@ def _recovery_rows(rows: pd.DataFrame, methods: Sequence[str], within_s: int) ->
         limit,
         "median s",
         "90 % within s",
-        f"told: {limit}",
-        "told: median s",
+        f"informed: {limit}",
+        "informed: median s",
         "says so, %",
     ]
     for method in methods:
         of = rows[rows["method"] == method]
-        seconds, told = of["recovered_s"].to_numpy(float), of["told_s"].to_numpy(float)
+        seconds, informed = of["recovered_s"].to_numpy(float), of["informed_s"].to_numpy(float)
         yield [
             method,
             str(len(of)),
@@ -305,8 +305,8 @@ def _recovery_rows(rows: pd.DataFrame, methods: Sequence[str], within_s: int) ->
             f"{100 * float((seconds <= within_s).mean()):.0f}",
             _seconds(seconds, 50),
             _seconds(seconds, 90),
-            f"{100 * float((told <= within_s).mean()):.0f}",
-            _seconds(told, 50),
+            f"{100 * float((informed <= within_s).mean()):.0f}",
+            _seconds(informed, 50),
             f"{100 * float(of['lost_fraction'].mean()):.0f}" if of["lost_fraction"].notna().any() else "",
         ]
 

@@ -156,9 +156,9 @@ def worst(summary: pd.DataFrame, kinds: Iterable[str]) -> pd.DataFrame:
             if name == RAW:
                 continue
             row: dict[str, Any] = {"walks": kind, "method": name}
-            for column, shown in zip(ERRORS, ("position /raw", "rotation /raw"), strict=True):
+            for column, label in zip(ERRORS, ("position /raw", "rotation /raw"), strict=True):
                 _, scene, model = group[column].idxmax()
-                row |= {shown: group[column].max(), f"where, {shown.split()[0]}": f"{scene} {model}"}
+                row |= {label: group[column].max(), f"where, {label.split()[0]}": f"{scene} {model}"}
             rows.append(row | {"coverage %": coverage[name]})
     return pd.DataFrame(rows)
 
@@ -173,17 +173,17 @@ def beside_published(summary: pd.DataFrame) -> pd.DataFrame:
     levels = pd.read_csv(folder / "table3_accuracy_levels.csv").set_index(["scene", "subset", "method"])
     names = dict(zip(["high", "medium", "low"], [c for c in levels.columns if "_pct_" in c], strict=True))
     ours = summary[(summary["kind"] == SIMULATED) & (summary["method"] == RULE)]
-    found = ours.set_index(["scene", "model", "subset", "scored"])
+    by_scene = ours.set_index(["scene", "model", "subset", "scored"])
     rows = []
-    for scene, model in found.index.droplevel(["subset", "scored"]).unique():
+    for scene, model in by_scene.index.droplevel(["subset", "scored"]).unique():
         for subset, scored in ((s, w) for s in ("rp", "opt", "rp+opt") for w in ("apr", "method")):
             # The paper prints its raw columns over all frames, but for the block of optimised frames.
             over = "all" if scored == "apr" and subset != "opt" else subset
-            here = found.loc[(scene, model, over, scored)]
+            here = by_scene.loc[(scene, model, over, scored)]
             printed = f"{model}+VIO" if scored == "method" else model
 
             def row(figure: str, published: float, value: float, *key: str) -> dict[str, Any]:
-                return dict(zip(_KEY, key, strict=True)) | {"figure": figure, "published": published, "found": value}
+                return dict(zip(_KEY, key, strict=True)) | {"figure": figure, "published": published, "ours": value}
 
             key = (scene, model, subset, "the rule" if scored == "method" else "raw")
             for statistic in ("mean", "median"):
@@ -197,7 +197,7 @@ def beside_published(summary: pd.DataFrame) -> pd.DataFrame:
                 rows.append(row("frames %", level["frames_pct"], here["frames_pct"], *key))
     table = pd.DataFrame(rows)
     shares = table["figure"].str.endswith("%")
-    off, ratio = table["found"] - table["published"], table["found"] / table["published"]
+    off, ratio = table["ours"] - table["published"], table["ours"] / table["published"]
     table["off by"] = np.where(shares, off.map("{:+.1f} points".format), ratio.map("x {:.2f}".format))
     return table
 
@@ -206,18 +206,18 @@ _KEY = ["scene", "model", "subset", "poses"]
 
 
 def differences(published: pd.DataFrame) -> pd.DataFrame:
-    """By how much they differ over scenes and regressors: errors as ratios found / published, shares in points."""
+    """By how much they differ over scenes and regressors: errors as ratios ours / published, shares in points."""
     rows = []
     for (poses, subset, figure), group in published.groupby(["poses", "subset", "figure"], sort=False):
         row: dict[str, Any] = {"poses": poses, "subset": subset, "figure": figure}
         if figure.endswith("%"):
-            off = group["found"] - group["published"]
+            off = group["ours"] - group["published"]
             row |= {
                 "typically off by": f"{off.median():+.1f} points",
                 "from to": f"{off.min():+.1f} to {off.max():+.1f}",
             }
         else:
-            ratio = group["found"] / group["published"]
+            ratio = group["ours"] / group["published"]
             row |= {"typically off by": f"x {ratio.median():.2f}", "from to": f"{ratio.min():.2f} to {ratio.max():.2f}"}
         rows.append(row)
     return pd.DataFrame(rows)
@@ -228,17 +228,17 @@ def differences(published: pd.DataFrame) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Target:
-    """A figure to reach, between `low` and `high`, and what was found."""
+    """A figure to reach, between `low` and `high`, and its value."""
 
     what: str
     walks: str
-    found: float
+    value: float
     low: float = -np.inf
     high: float = np.inf
 
     @property
     def reached(self) -> bool:
-        return bool(self.low <= self.found <= self.high)
+        return bool(self.low <= self.value <= self.high)
 
     @property
     def wanted(self) -> str:
@@ -249,10 +249,10 @@ class Target:
 
 def accuracy_targets(summary: pd.DataFrame, kinds: Sequence[str]) -> list[Target]:
     """Ours against the paper's rule, and its covariance, on each kind of walks."""
-    found = []
+    targets = []
     for kind in kinds:
         row = overview(summary, kind).loc[OURS]
-        found += [
+        targets += [
             Target("mean position error / the rule's", kind, row["position /rule"], high=0.45),
             Target("mean rotation error / the rule's", kind, row["rotation /rule"], high=0.33),
             Target("frames at high level / the rule's", kind, row["high /rule"], low=2.0),
@@ -261,7 +261,7 @@ def accuracy_targets(summary: pd.DataFrame, kinds: Sequence[str]) -> list[Target
             Target("position errors within 95 % bounds, %", kind, row["position within 95 %"], 90.0, 98.0),
             Target("rotation errors within 95 % bounds, %", kind, row["rotation within 95 %"], 90.0, 98.0),
         ]
-    return found
+    return targets
 
 
 def guard_targets(summary: pd.DataFrame, kinds: Sequence[str]) -> list[Target]:
@@ -275,15 +275,15 @@ def guard_targets(summary: pd.DataFrame, kinds: Sequence[str]) -> list[Target]:
     ]
 
 
-def target_table(found: Sequence[Target]) -> pd.DataFrame:
+def target_table(targets: Sequence[Target]) -> pd.DataFrame:
     """Each target beside its figure."""
     return pd.DataFrame(
         {
-            "target": [t.what for t in found],
-            "walks": [t.walks for t in found],
-            "found": [t.found for t in found],
-            "wanted": [t.wanted for t in found],
-            "": ["ok" if t.reached else "short" for t in found],
+            "target": [t.what for t in targets],
+            "walks": [t.walks for t in targets],
+            "value": [t.value for t in targets],
+            "wanted": [t.wanted for t in targets],
+            "": ["ok" if t.reached else "short" for t in targets],
         }
     )
 

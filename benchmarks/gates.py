@@ -110,9 +110,9 @@ class Outcome:
 
     case: str
     expected: str
-    found: str
+    fault: str
     stage: str
-    told: str
+    message: str
     labels: Labels
     seconds: float
 
@@ -120,8 +120,8 @@ class Outcome:
     def right(self) -> bool:
         if self.expected == SHORT:
             error, sd = self.labels.scale_error, self.labels.scale_sd
-            return self.found == NOTHING and error is not None and sd is not None and abs(error) <= _BOUND * sd
-        return self.found == self.expected or (self.expected == CLEAN and self.found == NOTHING)
+            return self.fault == NOTHING and error is not None and sd is not None and abs(error) <= _BOUND * sd
+        return self.fault == self.expected or (self.expected == CLEAN and self.fault == NOTHING)
 
 
 def cases() -> Iterator[Case]:
@@ -162,9 +162,9 @@ def run_case(case: Case, captures: Path) -> Outcome:
         if case.other is not None:
             breaking = with_walk_of(_rendered(captures, case.other), _WALKS[-1])
         breaking(data.captures(scene))
-        found, stage, told = _found(data, scene, case)
+        fault, stage, message = _named_fault(data, scene, case)
         labels = _labels(data, scene)
-    return Outcome(case.name, case.expected, found, stage, told, labels, time.monotonic() - start)
+    return Outcome(case.name, case.expected, fault, stage, message, labels, time.monotonic() - start)
 
 
 def _rendered(captures: Path, capture: Capture) -> Path:
@@ -174,7 +174,7 @@ def _rendered(captures: Path, capture: Capture) -> Path:
     return folder
 
 
-def _found(data: DataRoot, scene: str, case: Case) -> tuple[str, str, str]:
+def _named_fault(data: DataRoot, scene: str, case: Case) -> tuple[str, str, str]:
     """The fault that the pipeline tells first, the stage that does, and in which words."""
     stages: list[tuple[Stage[Any], list[str]]] = [(IMPORT, []), (SFM, [*SFM_OF_SMALL, *case.sfm]), (ALIGN, [])]
     for stage, settings in stages:
@@ -231,8 +231,8 @@ def _labels(data: DataRoot, scene: str) -> Labels:
     # A lost frame has no pose in the map: its place among the others of its model is what can be right.
     in_model = np.ones(len(gt), dtype=bool)
     for model in images.loc[registered, "model_id"].unique():
-        own = registered & (images["model_id"] == model).to_numpy()
-        _, in_model[own] = _errors(true_T_cam[own], poses_of(images, "sfm_cam")[own], fit_sim3)
+        of_model = registered & (images["model_id"] == model).to_numpy()
+        _, in_model[of_model] = _errors(true_T_cam[of_model], poses_of(images, "sfm_cam")[of_model], fit_sim3)
     lost = registered & ~given
     figures = load_manifest(data.run(PROFILE, scene, "align"))["figures"]
     scale_error = None
@@ -301,7 +301,7 @@ def main(
         outcome = run_case(case, out / "captures")
         path.write_text(json.dumps(asdict(outcome), indent=2) + "\n", encoding="utf-8")
         print(
-            f"{outcome.case}: expected {outcome.expected}, found {outcome.found} ({outcome.seconds:.0f} s)", flush=True
+            f"{outcome.case}: expected {outcome.expected}, found {outcome.fault} ({outcome.seconds:.0f} s)", flush=True
         )
     names = [case.name for case in cases()]
     outcomes = [_outcome(path) for path in done.glob("*.json")]
@@ -332,12 +332,12 @@ def _table(outcomes: list[Outcome], wanted: int) -> str:
         counts = [n.frames, n.given, n.wrong, n.given_ab, n.wrong_ab, n.lost, n.lost_right]
         scale = "" if n.scale_error is None else f"{100 * n.scale_error:+.2f}"
         scale += "" if n.scale_sd is None else f" ± {100 * n.scale_sd:.2f}"
-        cells = [o.case, o.expected, o.found, o.stage, "yes" if o.right else "**no**", *counts, worst, scale]
+        cells = [o.case, o.expected, o.fault, o.stage, "yes" if o.right else "**no**", *counts, worst, scale]
         lines.append(f"| {' | '.join(map(str, cells))} |")
     short = [o for o in outcomes if o.expected == SHORT]
     broken = [o for o in outcomes if o.expected not in (CLEAN, SHORT)]
     clean = [o for o in outcomes if o.expected == CLEAN]
-    caught = sum(o.found != NOTHING for o in broken)
+    caught = sum(o.fault != NOTHING for o in broken)
     lost, registered = (sum(getattr(o.labels, name) for o in clean) for name in ("lost", "registered"))
     lines += [
         "",

@@ -120,9 +120,9 @@ def _same(seed: int, paint: materials.Material) -> materials.Material:
     """The material painted from a seed of its own, so that it comes out the same wherever it is."""
 
     def painted(c: Canvas) -> None:
-        own, c.rng = c.rng, np.random.default_rng(seed)
+        caller_rng, c.rng = c.rng, np.random.default_rng(seed)
         paint(c)
-        c.rng = own
+        c.rng = caller_rng
 
     return painted
 

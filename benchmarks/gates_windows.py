@@ -45,7 +45,7 @@ def main(
     print("| step, m | scale off, RMS | largest | RMS of error / stated sigma |")
     print("|---|---|---|---|")
     for step_m in (0.5, 1.0, 2.0, 5.0, 10.0):
-        found = [
+        scales = [
             common_scale(
                 segments,
                 step_m=step_m,
@@ -54,7 +54,7 @@ def main(
             )
             for segments in scenes
         ]
-        off, sd = np.array([f.log for f in found]), np.array([f.sd for f in found])
+        off, sd = np.array([f.log for f in scales]), np.array([f.sd for f in scales])
         print(f"| {step_m:g} | {_rms(off):.2%} | {np.abs(off).max():.2%} | {_rms(off / sd):.2f} |")
     phone = float(np.radians(settings.phone_tilt_sd_deg))
     verticals = [common_vertical(segments, phone_sd=phone) for segments in scenes]

@@ -57,7 +57,7 @@ class Figure:
     part: str
     of: str
     name: str
-    found: float
+    value: float
     unit: str
     target: str = ""
     met: bool | None = None
@@ -100,10 +100,10 @@ def speed(o: Options) -> list[Figure]:
         *stock_errors,
         *(Figure("speed", of, f"times faster, {name}", ratio, "", "≥ 5", ratio >= 5) for name, ratio in ratios.items()),
     ]
-    found_by_name = {figure.name: figure.found for figure in stock_errors}
+    value_by_name = {figure.name: figure.value for figure in stock_errors}
     for ours_of_it in errors:
         if "error" in ours_of_it.name:
-            share = ours_of_it.found / found_by_name[ours_of_it.name]
+            share = ours_of_it.value / value_by_name[ours_of_it.name]
             figures.append(Figure("speed", of, f"{ours_of_it.name}, of stock's", share, "", "≤ 1", share <= 1))
     return figures
 
@@ -269,12 +269,12 @@ def worst_window_share(scene: str, root: DataRoot) -> float:
         images[["frame_id", "model_id"]], on="frame_id"
     )
     worst = 0.0
-    for _, own in table[table["quality"] != "none"].groupby(["session_id", "model_id"], sort=True):
-        own = own.sort_values("t_ns")
-        map_T_cam, vio_T_cam = poses_of(own, "map_cam"), poses_of(own, "vio_cam")
+    for _, segment in table[table["quality"] != "none"].groupby(["session_id", "model_id"], sort=True):
+        segment = segment.sort_values("t_ns")
+        map_T_cam, vio_T_cam = poses_of(segment, "map_cam"), poses_of(segment, "vio_cam")
         steps = np.linalg.norm(np.diff(vio_T_cam[:, :3, 3], axis=0), axis=1)
         travelled = np.concatenate([[0.0], np.cumsum(steps)])
-        for first in range(len(own)):
+        for first in range(len(segment)):
             inside = slice(first, int(np.searchsorted(travelled, travelled[first] + _WINDOW_M, side="right")))
             fit = fit_poses(map_T_cam[inside], vio_T_cam[inside], position_sd_m=0.01, rotation_sd=np.radians(1.0))
             worst = max(worst, float(pose_residuals(map_T_cam[inside], vio_T_cam[inside], fit)[0].max()))
@@ -332,13 +332,13 @@ def _model_figures(part: str, of: str, scene: str, root: DataRoot) -> list[Figur
 
 def _error_figures(part: str, of: str, sfm_T_cam: Array, model_N: np.ndarray, truth: Array) -> list[Figure]:
     metres, degrees = errors_after_sim3(sfm_T_cam, model_N, truth)
-    found = [Figure(part, of, "registered", 100 * float(np.mean(model_N >= 0)), "%")]
+    figures = [Figure(part, of, "registered", 100 * float(np.mean(model_N >= 0)), "%")]
     if not len(metres):
-        return found
+        return figures
     for name, values, unit in (("position", 1000 * metres, "mm"), ("rotation", degrees, "deg")):
         for label, q in (("median", 50), ("95th percentile", 95)):
-            found.append(Figure(part, of, f"{name} error, {label}", float(np.percentile(values, q)), unit))
-    return found
+            figures.append(Figure(part, of, f"{name} error, {label}", float(np.percentile(values, q)), unit))
+    return figures
 
 
 def _write(out: Path, part: str, figures: list[Figure]) -> None:
@@ -349,7 +349,7 @@ def _write(out: Path, part: str, figures: list[Figure]) -> None:
             for row in pd.read_parquet(out / f"{name}.parquet").itertuples(index=False):
                 met = {"True": "ok", "False": "missed"}.get(str(row.met), "")
                 lines.append(
-                    f"| {row.part} | {row.of} | {row.name} | {row.found:.4g} {row.unit} | {row.target} | {met} |"
+                    f"| {row.part} | {row.of} | {row.name} | {row.value:.4g} {row.unit} | {row.target} | {met} |"
                 )
     (out / "figures.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 

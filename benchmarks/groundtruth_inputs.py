@@ -93,12 +93,12 @@ def errors_after_sim3(sfm_T_cam: Array, model_N: np.ndarray, true_T_cam: Array) 
     """
     metres, degrees = [np.empty(0)], [np.empty(0)]
     for number in range(int(model_N.max(initial=-1)) + 1):
-        own = model_N == number
+        of_model = model_N == number
         try:
-            fit = fit_sim3(true_T_cam[own, :3, 3], sfm_T_cam[own, :3, 3])
+            fit = fit_sim3(true_T_cam[of_model, :3, 3], sfm_T_cam[of_model, :3, 3])
         except GeometryError:
             continue
-        error_m, error_rad = pose_residuals(true_T_cam[own], fit.poses(sfm_T_cam[own]), np.eye(4))
+        error_m, error_rad = pose_residuals(true_T_cam[of_model], fit.poses(sfm_T_cam[of_model]), np.eye(4))
         metres.append(error_m)
         degrees.append(np.degrees(error_rad))
     return np.concatenate(metres), np.concatenate(degrees)

@@ -160,15 +160,15 @@ def retrieval(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object
         seconds = time.process_time() - start
         for per_frame in (2, 4, 10):
             pairs = retrieval_pairs(image, part.session, per_frame)
-            found = true[np.searchsorted(key, pairs[:, 0] * len(part.names) + pairs[:, 1])]
-            with_one = np.unique(pairs[found])
+            overlapping = true[np.searchsorted(key, pairs[:, 0] * len(part.names) + pairs[:, 1])]
+            with_one = np.unique(pairs[overlapping])
             could = np.unique(every[true])
             yield {
                 "retrieval": name,
                 "pairs a frame": per_frame,
                 "pairs": len(pairs),
-                "of them overlapping %": 100 * found.mean(),
-                "overlapping pairs found %": 100 * found.sum() / true.sum(),
+                "of them overlapping %": 100 * overlapping.mean(),
+                "overlapping pairs found %": 100 * overlapping.sum() / true.sum(),
                 "frames with one %": 100 * len(with_one) / len(could),
                 "s": seconds,
             }

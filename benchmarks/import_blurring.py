@@ -57,7 +57,7 @@ def _background() -> np.ndarray:
     return cv2.resize(coarse, (1920, 1440), interpolation=cv2.INTER_LINEAR)
 
 
-def found_at(regions: list[Region], kind: Kind, centre: tuple[float, float]) -> bool:
+def is_detected(regions: list[Region], kind: Kind, centre: tuple[float, float]) -> bool:
     x, y = centre
     return any(r.kind == kind and r.x < x < r.x + r.width and r.y < y < r.y + r.height for r in regions)
 
@@ -71,25 +71,25 @@ def main(
     detect = CascadeDetector()
     print("| width, px | the portrait's face found | drawn plates found |\n|---|---|---|")
     for width in WIDTHS_PX:
-        faces = [found_at(detect(picture), "face", at) for picture, at in (with_portrait(width, *p) for p in PLACES)]
+        faces = [is_detected(detect(picture), "face", at) for picture, at in (with_portrait(width, *p) for p in PLACES)]
         plates = []
         for text, place in zip(PLATES, PLACES, strict=True):
             picture, at = with_plate(width, *place, text)
-            plates.append(found_at(detect(picture), "plate", at))
+            plates.append(is_detected(detect(picture), "plate", at))
         print(f"| {width} | {sum(faces)} of {len(faces)} | {sum(plates)} of {len(plates)} |", flush=True)
     if captures is None:
         return
     print("\n| real capture | images | images with a false region | false faces | false plates | s an image |")
     print("|---|---|---|---|---|---|")
-    for found in find_recordings(captures, Path("/nonexistent"), Limits()):
-        paths = [f.image.path for f in found.read(Limits()).frames if isinstance(f.image, ImageFile)]
+    for recording in find_recordings(captures, Path("/nonexistent"), Limits()):
+        paths = [f.image.path for f in recording.read(Limits()).frames if isinstance(f.image, ImageFile)]
         paths = [paths[i] for i in np.unique(np.linspace(0, len(paths) - 1, images).astype(int))]
         start = time.process_time()
         regions = [detect(decode_rgb(path.read_bytes(), 2**31)) for path in track(paths, "looking for faces")]
         seconds = (time.process_time() - start) / len(paths)
         false = {kind: sum(r.kind == kind for rs in regions for r in rs) for kind in ("face", "plate")}
         print(
-            f"| {found.session_id} | {len(paths)} | {sum(map(bool, regions))} | {false['face']} | {false['plate']} "
+            f"| {recording.session_id} | {len(paths)} | {sum(map(bool, regions))} | {false['face']} | {false['plate']} "
             f"| {seconds:.1f} |",
             flush=True,
         )

@@ -58,10 +58,10 @@ def take(name: str, walk: Walk, folder: Path) -> tuple[Intake, Views]:
 
 
 def take_written(name: str, folder: Path) -> tuple[Intake, Views]:
-    (found,) = find_recordings(folder / "place", folder / "unpacked", Limits())
-    assert found.format.id == name
+    (source,) = find_recordings(folder / "place", folder / "unpacked", Limits())
+    assert source.format.id == name
     views = Views([(folder / "place").resolve(), (folder / "unpacked").resolve()], Limits())
-    return take_in(found.read(Limits()), ImportSettings(), lambda frames: measures(views.scan(frames))), views
+    return take_in(source.read(Limits()), ImportSettings(), lambda frames: measures(views.scan(frames))), views
 
 
 def read_back(name: str, folder: Path) -> str:
@@ -93,9 +93,9 @@ def broken_rows(name: str, folder: Path) -> str:
         cut.write_bytes(cut.read_bytes()[:600])
         expected.append("broken")
     intake, _ = take_written(name, folder)
-    told = sum(any(reason in reject.reason for reject in intake.rejects) for reason in expected)
-    assert len(intake.rejects) == told, [reject.reason for reject in intake.rejects]
-    return f"{told} of {len(expected)}"
+    rejected = sum(any(reason in reject.reason for reject in intake.rejects) for reason in expected)
+    assert len(intake.rejects) == rejected, [reject.reason for reject in intake.rejects]
+    return f"{rejected} of {len(expected)}"
 
 
 def jump(name: str, folder: Path) -> str:
@@ -114,8 +114,8 @@ def convention(name: str, walk: Walk, folder: Path) -> str:
     pairs = matched_pairs(intake.sessions[0], views.load)
     right = best_convention(pairs)
     wrong = [best_convention([_mistaken(pair, change) for pair in pairs]) for _, change in CONVENTIONS[1:]]
-    found = sum(check.contradicted is not None for check in wrong)
-    return f"{right.declared:.0%} | {right.other_explained:.0%} | {found} of {len(wrong)}"
+    count = sum(check.contradicted is not None for check in wrong)
+    return f"{right.declared:.0%} | {right.other_explained:.0%} | {count} of {len(wrong)}"
 
 
 def _mistaken(pair: MatchedPair, change: object) -> MatchedPair:
@@ -146,11 +146,11 @@ def damaged(name: str, count: int, folder: Path) -> tuple[int, int]:
     return imported, count - imported
 
 
-def mistakes_found(session: ImportedSession, roots: list[Path]) -> tuple[float, float, int, int]:
+def mistakes_detected(session: ImportedSession, roots: list[Path]) -> tuple[float, float, int, int]:
     """As `convention`, for a real session; pairs of images are chosen anew for each mistake."""
     views = Views(roots, Limits())
     right = check_convention(session, views.load)
-    found = 0
+    count = 0
     for _, change in track(CONVENTIONS[1:], "putting in mistakes"):
         images = []
         for image in session.images:
@@ -159,23 +159,23 @@ def mistakes_found(session: ImportedSession, roots: list[Path]) -> tuple[float, 
             pose, k = change((pose, np.array([camera.fx, camera.fy, camera.cx, camera.cy])))
             frame = replace(image.frame, vio_T_cam=pose, intrinsics=Intrinsics.of(k.tolist()))
             images.append(replace(image, frame=frame))
-        found += check_convention(replace(session, images=images), views.load).contradicted is not None
-    return right.declared, right.other_explained, found, len(CONVENTIONS) - 1
+        count += check_convention(replace(session, images=images), views.load).contradicted is not None
+    return right.declared, right.other_explained, count, len(CONVENTIONS) - 1
 
 
 def smeared(session: ImportedSession, length_px: int) -> float:
     """Median sharpness of some of a session's images, smeared sideways by pixels of a 1920 px image."""
-    found = []
+    values = []
     some = [image.frame.image for image in session.images[:: max(1, len(session.images) // 12)]]
     for path in [image.path for image in some if isinstance(image, ImageFile)]:
         gray = np.asarray(decode_gray(path.read_bytes(), 1920), np.uint8)
-        found.append(sharpness(np.asarray(cv2.blur(gray, (length_px, 1)), np.uint8) if length_px > 1 else gray))
-    return float(np.median(found))
+        values.append(sharpness(np.asarray(cv2.blur(gray, (length_px, 1)), np.uint8) if length_px > 1 else gray))
+    return float(np.median(values))
 
 
-def take_real(found: RecordingSource, root: Path) -> Intake:
+def take_real(source: RecordingSource, root: Path) -> Intake:
     limits, roots = Limits(), [root.resolve()]
-    return take_in(found.read(limits), ImportSettings(), lambda frames: measures(scan_images(frames, roots, limits)))
+    return take_in(source.read(limits), ImportSettings(), lambda frames: measures(scan_images(frames, roots, limits)))
 
 
 @app.command()
@@ -223,14 +223,14 @@ def _print_captures(captures: Path) -> None:
         f"| sharpness | {smears} |"
     )
     print("|---|---|---|---|---|---|---|---|---|" + "---|" * len(SMEARS_PX))
-    for found in find_recordings(captures, Path("/nonexistent"), Limits()):
-        intake = take_real(found, captures)
+    for source in find_recordings(captures, Path("/nonexistent"), Limits()):
+        intake = take_real(source, captures)
         session = max(intake.sessions, key=lambda s: len(s.images))
-        declared, other, wrong, of = mistakes_found(session, [captures.resolve()])
+        declared, other, wrong, of = mistakes_detected(session, [captures.resolve()])
         jumps = sum(len(s.jumps) for s in intake.sessions)
         blurs = " | ".join(f"{smeared(session, px):.2f}" for px in (1, *SMEARS_PX))
         print(
-            f"| {found.session_id} | {len(session.frames)} | {len(session.images)} | {len(intake.rejects)} "
+            f"| {source.session_id} | {len(session.frames)} | {len(session.images)} | {len(intake.rejects)} "
             f"| {jumps} | {declared:.0%} | {other:.0%} | {wrong} of {of} | {blurs} |",
             flush=True,
         )
@@ -239,13 +239,13 @@ def _print_captures(captures: Path) -> None:
 def _print_trajectories(trajectories: Path) -> None:
     print("\n| real recording | format | poses | rate, Hz | path, m | rejects | jumps |")
     print("|---|---|---|---|---|---|---|")
-    for found in find_recordings(trajectories, Path("/nonexistent"), Limits()):
-        intake = take_real(found, trajectories)
+    for source in find_recordings(trajectories, Path("/nonexistent"), Limits()):
+        intake = take_real(source, trajectories)
         t_s = np.concatenate([s.t_ns for s in intake.sessions]) * 1e-9
         path = sum(float(np.linalg.norm(np.diff(s.poses[:, :3, 3], axis=0), axis=1).sum()) for s in intake.sessions)
         jumps = ", ".join(f"{j.jump_m:.1f} m" for s in intake.sessions for j, _ in s.jumps) or "none"
         print(
-            f"| {found.session_id} | {found.format.id} | {len(t_s)} | {(len(t_s) - 1) / np.ptp(t_s):.0f} "
+            f"| {source.session_id} | {source.format.id} | {len(t_s)} | {(len(t_s) - 1) / np.ptp(t_s):.0f} "
             f"| {path:.0f} | {len(intake.rejects)} | {jumps} |"
         )
 

@@ -31,6 +31,7 @@ from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.choices import Appearance
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.images import image_file
+from groundwalk.artefacts.parallel import one_thread
 from groundwalk.artefacts.stage import git_revision
 from groundwalk.export.regressor import TrainedRegressor
 from groundwalk.geometry.poses import Array, make_pose
@@ -44,7 +45,6 @@ from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings
 from groundwalk.localisation.prepared import Training, prepare
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.localisation.stage import errors_of
-from groundwalk.localisation.threads import one_thread
 from groundwalk.scoring.errors import BOUND_95, normalised_squares, pose_error
 
 app = new_app(__doc__ or "")

@@ -58,8 +58,8 @@ def _draw_residuals(metres: Axes, degrees: Axes, paths: Paths, ways: dict[str, P
             name: (1000 * placed.position_m if unit == "mm" else placed.rotation_deg)[rows]
             for name, placed in ways.items()
         }
-        for name, own in values.items():
-            axis.plot(travelled_m, own, ".", ls=_STYLES[name], ms=3, lw=1, color=_COLOURS[name])
+        for name, of_way in values.items():
+            axis.plot(travelled_m, of_way, ".", ls=_STYLES[name], ms=3, lw=1, color=_COLOURS[name])
         axis.set_ylim(bottom=0)
         title = f"from VIO, {unit}"
         ours, stock = (

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.artefacts.parallel import one_thread
 from groundwalk.geometry.poses import tq_from_pose
 from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.localisers import FileLocaliser
-from groundwalk.localisation.threads import one_thread
 from groundwalk.runtime.queries import Query
 
 

@@ -13,7 +13,7 @@ import pandas as pd
 from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.cores import usable_cores
 from groundwalk.artefacts.files import written_aside
-from groundwalk.artefacts.parallel import in_parallel
+from groundwalk.artefacts.parallel import in_parallel, one_thread
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import camera_of, pose_frame, poses_of
@@ -27,7 +27,6 @@ from groundwalk.localisation.localisers import LOCALISERS, Localiser
 from groundwalk.localisation.prepared import Prepared, match, prepared_from
 from groundwalk.localisation.record import blueprint, record
 from groundwalk.localisation.settings import LocaliseSettings
-from groundwalk.localisation.threads import one_thread
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 _MIN_FRAMES = 5

@@ -156,7 +156,7 @@ def names_bound(path: Path) -> Iterator[str]:
                 yield name
 
 
-@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
+@pytest.mark.parametrize("package", [*PACKAGES, ROOT / "benchmarks"], ids=lambda package: package.name)
 def test_names_in_code_are_nouns(package: Path) -> None:
     wrong = {
         (path.relative_to(ROOT).as_posix(), name)

@@ -28,7 +28,7 @@ def single_cases(base: Sandbox, captures_count: int = 500, machine_count: int = 
     return [
         *artefacts.cases(base),
         *artefacts.image_cases(),
-        *artefacts.own_cases(),
+        *artefacts.output_cases(),
         *names.cases(),
         *predictions.cases(),
         *captures.archive_cases(),

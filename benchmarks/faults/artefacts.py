@@ -142,7 +142,7 @@ def image_cases() -> Iterator[Case]:
             )
 
 
-def _own(folder: Path, rng: Generator, stage: str, damage: Damage) -> str:
+def _damage_output(folder: Path, rng: Generator, stage: str, damage: Damage) -> str:
     run = Sandbox(folder).run_of(stage)
     listed = sorted(json.loads((run / MANIFEST).read_text())["outputs"])
     name = listed[int(rng.integers(len(listed)))]
@@ -150,14 +150,14 @@ def _own(folder: Path, rng: Generator, stage: str, damage: Damage) -> str:
     return f"{damage.__name__} {stage}/{name}"
 
 
-def own_cases() -> Iterator[Case]:
+def output_cases() -> Iterator[Case]:
     """A stage's own artefact is damaged: the stage notices, and makes the same one again."""
     for number, stage in enumerate(stages()):
         damage = DAMAGES[number % len(DAMAGES)]
         yield Case(
             "own artefact damaged",
             f"{stage.name}, {damage.__name__}",
-            partial(_own, stage=stage.name, damage=damage),
+            partial(_damage_output, stage=stage.name, damage=damage),
             arguments(stage.name),
             (DONE,),
             stage.name,

@@ -48,19 +48,19 @@ class Outcome:
     @property
     def problems(self) -> list[str]:
         """What should not be, in words; empty where all promises held."""
-        found = []
+        problems = []
         if crash := _CRASH.search(self.text):
-            found.append(f"traceback: {self.text[crash.start() :].strip().splitlines()[-1][:160]}")
+            problems.append(f"traceback: {self.text[crash.start() :].strip().splitlines()[-1][:160]}")
         if self.status not in self.case.exit_codes:
-            found.append(f"exit status {self.status}, not one of {', '.join(map(str, self.case.exit_codes))}")
+            problems.append(f"exit status {self.status}, not one of {', '.join(map(str, self.case.exit_codes))}")
         if self.status == REFUSED and "error:" not in self.text and "Usage:" not in self.text:
-            found.append("refused without a sentence")
+            problems.append("refused without a sentence")
         if len(self.text.splitlines()) > MAX_LINES:
-            found.append(f"{len(self.text.splitlines())} lines on the screen")
+            problems.append(f"{len(self.text.splitlines())} lines on the screen")
         if _ESCAPE.search(self.text):
-            found.append("escape codes on the screen")
+            problems.append("escape codes on the screen")
         if self.peak_bytes > self.case.max_memory_bytes:
-            found.append(f"{self.peak_bytes / _GIB:.1f} GiB of memory")
-        found += [f"changed: {name}" for name in self.changed[:3]]
-        found += [f"outside the data folder: {name}" for name in self.outside[:3]]
-        return found
+            problems.append(f"{self.peak_bytes / _GIB:.1f} GiB of memory")
+        problems += [f"changed: {name}" for name in self.changed[:3]]
+        problems += [f"outside the data folder: {name}" for name in self.outside[:3]]
+        return problems

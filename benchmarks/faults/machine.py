@@ -50,7 +50,7 @@ def can_mount() -> bool:
 
 def mount_filling(stage: str, free_bytes: int, after_s: float) -> None:
     """Before a command: the scene's runs lie on a disk of their own, which some time later has so many bytes free."""
-    _own_mounts()
+    _separate_mounts()
     runs = Sandbox(Path.cwd()).run_of(stage).parent
     aside = runs.with_name("aside")
     aside.mkdir()
@@ -69,13 +69,13 @@ def mount_filling(stage: str, free_bytes: int, after_s: float) -> None:
 
 def mount_read_only(stage: str) -> None:
     """Before a command: the scene's runs can't be written."""
-    _own_mounts()
+    _separate_mounts()
     runs = str(Sandbox(Path.cwd()).run_of(stage).parent)
     _mount("--bind", runs, runs)
     _mount("-o", "remount,ro,bind", runs)
 
 
-def _own_mounts() -> None:
+def _separate_mounts() -> None:
     """Mounts of this process are its own from now on, and end with it."""
     if ctypes.CDLL(None, use_errno=True).unshare(_CLONE_NEWNS):
         raise OSError(ctypes.get_errno(), "unshare")

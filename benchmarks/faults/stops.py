@@ -57,8 +57,8 @@ def _nothing(folder: Path, _: Generator) -> str:
 
 def _others(sandbox: Sandbox, stage: str) -> dict[str, str]:
     final = sandbox.run_of(stage)
-    own = (f"{final.relative_to(sandbox.folder)}/", f"{partial_folder(final).relative_to(sandbox.folder)}/")
-    return {name: state for name, state in sandbox.state().items() if not name.startswith(own)}
+    of_stage = (f"{final.relative_to(sandbox.folder)}/", f"{partial_folder(final).relative_to(sandbox.folder)}/")
+    return {name: state for name, state in sandbox.state().items() if not name.startswith(of_stage)}
 
 
 def _broken(final: Path) -> list[str]:

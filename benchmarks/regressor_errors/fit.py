@@ -149,8 +149,8 @@ def fit(target: Figures, walks: Walks) -> AprModel:
         return np.stack([(residuals(free + step) - here) / _STEP for step in _STEP * np.eye(len(free))], axis=1)
 
     firsts = [np.array([_free(start[f.name], *limits(f)) for f in _FITTED]) for start in starts]
-    found = [least_squares(residuals, first, slopes, max_nfev=15) for first in firsts]
-    return model(min(found, key=lambda f: f.cost).x)
+    fits = [least_squares(residuals, first, slopes, max_nfev=15) for first in firsts]
+    return model(min(fits, key=lambda f: f.cost).x)
 
 
 def _bounded(free: float, low: float, high: float) -> float:
@@ -179,9 +179,9 @@ def _show(rows: list[tuple[str, str, Figures, Figures]]) -> None:
     print("scene   regressor frames    source     mean m  median  mean deg  median   high  medium   low %  passing %")
     for scene, regressor, target, ours in rows:
         for frames in ("every", "failing"):
-            for source, found in (("published", target), ("model", ours)):
-                numbers = "".join(f"{v:8.2f}" for v in getattr(found, frames))
-                share = f"{found.passing_pct:9.1f}" if frames == "every" else ""
+            for source, fits in (("published", target), ("model", ours)):
+                numbers = "".join(f"{v:8.2f}" for v in getattr(fits, frames))
+                share = f"{fits.passing_pct:9.1f}" if frames == "every" else ""
                 print(f"{scene:8}{regressor:10}{frames:10}{source:9}{numbers}{share}")
 
 

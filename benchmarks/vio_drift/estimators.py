@@ -85,8 +85,8 @@ def sizes(observed: Array, free: Array, effects: Sequence[Array], *, intervals: 
 
     def best(fixed: dict[int, float], start: Array) -> tuple[float, Array]:
         limits = [(fixed[i], fixed[i]) if i in fixed else bounds for i in range(len(start))]
-        found = minimize(cost, np.clip(start, *np.array(limits).T), jac=True, method="L-BFGS-B", bounds=limits)
-        return float(found.fun), found.x
+        optimum = minimize(cost, np.clip(start, *np.array(limits).T), jac=True, method="L-BFGS-B", bounds=limits)
+        return float(optimum.fun), optimum.x
 
     least, at = best({}, np.full(len(units), np.log(0.5)))
     out = []

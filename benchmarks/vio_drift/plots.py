@@ -77,10 +77,10 @@ def _walks(walks: Sequence[TagWalk], repeats: Sequence[Sequence[TagWalk]], path:
     figure, axes = plt.subplots(2, len(walks), figsize=(13, 6), layout="constrained")
     for column, walk in enumerate(walks):
         simulated = repeats[column % len(repeats)][column]
-        for axis, shown, kind in zip(axes[:, column], (walk, simulated), ("recorded", "simulated"), strict=True):
-            xz = shown.position[:, [0, 2]] - shown.position[0, [0, 2]]
+        for axis, drawn, kind in zip(axes[:, column], (walk, simulated), ("recorded", "simulated"), strict=True):
+            xz = drawn.position[:, [0, 2]] - drawn.position[0, [0, 2]]
             axis.plot(*xz.T, color="0.75", lw=0.8)
-            axis.scatter(*xz.T, c=shown.along_m, cmap="viridis", s=12, zorder=2)
+            axis.scatter(*xz.T, c=drawn.along_m, cmap="viridis", s=12, zorder=2)
             axis.set_aspect("equal", adjustable="datalim")
             axis.set_title(f"{walk.name}, {kind}", fontsize=8)
             axis.tick_params(labelsize=7)

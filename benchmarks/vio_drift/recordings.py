@@ -153,7 +153,7 @@ class Recordings:
 def read_recordings(folder: Path) -> Recordings:
     """All recordings below a folder. Raises UserError where one kind is absent."""
 
-    def found(where: str, pattern: str) -> list[Path]:
+    def paths_of(where: str, pattern: str) -> list[Path]:
         paths = sorted((folder / where).glob(pattern))
         if not paths:
             raise UserError(
@@ -165,9 +165,9 @@ def read_recordings(folder: Path) -> Recordings:
         return paths
 
     return Recordings(
-        tag_logs=[read_tag_log(p) for p in found(TAG_WALKS, "*.json")],
-        steady_logs=[read_steady_log(p) for p in found(STEADY_LOGS, "*.txt")],
-        truth_pairs=[read_truth_pair(p.parent) for p in found(TRUTH_PAIRS, "*/groundtruth.jsonl")],
+        tag_logs=[read_tag_log(p) for p in paths_of(TAG_WALKS, "*.json")],
+        steady_logs=[read_steady_log(p) for p in paths_of(STEADY_LOGS, "*.txt")],
+        truth_pairs=[read_truth_pair(p.parent) for p in paths_of(TRUTH_PAIRS, "*/groundtruth.jsonl")],
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from groundwalk.artefacts.parallel import one_thread
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.fusion.methods.localiser import Estimate, Stepping, is_rigid
 from groundwalk.fusion.methods.offline import Offline, stepped
@@ -43,7 +44,8 @@ class Fused:
 
 def fuse(run: Run, walk: Walk, localiser: Stepping | Offline) -> Fused:
     """Feed a walk to a fresh localiser, or to one that has been reset, or let an offline method see the whole of it."""
-    estimates = localiser.estimates(walk) if isinstance(localiser, Offline) else stepped(localiser, walk)
+    with one_thread():
+        estimates = localiser.estimates(walk) if isinstance(localiser, Offline) else stepped(localiser, walk)
     _check(estimates, walk)
     none = np.full((4, 4), np.nan)
     live_status = np.array([str(e.status) for e in estimates], dtype=object)

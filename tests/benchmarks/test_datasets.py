@@ -27,7 +27,7 @@ def test_our_errors_stand_beside_the_published_ones(trained_wall: Path, tmp_path
     (data / "runs/tiny/Wall").rename(data / "runs/tiny/7scenes-chess")
     datasets.main(data, "tiny", tmp_path)
     text = (tmp_path / "datasets.md").read_text()
-    ours = datasets.own_errors(DataRoot(data), "tiny", "7scenes-chess")["PN"]
+    ours = datasets.errors_of(DataRoot(data), "tiny", "7scenes-chess")["PN"]
     figures = pd.read_json(data / "runs/tiny/7scenes-chess/train/manifest.json", typ="series")["figures"]
     assert ours[0] == pytest.approx(figures["PN Wall test median position_m"], abs=1e-6)
     assert f"| PN, ours | {ours[0]:.2f} m, {ours[1]:.1f}° |  |" in text
