@@ -16,8 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, lapack
-from scipy.sparse import bsr_array, coo_array, csr_array
+from scipy.sparse import coo_array, csr_array
 from scipy.spatial.transform import Rotation
 
 from groundwalk.artefacts.progress import track
@@ -25,7 +24,7 @@ from groundwalk.geometry.lens import distort_with_slope
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN, cauchy_weights
 from groundwalk.geometry.shutter import readout_fraction
-from groundwalk.sfm.cameras.normal_equations import block_rows, similarities
+from groundwalk.sfm.cameras.normal_equations import Solver, System, block_rows, inverse_of, similarities, summed
 
 Ints = NDArray[np.int64]
 
@@ -180,18 +179,6 @@ def linearize(bundle: Bundle, cameras: Cameras) -> Linearization:
     return Linearization(pixel - bundle.observed_px, by_camera, by_point)
 
 
-@dataclass(frozen=True)
-class System:
-    """Normal equations without the points over (10 N + G) unknowns: those of frames, then lenses' k1, k2 and readout,
-    then sessions' log focal factors; and what takes a step of these back to the points: the inverses of the points'
-    blocks (P, 3, 3) and their gradient (P, 3)."""
-
-    matrix: Array
-    gradient: Array
-    point_inverse: Array
-    point_gradient: Array
-
-
 def shared_columns(cameras: Cameras) -> Ints:
     """(N, 4) which shared unknowns each frame has: k1, k2, readout of its lens, log focal of its session."""
     lenses = len(cameras.readout_s)
@@ -200,7 +187,8 @@ def shared_columns(cameras: Cameras) -> Ints:
 
 
 def normal_equations(bundle: Bundle, cameras: Cameras, linear: Linearization, weight_M: Array) -> System:
-    """The reduced system of residuals weighted by `weight_M` (M,), without priors."""
+    """The system, without the points, of residuals weighted by `weight_M` (M,), without priors: over the 10 N unknowns
+    of frames, then lenses' k1, k2 and readout, then sessions' log focal factors."""
     frames, points = len(bundle.sfm_T_cam), len(bundle.xyz)
     columns = shared_columns(cameras)
     shared = _LENS * len(cameras.readout_s) + len(cameras.log_focal)
@@ -220,37 +208,23 @@ def normal_equations(bundle: Bundle, cameras: Cameras, linear: Linearization, we
     for k in range(_LENS + 1):
         np.add.at(by_column, (columns[bundle.frame, k], bundle.point), a_blocks[:, _LOCAL + k])
     of_shared = by_column.reshape(shared, 3 * points)
-    matrix = np.zeros((size + shared, size + shared))
-    _add_blocks(matrix, local)
-    matrix[size:, :size] = -(local @ of_shared.T).T
-    matrix[size:, size:] = -of_shared @ of_shared.T
-    index = np.arange(frames)
-    local_index = local_unknowns(frames)
-    matrix[local_index[:, :, None], local_index[:, None, :]] += blocks[:, :_LOCAL, :_LOCAL]
-    for k in range(_LENS + 1):
-        rows = size + columns[:, k]
-        np.add.at(matrix, (rows[:, None], local_index), blocks[:, _LOCAL + k, :_LOCAL])
-        for j in range(_LENS + 1):
-            np.add.at(matrix, (rows, size + columns[:, j]), blocks[index, _LOCAL + k, _LOCAL + j])
-    matrix[:size, size:] = matrix[size:, :size].T
     scaled_pull = np.einsum("pij,pj->pi", lower_inverse, point_pull).ravel()
     gradient = np.empty(size + shared)
     gradient[:size] = pull[:, :_LOCAL].ravel() - local @ scaled_pull
     gradient[size:] = -of_shared @ scaled_pull
     for k in range(_LENS + 1):
         np.add.at(gradient, size + columns[:, k], pull[:, _LOCAL + k])
-    return System(matrix, gradient, np.swapaxes(lower_inverse, 1, 2) @ lower_inverse, point_pull)
+    point_inverse = np.swapaxes(lower_inverse, 1, 2) @ lower_inverse
+    return System(blocks, columns, local, of_shared, gradient, point_inverse, point_pull)
 
 
 def regular_system(
     bundle: Bundle, cameras: Cameras, linear: Linearization, weight_M: Array, information: csr_array
 ) -> System:
-    """The reduced system with the information of priors (px^2) and a stiffness against moving the whole model added:
-    its matrix can be inverted; its gradient is that of the residuals alone."""
-    system = normal_equations(bundle, cameras, linear, weight_M)
-    add_information(system.matrix, information)
-    hold_gauge(system.matrix, bundle.sfm_T_cam[:, :3, 3])
-    return system
+    """The system with the information of priors (px^2) and a stiffness against moving the whole model added: its
+    matrix can be inverted; its gradient is that of the residuals alone."""
+    system = replace(normal_equations(bundle, cameras, linear, weight_M), information=information)
+    return replace(system, gauge=_stiffness(system.diagonal(), bundle.sfm_T_cam[:, :3, 3]))
 
 
 def _frame_sums(by_camera: Array, residual: Array, frame_M: Ints, frames: int) -> tuple[Array, Array]:
@@ -262,14 +236,6 @@ def _frame_sums(by_camera: Array, residual: Array, frame_M: Ints, frames: int) -
         jacobian = by_camera[bounds[k] : bounds[k + 1]].reshape(-1, width)
         blocks[k], pull[k] = jacobian.T @ jacobian, jacobian.T @ residual[bounds[k] : bounds[k + 1]].ravel()
     return blocks, pull
-
-
-def _add_blocks(matrix: Array, local: bsr_array) -> None:
-    """Subtract A A^T from the part of the matrix that is of the frames' unknowns."""
-    product = (local @ local.T).tobsr((_LOCAL, _LOCAL))
-    rows = np.repeat(np.arange(len(product.indptr) - 1), np.diff(product.indptr))
-    first, second = (_LOCAL * index[:, None] + np.arange(_LOCAL) for index in (rows, product.indices))
-    matrix[first[:, :, None], second[:, None, :]] -= product.data
 
 
 def outer(a_M2k: Array, b_M2l: Array) -> Array:
@@ -343,7 +309,7 @@ def adjust(
     Where a camera isn't near the right one yet, misfit in the corners is no outlier: a wider loss lets it count.
     """
     prior_mean, information = camera_unknowns(priors.mean), prior_information(cameras, priors)
-    damping = 1e-6
+    damping, solver = 1e-6, Solver()
     loss_px = loss_widening * loss_of(project(bundle, cameras) - bundle.observed_px)
     # It mostly takes fewer steps.
     for _ in track(range(steps), "adjusting cameras"):
@@ -355,11 +321,9 @@ def adjust(
         before = _cost(linear.residual, loss_px) + _prior_cost(deviation, information, variance)
         system = regular_system(bundle, cameras, linear, weight, variance * information)
         gradient = system.gradient + variance * (information @ deviation)
-        diagonal = np.diag_indices_from(system.matrix)
-        scale = system.matrix[diagonal].copy()
+        diagonal = system.diagonal()
         for _ in range(_MAX_DAMPINGS):
-            system.matrix[diagonal] = scale * (1 + damping)
-            step = -cho_solve(cho_factor(system.matrix, lower=True), gradient)
+            step = solver.solve(system, diagonal, damping, -gradient)
             point_step = _point_step(bundle, cameras, linear, weight, system, step)
             moved = with_step(bundle, cameras, step, point_step)
             cost = _cost(project(*moved) - bundle.observed_px, loss_px)
@@ -390,7 +354,7 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
     weight = cauchy_weights(linear.residual, adjusted.loss_px)
     variance = loss_variance(adjusted.loss_px)
     system = regular_system(bundle, cameras, linear, weight, variance * prior_information(cameras, priors))
-    inverse = inverse_of(system.matrix)
+    inverse = inverse_of(system.matrix())
     angular = np.diag(inverse)[: _LOCAL * len(cameras.t_s)].reshape(-1, _LOCAL)[:, _ANGULAR]
     by_images = 3 - variance * angular.sum(axis=1) / priors.angular_sd**2
     pull = np.zeros(len(inverse))
@@ -402,22 +366,6 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
     at_rest = replace(system, point_gradient=np.zeros_like(system.point_gradient))
     moved = with_step(bundle, cameras, step, _point_step(bundle, cameras, still, weight, at_rest, step))
     return replace(adjusted, bundle=moved[0], cameras=moved[1])
-
-
-def inverse_of(matrix: Array) -> Array:
-    """The inverse of a positive definite matrix, which is overwritten; LinAlgError where it is singular."""
-    triangle = cholesky(matrix, lower=True, overwrite_a=True)
-    lower, info = lapack.dpotri(triangle, lower=True, overwrite_c=True)
-    if info:
-        raise LinAlgError("the reduced camera system is singular")
-    return np.tril(lower) + np.tril(lower, -1).T
-
-
-def add_information(matrix: Array, information: csr_array) -> Array:
-    """`matrix`, to which sparse information is added in place."""
-    entries = information.tocoo()
-    matrix[entries.row, entries.col] += entries.data
-    return matrix
 
 
 def loss_variance(loss_px: float) -> float:
@@ -435,17 +383,16 @@ def loss_of(residual_M2: Array) -> float:
     return max(CAUCHY_WIDTH * SIGMA_OF_MEDIAN * float(np.median(np.abs(residual_M2))), _MIN_LOSS_PX)
 
 
-def hold_gauge(matrix: Array, position_N3: Array) -> None:
-    """Add a stiffness against moving, turning and scaling all poses together to the system, in place."""
+def _stiffness(diagonal: Array, position_N3: Array) -> Array:
+    """G (10 N, 7) of a stiffness G G^T against moving, turning and scaling all poses together."""
     frames = len(position_N3)
     gauge = np.zeros((frames, _LOCAL, 7))
     gauge[:, :6] = similarities(position_N3)
     extent2 = float(np.mean(gauge[:, 3:6, 6] ** 2) * 3)
     gauge[:, :3] *= extent2
     directions = gauge.reshape(-1, 7)
-    size = _LOCAL * frames
-    pose_diagonal = matrix[np.arange(size), np.arange(size)].reshape(frames, _LOCAL)[:, :6].sum()
-    matrix[:size, :size] += (pose_diagonal / np.sum(directions**2)) * (directions @ directions.T)
+    pose_diagonal = diagonal[: _LOCAL * frames].reshape(frames, _LOCAL)[:, :6].sum()
+    return np.asarray(np.sqrt(pose_diagonal / np.sum(directions**2)) * directions)
 
 
 def _point_step(
@@ -467,10 +414,3 @@ def _prior_cost(deviation: Array, information: csr_array, variance: float) -> fl
 
 def _cost(residual: Array, loss_px: float) -> float:
     return float(loss_px**2 / 2 * np.sum(np.log1p(np.sum(residual**2, axis=1) / loss_px**2)))
-
-
-def summed(values: Array, group: Ints, groups: int) -> Array:
-    """Sums of values (M, ...) by group (groups, ...)."""
-    flat = values.reshape(len(values), -1)
-    total: Array = np.stack([np.bincount(group, column, minlength=groups) for column in flat.T], axis=1)
-    return total.reshape(groups, *values.shape[1:])

@@ -1,14 +1,165 @@
-"""Blocks of a bundle adjustment's normal equations, and what a similarity does to its poses.
+"""Normal equations of a bundle adjustment without its points, how they are solved, and what a similarity does to poses.
 
 A pose's errors are a rotation (rad, 3) and a position (sfm units, 3) along the sfm axes: true rotation =
 exp(rotation) @ sfm_R_cam, true position = position of sfm_T_cam + position.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bsr_array
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, lapack
+from scipy.sparse import bsr_array, csr_array
+from scipy.sparse.linalg import LinearOperator, cg
 
 from groundwalk.geometry.poses import Array, skew
+
+# A step is solved to this fraction of its right side, in units of each unknown's own information.
+_TOLERANCE, _MAX_ITERATIONS = 1e-4, 40
+_CHUNK = 64  # frames at once, for memory
+_ROWS = 1024  # of a matrix, likewise
+
+
+@dataclass(frozen=True)
+class System:
+    """Normal equations over the l N unknowns of N frames and the G that frames share.
+
+    blocks (N, l + s, l + s): J^T J of each frame, by its own l unknowns and those s that it shares, which are `columns`
+    (N, s) of G. of_points (l N, 3 P), of_points_shared (G, 3 P): A of the Schur complement A A^T that eliminating the
+    points takes away. gradient (l N + G,). point_inverse (P, 3, 3), point_gradient (P, 3): what takes a step back to
+    the points. information (l N + G, l N + G), gauge (l N, k): of priors, and G of a stiffness G G^T.
+    """
+
+    blocks: Array
+    columns: NDArray[np.int64]
+    of_points: bsr_array
+    of_points_shared: Array
+    gradient: Array
+    point_inverse: Array
+    point_gradient: Array
+    information: csr_array | None = None
+    gauge: Array | None = None
+
+    @property
+    def size(self) -> int:
+        """l N, how many unknowns are the frames' own."""
+        return int(self.of_points.shape[0])
+
+    @cached_property
+    def _of_points_T(self) -> bsr_array:
+        return self.of_points.T
+
+    def times(self, x: Array) -> Array:
+        """The product of the matrix, which needn't be formed, with a vector (l N + G,)."""
+        own, shared = x[: self.size], x[self.size :]
+        frames = len(self.blocks)
+        local = self.size // frames
+        of_frame = np.concatenate([own.reshape(frames, local), shared[self.columns]], axis=1)
+        pulled = np.einsum("nij,nj->ni", self.blocks, of_frame)
+        by_points = self._of_points_T @ own + shared @ self.of_points_shared
+        product = np.zeros(len(x))
+        product[: self.size] = pulled[:, :local].ravel() - self.of_points @ by_points
+        np.add.at(product[self.size :], self.columns, pulled[:, local:])
+        product[self.size :] -= self.of_points_shared @ by_points
+        if self.information is not None:
+            product += self.information @ x
+        if self.gauge is not None:
+            product[: self.size] += self.gauge @ (own @ self.gauge)
+        return product
+
+    def diagonal(self) -> Array:
+        """The matrix's diagonal (l N + G,)."""
+        frames, points = len(self.blocks), self.of_points
+        local = self.size // frames
+        of_blocks = np.diagonal(self.blocks, axis1=1, axis2=2)
+        row = np.repeat(np.arange(frames), np.diff(points.indptr))
+        eliminated = summed(np.square(points.data).sum(axis=2), row, frames)
+        diagonal = np.zeros(len(self.gradient))
+        diagonal[: self.size] = (of_blocks[:, :local] - eliminated).ravel()
+        np.add.at(diagonal[self.size :], self.columns, of_blocks[:, local:])
+        diagonal[self.size :] -= np.square(self.of_points_shared).sum(axis=1)
+        if self.information is not None:
+            diagonal += self.information.diagonal()
+        if self.gauge is not None:
+            diagonal[: self.size] += np.square(self.gauge).sum(axis=1)
+        return diagonal
+
+    def matrix(self) -> Array:
+        """The matrix (l N + G, l N + G), in its lower triangle."""
+        frames, size, columns = len(self.blocks), self.size, self.columns
+        local, total = size // frames, len(self.gradient)
+        matrix = np.zeros((total, total))
+        for first in range(0, frames, _CHUNK):
+            last = min(first + _CHUNK, frames)
+            chunk, left = slice(local * first, local * last), slice(local * last)
+            before = _rows_of(self.of_points, 0, last).T
+            matrix[chunk, left] = -(_rows_of(self.of_points, first, last) @ before).toarray()
+            if self.gauge is not None:
+                matrix[chunk, left] += self.gauge[chunk] @ self.gauge[left].T
+        matrix[size:, :size] = -(self.of_points @ self.of_points_shared.T).T
+        matrix[size:, size:] = -self.of_points_shared @ self.of_points_shared.T
+        index = np.arange(size).reshape(frames, local)
+        matrix[index[:, :, None], index[:, None, :]] += self.blocks[:, :local, :local]
+        for k in range(columns.shape[1]):
+            rows = size + columns[:, k]
+            np.add.at(matrix, (rows[:, None], index), self.blocks[:, local + k, :local])
+            for j in range(columns.shape[1]):
+                np.add.at(matrix, (rows, size + columns[:, j]), self.blocks[:, local + k, local + j])
+        if self.information is not None:
+            entries = self.information.tocoo()
+            matrix[entries.row, entries.col] += entries.data
+        return matrix
+
+
+class Solver:
+    """Solves the systems of one adjustment one after the other.
+
+    They differ little, so the factor of one preconditions the next ones' conjugate gradients: a factor takes (l N)^3
+    operations and a product M. Where that takes too many products, the system at hand is factorised.
+    """
+
+    def __init__(self) -> None:
+        self._factor: tuple[Array, bool] | None = None
+
+    def solve(self, system: System, diagonal: Array, damping: float, right: Array) -> Array:
+        """x of (matrix + damping * its diagonal) x = right; raises LinAlgError where that isn't positive definite."""
+        if self._factor is not None:
+            unit = 1 / np.sqrt(diagonal)
+            factor = self._factor
+            shape = (len(right), len(right))
+            scaled = LinearOperator(shape, lambda x: unit * system.times(unit * x) + damping * x, dtype=float)
+            precondition = LinearOperator(shape, lambda x: cho_solve(factor, x / unit) / unit, dtype=float)
+            x, unfinished = cg(scaled, unit * right, rtol=_TOLERANCE, maxiter=_MAX_ITERATIONS, M=precondition)
+            if not unfinished:
+                return np.asarray(unit * x)
+        matrix = system.matrix()
+        matrix[np.diag_indices_from(matrix)] += damping * diagonal
+        self._factor = cho_factor(matrix, lower=True, overwrite_a=True)
+        return np.asarray(cho_solve(self._factor, right))
+
+
+def inverse_of(matrix: Array) -> Array:
+    """The inverse of a positive definite matrix (n, n) in its lower triangle, which is overwritten; LinAlgError where
+    it is singular."""
+    triangle = cholesky(matrix, lower=True, overwrite_a=True)
+    inverse, info = lapack.dpotri(triangle, lower=True, overwrite_c=True)
+    if info:
+        raise LinAlgError("the reduced camera system is singular")
+    for first in range(0, len(inverse), _ROWS):
+        last = min(first + _ROWS, len(inverse))
+        corner = np.tril(inverse[first:last, first:last])
+        inverse[first:last, first:last] = corner + np.tril(corner, -1).T
+        inverse[first:last, last:] = inverse[last:, first:last].T
+    return np.asarray(inverse)
+
+
+def _rows_of(blocks: bsr_array, first: int, last: int) -> bsr_array:
+    """The rows of blocks from `first` to before `last`."""
+    within = slice(blocks.indptr[first], blocks.indptr[last])
+    height = blocks.blocksize[0]
+    parts = (blocks.data[within], blocks.indices[within], blocks.indptr[first : last + 1] - within.start)
+    return bsr_array(parts, shape=((last - first) * height, blocks.shape[1]))
 
 
 def block_rows(
@@ -20,6 +171,13 @@ def block_rows(
     starts = np.concatenate([[0], np.cumsum(np.bincount(frame_M, minlength=frames))])
     shape = (blocks.shape[1] * frames, blocks.shape[2] * points)
     return bsr_array((blocks[order], point_M[order], starts), shape=shape)
+
+
+def summed(values: Array, group: NDArray[np.int64], groups: int) -> Array:
+    """Sums of values (M, ...) by group (groups, ...)."""
+    flat = values.reshape(len(values), -1)
+    total: Array = np.stack([np.bincount(group, column, minlength=groups) for column in flat.T], axis=1)
+    return total.reshape(groups, *values.shape[1:])
 
 
 def similarities(position_N3: Array) -> Array:

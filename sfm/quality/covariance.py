@@ -19,22 +19,20 @@ from groundwalk.sfm.cameras.adjustment import (
     Adjusted,
     Ints,
     Linearization,
-    add_information,
-    inverse_of,
     linearize,
     local_unknowns,
     loss_variance,
     prior_information,
     regular_system,
     shared_columns,
-    summed,
 )
-from groundwalk.sfm.cameras.normal_equations import block_rows, similarities
+from groundwalk.sfm.cameras.normal_equations import block_rows, inverse_of, similarities, summed
 
 # The scatter of blobs tells that of the poses where there are some more of them than unknowns.
 _POINTS_PER_UNKNOWN = 2
 # Parts of the image in which errors of the cameras' model are alike.
 _BANDS, _COLUMNS = 6, 8
+_CHUNK = 64  # frames at once, for memory
 
 
 @dataclass(frozen=True)
@@ -75,20 +73,28 @@ def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
     # The mean curvature of Cauchy's loss at a residual is its weight squared.
     system = regular_system(bundle, cameras, linear, weight**2, variance * information)
     try:
-        inverse = inverse_of(system.matrix)
+        inverse = inverse_of(system.matrix())
     except LinAlgError:
         return None
     fitted = np.sqrt(2 * track_length / np.maximum(2 * track_length - 3, 1))[bundle.point]
     force = _forces(linear, weight, fitted[:, None] * linear.residual, bundle.point, system.point_inverse)
     by_blob = _rows_of_unknowns(force, adjusted, blob_P[bundle.point], blobs)
-    middle = add_information((by_blob @ by_blob.T).toarray(), variance**2 * information)
-    pose_index, shared_index = local_unknowns(frames)[:, :6].ravel(), np.arange(10 * frames, len(inverse))
-    left = inverse[shared_index] @ middle
-    position = bundle.sfm_T_cam[:, :3, 3]
-    poses = _gauge_free_sandwich(inverse[pose_index], middle, position)
+    middle = _dense(by_blob, variance**2 * information)
+    of_shared = inverse[10 * frames :]
+    poses = _gauge_free_sandwich(inverse, middle, bundle.sfm_T_cam[:, :3, 3])
     by_rows, by_cell = coherence(adjusted, linear.residual, blob_P)
-    shared = max(by_rows, by_cell) * left @ inverse[:, shared_index]
+    shared = max(by_rows, by_cell) * of_shared @ middle @ of_shared.T
     return Covariances(by_rows * poses, shared, by_rows, by_cell)
+
+
+def _dense(by_blob: csr_array, information: csr_array) -> Array:
+    """by_blob @ by_blob^T + information (n, n); the sparse product isn't formed at once, as it is hardly sparse."""
+    middle = information.toarray()
+    transposed = by_blob.T.tocsr()
+    for first in range(0, len(middle), 10 * _CHUNK):
+        rows = slice(first, first + 10 * _CHUNK)
+        middle[rows] += (by_blob[rows] @ transposed).toarray()
+    return middle
 
 
 def _rows_of_unknowns(force_M14: Array, adjusted: Adjusted, blob_M: Ints, blobs: int) -> csr_array:
@@ -154,18 +160,26 @@ def _gauge_of(position_N3: Array) -> tuple[Array, Array]:
     return gauge, np.asarray(np.linalg.solve(positions.T @ gauge, positions.T), float)
 
 
-def _gauge_free_sandwich(inverse_rows: Array, middle: Array, position_N3: Array) -> Array:
-    """The (N, 6, 6) diagonal blocks of inverse @ middle @ inverse where no similarity of all positions is left.
+def _gauge_free_sandwich(inverse: Array, middle: Array, position_N3: Array) -> Array:
+    """The poses' (N, 6, 6) diagonal blocks of inverse @ middle @ inverse where no similarity of all positions is left.
 
     S-transformation: X -> P X P^T with P = 1 - gauge (positions^T gauge)^-1 positions^T. Only its blocks are needed.
-    `inverse_rows` are those of the poses (6 N, n).
     """
     frames = len(position_N3)
     gauge, h = _gauge_of(position_N3)
+    index = local_unknowns(frames)[:, :6]
+    h_of_all = np.zeros((7, len(inverse)))
+    h_of_all[:, index.ravel()] = h
+    h_inverse = h_of_all @ inverse
+    h_middle = h_inverse @ middle
+    of_h = (inverse @ h_middle.T)[index]
+    blocks = np.empty((frames, 6, 6))
+    for first in range(0, frames, _CHUNK):
+        chunk = slice(first, min(first + _CHUNK, frames))
+        rows = inverse[index[chunk].ravel()]
+        left = (rows @ middle).reshape(-1, 6, len(inverse))
+        blocks[chunk] = left @ np.swapaxes(rows.reshape(-1, 6, len(inverse)), 1, 2)
     gauge_N67 = gauge.reshape(frames, 6, 7)
-    left = inverse_rows @ middle
-    blocks = left.reshape(frames, 6, -1) @ np.swapaxes(inverse_rows.reshape(frames, 6, -1), 1, 2)
-    of_h = left @ (h @ inverse_rows).T
     gauge_T = np.swapaxes(gauge_N67, 1, 2)
-    cross = of_h.reshape(frames, 6, 7) @ gauge_T
-    return blocks - cross - np.swapaxes(cross, 1, 2) + gauge_N67 @ (h @ of_h) @ gauge_T
+    cross = of_h @ gauge_T
+    return blocks - cross - np.swapaxes(cross, 1, 2) + gauge_N67 @ (h_middle @ h_inverse.T) @ gauge_T

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse
+from groundwalk.geometry.robust import cauchy_weights
 from groundwalk.geometry.shutter import readout_lines
 from groundwalk.sfm.cameras.adjustment import (
     Adjusted,
@@ -19,10 +20,13 @@ from groundwalk.sfm.cameras.adjustment import (
     adjust,
     camera_unknowns,
     linearize,
+    prior_information,
     project,
+    regular_system,
     shared_columns,
     with_step,
 )
+from groundwalk.sfm.cameras.normal_equations import Solver, System
 from groundwalk.sfm.quality.covariance import covariances
 from groundwalk.sfm.quality.residuals import LENS, SHUTTER, draw_residuals, pattern_of, residual_patterns
 
@@ -140,6 +144,35 @@ def test_derivatives_are_those_of_finite_differences() -> None:
     predicted += np.einsum("mij,mj->mi", linear.by_point, point_step[bundle.point])
     assert np.abs(change).max() > 1e-3
     assert np.allclose(change, predicted, atol=2e-6)
+
+
+def test_the_system_times_a_vector_is_its_matrix_times_it() -> None:
+    system, diagonal, matrix = _system(2)
+    rng = np.random.default_rng(2)
+    vectors = rng.normal(size=(4, len(matrix))) / np.sqrt(diagonal)
+    assert np.allclose([system.times(x) for x in vectors], vectors @ matrix, rtol=1e-9, atol=1e-9 * diagonal.max())
+    assert np.allclose(diagonal, np.diag(matrix), rtol=1e-9)
+
+
+def test_a_system_is_solved_with_the_factor_of_another_one() -> None:
+    solver, (first, diagonal, _), (second, other_diagonal, matrix) = Solver(), _system(2), _system(3)
+    solver.solve(first, diagonal, 1e-6, -first.gradient)
+    step = solver.solve(second, other_diagonal, 1e-6, -second.gradient)
+    exact = np.linalg.solve(matrix + 1e-6 * np.diag(other_diagonal), -second.gradient)
+    apart = step - exact
+    assert apart @ matrix @ apart < 1e-5 * (exact @ matrix @ exact)
+
+
+def _system(seed: int) -> tuple[System, Array, Array]:
+    """The system of a noisy walk, with priors, its diagonal and its whole matrix."""
+    adjusted, _, _ = _adjusted(0)
+    bundle, cameras = adjusted.bundle, adjusted.cameras
+    moved = replace(bundle, xyz=bundle.xyz + np.random.default_rng(seed).normal(0, 0.01, bundle.xyz.shape))
+    linear = linearize(moved, cameras)
+    weight = cauchy_weights(linear.residual, adjusted.loss_px)
+    system = regular_system(moved, cameras, linear, weight, 0.04 * prior_information(cameras, adjusted.priors))
+    lower = np.tril(system.matrix())
+    return system, system.diagonal(), lower + np.tril(lower, -1).T
 
 
 def test_lens_readout_and_poses_are_recovered() -> None:
