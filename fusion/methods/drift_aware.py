@@ -48,6 +48,7 @@ class DriftAwareOptions(OdometryOptions):
     )
     jump_deg: float = Field(3.0, gt=0, description="heading error of odometry across a jump, one sigma")
     jump_deg_s: float = Field(60.0, gt=0, description="how far the phone turns in a second of a jump that turns")
+    jump_loss: float = Field(0.05, gt=0, le=0.5, description="probability that the phone didn't go on over a jump")
     vio_gap_s: float = Field(10.0, gt=0, description="time without a frame after which odometry may have begun anew")
     position_sd_m: float = Field(0.3, gt=0, description="a prediction's first assumed position error an axis")
     rotation_sd_deg: float = Field(8.0, gt=0, description="a prediction's first assumed rotation error an axis")
@@ -218,7 +219,7 @@ class DriftAware(Localiser):
         state = self._carried(vio_T_cam) if len(self._keyframes) else np.array([*position, yaw])
         if self.options.distrust:
             self._judge_odometry(position, yaw, normalised, state, vio_T_cam)
-        loss = 0.5 if self._watched else self.options.loss
+        loss = self.options.jump_loss if self._way.loose.any() else 0.5 if self._watched else self.options.loss
         self._keyframes.add(
             whitening=normalised,
             measured=[*position, yaw, *lean],
@@ -291,7 +292,7 @@ class DriftAware(Localiser):
                 if rival.gain > 0:
                     self._follow(rival)
                     fit = self._iterated()
-                self._doubted |= rival.gain > -_DOUBT
+                self._doubted |= rival.evidence > -_DOUBT
         self._known = fit.solution.covariance(len(keyframes) - 1)
         self._bound = alignment_covariance(keyframes, fit, self._model, len(keyframes) - 1)
         signals = {"surprise": float(fit.squared[-1]), "weight": float(fit.weights[-1])}

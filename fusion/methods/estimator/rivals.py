@@ -22,7 +22,7 @@ from groundwalk.geometry.poses import Array
 _ANYWHERE = np.array([40.0, 3.0, 40.0, 2 * np.pi])
 _DIMENSIONS = 6
 # Odds below exp(_SIGN) against a loss of odometry's frame: it jumped, or was gone.
-_SIGN = 1.0
+_SIGN = 5.0
 _WITHOUT_SIGN = 0.5
 _HOPELESS = 5.0  # nats behind, where a rival needn't be worked out
 _BACK = 3.0  # log odds against an earlier alignment's holding again
@@ -51,13 +51,15 @@ _LEAST = {Kept.NOTHING: 7, Kept.PLACE: 4, Kept.HEADING: 7}
 
 class Rival(NamedTuple):
     """States (N - begin, 4) of the keyframes from `begin` on under another alignment, what it gains in nats, what it
-    keeps of the one in force, and the earlier segment whose alignment it is; None for a new one."""
+    keeps of the one in force, the earlier segment whose alignment it is (None for a new one), and what it gains by the
+    predictions alone, where odometry gave a sign."""
 
     begin: int
     state: Array
     gain: float
     kept: Kept
     segment: float | None
+    evidence: float
 
 
 def best_rival(
@@ -108,14 +110,16 @@ def best_rival(
         begin = int(np.argmax(gains))
         if np.isfinite(gains[begin]) and (rival is None or gains[begin] > rival.gain):
             state = _states(of_yaw[begin], shift[begin], vio[begin:])
-            rival = Rival(first + begin, state, float(gains[begin]), kept, None)
+            gain = float(gains[begin])
+            rival = Rival(first + begin, state, gain, kept, None, gain + float(sign[begin] * new_rare[begin]))
     old_yaw, old_shift, segments = _earlier(keyframes)
     if segments:
         gains = better(robust.costs(judged.squared(old_yaw, old_shift), _DIMENSIONS, dof)) - np.minimum(new_rare, _BACK)
         which, begin = (int(i) for i in np.unravel_index(int(np.argmax(gains)), gains.shape))
         if rival is None or gains[which, begin] > rival.gain:
             state = _states(old_yaw[which], old_shift[which], vio[begin:])
-            rival = Rival(first + begin, state, float(gains[which, begin]), Kept.NOTHING, segments[which])
+            gain = float(gains[which, begin])
+            rival = Rival(first + begin, state, gain, Kept.NOTHING, segments[which], gain)
     return rival
 
 
