@@ -137,7 +137,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=13,
+    version=14,
     settings=SfmSettings,
     needs=("import",),
     run=run,

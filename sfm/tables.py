@@ -92,10 +92,10 @@ def camera_tables(
         unknowns = 3 * len(cameras.readout_s) + len(cameras.log_focal)
         covariance = np.full((unknowns, unknowns), np.nan) if estimate is None else estimate.shared
         sd = np.sqrt(np.diag(covariance))
-        first_focal = 3 * len(cameras.readout_s)
+        first_focal = 4 * len(cameras.readout_s)
         for number, index in enumerate(np.unique(log.calibration.lens[rows])):
             lens = log.calibration.lenses[index]
-            k = 3 * number
+            k = 4 * number
             with_focal = covariance[k : k + 2, first_focal:] / np.outer(sd[k : k + 2], sd[first_focal:])
             lens_rows.append(
                 {
@@ -106,10 +106,12 @@ def camera_tables(
                     "k1_sd": sd[k],
                     "k2": cameras.coefficients[number, 1],
                     "k2_sd": sd[k + 1],
+                    "k3": cameras.coefficients[number, 4],
+                    "k3_sd": sd[k + 2],
                     "k1_k2_correlation": covariance[k, k + 1] / (sd[k] * sd[k + 1]),
                     "k1_focal_correlation": with_focal[0].mean(),
                     "readout_s": cameras.readout_s[number],
-                    "readout_sd_s": np.hypot(sd[k + 2], _RATE_SCALE_SD * cameras.readout_s[number]),
+                    "readout_sd_s": np.hypot(sd[k + 3], _RATE_SCALE_SD * cameras.readout_s[number]),
                     "time_offset_s": lens.stamp_offset_s,
                     "time_offset_sd_s": lens.stamp_offset_sd_s,
                     "time_offset_used": lens.time_offset_s != 0,

@@ -78,6 +78,8 @@ TABLES = [
             Column("k1_sd", "float64", "standard deviation of k1", "", "", True),
             Column("k2", "float64", "radial distortion, OpenCV's convention"),
             Column("k2_sd", "float64", "standard deviation of k2", "", "", True),
+            Column("k3", "float64", "radial distortion, OpenCV's convention"),
+            Column("k3_sd", "float64", "standard deviation of k3", "", "", True),
             Column("k1_k2_correlation", "float64", "correlation of the errors of k1 and k2", "", "", True),
             Column("k1_focal_correlation", "float64", "correlation of k1 with focal scales, mean", "", "", True),
             Column("readout_s", "float64", "rolling shutter: time from the first to the last row", "s"),
@@ -106,7 +108,7 @@ TABLES = [
                 True,
             ),
         ],
-        version="2.1",
+        version="2.2",
         renamed={"heldout_stated_px": "held_out_stated_px", "heldout_px": "held_out_px"},
     ),
     TableSchema(

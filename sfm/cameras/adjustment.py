@@ -3,11 +3,11 @@ length that a session's frames share up to a factor, and a focus that breathes.
 
 Of an observation the point is seen from where the camera was at tau = share readout after the middle row, share = y /
 height - 1/2 where the sensor's rows are the image's (`groundwalk.geometry.shutter`): with angular velocity w and
-velocity v in the axes of the camera, a point p there is seen along exp(-w tau) (p - v tau). The lens is OpenCV's k1, k2
-(`groundwalk.geometry.lens`), further coefficients stay as they are stated.
+velocity v in the axes of the camera, a point p there is seen along exp(-w tau) (p - v tau). The lens is OpenCV's k1,
+k2, k3 (`groundwalk.geometry.lens`), further coefficients stay as they are stated.
 
-Unknowns: poses and points; k1, k2 and readout time of each lens; the logarithm of the factor of each session's focal
-lengths; and of each frame what its focal length deviates by from that and its angular velocity. All but poses and
+Unknowns: poses and points; k1, k2, k3 and readout time of each lens; the logarithm of the factor of each session's
+focal lengths; and of each frame what its focal length deviates by from that and its angular velocity. All but poses and
 points have priors. Gauss-Newton with Levenberg's damping on Cauchy's loss, points eliminated (Triggs et al., "Bundle
 adjustment - a modern synthesis", 2000).
 """
@@ -30,7 +30,8 @@ Ints = NDArray[np.int64]
 
 _POSE, _FOCUS, _ANGULAR = slice(0, 6), 6, slice(7, 10)
 _LOCAL = 10
-_LENS = 3  # k1, k2, readout of a lens
+_LENS, _READOUT = 4, 3  # k1, k2, k3, readout of a lens
+_RADIAL = [0, 1, 4]  # k1, k2, k3 of OpenCV's coefficients
 _MIN_LOSS_PX = 0.05
 _MAX_STEPS = 15
 _MAX_DAMPINGS = 6
@@ -70,8 +71,9 @@ class Cameras:
 
 @dataclass(frozen=True)
 class CameraPriors:
-    """Means of the unknowns of cameras, as `Cameras`; covariance (L, 3, 3) of k1, k2 and readout in s; and one sigma of
-    log focal factors (S,), of a frame's focus by session (S,), and of a frame's angular velocity (N,) in rad/s."""
+    """Means of the unknowns of cameras, as `Cameras`; covariance (L, 4, 4) of k1, k2, k3 and readout in s; and one
+    sigma of log focal factors (S,), of a frame's focus by session (S,), and of a frame's angular velocity (N,) in
+    rad/s."""
 
     mean: Cameras
     lens_covariance: Array
@@ -94,7 +96,7 @@ class Bundle:
 
 @dataclass(frozen=True)
 class Linearization:
-    """Residuals (M, 2) px and their derivatives: by camera (M, 2, 14), that is by the 10 unknowns of the frame, the 3
+    """Residuals (M, 2) px and their derivatives: by camera (M, 2, 15), that is by the 10 unknowns of the frame, the 4
     of its lens and the 1 of its session; and by the point (M, 2, 3)."""
 
     residual: Array
@@ -171,16 +173,16 @@ def linearize(bundle: Bundle, cameras: Cameras) -> Linearization:
     by_frame[:, :, 3:6] = -by_point
     by_frame[:, :, _FOCUS] = pixel - cameras.intrinsics[i, 2:]
     by_frame[:, :, _ANGULAR] = by_q @ (tau[:, None, None] * skew(q))
-    by_shared[:, :, 0] = focal * n * r2[:, None]
-    by_shared[:, :, 1] = focal * n * (r2 * r2)[:, None]
+    for k in range(len(_RADIAL)):
+        by_shared[:, :, k] = focal * n * (r2 ** (k + 1))[:, None]
     moving = np.cross(q, cameras.angular[i]) - turn.apply(cameras.velocity[i])
-    by_shared[:, :, 2] = np.einsum("mij,mj->mi", by_q, moving * forward.row[:, None])
-    by_shared[:, :, 3] = by_frame[:, :, _FOCUS]
+    by_shared[:, :, _READOUT] = np.einsum("mij,mj->mi", by_q, moving * forward.row[:, None])
+    by_shared[:, :, _LENS] = by_frame[:, :, _FOCUS]
     return Linearization(pixel - bundle.observed_px, by_camera, by_point)
 
 
 def shared_columns(cameras: Cameras) -> Ints:
-    """(N, 4) which shared unknowns each frame has: k1, k2, readout of its lens, log focal of its session."""
+    """(N, 5) which shared unknowns each frame has: k1, k2, k3, readout of its lens, log focal of its session."""
     lenses = len(cameras.readout_s)
     of_lens = _LENS * cameras.lens[:, None] + np.arange(_LENS)
     return np.concatenate([of_lens, _LENS * lenses + cameras.session[:, None]], axis=1)
@@ -188,7 +190,7 @@ def shared_columns(cameras: Cameras) -> Ints:
 
 def normal_equations(bundle: Bundle, cameras: Cameras, linear: Linearization, weight_M: Array) -> System:
     """The system, without the points, of residuals weighted by `weight_M` (M,), without priors: over the 10 N unknowns
-    of frames, then lenses' k1, k2 and readout, then sessions' log focal factors."""
+    of frames, then lenses' k1, k2, k3 and readout, then sessions' log focal factors."""
     frames, points = len(bundle.sfm_T_cam), len(bundle.xyz)
     columns = shared_columns(cameras)
     shared = _LENS * len(cameras.readout_s) + len(cameras.log_focal)
@@ -228,7 +230,7 @@ def regular_system(
 
 
 def _frame_sums(by_camera: Array, residual: Array, frame_M: Ints, frames: int) -> tuple[Array, Array]:
-    """J^T J (N, 14, 14) and J^T r (N, 14) of each frame."""
+    """J^T J (N, 15, 15) and J^T r (N, 15) of each frame."""
     width = by_camera.shape[2]
     blocks, pull = np.zeros((frames, width, width)), np.zeros((frames, width))
     bounds = np.searchsorted(frame_M, np.arange(frames + 1))
@@ -276,7 +278,7 @@ def camera_unknowns(cameras: Cameras) -> Array:
     """(10 N + G,) the unknowns of the cameras as a vector; 0 for poses."""
     of_frame = np.zeros((len(cameras.t_s), _LOCAL))
     of_frame[:, _FOCUS], of_frame[:, _ANGULAR] = cameras.focus, cameras.angular
-    of_lens = np.concatenate([cameras.coefficients[:, :2], cameras.readout_s[:, None]], axis=1)
+    of_lens = np.concatenate([cameras.coefficients[:, _RADIAL], cameras.readout_s[:, None]], axis=1)
     return np.concatenate([of_frame.ravel(), of_lens.ravel(), cameras.log_focal])
 
 
@@ -289,13 +291,13 @@ def with_step(bundle: Bundle, cameras: Cameras, step: Array, point_step: Array) 
     sfm_T_cam[:, :3, :3] = Rotation.from_rotvec(of_frame[:, :3]).as_matrix() @ sfm_T_cam[:, :3, :3]
     sfm_T_cam[:, :3, 3] += of_frame[:, 3:6]
     coefficients = cameras.coefficients.copy()
-    coefficients[:, :2] += of_lens[:, :2]
+    coefficients[:, _RADIAL] += of_lens[:, :_READOUT]
     moved = replace(
         cameras,
         focus=cameras.focus + of_frame[:, _FOCUS],
         angular=cameras.angular + of_frame[:, _ANGULAR],
         coefficients=coefficients,
-        readout_s=cameras.readout_s + of_lens[:, 2],
+        readout_s=cameras.readout_s + of_lens[:, _READOUT],
         log_focal=cameras.log_focal + step[_LOCAL * frames + _LENS * lenses :],
     )
     return replace(bundle, sfm_T_cam=sfm_T_cam, xyz=bundle.xyz + point_step), moved
@@ -358,7 +360,7 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
     angular = np.diag(inverse)[: _LOCAL * len(cameras.t_s)].reshape(-1, _LOCAL)[:, _ANGULAR]
     by_images = 3 - variance * angular.sum(axis=1) / priors.angular_sd**2
     pull = np.zeros(len(inverse))
-    readout = _LOCAL * len(cameras.t_s) + _LENS * np.arange(len(cameras.readout_s)) + 2
+    readout = _LOCAL * len(cameras.t_s) + _LENS * np.arange(len(cameras.readout_s)) + _READOUT
     rolls = np.abs(cameras.readout_s) > _MIN_READOUT_S
     pull[readout[rolls]] = variance * np.bincount(cameras.lens, by_images)[rolls] / cameras.readout_s[rolls]
     step = -inverse @ pull

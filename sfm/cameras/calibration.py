@@ -37,6 +37,8 @@ _PHONE_COVARIANCE = np.array([[0.05**2, -0.8 * 0.05 * 0.08], [-0.8 * 0.05 * 0.08
 # What a capture states is meant to be right.
 _STATED_SD = np.array([0.005, 0.01])
 _SAME_LENS_SD = np.array([*_STATED_SD, 0.002])
+# k3, which pairs hardly tell, is left to the adjustment of the model: of a lens that nothing is known of, and others.
+_K3_SD, _KNOWN_K3_SD = 0.4, 0.02
 _READOUT_SD_S = 0.02
 _WEAK_PRIOR = np.diag([0.1**2, 0.2**2, _READOUT_SD_S**2])
 _MAX_PAIRS = 160
@@ -70,6 +72,7 @@ class Lens:
     prior_coefficients: list[float]
     prior_readout_s: float
     prior_covariance: list[list[float]]
+    prior_k3_sd: float = _K3_SD
     held_out_stated_px: float | None = None
     held_out_px: float | None = None
     stated_is_wrong: bool = False
@@ -115,6 +118,7 @@ class Calibration:
             prior_coefficients=coefficients_8.tolist(),
             prior_readout_s=float(readout_s),
             prior_covariance=np.diag(sd**2).tolist(),
+            prior_k3_sd=min(before.prior_k3_sd, _KNOWN_K3_SD),
         )
         return replace(self, lenses=[adjusted if k == lens else other for k, other in enumerate(self.lenses)])
 
@@ -160,17 +164,18 @@ def prior_lenses(frames: pd.DataFrame, device_of_session: dict[str, str], settin
         distortion = np.asarray(frames["distortion"].iloc[members[0]], float)
         stated[: len(distortion)] = distortion
         covariance = np.diag([*_STATED_SD**2, _READOUT_SD_S**2])
-        coefficients, origin = stated.copy(), CameraOrigin.STATED
+        coefficients, origin, k3_sd = stated.copy(), CameraOrigin.STATED, _KNOWN_K3_SD
         if settings.lens == "stated":
             covariance[:2, :2] = np.eye(2) / _EXACT_INFORMATION
+            k3_sd = 1 / np.sqrt(_EXACT_INFORMATION)
         elif not distortion.any():
-            coefficients[:2], origin = _PHONE, CameraOrigin.PRIOR
+            coefficients[:2], origin, k3_sd = _PHONE, CameraOrigin.PRIOR, _K3_SD
             covariance[:2, :2] = _PHONE_COVARIANCE
         readout_s = 0.0
         if settings.readout_s is not None:
             readout_s, covariance[2, 2] = settings.readout_s, 1 / _EXACT_INFORMATION
         prior = (coefficients.tolist(), readout_s, covariance.tolist())
-        lenses.append(Lens(name, len(members), *prior, origin, stated.tolist(), *prior))
+        lenses.append(Lens(name, len(members), *prior, origin, stated.tolist(), *prior, float(k3_sd)))
     return Calibration(lenses, lens_N)
 
 
@@ -296,7 +301,7 @@ def _estimated(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: P
         )
         if wrong:
             estimate, estimated_px = weak, weak_px
-            prior = replace(prior, prior_covariance=_WEAK_PRIOR.tolist())
+            prior = replace(prior, prior_covariance=_WEAK_PRIOR.tolist(), prior_k3_sd=_K3_SD)
     check: dict[str, Any] = {"held_out_stated_px": stated_px, "held_out_px": estimated_px}
     chosen = as_stated if estimated_px > stated_px else estimate
     offset = estimate_time_offset(chosen, fitted, checked, _rotations_by_vio(matches.frames, frames))

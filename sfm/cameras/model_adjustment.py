@@ -20,7 +20,7 @@ from groundwalk.sfm.cameras.adjustment import (
     marginal_readout,
     project,
 )
-from groundwalk.sfm.cameras.calibration import Calibration, lines_of, prior_lenses
+from groundwalk.sfm.cameras.calibration import Calibration, Lens, lines_of, prior_lenses
 from groundwalk.sfm.cameras.motion import Motion, motion_by_vio
 from groundwalk.sfm.database import Ints, image_id
 from groundwalk.sfm.settings import SfmSettings
@@ -193,19 +193,36 @@ def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSetting
         log.motion.velocity[rows] * units_per_m,
     )
     prior = [log.calibration.lenses[k] for k in lenses]
+    corner = cameras.intrinsics[:, 2:] / cameras.intrinsics[:, :2]
+    radius = float(np.median(np.linalg.norm(corner, axis=1)))
     coefficients = np.array([one.prior_coefficients for one in prior], float)
     mean = replace(cameras, coefficients=coefficients, readout_s=np.array([one.prior_readout_s for one in prior]))
     is_fixed = settings.refine_cameras == "never"
     priors = CameraPriors(
         mean,
-        np.array([one.prior_covariance for one in prior], float),
+        np.array([_lens_covariance(one, radius) for one in prior]),
         np.full(len(sessions), _EXACT_SD if is_fixed else _LOG_FOCAL_SD),
         np.full(len(sessions), _EXACT_SD if is_fixed else _FOCUS_SD),
         log.motion.angular_sd[rows],
     )
     if is_fixed:
-        priors = replace(priors, mean=cameras, lens_covariance=np.tile(_EXACT_SD**2 * np.eye(3), (len(lenses), 1, 1)))
+        priors = replace(priors, mean=cameras, lens_covariance=np.tile(_EXACT_SD**2 * np.eye(4), (len(lenses), 1, 1)))
     return cameras, priors
+
+
+def _lens_covariance(lens: Lens, radius: float) -> Array:
+    """Prior covariance (4, 4) of k1, k2, k3 and readout of a lens whose images reach out to `radius` (focal lengths).
+
+    The priors of k1 and k2 are of lenses without k3. With one they are what comes nearest to that in the image.
+    """
+    r = np.linspace(0, radius, 50)[1:]
+    area = np.sqrt(r)[:, None]
+    in_place_of_k3 = np.linalg.lstsq(area * r[:, None] ** [3, 5], area[:, 0] * r**7, rcond=None)[0]
+    direction = np.array([*-in_place_of_k3, 1.0, 0.0])
+    covariance = lens.prior_k3_sd**2 * np.outer(direction, direction)
+    others = np.ix_([0, 1, 3], [0, 1, 3])
+    covariance[others] += np.array(lens.prior_covariance, float)
+    return covariance
 
 
 def _units_per_m(sfm_T_cam: Array, vio_T_cam: Array, session: Ints) -> float:
@@ -247,6 +264,8 @@ def _write_back(
         params = np.array(camera.params)
         params[:2] = focal[number]
         coefficients = cameras.coefficients[cameras.lens[number]]
+        if coefficients[len(params) - 4 :].any():
+            camera.model, params = pycolmap.CameraModelId.FULL_OPENCV, np.concatenate([params[:4], np.zeros(8)])
         params[4:] = coefficients[: len(params) - 4]
         camera.params = params.tolist()
         assert image.frame is not None

@@ -39,8 +39,8 @@ _CHUNK = 64  # frames at once, for memory
 class Covariances:
     """Of an adjusted model's frames (N, 6, 6), in the order rotation (rad, 3), position (sfm units, 3): true rotation =
     exp(rotation) @ sfm_R_cam, true position = position of sfm_T_cam + position, both along the sfm axes; and of what
-    the frames share (G, G): k1, k2 and readout of each lens, then each session's log focal factor; and the coherence of
-    residuals in rows of a frame and in parts of the image, by which they have grown."""
+    the frames share (G, G): k1, k2, k3 and readout of each lens, then each session's log focal factor; and the
+    coherence of residuals in rows of a frame and in parts of the image, by which they have grown."""
 
     poses: Array
     shared: Array
@@ -97,20 +97,20 @@ def _dense(by_blob: csr_array, information: csr_array) -> Array:
     return middle
 
 
-def _rows_of_unknowns(force_M14: Array, adjusted: Adjusted, blob_M: Ints, blobs: int) -> csr_array:
+def _rows_of_unknowns(force_M15: Array, adjusted: Adjusted, blob_M: Ints, blobs: int) -> csr_array:
     """What each blob pulls each unknown by, (10 N + G, blobs)."""
     bundle, cameras = adjusted.bundle, adjusted.cameras
     frames = len(bundle.sfm_T_cam)
-    local = block_rows(force_M14[:, :10, None], bundle.frame, blob_M, frames, blobs)
+    local = block_rows(force_M15[:, :10, None], bundle.frame, blob_M, frames, blobs)
     columns = shared_columns(cameras)
     shared = np.zeros((int(columns.max()) + 1, blobs))
     for k in range(columns.shape[1]):
-        np.add.at(shared, (columns[bundle.frame, k], blob_M), force_M14[:, 10 + k])
+        np.add.at(shared, (columns[bundle.frame, k], blob_M), force_M15[:, 10 + k])
     return csr_array(vstack([local.tocsr(), csr_array(shared)]))
 
 
 def _forces(linear: Linearization, weight_M: Array, residual_M2: Array, point_M: Ints, point_inverse: Array) -> Array:
-    """What each observation (M, 14) pulls the unknowns of its camera by when its point has given way.
+    """What each observation (M, 15) pulls the unknowns of its camera by when its point has given way.
 
     Where an adjustment has converged the points pull nowhere; a few steps before that they do, and what that moves
     would count as theirs, the gauge included.

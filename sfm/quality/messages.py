@@ -69,9 +69,9 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
     """A line for each lens, and for each session whose logged focal lengths are likely wrong."""
     for lens in lenses.to_dict("records"):
         r.say(
-            f"lens of {lens['lens_id']}: k1 {lens['k1']:.4f} ± {lens['k1_sd']:.4f}, k2 {lens['k2']:.4f} ± "
-            f"{lens['k2_sd']:.4f}, readout {1000 * lens['readout_s']:.1f} ± {1000 * lens['readout_sd_s']:.1f} ms "
-            f"({lens['origin']})"
+            f"lens of {lens['lens_id']}: "
+            + "".join(f"{name} {lens[name]:.4f} ± {lens[f'{name}_sd']:.4f}, " for name in ("k1", "k2", "k3"))
+            + f"readout {1000 * lens['readout_s']:.1f} ± {1000 * lens['readout_sd_s']:.1f} ms ({lens['origin']})"
         )
         offset_s, sd_s = lens["time_offset_s"], lens["time_offset_sd_s"]
         if lens["time_offset_used"] and abs(offset_s) > max(_MIN_OFFSET_S, _OFFSET_SIGMAS * sd_s):

@@ -35,7 +35,7 @@ _LENS, _READOUT_S = (0.092, -0.125), 0.02
 _ANGULAR_SD, _FOCUS_SD = 0.02, 0.003
 
 
-def _walk(seed: int, first_row: str = "top") -> tuple[Bundle, Cameras]:
+def _walk(seed: int, first_row: str = "top", k3: float = 0.0) -> tuple[Bundle, Cameras]:
     """A camera in the middle of points all around, turning and walking; what it really sees."""
     rng = np.random.default_rng(seed)
     angle = np.linspace(0, 2.0, _FRAMES)
@@ -51,7 +51,7 @@ def _walk(seed: int, first_row: str = "top") -> tuple[Bundle, Cameras]:
         np.zeros(_FRAMES, int),
         np.arange(_FRAMES) * 2 // _FRAMES,
         np.arange(_FRAMES, dtype=float),
-        np.array([[*_LENS, 0, 0, 0, 0, 0, 0]], float),
+        np.array([[*_LENS, 0, 0, k3, 0, 0, 0]], float),
         np.array([_READOUT_S]),
         rng.normal(0, 0.004, 2),
         rng.normal(0, 0.001, _FRAMES),
@@ -75,10 +75,10 @@ def _walk(seed: int, first_row: str = "top") -> tuple[Bundle, Cameras]:
 
 
 def _adjusted(
-    seed: int, first_row: str = "top", assumed_first_row: str | None = None
+    seed: int, first_row: str = "top", assumed_first_row: str | None = None, k3: float = 0.0
 ) -> tuple[Adjusted, Bundle, Cameras]:
     """The walk adjusted from noisy observations and VIO's angular velocities; the lens as phones have it on average."""
-    truth, cameras = _walk(seed, first_row)
+    truth, cameras = _walk(seed, first_row, k3)
     assumed = readout_lines([assumed_first_row or first_row] * _FRAMES, 640, 480)
     rng = np.random.default_rng(100 + seed)
     mean = replace(
@@ -92,7 +92,7 @@ def _adjusted(
     )
     priors = CameraPriors(
         mean,
-        np.diag([0.05**2, 0.08**2, 0.02**2])[None],
+        np.diag([0.05**2, 0.08**2, 0.1**2, 0.02**2])[None],
         np.full(2, 0.01),
         np.full(2, 0.001),
         np.full(_FRAMES, _ANGULAR_SD),
@@ -183,6 +183,16 @@ def test_lens_readout_and_poses_are_recovered() -> None:
     assert _position_error_m(adjusted.bundle, truth) < 0.008
 
 
+def test_a_lens_of_three_coefficients_is_recovered() -> None:
+    adjusted, truth, _ = _adjusted(0, k3=0.3)
+    estimate = covariances(adjusted, np.arange(len(truth.xyz)))
+    assert estimate is not None
+    off = adjusted.cameras.coefficients[0, [0, 1, 4]] - [*_LENS, 0.3]
+    assert np.all(np.abs(off) < 3 * np.sqrt(np.diag(estimate.shared)[:3]))
+    assert np.sqrt(estimate.shared[2, 2]) < 0.06
+    assert _position_error_m(adjusted.bundle, truth) < 0.008
+
+
 @pytest.mark.parametrize("first_row", ["right", "bottom", "left"])
 def test_readout_runs_along_the_axis_that_is_stated(first_row: str) -> None:
     adjusted, truth, _ = _adjusted(0, first_row)
@@ -203,7 +213,7 @@ def test_the_opposite_side_gives_a_readout_below_0_and_another_axis_is_worse() -
 def test_a_camera_without_shutter_and_lens_leaves_the_truth_wrong() -> None:
     adjusted, truth, cameras = _adjusted(0)
     pinhole = replace(cameras, coefficients=np.zeros((1, 8)), readout_s=np.zeros(1))
-    exact = replace(adjusted.priors, mean=pinhole, lens_covariance=1e-14 * np.eye(3)[None])
+    exact = replace(adjusted.priors, mean=pinhole, lens_covariance=1e-14 * np.eye(4)[None])
     assert _position_error_m(adjust(adjusted.bundle, pinhole, exact).bundle, truth) > 0.02
 
 
@@ -214,7 +224,7 @@ def test_sigmas_of_lens_readout_and_poses_are_honest() -> None:
         estimate = covariances(adjusted, np.arange(len(truth.xyz)))
         assert estimate is not None
         off = (camera_unknowns(adjusted.cameras) - camera_unknowns(cameras))[10 * _FRAMES :]
-        shared.append(off[:3] / np.sqrt(np.diag(estimate.shared)[:3]))
+        shared.append(off[:4] / np.sqrt(np.diag(estimate.shared)[:4]))
         fit = fit_sim3(truth.sfm_T_cam[:, :3, 3], adjusted.bundle.sfm_T_cam[:, :3, 3])
         error = fit.poses(adjusted.bundle.sfm_T_cam)[:, :3, 3] - truth.sfm_T_cam[:, :3, 3]
         covariance = fit.rotation @ estimate.poses[:, 3:, 3:] @ fit.rotation.T * fit.scale**2
@@ -235,10 +245,10 @@ def test_residuals_look_like_what_is_not_modelled(left_out: str | None, tmp_path
     mean, priors = adjusted.cameras, adjusted.priors
     if left_out == LENS:
         mean = replace(mean, coefficients=np.zeros((1, 8)))
-        priors = replace(priors, lens_covariance=np.diag([1e-14, 1e-14, 4e-4])[None])
+        priors = replace(priors, lens_covariance=np.diag([1e-14, 1e-14, 1e-14, 4e-4])[None])
     elif left_out == SHUTTER:
         mean = replace(mean, readout_s=np.zeros(1))
-        priors = replace(priors, lens_covariance=np.diag([2.5e-3, 6.4e-3, 1e-14])[None])
+        priors = replace(priors, lens_covariance=np.diag([2.5e-3, 6.4e-3, 1e-2, 1e-14])[None])
     if left_out:
         adjusted = adjust(adjusted.bundle, mean, replace(priors, mean=mean))
     residuals = residual_patterns("model", ["lens"], adjusted)
