@@ -52,12 +52,12 @@ class System:
 
     def times(self, x: Array) -> Array:
         """The product of the matrix, which needn't be formed, with a vector (l N + G,)."""
-        own, shared = x[: self.size], x[self.size :]
+        frames_x, shared = x[: self.size], x[self.size :]
         frames = len(self.blocks)
         local = self.size // frames
-        of_frame = np.concatenate([own.reshape(frames, local), shared[self.columns]], axis=1)
+        of_frame = np.concatenate([frames_x.reshape(frames, local), shared[self.columns]], axis=1)
         pulled = np.einsum("nij,nj->ni", self.blocks, of_frame)
-        by_points = self._of_points_T @ own + shared @ self.of_points_shared
+        by_points = self._of_points_T @ frames_x + shared @ self.of_points_shared
         product = np.zeros(len(x))
         product[: self.size] = pulled[:, :local].ravel() - self.of_points @ by_points
         np.add.at(product[self.size :], self.columns, pulled[:, local:])
@@ -65,7 +65,7 @@ class System:
         if self.information is not None:
             product += self.information @ x
         if self.gauge is not None:
-            product[: self.size] += self.gauge @ (own @ self.gauge)
+            product[: self.size] += self.gauge @ (frames_x @ self.gauge)
         return product
 
     def diagonal(self) -> Array:
