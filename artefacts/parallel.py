@@ -1,4 +1,4 @@
-"""Work on all cores for what lets go of Python's lock, decoding and OpenCV; and on one for what is too small."""
+"""Work on all cores for what releases Python's lock, decoding and OpenCV; products of small matrices on one thread."""
 
 import contextlib
 from collections import deque
@@ -50,7 +50,6 @@ def _controller() -> ThreadpoolController:
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Matrix products on one thread each: of small ones, several threads take longer, and several times as much of all
-    cores."""
+    """Matrix products within are computed on one thread: with small matrices, threads only get in each other's way."""
     with _controller().limit(limits=1, user_api="blas"):
         yield

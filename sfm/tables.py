@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.cameras.adjustment import Adjusted, Cameras, Ints
+from groundwalk.sfm.cameras.adjustment import LENS_UNKNOWNS, Adjusted, Cameras, Ints
 from groundwalk.sfm.cameras.calibration import distortion_lists
 from groundwalk.sfm.cameras.model_adjustment import CameraLog
 from groundwalk.sfm.mapping.attempts import Attempt
@@ -89,13 +89,13 @@ def camera_tables(
     lens_rows, session_rows = [], []
     for one, (adjusted, rows), estimate in zip(selected, parts, estimates, strict=True):
         cameras = adjusted.cameras
-        unknowns = 3 * len(cameras.readout_s) + len(cameras.log_focal)
+        first_focal = LENS_UNKNOWNS * len(cameras.readout_s)
+        unknowns = first_focal + len(cameras.log_focal)
         covariance = np.full((unknowns, unknowns), np.nan) if estimate is None else estimate.shared
         sd = np.sqrt(np.diag(covariance))
-        first_focal = 4 * len(cameras.readout_s)
         for number, index in enumerate(np.unique(log.calibration.lens[rows])):
             lens = log.calibration.lenses[index]
-            k = 4 * number
+            k = LENS_UNKNOWNS * number
             with_focal = covariance[k : k + 2, first_focal:] / np.outer(sd[k : k + 2], sd[first_focal:])
             lens_rows.append(
                 {

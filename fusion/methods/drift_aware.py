@@ -48,7 +48,9 @@ class DriftAwareOptions(OdometryOptions):
     )
     jump_deg: float = Field(3.0, gt=0, description="heading error of odometry across a jump, one sigma")
     jump_deg_s: float = Field(60.0, gt=0, description="how far the phone turns in a second of a jump that turns")
-    jump_loss: float = Field(0.05, gt=0, le=0.5, description="probability that the phone didn't go on over a jump")
+    jump_loss: float = Field(
+        0.05, gt=0, le=0.5, description="probability that odometry lost its frame in a jump of at most jump_s"
+    )
     vio_gap_s: float = Field(10.0, gt=0, description="time without a frame after which odometry may have begun anew")
     position_sd_m: float = Field(0.3, gt=0, description="a prediction's first assumed position error an axis")
     rotation_sd_deg: float = Field(8.0, gt=0, description="a prediction's first assumed rotation error an axis")

@@ -30,7 +30,7 @@ Ints = NDArray[np.int64]
 
 _POSE, _FOCUS, _ANGULAR = slice(0, 6), 6, slice(7, 10)
 _LOCAL = 10
-_LENS, _READOUT = 4, 3  # k1, k2, k3, readout of a lens
+LENS_UNKNOWNS, _READOUT = 4, 3  # k1, k2, k3, readout of a lens; the last one's number
 _RADIAL = [0, 1, 4]  # k1, k2, k3 of OpenCV's coefficients
 _MIN_LOSS_PX = 0.05
 _MAX_STEPS = 15
@@ -167,7 +167,7 @@ def linearize(bundle: Bundle, cameras: Cameras) -> Linearization:
     by_q = by_n @ n_by_q
     by_p = by_q @ turn.as_matrix()
     by_point = by_p @ forward.cam_R_sfm
-    by_camera = np.empty((len(n), 2, _LOCAL + _LENS + 1))
+    by_camera = np.empty((len(n), 2, _LOCAL + LENS_UNKNOWNS + 1))
     by_frame, by_shared = by_camera[:, :, :_LOCAL], by_camera[:, :, _LOCAL:]
     by_frame[:, :, :3] = by_point @ skew(forward.offset)
     by_frame[:, :, 3:6] = -by_point
@@ -177,23 +177,29 @@ def linearize(bundle: Bundle, cameras: Cameras) -> Linearization:
         by_shared[:, :, k] = focal * n * (r2 ** (k + 1))[:, None]
     moving = np.cross(q, cameras.angular[i]) - turn.apply(cameras.velocity[i])
     by_shared[:, :, _READOUT] = np.einsum("mij,mj->mi", by_q, moving * forward.row[:, None])
-    by_shared[:, :, _LENS] = by_frame[:, :, _FOCUS]
+    by_shared[:, :, LENS_UNKNOWNS] = by_frame[:, :, _FOCUS]
     return Linearization(pixel - bundle.observed_px, by_camera, by_point)
 
 
 def shared_columns(cameras: Cameras) -> Ints:
     """(N, 5) which shared unknowns each frame has: k1, k2, k3, readout of its lens, log focal of its session."""
     lenses = len(cameras.readout_s)
-    of_lens = _LENS * cameras.lens[:, None] + np.arange(_LENS)
-    return np.concatenate([of_lens, _LENS * lenses + cameras.session[:, None]], axis=1)
+    of_lens = LENS_UNKNOWNS * cameras.lens[:, None] + np.arange(LENS_UNKNOWNS)
+    return np.concatenate([of_lens, LENS_UNKNOWNS * lenses + cameras.session[:, None]], axis=1)
 
 
-def normal_equations(bundle: Bundle, cameras: Cameras, linear: Linearization, weight_M: Array) -> System:
-    """The system, without the points, of residuals weighted by `weight_M` (M,), without priors: over the 10 N unknowns
-    of frames, then lenses' k1, k2, k3 and readout, then sessions' log focal factors."""
+def regular_system(
+    bundle: Bundle, cameras: Cameras, linear: Linearization, weight_M: Array, information: csr_array
+) -> System:
+    """The system, without the points, of residuals weighted by `weight_M` (M,): over the 10 N unknowns of frames, then
+    lenses' k1, k2, k3 and readout, then sessions' log focal factors.
+
+    The information of priors (px^2) and a stiffness against moving the whole model are added: its matrix can be
+    inverted; its gradient is that of the residuals alone.
+    """
     frames, points = len(bundle.sfm_T_cam), len(bundle.xyz)
     columns = shared_columns(cameras)
-    shared = _LENS * len(cameras.readout_s) + len(cameras.log_focal)
+    shared = LENS_UNKNOWNS * len(cameras.readout_s) + len(cameras.log_focal)
     size = _LOCAL * frames
     w = np.sqrt(weight_M)[:, None]
     residual, by_point = w * linear.residual, w[:, :, None] * linear.by_point
@@ -207,25 +213,18 @@ def normal_equations(bundle: Bundle, cameras: Cameras, linear: Linearization, we
     a_blocks = outer(by_camera, by_point) @ np.swapaxes(lower_inverse, 1, 2)[bundle.point]
     local = block_rows(a_blocks[:, :_LOCAL], bundle.frame, bundle.point, frames, points)
     by_column = np.zeros((shared, points, 3))
-    for k in range(_LENS + 1):
+    for k in range(LENS_UNKNOWNS + 1):
         np.add.at(by_column, (columns[bundle.frame, k], bundle.point), a_blocks[:, _LOCAL + k])
     of_shared = by_column.reshape(shared, 3 * points)
     scaled_pull = np.einsum("pij,pj->pi", lower_inverse, point_pull).ravel()
     gradient = np.empty(size + shared)
     gradient[:size] = pull[:, :_LOCAL].ravel() - local @ scaled_pull
     gradient[size:] = -of_shared @ scaled_pull
-    for k in range(_LENS + 1):
+    for k in range(LENS_UNKNOWNS + 1):
         np.add.at(gradient, size + columns[:, k], pull[:, _LOCAL + k])
     point_inverse = np.swapaxes(lower_inverse, 1, 2) @ lower_inverse
-    return System(blocks, columns, local, of_shared, gradient, point_inverse, point_pull)
-
-
-def regular_system(
-    bundle: Bundle, cameras: Cameras, linear: Linearization, weight_M: Array, information: csr_array
-) -> System:
-    """The system with the information of priors (px^2) and a stiffness against moving the whole model added: its
-    matrix can be inverted; its gradient is that of the residuals alone."""
-    system = replace(normal_equations(bundle, cameras, linear, weight_M), information=information)
+    free = np.zeros((size, 0))
+    system = System(blocks, columns, local, of_shared, gradient, point_inverse, point_pull, information, free)
     return replace(system, gauge=_stiffness(system.diagonal(), bundle.sfm_T_cam[:, :3, 3]))
 
 
@@ -266,10 +265,10 @@ def prior_information(cameras: Cameras, priors: CameraPriors) -> csr_array:
         lag = np.abs(cameras.t_s[members][:, None] - cameras.t_s[members])
         smooth = np.exp(-lag / _FOCUS_LAG_S) + _FOCUS_NOISE * np.eye(len(members))
         add(_LOCAL * members + _FOCUS, np.linalg.inv(priors.focus_sd[session] ** 2 * smooth))
-        add(np.array([size + _LENS * lenses + session]), np.array([[1 / priors.log_focal_sd[session] ** 2]]))
+        add(np.array([size + LENS_UNKNOWNS * lenses + session]), np.array([[1 / priors.log_focal_sd[session] ** 2]]))
     for lens in range(lenses):
-        add(size + _LENS * lens + np.arange(_LENS), np.linalg.inv(priors.lens_covariance[lens]))
-    total = size + _LENS * lenses + sessions
+        add(size + LENS_UNKNOWNS * lens + np.arange(LENS_UNKNOWNS), np.linalg.inv(priors.lens_covariance[lens]))
+    total = size + LENS_UNKNOWNS * lenses + sessions
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     return csr_array(coo_array(entries, shape=(total, total)))
 
@@ -286,7 +285,7 @@ def with_step(bundle: Bundle, cameras: Cameras, step: Array, point_step: Array) 
     """The bundle and cameras moved by a step of the unknowns (10 N + G,) and of the points (P, 3)."""
     frames, lenses = len(bundle.sfm_T_cam), len(cameras.readout_s)
     of_frame = step[: _LOCAL * frames].reshape(frames, _LOCAL)
-    of_lens = step[_LOCAL * frames :][: _LENS * lenses].reshape(lenses, _LENS)
+    of_lens = step[_LOCAL * frames :][: LENS_UNKNOWNS * lenses].reshape(lenses, LENS_UNKNOWNS)
     sfm_T_cam = bundle.sfm_T_cam.copy()
     sfm_T_cam[:, :3, :3] = Rotation.from_rotvec(of_frame[:, :3]).as_matrix() @ sfm_T_cam[:, :3, :3]
     sfm_T_cam[:, :3, 3] += of_frame[:, 3:6]
@@ -298,7 +297,7 @@ def with_step(bundle: Bundle, cameras: Cameras, step: Array, point_step: Array) 
         angular=cameras.angular + of_frame[:, _ANGULAR],
         coefficients=coefficients,
         readout_s=cameras.readout_s + of_lens[:, _READOUT],
-        log_focal=cameras.log_focal + step[_LOCAL * frames + _LENS * lenses :],
+        log_focal=cameras.log_focal + step[_LOCAL * frames + LENS_UNKNOWNS * lenses :],
     )
     return replace(bundle, sfm_T_cam=sfm_T_cam, xyz=bundle.xyz + point_step), moved
 
@@ -360,7 +359,7 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
     angular = np.diag(inverse)[: _LOCAL * len(cameras.t_s)].reshape(-1, _LOCAL)[:, _ANGULAR]
     by_images = 3 - variance * angular.sum(axis=1) / priors.angular_sd**2
     pull = np.zeros(len(inverse))
-    readout = _LOCAL * len(cameras.t_s) + _LENS * np.arange(len(cameras.readout_s)) + _READOUT
+    readout = _LOCAL * len(cameras.t_s) + LENS_UNKNOWNS * np.arange(len(cameras.readout_s)) + _READOUT
     rolls = np.abs(cameras.readout_s) > _MIN_READOUT_S
     pull[readout[rolls]] = variance * np.bincount(cameras.lens, by_images)[rolls] / cameras.readout_s[rolls]
     step = -inverse @ pull

@@ -28,7 +28,8 @@ class System:
     blocks (N, l + s, l + s): J^T J of each frame, by its own l unknowns and those s that it shares, which are `columns`
     (N, s) of G. of_points (l N, 3 P), of_points_shared (G, 3 P): A of the Schur complement A A^T that eliminating the
     points takes away. gradient (l N + G,). point_inverse (P, 3, 3), point_gradient (P, 3): what takes a step back to
-    the points. information (l N + G, l N + G), gauge (l N, k): of priors, and G of a stiffness G G^T.
+    the points. information (l N + G, l N + G): of priors, added to the matrix. gauge (l N, k): H of a stiffness H H^T
+    that is added to the part of the frames' unknowns.
     """
 
     blocks: Array
@@ -38,8 +39,8 @@ class System:
     gradient: Array
     point_inverse: Array
     point_gradient: Array
-    information: csr_array | None = None
-    gauge: Array | None = None
+    information: csr_array
+    gauge: Array
 
     @property
     def size(self) -> int:
@@ -62,11 +63,8 @@ class System:
         product[: self.size] = pulled[:, :local].ravel() - self.of_points @ by_points
         np.add.at(product[self.size :], self.columns, pulled[:, local:])
         product[self.size :] -= self.of_points_shared @ by_points
-        if self.information is not None:
-            product += self.information @ x
-        if self.gauge is not None:
-            product[: self.size] += self.gauge @ (frames_x @ self.gauge)
-        return product
+        product[: self.size] += self.gauge @ (frames_x @ self.gauge)
+        return product + self.information @ x
 
     def diagonal(self) -> Array:
         """The matrix's diagonal (l N + G,)."""
@@ -79,11 +77,8 @@ class System:
         diagonal[: self.size] = (of_blocks[:, :local] - eliminated).ravel()
         np.add.at(diagonal[self.size :], self.columns, of_blocks[:, local:])
         diagonal[self.size :] -= np.square(self.of_points_shared).sum(axis=1)
-        if self.information is not None:
-            diagonal += self.information.diagonal()
-        if self.gauge is not None:
-            diagonal[: self.size] += np.square(self.gauge).sum(axis=1)
-        return diagonal
+        diagonal[: self.size] += np.square(self.gauge).sum(axis=1)
+        return diagonal + self.information.diagonal()
 
     def matrix(self) -> Array:
         """The matrix (l N + G, l N + G), in its lower triangle."""
@@ -94,9 +89,8 @@ class System:
             last = min(first + _CHUNK, frames)
             chunk, left = slice(local * first, local * last), slice(local * last)
             before = _rows_of(self.of_points, 0, last).T
-            matrix[chunk, left] = -(_rows_of(self.of_points, first, last) @ before).toarray()
-            if self.gauge is not None:
-                matrix[chunk, left] += self.gauge[chunk] @ self.gauge[left].T
+            matrix[chunk, left] = self.gauge[chunk] @ self.gauge[left].T
+            matrix[chunk, left] -= (_rows_of(self.of_points, first, last) @ before).toarray()
         matrix[size:, :size] = -(self.of_points @ self.of_points_shared.T).T
         matrix[size:, size:] = -self.of_points_shared @ self.of_points_shared.T
         index = np.arange(size).reshape(frames, local)
@@ -106,17 +100,17 @@ class System:
             np.add.at(matrix, (rows[:, None], index), self.blocks[:, local + k, :local])
             for j in range(columns.shape[1]):
                 np.add.at(matrix, (rows, size + columns[:, j]), self.blocks[:, local + k, local + j])
-        if self.information is not None:
-            entries = self.information.tocoo()
-            matrix[entries.row, entries.col] += entries.data
+        entries = self.information.tocoo()
+        matrix[entries.row, entries.col] += entries.data
         return matrix
 
 
 class Solver:
     """Solves the systems of one adjustment one after the other.
 
-    They differ little, so the factor of one preconditions the next ones' conjugate gradients: a factor takes (l N)^3
-    operations and a product M. Where that takes too many products, the system at hand is factorised.
+    They differ little, so the factor of one preconditions the next ones' conjugate gradients: a factor takes some
+    (l N)^3 operations, a product as many as there are observations. Where conjugate gradients take too many products,
+    the system at hand is factorised.
     """
 
     def __init__(self) -> None:
@@ -133,6 +127,7 @@ class Solver:
             x, unfinished = cg(scaled, unit * right, rtol=_TOLERANCE, maxiter=_MAX_ITERATIONS, M=precondition)
             if not unfinished:
                 return np.asarray(unit * x)
+        self._factor = None  # two of them don't fit into memory
         matrix = system.matrix()
         matrix[np.diag_indices_from(matrix)] += damping * diagonal
         self._factor = cho_factor(matrix, lower=True, overwrite_a=True)

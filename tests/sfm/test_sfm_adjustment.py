@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
+from groundwalk.artefacts.choices import CameraOrigin
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse
 from groundwalk.geometry.robust import cauchy_weights
@@ -26,9 +29,14 @@ from groundwalk.sfm.cameras.adjustment import (
     shared_columns,
     with_step,
 )
+from groundwalk.sfm.cameras.calibration import Calibration, Lens
+from groundwalk.sfm.cameras.model_adjustment import CameraLog
+from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.cameras.normal_equations import Solver, System
+from groundwalk.sfm.mapping.build import BuiltModel
 from groundwalk.sfm.quality.covariance import covariances
 from groundwalk.sfm.quality.residuals import LENS, SHUTTER, draw_residuals, pattern_of, residual_patterns
+from groundwalk.sfm.tables import camera_tables
 
 _FRAMES, _POINTS, _NOISE_PX = 24, 2500, 0.2
 _LENS, _READOUT_S = (0.092, -0.125), 0.02
@@ -231,6 +239,40 @@ def test_sigmas_of_lens_readout_and_poses_are_honest() -> None:
         position.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error))
     assert 0.6 < np.sqrt(np.mean(np.square(shared))) < 1.5
     assert 2.0 < np.mean(position) < 4.5
+
+
+@pytest.mark.parametrize("lenses", [1, 2])
+def test_tables_of_cameras_have_a_row_each_and_no_sigma_where_none_was_estimated(lenses: int) -> None:
+    adjusted, _, _ = _adjusted(0)
+    of_frame = np.arange(_FRAMES) * lenses // _FRAMES
+    cameras = replace(
+        adjusted.cameras,
+        lens=of_frame,
+        coefficients=np.repeat(adjusted.cameras.coefficients, lenses, axis=0),
+        readout_s=np.repeat(adjusted.cameras.readout_s, lenses),
+    )
+    exact = np.eye(3).tolist()
+    known = [
+        Lens(str(k), 1, [0.0] * 8, 0.0, exact, CameraOrigin.PRIOR, [0.0] * 8, [0.0] * 8, 0.0, exact) for k in (0, 1)
+    ]
+    still = np.zeros((_FRAMES, 3))
+    log = CameraLog(
+        cameras.intrinsics,
+        cameras.readout_line,
+        np.array(["walk-1", "walk-2"])[cameras.session],
+        cameras.t_s,
+        adjusted.bundle.sfm_T_cam,
+        Calibration(known, of_frame),
+        Motion(still, still, np.ones(_FRAMES)),
+    )
+    model = cast(BuiltModel, SimpleNamespace(model_id="incremental/0"))
+    part = (replace(adjusted, cameras=cameras), np.arange(_FRAMES))
+    lens_rows, session_rows = camera_tables(log, [model], [part], [None])
+    assert list(lens_rows["frames"]) == [_FRAMES // lenses] * lenses
+    assert np.allclose(lens_rows["k3"], adjusted.cameras.coefficients[0, 4])
+    assert lens_rows[["k1_sd", "k2_sd", "k3_sd", "readout_sd_s"]].isna().all(axis=None)
+    assert list(session_rows["session_id"]) == ["walk-1", "walk-2"]
+    assert session_rows["focal_scale_sd"].isna().all()
 
 
 def _position_error_m(bundle: Bundle, truth: Bundle) -> float:
