@@ -1,9 +1,11 @@
 """The fusion benchmark's walks as tables in a folder, for `groundwalk fusion leaderboard`.
 
 `python -m benchmarks.fusion_tables OUT` writes simulated walks; with `--predictions FOLDER` also published predictions
-of real regressors (benchmarks/real_predictions.py) at each number of frames a second that `--every` names. Frames held
-out of the simulated regressors' training go along as split `val`."""
+of real regressors (benchmarks/real_predictions.py) at each number of frames a second that `--every` names, and with
+`--trained FOLDER` predictions of what `python -m benchmarks.regressors` trained there, each seed a scene. Frames held
+out of the regressors' training go along as split `val`."""
 
+import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated
@@ -16,8 +18,11 @@ from benchmarks import fusion_inputs as inputs
 from benchmarks.fusion_inputs import Case
 from benchmarks.real_predictions import DEVELOPMENT, STRIDES, real_cases
 from benchmarks.regressor_errors.fit import REGRESSORS
+from groundwalk.artefacts import UserError
 from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.tables import pose_frame
+from groundwalk.artefacts.manifests import MANIFEST
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import pose_frame, read_table
 from groundwalk.fusion.walk import Walk
 from groundwalk.simulation.scenes import NAMES
 
@@ -31,6 +36,8 @@ def main(
     predictions: Annotated[Path | None, typer.Option(help="Folder of published predictions.")] = None,
     published_scenes: Annotated[str, typer.Option(help="Their scenes, joined by commas.")] = ",".join(DEVELOPMENT),
     every: Annotated[str, typer.Option(help="Frames of 7-Scenes that are a second, joined by commas.")] = "30,10",
+    trained: Annotated[Path | None, typer.Option(help="Folder of trainings (build/regressors).")] = None,
+    models: Annotated[str, typer.Option(help="Regressors trained there, joined by commas.")] = "PN,MS-T",
     kinds: Annotated[str, typer.Option(help="Kinds of simulated walks, joined by commas.")] = ",".join(KINDS),
     seeds: Annotated[int, typer.Option(min=1, help="Draws of odometry's drift for published predictions.")] = 3,
 ) -> None:
@@ -45,7 +52,10 @@ def main(
             f"real predictions: github.com/lck666666/HR-APR, scenes {published_scenes.replace(',', ', ')}; odometry is "
             f"simulated from the true poses with the fitted drift, seeds 0 to {seeds - 1}; the method was tuned on them"
         )
-    for kind in kinds.split(","):
+    if trained is not None:
+        names = write_trained(out / f"trained {models.replace(',', ' and ')}", trained, models.split(","))
+        lines.append(f"trained regressors: simulated scenes, trained on {', '.join(names)}")
+    for kind in filter(None, kinds.split(",")):
         draws = [inputs.simulated_case(kind, scene, model, [0]) for scene in NAMES for model in REGRESSORS]
         write_cases(out / kind, draws, held_out=True)
     lines.append(
@@ -76,6 +86,27 @@ def write_cases(folder: Path, cases: Sequence[Case], held_out: bool = False) -> 
         place.mkdir(parents=True, exist_ok=True)
         for name, parts in (("frames", frames), ("ground_truth", truth), ("predictions", apr)):
             _stacked(parts).to_parquet(place / f"{name}.parquet", index=False)
+
+
+def write_trained(folder: Path, trained: Path, models: Sequence[str]) -> list[str]:
+    """The tables of each scene and seed that all of the models were trained with, and their names; UserError where
+    there is none."""
+    names = []
+    for first in sorted(trained.glob(f"{models[0]}-*/runs/*/*/train")):
+        profile, scene, seed = first.parts[-3], first.parts[-2], first.parts[-5].removeprefix(f"{models[0]}-")
+        runs = [trained / f"{model}-{seed}" / "runs" / profile / scene for model in models]
+        if not all((run / "train" / MANIFEST).is_file() for run in runs):
+            continue
+        names.append(f"{scene} seed {seed}")
+        place = folder / names[-1]
+        place.mkdir(parents=True, exist_ok=True)
+        shutil.copy(runs[0] / "import" / "frames.parquet", place)
+        shutil.copy(runs[0] / "align" / "ground_truth.parquet", place)
+        apr = [read_table(run / "train" / "predictions.parquet", schema("train", "predictions")) for run in runs]
+        _stacked(apr).to_parquet(place / "predictions.parquet", index=False)
+    if not names:
+        raise UserError("nothing was trained there", where=trained, do="run python -m benchmarks.regressors first")
+    return names
 
 
 def _stacked(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:

@@ -274,6 +274,7 @@ def camera_figures(run: Finished) -> list[Figure]:
                 subject = lens["lens_id"] + of_model
                 figures += _with_sigma("k1", lens["k1"], lens["k1_sd"], "", subject)
                 figures += _with_sigma("k2", lens["k2"], lens["k2_sd"], "", subject)
+                figures += _with_sigma("k3", lens["k3"], lens["k3_sd"], "", subject)
                 figures += _with_sigma("readout", 1000 * lens["readout_s"], 1000 * lens["readout_sd_s"], "ms", subject)
             for session in sessions[sessions["model_id"] == model_id].to_dict("records"):
                 subject = session["session_id"] + of_model

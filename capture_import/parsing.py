@@ -11,14 +11,16 @@ from typing import Any, TypeVar
 import numpy as np
 
 from groundwalk.artefacts import UserError
-from groundwalk.capture_import.capture import Limits, RawFrame, Reject
+from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, Reject
 from groundwalk.geometry import GeometryError
+from groundwalk.geometry.lens import rational_of_fisheye
 from groundwalk.geometry.poses import Array, pose_from_tq
 
 Row = TypeVar("Row")
 
 _MAX_NS = 2**63 - 1
 _MAX_LINE = 1 << 20
+_FISHEYE_TOLERANCE_PX = 0.05
 
 
 class BadRow(ValueError):
@@ -70,6 +72,20 @@ def parse_json(text: str) -> dict[str, Any]:
 def number(row: Mapping[str, Any], key: str) -> float:
     """The number under a key (it may be NaN or infinite); BadRow where it's missing or no number."""
     return to_number(_get(row, key), key)
+
+
+def fisheye_intrinsics(fx_fy_cx_cy: Sequence[float], width: int, height: int, fisheye: Sequence[float]) -> Intrinsics:
+    """Intrinsics with OpenCV's coefficients that a fisheye lens's k1 to k4 come to within the image; BadRow where there
+    are none."""
+    fx, fy, cx, cy = fx_fy_cx_cy
+    if not np.isfinite([*fx_fy_cx_cy, *fisheye]).all() or min(fx, fy) <= 0:
+        raise BadRow("intrinsics have a value that isn't finite, or a focal length that isn't positive")
+    radius = math.hypot(max(cx, width - cx) / fx, max(cy, height - cy) / fy)
+    try:
+        distortion = rational_of_fisheye(fisheye, radius, _FISHEYE_TOLERANCE_PX / max(fx, fy))
+    except GeometryError as error:
+        raise BadRow(str(error)) from None
+    return Intrinsics(fx, fy, cx, cy, width, height, tuple(distortion.tolist()))
 
 
 def whole(row: Mapping[str, Any], key: str) -> int:

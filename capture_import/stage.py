@@ -380,7 +380,7 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
 
 STAGE = Stage(
     name="import",
-    version=8,
+    version=9,
     settings=ImportSettings,
     needs=(),
     run=run,

@@ -3,14 +3,18 @@
 x_d = x radial + 2 p1 x y + p2 (r^2 + 2 x^2) and alike for y, radial = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 +
 k5 r^4 + k6 r^6) (OpenCV, camera calibration, "Detailed description"). Coefficients are up to eight numbers in OpenCV's
 order k1, k2, p1, p2, k3, k4, k5, k6, of all points (k,) or of each (M, k).
+
+A fisheye lens is described by the same coefficients, fitted to its own formula over the image.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundwalk.geometry import Array
+from groundwalk.geometry import Array, GeometryError
 
 _MAX_STEPS, _PRECISION = 50, 1e-13
+_ANGLES, _MAX_ANGLE_DEG = 2000, 80.0
+_FIT_STEPS = 20
 
 
 def distort(ideal_M2: Array, coefficients: ArrayLike) -> Array:
@@ -21,6 +25,15 @@ def distort(ideal_M2: Array, coefficients: ArrayLike) -> Array:
 def distort_with_slope(ideal_M2: Array, coefficients: ArrayLike) -> tuple[Array, Array]:
     """Distorted points (M, 2), and their derivatives by the ideal ones (M, 2, 2)."""
     return _distorted(np.asarray(ideal_M2, float), _eight(coefficients))
+
+
+def slope_by_numerator(ideal_M2: Array, coefficients: ArrayLike) -> Array:
+    """Derivatives of the distorted points (M, 2) by k1, k2, k3: (M, 2, 3)."""
+    ideal = np.asarray(ideal_M2, float)
+    k4, k5, k6 = _eight(coefficients).T[5:]
+    r2 = np.sum(ideal * ideal, axis=1)
+    powers = np.stack([r2, r2**2, r2**3], axis=1) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))[:, None]
+    return ideal[:, :, None] * powers[:, None, :]
 
 
 def undistort(distorted_M2: Array, coefficients: ArrayLike) -> Array:
@@ -44,6 +57,40 @@ def undistort(distorted_M2: Array, coefficients: ArrayLike) -> Array:
             ideal[:, 1] -= (slope[:, 0, 0] * miss[:, 1] - slope[:, 1, 0] * miss[:, 0]) / determinant
     ideal[~(np.abs(_distorted(ideal, eight)[0] - distorted) < 1e-9).all(axis=1)] = np.nan
     return ideal
+
+
+def rational_of_fisheye(fisheye_4: ArrayLike, radius: float, tolerance: float) -> Array:
+    """Coefficients (8,) of the rational model that are a fisheye lens's within an image radius, in focal lengths.
+
+    `fisheye_4` are k1 to k4 of Kannala and Brandt's polynomial, theta_d = theta (1 + k1 theta^2 + k2 theta^4 + ...), as
+    in OpenCV's fisheye module and COLMAP's OPENCV_FISHEYE. GeometryError where the lens sees further than 80 degrees
+    from its axis, folds back, or the fit is off by more than `tolerance` focal lengths.
+    """
+    theta = np.linspace(0, np.radians(_MAX_ANGLE_DEG), _ANGLES)[1:]
+    image = theta * np.polynomial.polynomial.polyval(theta**2, [1.0, *np.asarray(fisheye_4, float)])
+    beyond = np.flatnonzero(~(image < radius))
+    if not len(beyond):
+        raise GeometryError(f"the fisheye lens sees further than {_MAX_ANGLE_DEG:g} degrees from its axis")
+    theta, image = theta[: beyond[0] + 1], image[: beyond[0] + 1]
+    if not (np.diff(image) > 0).all():
+        raise GeometryError("the fisheye lens's polynomial folds back within the image")
+    ideal = np.tan(theta)
+    ratio = image / ideal
+    powers = np.stack([ideal**2, ideal**4, ideal**6], axis=1)
+    equations = np.hstack([powers, -ratio[:, None] * powers])
+    weight = ideal
+    for _ in range(_FIT_STEPS):  # linear in the coefficients but for the denominator, whose last value is the weight's
+        scaled = equations * weight[:, None]
+        size = np.linalg.norm(scaled, axis=0)
+        fitted = np.linalg.lstsq(scaled / size, (ratio - 1) * weight, rcond=None)[0] / size
+        weight = ideal / np.abs(1 + powers @ fitted[3:])
+    eight = np.array([fitted[0], fitted[1], 0, 0, *fitted[2:]])
+    miss = np.abs(distort(np.stack([ideal, 0 * ideal], axis=1), eight)[:, 0] - image).max()
+    if not miss <= tolerance:
+        raise GeometryError(
+            f"the fisheye lens can't be described by OpenCV's k1 to k6: off by {miss:.2g} focal lengths"
+        )
+    return eight
 
 
 def max_shift(coefficients: ArrayLike, other: ArrayLike, extent_xy: tuple[float, float]) -> float:

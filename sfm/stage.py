@@ -137,7 +137,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=14,
+    version=15,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -4,8 +4,8 @@ Documented at https://colmap.github.io/format.html. What matters:
 
 - a pose is world to camera, a quaternion w, x, y, z and a translation, with our camera axes and pixel centres at 0.5;
 - `images.txt` has two lines an image, the second of which may be empty; the points aren't read;
-- camera models SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are used as stated; images of
-  others are left out;
+- camera models SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are used as stated, and fisheye
+  ones become FULL_OPENCV's coefficients; images of others are left out;
 - nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
 - where `sparse/` holds several models, each has a world of its own: `sparse/0` is read, of our own exports all;
 - `test.txt`, which our exports write, says which recordings are for testing;
@@ -32,6 +32,7 @@ from groundwalk.capture_import.image_folders import data_set_of, is_metric_expor
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
+    fisheye_intrinsics,
     inside,
     lines_of,
     numbered_lines,
@@ -65,6 +66,10 @@ _READ = {
     "RADIAL": (1, (3, 4, None, None)),
     "OPENCV": (2, (4, 5, 6, 7)),
     "FULL_OPENCV": (2, (4, 5, 6, 7, 8, 9, 10, 11)),
+    # k1 to k4 of OpenCV's fisheye model.
+    "SIMPLE_RADIAL_FISHEYE": (1, (3, None, None, None)),
+    "RADIAL_FISHEYE": (1, (3, 4, None, None)),
+    "OPENCV_FISHEYE": (2, (4, 5, 6, 7)),
 }
 _LONGEST_NAME = 1 << 12
 
@@ -261,6 +266,8 @@ def _intrinsics(camera: _Camera) -> Intrinsics:
         raise BadRow(f"camera model {camera.model} has {len(camera.params)} parameters, not {length}")
     fx, fy, (cx, cy) = camera.params[0], camera.params[focal - 1], camera.params[focal : focal + 2]
     distortion = tuple(0.0 if place is None else camera.params[place] for place in places)
+    if camera.model.endswith("FISHEYE"):
+        return fisheye_intrinsics((fx, fy, cx, cy), camera.width, camera.height, distortion)
     return Intrinsics(fx, fy, cx, cy, camera.width, camera.height, distortion if any(distortion) else ())
 
 

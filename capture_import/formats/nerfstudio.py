@@ -6,7 +6,7 @@ Documented at https://docs.nerf.studio/quickstart/data_conventions.html. What ma
 - `applied_transform` (3x4), where there is one, took the poses from an earlier world to the file's; it's undone, so
   that an export of ours comes back with +y up;
 - intrinsics are at the top or, going before these, each frame's own: fl_x, fl_y, cx, cy, w, h, and OpenCV's k1, k2, k3,
-  p1, p2; `camera_model` is OPENCV or PINHOLE (others are refused);
+  p1, p2; `camera_model` is OPENCV, PINHOLE or OPENCV_FISHEYE with k1 to k4 (others are refused);
 - nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
 - `test_filenames`, where there are any, say which recordings are for testing;
 - frames have no time: they count as a second apart, in the order of their names.
@@ -28,6 +28,7 @@ from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     first_bytes,
+    fisheye_intrinsics,
     from_arkit,
     inside,
     json_of,
@@ -41,9 +42,9 @@ from groundwalk.capture_import.parsing import (
 from groundwalk.geometry.poses import Array, inverse, rigidity_error
 
 _FILE = "transforms.json"
-_MODELS = ("OPENCV", "PINHOLE")
+_MODELS = ("OPENCV", "PINHOLE", "OPENCV_FISHEYE")
 # OpenCV's order.
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+_DISTORTION, _FISHEYE = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
 _RIGID_TOLERANCE = 1e-3
 
 
@@ -144,10 +145,13 @@ def _intrinsics(row: dict[str, Any]) -> Intrinsics:
     model = row.get("camera_model", "OPENCV")
     if model not in _MODELS:
         raise BadRow(f"camera_model {str(model)[:40]} is none of {', '.join(_MODELS)}")
+    fx, fy, cx, cy = (number(row, key) for key in ("fl_x", "fl_y", "cx", "cy"))
+    keys = _FISHEYE if model == "OPENCV_FISHEYE" else _DISTORTION
+    distortion = tuple(number(row, key) if key in row else 0.0 for key in keys)
+    if model == "OPENCV_FISHEYE":
+        return fisheye_intrinsics((fx, fy, cx, cy), whole(row, "w"), whole(row, "h"), distortion)
     if row.get("k4"):
         raise BadRow("distortion k4 has no place in OpenCV's model of k1, k2, p1, p2, k3")
-    fx, fy, cx, cy = (number(row, key) for key in ("fl_x", "fl_y", "cx", "cy"))
-    distortion = tuple(number(row, key) if key in row else 0.0 for key in _DISTORTION)
     known = distortion if model == "OPENCV" and any(distortion) else ()
     return Intrinsics(fx, fy, cx, cy, whole(row, "w"), whole(row, "h"), known)
 

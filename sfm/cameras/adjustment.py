@@ -20,7 +20,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.spatial.transform import Rotation
 
 from groundwalk.artefacts.progress import track
-from groundwalk.geometry.lens import distort_with_slope
+from groundwalk.geometry.lens import distort_with_slope, slope_by_numerator
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN, cauchy_weights
 from groundwalk.geometry.shutter import readout_fraction
@@ -158,7 +158,6 @@ def linearize(bundle: Bundle, cameras: Cameras) -> Linearization:
     i = bundle.frame
     focal = cameras.focal[i]
     x, y = n.T
-    r2 = x * x + y * y
     by_n = focal[:, :, None] * forward.slope
     z = q[:, 2]
     n_by_q = np.zeros((len(n), 2, 3))
@@ -173,8 +172,7 @@ def linearize(bundle: Bundle, cameras: Cameras) -> Linearization:
     by_frame[:, :, 3:6] = -by_point
     by_frame[:, :, _FOCUS] = pixel - cameras.intrinsics[i, 2:]
     by_frame[:, :, _ANGULAR] = by_q @ (tau[:, None, None] * skew(q))
-    for k in range(len(_RADIAL)):
-        by_shared[:, :, k] = focal * n * (r2 ** (k + 1))[:, None]
+    by_shared[:, :, : len(_RADIAL)] = focal[:, :, None] * slope_by_numerator(n, cameras.coefficients[cameras.lens[i]])
     moving = np.cross(q, cameras.angular[i]) - turn.apply(cameras.velocity[i])
     by_shared[:, :, _READOUT] = np.einsum("mij,mj->mi", by_q, moving * forward.row[:, None])
     by_shared[:, :, LENS_UNKNOWNS] = by_frame[:, :, _FOCUS]

@@ -220,15 +220,16 @@ def calibrate(
     match_pairs(report, images.database, images.names, sample, settings, seed)
     lenses = []
     for before, lens_pairs in zip(prior.lenses, of_lens, strict=True):
-        matches = read_pair_matches(images.database, images.frames, lens_pairs, images.motion, seed)
+        matches = read_pair_matches(images, lens_pairs, np.array(before.coefficients[2:]), seed)
         if len(matches.a_T_b) >= _MIN_PAIRS:
             before = _estimated(before, matches, images.frames, lens_pairs, seed)
         lenses.append(before)
     replace(prior, lenses=lenses).save(output)
 
 
-def read_pair_matches(database: Path, frames: pd.DataFrame, pairs: Pairs, motion: Motion, seed: int) -> PairMatches:
-    """The verified matches of pairs (P, 2), some of each, as rays of their frames."""
+def read_pair_matches(images: CalibrationImages, pairs: Pairs, stated_6: Array, seed: int) -> PairMatches:
+    """The verified matches of pairs (P, 2) of one lens, some of each; `stated_6` are its p1, p2, k3 to k6."""
+    frames, motion = images.frames, images.motion
     intrinsics = frames[["fx", "fy", "cx", "cy"]].to_numpy(float)
     line, session = lines_of(frames), frames["session_id"].to_numpy(str)
     centre = frames[["vio_cam_tx", "vio_cam_ty", "vio_cam_tz"]].to_numpy(float)
@@ -237,7 +238,7 @@ def read_pair_matches(database: Path, frames: pd.DataFrame, pairs: Pairs, motion
         name: [] for name in ("pair", "xy_a", "xy_b", "row_a", "row_b", "focal_a", "focal_b")
     }
     poses, twist_a, twist_b, ends = [], [], [], []
-    with pycolmap.Database.open(database) as opened:
+    with pycolmap.Database.open(images.database) as opened:
         for a, b in pairs.tolist():
             geometry = opened.read_two_view_geometry(image_id(a), image_id(b))
             matches = geometry.inlier_matches
@@ -270,11 +271,12 @@ def read_pair_matches(database: Path, frames: pd.DataFrame, pairs: Pairs, motion
         empty = np.empty(0)
         return PairMatches(
             np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)), empty, empty, empty, empty,
-            np.empty((0, 4, 4)), np.empty((0, 6)), np.empty((0, 6)), np.empty((0, 2), np.int64),
+            np.empty((0, 4, 4)), np.empty((0, 6)), np.empty((0, 6)), np.empty((0, 2), np.int64), stated_6,
         )  # fmt: skip
     joined: dict[str, Any] = {name: np.concatenate(parts) for name, parts in columns.items()}
     twists = {"twist_a": np.stack(twist_a), "twist_b": np.stack(twist_b)}
-    return PairMatches(**joined, a_T_b=np.stack(poses), **twists, frames=np.array(ends, np.int64))
+    ends_P2 = np.array(ends, np.int64)
+    return PairMatches(**joined, a_T_b=np.stack(poses), **twists, frames=ends_P2, stated_6=stated_6)
 
 
 def _estimated(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: Pairs, seed: int) -> Lens:
@@ -292,7 +294,8 @@ def _estimated(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: P
         weak = estimate_lens(fitted, start, np.linalg.inv(_WEAK_PRIOR))
         row = frames.iloc[int(pairs[0, 0])]
         extent = (0.5 * row.width / row.fx, 0.5 * row.height / row.fy)
-        shift_px = max_shift(weak.parameters[:2], stated[:2], extent) * row.fx
+        lenses = [[*parameters[:2], *matches.stated_6] for parameters in (weak.parameters, stated)]
+        shift_px = max_shift(*lenses, extent) * row.fx
         error = weak.parameters[:2] - stated[:2]
         sigmas = np.sqrt(error @ np.linalg.solve(weak.covariance[:2, :2], error))
         weak_px = _median_px(checked, weak)

@@ -23,6 +23,7 @@ _MIN_STEP = 1e-3  # of the sd
 _MIN_SD_PX = 0.02
 _DIFFERENCE = 1e-5  # of numerical derivatives
 _MAX_TURN = 0.3
+_NO_RAY_PX = 1e3
 _WIDE_STEPS, _FIRST_WIDENING = 4, 4.0
 
 
@@ -31,7 +32,8 @@ class PairMatches:
     """M matches of P pairs of one lens. Distorted image points at unit focal length (M, 2), the share of the readout
     at which each row was exposed (M,), -0.5 to 0.5, mean focal lengths in pixels (M,); per pair: relative poses
     a_T_b (P, 4, 4) with translations of length 1, and the twist of each camera (P, 6): angular velocity (rad/s) and
-    velocity in units of the pair's translation per second, in its axes; and the rows of its frames (P, 2)."""
+    velocity in units of the pair's translation per second, in its axes; and the rows of its frames (P, 2). `stated_6`
+    are the lens's p1, p2, k3 to k6, which stay as they are."""
 
     pair: Ints
     xy_a: Array
@@ -44,6 +46,7 @@ class PairMatches:
     twist_a: Array
     twist_b: Array
     frames: Ints
+    stated_6: Array
 
     def selected(self, keep_M: NDArray[np.bool_]) -> "PairMatches":
         """Some of the matches, of the same pairs."""
@@ -61,8 +64,9 @@ class LensEstimate:
 
 
 def sampson_of(matches: PairMatches, a_T_b: Array, parameters: Array) -> Array:
-    """Signed Sampson distances (M,) in pixels with a lens and readout time, poses (P, 4, 4)."""
-    rays_a, rays_b = (_rays(xy, parameters) for xy in (matches.xy_a, matches.xy_b))
+    """Signed Sampson distances (M,) in pixels with a lens and readout time, poses (P, 4, 4); far away where the lens
+    can't see the image point."""
+    rays_a, rays_b = (_rays(xy, parameters, matches.stated_6) for xy in (matches.xy_a, matches.xy_b))
     T = a_T_b[matches.pair]
     rotation, translation = T[:, :3, :3], T[:, :3, 3]
     if parameters[2]:
@@ -78,7 +82,8 @@ def sampson_of(matches: PairMatches, a_T_b: Array, parameters: Array) -> Array:
     line_b = np.einsum("mji,mj->mi", essential, rays_a)
     gradient = np.sum(line_a[:, :2] ** 2, axis=1) / matches.focal_a**2
     gradient += np.sum(line_b[:, :2] ** 2, axis=1) / matches.focal_b**2
-    return np.sum(rays_a * line_a, axis=1) / np.sqrt(np.maximum(gradient, 1e-24))
+    distance = np.sum(rays_a * line_a, axis=1) / np.sqrt(np.maximum(gradient, 1e-24))
+    return np.where(np.isfinite(distance), distance, _NO_RAY_PX)
 
 
 def estimate_lens(matches: PairMatches, start: Array, prior_information: Array) -> LensEstimate:
@@ -130,9 +135,9 @@ def _without_poses(
     return np.asarray(solved, float), bread, pull, force
 
 
-def _rays(xy_M2: Array, parameters: Array) -> Array:
+def _rays(xy_M2: Array, parameters: Array, stated_6: Array) -> Array:
     rays = np.ones((len(xy_M2), 3))
-    rays[:, :2] = undistort(xy_M2, parameters[:2])
+    rays[:, :2] = undistort(xy_M2, [*parameters[:2], *stated_6])
     return rays
 
 

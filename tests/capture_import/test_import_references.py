@@ -1,10 +1,12 @@
 """COLMAP models and nerfstudio files: reference poses, with the intrinsics that they state."""
 
 import json
+import re
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 import pycolmap
@@ -30,6 +32,12 @@ DISTORTED = {
     "OPENCV": [80.0, 81.0, 48.5, 35.5, 0.09, -0.12, 0.001, -0.002],
     "FULL_OPENCV": [80.0, 81.0, 48.5, 35.5, 0.09, -0.12, 0.001, -0.002, 0.03, 0.01, 0.02, -0.01],
 }
+# As wide as a phone's ultra-wide camera: 60 to 70 degrees from the axis in the corners.
+FISHEYE = {
+    "SIMPLE_RADIAL_FISHEYE": [50.0, 48.5, 35.5, 0.02],
+    "RADIAL_FISHEYE": [50.0, 48.5, 35.5, 0.03, -0.01],
+    "OPENCV_FISHEYE": [50.0, 51.0, 48.5, 35.5, -0.03, 0.01, -0.005, 0.001],
+}
 
 
 def read_all(root: Path) -> list[RawSession]:
@@ -47,36 +55,48 @@ def project(camera: Intrinsics, xyz: np.ndarray) -> np.ndarray:
     return np.stack([camera.fx * u + camera.cx, camera.fy * v + camera.cy], axis=1)
 
 
-@pytest.mark.parametrize("model", DISTORTED)
-@pytest.mark.parametrize("text", [False, True])
-def test_cameras_project_as_in_colmap(tmp_path: Path, model: str, text: bool) -> None:
+def write_with_camera(tmp_path: Path, model: str, params: list[float], text: bool = False) -> pycolmap.Camera:
+    """A walk as a COLMAP model whose first camera is as stated."""
     write_colmap(tmp_path / "walk", make_walk(4))
-    camera = pycolmap.Camera(camera_id=1, model=model, width=96, height=72, params=DISTORTED[model])
+    camera = pycolmap.Camera(camera_id=1, model=model, width=96, height=72, params=params)
     folder = tmp_path / "walk" / "sparse" / "0"
     written = pycolmap.Reconstruction(folder)
-    written.camera(1).model, written.camera(1).params = camera.model, DISTORTED[model]
+    written.camera(1).model, written.camera(1).params = camera.model, params
     for file in folder.iterdir():
         file.unlink()
     (written.write_text if text else written.write_binary)(folder)
+    return camera
+
+
+@pytest.mark.parametrize("model", DISTORTED | FISHEYE)
+@pytest.mark.parametrize("text", [False, True])
+def test_cameras_project_as_in_colmap(tmp_path: Path, model: str, text: bool) -> None:
+    camera = write_with_camera(tmp_path, model, (DISTORTED | FISHEYE)[model], text)
     (session,) = read_all(tmp_path)
     found = session.frames[0].intrinsics
     assert found is not None and (found.width, found.height) == (96, 72)
-    xyz = np.random.default_rng(0).uniform([-0.5, -0.4, 1], [0.5, 0.4, 2], (50, 3))
-    np.testing.assert_allclose(project(found, xyz), there(camera.img_from_cam(xyz)), atol=1e-9)
+    wide = [1.2, 0.9] if model in FISHEYE else [0.5, 0.4]
+    xyz = np.random.default_rng(0).uniform([-wide[0], -wide[1], 1], [*wide, 2], (50, 3))
+    atol = 1e-3 if model in FISHEYE else 1e-9
+    np.testing.assert_allclose(project(found, xyz), there(camera.img_from_cam(xyz)), atol=atol)
 
 
-def test_other_camera_models_are_left_out_by_name(tmp_path: Path) -> None:
-    write_colmap(tmp_path / "walk", make_walk(4))
-    folder = tmp_path / "walk" / "sparse" / "0"
-    written = pycolmap.Reconstruction(folder)
-    written.camera(1).model, written.camera(1).params = (
-        pycolmap.CameraModelId.OPENCV_FISHEYE,
-        [80, 80, 48, 36, 0, 0, 0, 0],
-    )
-    written.write_binary(folder)
+@pytest.mark.parametrize(
+    ("model", "params", "reason"),
+    [
+        ("FOV", [80, 80, 48, 36, 0.5], "FOV"),
+        ("OPENCV_FISHEYE", [30, 30, 48, 36, 0, 0, 0, 0], "further than 80 degrees"),
+        ("OPENCV_FISHEYE", [80, 80, 48, 36, -1.5, 0, 0, 0], "folds back|further than 80 degrees"),
+        ("OPENCV_FISHEYE", [80, float("nan"), 48, 36, 0, 0, 0, 0], "finite"),
+    ],
+)
+def test_cameras_that_cannot_be_used_are_left_out_by_name(
+    tmp_path: Path, model: str, params: list[float], reason: str
+) -> None:
+    write_with_camera(tmp_path, model, params)
     (session,) = read_all(tmp_path)
     assert len(session.frames) == 1 and len(session.rejects) == 1
-    assert "OPENCV_FISHEYE" in session.rejects[0].reason
+    assert re.search(reason, session.rejects[0].reason)
 
 
 @pytest.mark.parametrize("suffix", [".bin", ".txt"])
@@ -137,9 +157,27 @@ def test_nerfstudio_intrinsics_are_those_stated(tmp_path: Path) -> None:
         (0.09, -0.12, 0.001, -0.002, 0.0),
         (0.08, -0.12, 0.001, -0.002, 0.0),
     ]
-    file.write_text(json.dumps(content | {"camera_model": "OPENCV_FISHEYE"}))
-    with pytest.raises(UserError, match="OPENCV_FISHEYE"):
+    file.write_text(json.dumps(content | {"camera_model": "THIN_PRISM_FISHEYE"}))
+    with pytest.raises(UserError, match="THIN_PRISM_FISHEYE"):
         read_all(tmp_path)
+
+
+def test_a_fisheye_lens_of_nerfstudio_projects_as_opencvs(tmp_path: Path) -> None:
+    write_nerfstudio(tmp_path / "walk", make_walk(4))
+    file = tmp_path / "walk" / "transforms.json"
+    content = json.loads(file.read_text()) | {"camera_model": "OPENCV_FISHEYE", "k1": 0.03, "k2": -0.01, "k4": 0.001}
+    for frame in content["frames"]:
+        frame |= {"fl_x": 50.0, "fl_y": 51.0}
+    file.write_text(json.dumps(content))
+    (session,) = read_all(tmp_path)
+    camera = session.frames[0].intrinsics
+    assert camera is not None
+    xyz = np.random.default_rng(0).uniform([-1.2, -0.9, 1], [1.2, 0.9, 2], (50, 3))
+    K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    expected, _ = cv2.fisheye.projectPoints(
+        xyz[:, None], np.zeros(3), np.zeros(3), K, np.array([0.03, -0.01, 0, 0.001])
+    )
+    np.testing.assert_allclose(project(camera, xyz), expected[:, 0], atol=1e-3)
 
 
 def test_applied_transform_is_undone(tmp_path: Path) -> None:

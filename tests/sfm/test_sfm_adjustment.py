@@ -139,8 +139,12 @@ def test_a_row_is_seen_from_where_the_camera_is_at_its_time() -> None:
     assert np.allclose(still, project(bundle, cameras)[observation], atol=1e-9)
 
 
-def test_derivatives_are_those_of_finite_differences() -> None:
+@pytest.mark.parametrize("rational", [(0.0, 0.0, 0.0), (0.3, 0.1, -0.02)])
+def test_derivatives_are_those_of_finite_differences(rational: tuple[float, float, float]) -> None:
     bundle, cameras = _walk(1)
+    coefficients = cameras.coefficients.copy()
+    coefficients[:, 5:] = rational
+    cameras = replace(cameras, coefficients=coefficients)
     rng = np.random.default_rng(1)
     linear, unknowns = linearize(bundle, cameras), len(camera_unknowns(cameras))
     step = 1e-6 * rng.normal(size=unknowns)
