@@ -64,31 +64,35 @@ def test_session(scene: SceneInputs) -> str:
 
 
 def trajectories(scene: SceneInputs, model: str) -> NamedFigure:
-    """The raw regressor (left) and the fused method (right) over one test session seen from above."""
+    """The raw regressor, the fused method, and that which is ahead on held-out frames where it's another one, over one
+    test session seen from above."""
     session = test_session(scene)
     truth = scene.ground_truth[scene.ground_truth["session_id"] == session].sort_values("t_ns")
     truth_xy = from_above(poses_of(truth, "map_cam")[:, :3, 3])
-    errors = scene.frame_errors(model)
-    errors = errors[(errors["session_id"] == session) & (errors["split"] == "test")]
-    raw = scene.predictions[scene.predictions["model"] == model]
     level = _long_side_level(truth_xy)
     truth_xy = truth_xy @ level
-    label, with_fused = scene.label(model), _fused_label(scene)
-    panels = [(label, _positions(errors, raw) @ level, errors["apr_position_m"].to_numpy(float))]
-    caption = f"{scene.name}, test session {session}, from above: {label} alone"
-    if with_fused:
-        fused = _positions(errors, scene.fused_poses(model)) @ level
-        panels.append((label + with_fused, fused, errors["position_m"].to_numpy(float)))
-        rule = "with VIO by the paper's rule" if scene.fused_method == PAPER_METHOD else label + with_fused
-        caption += f" (left) and {rule} (right)"
-    caption += ", coloured by position error; the thin line joins poses in order of time."
+    label = scene.label(model)
+    panels, parts = [], [f"{label} alone"]
+    methods = [m for m in dict.fromkeys([scene.fused_method, scene.ahead(model)]) if m and m not in scene.raw_methods]
+    for method in [None, *methods]:
+        errors = scene.frame_errors(model, method)
+        errors = errors[(errors["session_id"] == session) & (errors["split"] == "test")]
+        title = label + (scene.method_labels[method] if method else "")
+        poses = scene.fused_poses(model, method) if method else scene.predictions[scene.predictions["model"] == model]
+        error = errors["position_m" if method else "apr_position_m"].to_numpy(float)
+        panels.append((title, _positions(errors, poses) @ level, error))
+        if method:
+            rule = "with VIO by the paper's rule" if method == PAPER_METHOD else title
+            parts.append(rule + (", ahead on held-out frames" if method == scene.ahead(model) else ""))
+    caption = f"{scene.name}, test session {session}, from above: {'; '.join(parts)} (left to right). Coloured by "
+    caption += "position error; the thin line joins poses in order of time."
     known = np.concatenate([e[np.isfinite(e)] for _, _, e in panels])
     worst = float(np.percentile(known, 95)) if len(known) else 1.0
     low, high = _limits(truth_xy)
 
     # The figure's height follows the place's shape, within what fits a page.
     shape = (high[1] - low[1]) / (high[0] - low[0])
-    figure, axes = style.new_figure(1, len(panels), float(np.clip(3.1 * shape + 0.6, 1.8, 4.6)))
+    figure, axes = style.new_figure(1, len(panels), float(np.clip(6.2 / len(panels) * shape + 0.8, 2.1, 4.6)))
     for ax, (title, xy, error) in zip(axes, panels, strict=True):
         ax.plot(truth_xy[:, 0], truth_xy[:, 1], color=style.GROUND_TRUTH, lw=2.2, label="ground truth")
         ax.plot(xy[:, 0], xy[:, 1], color=style.NEUTRAL, lw=0.7)
@@ -98,7 +102,7 @@ def trajectories(scene: SceneInputs, model: str) -> NamedFigure:
         outside = int(((known_xy < low) | (known_xy > high)).any(axis=1).sum())
         missing = len(xy) - len(known_xy)
         counts = [f"{n} {what}" for n, what in ((outside, "outside the picture"), (missing, "without a pose")) if n]
-        ax.set_title(" · ".join([title, *counts]))
+        ax.set_title(title if not counts else f"{title}\n{', '.join(counts)}", fontsize=8.5)
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
         ax.spines[:].set_visible(False)
         _scale_bar(ax)

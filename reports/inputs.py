@@ -123,19 +123,14 @@ class SceneInputs:
         rows = self.validation[(self.validation["model"] == model) & self.validation["ahead"]]
         return str(rows["method"].iloc[0]) if len(rows) else None
 
-    def fused_errors(self, model: str) -> pd.DataFrame:
-        """The rows of `fused_method` for a model; where it was run with several options, those of the first."""
-        rows = self.errors[(self.errors["method"] == self.fused_method) & (self.errors["model"] == model)]
-        return rows[rows["options"] == rows["options"].iloc[0]] if len(rows) else rows
+    def fused_poses(self, model: str, method: str | None) -> pd.DataFrame:
+        """A method's poses for a model; where it was run with several options, those of the first."""
+        return _first_options(self.poses, model, method)
 
-    def fused_poses(self, model: str) -> pd.DataFrame:
-        """The poses behind `fused_errors`."""
-        rows = self.poses[(self.poses["method"] == self.fused_method) & (self.poses["model"] == model)]
-        return rows[rows["options"] == rows["options"].iloc[0]] if len(rows) else rows
-
-    def frame_errors(self, model: str) -> pd.DataFrame:
-        """One row a frame with the raw regressor's errors, and those of `fused_method` where there is one."""
-        fused = self.fused_errors(model)
+    def frame_errors(self, model: str, method: str | None = None) -> pd.DataFrame:
+        """One row a frame with the raw regressor's errors, and those of a method, `fused_method` unless named, where it
+        has some; where it was run with several options, those of the first."""
+        fused = _first_options(self.errors, model, method or self.fused_method)
         return fused if len(fused) else self.errors[self.errors["model"] == model].drop_duplicates("frame_id")
 
     @property
@@ -185,6 +180,11 @@ class SceneInputs:
         if leak is not None and leak < LEAK_S:
             reasons.append(f"training and test frames are of one walk, as little as {leak:.1f} s apart")
         return reasons
+
+
+def _first_options(rows: pd.DataFrame, model: str, method: str | None) -> pd.DataFrame:
+    rows = rows[(rows["method"] == method) & (rows["model"] == model)]
+    return rows[rows["options"] == rows["options"].iloc[0]] if len(rows) else rows
 
 
 def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:

@@ -47,7 +47,7 @@ def _walks(stream: rr.RecordingStream, scene: SceneInputs, model: str) -> None:
     raw = scene.predictions[scene.predictions["model"] == model]
     kinds = [("apr", raw, "apr", recording.APR)]
     if scene.fused_method is not None:
-        kinds.append(("fused", scene.fused_poses(model), "live", recording.FUSED))
+        kinds.append(("fused", scene.fused_poses(model, scene.fused_method), "live", recording.FUSED))
     for kind, table, prefix, colour in kinds:
         group = "live_map_cam" if prefix == "live" else "map_cam"
         matched = errors[["session_id", "frame_id"]].merge(table, on=["session_id", "frame_id"], how="left")

@@ -114,7 +114,7 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
 
 STAGE = Stage(
     name="report",
-    version=7,
+    version=8,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import", "sfm", "align", "localise", "train", "fuse"),
