@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from known import there
+from matplotlib.figure import Figure
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.files import write_json
@@ -17,6 +18,7 @@ from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import DataRoot
 from groundwalk.artefacts.stage import execute
 from groundwalk.artefacts.tables import read_table, write_table
+from groundwalk.reports import style
 from groundwalk.reports.checks import AGREES
 from groundwalk.reports.grids import Block, Grid, Row, latex, latex_text, markdown
 from groundwalk.reports.published import load_published
@@ -32,11 +34,25 @@ def church(make_run: MakeRun) -> tuple[DataRoot, Path]:
     return data, execute(STAGE, "Church", "tiny", data)
 
 
+@pytest.fixture
+def blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are files without a drawing, which takes most of a small report's time."""
+    monkeypatch.setattr(style, "save", _save_blank)
+
+
+def _save_blank(figure: Figure, folder: Path, name: str) -> str:
+    for suffix in (".png", ".svg"):
+        (folder / f"{name}{suffix}").touch()
+    return "<svg></svg>"
+
+
 @pytest.fixture(scope="module")
 def pair(make_run: MakeRun) -> tuple[DataRoot, Path]:
     data = make_run(group="both", Square={"train": 30, "test": 20, "uncertain": 0.3}, Hall={"train": 30, "test": 20})
     (data.root / "scenes" / "Hall.toml").write_text('environment = "outdoor"\n')
-    return data, execute(STAGE, "both", "tiny", data)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "save", _save_blank)
+        return data, execute(STAGE, "both", "tiny", data)
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +155,7 @@ def test_without_sure_ground_truth_no_level_is_scored(chair: tuple[DataRoot, Pat
     assert int(rows[1][1]) + int(rows[2][1]) == 24 and "no level can be scored" in page
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_structure_localisers_stand_beside_the_regressors(make_run: MakeRun) -> None:
     data = make_run(Yard={"train": 30, "test": 24, "localisers": ("Map",)})
     (data.root / "scenes").mkdir(exist_ok=True)
@@ -170,6 +187,7 @@ def test_structure_localisers_stand_beside_the_regressors(make_run: MakeRun) -> 
     assert wrong["column"].tolist() == ["Map pose"] and wrong["status"].tolist() == ["agrees"]
 
 
+@pytest.mark.usefixtures("blank_figures")
 @pytest.mark.parametrize("appearances", [("same", "same"), ("same", "evening")])
 def test_errors_by_walk_or_by_appearance(appearances: tuple[str, str], make_run: MakeRun) -> None:
     data = make_run(Yard={"train": 30, "test": 24, "localisers": ("Map",), "appearances": appearances})
@@ -373,6 +391,7 @@ def test_the_same_run_gives_the_same_bytes(chair: tuple[DataRoot, Path]) -> None
     assert {p: (folder / p).read_bytes() for p in outputs} == outputs
 
 
+@pytest.mark.usefixtures("blank_figures")
 @pytest.mark.parametrize(
     ("methods", "headline"),
     [
@@ -403,6 +422,7 @@ def test_a_run_without_the_papers_rule(make_run: MakeRun, methods: list[str], he
     assert "the paper's rule, wasn't run" in (report / "tables" / "table2.md").read_text()
 
 
+@pytest.mark.usefixtures("blank_figures")
 @pytest.mark.parametrize(
     ("ahead", "headline", "more"),
     [
@@ -428,6 +448,7 @@ def test_the_headline_leads_with_what_is_ahead_on_held_out_frames(
     assert headline in page and more in page
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_bad_input_is_a_clear_error(make_run: MakeRun) -> None:
     data = make_run(Bar={"train": 12, "test": 6})
     errors = table_of(data, "Bar", "fuse", "errors")
