@@ -75,21 +75,27 @@ def rational_of_fisheye(fisheye_4: ArrayLike, radius: float, tolerance: float) -
     if not (np.diff(image) > 0).all():
         raise GeometryError("the fisheye lens's polynomial folds back within the image")
     ideal = np.tan(theta)
-    ratio = image / ideal
+    on_axis = np.stack([ideal, 0 * ideal], axis=1)
+    for terms in range(4):  # as few of k4 to k6 as will do: superfluous ones come out large and against each other
+        eight = _fitted_rational(ideal, image / ideal, terms)
+        miss = np.abs(distort(on_axis, eight)[:, 0] - image).max()
+        if miss <= tolerance:
+            return eight
+    raise GeometryError(f"OpenCV's k1 to k6 can't describe the fisheye lens: off by {miss:.2g} focal lengths")
+
+
+def _fitted_rational(ideal: Array, ratio: Array, terms: int) -> Array:
+    """Coefficients (8,), of k4 to k6 the first `terms`, whose radial factor at radii `ideal` (N,) is `ratio` (N,)."""
     powers = np.stack([ideal**2, ideal**4, ideal**6], axis=1)
-    equations = np.hstack([powers, -ratio[:, None] * powers])
-    weight = ideal
-    for _ in range(_FIT_STEPS):  # linear in the coefficients but for the denominator, whose last value is the weight's
-        scaled = equations * weight[:, None]
+    equations = np.hstack([powers, -ratio[:, None] * powers[:, :terms]])
+    below = np.ones(len(ideal))
+    for _ in range(_FIT_STEPS):  # linear but for the denominator, whose last value weighs the equations
+        scaled = equations * (ideal / below)[:, None]
         size = np.linalg.norm(scaled, axis=0)
-        fitted = np.linalg.lstsq(scaled / size, (ratio - 1) * weight, rcond=None)[0] / size
-        weight = ideal / np.abs(1 + powers @ fitted[3:])
-    eight = np.array([fitted[0], fitted[1], 0, 0, *fitted[2:]])
-    miss = np.abs(distort(np.stack([ideal, 0 * ideal], axis=1), eight)[:, 0] - image).max()
-    if not miss <= tolerance:
-        raise GeometryError(
-            f"the fisheye lens can't be described by OpenCV's k1 to k6: off by {miss:.2g} focal lengths"
-        )
+        fitted = np.linalg.lstsq(scaled / size, (ratio - 1) * ideal / below, rcond=None)[0] / size
+        below = np.maximum(np.abs(1 + powers[:, :terms] @ fitted[3:]), 1e-3)
+    eight = np.zeros(8)
+    eight[[0, 1, 4]], eight[5 : 5 + terms] = fitted[:3], fitted[3:]
     return eight
 
 

@@ -148,16 +148,15 @@ def _motion(twist_M6: Array, time_M: Array) -> tuple[Array, Array]:
 
 def _derivatives(matches: PairMatches, a_T_b: Array, theta: Array, residual: Array) -> tuple[Array, Array]:
     """Of the residuals by each pair's pose (M, 5) and by the lens (M, 3), numerically."""
-    by_pose = np.empty((len(residual), 5))
-    for k in range(5):
-        step = np.zeros((len(a_T_b), 5))
-        step[:, k] = _DIFFERENCE
-        by_pose[:, k] = (sampson_of(matches, _moved(a_T_b, step), theta) - residual) / _DIFFERENCE
-    by_lens = np.empty((len(residual), 3))
-    for k in range(3):
-        moved = theta.copy()
-        moved[k] += _DIFFERENCE
-        by_lens[:, k] = (sampson_of(matches, a_T_b, moved) - residual) / _DIFFERENCE
+
+    def slope(a_T_b_moved: Array, theta_moved: Array) -> Array:
+        moved = sampson_of(matches, a_T_b_moved, theta_moved)
+        # A match beyond what the lens can see tells nothing of it.
+        return np.where((residual < _NO_RAY_PX) & (moved < _NO_RAY_PX), (moved - residual) / _DIFFERENCE, 0.0)
+
+    pose_steps, lens_steps = _DIFFERENCE * np.eye(5), _DIFFERENCE * np.eye(3)
+    by_pose = np.column_stack([slope(_moved(a_T_b, np.tile(step, (len(a_T_b), 1))), theta) for step in pose_steps])
+    by_lens = np.column_stack([slope(a_T_b, theta + step) for step in lens_steps])
     return by_pose, by_lens
 
 

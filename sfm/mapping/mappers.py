@@ -15,6 +15,7 @@ from groundwalk.sfm.mapping.from_vio import map_from_vio
 MIN_MODEL_FRAMES = 3
 _LEAF_IMAGES = 200
 _FIRST_PAIR_FRACTION = 0.001  # of an image's longer side
+_ANY_COEFFICIENT = 1e9
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,9 @@ def pipeline_options(source: MappingInput) -> pycolmap.IncrementalPipelineOption
     options.mapper.init_max_error = _first_pair_px(source.database)
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
     options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
+    # Lenses stay as they are given. Fisheye ones have coefficients above 1, which COLMAP takes for diverged; its global
+    # mapper has no such option, and registers nothing with them.
+    options.max_extra_param = options.mapper.max_extra_param = _ANY_COEFFICIENT
     return options
 
 
