@@ -1,5 +1,7 @@
 """A small place to localise in: a picture wall seen from many positions, artefacts made from it, and a regressor."""
 
+import fcntl
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,44 +30,45 @@ def make_scene(tmp_path: Path) -> Callable[..., Path]:
     return make
 
 
+def made_once(tmp_path_factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
+    """A folder that the first of the test processes makes, and all of them read."""
+    base = tmp_path_factory.getbasetemp()
+    root = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    folder, done = root / name, root / f"{name}.made"
+    with (root / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not done.exists():
+            make(folder)
+            done.touch()
+    return folder
+
+
 @pytest.fixture(scope="session")
 def trained_wall(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The data folder of scene Wall, profile tiny, with a PN that learnt for one epoch; only to be read."""
     from groundwalk.artefacts import DataRoot, execute
     from groundwalk.training.stage import STAGE
 
-    data = write_scene(tmp_path_factory.mktemp("wall") / "data", "Wall", train=24, test=6, seed=0)
-    execute(STAGE, "Wall", "tiny", DataRoot(data), SMALL)
-    return data
+    def make(folder: Path) -> None:
+        execute(STAGE, "Wall", "tiny", DataRoot(write_scene(folder, "Wall", train=24, test=6, seed=0)), SMALL)
+
+    return made_once(tmp_path_factory, "wall", make)
 
 
 @pytest.fixture(scope="session")
-def wall_bundle(trained_wall: Path) -> Path:
+def wall_bundle(trained_wall: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The bundle of that PN, as the command writes it; only to be read."""
     from typer.testing import CliRunner
 
     from groundwalk.export.__main__ import app
 
-    out = trained_wall.parent / "bundle"
-    done = CliRunner().invoke(
-        app,
-        [
-            "--scene",
-            "Wall",
-            "--profile",
-            "tiny",
-            "--data",
-            str(trained_wall),
-            "--format",
-            "phone",
-            "--model",
-            "PN",
-            "--out",
-            str(out),
-        ],
-    )
-    assert done.exit_code == 0, done.exception or done.output
-    return out
+    def make(folder: Path) -> None:
+        options = {"scene": "Wall", "profile": "tiny", "data": trained_wall, "format": "phone", "model": "PN"}
+        arguments = [text for name, value in options.items() for text in (f"--{name}", str(value))]
+        done = CliRunner().invoke(app, [*arguments, "--out", str(folder)])
+        assert done.exit_code == 0, done.exception or done.output
+
+    return made_once(tmp_path_factory, "wall-bundle", make)
 
 
 def wall_picture(position: np.ndarray, yaw_deg: float, seed: int) -> np.ndarray:

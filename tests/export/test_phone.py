@@ -27,6 +27,7 @@ from groundwalk.runtime import open_bundle
 from groundwalk.runtime.bundle import onnx_session
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 from groundwalk.training.build import Trained
+from groundwalk.training.models import anchored_mixture
 from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
 from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.stage import STAGE
@@ -168,7 +169,7 @@ def test_a_covariance_is_exported_with_its_pose(tmp_path: Path) -> None:
         assert given == pytest.approx(model(image).covariance_B66.numpy(), rel=1e-5)
 
 
-# Half a minute each: transformers of many layers.
+# Half a minute: transformers of many layers.
 SLOW_TO_EXPORT = ("MS-T", "MST-Lite")
 
 
@@ -176,8 +177,9 @@ SLOW_TO_EXPORT = ("MS-T", "MST-Lite")
     "name",
     [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW_TO_EXPORT else []) for name in REGRESSORS.builtin],
 )
-def test_every_regressor_has_a_network(name: str, tmp_path: Path) -> None:
+def test_every_regressor_has_a_network(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     torch.manual_seed(0)
+    monkeypatch.setattr(anchored_mixture, "_MEDIAN_STEPS", 2)  # each is some hundred nodes, which take export's time
     entry = REGRESSORS[name]
     model = entry.make(entry.settings(), 1, False).eval()
     networks.write_onnx(Trained(model, ["Wall"], 72, 64, None, 64, False), 64, 64, tmp_path / "a.onnx")
