@@ -294,8 +294,8 @@ def _estimated(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: P
         weak = estimate_lens(fitted, start, np.linalg.inv(_WEAK_PRIOR))
         row = frames.iloc[int(pairs[0, 0])]
         extent = (0.5 * row.width / row.fx, 0.5 * row.height / row.fy)
-        lenses = [[*parameters[:2], *matches.stated_6] for parameters in (weak.parameters, stated)]
-        shift_px = max_shift(*lenses, extent) * row.fx
+        by_images = [*weak.parameters[:2], *matches.stated_6]
+        shift_px = max_shift(by_images, prior.stated, extent) * row.fx
         error = weak.parameters[:2] - stated[:2]
         sigmas = np.sqrt(error @ np.linalg.solve(weak.covariance[:2, :2], error))
         weak_px = _median_px(checked, weak)
