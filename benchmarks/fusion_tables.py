@@ -54,7 +54,7 @@ def main(
         )
     if trained is not None:
         names = write_trained(out / f"trained {models.replace(',', ' and ')}", trained, models.split(","))
-        lines.append(f"trained regressors: simulated scenes, trained on {', '.join(names)}")
+        lines.append(f"trained regressors: in simulated scenes, {', '.join(names)}")
     for kind in filter(None, kinds.split(",")):
         draws = [inputs.simulated_case(kind, scene, model, [0]) for scene in NAMES for model in REGRESSORS]
         write_cases(out / kind, draws, held_out=True)
