@@ -45,8 +45,8 @@ class Kept(Enum):
         return np.where(self.value, _LOST, 0.0)
 
 
-# Predictions that must agree where odometry gave no sign: a look aside takes some seconds.
-_LEAST = {Kept.NOTHING: 7, Kept.PLACE: 4, Kept.HEADING: 7}
+# Predictions that must agree where odometry gave no sign: passing what looks like another place takes some seconds.
+_LEAST = {Kept.NOTHING: 10, Kept.PLACE: 4, Kept.HEADING: 10}
 
 
 class Rival(NamedTuple):
