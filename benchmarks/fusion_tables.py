@@ -92,7 +92,7 @@ def write_trained(folder: Path, trained: Path, models: Sequence[str]) -> list[st
     """The tables of each scene and seed that all of the models were trained with, and their names; UserError where
     there is none."""
     names = []
-    for first in sorted(trained.glob(f"{models[0]}-*/runs/*/*/train")):
+    for first in sorted(trained.glob(f"{models[0]}-[0-9]*/runs/*/*/train")):
         profile, scene, seed = first.parts[-3], first.parts[-2], first.parts[-5].removeprefix(f"{models[0]}-")
         runs = [trained / f"{model}-{seed}" / "runs" / profile / scene for model in models]
         if not all((run / "train" / MANIFEST).is_file() for run in runs):

@@ -272,9 +272,8 @@ def camera_figures(run: Finished) -> list[Figure]:
             of_model = f", model {number + 1}" if number else ""
             for lens in lenses[lenses["model_id"] == model_id].to_dict("records"):
                 subject = lens["lens_id"] + of_model
-                figures += _with_sigma("k1", lens["k1"], lens["k1_sd"], "", subject)
-                figures += _with_sigma("k2", lens["k2"], lens["k2_sd"], "", subject)
-                figures += _with_sigma("k3", lens["k3"], lens["k3_sd"], "", subject)
+                for name in ("k1", "k2", "k3"):
+                    figures += _with_sigma(name, lens[name], lens[f"{name}_sd"], "", subject)
                 figures += _with_sigma("readout", 1000 * lens["readout_s"], 1000 * lens["readout_sd_s"], "ms", subject)
             for session in sessions[sessions["model_id"] == model_id].to_dict("records"):
                 subject = session["session_id"] + of_model

@@ -117,15 +117,8 @@ def _camera_rows(results: Iterable[Result]) -> Iterable[list[str]]:
     yield ["case", "of", "k1", "k2", "k3", "readout ms", "focal scale", "stock k1", "stock k2", "stock focal scale"]
     for r in results:
         for lens in r.subjects("k1"):
-            yield [
-                r.case,
-                lens,
-                *(_with_sigma(r, name, lens) for name in ("k1", "k2", "k3", "readout")),
-                "",
-                "",
-                "",
-                "",
-            ]
+            estimated = [_with_sigma(r, name, lens) for name in ("k1", "k2", "k3", "readout")]
+            yield [r.case, lens, *estimated, *[""] * 4]
         for session in dict.fromkeys([*r.subjects("focal scale"), *r.subjects("k1", STOCK)]):
             stock = [_fixed(r.value(name, STOCK, session)) for name in ("k1", "k2", "focal scale")]
             yield [r.case, session, *[""] * 4, _with_sigma(r, "focal scale", session), *stock]

@@ -1,5 +1,6 @@
 """Typed reading of unchecked logs: numbers, matrices and JSON, with one exception for what is wrong."""
 
+import functools
 import json
 import math
 import stat
@@ -74,9 +75,12 @@ def number(row: Mapping[str, Any], key: str) -> float:
     return to_number(_get(row, key), key)
 
 
-def fisheye_intrinsics(fx_fy_cx_cy: Sequence[float], width: int, height: int, fisheye: Sequence[float]) -> Intrinsics:
-    """Intrinsics with OpenCV's coefficients that a fisheye lens's k1 to k4 come to within the image; BadRow where there
-    are none."""
+@functools.lru_cache(maxsize=256)  # the fit takes milliseconds, and the frames of a capture mostly share a camera
+def fisheye_intrinsics(
+    fx_fy_cx_cy: tuple[float, ...], width: int, height: int, fisheye: tuple[float, ...]
+) -> Intrinsics:
+    """Intrinsics whose distortion (OpenCV's coefficients) is that of a fisheye lens with k1 to k4, within the image;
+    BadRow where no such coefficients describe it."""
     fx, fy, cx, cy = fx_fy_cx_cy
     if not np.isfinite([*fx_fy_cx_cy, *fisheye]).all() or min(fx, fy) <= 0:
         raise BadRow("intrinsics have a value that isn't finite, or a focal length that isn't positive")

@@ -14,7 +14,7 @@ from groundwalk.geometry import Array, GeometryError
 
 _MAX_STEPS, _PRECISION = 50, 1e-13
 _ANGLES, _MAX_ANGLE_DEG = 2000, 80.0
-_FIT_STEPS = 20
+_FIT_STEPS = 10
 
 
 def distort(ideal_M2: Array, coefficients: ArrayLike) -> Array:

@@ -71,20 +71,23 @@ def trajectories(scene: SceneInputs, model: str) -> NamedFigure:
     truth_xy = from_above(poses_of(truth, "map_cam")[:, :3, 3])
     level = _long_side_level(truth_xy)
     truth_xy = truth_xy @ level
-    label = scene.label(model)
-    panels, parts = [], [f"{label} alone"]
-    methods = [m for m in dict.fromkeys([scene.fused_method, scene.ahead(model)]) if m and m not in scene.raw_methods]
-    for method in [None, *methods]:
+    label, ahead = scene.label(model), scene.ahead(model)
+
+    def panel(title: str, poses: pd.DataFrame, column: str, method: str | None = None) -> tuple[str, Array, Array]:
         errors = scene.frame_errors(model, method)
         errors = errors[(errors["session_id"] == session) & (errors["split"] == "test")]
-        title = label + (scene.method_labels[method] if method else "")
-        poses = scene.fused_poses(model, method) if method else scene.predictions[scene.predictions["model"] == model]
-        error = errors["position_m" if method else "apr_position_m"].to_numpy(float)
-        panels.append((title, _positions(errors, poses) @ level, error))
-        if method:
-            rule = "with VIO by the paper's rule" if method == PAPER_METHOD else title
-            parts.append(rule + (", ahead on held-out frames" if method == scene.ahead(model) else ""))
-    caption = f"{scene.name}, test session {session}, from above: {'; '.join(parts)} (left to right). Coloured by "
+        return title, _positions(errors, poses) @ level, errors[column].to_numpy(float)
+
+    panels = [panel(label, scene.predictions[scene.predictions["model"] == model], "apr_position_m")]
+    parts = [f"{label} alone"]
+    for method in dict.fromkeys([scene.fused_method, ahead]):
+        if method is None or method in scene.raw_methods:
+            continue
+        title = label + scene.method_labels[method]
+        panels.append(panel(title, scene.fused_poses(model, method), "position_m", method))
+        rule = "with VIO by the paper's rule" if method == PAPER_METHOD else title
+        parts.append(rule + (", ahead on held-out frames" if method == ahead else ""))
+    caption = f"{scene.name}, test session {session}, from above, from left to right: {'; '.join(parts)}. Coloured by "
     caption += "position error; the thin line joins poses in order of time."
     known = np.concatenate([e[np.isfinite(e)] for _, _, e in panels])
     worst = float(np.percentile(known, 95)) if len(known) else 1.0

@@ -34,7 +34,7 @@ WIDTH = 7.2  # inches, the width of the page's column
 # Text and axes; no data has this colour, so that in SVG it can become the page's own text colour.
 INK = "#1a1a1b"
 
-_FEW_POWERS = 3000.0
+_WIDE_RANGE = 3000.0  # of a logarithmic axis: its largest over its smallest value, from where ticks at 2 and 5 overlap
 _STYLE: Any = {
     "figure.constrained_layout.use": True,
     "figure.facecolor": "none",
@@ -86,7 +86,7 @@ def mark(figure: Figure, text: str) -> None:
 def log_axis(axis: Axis) -> None:
     """A logarithmic axis with ticks, written out, at powers of ten and, over a few of these, 2 and 5 times them."""
     low, high = axis.get_view_interval()
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_POWERS * low else (1.0,)))
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _WIDE_RANGE * low else (1.0,)))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
 

@@ -14,6 +14,7 @@ Documented at https://docs.nerf.studio/quickstart/data_conventions.html. What ma
 The poses are a reference, not VIO. Each folder of images in `images/` is a recording.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -146,14 +147,18 @@ def _intrinsics(row: dict[str, Any]) -> Intrinsics:
     if model not in _MODELS:
         raise BadRow(f"camera_model {str(model)[:40]} is none of {', '.join(_MODELS)}")
     fx, fy, cx, cy = (number(row, key) for key in ("fl_x", "fl_y", "cx", "cy"))
-    keys = _FISHEYE if model == "OPENCV_FISHEYE" else _DISTORTION
-    distortion = tuple(number(row, key) if key in row else 0.0 for key in keys)
+    width, height = whole(row, "w"), whole(row, "h")
     if model == "OPENCV_FISHEYE":
-        return fisheye_intrinsics((fx, fy, cx, cy), whole(row, "w"), whole(row, "h"), distortion)
+        return fisheye_intrinsics((fx, fy, cx, cy), width, height, _coefficients(row, _FISHEYE))
     if row.get("k4"):
         raise BadRow("distortion k4 has no place in OpenCV's model of k1, k2, p1, p2, k3")
+    distortion = _coefficients(row, _DISTORTION)
     known = distortion if model == "OPENCV" and any(distortion) else ()
-    return Intrinsics(fx, fy, cx, cy, whole(row, "w"), whole(row, "h"), known)
+    return Intrinsics(fx, fy, cx, cy, width, height, known)
+
+
+def _coefficients(row: dict[str, Any], keys: Sequence[str]) -> tuple[float, ...]:
+    return tuple(number(row, key) if key in row else 0.0 for key in keys)
 
 
 FORMAT = Format(
