@@ -59,6 +59,11 @@ def undistort(distorted_M2: Array, coefficients: ArrayLike) -> Array:
     return ideal
 
 
+def k1_k2_of_k3(radius: float) -> Array:
+    """The k1 and k2 (2,) that come nearest to k3 = 1, in least squares over a disc of `radius` (focal lengths)."""
+    return np.array([-10 / 21 * radius**4, 10 / 7 * radius**2])
+
+
 def rational_of_fisheye(fisheye_4: ArrayLike, radius: float, tolerance: float) -> Array:
     """Coefficients (8,) of the rational model that are a fisheye lens's within an image radius, in focal lengths.
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from groundwalk.geometry.lens import k1_k2_of_k3
 from groundwalk.simulation.lens import Lens
 from groundwalk.simulation.place import Vec
 from groundwalk.simulation.render import Rendering, View
@@ -67,11 +68,16 @@ def intrinsics(t_s: Vec, width: int, height: int, rng: np.random.Generator) -> V
 def draw_phone(settings: SimulateSettings, scene: str, seed: int) -> Phone:
     """The phone of a scene and seed: what the settings state, and the rest drawn from the spread of real ones."""
     rng = np.random.default_rng([seed, zlib.crc32(f"{scene}/phone".encode())])
-    k1 = _stated(settings.lens_k1, rng.uniform(0.05, 0.12))
+    k1, off_line, readout_s = rng.uniform(0.05, 0.12), rng.uniform(-0.03, 0.03), rng.uniform(0.010, 0.030)
+    is_drawn = settings.lens_k1 == settings.lens_k2 == "drawn"
+    k3 = _stated(settings.lens_k3, rng.uniform(0.0, 0.5) if is_drawn else 0.0)
+    # k1 and k2 were measured without a k3: with one, they are what all three together come nearest to.
+    of_k3 = k3 * k1_k2_of_k3(math.hypot(1, settings.height / settings.width) / 2 / FOCAL)
+    k1 = _stated(settings.lens_k1, k1 - of_k3[0])
     # Measured pairs lie along a line that falls with k1.
-    k2 = float(np.clip(-0.125 - 1.6 * (k1 - 0.085) + rng.uniform(-0.03, 0.03), -0.20, -0.05))
-    lens = Lens(k1, _stated(settings.lens_k2, k2))
-    return Phone(lens, _stated(settings.readout_s, rng.uniform(0.010, 0.030)), settings.time_offset_s)
+    k2 = np.clip(-0.125 - 1.6 * (k1 + of_k3[0] - 0.085) + off_line, -0.20, -0.05) - of_k3[1]
+    lens = Lens(float(k1), float(_stated(settings.lens_k2, k2)), float(k3))
+    return Phone(lens, _stated(settings.readout_s, readout_s), settings.time_offset_s)
 
 
 def _stated(setting: float | Drawn, random: float) -> float:

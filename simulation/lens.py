@@ -1,4 +1,4 @@
-"""A phone's lens as OpenCV describes it (k1, k2), and its inverse: from image points to the rays that they see."""
+"""A phone's lens as OpenCV describes it (k1, k2, k3), and its inverse: from image points to the rays that they see."""
 
 import functools
 import math
@@ -17,27 +17,34 @@ _NEWTON_STEPS = 30
 
 @dataclass(frozen=True)
 class Lens:
-    """Radial distortion in OpenCV's convention: a ray (x, y, 1) is seen at (x, y) (1 + k1 r² + k2 r⁴), r² = x² + y².
+    """Radial distortion in OpenCV's convention: a ray (x, y, 1) of r² = x² + y² is seen at
+    (x, y) (1 + k1 r² + k2 r⁴ + k3 r⁶).
 
-    With k2 < 0 that polynomial folds back at some radius, which a real lens doesn't do. From where its slope has
-    fallen to 0.2, the image radius goes on with this slope, and k1 and k2 no longer describe the picture there.
+    That polynomial may fold back at some radius, which a real lens doesn't do. From where its slope has fallen to 0.2,
+    the image radius goes on with this slope, and the coefficients no longer describe the picture there.
     """
 
     k1: float = 0.0
     k2: float = 0.0
+    k3: float = 0.0
 
     @property
     def is_pinhole(self) -> bool:
         """Whether it leaves all rays where they are."""
-        return self.k1 == 0 and self.k2 == 0
+        return self.k1 == self.k2 == self.k3 == 0
 
     @property
     def last_radius(self) -> float:
         """The largest radius r of rays (x, y, 1) that the polynomial describes; inf where it never folds."""
-        # 1 + 3 k1 s + 5 k2 s² = _MIN_SLOPE, s = r²
-        roots = np.roots([5 * self.k2, 3 * self.k1, 1 - _MIN_SLOPE])
+        # 1 + 3 k1 s + 5 k2 s² + 7 k3 s³ = _MIN_SLOPE, s = r²
+        roots = np.roots([7 * self.k3, 5 * self.k2, 3 * self.k1, 1 - _MIN_SLOPE])
         ahead = [float(s.real) for s in roots if abs(s.imag) < 1e-12 and s.real > 0]
         return math.sqrt(min(ahead)) if ahead else math.inf
+
+    def slope(self, radius: Vec) -> Vec:
+        """Derivative of the polynomial's image radius by `radius` (N,)."""
+        s = radius * radius
+        return 1 + s * (3 * self.k1 + s * (5 * self.k2 + 7 * s * self.k3))
 
     def image_radius(self, radius: Vec) -> Vec:
         """How far from the principal point rays of `radius` (N,) are seen, in focal lengths."""
@@ -45,7 +52,7 @@ class Lens:
         inner = np.minimum(radius, last)
         s = inner * inner
         beyond = np.where(radius > last, radius - inner, 0.0) * _MIN_SLOPE
-        return inner * (1 + s * (self.k1 + s * self.k2)) + beyond
+        return inner * (1 + s * (self.k1 + s * (self.k2 + s * self.k3))) + beyond
 
     def distort(self, xy_N2: Vec) -> Vec:
         """Where rays (x, y, 1) are seen: image points (N, 2) about the principal point, in focal lengths."""
@@ -83,8 +90,7 @@ def _ratios(lens: Lens, reach: float) -> F32:
     for _ in range(_NEWTON_STEPS):
         error = lens.image_radius(radius) - inside
         low, high = np.where(error < 0, radius, low), np.where(error > 0, radius, high)
-        s = radius * radius
-        step = radius - error / np.maximum(1 + s * (3 * lens.k1 + 5 * s * lens.k2), _MIN_SLOPE / 2)
+        step = radius - error / np.maximum(lens.slope(radius), _MIN_SLOPE / 2)
         radius = np.where((step > low) & (step < high), step, (low + high) / 2)
     if math.isfinite(last):
         radius += (image - inside) / _MIN_SLOPE

@@ -45,10 +45,17 @@ class SimulateSettings(Settings):
     texel_m: float = Field(0.012, gt=0, description="texel of near surfaces, metres")
     supersampling: int = Field(2, ge=1, le=4, description="n x n rays a pixel where surfaces meet")
     lens_k1: Annotated[float | Drawn, _between(-0.5, 0.5)] = Field(
-        _PHONE, description='radial distortion k1, OpenCV\'s convention; "drawn": 0.05 to 0.12, by scene and seed'
+        _PHONE,
+        description='radial distortion k1, as OpenCV\'s; "drawn": 0.05 to 0.12 where k3 is 0, by scene and seed',
     )
-    lens_k2: Annotated[float | Drawn, _between(-0.6, 0.6)] = Field(
-        _PHONE, description='radial distortion k2; "drawn": -0.20 to -0.05, the lower the larger k1, by scene and seed'
+    lens_k2: Annotated[float | Drawn, _between(-1, 1)] = Field(
+        _PHONE,
+        description='radial distortion k2; "drawn": -0.20 to -0.05 where k3 is 0, by scene and seed',
+    )
+    lens_k3: Annotated[float | Drawn, _between(-1, 1)] = Field(
+        _PHONE,
+        description='radial distortion k3; "drawn": 0 to 0.5 by scene and seed, with k1 and k2 that make up for it; 0 '
+        "where k1 or k2 is a number",
     )
     readout_s: Annotated[float | Drawn, _between(0, 0.05)] = Field(
         _PHONE, description='rolling shutter: first to last row, seconds; "drawn": 0.010 to 0.030, by scene and seed'

@@ -31,7 +31,7 @@ from groundwalk.simulation.scenes import NAMES, SceneryPlan, scenery
 from groundwalk.simulation.session import Shot, SimulatedSession, outline, plan_session, take
 from groundwalk.simulation.settings import SimulateSettings
 
-VERSION = 3  # goes up when the same settings give other captures
+VERSION = 4  # goes up when the same settings give other captures
 
 
 def simulate(
@@ -186,7 +186,7 @@ def write_truth(folder: Path, sessions: Iterable[SimulatedSession]) -> None:
         rows = pd.DataFrame({"session_id": session.frames.name, "t_ns": session.t_ns})
         poses.append(rows.join(pose_frame("map_cam", truth.world_T_cam)))
         rows[["fx", "fy", "cx", "cy"]] = truth.intrinsics_N4
-        rows[["k1", "k2"]] = phone.lens.k1, phone.lens.k2
+        rows[["k1", "k2", "k3"]] = phone.lens.k1, phone.lens.k2, phone.lens.k3
         rows[["readout_s", "time_offset_s"]] = phone.readout_s, phone.time_offset_s
         rows[[f"velocity_{axis}" for axis in "xyz"]] = truth.velocity_cam_N3
         rows[[f"spin_{axis}" for axis in "xyz"]] = truth.spin_cam_N3

@@ -26,10 +26,12 @@ TABLES = [
             Column("cy", "float64", "true principal point, y", "px"),
             Column("k1", "float64", "radial distortion, OpenCV's convention"),
             Column("k2", "float64", "radial distortion, OpenCV's convention"),
+            Column("k3", "float64", "radial distortion, OpenCV's convention"),
             Column("readout_s", "float64", "time from the first row to the last", "s"),
             Column("time_offset_s", "float64", "t_ns minus the time of the middle row", "s"),
             *(Column(f"velocity_{a}", "float64", f"velocity at the middle row, {a}", "m/s", "cam") for a in "xyz"),
             *(Column(f"spin_{a}", "float64", f"turning rate at the middle row, {a}", "rad/s", "cam") for a in "xyz"),
         ],
+        version="1.1",
     ),
 ]

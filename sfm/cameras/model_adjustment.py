@@ -9,6 +9,7 @@ import pandas as pd
 import pycolmap
 
 from groundwalk.artefacts.tables import poses_of
+from groundwalk.geometry.lens import k1_k2_of_k3
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.sfm.cameras.adjustment import (
     Adjusted,
@@ -215,10 +216,7 @@ def _lens_covariance(lens: Lens, radius: float) -> Array:
 
     The priors of k1 and k2 are of lenses without k3. With one they are what comes nearest to that in the image.
     """
-    r = np.linspace(0, radius, 50)[1:]
-    area = np.sqrt(r)[:, None]
-    in_place_of_k3 = np.linalg.lstsq(area * r[:, None] ** [3, 5], area[:, 0] * r**7, rcond=None)[0]
-    direction = np.array([*-in_place_of_k3, 1.0, 0.0])
+    direction = np.array([*-k1_k2_of_k3(radius), 1.0, 0.0])
     covariance = lens.prior_k3_sd**2 * np.outer(direction, direction)
     others = np.ix_([0, 1, 3], [0, 1, 3])
     covariance[others] += np.array(lens.prior_covariance, float)

@@ -32,7 +32,7 @@ SMALL = [
 
 
 PINHOLE = ["lens_k1=0", "lens_k2=0", "readout_s=0", "focus_breathing=0"]
-PHONE = ["lens_k1=drawn", "lens_k2=-0.11", "readout_s=drawn", "focus_breathing=0.005"]
+PHONE = ["lens_k1=drawn", "lens_k2=-0.11", "lens_k3=0.2", "readout_s=drawn", "focus_breathing=0.005"]
 
 
 def run(root: Path, settings: Sequence[str] = PINHOLE, **more: Any) -> Path:
@@ -89,9 +89,10 @@ def test_a_phones_camera_is_in_the_truth_and_in_the_pictures_but_not_in_the_json
     poses = read_table(folder / "true_poses.parquet", schema("simulate", "true_poses"))
     assert cameras[["session_id", "t_ns"]].equals(poses[["session_id", "t_ns"]])
     # One phone walks all sessions.
-    assert cameras[["k1", "k2", "readout_s", "time_offset_s"]].drop_duplicates().shape == (1, 4)
+    assert cameras[["k1", "k2", "k3", "readout_s", "time_offset_s"]].drop_duplicates().shape == (1, 5)
     assert 0.05 <= cameras.k1[0] <= 0.12
     assert cameras.k2[0] == -0.11
+    assert cameras.k3[0] == 0.2
     assert 0.010 <= cameras.readout_s[0] <= 0.030
     logs = sorted(p.relative_to(folder) for p in folder.rglob("*.json") if p.name != "SIMULATED.json")
     assert [p for p in logs if (folder / p).read_bytes() != (finished / p).read_bytes()] == []
@@ -106,7 +107,7 @@ def test_a_phones_camera_is_in_the_truth_and_in_the_pictures_but_not_in_the_json
 def test_true_velocities_are_those_of_the_true_poses(finished: Path) -> None:
     cameras = read_table(finished / "true_cameras.parquet", schema("simulate", "true_cameras"))
     poses = read_table(finished / "true_poses.parquet", schema("simulate", "true_poses"))
-    assert (cameras[["k1", "k2", "readout_s"]] == 0).all(axis=None)
+    assert (cameras[["k1", "k2", "k3", "readout_s"]] == 0).all(axis=None)
     one = (poses.session_id == "train-1").to_numpy()
     world_T_cam, t_s = poses_of(poses[one], "map_cam"), poses.t_ns[one].to_numpy() / 1e9
     step = np.diff(t_s)[:, None]
