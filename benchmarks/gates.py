@@ -1,4 +1,4 @@
-"""Do the checks find what is broken, and name it? `python -m benchmarks.gates --out build/gates`
+"""Do the checks find what is broken, and name it? `python -m benchmarks.gates`
 
 Thirty broken inputs, five of each kind, ten captures that state a wrong distortion, ten short walks (0.5 to 3 m), whose
 scale must be within its 95 % bounds, and thirty clean ones, all small simulated captures, go through import, sfm and
@@ -9,15 +9,20 @@ are the frames with ground truth, `wrong` those of them that are so, the same of
 is worth little if wrong labels go out beside it. `lost` are registered frames without ground truth, `lost, right` those
 of them that SfM had placed rightly within their model.
 
-Each case is written down when it's done; the same command goes on with the rest. `--seconds` ends a slice.
+Each case is written down when it's done; the same command goes on with the rest. `--seconds` ends a slice. Writes
+docs/results/gates.md and .csv.
 """
 
+import csv
 import json
+import os
+import platform
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,12 +43,14 @@ from benchmarks.gates_breaking import (
     with_walk_of,
 )
 from benchmarks.gates_captures import CORRIDOR, Capture, write_capture
+from benchmarks.results import markdown_table
 from groundwalk.alignment.stage import STAGE as ALIGN
 from groundwalk.artefacts import DataRoot, Stage, UserError, execute
 from groundwalk.artefacts.choices import FailureCause
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.stage import git_revision
 from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.capture_import.stage import STAGE as IMPORT
 from groundwalk.geometry import GeometryError
@@ -106,15 +113,19 @@ class Labels:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a case: the fault that was found and where, its words, and its frames."""
+    """What became of a case: the fault that was found and where, its words, and its frames; its capture by place, seed
+    and number of walks."""
 
     case: str
+    capture: str
     expected: str
     fault: str
     stage: str
     message: str
     labels: Labels
     seconds: float
+    revision: str
+    date: str
 
     @property
     def right(self) -> bool:
@@ -164,7 +175,8 @@ def run_case(case: Case, captures: Path) -> Outcome:
         breaking(data.captures(scene))
         fault, stage, message = _named_fault(data, scene, case)
         labels = _labels(data, scene)
-    return Outcome(case.name, case.expected, fault, stage, message, labels, time.monotonic() - start)
+    run = (time.monotonic() - start, git_revision(), f"{datetime.now(UTC):%Y-%m-%d}")
+    return Outcome(case.name, case.capture.name, case.expected, fault, stage, message, labels, *run)
 
 
 def _rendered(captures: Path, capture: Capture) -> Path:
@@ -279,36 +291,36 @@ def _errors(true_T_cam: Array, b_T_cam: Array, fit: Callable[[Array, Array, Arra
 
 @app.command()
 def main(
-    out: Annotated[Path, typer.Option(help="Where the table goes, and what is kept between slices.")] = Path(
-        "build/gates"
-    ),
+    work: Annotated[
+        Path, typer.Option(help="Captures, and results of the cases that ran, which aren't run again.")
+    ] = Path("build/gates"),
+    out: Annotated[Path, typer.Option(help="Folder for the tables.")] = Path("docs/results"),
     only: Annotated[str, typer.Option(help="Only cases whose name begins so.")] = "",
     seconds: Annotated[float, typer.Option(help="Start no further case after this long; 0: no end.")] = 0.0,
     again: Annotated[bool, typer.Option("--again", help="Forget what was found before.")] = False,
 ) -> None:
-    """Run the cases that are left; prints the table; exits with 1 where a case isn't right."""
+    """Run the cases that are left and write the tables; exits with 1 where a case isn't right."""
     start = time.monotonic()
-    done = out / "cases"
+    results = work / "cases"
     if again:
-        shutil.rmtree(done, ignore_errors=True)
-    done.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(results, ignore_errors=True)
+    results.mkdir(parents=True, exist_ok=True)
     for case in cases():
-        path = done / f"{case.name.replace(' ', '-')}.json"
+        path = results / f"{case.name.replace(' ', '-')}.json"
         if not case.name.startswith(only) or path.is_file():
             continue
         if seconds and time.monotonic() - start > seconds:
             break
-        outcome = run_case(case, out / "captures")
+        outcome = run_case(case, work / "captures")
         path.write_text(json.dumps(asdict(outcome), indent=2) + "\n", encoding="utf-8")
         print(
             f"{outcome.case}: expected {outcome.expected}, found {outcome.fault} ({outcome.seconds:.0f} s)", flush=True
         )
     names = [case.name for case in cases()]
-    outcomes = [_outcome(path) for path in done.glob("*.json")]
+    outcomes = [_outcome(path) for path in results.glob("*.json")]
     outcomes.sort(key=lambda outcome: names.index(outcome.case))
-    table = _table(outcomes, len(names))
-    (out / "gates.md").write_text(table, encoding="utf-8")
-    print(table)
+    _write(outcomes, out)
+    print((out / "gates.md").read_text(encoding="utf-8"))
     if not all(outcome.right for outcome in outcomes):
         raise typer.Exit(1)
 
@@ -318,45 +330,66 @@ def _outcome(path: Path) -> Outcome:
     return Outcome(**content | {"labels": Labels(**content["labels"])})
 
 
-def _table(outcomes: list[Outcome], wanted: int) -> str:
-    columns = ["given", "wrong", "given A, B", "wrong A, B", "lost", "lost, right", "worst, m", "scale error ± sd, %"]
-    lines = [
-        "Simulated captures.",
-        "",
-        f"| case | expected | found | by | right | frames | {' | '.join(columns)} |",
-        "|---" * (6 + len(columns)) + "|",
+def _write(outcomes: list[Outcome], out: Path) -> None:
+    """Write docs/results/gates.md and .csv."""
+    revisions, dates = (sorted({getattr(o, name) for o in outcomes}) for name in ("revision", "date"))
+    sections = [
+        "# Gates: what is broken is found and named",
+        "Written by `python -m benchmarks.gates`, not to be edited; `gates.csv` has every figure. All simulated: small "
+        "captures, 320x240, of a phone whose lens and shutter nobody states, taken through import, sfm and align. A "
+        "capture is named by place, seed, number of walks and, where it is short, length.",
+        f"Machine: {platform.machine()}, {os.cpu_count()} cores. Revisions: {', '.join(revisions)}; dates: "
+        f"{', '.join(dates)}.",
+        markdown_table(_summary(outcomes)),
+        "Wrong: more than 25 cm or 2 degrees from the truth. Lost: registered, without ground truth.",
+        markdown_table(_rows(outcomes)),
     ]
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "gates.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+    with (out / "gates.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        columns = [name for name in asdict(outcomes[0]) if name != "labels"] if outcomes else []
+        writer.writerow([*columns, *asdict(Labels())])
+        writer.writerows([*(getattr(o, name) for name in columns), *asdict(o.labels).values()] for o in outcomes)
+
+
+def _summary(outcomes: list[Outcome]) -> Iterator[Sequence[str]]:
+    wanted = list(cases())
+    yield "inputs", "run", "what became of them", "to reach", "frames with ground truth, wrong; of class A and B, wrong"
+    for name, limit in (("broken", "all caught"), (LENS, "all named"), (SHORT, "≥ 9 of 10"), (CLEAN, "none refused")):
+        group = [o for o in outcomes if _group(o.expected) == name]
+        right, caught = sum(o.right for o in group), sum(o.fault != NOTHING for o in group)
+        became = {
+            "broken": f"{caught} caught, {right} named rightly",
+            LENS: f"{right} named",
+            SHORT: f"{right} accepted with their scale within its 95 % bounds",
+            CLEAN: f"{len(group) - right} refused",
+        }
+        given, wrong, sure, wrong_ab = (
+            sum(getattr(o.labels, column) for o in group) for column in ("given", "wrong", "given_ab", "wrong_ab")
+        )
+        label = {SHORT: "clean, short walks (0.5 to 3 m)"}.get(name, name)
+        total = sum(_group(case.expected) == name for case in wanted)
+        yield label, f"{len(group)} of {total}", became[name], limit, f"{given}, {wrong}; {sure}, {wrong_ab}"
+
+
+def _group(expected: str) -> str:
+    return expected if expected in (LENS, SHORT, CLEAN) else "broken"
+
+
+def _rows(outcomes: list[Outcome]) -> Iterator[Sequence[str]]:
+    yield (
+        *("case", "capture", "expected", "found", "by", "right", "frames", "given", "wrong", "given A, B"),
+        *("wrong A, B", "lost", "lost, right", "worst, m", "scale error ± sd, %"),
+    )
     for o in outcomes:
         n = o.labels
-        worst = "" if n.worst_m is None else f"{n.worst_m:.3f}"
         counts = [n.frames, n.given, n.wrong, n.given_ab, n.wrong_ab, n.lost, n.lost_right]
+        worst = "" if n.worst_m is None else f"{n.worst_m:.3f}"
         scale = "" if n.scale_error is None else f"{100 * n.scale_error:+.2f}"
         scale += "" if n.scale_sd is None else f" ± {100 * n.scale_sd:.2f}"
-        cells = [o.case, o.expected, o.fault, o.stage, "yes" if o.right else "**no**", *counts, worst, scale]
-        lines.append(f"| {' | '.join(map(str, cells))} |")
-    short = [o for o in outcomes if o.expected == SHORT]
-    broken = [o for o in outcomes if o.expected not in (CLEAN, SHORT)]
-    clean = [o for o in outcomes if o.expected == CLEAN]
-    caught = sum(o.fault != NOTHING for o in broken)
-    lost, registered = (sum(getattr(o.labels, name) for o in clean) for name in ("lost", "registered"))
-    lines += [
-        "",
-        f"{len(outcomes)} of {wanted} cases run. Broken: {caught} of {len(broken)} caught, "
-        f"{sum(o.right for o in broken)} named rightly; {_given_out(broken)}. Short: {sum(o.right for o in short)} of "
-        f"{len(short)} accepted with their scale within its bounds; {_given_out(short)}. Clean: "
-        f"{sum(not o.right for o in clean)} of {len(clean)} refused; {_given_out(clean)}; "
-        f"{lost} of {registered} registered frames have none, "
-        f"{sum(o.labels.lost_right for o in clean)} of them placed rightly by SfM.",
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _given_out(outcomes: list[Outcome]) -> str:
-    wrong_ab, given_ab, wrong, given = (
-        sum(getattr(o.labels, name) for o in outcomes) for name in ("wrong_ab", "given_ab", "wrong", "given")
-    )
-    return f"{wrong} of {given} frames with ground truth are wrong, {wrong_ab} of the {given_ab} of class A and B"
+        right = "yes" if o.right else "**no**"
+        yield o.case, o.capture, o.expected, o.fault, o.stage, right, *map(str, counts), worst, scale
 
 
 if __name__ == "__main__":
