@@ -3,14 +3,15 @@
 Trains each regressor alone, on the ground truth of finished runs (import, sfm, align), once a seed, and holds its
 answers to the test frames against it: errors, how honest its covariances are, and processor time. Then PN-Lite's
 settings, one at a time. What was trained stays in the folder `work`, so that a run that was stopped goes on. Writes
-docs/results/regressors.md and .csv.
+docs/results/regressors.md and .csv; there a case that isn't trained anew keeps its rows, with their revision.
 """
 
 import csv
 import json
 import os
 import resource
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +26,7 @@ from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.manifests import MANIFEST
 from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.stage import git_revision
 from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
 from groundwalk.training.stage import STAGE
@@ -59,6 +61,19 @@ FIGURES = {
 }
 
 
+@dataclass(frozen=True)
+class Training:
+    """Figures of one training, by name, with the seed and the revision of the code that trained."""
+
+    seed: int
+    revision: str
+    figures: Mapping[str, float]
+
+
+# Of each table, the trainings of each of its cases.
+Results = dict[str, dict[str, list[Training]]]
+
+
 def errors_and_honesty(predictions: pd.DataFrame, truth: pd.DataFrame) -> dict[str, float]:
     """The figures of a regressor's answers to test frames; those of covariances only where it states them."""
     test = predictions[predictions["split"] == "test"]
@@ -82,9 +97,7 @@ def errors_and_honesty(predictions: pd.DataFrame, truth: pd.DataFrame) -> dict[s
     return figures
 
 
-def trained(
-    work: Path, data: DataRoot, scene: str, profile: str, seed: int, settings: Sequence[str]
-) -> dict[str, float]:
+def trained(work: Path, data: DataRoot, scene: str, profile: str, seed: int, settings: Sequence[str]) -> Training:
     """Train as the settings say in a data folder of its own below `work`, and score the answers."""
     run = DataRoot(work).run(profile, scene, "train")
     run.parent.mkdir(parents=True, exist_ok=True)
@@ -99,8 +112,10 @@ def trained(
         seconds = processor_seconds() - before
         predictions = read_table(folder / "predictions.parquet", schema("train", "predictions"))
         truth = read_table(run.parent / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
-        scores.write_text(json.dumps(errors_and_honesty(predictions, truth) | {"training": seconds}))
-    return dict(json.loads(scores.read_text()))
+        figures = errors_and_honesty(predictions, truth) | {"training": seconds}
+        scores.write_text(json.dumps({"revision": git_revision(), "figures": figures}))
+    content = json.loads(scores.read_text())
+    return Training(seed, content["revision"], content["figures"])
 
 
 def link(path: Path, target: Path) -> None:
@@ -124,13 +139,14 @@ def ablation_settings(changes: Iterable[str]) -> list[str]:
     return [c if c.startswith(_STAGE_WIDE) else f"regressors.{ABLATED}.{c}" for c in changes]
 
 
-def table(rows: dict[str, list[dict[str, float]]]) -> str:
-    """A row a case: each figure's mean over the seeds, with the range of the medians' and means' values."""
-    heads = [name for name in FIGURES if any(name in one for runs in rows.values() for one in runs)]
-    lines = [["case", "seeds", *(f"{name} ({FIGURES[name]})" if FIGURES[name] else name for name in heads)]]
-    for case, runs in rows.items():
-        cells = [cell(np.array([one[name] for one in runs if name in one])) for name in heads]
-        lines.append([case, str(len(runs)), *cells])
+def table(cases: Mapping[str, Sequence[Training]]) -> str:
+    """A row a case: each figure's mean over the seeds, with its range."""
+    heads = [name for name in FIGURES if any(name in run.figures for runs in cases.values() for run in runs)]
+    units = [f"{name} ({FIGURES[name]})" if FIGURES[name] else name for name in heads]
+    lines = [["case", "seeds", *units, "revision"]]
+    for case, runs in cases.items():
+        cells = [cell(np.array([run.figures[name] for run in runs if name in run.figures])) for name in heads]
+        lines.append([case, str(len(runs)), *cells, ", ".join(dict.fromkeys(run.revision for run in runs))])
     return markdown_table(lines)
 
 
@@ -143,7 +159,29 @@ def cell(values: NDArray[np.float64]) -> str:
     return text if len(values) == 1 else f"{text} ({values.min():.{digits}f} to {values.max():.{digits}f})"
 
 
-def write(out: Path, profile: str, results: dict[str, dict[str, list[dict[str, float]]]]) -> None:
+def earlier(file: Path) -> Results:
+    """The trainings that an earlier regressors.csv has."""
+    results: Results = {}
+    if file.is_file():
+        keys = ["table", "case", "seed", "revision"]
+        for (title, case, seed, revision), rows in pd.read_csv(file).groupby(keys, sort=False):
+            figures = dict(zip(rows["figure"], rows["value"], strict=True))
+            results.setdefault(title, {}).setdefault(case, []).append(Training(int(seed), revision, figures))
+    return results
+
+
+def together(before: Results, now: Results) -> Results:
+    """All cases in the standard order: what was trained now, and where a case wasn't, what was trained before."""
+    order = [*MODELS, *(f"{ABLATED}, {name}" for name in ABLATIONS)]
+    results: Results = {}
+    for title in sorted({**now, **before}):
+        cases = {**before.get(title, {}), **now.get(title, {})}
+        rank = {case: order.index(case) if case in order else len(order) for case in cases}
+        results[title] = {case: cases[case] for case in sorted(cases, key=lambda case: rank[case])}
+    return results
+
+
+def write(out: Path, profile: str, results: Results) -> None:
     """regressors.md and regressors.csv."""
     parts = [
         "# Regressors beside each other",
@@ -152,7 +190,8 @@ def write(out: Path, profile: str, results: dict[str, dict[str, list[dict[str, f
         f"of profile `{profile}`, and asked about the test frames. Scenes without captures of their own are simulated. "
         "Cells are means over the seeds, with their range. In bounds: of the stated covariances, 95 %; the rank "
         "correlation is Spearman's of the stated deviation and the true error. Processor seconds are of the whole "
-        "stage: reading images, training and predicting.",
+        "stage: reading images, training and predicting. The revision is that of the code that trained the row; the "
+        "one below that of the code that wrote the page.",
         "",
         circumstances(),
     ]
@@ -160,13 +199,16 @@ def write(out: Path, profile: str, results: dict[str, dict[str, list[dict[str, f
     for title, cases in results.items():
         parts += ["", f"## {title}", "", table(cases)]
         for case, runs in cases.items():
-            for seed, figures in enumerate(runs):
-                rows += [(title, case, seed, name, f"{value:.6g}", FIGURES[name]) for name, value in figures.items()]
+            for run in runs:
+                rows += [
+                    (title, case, run.seed, name, f"{value:.6g}", FIGURES[name], run.revision)
+                    for name, value in run.figures.items()
+                ]
     out.mkdir(parents=True, exist_ok=True)
     (out / "regressors.md").write_text("\n".join(parts) + "\n", encoding="utf-8")
     with (out / "regressors.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("table", "case", "seed", "figure", "value", "unit"))
+        writer.writerow(("table", "case", "seed", "figure", "value", "unit", "revision"))
         writer.writerows(rows)
 
 
@@ -184,7 +226,7 @@ def main(
 ) -> None:
     """Train, score, and write the tables."""
     root = DataRoot(data)
-    results: dict[str, dict[str, list[dict[str, float]]]] = {}
+    results: Results = {}
     for scene in scenes.split(","):
         cases = {model: (f'models=["{model}"]',) for model in models.split(",")}
         changed = {
@@ -198,10 +240,10 @@ def main(
                     if not train and not (folder / f"{scene}.json").exists():
                         continue
                     folder.mkdir(parents=True, exist_ok=True)
-                    figures = trained(folder, root, scene, profile, seed, settings)
-                    results.setdefault(title, {}).setdefault(case, []).append(figures)
-                    typer.echo(f"{scene}, {case}, seed {seed}: {json.dumps(figures)}")
-    write(out, profile, results)
+                    training = trained(folder, root, scene, profile, seed, settings)
+                    results.setdefault(title, {}).setdefault(case, []).append(training)
+                    typer.echo(f"{scene}, {case}, seed {seed}: {json.dumps(training.figures)}")
+    write(out, profile, together(earlier(out / "regressors.csv"), results))
     typer.echo(f"{out / 'regressors.md'}; load {os.getloadavg()[0]:.1f}")
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,9 +21,9 @@ _BATCH = 32
 @dataclass(frozen=True)
 class FeatureCache:
     """Features of each training image and of its turned and re-coloured copies: row c * N + i is copy c of frame i,
-    copy 0 the image itself. They are float16, in one file for each tensor."""
+    copy 0 the image itself. In the files, one for each tensor, they are float16."""
 
-    features: tuple[NDArray[np.float16], ...]
+    features: tuple[NDArray[np.floating[Any]], ...]
     quaternion_M4: NDArray[np.float64]
     training: Frames
 

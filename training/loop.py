@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -26,6 +26,7 @@ CHECKPOINT = "checkpoint.pt"
 _SCORED_EPOCHS = 5
 _GROWTH = 10.0  # by how many times itself the first epoch's loss may grow
 _FIT_ROWS = 2000  # features are whitened by so many rows at most
+_REDUCED_ROWS = 512  # at once
 _FEATURES = "features"
 
 
@@ -47,8 +48,8 @@ class Source(Protocol):
 
     scene_N: NDArray[np.int64]
 
-    def prepare(self) -> None:
-        """Called once, before the first epoch of a run that doesn't resume one."""
+    def prepare(self, resumed: bool) -> None:
+        """Called once before the first epoch, after the checkpoint of a resumed run is loaded."""
 
     def loss(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Tensor:
         """The training loss over some rows."""
@@ -68,7 +69,7 @@ class ImageSource:
         self.model, self.training, self.held_out, self.settings, self.run = model, training, held_out, settings, run
         self.scene_N = training.scene_N
 
-    def prepare(self) -> None:
+    def prepare(self, resumed: bool) -> None:
         pass
 
     def loss(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Tensor:
@@ -84,7 +85,7 @@ class ImageSource:
 
 
 class FeatureSource:
-    """Features of a frozen backbone, of each training image and its copies."""
+    """Features of a frozen backbone, of each training image and its copies, reduced once."""
 
     def __init__(
         self, report: Report, model: FrozenRegressor, training: Frames, held_out: Frames, settings: Any, run: Run
@@ -95,9 +96,23 @@ class FeatureSource:
         with torch.no_grad():
             self.held_out_features = model.eval().features(held_out.centre_crops(run.view, run.device))
 
-    def prepare(self) -> None:
-        rows = np.linspace(0, len(self.scene_N) - 1, min(len(self.scene_N), _FIT_ROWS)).astype(np.int64)
-        self.model.fit_features(self.cache.rows(rows, self.run.device)[0])
+    @torch.no_grad()
+    def prepare(self, resumed: bool) -> None:
+        first, *others = self.cache.features
+        if not resumed:
+            rows = np.linspace(0, len(first) - 1, min(len(first), _FIT_ROWS)).astype(np.int64)
+            self.model.fit_features(self.cache.rows(rows, self.run.device)[0])
+        parts = [
+            torch.from_numpy(np.array(first[start : start + _REDUCED_ROWS]))
+            for start in range(0, len(first), _REDUCED_ROWS)
+        ]
+        reduced = torch.cat([self.model.reduced(part.to(self.run.device)).cpu() for part in parts])
+        self.cache = replace(self.cache, features=(reduced.numpy(), *others))
+        if not resumed:
+            (captured, *_), poses = self.cache.rows(np.arange(len(self.cache.training)), self.run.device)
+            self.model.fit_training_images(captured, poses)
+        held_out, *maps = self.held_out_features
+        self.held_out_features = self.model.reduced(held_out), *maps
 
     def loss(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Tensor:
         features, poses = self.cache.rows(rows, self.run.device)
@@ -140,8 +155,7 @@ def train(
         model.load_state_dict(saved["model"])
         optimiser.load_state_dict(saved["optimiser"])
         history, best = saved["history"], saved["best"]
-    else:
-        source.prepare()
+    source.prepare(resumed=bool(history))
 
     report(len(history))
     saved_at = time.monotonic()

@@ -50,7 +50,7 @@ def step_seconds(
         frames = training.select(rows)
         image = normalised(frames.training_crops(view, None, np.random.default_rng(0), device)[0])
         image, poses = image.contiguous(memory_format=torch.channels_last), frames.poses(device)
-        features = model.features(image) if isinstance(model, FrozenRegressor) else None
+        features = model.reduced_features(image) if isinstance(model, FrozenRegressor) else None
 
         def loss() -> Tensor:
             if isinstance(model, FrozenRegressor) and features is not None:

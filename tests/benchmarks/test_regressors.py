@@ -1,9 +1,20 @@
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 from known import cells
 
-from benchmarks.regressors import ABLATIONS, ablation_settings, cell, errors_and_honesty
+from benchmarks.regressors import (
+    ABLATIONS,
+    Training,
+    ablation_settings,
+    cell,
+    earlier,
+    errors_and_honesty,
+    together,
+    write,
+)
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import make_pose, yaw_rotation
 
@@ -33,3 +44,17 @@ def test_settings_and_cells() -> None:
     ]
     assert all(ABLATIONS.values())
     assert cell(np.array([1.0, 2.0])) == "1.50 (1.00 to 2.00)" and cell(np.array([])) == "-"
+
+
+def test_a_case_that_is_not_trained_anew_keeps_its_rows_and_their_revision(tmp_path: Path) -> None:
+    def training(revision: str, seed: int = 0) -> Training:
+        return Training(seed, revision, {"position mean": 2.0 + seed})
+
+    write(tmp_path, "demo", {"Church": {"PN-Lite": [training("old"), training("old", 1)], "PN": [training("old")]}})
+    before = earlier(tmp_path / "regressors.csv")
+    results = together(before, {"Church": {"PN-Lite": [training("new")]}, "Office": {"PN": [training("new")]}})
+    assert list(results) == ["Church", "Office"] and list(results["Church"]) == ["PN", "PN-Lite"]
+    assert results["Church"] == {"PN": [training("old")], "PN-Lite": [training("new")]}
+    write(tmp_path, "demo", results)
+    assert earlier(tmp_path / "regressors.csv") == results
+    assert "| PN | 1 | 2.00 | old |" in (tmp_path / "regressors.md").read_text(encoding="utf-8")

@@ -19,8 +19,10 @@ from groundwalk.training.loop import Run, refuse_divergence, take_best, train
 from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
 from groundwalk.training.models.efficientnet_lite import EfficientNetLite0, folded
 from groundwalk.training.models.ms_transformer_lite import MSTransformerLite
-from groundwalk.training.models.posenet_lite import PoseNetLite, Whitening
+from groundwalk.training.models.posenet_lite import ChannelComponents, PoseNetLite, Whitening
 from groundwalk.training.models.regressor import PoseBatch
+from groundwalk.training.models.training_distance import TrainingDistance
+from groundwalk.training.models.uncertainty import CovarianceScale, resized
 from groundwalk.training.regressor_settings import LiteSettings, MSTransformerLiteSettings
 from groundwalk.training.stage import STAGE
 
@@ -129,7 +131,7 @@ def test_the_answer_is_the_median_and_its_covariance_has_the_other_places() -> N
 
 def test_calibration_brings_nine_in_ten_within_bounds() -> None:
     torch.manual_seed(0)
-    mixture, count = PoseMixture(1, 1), 400
+    mixture, scale, count = PoseMixture(1, 1), CovarianceScale(), 400
     scene, identity = torch.zeros(count, dtype=torch.long), torch.tensor([[0.0, 0, 0, 1]]).repeat(count, 1)
     outputs = torch.zeros(count, OUTPUTS)
     truth = PoseBatch(torch.randn(count, 3), identity, scene)
@@ -137,12 +139,59 @@ def test_calibration_brings_nine_in_ten_within_bounds() -> None:
     def within() -> float:
         answer = mixture.poses(outputs, scene)
         assert answer.covariance_B66 is not None
-        squared = truth.position_B3.square().sum(1) / answer.covariance_B66[:, 3, 3]
+        squared = truth.position_B3.square().sum(1) / scale(answer.covariance_B66)[:, 3, 3]
         return float((squared < 6.25).float().mean())
 
     assert within() < 0.5
-    mixture.covariance_scale.fit(mixture.poses(outputs, scene), truth)
+    scale.fit(mixture.poses(outputs, scene), truth)
     assert within() == pytest.approx(0.9, abs=0.01)
+
+
+def test_distance_is_about_one_at_training_images_and_grows_with_features_and_poses() -> None:
+    torch.manual_seed(0)
+    count, identity = 60, torch.tensor([[0.0, 0, 0, 1]]).repeat(60, 1)
+    features, position, scene = torch.randn(count, 16), torch.randn(count, 3), torch.zeros(count, dtype=torch.long)
+    distance = TrainingDistance(1, 16)
+    distance.fit(features, position, identity, scene)
+    near = distance(features[:10] + 0.5 * torch.randn(10, 16), position[:10] + 0.1, identity[:10], scene[:10])
+    unlike = distance(3 * features[:10], position[:10] + 0.1, identity[:10], scene[:10])
+    outside = distance(features[:10], position[:10] + 5, identity[:10], scene[:10])
+    assert 0.1 < near.median() < 3
+    assert (unlike > near).all() and (outside > 3 * near).all()
+    for few in (1, 2, 5):
+        distance = TrainingDistance(1, 16)
+        distance.fit(features[:few], position[:few], identity[:few], scene[:few])
+        answer = distance(features, position, identity, scene)
+        assert torch.isfinite(answer).all() and (answer > 0).all()
+
+
+def test_resized_covariances_keep_their_correlations() -> None:
+    half = torch.randn(4, 6, 6, generator=torch.Generator().manual_seed(0))
+    covariance = half @ half.mT + torch.eye(6)
+    sd = torch.tensor([[0.1, 3.0]]).repeat(4, 1)
+    changed = resized(covariance, sd)
+    squares = changed.diagonal(dim1=1, dim2=2)
+    assert torch.allclose(squares[:, :3].sum(1).sqrt(), sd[:, 0]) and torch.allclose(
+        squares[:, 3:].sum(1).sqrt(), sd[:, 1]
+    )
+
+    def correlations(matrix: torch.Tensor) -> torch.Tensor:
+        by = matrix.diagonal(dim1=1, dim2=2).rsqrt()
+        return by[:, None] * matrix * by[..., None]
+
+    assert torch.allclose(correlations(changed), correlations(covariance), atol=1e-5)
+
+
+def test_components_of_channels_keep_what_varies_together() -> None:
+    torch.manual_seed(0)
+    cells = torch.randn(50, 2, 7)  # of two causes
+    features = torch.einsum("nkc,kf->nfc", cells, torch.randn(2, 12)).flatten(1)
+    channels = ChannelComponents(12, 2)
+    channels.fit(features)
+    kept = channels(features).unflatten(1, (7, 2))
+    centred = features - features.mean(0)
+    again = torch.einsum("nck,fk->nfc", kept - kept.mean(0), channels.axes).flatten(1)
+    assert torch.allclose(again, centred, atol=1e-4)
 
 
 def test_whitened_features_have_unit_variance_and_need_none() -> None:
@@ -242,8 +291,10 @@ def test_the_transformer_holds_several_scenes() -> None:
     poses = PoseBatch(torch.randn(6, 3), torch.tensor([[0.0, 0, 0, 1]]).repeat(6, 1), torch.tensor([0, 0, 0, 1, 1, 1]))
     model.frames.fit(poses, True, False)
     model.mixture.fit(*model.frames.from_map(poses), poses.scene_B)
-    features = model.features(torch.randn(6, 3, 33, 47))
-    model.fit_features(features)
+    first, *maps = model.features(torch.randn(6, 3, 33, 47))
+    model.fit_features((first, *maps))
+    features = (model.reduced(first), *maps)
+    model.fit_training_images(features[0], poses)
     optimiser = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=3e-3)
     for _ in range(60):
         optimiser.zero_grad()

@@ -15,14 +15,14 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
 from groundwalk.training.models.regressor import PoseBatch
-from groundwalk.training.models.uncertainty import CovarianceScale, rotation_vector
+from groundwalk.training.models.uncertainty import rotation_vector
 from groundwalk.training.rotations import canonical, exp_quaternion, multiply
 
 OUTPUTS = 9  # of the network a component: logit, position and rotation beside the anchor's, logarithms of both scales
 _MEDIAN_STEPS = 12
 _FIRST_LOG_SCALE = -1.5  # of positions in standard deviations, and of rotations in radians
 _LOG_SCALES = (-6.0, 3.0)
-_VARIANCE = 4.0  # a coordinate's, in squared scales, of a density that falls as exp(-distance / scale) in space
+VARIANCE = 4.0  # a coordinate's, in squared scales, of a density that falls as exp(-distance / scale) in space
 
 
 class Components(NamedTuple):
@@ -49,7 +49,6 @@ class PoseMixture(nn.Module):
         self.components = components
         self.register_buffer("position_SK3", torch.zeros(scenes, components, 3))
         self.register_buffer("quaternion_SK4", torch.tensor([0.0, 0, 0, 1]).repeat(scenes, components, 1))
-        self.covariance_scale = CovarianceScale()
 
     def fit(self, position_N3: Tensor, quaternion_N4: Tensor, scene_N: Tensor) -> None:
         """Put each scene's anchors at the means of clusters of its training poses."""
@@ -107,8 +106,14 @@ class PoseMixture(nn.Module):
         errors = torch.cat([turn, c.position_BK3 - position[:, None]], dim=-1)
         covariance = torch.einsum("bk,bki,bkj->bij", weight, errors, errors)
         variances = [(weight * s).sum(-1, keepdim=True).expand(-1, 3) for s in (turn_spread, spread)]
-        covariance = covariance + _VARIANCE * torch.diag_embed(torch.cat(variances, dim=-1))
-        return PoseBatch(position, quaternion, scene_B, self.covariance_scale(covariance))
+        covariance = covariance + VARIANCE * torch.diag_embed(torch.cat(variances, dim=-1))
+        return PoseBatch(position, quaternion, scene_B, covariance)
+
+    def typical_scales(self, outputs: Tensor, scene_B: Tensor) -> Tensor:
+        """Geometric means (B, 2) of the components' scales, in rotation and in position."""
+        c = self.decode(outputs, scene_B)
+        logs = torch.stack([c.log_rotation_scale_BK, c.log_position_scale_BK], dim=-1)
+        return (c.log_weight_BK.exp()[..., None] * logs).sum(1).exp()
 
 
 def _clusters(

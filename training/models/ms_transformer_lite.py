@@ -87,8 +87,8 @@ class MSTransformerLite(LiteRegressor):
 
     def _decode(self, features: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
         """Both branches' vectors (B, S, 512) and the scene logits (B, S)."""
-        pooled, map_8, map_16 = (part.float() for part in features)
-        summary = self.summary_dropout(self.whitening(pooled))
+        whitened, map_8, map_16 = (part.float() for part in features)
+        summary = self.summary_dropout(whitened)
         branches = self.position_transformer(map_16, summary), self.rotation_transformer(map_8, summary)
         vectors = torch.cat(branches, dim=-1)
         return vectors, self.scene_logit(vectors).squeeze(-1) + self.summary_logits(summary)
@@ -106,7 +106,7 @@ class MSTransformerLite(LiteRegressor):
     def answer(self, features: tuple[Tensor, ...]) -> PoseBatch:
         vectors, logits = self._decode(features)
         scene = logits.argmax(dim=1)
-        return self.mixed(self._outputs(vectors, scene), scene)
+        return self.mixed(self._outputs(vectors, scene), features[0], scene)
 
     def feature_loss(self, features: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
         """The mixture's negative log-likelihood, plus the scene's."""

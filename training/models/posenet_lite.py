@@ -5,18 +5,43 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
+from groundwalk.training.models.anchored_mixture import OUTPUTS, VARIANCE, PoseMixture
 from groundwalk.training.models.efficientnet_lite import MAP_CHANNELS, EfficientNetLite0
 from groundwalk.training.models.posenet import single_scene
 from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch, SceneFrames
+from groundwalk.training.models.training_distance import TrainingDistance
+from groundwalk.training.models.uncertainty import CovarianceScale, resized
 from groundwalk.training.regressor_settings import LiteSettings, RegressorSettings
 from groundwalk.training.weights import load_lite0
 
 # Rows and columns to which the maps of 1/16 and 1/32 are pooled.
 CELLS_16, CELLS_32 = (5, 7), (4, 5)
-POOLED = MAP_CHANNELS[1] * CELLS_16[0] * CELLS_16[1] + MAP_CHANNELS[2] * CELLS_32[0] * CELLS_32[1]
+_CELLS = CELLS_16[0] * CELLS_16[1], CELLS_32[0] * CELLS_32[1]
+_CHANNELS = MAP_CHANNELS[1:]
+_POOLED = [channels * cells for channels, cells in zip(_CHANNELS, _CELLS, strict=True)]
+_CHANNEL_WIDTHS = 48, 128  # of the maps' 112 and 320 channels
 _REGULARISATION = 0.05  # of the whitening, in parts of the largest variance
 _SMALLEST = 1e-6
+
+
+class ChannelComponents(nn.Module):
+    """The cells of a map (B, channels * cells) to the first principal components of its channels (B, width * cells),
+    the same for all cells: a whitening of these has that much fewer weights."""
+
+    axes: Tensor
+
+    def __init__(self, channels: int, width: int) -> None:
+        super().__init__()
+        self.register_buffer("axes", torch.zeros(channels, width))
+
+    def fit(self, features_NF: Tensor) -> None:
+        """Without the cells' means over the images, which the whitening takes away."""
+        cells = (features_NF - features_NF.mean(dim=0)).unflatten(1, (len(self.axes), -1)).transpose(1, 2)
+        by_cell = cells.reshape(-1, len(self.axes)).double()
+        self.axes.copy_(torch.linalg.eigh(by_cell.T @ by_cell)[1].flip(1)[:, : self.axes.shape[1]])
+
+    def forward(self, features_BF: Tensor) -> Tensor:
+        return (features_BF.unflatten(1, (len(self.axes), -1)).transpose(1, 2) @ self.axes).flatten(1)
 
 
 class Whitening(nn.Module):
@@ -58,9 +83,13 @@ class LiteRegressor(FrozenRegressor):
         super().__init__()
         self.scenes, self.copies = scenes, settings.copies
         self.backbone = EfficientNetLite0().requires_grad_(False)
-        self.whitening = Whitening(POOLED, settings.width)
+        self.channels = nn.ModuleList(map(ChannelComponents, _CHANNELS, _CHANNEL_WIDTHS))
+        self.widths = [width * cells for width, cells in zip(_CHANNEL_WIDTHS, _CELLS, strict=True)]
+        self.whitening = Whitening(sum(self.widths), settings.width)
         self.frames = SceneFrames(scenes)
         self.mixture = PoseMixture(scenes, settings.components)
+        self.training_distance = TrainingDistance(scenes, settings.width)
+        self.covariance_scale = CovarianceScale()
 
     def initialise(self, poses: PoseBatch, settings: RegressorSettings, downloads: Path) -> str:
         if not isinstance(settings, LiteSettings):
@@ -82,28 +111,44 @@ class LiteRegressor(FrozenRegressor):
             return self.backbone.maps(image_B3HW)
 
     def pooled(self, map_16: Tensor, map_32: Tensor) -> Tensor:
-        """The two maps' cells (B, POOLED)."""
+        """The two maps' cells (B, sum(_POOLED))."""
         cells = nn.functional.adaptive_avg_pool2d(map_16, CELLS_16), nn.functional.adaptive_avg_pool2d(map_32, CELLS_32)
         return torch.cat([c.flatten(1) for c in cells], dim=1)
 
-    def fit_features(self, features: tuple[Tensor, ...]) -> None:
-        pooled_NF = features[0].float()
-        cut = MAP_CHANNELS[1] * CELLS_16[0] * CELLS_16[1]
-        scales = [
-            part.std().clamp_min(_SMALLEST) * part.shape[1] ** 0.5 for part in pooled_NF.tensor_split([cut], dim=1)
-        ]
-        widths = torch.tensor([cut, POOLED - cut])
-        self.whitening.fit(pooled_NF, torch.stack(scales).repeat_interleave(widths))
+    def reduced(self, first: Tensor) -> Tensor:
+        with torch.autocast(first.device.type, enabled=False):
+            return self.whitening(torch.cat(self._components(first), dim=1))
 
-    def mixed(self, outputs: Tensor, scene_B: Tensor) -> PoseBatch:
-        """The poses in the map frame of the mixture's outputs."""
+    def _components(self, pooled: Tensor) -> list[Tensor]:
+        parts = pooled.float().split(_POOLED, dim=1)
+        return [channels(part) for channels, part in zip(self.channels, parts, strict=True)]
+
+    def fit_features(self, features: tuple[Tensor, ...]) -> None:
+        for channels, part in zip(self.channels, features[0].float().split(_POOLED, dim=1), strict=True):
+            channels.fit(part)
+        parts = self._components(features[0])
+        scales = torch.stack([part.std().clamp_min(_SMALLEST) * part.shape[1] ** 0.5 for part in parts])
+        self.whitening.fit(torch.cat(parts, dim=1), scales.repeat_interleave(torch.tensor(self.widths)))
+
+    def fit_training_images(self, first: Tensor, poses: PoseBatch) -> None:
+        self.training_distance.fit(first, *self.frames.from_map(poses), poses.scene_B)
+
+    def mixed(self, outputs: Tensor, summary: Tensor, scene_B: Tensor) -> PoseBatch:
+        """The poses in the map frame of the mixture's outputs for images with this whitened summary.
+
+        Covariances have the shape of the mixture's, and the size of its components, times the distance to the training
+        images: how far components lie apart says little about the size of errors.
+        """
         with torch.autocast(outputs.device.type, enabled=False):
             answer = self.mixture.poses(outputs.float(), scene_B)
-        poses = self.frames.to_map(answer.position_B3, answer.quaternion_B4, scene_B)
+            sd = (3 * VARIANCE) ** 0.5 * self.mixture.typical_scales(outputs.float(), scene_B)
+            sd = sd * self.training_distance(summary.float(), *answer[:3])[:, None]
         assert answer.covariance_B66 is not None
+        covariance = self.covariance_scale(resized(answer.covariance_B66, sd))
+        poses = self.frames.to_map(answer.position_B3, answer.quaternion_B4, scene_B)
         scale = self.frames.scale[scene_B].expand(-1, 3)
         units = torch.cat([torch.ones_like(scale), scale], dim=1)
-        return poses._replace(covariance_B66=answer.covariance_B66 * units[:, None] * units[..., None])
+        return poses._replace(covariance_B66=covariance * units[:, None] * units[..., None])
 
     def mixture_loss(self, outputs: Tensor, poses: PoseBatch) -> Tensor:
         position, quaternion = self.frames.from_map(poses)
@@ -111,7 +156,7 @@ class LiteRegressor(FrozenRegressor):
             return self.mixture.loss(outputs.float(), position, quaternion, poses.scene_B)
 
     def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
-        self.mixture.covariance_scale.fit(answers, truth)
+        self.covariance_scale.fit(answers, truth)
 
 
 class PoseNetLite(LiteRegressor):
@@ -139,11 +184,11 @@ class PoseNetLite(LiteRegressor):
         return (self.pooled(map_16, map_32),)
 
     def answer(self, features: tuple[Tensor, ...]) -> PoseBatch:
-        outputs = self.head(self.whitening(features[0].float()))
-        return self.mixed(outputs, torch.zeros(len(outputs), dtype=torch.long, device=outputs.device))
+        outputs = self.head(features[0])
+        return self.mixed(outputs, features[0], torch.zeros(len(outputs), dtype=torch.long, device=outputs.device))
 
     def feature_loss(self, features: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
-        return self.mixture_loss(self.head(self.whitening(features[0].float())), poses)
+        return self.mixture_loss(self.head(features[0]), poses)
 
 
 def make_posenet_lite(settings: LiteSettings, scenes: int, outdoor: bool) -> PoseNetLite:

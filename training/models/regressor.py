@@ -157,18 +157,32 @@ class FrozenRegressor(PoseRegressor):
         """Called once before training, with the features of all training images."""
 
     @abstractmethod
+    def reduced(self, first: Tensor) -> Tensor:
+        """The first of the features as `answer` and `feature_loss` take it: after the steps that `fit_features` fixes,
+        which are computed once for all images."""
+
+    def fit_training_images(self, first: Tensor, poses: PoseBatch) -> None:
+        """Called once before training, after `fit_features`, with the training images' reduced features and poses;
+        copies aren't among them."""
+
+    @abstractmethod
     def answer(self, features: tuple[Tensor, ...]) -> PoseBatch:
-        """`forward`, from features on."""
+        """`forward`, from reduced features on."""
 
     @abstractmethod
     def feature_loss(self, features: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
-        """`loss`, from features on."""
+        """`loss`, from reduced features on."""
+
+    def reduced_features(self, image_B3HW: Tensor) -> tuple[Tensor, ...]:
+        """`features` with the first reduced."""
+        first, *others = self.features(image_B3HW)
+        return self.reduced(first), *others
 
     def forward(self, image_B3HW: Tensor) -> PoseBatch:
-        return self.answer(self.features(image_B3HW))
+        return self.answer(self.reduced_features(image_B3HW))
 
     def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
-        return self.feature_loss(self.features(image_B3HW), poses)
+        return self.feature_loss(self.reduced_features(image_B3HW), poses)
 
 
 class BackboneRegressor(PoseRegressor):

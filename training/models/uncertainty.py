@@ -10,7 +10,7 @@ from groundwalk.training.rotations import as_matrix, conjugate, log_quaternion, 
 _MIN_FRAMES = 20
 _QUANTILE = 0.9
 _CHI2_QUANTILE = 6.25  # of three degrees of freedom at _QUANTILE
-_FACTORS = (0.25, 100.0)
+_FACTORS = (0.01, 100.0)
 # Below a millimetre and a hundredth of a degree a covariance from samples says nothing.
 FLOOR = torch.tensor([2e-4] * 3 + [1e-3] * 3)
 
@@ -36,6 +36,14 @@ def diagonal_in_map(frames: SceneFrames, scene_B: Tensor, rotation_sd_B3: Tensor
     position = torch.diag_embed((position_sd_B3 * frames.scale[scene_B]).square())
     zero = torch.zeros_like(rotation)
     return torch.cat([torch.cat([rotation, zero], -1), torch.cat([zero, position], -1)], -2)
+
+
+def resized(covariance_B66: Tensor, sd_B2: Tensor) -> Tensor:
+    """Covariances with these root mean square errors, in rotation and in position, and the shapes and correlations
+    that they had."""
+    squares = covariance_B66.diagonal(dim1=1, dim2=2).unflatten(1, (2, 3)).sum(-1)
+    by = (sd_B2 / squares.sqrt()).repeat_interleave(3, dim=1)
+    return by[:, None] * covariance_B66 * by[..., None]
 
 
 def calibration_factors(answers: PoseBatch, truth: PoseBatch) -> Tensor:
