@@ -48,6 +48,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "MS-T": "groundwalk.training.entries:MS_T",
         "MapNet": "groundwalk.training.entries:MAPNET",
         "PN-Bayesian": "groundwalk.training.entries:BAYESIAN_PN",
+        "AD-PoseNet": "groundwalk.training.entries:AD_POSENET",
         "CoordiNet": "groundwalk.training.entries:COORDINET",
         "PN-Lite": "groundwalk.training.entries:PN_LITE",
         "MST-Lite": "groundwalk.training.entries:MST_LITE",

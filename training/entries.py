@@ -3,6 +3,7 @@
 from groundwalk.artefacts import recording
 from groundwalk.artefacts.registry import Lazy
 from groundwalk.training.regressor_settings import (
+    ADPoseNetSettings,
     BayesianPoseNetSettings,
     LiteSettings,
     MapNetSettings,
@@ -40,6 +41,16 @@ BAYESIAN_PN = Regressor(
     colour=(0, 158, 115),
     settings=BayesianPoseNetSettings,
     make=Lazy("groundwalk.training.models.bayesian_posenet:make_bayesian_posenet"),
+    multi_scene=False,
+    gives_covariance=True,
+)
+AD_POSENET = Regressor(
+    id="AD-PoseNet",
+    label="AD-PoseNet",
+    meaning="PN with parts of the image hidden in training and testing",
+    colour=(188, 189, 34),
+    settings=ADPoseNetSettings,
+    make=Lazy("groundwalk.training.models.ad_posenet:make_ad_posenet"),
     multi_scene=False,
     gives_covariance=True,
 )

@@ -95,6 +95,28 @@ class BayesianPoseNetSettings(PoseNetSettings):
     dropout: float = Field(0.5, gt=0, lt=1, description="share of the head's features left out in training and testing")
 
 
+class ADPoseNetSettings(PoseNetSettings):
+    """AD-PoseNet: its authors' settings, and a prior that is the same everywhere."""
+
+    batch: int = Field(64, gt=1, description="images a step")
+    sx: float = Field(-3.0, description="first log-variance of the position loss")
+    samples: int = Field(10, gt=1, description="masks of the image whose answers are averaged at test time")
+    prior: float = Field(
+        0.1, gt=0, lt=1, description="probability that a pixel shows a moving object, where prior_image names no image"
+    )
+    prior_image: str | None = Field(
+        None,
+        description="image whose grey values say how often moving objects hide a pixel, white for always, stretched"
+        " over what the network sees: for instance the mean of their masks over the training images",
+    )
+    threshold: float = Field(
+        0.2,
+        gt=0,
+        lt=1,
+        description="a pixel is hidden where a draw around its probability of showing a moving object isn't below",
+    )
+
+
 class MapNetSettings(PoseNetSettings):
     """MapNet: its authors' settings."""
 

@@ -87,7 +87,7 @@ def test_overfits_a_few_images(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "settings"),
-    [("MapNet", {}), ("PN-Bayesian", {"dropout": 0.05}), ("CoordiNet", {})],
+    [("MapNet", {}), ("PN-Bayesian", {"dropout": 0.05}), ("AD-PoseNet", {"prior": 0.02}), ("CoordiNet", {})],
 )
 def test_others_overfit_too(tmp_path: Path, name: str, settings: dict[str, object]) -> None:
     position, rotation = overfitted(tmp_path, name, 80, **settings)

@@ -28,8 +28,13 @@ class PoseNet(BackboneRegressor):
             nn.init.kaiming_normal_(layer.weight)
             nn.init.zeros_(layer.bias)
 
+    def _features(self, image_B3HW: Tensor) -> Tensor:
+        """What the head sees of images (B, 512)."""
+        features: Tensor = self.backbone(image_B3HW)
+        return features
+
     def _regress(self, image_B3HW: Tensor) -> tuple[Tensor, Tensor]:
-        features = self.backbone(image_B3HW)
+        features = self._features(image_B3HW)
         # bfloat16 resolves 1 part in 256, too coarse for positions: the head computes in float32.
         with torch.autocast(image_B3HW.device.type, enabled=False):
             hidden = self.dropout(torch.relu(self.hidden(features.float())))
@@ -41,8 +46,7 @@ class PoseNet(BackboneRegressor):
         return self.frames.to_map(position, exp_quaternion(log_q), scene)
 
     def describe(self, image_B3HW: Tensor) -> Tensor:
-        features: Tensor = self.backbone(image_B3HW)
-        return features
+        return self._features(image_B3HW)
 
     def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
         """L1 of position and of log-quaternion, on the hemisphere w >= 0."""
