@@ -5,6 +5,7 @@ from groundwalk.artefacts.registry import Lazy
 from groundwalk.training.regressor_settings import (
     ADPoseNetSettings,
     BayesianPoseNetSettings,
+    DFNetSettings,
     LiteSettings,
     MapNetSettings,
     MSTransformerLiteSettings,
@@ -63,6 +64,16 @@ COORDINET = Regressor(
     make=Lazy("groundwalk.training.models.coordinet:make_coordinet"),
     multi_scene=False,
     gives_covariance=True,
+)
+DFNET = Regressor(
+    id="DFNet",
+    label="DFNet",
+    meaning="PN that also learns from rendered views of the map",
+    colour=(140, 86, 75),
+    settings=DFNetSettings,
+    make=Lazy("groundwalk.training.models.dfnet:make_dfnet"),
+    multi_scene=False,
+    gives_covariance=False,
 )
 MS_T = Regressor(
     id="MS-T",

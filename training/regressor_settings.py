@@ -117,6 +117,33 @@ class ADPoseNetSettings(PoseNetSettings):
     )
 
 
+class DFNetSettings(PoseNetSettings):
+    """DFNet on PN, with views rendered from the map's points."""
+
+    batch: int = Field(8, gt=1, description="images a step")
+    turn_deg: tuple[float, float, float] | None = Field(
+        (0, 0, 0),
+        description="largest yaw, pitch and roll (degrees) by which a training image is turned together with its"
+        " pose; without it a random crop keeps the image's pose, and rendered views don't lie on it",
+    )
+    points: int = Field(20000, gt=0, description="points of the map that views are rendered from")
+    margin: float = Field(
+        1.0,
+        ge=0,
+        description="an image's features are to be nearer to those of its own view than of another by so much",
+    )
+    view_shift_m: float = Field(
+        1.0, ge=0, description="views are also rendered so far from a training pose along each axis at most, metres"
+    )
+    view_turn_deg: float = Field(
+        10.0, ge=0, description="views are also rendered turned by so much about each axis at most, degrees"
+    )
+    matching_from: int = Field(
+        1000, ge=0, description="training steps before views at the estimated poses are rendered and matched"
+    )
+    matching_weight: float = Field(1.0, ge=0, description="weight of the loss of matching views at estimated poses")
+
+
 class MapNetSettings(PoseNetSettings):
     """MapNet: its authors' settings."""
 

@@ -83,14 +83,19 @@ def test_feature_maps_of_224_pixels() -> None:
 
 def small(name: str) -> BackboneRegressor:
     """A regressor of one scene as its defaults have it, but with pairs of images and three masks."""
-    fewer = {"MapNet": {"sequence_frames": 2}, "PN-Bayesian": {"samples": 3}, "AD-PoseNet": {"samples": 3}}
+    fewer = {
+        "MapNet": {"sequence_frames": 2},
+        "PN-Bayesian": {"samples": 3},
+        "AD-PoseNet": {"samples": 3},
+        "DFNet": {"points": 50, "matching_from": 0},
+    }
     torch.manual_seed(0)
     model = REGRESSORS[name].make(REGRESSORS[name].settings(**fewer.get(name, {})), 1, False)
     assert isinstance(model, BackboneRegressor)
     return model
 
 
-OF_PN = ["MapNet", "PN-Bayesian", "AD-PoseNet", "CoordiNet"]
+OF_PN = ["MapNet", "PN-Bayesian", "AD-PoseNet", "CoordiNet", "DFNet"]
 
 
 @pytest.mark.parametrize("model", [PoseNet(), small_mst(2), *map(small, OF_PN)], ids=["PN", "MS-T", *OF_PN])
@@ -119,7 +124,7 @@ def test_both_signs_of_a_quaternion_are_the_same_rotation(model: BackboneRegress
     other = poses._replace(quaternion_B4=-poses.quaternion_B4)
     losses = []
     for same in (poses, other):
-        torch.manual_seed(0)  # of AD-PoseNet's masks
+        torch.manual_seed(0)  # of AD-PoseNet's masks and DFNet's views
         losses.append(model.loss(images(4), same))
     assert torch.allclose(*losses)
 

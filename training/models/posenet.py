@@ -37,8 +37,11 @@ class PoseNet(BackboneRegressor):
         features = self._features(image_B3HW)
         # bfloat16 resolves 1 part in 256, too coarse for positions: the head computes in float32.
         with torch.autocast(image_B3HW.device.type, enabled=False):
-            hidden = self.dropout(torch.relu(self.hidden(features.float())))
-            return self.position(hidden), self.rotation(hidden)
+            return self._head(features.float())
+
+    def _head(self, features_BC: Tensor) -> tuple[Tensor, Tensor]:
+        hidden = self.dropout(torch.relu(self.hidden(features_BC)))
+        return self.position(hidden), self.rotation(hidden)
 
     def forward(self, image_B3HW: Tensor) -> PoseBatch:
         position, log_q = self._regress(image_B3HW)
