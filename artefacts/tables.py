@@ -12,6 +12,7 @@ from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.schemas import TableSchema
 from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.fits import sim3_between
 from groundwalk.geometry.poses import Array, pose_from_tq, tq_from_pose
 
 CAMERA_COLUMNS = ["fx", "fy", "cx", "cy", "distortion"]
@@ -135,3 +136,16 @@ def pose_frame(prefix: str, poses: Array) -> pd.DataFrame:
         values[has_pose] = np.hstack([t, q])
     names = [f"{prefix}_t{a}" for a in "xyz"] + [f"{prefix}_q{a}" for a in "xyzw"]
     return pd.DataFrame(values, columns=names)
+
+
+def points_in_map(points: pd.DataFrame, images: pd.DataFrame, truth: pd.DataFrame) -> pd.DataFrame:
+    """sfm.points with x, y, z in the map, of the models that align's ground truth has frames of."""
+    images = images.merge(truth, on="frame_id", suffixes=("_sfm", ""), validate="1:1")
+    images = images[images["map_cam_tx"].notna() & images["sfm_cam_tx"].notna()]
+    placed = []
+    for model_id, its_images in images.groupby("model_id"):
+        map_S_sfm = sim3_between(poses_of(its_images, "map_cam"), poses_of(its_images, "sfm_cam"))
+        its_points = points[points["model_id"] == model_id].copy()
+        its_points[["x", "y", "z"]] = map_S_sfm.points(its_points[["x", "y", "z"]].to_numpy(float))
+        placed.append(its_points)
+    return pd.concat(placed or [points[:0]], ignore_index=True)

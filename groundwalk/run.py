@@ -20,8 +20,7 @@ from groundwalk.artefacts.manifests import MANIFEST
 from groundwalk.artefacts.reference import column_lines
 from groundwalk.artefacts.schemas import TableSchema, schema
 from groundwalk.artefacts.settings import STAGES
-from groundwalk.artefacts.tables import dataset_frames, poses_of, read_table
-from groundwalk.geometry.fits import sim3_between
+from groundwalk.artefacts.tables import dataset_frames, points_in_map, poses_of, read_table
 from groundwalk.geometry.poses import Array
 
 if TYPE_CHECKING:
@@ -162,16 +161,7 @@ class Run:
         scale_source and vertical_source of `ground_truth`). Models that aren't in the map are left out;
         `table("sfm", "points")` has all, in SfM's unit.
         """
-        images, points = self.table("sfm", "images"), self.table("sfm", "points")
-        images = images.merge(self.ground_truth, on="frame_id", suffixes=("_sfm", ""), validate="1:1")
-        images = images[images["map_cam_tx"].notna() & images["sfm_cam_tx"].notna()]
-        placed = []
-        for model_id, its_images in images.groupby("model_id"):
-            map_S_sfm = sim3_between(poses_of(its_images, "map_cam"), poses_of(its_images, "sfm_cam"))
-            its_points = points[points["model_id"] == model_id].copy()
-            its_points[["x", "y", "z"]] = map_S_sfm.points(its_points[["x", "y", "z"]].to_numpy(float))
-            placed.append(its_points)
-        return pd.concat(placed or [points[:0]], ignore_index=True)
+        return points_in_map(self.table("sfm", "points"), self.table("sfm", "images"), self.ground_truth)
 
     def table(self, stage: str, table: str) -> pd.DataFrame:
         """Any table; docs/reference/tables.md lists them.

@@ -3,7 +3,9 @@
 from groundwalk.artefacts import recording
 from groundwalk.artefacts.registry import Lazy
 from groundwalk.training.regressor_settings import (
+    ADPoseNetSettings,
     BayesianPoseNetSettings,
+    DFNetSettings,
     LiteSettings,
     MapNetSettings,
     MSTransformerLiteSettings,
@@ -43,6 +45,16 @@ BAYESIAN_PN = Regressor(
     multi_scene=False,
     gives_covariance=True,
 )
+AD_POSENET = Regressor(
+    id="AD-PoseNet",
+    label="AD-PoseNet",
+    meaning="PN with parts of the image hidden in training and testing",
+    colour=(188, 189, 34),
+    settings=ADPoseNetSettings,
+    make=Lazy("groundwalk.training.models.ad_posenet:make_ad_posenet"),
+    multi_scene=False,
+    gives_covariance=True,
+)
 COORDINET = Regressor(
     id="CoordiNet",
     label="CoordiNet",
@@ -52,6 +64,16 @@ COORDINET = Regressor(
     make=Lazy("groundwalk.training.models.coordinet:make_coordinet"),
     multi_scene=False,
     gives_covariance=True,
+)
+DFNET = Regressor(
+    id="DFNet",
+    label="DFNet",
+    meaning="PN that also learns from rendered views of the map",
+    colour=(140, 86, 75),
+    settings=DFNetSettings,
+    make=Lazy("groundwalk.training.models.dfnet:make_dfnet"),
+    multi_scene=False,
+    gives_covariance=False,
 )
 MS_T = Regressor(
     id="MS-T",

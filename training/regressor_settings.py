@@ -95,6 +95,55 @@ class BayesianPoseNetSettings(PoseNetSettings):
     dropout: float = Field(0.5, gt=0, lt=1, description="share of the head's features left out in training and testing")
 
 
+class ADPoseNetSettings(PoseNetSettings):
+    """AD-PoseNet: its authors' settings, and a prior that is the same everywhere."""
+
+    batch: int = Field(64, gt=1, description="images a step")
+    sx: float = Field(-3.0, description="first log-variance of the position loss")
+    samples: int = Field(10, gt=1, description="masks of the image whose answers are averaged at test time")
+    prior: float = Field(
+        0.1, gt=0, lt=1, description="probability that a pixel shows a moving object, where prior_image names no image"
+    )
+    prior_image: str | None = Field(
+        None,
+        description="image whose grey values say how often moving objects hide a pixel, white for always, stretched"
+        " over what the network sees: for instance the mean of their masks over the training images",
+    )
+    threshold: float = Field(
+        0.2,
+        gt=0,
+        lt=1,
+        description="a pixel is hidden where a draw around its probability of showing a moving object isn't below",
+    )
+
+
+class DFNetSettings(PoseNetSettings):
+    """DFNet on PN, with views rendered from the map's points."""
+
+    batch: int = Field(8, gt=1, description="images a step")
+    turn_deg: tuple[float, float, float] | None = Field(
+        (0, 0, 0),
+        description="largest yaw, pitch and roll (degrees) by which a training image is turned together with its"
+        " pose; without it a random crop keeps the image's pose, and rendered views don't lie on it",
+    )
+    points: int = Field(20000, gt=0, description="points of the map that views are rendered from")
+    margin: float = Field(
+        1.0,
+        ge=0,
+        description="an image's features are to be nearer to those of its own view than of another by so much",
+    )
+    view_shift_m: float = Field(
+        1.0, ge=0, description="views are also rendered so far from a training pose along each axis at most, metres"
+    )
+    view_turn_deg: float = Field(
+        10.0, ge=0, description="views are also rendered turned by so much about each axis at most, degrees"
+    )
+    matching_from: int = Field(
+        1000, ge=0, description="training steps before views at the estimated poses are rendered and matched"
+    )
+    matching_weight: float = Field(1.0, ge=0, description="weight of the loss of matching views at estimated poses")
+
+
 class MapNetSettings(PoseNetSettings):
     """MapNet: its authors' settings."""
 

@@ -27,6 +27,7 @@ from groundwalk.training.inputs import (
     as_training_frames,
     check_trainable,
     focal_in_short_sides,
+    map_points,
     read_frames,
     rows_with_truth,
     small_images,
@@ -262,6 +263,8 @@ def prepare(r: StageRun[TrainSettings], name: str, data: Frames, frames: pd.Data
         model = regressor.make(settings, len(r.leaves), outdoor)
         check_regressor(model, len(r.leaves), view, regressor.gives_covariance)
         origin = model.initialise(training.poses(torch.device("cpu")), settings, r.data.root / "weights")
+        if model.uses_map:
+            model.see_map(map_points(r, frames, short_side(r.settings, name)))
         chosen, why = choose_precision(model, settings, training, view, device)
         save(folder / _FIRST, {"origin": origin, "precision": (chosen, why), "state": model.state_dict()})
     first = torch.load(folder / _FIRST)

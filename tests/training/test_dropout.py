@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from groundwalk.training.models import dropout
 from groundwalk.training.models.dropout import Dropout, attention
@@ -38,7 +38,7 @@ def tensors(*counts: int) -> list[Tensor]:
 
 def test_attention_has_the_values_and_gradients_of_what_it_computes(monkeypatch: pytest.MonkeyPatch) -> None:
     """With a mask that is known."""
-    mask = torch.rand(5, 7, generator=torch.Generator().manual_seed(2)) > 0.4
+    mask = (torch.rand(5, 7, generator=torch.Generator().manual_seed(2)) > 0.4).to(torch.uint8)
     monkeypatch.setattr(dropout, "_kept", lambda *_: mask.clone())
     mine, plain = tensors(5, 7, 7), tensors(5, 7, 7)
     q, k, v = mine
@@ -71,3 +71,34 @@ def test_attention_that_leaves_nothing_out_is_pytorchs(monkeypatch: pytest.Monke
     expected = module.eval().attend(query, key, key)
     module.train().dropout = 1e-6
     assert torch.allclose(module.attend(query, key, key), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("queries", [1, 7, 40])
+def test_few_queries_attend_as_many_do(queries: int) -> None:
+    """Values and gradients; a bias of the keys has none."""
+    torch.manual_seed(0)
+    module = Attention(0.1).double().eval()
+    nn.init.normal_(module.in_proj_bias)
+    parts = [torch.randn(2, n, 256, dtype=torch.float64, requires_grad=True) for n in (queries, 50, 50)]
+    weight = torch.randn(2, queries, 256, dtype=torch.float64)
+    gradients = []
+    for attend in (module.attend, module.attend_from_few):
+        answer = attend(*parts)
+        (answer * weight).sum().backward()
+        every = [*parts, *module.parameters()]
+        gradients.append([answer, *(x.grad.clone() for x in every if x.grad is not None)])
+        for x in every:
+            x.grad = None
+    assert len(gradients[0]) == len(gradients[1]) == 8
+    for one, other in zip(*gradients, strict=True):
+        assert torch.allclose(one, other, atol=1e-10)
+
+
+def test_few_queries_keep_the_mean_with_dropout() -> None:
+    torch.manual_seed(0)
+    module = Attention(0.5)
+    nn.init.normal_(module.in_proj_bias)
+    query, key = torch.randn(1, 1, 256).expand(2000, -1, -1), torch.randn(1, 30, 256).expand(2000, -1, -1)
+    with torch.no_grad():
+        mean = module.train().attend_from_few(query, key, key).mean(0)
+        assert torch.allclose(mean, module.eval().attend(query[:1], key[:1], key[:1])[0], atol=0.05)

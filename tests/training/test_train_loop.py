@@ -12,7 +12,7 @@ from groundwalk.training import loop
 from groundwalk.training.data import Frames, ImageCache, View
 from groundwalk.training.evaluation import mean_pose_errors, pose_errors
 from groundwalk.training.loop import Run, epoch_batches, held_out_score, learning_rate, take_best, train
-from groundwalk.training.models.regressor import BackboneRegressor, PoseBatch
+from groundwalk.training.models.regressor import BackboneRegressor, MapPoints, PoseBatch
 from groundwalk.training.regressor_settings import PoseNetSettings
 from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.rotations import exp_quaternion
@@ -72,6 +72,8 @@ def overfitted(folder: Path, name: str, epochs: int, **settings: object) -> list
     model = entry.make(chosen, 1, False)
     assert isinstance(model, BackboneRegressor)
     model.frames.fit(frames.poses(CPU), True, True)
+    points = torch.rand(2, 500, 3)
+    model.see_map(MapPoints(20 * points[0] - 10, points[1], 40.0))
     train(silent, model, frames, frames, chosen, Run("test", CPU, "fp32", View(32, 32), 0, folder, 1000))
     history = take_best(model, folder)
     assert history[-1]["train_loss"] < history[0]["train_loss"] - 2
@@ -87,7 +89,13 @@ def test_overfits_a_few_images(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "settings"),
-    [("MapNet", {}), ("PN-Bayesian", {"dropout": 0.05}), ("CoordiNet", {})],
+    [
+        ("MapNet", {}),
+        ("PN-Bayesian", {"dropout": 0.05}),
+        ("AD-PoseNet", {"prior": 0.02}),
+        ("CoordiNet", {}),
+        ("DFNet", {"points": 500, "matching_from": 20}),
+    ],
 )
 def test_others_overfit_too(tmp_path: Path, name: str, settings: dict[str, object]) -> None:
     position, rotation = overfitted(tmp_path, name, 80, **settings)

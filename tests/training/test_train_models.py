@@ -83,14 +83,19 @@ def test_feature_maps_of_224_pixels() -> None:
 
 def small(name: str) -> BackboneRegressor:
     """A regressor of one scene as its defaults have it, but with pairs of images and three masks."""
-    fewer = {"MapNet": {"sequence_frames": 2}, "PN-Bayesian": {"samples": 3}}
+    fewer = {
+        "MapNet": {"sequence_frames": 2},
+        "PN-Bayesian": {"samples": 3},
+        "AD-PoseNet": {"samples": 3},
+        "DFNet": {"points": 50, "matching_from": 0},
+    }
     torch.manual_seed(0)
     model = REGRESSORS[name].make(REGRESSORS[name].settings(**fewer.get(name, {})), 1, False)
     assert isinstance(model, BackboneRegressor)
     return model
 
 
-OF_PN = ["MapNet", "PN-Bayesian", "CoordiNet"]
+OF_PN = ["MapNet", "PN-Bayesian", "AD-PoseNet", "CoordiNet", "DFNet"]
 
 
 @pytest.mark.parametrize("model", [PoseNet(), small_mst(2), *map(small, OF_PN)], ids=["PN", "MS-T", *OF_PN])
@@ -117,7 +122,11 @@ def test_both_signs_of_a_quaternion_are_the_same_rotation(model: BackboneRegress
     model.eval()
     poses = some_poses(4)
     other = poses._replace(quaternion_B4=-poses.quaternion_B4)
-    assert torch.allclose(model.loss(images(4), poses), model.loss(images(4), other))
+    losses = []
+    for same in (poses, other):
+        torch.manual_seed(0)  # of AD-PoseNet's masks and DFNet's views
+        losses.append(model.loss(images(4), same))
+    assert torch.allclose(*losses)
 
 
 @pytest.mark.parametrize("name", OF_PN)
@@ -126,7 +135,7 @@ def test_defaults_pass_the_check_before_training(name: str) -> None:
     check_regressor(entry.make(entry.settings(), 1, False), 1, View(64, 64), entry.gives_covariance)
 
 
-@pytest.mark.parametrize("name", ["PN-Bayesian", "CoordiNet"])
+@pytest.mark.parametrize("name", ["PN-Bayesian", "AD-PoseNet", "CoordiNet"])
 def test_covariances_are_in_the_axes_of_the_map(name: str) -> None:
     """Symmetric and positive; a turn of the network's frame turns them, its scale scales them."""
     model = small(name).eval()

@@ -6,9 +6,8 @@ from torch import Tensor
 
 from groundwalk.training.models.posenet import HIDDEN, PoseNet, single_scene
 from groundwalk.training.models.regressor import PoseBatch
-from groundwalk.training.models.uncertainty import CovarianceScale, scatter
+from groundwalk.training.models.uncertainty import CovarianceScale, mean_with_scatter
 from groundwalk.training.regressor_settings import BayesianPoseNetSettings
-from groundwalk.training.rotations import exp_quaternion
 
 
 class BayesianPoseNet(PoseNet):
@@ -31,12 +30,9 @@ class BayesianPoseNet(PoseNet):
         with torch.autocast(image_B3HW.device.type, enabled=False):
             hidden = torch.relu(self.hidden(features.float())) * self.masks
             position, log_q = self.position(hidden), self.rotation(hidden)
-        count, batch = position.shape[:2]
-        scene = torch.zeros(batch, dtype=torch.long, device=position.device)
-        answer = self.frames.to_map(position.mean(0), exp_quaternion(log_q.mean(0)), scene)
-        samples = self.frames.to_map(position.flatten(0, 1), exp_quaternion(log_q).flatten(0, 1), scene.repeat(count))
-        around = scatter(answer, *(x.unflatten(0, (count, batch)) for x in samples[:2]))
-        return answer._replace(covariance_B66=self.covariance_scale(around))
+        answer = mean_with_scatter(self.frames, position, log_q)
+        assert answer.covariance_B66 is not None
+        return answer._replace(covariance_B66=self.covariance_scale(answer.covariance_B66))
 
     def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
         self.covariance_scale.fit(answers, truth)

@@ -28,12 +28,20 @@ class PoseNet(BackboneRegressor):
             nn.init.kaiming_normal_(layer.weight)
             nn.init.zeros_(layer.bias)
 
+    def _features(self, image_B3HW: Tensor) -> Tensor:
+        """What the head sees of images (B, 512)."""
+        features: Tensor = self.backbone(image_B3HW)
+        return features
+
     def _regress(self, image_B3HW: Tensor) -> tuple[Tensor, Tensor]:
-        features = self.backbone(image_B3HW)
+        features = self._features(image_B3HW)
         # bfloat16 resolves 1 part in 256, too coarse for positions: the head computes in float32.
         with torch.autocast(image_B3HW.device.type, enabled=False):
-            hidden = self.dropout(torch.relu(self.hidden(features.float())))
-            return self.position(hidden), self.rotation(hidden)
+            return self._head(features.float())
+
+    def _head(self, features_BC: Tensor) -> tuple[Tensor, Tensor]:
+        hidden = self.dropout(torch.relu(self.hidden(features_BC)))
+        return self.position(hidden), self.rotation(hidden)
 
     def forward(self, image_B3HW: Tensor) -> PoseBatch:
         position, log_q = self._regress(image_B3HW)
@@ -41,8 +49,7 @@ class PoseNet(BackboneRegressor):
         return self.frames.to_map(position, exp_quaternion(log_q), scene)
 
     def describe(self, image_B3HW: Tensor) -> Tensor:
-        features: Tensor = self.backbone(image_B3HW)
-        return features
+        return self._features(image_B3HW)
 
     def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
         """L1 of position and of log-quaternion, on the hemisphere w >= 0."""

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -23,6 +23,15 @@ class PoseBatch(NamedTuple):
     quaternion_B4: Tensor
     scene_B: Tensor
     covariance_B66: Tensor | None = None
+
+
+class MapPoints(NamedTuple):
+    """The map's points: positions (m) and colours (0 to 1) as float32, and the focal length in pixels of the images
+    that a network sees, whose principal point is in the middle."""
+
+    position_P3: Tensor
+    colour_P3: Tensor
+    focal_px: float
 
 
 class LearnedWeights(nn.Module):
@@ -93,6 +102,9 @@ class PoseRegressor(nn.Module, ABC):
     suit a network without pretrained parts.
     """
 
+    uses_map: ClassVar[bool] = False
+    """`see_map` is to be called, once before training."""
+
     @abstractmethod
     def forward(self, image_B3HW: Tensor) -> PoseBatch:
         """The estimated poses, in the map frame of the scene that the model picks."""
@@ -107,6 +119,9 @@ class PoseRegressor(nn.Module, ABC):
         Returns where the first weights come from, for the model card.
         """
         return "scratch"
+
+    def see_map(self, points: MapPoints) -> None:
+        """The points of the only scene's map."""
 
     def sequence(self) -> tuple[int, int]:
         """How many frames of one session a training example has, and how many frames lie from one to the next."""

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor, nn
 
 from groundwalk.training.models.regressor import PoseBatch, SceneFrames
-from groundwalk.training.rotations import as_matrix, conjugate, log_quaternion, multiply
+from groundwalk.training.rotations import as_matrix, conjugate, exp_quaternion, log_quaternion, multiply
 
 _MIN_FRAMES = 20
 _QUANTILE = 0.9
@@ -26,6 +26,16 @@ def scatter(answer: PoseBatch, position_SB3: Tensor, quaternion_SB4: Tensor) -> 
     error = torch.cat([rotation, position_SB3 - answer.position_B3], dim=-1)
     covariance = torch.einsum("sbi,sbj->bij", error, error) / len(error)
     return covariance + torch.diag(FLOOR.to(covariance.device).square())
+
+
+def mean_with_scatter(frames: SceneFrames, position_SB3: Tensor, log_q_SB3: Tensor) -> PoseBatch:
+    """The mean, in the map frame, of S answers to each image in the only scene's network frame, and their scatter."""
+    count, batch = position_SB3.shape[:2]
+    scene = torch.zeros(batch, dtype=torch.long, device=position_SB3.device)
+    mean = frames.to_map(position_SB3.mean(0), exp_quaternion(log_q_SB3.mean(0)), scene)
+    samples = frames.to_map(position_SB3.flatten(0, 1), exp_quaternion(log_q_SB3).flatten(0, 1), scene.repeat(count))
+    around = scatter(mean, *(x.unflatten(0, (count, batch)) for x in samples[:2]))
+    return mean._replace(covariance_B66=around)
 
 
 def diagonal_in_map(frames: SceneFrames, scene_B: Tensor, rotation_sd_B3: Tensor, position_sd_B3: Tensor) -> Tensor:

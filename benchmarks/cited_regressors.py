@@ -1,0 +1,136 @@
+"""The regressors that the paper cites beside PN: `python -m benchmarks.cited_regressors`.
+
+Trains each once, all with PN's settings of the profile but for the same number of epochs, and holds its answers to the
+test frames against the ground truth of a finished run (import, sfm, align). What was trained stays in the folder
+`work`. Writes docs/results/cited-regressors.md and .csv.
+"""
+
+import csv
+import tomllib
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from benchmarks.regressors import FIGURES, cell, link, trained
+from benchmarks.results import circumstances, markdown_table
+from groundwalk.artefacts import DataRoot
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import dataset_frames, read_table
+from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
+
+app = new_app(__doc__ or "")
+
+MODELS = ("PN", "PN-Bayesian", "CoordiNet", "AD-PoseNet", "MapNet", "DFNet")
+GRAPH = "MapNet"
+# Bytes of weights that are printed: the paper's for PN. None prints its number of parameters.
+PUBLISHED_MB = {"PN": 85}
+# What PN's section of a profile has no counterpart of, for so few epochs.
+OWN: dict[str, tuple[str, ...]] = {"DFNet": ("matching_from=100",)}
+Figures = dict[str, float]
+
+
+def settings_of(model: str, profile: str, epochs: int) -> list[str]:
+    """PN's section of a shipped profile for the model, with so many epochs."""
+    config = tomllib.loads(Path(f"data/profiles/{profile}.toml").read_text(encoding="utf-8"))
+    section = config["train"]["regressors"]["PN"] | {"epochs": epochs}
+    same = [f"regressors.{model}.{key}={_toml(value)}" for key, value in section.items()]
+    return [f'models=["{model}"]', *same, *(f"regressors.{model}.{setting}" for setting in OWN.get(model, ()))]
+
+
+def _toml(value: object) -> str:
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def pose_graph_figures(train: Path, scene: str) -> Figures:
+    """Errors of fusion method pose_graph on a trained model's predictions, odometry between them."""
+    tables = {}
+    for stage, name in (("import", "frames"), ("align", "ground_truth"), ("train", "predictions")):
+        tables[name] = read_table(train.parent / stage / f"{name}.parquet", schema(stage, name))
+    frames = dataset_frames(tables["frames"])
+    model = str(tables["predictions"]["model"].iloc[0])
+    inputs = Inputs(scene, frames, tables["ground_truth"], tables["predictions"], frozenset([model]))
+    errors = evaluate([inputs], FuseSettings(methods=["pose_graph"])).tables["errors"]
+    errors = errors[errors["method"] == "pose_graph"].dropna(subset=["position_m"])
+    figures: Figures = {}
+    for name, column in (("position", "position_m"), ("rotation", "rotation_deg")):
+        values = errors[column].to_numpy(float)
+        figures |= {f"{name} mean": float(values.mean()), f"{name} median": float(np.median(values))}
+        figures[f"{name} p95"] = float(np.percentile(values, 95))
+    return figures
+
+
+def sizes(train: Path) -> Figures:
+    """Parameters and bytes on the model card."""
+    card = read_table(train / "models.parquet", schema("train", "models")).iloc[0]
+    return {"parameters": float(card["parameters"]), "bytes": float(card["bytes"])}
+
+
+def table(rows: dict[str, Figures]) -> str:
+    """A row a case."""
+    heads = [*FIGURES, "parameters", "bytes"]
+    units = FIGURES | {"parameters": "millions", "bytes": "MB; published"}
+    lines = [["case", *(f"{name} ({units[name]})" if units[name] else name for name in heads)]]
+    for case, figures in rows.items():
+        cells = [cell(np.array([figures[name]] if name in figures else [])) for name in FIGURES]
+        of_size = ["-", "-"]
+        if "bytes" in figures:
+            published = f"{PUBLISHED_MB[case]}" if case in PUBLISHED_MB else "none"
+            of_size = [f"{figures['parameters'] / 1e6:.2f}", f"{figures['bytes'] / 2**20:.1f}; {published}"]
+        lines.append([case, *cells, *of_size])
+    return markdown_table(lines)
+
+
+def write(out: Path, scene: str, profile: str, epochs: int, rows: dict[str, Figures]) -> None:
+    """cited-regressors.md and .csv."""
+    head = (
+        f"Written by `python -m benchmarks.cited_regressors`. Scene {scene}, profile `{profile}`, seed 0: each "
+        f"regressor is trained once with PN's settings of the profile, but for {epochs} epochs, fewer than any needs: "
+        "rows compare them at equal epochs and say nothing of how good each can become. MapNet's batches have three "
+        "frames for each of PN's, DFNet's up to three rendered views. Scenes without captures of their own are "
+        "simulated. MapNet + PGO is fusion method `pose_graph` on MapNet's predictions, with odometry between them. In "
+        "bounds: of the stated covariances, 95 %; the rank correlation is Spearman's of the stated deviation and the "
+        "true error. Processor seconds are of the whole stage: reading images, training and predicting. MB are 2^20 "
+        "bytes of float32 weights, beside what is printed; no paper prints a number of parameters."
+    )
+    parts = ["# Regressors that the paper cites", head, circumstances(), table(rows)]
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "cited-regressors.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    with (out / "cited-regressors.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("case", "epochs", "figure", "value", "unit"))
+        for case, figures in rows.items():
+            writer.writerows(
+                (case, epochs, name, f"{value:.6g}", FIGURES.get(name, "")) for name, value in figures.items()
+            )
+
+
+@app.command()
+def main(
+    data: Annotated[Path, typer.Option(help="data root with a finished run of the scene")] = Path("data"),
+    scene: Annotated[str, typer.Option(help="the scene")] = "Church",
+    profile: Annotated[str, typer.Option(help="profile of the run")] = "demo",
+    models: Annotated[str, typer.Option(help="regressors, separated by commas")] = ",".join(MODELS),
+    epochs: Annotated[int, typer.Option(help="epochs of each", min=1)] = 10,
+    work: Annotated[Path, typer.Option(help="folder for what is trained")] = Path("build/cited"),
+    out: Annotated[Path, typer.Option(help="folder for the page and its table")] = Path("docs/results"),
+) -> None:
+    """Train, score, and write the table."""
+    root, rows = DataRoot(data), {}
+    for model in models.split(","):
+        folder = work / f"{model}-{epochs}"
+        train = DataRoot(folder).run(profile, scene, "train")
+        train.parent.mkdir(parents=True, exist_ok=True)
+        link(train.parent / "sfm", root.run(profile, scene, "sfm"))
+        figures = trained(folder, root, scene, profile, 0, settings_of(model, profile, epochs))
+        rows[model] = figures | sizes(train)
+        typer.echo(f"{model}: {rows[model]}")
+        if model == GRAPH:
+            rows[f"{model} + PGO"] = pose_graph_figures(train, scene)
+        write(out, scene, profile, epochs, rows)
+
+
+if __name__ == "__main__":
+    app()

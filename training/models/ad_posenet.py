@@ -1,0 +1,113 @@
+"""AD-PoseNet: PN that learns with parts of the image hidden where moving objects may be, and that weighs what it sees
+(Huang et al., "Prior guided dropout for robust visual localization in dynamic environments", ICCV 2019)."""
+
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from groundwalk.artefacts import UserError
+from groundwalk.artefacts.files import sha256_of
+from groundwalk.artefacts.images import read_image
+from groundwalk.training.models.posenet import PoseNet, single_scene
+from groundwalk.training.models.regressor import PoseBatch
+from groundwalk.training.models.resnet import FEATURES
+from groundwalk.training.models.uncertainty import CovarianceScale, mean_with_scatter
+from groundwalk.training.regressor_settings import ADPoseNetSettings, RegressorSettings
+
+_SIDE = 64  # of the prior, and of the noise that is repeated over larger images
+_SQUEEZED = FEATURES // 16
+
+
+class ADPoseNet(PoseNet):
+    """One scene's poses, as the mean over `samples` masks of the image, and their scatter as covariance.
+
+    A pixel with the probability mu of showing a moving object is hidden where a draw from a normal distribution with
+    mean mu and deviation mu (1 - mu) isn't below `threshold`. The masks of testing are kept with the weights, so that
+    an answer is the same each time.
+    """
+
+    prior: Tensor
+    noise: Tensor
+
+    def __init__(
+        self,
+        samples: int,
+        prior: float,
+        threshold: float,
+        dropout: float = 0.5,
+        sx: float = 0.0,
+        sq: float = -3.0,
+    ) -> None:
+        super().__init__(dropout, sx, sq)
+        self.threshold = threshold
+        self.channel_attention = nn.Sequential(
+            nn.Linear(FEATURES, _SQUEEZED), nn.ReLU(), nn.Linear(_SQUEEZED, FEATURES), nn.Sigmoid()
+        )
+        self.cell_attention = nn.Conv2d(FEATURES, 1, 1)
+        for layer in (self.channel_attention[0], self.channel_attention[2], self.cell_attention):
+            nn.init.kaiming_normal_(layer.weight)
+            nn.init.zeros_(layer.bias)
+        self.register_buffer("prior", torch.full((_SIDE, _SIDE), prior))
+        self.register_buffer("noise", torch.randn(samples, _SIDE, _SIDE, generator=torch.Generator().manual_seed(0)))
+        self.covariance_scale = CovarianceScale()
+
+    def initialise(self, poses: PoseBatch, settings: RegressorSettings, downloads: Path) -> str:
+        origin = super().initialise(poses, settings, downloads)
+        assert isinstance(settings, ADPoseNetSettings)
+        if settings.prior_image is None:
+            return origin
+        path = Path(settings.prior_image)
+        self.prior.copy_(_read_prior(path))
+        return f"{origin}; prior {path.name}, sha256 {sha256_of(path)}"
+
+    def _visible(self, normal_BHW: Tensor) -> Tensor:
+        """Masks (B, 1, H, W) of draws from the standard normal distribution: 0 hides a pixel."""
+        size = normal_BHW.shape[-2:]
+        mean = nn.functional.interpolate(self.prior[None, None], size, mode="bilinear", align_corners=False)[0]
+        return (mean + mean * (1 - mean) * normal_BHW < self.threshold).to(normal_BHW.dtype)[:, None]
+
+    def _features(self, image_B3HW: Tensor) -> Tensor:
+        maps: Tensor = self.backbone.maps(image_B3HW)
+        channels = self.channel_attention(maps.mean((2, 3)))
+        weighted: Tensor = (maps * torch.sigmoid(self.cell_attention(maps))).mean((2, 3))
+        return weighted * channels
+
+    def forward(self, image_B3HW: Tensor) -> PoseBatch:
+        height, width = image_B3HW.shape[-2:]
+        down, across = (torch.arange(side, device=image_B3HW.device) % _SIDE for side in (height, width))
+        visible = self._visible(self.noise[:, down][:, :, across])
+        seen = (image_B3HW * visible[:, None]).flatten(0, 1)
+        position, log_q = (x.unflatten(0, (len(visible), -1)) for x in self._regress(seen))
+        answer = mean_with_scatter(self.frames, position, log_q)
+        assert answer.covariance_B66 is not None
+        return answer._replace(covariance_B66=self.covariance_scale(answer.covariance_B66))
+
+    def loss(self, image_B3HW: Tensor, poses: PoseBatch) -> Tensor:
+        """PN's loss of images with a mask each."""
+        return super().loss(image_B3HW * self._visible(torch.randn_like(image_B3HW[:, 0])), poses)
+
+    def calibrate(self, answers: PoseBatch, truth: PoseBatch) -> None:
+        self.covariance_scale.fit(answers, truth)
+
+
+def _read_prior(path: Path) -> Tensor:
+    """Probabilities (64, 64) out of an image's grey values; UserError where it can't be read."""
+    try:
+        grey = torch.from_numpy(read_image(path)).float().mean(dim=-1) / 255
+    except UserError as error:
+        expected = "an image whose grey values say how often moving objects hide a pixel: white for always"
+        raise UserError(
+            "the prior of AD-PoseNet can't be read",
+            where=path,
+            expected=expected,
+            found=error.details["found"],
+            do="correct prior_image, or leave it out: then [train.regressors.AD-PoseNet] prior holds everywhere",
+        ) from None
+    return nn.functional.adaptive_avg_pool2d(grey[None], _SIDE)[0]
+
+
+def make_ad_posenet(settings: ADPoseNetSettings, scenes: int, outdoor: bool) -> ADPoseNet:
+    """AD-PoseNet with random weights."""
+    single_scene("AD-PoseNet", scenes)
+    return ADPoseNet(settings.samples, settings.prior, settings.threshold, settings.dropout, settings.sx, settings.sq)
