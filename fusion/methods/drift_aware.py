@@ -6,16 +6,17 @@ keyframes (keyframes.py); with each new one the alignment's whole course is fitt
 (aligner.py), so that what a prediction counts is decided in hindsight. Where the newest ones are explained
 better by another alignment, odometry has lost its frame, or found it again (rivals.py)."""
 
-from math import acos, atan2, cos, degrees, hypot, pi, radians, sin, sqrt
+from math import acos, atan2, cos, degrees, hypot, isnan, log, pi, radians, sin, sqrt
 
 import numpy as np
 from pydantic import Field
 
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.estimator.aligner import DIMENSIONS, Belief, Fit, Model, counted, innovation, iterate
+from groundwalk.fusion.methods.estimator.answer import answer, leaning, rotation_into_map
 from groundwalk.fusion.methods.estimator.bounds import alignment_covariance
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
-from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality
+from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality, expected_variances
 from groundwalk.fusion.methods.estimator.prediction_noise import (
     Prior,
     side_turn_correlation,
@@ -23,7 +24,7 @@ from groundwalk.fusion.methods.estimator.prediction_noise import (
     whitening,
     whitening_of_covariance,
 )
-from groundwalk.fusion.methods.estimator.rivals import Rival, best_rival
+from groundwalk.fusion.methods.estimator.rivals import Rival, best_rival, lay, loose
 from groundwalk.fusion.methods.estimator.robust import middle
 from groundwalk.fusion.methods.estimator.way import Way
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, State, Status, array, plain
@@ -32,6 +33,7 @@ from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 
 # Standing still drifts a little too: what a second adds to the variances, of what a metre does.
 _STANDING = 0.05
+_NOTHING = np.zeros(4)
 _LEAST_DRIFT = np.array([1e-8, 1e-8, 1e-8, 1e-10])
 
 
@@ -224,19 +226,19 @@ class DriftAware(Localiser):
         loss = self.options.jump_loss if self._way.loose.any() else 0.5 if self._watched else self.options.loss
         self._keyframes.add(
             whitening=normalised,
-            measured=[*position, yaw, *lean],
+            measured=(*position.tolist(), yaw, *lean),
             vio=vio_T_cam[:3, 3],
             step=self._way.step(vio_T_cam[:3, 3]),
             turn=self._way.turn,
             drift=self._drift + _LEAST_DRIFT,
             loose=self._way.loose,
             state=state,
-            posterior=self._keyframes.column("posterior")[-1] if len(self._keyframes) else np.zeros(16),
+            posterior=self._keyframes.rows[-1]["posterior"] if len(self._keyframes) else 0.0,
             age=0.0,
             along=self._along_m,
             time_s=t_ns * 1e-9,
             segment=self._segment,
-            rare=np.log((1 - loss) / loss),
+            rare=log((1 - loss) / loss),
         )
         self._way.begin(vio_T_cam[:3, 3])
         self._drift, self._watched = np.zeros(4), False
@@ -251,10 +253,9 @@ class DriftAware(Localiser):
             way = np.array(self._way.step(vio_T_cam[:3, 3]))
         # A yaw is measured as it was before, give or take half a turn.
         turned = state[3] + (yaw - state[3] + pi) % (2 * pi) - pi
-        precision = np.square(normalised).sum(axis=1)
         self._quality.update(
             np.array([*position, turned]),
-            np.array([3 / precision[3:].sum(), 1 / precision[1]]),
+            expected_variances(normalised),
             way,
             self._along_m - self._predicted_at_m,
             self._drift,
@@ -266,11 +267,11 @@ class DriftAware(Localiser):
 
     def _carried(self, vio_T_cam: Array, keyframe: int = -1) -> Array:
         """Position and yaw (4,) of a camera: a keyframe's, by default the newest's, moved on by odometry."""
-        x, y, z, yaw = self._keyframes.column("state")[keyframe].tolist()
+        x, y, z, yaw = self._keyframes.rows[keyframe]["state"].tolist()
         if keyframe == -1:
             (dx, dy, dz), turn = self._way.step(vio_T_cam[:3, 3]), self._way.turn
         else:
-            (dx, dy, dz), turn = (vio_T_cam[:3, 3] - self._keyframes.column("vio")[keyframe]).tolist(), 0.0
+            (dx, dy, dz), turn = (vio_T_cam[:3, 3] - self._keyframes.rows[keyframe]["vio"]).tolist(), 0.0
         c, s = cos(yaw), sin(yaw)
         return np.array([x + c * dx + s * dz, y + dy, z + c * dz - s * dx, yaw + turn])
 
@@ -279,7 +280,7 @@ class DriftAware(Localiser):
     def _fit(self) -> dict[str, float]:
         """Fit all keyframes anew, and change to another alignment where one has won; returns signals."""
         keyframes = self._keyframes
-        newest = None if self._known is None else self._innovation(self._known)
+        newest = None if self._known is None else innovation(keyframes.rows, self._belief, self._known)
         # While there are few, each new one changes much.
         for _ in range(self.options.iterations if 2 * len(keyframes) <= self.options.keyframes else 1):
             fit = self._iterated(newest)
@@ -295,8 +296,8 @@ class DriftAware(Localiser):
                     self._follow(rival)
                     fit = self._iterated()
                 self._doubted |= rival.evidence > -_DOUBT
-        self._known = fit.solution.covariance(len(keyframes) - 1)
-        self._bound = alignment_covariance(keyframes, fit, self._model, len(keyframes) - 1)
+        self._known = fit.solution.covariance[-1]
+        self._bound = self._bound_at(fit, len(keyframes) - 1)
         signals = {"surprise": float(fit.squared[-1]), "weight": float(fit.weights[-1])}
         if np.isfinite(gain):
             signals["rival_gain"] = gain
@@ -317,8 +318,11 @@ class DriftAware(Localiser):
         if self._last is None:
             self._iterated()
         assert self._last is not None
-        bound = alignment_covariance(keyframes, self._last, self._model, at)
-        return self._posed(vio_T_cam, at, bound, Status.FUSED, (), {})
+        return self._posed(vio_T_cam, at, self._bound_at(self._last, at), Status.FUSED, (), {})
+
+    def _bound_at(self, fit: Fit, keyframe: int) -> Array:
+        o = self.options
+        return alignment_covariance(self._keyframes.rows, fit, o.shared, o.shared_m, keyframe)
 
     @property
     def _model(self) -> Model:
@@ -331,24 +335,14 @@ class DriftAware(Localiser):
             prior = prior._replace(size_count=o.size_count_known)
         if self._quality.has_judged:
             prior = prior.with_sizes(self._quality.sizes, o.size_count_seen)
-        return Model(prior, o.degrees_of_freedom, o.independent, o.apart_m, o.shared, o.shared_m, tilt_sd)
+        return Model(prior, o.degrees_of_freedom, o.independent, o.apart_m, tilt_sd)
 
     @property
     def _belief(self) -> Belief:
         return Belief(self._covariance, self._tilt, self._distrust)
 
-    def _innovation(self, known: Array) -> float:
-        """Squared error of the newest prediction, with what was known and has drifted since the one before."""
-        keyframes = self._keyframes
-        way = keyframes.column("step")[-1]
-        F = np.eye(4)
-        F[0, 3], F[2, 3] = way[2], -way[0]
-        added = self._distrust * keyframes.column("drift")[-1] + keyframes.column("loose")[-1]
-        known = F @ known @ F.T + np.diag(added)
-        return innovation(keyframes, self._belief, known)
-
     def _iterated(self, newest: float | None = None) -> Fit:
-        fit = iterate(self._keyframes, self._model, self._belief, newest)
+        fit = iterate(self._keyframes.rows, self._model, self._belief, newest)
         self._covariance, self._last = fit.covariance, fit
         self._tilt, self._tilt_variance = fit.tilt, fit.tilt_variance
         return fit
@@ -356,17 +350,17 @@ class DriftAware(Localiser):
     def _rival(self, fit: Fit) -> Rival | None:
         o = self.options
         count = o.evidence * counted(self._keyframes.column("along"), o.apart_m)
-        return best_rival(self._keyframes, self._covariance, fit.squared, o.degrees_of_freedom, o.recent, count)
+        return best_rival(self._keyframes.rows, self._covariance, fit.squared, o.degrees_of_freedom, o.recent, count)
 
     def _follow(self, rival: Rival) -> None:
         """Change to another alignment from some keyframe on."""
         self._quality.lost()
         keyframes = self._keyframes
-        keyframes.column("state")[rival.begin :] = rival.state
-        if rival.segment is None:
+        lay(keyframes.rows, rival)
+        if isnan(rival.segment):
             self._segment += 1
             keyframes.column("segment")[rival.begin :] = self._segment
-            keyframes.column("loose")[rival.begin] = rival.kept.loose
+            keyframes.column("loose")[rival.begin] = loose(rival.kept)
             return
         # An earlier alignment holds again: what lies between was another frame of odometry's, or wrong predictions.
         segment = keyframes.column("segment")
@@ -404,29 +398,20 @@ class DriftAware(Localiser):
         map_T_cam_apr: Array | None = None,
     ) -> Estimate:
         """The pose that odometry gives when a keyframe's alignment, of covariance `bound` (4, 4), carries it."""
-        x, y, z, yaw = self._carried(vio_T_cam, keyframe)
-        c, s = cos(yaw), sin(yaw)
-        map_T_vio = np.array([[c, 0.0, s, x], [0.0, 1.0, 0.0, y], [-s, 0.0, c, z], [0.0, 0.0, 0.0, 1.0]])
-        map_T_vio[:3, :3] = map_T_vio[:3, :3] @ _leaning(self._tilt)
+        state = self._carried(vio_T_cam, keyframe)
+        map_R_vio = rotation_into_map(state[3], self._tilt)
         tilt_variance = self.options.tilt_covariance_factor * self._tilt_variance + _TILT_JITTER
         if map_T_cam_apr is not None:
-            apart = map_T_cam_apr[:3, :3] @ (map_T_vio[:3, :3] @ vio_T_cam[:3, :3]).T
+            apart = map_T_cam_apr[:3, :3] @ (map_R_vio @ vio_T_cam[:3, :3]).T
             tilt, tilt_variance = self._tilt_of(apart, tilt_variance)
-            map_T_vio[:3, :3] = _leaning(tilt) @ map_T_vio[:3, :3]
-        map_T_vio[:3, 3] -= map_T_vio[:3, :3] @ vio_T_cam[:3, 3]
-        map_T_cam = map_T_vio @ vio_T_cam
-        key_x, _, key_z, _ = self._keyframes.column("state")[keyframe].tolist()
-        F = np.eye(4)
-        F[0, 3], F[2, 3] = z - key_z, key_x - x
-        bound = F @ (self._widened * bound) @ F.T
-        if keyframe == -1:
-            bound += np.diag(self._distrust * self._drift + self._way.loose)
-        covariance = np.zeros((6, 6))
+            map_R_vio = leaning(tilt) @ map_R_vio
+        added = self._distrust * self._drift + self._way.loose if keyframe == -1 else _NOTHING
+        of_keyframe = self._keyframes.rows[keyframe]["state"]
+        map_T_cam, map_T_vio, covariance = answer(
+            state, map_R_vio, vio_T_cam, of_keyframe, self._widened * bound, added
+        )
         covariance[0, 0] = covariance[2, 2] = tilt_variance
-        covariance[1, 1] = bound[3, 3]
-        covariance[1, 3:] = covariance[3:, 1] = bound[3, :3]
-        covariance[3:, 3:] = bound[:3, :3]
-        signals["position_sd_m"] = sqrt(bound[0, 0] + bound[1, 1] + bound[2, 2])
+        signals["position_sd_m"] = sqrt(sum(covariance.diagonal()[3:].tolist()))
         return Estimate(map_T_cam, status, covariance, map_T_vio, (), reasons, signals)
 
     def _tilt_of(self, rotation: Array, of_odometry: float) -> tuple[Array, float]:
@@ -498,16 +483,6 @@ _WORTH_A_LOOK = 2.0  # squared error, over the usual one, of a prediction that m
 # So many predictions in a row that are this much farther off (in the square) than usual: something is wrong.
 _SURPRISES, _SURPRISING = 4, 8.0
 _DOUBT = 3.0  # nats by which a rival may be behind and the alignment still be doubted
-
-
-def _leaning(tilt: Array) -> Array:
-    """The rotation (3, 3) about x and z by angles (2,), rad."""
-    x, z = tilt.tolist()
-    angle = sqrt(x * x + z * z)
-    a, b = (sin(angle) / angle, (1 - cos(angle)) / angle**2) if angle > 1e-9 else (1.0, 0.5)
-    return np.array(
-        [[1 - b * z * z, -a * z, b * x * z], [a * z, 1 - b * angle**2, -a * x], [b * x * z, a * x, 1 - b * x * x]]
-    )
 
 
 def _yaw_and_lean(rotation: Array) -> tuple[float, tuple[float, float]]:

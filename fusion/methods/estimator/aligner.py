@@ -6,46 +6,46 @@ later ones contradict loses its say in hindsight. Each new prediction starts fro
 iterations do.
 """
 
-from dataclasses import dataclass
+from math import exp, inf, isnan, log, nan
+from typing import NamedTuple
 
 import numpy as np
 
 from groundwalk.fusion.methods.estimator import robust
-from groundwalk.fusion.methods.estimator.alignment_chain import UNKNOWN, Chain, Solution, applied, errors, solve
-from groundwalk.fusion.methods.estimator.keyframes import Keyframes
+from groundwalk.fusion.methods.estimator.alignment_chain import UNKNOWN, Chain, Solution, apply, solve, write_error
+from groundwalk.fusion.methods.estimator.compiled import compiled, inlined
+from groundwalk.fusion.methods.estimator.keyframes import Row, Rows
+from groundwalk.fusion.methods.estimator.matrices import add_product, clear, invert, write_columns
 from groundwalk.fusion.methods.estimator.prediction_noise import Prior, scatter
+from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array
 
 DIMENSIONS = 6
 _MIN_COUNTED = 1e-3  # of what a prediction counts, so that each is bound to something
-_TILT = [0, 2]  # of the six numbers of an error: those that odometry's gravity error changes
+_TILT = (0, 2)  # of the six numbers of an error: those that odometry's gravity error changes
 _GRAVITY = 0.1  # what a prediction counts for the tilt: predictions of a whole walk may lean alike
 _REFRESHED = 5  # keyframes whose posterior is worked out anew in an iteration
 _EXCESS = 0.3  # of a squared error that is too much for what is known, taken for the prediction's
 _RECENT = 10  # keyframes that say how many predictions odometry lets one average over
 
 
-@dataclass(frozen=True)
-class Model:
+class Model(NamedTuple):
     """What the fit assumes.
 
     prior: of the covariance of normalised errors. dof: degrees of freedom of Student's t. independent: what one
     prediction counts at least of an independent one, as neighbours are wrong alike. apart_m: motion after which two
-    predictions are half as good as two independent ones of that kind. shared: fraction of their errors that predictions
-    of one place have in common, which fades over `shared_m`: bounds. tilt_sd: of odometry's gravity error an axis, rad.
+    predictions are half as good as two independent ones of that kind. tilt_sd: of odometry's gravity error an axis,
+    rad.
     """
 
     prior: Prior
     dof: float
     independent: float
     apart_m: float
-    shared: float
-    shared_m: float
     tilt_sd: float
 
 
-@dataclass(frozen=True)
-class Belief:
+class Belief(NamedTuple):
     """What the states are fitted under.
 
     covariance (6, 6): of normalised errors. tilt (2,): odometry's gravity error about its x and z, rad. distrust (4,):
@@ -57,121 +57,239 @@ class Belief:
     distrust: Array
 
 
-@dataclass(frozen=True)
-class Fit:
+class Fit(NamedTuple):
     """What an iteration gives beside the keyframes' states.
 
     covariance (6, 6): of normalised errors. squared (N,): each keyframe's squared error in its units. counted (N,):
-    what it says that its neighbours don't. weights (N,): what Student's t lets it count. gradient (N, 4), information
-    (N, 4, 4), solution: the predictions' terms, and the step. tilt (2,) and its variance: odometry's gravity error.
+    what it says that its neighbours don't. weights (N,): what Student's t lets it count. information (N, 4, 4) and
+    solution: the predictions' terms, and the step. tilt (2,) and its variance: odometry's gravity error.
     """
 
     covariance: Array
     squared: Array
     counted: Array
     weights: Array
-    gradient: Array
     information: Array
     solution: Solution
     tilt: Array
     tilt_variance: float
 
 
-def chain_of(keyframes: Keyframes, distrust: Array) -> Chain:
-    """Odometry's part of the problem, its variances `distrust` (4,) times the usual ones."""
-    precision = 1 / (distrust * keyframes.column("drift") + keyframes.column("loose"))
-    precision[0] = 0.0
-    return Chain(keyframes.column("step"), keyframes.column("turn"), precision)
-
-
+@compiled
 def counted(along: Array, apart_m: float) -> Array:
     """How much of a prediction each says that isn't its neighbour's, (N,): those made standing still are one."""
     fraction = np.ones(len(along))
-    gap = np.diff(along)
-    fraction[1:] = np.maximum(gap / (gap + apart_m), _MIN_COUNTED)
+    for i in range(1, len(along)):
+        gap = along[i] - along[i - 1]
+        fraction[i] = max(gap / (gap + apart_m), _MIN_COUNTED)
     return fraction
 
 
-def independent(keyframes: Keyframes, model: Model, belief: Belief, precision: Array) -> float:
-    """What a prediction counts of an independent one. Predictions share errors with those that they are averaged with:
-    about as many as their sd is larger than what odometry drifts from one to the next."""
-    if len(keyframes) < 2:
-        return model.independent
-    horizontal = keyframes.column("whitening")[-_RECENT:].reshape(-1, DIMENSIONS, DIMENSIONS)[:, :, UNKNOWN[:3:2]]
-    information = ((precision @ horizontal) * horizontal).sum(axis=(1, 2)) / 2
-    drift = belief.distrust[0] * keyframes.column("drift")[-_RECENT:, 0]
-    seen = slice(1 if len(keyframes) <= _RECENT else 0, None)
-    averaged = np.exp(-0.5 * np.log(information[seen] * drift[seen]).mean())
-    return float(max(model.independent, 1 / (1 + averaged)))
-
-
-def innovation(keyframes: Keyframes, belief: Belief, known: Array) -> float:
+@compiled
+def innovation(keyframes: Rows, belief: Belief, known: Array) -> float:
     """Squared length of the newest prediction's error that is to be expected once it is taken in, for a state of
-    covariance `known` (4, 4) before it. What may be odometry's drift is no error of the prediction, and doesn't show
-    that it is a good one either; what is too much for both is an error."""
-    state, measured = keyframes.column("state")[-1:], keyframes.column("measured")[-1:]
-    whitening = keyframes.column("whitening")[-1].reshape(DIMENSIONS, DIMENSIONS)
-    error = errors(state[:, :3], state[:, 3], measured[:, :3], measured[:, 3], measured[:, 4:])[0]
-    error[_TILT] -= belief.tilt
-    unknown = whitening[:, UNKNOWN]
-    error = whitening @ error
-    precision = np.linalg.inv(belief.covariance + unknown @ known @ unknown.T)
-    left = precision @ error
-    expected = left @ belief.covariance @ left + DIMENSIONS - (precision * belief.covariance).sum()
-    return float(max(expected, _EXCESS * (error @ left)))
+    covariance `known` (4, 4) at the one before. What may be odometry's drift is no error of the prediction, and doesn't
+    show that it is a good one either; what is too much for both is an error."""
+    newest = keyframes[-1]
+    known = known.copy()
+    for j in range(4):  # the yaw before turns the step
+        known[0, j] += newest.step[2] * known[3, j]
+        known[2, j] -= newest.step[0] * known[3, j]
+    for j in range(4):
+        known[j, 0] += newest.step[2] * known[j, 3]
+        known[j, 2] -= newest.step[0] * known[j, 3]
+    for j in range(4):
+        known[j, j] += belief.distrust[j] * newest.drift[j] + newest.loose[j]
+    normalised, unknown, spread = np.empty(6), np.empty((6, 4)), np.empty((6, 6))
+    _write_normalised(newest, belief.tilt, normalised)
+    write_columns(newest.whitening, UNKNOWN, unknown, 6)
+    _write_sandwich(unknown, known, 1.0, spread, (6, 4))
+    precision, left = belief.covariance + spread, np.zeros(6)
+    invert(precision)
+    expected = error = 0.0
+    for j in range(6):
+        for k in range(6):
+            left[j] += precision[j, k] * normalised[k]
+            expected += precision[j, k] * spread[j, k]  # dimensions, less the trace with the errors' own
+        error += normalised[j] * left[j]
+    for j in range(6):
+        for k in range(6):
+            expected += left[j] * belief.covariance[j, k] * left[k]
+    return max(expected, _EXCESS * error)
 
 
-def iterate(keyframes: Keyframes, model: Model, belief: Belief, newest: float | None = None) -> Fit:
+def iterate(keyframes: Rows, model: Model, belief: Belief, newest: float | None = None) -> Fit:
     """One iteration: weights and covariance from the errors as they are expected (expectation and maximisation: an
     error is what is left of the prediction, and how uncertain the state is), then one step of the keyframes' states.
 
-    `newest` stands in for the newest keyframe's squared error in its weight (`innovation`).
+    `newest` stands in for the newest keyframe's squared error in its weight (`innovation`). Raises GeometryError where
+    nothing binds a keyframe.
     """
-    state, measured = keyframes.column("state"), keyframes.column("measured")
-    whitening = keyframes.column("whitening").reshape(-1, DIMENSIONS, DIMENSIONS)
-    position, yaw = state[:, :3], state[:, 3]
-    left = errors(position, yaw, measured[:, :3], measured[:, 3], measured[:, 4:])
-    left[:, _TILT] -= belief.tilt
-    normalised = (whitening @ left[:, :, None])[:, :, 0]
-    unknown = whitening[:, :, UNKNOWN]
-    fraction = counted(keyframes.column("along"), model.apart_m)
-    precision = np.asarray(np.linalg.inv(belief.covariance), dtype=float)
-    each = independent(keyframes, model, belief, precision)
-    posterior = keyframes.column("posterior").reshape(-1, 4, 4)
-    spread = each * (unknown @ posterior @ unknown.transpose(0, 2, 1))
-    squared = _expected(normalised, spread, precision)
-    weights = robust.weights(squared, DIMENSIONS, model.dof)
+    fit = _iterate(keyframes, model, belief, nan if newest is None else newest)
+    if fit.solution.fault >= 0:
+        raise GeometryError(
+            f"nothing binds keyframe {fit.solution.fault} of {len(keyframes)}: the information isn't positive"
+        )
+    return fit
+
+
+@compiled
+def _iterate(keyframes: Rows, model: Model, belief: Belief, newest: float) -> Fit:
+    count = len(keyframes)
+    normalised, unknown, spread = np.empty((count, 6)), np.empty((count, 6, 4)), np.empty((count, 6, 6))
+    precision = belief.covariance.copy()
+    invert(precision)
+    each = _independent(keyframes, model.independent, belief.distrust[0], precision)
+    weights, squared, fraction = np.empty(count), np.empty(count), counted(keyframes["along"], model.apart_m)
+    for i in range(count):
+        _write_normalised(keyframes[i], belief.tilt, normalised[i])
+        write_columns(keyframes[i].whitening, UNKNOWN, unknown[i], 6)
+        _write_sandwich(unknown[i], keyframes[i].posterior, each, spread[i], (6, 4))
+        squared[i] = _expected(normalised[i], spread[i], precision)
+        weights[i] = robust.weight(squared[i], DIMENSIONS, model.dof)
     covariance = scatter(model.prior, normalised, spread, fraction, weights)
-    precision = np.asarray(np.linalg.inv(covariance), dtype=float)
-    squared = _expected(normalised, spread, precision)
-    judged = squared if newest is None else np.append(squared[:-1], newest)
-    weights = robust.weights(judged, DIMENSIONS, model.dof)
-    fraction = each * fraction
-    weighed = (fraction * weights)[:, None, None]
-    pulled = precision @ normalised[:, :, None]
-    transposed = weighed * unknown.transpose(0, 2, 1)
-    information, gradient = transposed @ (precision @ unknown), (transposed @ pulled)[:, :, 0]
-    level = whitening[:, :, _TILT]
-    transposed = _GRAVITY * weighed * level.transpose(0, 2, 1)
-    of_tilt = np.linalg.inv((transposed @ (precision @ level)).sum(axis=0) + np.eye(2) / model.tilt_sd**2)
-    tilt = belief.tilt + of_tilt @ ((transposed @ pulled)[:, :, 0].sum(axis=0) - belief.tilt / model.tilt_sd**2)
-    solution = solve(chain_of(keyframes, belief.distrust), position, yaw, information, gradient)
-    state[:, :3], state[:, 3] = applied(position, yaw, solution.increments)
-    _refresh(keyframes, solution)
-    return Fit(covariance, squared, fraction, weights, gradient, information, solution, tilt, of_tilt.trace() / 2)
+    precision = covariance.copy()
+    invert(precision)
+    for i in range(count):
+        squared[i] = _expected(normalised[i], spread[i], precision)
+        known_better = i == count - 1 and not isnan(newest)
+        weights[i] = robust.weight(newest if known_better else squared[i], DIMENSIONS, model.dof)
+        fraction[i] *= each
+    information, gradient = _normal_equations(normalised, unknown, fraction, weights, precision)
+    tilt, tilt_variance = _tilt(keyframes, normalised, fraction, weights, precision, belief.tilt, model.tilt_sd)
+    solution = solve(_chain(keyframes, belief.distrust), keyframes["state"], information, gradient)
+    if solution.fault < 0:
+        apply(keyframes["state"], solution.increments)
+        _refresh(keyframes, solution.covariance)
+    return Fit(covariance, squared, fraction, weights, information, solution, tilt, tilt_variance)
 
 
-def _expected(normalised: Array, spread: Array, precision: Array) -> Array:
-    """Squared errors (N,) that are to be expected of errors (N, 6) whose states spread them by (N, 6, 6)."""
-    flat = spread.reshape(len(spread), -1) @ precision.ravel()
-    return np.asarray(((normalised @ precision) * normalised).sum(axis=1) + flat)
+@compiled
+def _chain(keyframes: Rows, distrust: Array) -> Chain:
+    """Odometry's part of the problem, its variances `distrust` (4,) times the usual ones."""
+    count = len(keyframes)
+    chain = Chain(np.empty((count, 3)), np.empty(count), np.zeros((count, 4)))
+    for i in range(count):
+        here = keyframes[i]
+        chain.turn[i] = here.turn
+        for j in range(3):
+            chain.step[i, j] = here.step[j]
+        if i > 0:
+            for j in range(4):
+                chain.precision[i, j] = 1 / (distrust[j] * here.drift[j] + here.loose[j])
+    return chain
 
 
-def _refresh(keyframes: Keyframes, solution: Solution) -> None:
-    """Work out the covariance of some keyframes' states: of the newest always, of the others in turns."""
-    posterior, age = keyframes.column("posterior"), keyframes.column("age")
-    age += 1
-    rows = np.argsort(-age, kind="stable")[: _REFRESHED - 1] if len(age) > _REFRESHED else np.arange(len(age))
-    rows = np.append(rows[rows != len(age) - 1], len(age) - 1)
-    posterior[rows] = solution.covariances(rows).reshape(-1, 16)
-    age[rows] = 0
+@compiled
+def _independent(keyframes: Rows, at_least: float, drift_factor: float, precision: Array) -> float:
+    """What a prediction counts of an independent one, at least the given. Predictions share errors with those that they
+    are averaged with: about as many as their sd is larger than what odometry drifts from one to the next.
+    precision (6, 6): of normalised errors. drift_factor: of the usual variance of drift."""
+    count = len(keyframes)
+    if count < 2:
+        return at_least
+    total, begin = 0.0, max(1, count - _RECENT)
+    for i in range(begin, count):
+        here, information = keyframes[i], 0.0
+        for axis in (UNKNOWN[0], UNKNOWN[2]):
+            for j in range(6):
+                for k in range(6):
+                    information += here.whitening[j, axis] * precision[j, k] * here.whitening[k, axis]
+        total += log(information / 2 * (drift_factor * here.drift[0]))
+    return max(at_least, 1 / (1 + exp(-0.5 * total / (count - begin))))
+
+
+@compiled
+def _write_normalised(keyframe: Row, tilt: Array, normalised: Array) -> None:
+    """Writes a prediction's error (6,) in camera axes, over its expected size."""
+    error = np.empty(6)
+    write_error(keyframe.state, keyframe.measured, error)
+    error[_TILT[0]] -= tilt[0]
+    error[_TILT[1]] -= tilt[1]
+    for j in range(6):
+        normalised[j] = 0.0
+        for k in range(6):
+            normalised[j] += keyframe.whitening[j, k] * error[k]
+
+
+@inlined
+def _write_sandwich(outer: Array, middle: Array, scale: float, result: Array, shape: tuple[int, int]) -> None:
+    """Writes scale * outer @ middle @ outer.T, for outer of the shape and symmetric middle."""
+    rows, columns = shape
+    half = np.zeros((rows, columns))
+    add_product(outer, middle, half, (rows, columns, columns), scale)
+    clear(result, rows, rows)
+    add_product(half, outer.T, result, (rows, columns, rows))
+
+
+@inlined
+def _expected(normalised: Array, spread: Array, precision: Array) -> float:
+    """The squared error that is to be expected of an error (6,) whose state spreads it by (6, 6)."""
+    squared = 0.0
+    for j in range(6):
+        for k in range(6):
+            squared += precision[j, k] * (normalised[j] * normalised[k] + spread[j, k])
+    return squared
+
+
+@compiled
+def _normal_equations(
+    normalised: Array, unknown: Array, fraction: Array, weights: Array, precision: Array
+) -> tuple[Array, Array]:
+    """The predictions' information (N, 4, 4) and gradient (N, 4)."""
+    count = len(weights)
+    information, gradient, pulled = np.empty((count, 4, 4)), np.zeros((count, 4)), np.empty(6)
+    for i in range(count):
+        weight = fraction[i] * weights[i]
+        _write_sandwich(unknown[i].T, precision, weight, information[i], (4, 6))
+        for j in range(6):
+            pulled[j] = 0.0
+            for k in range(6):
+                pulled[j] += weight * precision[j, k] * normalised[i, k]
+        for j in range(6):
+            for k in range(4):
+                gradient[i, k] += unknown[i, j, k] * pulled[j]
+    return information, gradient
+
+
+@compiled
+def _tilt(
+    keyframes: Rows, normalised: Array, fraction: Array, weights: Array, precision: Array, tilt: Array, sd: float
+) -> tuple[Array, float]:
+    """Odometry's gravity error (2,) after one step from `tilt`, and its variance, given its sd beforehand."""
+    information, gradient = np.zeros((2, 2)), np.empty(2)
+    for j in range(2):
+        information[j, j], gradient[j] = 1 / sd**2, -tilt[j] / sd**2
+    for i in range(len(keyframes)):
+        weight, whitening = _GRAVITY * fraction[i] * weights[i], keyframes[i].whitening
+        for j in range(2):
+            for k in range(6):
+                pulled = 0.0
+                for m in range(6):
+                    pulled += weight * whitening[m, _TILT[j]] * precision[m, k]
+                gradient[j] += pulled * normalised[i, k]
+                for m in range(2):
+                    information[j, m] += pulled * whitening[k, _TILT[m]]
+    invert(information)
+    of = np.empty(2)
+    for j in range(2):
+        of[j] = tilt[j] + information[j, 0] * gradient[0] + information[j, 1] * gradient[1]
+    return of, (information[0, 0] + information[1, 1]) / 2
+
+
+@compiled
+def _refresh(keyframes: Rows, covariance: Array) -> None:
+    """Note the covariances (N, 4, 4) of some keyframes' states: of the newest always, of the others in turns."""
+    count = len(keyframes)
+    for i in range(count):
+        keyframes[i].age += 1
+    keyframes[-1].age = inf
+    for _ in range(min(_REFRESHED, count)):
+        oldest = 0
+        for i in range(count):
+            if keyframes[i].age > keyframes[oldest].age:
+                oldest = i
+        keyframes[oldest].age = 0
+        for j in range(4):
+            for k in range(4):
+                keyframes[oldest].posterior[j, k] = covariance[oldest, j, k]

@@ -5,37 +5,82 @@ wrong together: predictions near each other share a part of their error, whereve
 part the covariance is that of the fit's linear answer to such errors (a sandwich, as of generalised estimating
 equations; Liang and Zeger, Biometrika 73, 1986)."""
 
-from math import cos, sin
+from math import cos, exp, sin, sqrt
 
 import numpy as np
 
-from groundwalk.fusion.methods.estimator.aligner import Fit, Model
-from groundwalk.fusion.methods.estimator.alignment_chain import UNKNOWN
-from groundwalk.fusion.methods.estimator.keyframes import Keyframes
+from groundwalk.fusion.methods.estimator.aligner import Fit
+from groundwalk.fusion.methods.estimator.alignment_chain import UNKNOWN, covariances_with
+from groundwalk.fusion.methods.estimator.compiled import compiled
+from groundwalk.fusion.methods.estimator.keyframes import Rows
+from groundwalk.fusion.methods.estimator.matrices import add_product, clear, invert, write_columns
 from groundwalk.geometry.poses import Array
 
 
-def alignment_covariance(keyframes: Keyframes, fit: Fit, model: Model, index: int) -> Array:
-    """Covariance (4, 4) of the `index`th keyframe's x, y, z and yaw, in map axes."""
-    count = len(keyframes)
-    flat = fit.solution.columns(np.array([index]))
-    answer = flat.reshape(count, 4, 4)  # of keyframe i's gradient to the increments
-    believed = flat.T @ (fit.information @ answer).reshape(-1, 4)
-    # What one standard deviation of each of a prediction's six numbers does to the answer.
-    unknown = keyframes.column("whitening").reshape(count, 6, 6)[:, :, UNKNOWN]
-    moved = np.linalg.inv(np.linalg.cholesky(fit.covariance)) @ (unknown @ answer)
-    moved *= np.sqrt(fit.counted * fit.weights)[:, None, None]
-    place = keyframes.column("state")[:, :3]
-    apart = place[:, None] - place
-    alike = model.shared * np.exp(np.sqrt((apart * apart) @ np.ones(3)) / -model.shared_m)
-    alike.flat[:: count + 1] = 1.0
-    together = (alike @ moved.reshape(count, -1)).reshape(-1, 4)
-    real = moved.reshape(-1, 4).T @ together
-    return turned(answer[index] - believed + real, keyframes.column("state")[index, 3])
+@compiled
+def alignment_covariance(keyframes: Rows, fit: Fit, shared: float, shared_m: float, index: int) -> Array:
+    """Covariance (4, 4) of the `index`th keyframe's x, y, z and yaw, in map axes. shared: fraction of their errors that
+    predictions of one place have in common, which fades over `shared_m`."""
+    answer = covariances_with(fit.solution, index)  # of keyframe i's gradient to the increments
+    moved = _moved(keyframes, fit, answer)
+    precision, covariance = fit.covariance.copy(), answer[index].copy()
+    invert(precision)
+    believed, together, weighed = np.empty((4, 4)), np.empty((6, 4)), np.empty((6, 4))
+    for i in range(len(keyframes)):
+        clear(believed, 4, 4)
+        add_product(fit.information[i], answer[i], believed, (4, 4, 4))
+        add_product(answer[i].T, believed, covariance, (4, 4, 4), -1.0)
+        _write_together(keyframes, moved, i, shared, shared_m, together)
+        clear(weighed, 6, 4)
+        add_product(precision, together, weighed, (6, 6, 4))
+        add_product(moved[i].T, weighed, covariance, (4, 6, 4))
+    symmetric = np.empty((4, 4))
+    for j in range(4):
+        for k in range(4):
+            symmetric[j, k] = (covariance[j, k] + covariance[k, j]) / 2
+    return turned(symmetric, keyframes[index].state[3])
 
 
+@compiled
+def _moved(keyframes: Rows, fit: Fit, answer: Array) -> Array:
+    """What an error of each of a prediction's six numbers does to the answer, (N, 6, 4), as it counts."""
+    unknown, moved = np.empty((6, 4)), np.zeros((len(keyframes), 6, 4))
+    for i in range(len(keyframes)):
+        write_columns(keyframes[i].whitening, UNKNOWN, unknown, 6)
+        add_product(unknown, answer[i], moved[i], (6, 4, 4), sqrt(fit.counted[i] * fit.weights[i]))
+    return moved
+
+
+@compiled
+def _write_together(keyframes: Rows, moved: Array, i: int, shared: float, shared_m: float, together: Array) -> None:
+    """Writes what one keyframe's error moves, (6, 4), with what those before it move that share it. These count twice,
+    as each pair is met once."""
+    for k in range(6):
+        for m in range(4):
+            together[k, m] = moved[i, k, m]
+    x, y, z = keyframes[i].state[0], keyframes[i].state[1], keyframes[i].state[2]
+    for j in range(i):
+        state = keyframes[j].state
+        square = (x - state[0]) ** 2 + (y - state[1]) ** 2 + (z - state[2]) ** 2
+        alike = 2 * shared * exp(-sqrt(square) / shared_m)
+        for k in range(6):
+            for m in range(4):
+                together[k, m] += alike * moved[j, k, m]
+
+
+@compiled
 def turned(covariance: Array, yaw: float) -> Array:
     """A covariance (4, 4) of x, y, z and yaw in axes turned forth by a yaw (rad)."""
     c, s = cos(yaw), sin(yaw)
-    turn = np.array([[c, 0.0, s, 0.0], [0.0, 1.0, 0.0, 0.0], [-s, 0.0, c, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    return np.asarray(turn @ covariance @ turn.T)
+    half, result = np.empty((4, 4)), np.empty((4, 4))
+    for j in range(4):
+        half[0, j] = c * covariance[0, j] + s * covariance[2, j]
+        half[1, j] = covariance[1, j]
+        half[2, j] = c * covariance[2, j] - s * covariance[0, j]
+        half[3, j] = covariance[3, j]
+    for j in range(4):
+        result[j, 0] = c * half[j, 0] + s * half[j, 2]
+        result[j, 1] = half[j, 1]
+        result[j, 2] = c * half[j, 2] - s * half[j, 0]
+        result[j, 3] = half[j, 3]
+    return result

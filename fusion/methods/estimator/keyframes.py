@@ -5,52 +5,61 @@ goes: whose neighbours are nearest to each other in motion, for the time that ha
 as they came, older ones ever farther apart."""
 
 from collections.abc import Sequence
+from math import cos, sin
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from groundwalk.geometry.poses import Array, yaw_rotation
+from groundwalk.fusion.methods.estimator.compiled import compiled
+from groundwalk.geometry.poses import Array
 
-# Columns of the table, by what they hold.
-_WIDTHS = {
-    "whitening": 36,  # B (6, 6): from odometry's axes to normalised errors in camera axes
-    "measured": 6,  # predicted position (m), yaw against odometry, tilt about the map's x and z (rad)
-    "vio": 3,  # odometry's position
-    "step": 3,  # odometry's step from the keyframe before, in its axes there
-    "turn": 1,  # what odometry's axes have turned by since: its frame was lost, and bridged (rad)
-    "drift": 4,  # variances that odometry's drift adds on the way from the keyframe before: x, y, z, yaw
-    "loose": 4,  # what a loss of its frame adds to them
-    "state": 4,  # the camera's map position and the yaw of map_R_vio, as estimated
-    "posterior": 16,  # covariance (4, 4) of the state, in axes turned back by the yaw, as it was `age` iterations ago
-    "age": 1,
-    "along": 1,  # motion since the start
-    "time_s": 1,
-    "segment": 1,  # counts up where odometry lost its frame, or may have
-    "rare": 1,  # logarithm of the odds against that, before the keyframe
-}
-_COLUMNS = {}
-_width = 0
-for _name, _count in _WIDTHS.items():
-    _COLUMNS[_name] = slice(_width, _width + _count)
-    _width += _count
+KEYFRAME = np.dtype(
+    [
+        ("whitening", float, (6, 6)),  # B: from odometry's axes to normalised errors in camera axes
+        ("measured", float, 6),  # predicted position (m), yaw against odometry, tilt about the map's x and z (rad)
+        ("vio", float, 3),  # odometry's position
+        ("step", float, 3),  # odometry's step from the keyframe before, in its axes there
+        ("turn", float),  # what odometry's axes have turned by since: its frame was lost, and bridged (rad)
+        ("drift", float, 4),  # variances that odometry's drift adds on the way from the keyframe before: x, y, z, yaw
+        ("loose", float, 4),  # what a loss of its frame adds to them
+        ("state", float, 4),  # the camera's map position and the yaw of map_R_vio, as estimated
+        ("posterior", float, (4, 4)),  # covariance of the state, turned back by the yaw, as it was `age` iterations ago
+        ("age", float),
+        ("along", float),  # motion since the start
+        ("time_s", float),
+        ("segment", float),  # counts up where odometry lost its frame, or may have
+        ("rare", float),  # logarithm of the odds against that, before the keyframe
+    ]
+)
+_WIDTH = KEYFRAME.itemsize // 8
+Rows = NDArray[np.void]
+"""Keyframes (N,), of dtype KEYFRAME."""
+Row = Any
+"""One of them."""
 
 
 class Keyframes:
-    """The table. Attributes are views of the rows in use, which writing to changes."""
+    """The table. `rows` and columns are views of what is in use, which writing to changes."""
 
     def __init__(self, capacity: int | None) -> None:
         """`capacity`: how many are kept; None keeps all."""
         self.capacity = capacity
-        self._rows = np.zeros((64 if capacity is None else capacity + 1, _width))
+        self._rows = np.zeros(64 if capacity is None else capacity + 1, dtype=KEYFRAME)
         self._count = 0
 
     def __len__(self) -> int:
         return self._count
 
+    @property
+    def rows(self) -> Rows:
+        """The keyframes in use."""
+        return self._rows[: self._count]
+
     def column(self, name: str) -> Array:
-        """A view (N, width) of what the keyframes hold of one kind, (N,) where it is one number."""
-        view = self._rows[: self._count, _COLUMNS[name]]
-        return view[:, 0] if _WIDTHS[name] == 1 else view
+        """What the keyframes hold of one kind, (N, ...)."""
+        column: Array = self._rows[name][: self._count]
+        return column
 
     def add(self, **values: Any) -> None:
         """Put one at the end; where the table is full, another one goes."""
@@ -58,22 +67,14 @@ class Keyframes:
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
         row = self._rows[self._count]
         for name, value in values.items():
-            row[_COLUMNS[name]] = np.ravel(value)
+            row[name] = value
         self._count += 1
         if self.capacity is not None and self._count > self.capacity:
-            self.remove(self._least())
+            self.remove(_least(self.rows))
 
     def remove(self, index: int) -> None:
         """Take one out; the way to the next one is then the way over it."""
-        if index + 1 < self._count:
-            before, after = self._rows[index], self._rows[index + 1]
-            step, turn = _COLUMNS["step"], _COLUMNS["turn"]
-            after[step] = before[step] + yaw_rotation(float(before[turn][0])) @ after[step]
-            for name in ("turn", "drift", "loose"):
-                after[_COLUMNS[name]] += before[_COLUMNS[name]]
-            if after[_COLUMNS["segment"]] == before[_COLUMNS["segment"]]:
-                after[_COLUMNS["rare"]] = min(after[_COLUMNS["rare"]], before[_COLUMNS["rare"]])
-        self._rows[index : self._count - 1] = self._rows[index + 1 : self._count]
+        _close(self.rows, index)
         self._count -= 1
 
     def keep(self, rows: Sequence[int] | Array) -> None:
@@ -82,22 +83,49 @@ class Keyframes:
         for index in gone[::-1]:
             self.remove(int(index))
 
-    def _least(self) -> int:
-        along, time_s = self.column("along"), self.column("time_s")
-        apart = along[2:] - along[:-2] + 1e-6 * (time_s[2:] - time_s[:-2])
-        # As far apart as they are far back, so that the table reaches far back with few.
-        back = along[-1] - along[1:-1] + 1.0
-        return 1 + int(np.argmin(apart / back)) if len(apart) else 0
-
     def save(self) -> list[list[float]]:
         """The rows as plain lists."""
-        return self._rows[: self._count].tolist()
+        plain: list[list[float]] = self.rows.view(float).reshape(-1, _WIDTH).tolist()
+        return plain
 
     def restore(self, rows: list[list[float]]) -> None:
         """Take over rows that `save` gave."""
-        self._count = 0
+        self._count = len(rows)
         if rows:
-            table = np.array(rows)
-            self._rows = np.zeros((max(len(self._rows), len(table)), _width))
-            self._rows[: len(table)] = table
-            self._count = len(table)
+            self._rows = np.zeros(max(len(self._rows), len(rows)), dtype=KEYFRAME)
+            self._rows[: len(rows)] = np.array(rows).view(KEYFRAME)[:, 0]
+
+
+@compiled
+def _least(keyframes: Rows) -> int:
+    """The keyframe that says least."""
+    least, index = np.inf, 0
+    for i in range(1, len(keyframes) - 1):
+        before, here, after = keyframes[i - 1], keyframes[i], keyframes[i + 1]
+        apart = after.along - before.along + 1e-6 * (after.time_s - before.time_s)
+        # As far apart as they are far back, so that the table reaches far back with few.
+        apart /= keyframes[-1].along - here.along + 1.0
+        if apart < least:
+            least, index = apart, i
+    return index
+
+
+@compiled
+def _close(keyframes: Rows, index: int) -> None:
+    """Move the keyframes after one up over it."""
+    last = len(keyframes) - 1
+    if index < last:
+        gone, after = keyframes[index], keyframes[index + 1]
+        c, s = cos(gone.turn), sin(gone.turn)
+        x, z = after.step[0], after.step[2]
+        after.step[0] = gone.step[0] + (c * x + s * z)
+        after.step[1] += gone.step[1]
+        after.step[2] = gone.step[2] + (c * z - s * x)
+        after.turn += gone.turn
+        for j in range(4):
+            after.drift[j] += gone.drift[j]
+            after.loose[j] += gone.loose[j]
+        if after.segment == gone.segment:
+            after.rare = min(after.rare, gone.rare)
+    for i in range(index, last):
+        keyframes[i] = keyframes[i + 1]

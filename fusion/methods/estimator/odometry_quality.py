@@ -8,18 +8,22 @@ it. Under each hypothesis odometry's offset and the shared error are two numbers
 the tails of Student's t follows. Nothing here hangs on the fit of the alignment but its yaw, so a fit that has gone
 wrong doesn't confirm itself."""
 
-from math import cos, sin
+from math import cos, exp, log, sin
 from typing import Any
 
 import numpy as np
 
+from groundwalk.fusion.methods.estimator.compiled import compiled
+from groundwalk.fusion.methods.estimator.robust import cost, weight
 from groundwalk.fusion.methods.localiser import plain
 from groundwalk.geometry.poses import Array
 
 _DRIFT = 4.0 ** np.arange(6)  # factors of the usual variance of drift
 _SIZE = 8.0 ** np.arange(-4, 4)  # of the expected variance of a prediction's error
 _SHARED = ((0.0, 1.0), (0.6, 4.0), (0.9, 16.0))  # share of it that neighbours have in common, and metres it reaches
-_DRIFTS, _SIZES, _SHARES, _LENGTHS = np.array([(d, s, *f) for d in _DRIFT for s in _SIZE for f in _SHARED]).T
+_HYPOTHESES = np.array([(d, s, *f) for d in _DRIFT for s in _SIZE for f in _SHARED])
+_DRIFTS, _SIZES, _SHARES, _ = _HYPOTHESES.T
+_LOG_FACTORS = np.log(_HYPOTHESES[:, :2])
 _RARE = 0.4  # prior odds of each further factor of drift
 _LOG_PRIOR = np.log(_RARE) * np.log(_DRIFTS) / np.log(4.0)
 _LOG_PRIOR_KNOWN = _LOG_PRIOR - (np.log(_SIZES) / np.log(2.0)) ** 2 / 2  # a factor of two, one sigma
@@ -50,33 +54,12 @@ class _Bank:
 
     def update(self, apart: Array, drift: tuple[float, float], size: float, moved_m: float) -> None:
         """Take in the next one. drift: the usual variance on the way, and what is to be added to it anyhow."""
-        axes = len(apart)
-        usual = size * _SIZES
-        a, b = self._offset
-        faded = np.exp(-moved_m / _LENGTHS)
-        P_a, P_b, P_ab = self._P
-        P_a = P_a + _DRIFTS * drift[0] + drift[1]
-        P_b = faded * faded * (P_b - _SHARES * usual) + _SHARES * usual
-        P_ab = faded * P_ab
-        b *= faded
-        H_a, H_b, noise = P_a + P_ab, P_b + P_ab, (1 - _SHARES) * usual
-        S = H_a + H_b + noise
-        error = apart[:, None] - a - b
-        squared = (error * error).sum(axis=0) / S
-        log_density = -axes / 2 * np.log(S) - (_DOF + axes) / 2 * np.log1p(squared / _DOF)
-        self._log_odds = _KEPT * self._log_odds + log_density
-        self._log_odds -= self._log_odds.max()
-        S = H_a + H_b + noise * np.maximum(1.0, (_DOF + squared) / (_DOF + axes)) + _MIN_VARIANCE
-        G_a, G_b = H_a / S, H_b / S
-        a += G_a * error
-        b += G_b * error
-        self._P[:] = P_a - G_a * H_a, P_b - G_b * H_b, P_ab - G_a * H_b
+        variances = np.array([*drift, size])
+        _filter(_HYPOTHESES, self._offset, self._P, self._log_odds, apart, variances, moved_m)
 
     def factors(self, sizes_known: bool) -> tuple[float, float]:
         """Of the usual variances of drift and of a prediction's error: means of their logarithms over hypotheses."""
-        odds = np.exp(self._log_odds + (_LOG_PRIOR_KNOWN if sizes_known else _LOG_PRIOR))
-        odds /= odds.sum()
-        return float(np.exp(odds @ np.log(_DRIFTS))), float(np.exp(odds @ np.log(_SIZES)))
+        return _mean_factors(_LOG_FACTORS, self._log_odds, _LOG_PRIOR_KNOWN if sizes_known else _LOG_PRIOR)
 
     def save(self) -> list[Any]:
         return [plain(self._offset), plain(self._P), plain(self._log_odds), self.begun]
@@ -84,6 +67,62 @@ class _Bank:
     def restore(self, state: list[Any]) -> None:
         self._offset, self._P, self._log_odds = (np.array(part) for part in state[:3])
         self.begun = state[3]
+
+
+@compiled
+def _filter(
+    hypotheses: Array, offset: Array, P: Array, log_odds: Array, apart: Array, variances: Array, moved_m: float
+) -> None:
+    """One step of all filters of a bank, which writes to its offsets, variances and evidence. variances (3,): the usual
+    one of drift, what is to be added to it anyhow, and the one expected of the prediction's error."""
+    axes = len(apart)
+    error = np.empty(axes)
+    for i in range(len(hypotheses)):
+        drift, size, share, length = hypotheses[i]
+        usual, faded = variances[2] * size, exp(-moved_m / length)
+        P_a = P[0, i] + drift * variances[0] + variances[1]
+        P_b = faded * faded * (P[1, i] - share * usual) + share * usual
+        P_ab = faded * P[2, i]
+        H_a, H_b, noise = P_a + P_ab, P_b + P_ab, (1 - share) * usual
+        S, squared = H_a + H_b + noise, 0.0
+        for axis in range(axes):
+            offset[1, axis, i] *= faded
+            error[axis] = apart[axis] - offset[0, axis, i] - offset[1, axis, i]
+            squared += error[axis] * error[axis]
+        squared /= S
+        log_odds[i] = _KEPT * log_odds[i] - axes / 2 * log(S) - cost(squared, axes, _DOF)
+        S = H_a + H_b + noise * max(1.0, 1 / weight(squared, axes, _DOF)) + _MIN_VARIANCE
+        G_a, G_b = H_a / S, H_b / S
+        for axis in range(axes):
+            offset[0, axis, i] += G_a * error[axis]
+            offset[1, axis, i] += G_b * error[axis]
+        P[0, i], P[1, i], P[2, i] = P_a - G_a * H_a, P_b - G_b * H_b, P_ab - G_a * H_b
+    most = max(log_odds)
+    for i in range(len(log_odds)):
+        log_odds[i] -= most
+
+
+@compiled
+def _mean_factors(log_factors: Array, log_odds: Array, log_prior: Array) -> tuple[float, float]:
+    """Factors of drift and size: means of their logarithms over hypotheses (N, 2)."""
+    total = drift = size = 0.0
+    for i in range(len(log_odds)):
+        odds = exp(log_odds[i] + log_prior[i])
+        total += odds
+        drift += odds * log_factors[i, 0]
+        size += odds * log_factors[i, 1]
+    return exp(drift / total), exp(size / total)
+
+
+@compiled
+def expected_variances(whitening: Array) -> tuple[float, float]:
+    """Of a prediction's position an axis and of its yaw, from what normalises its error (6, 6)."""
+    position = yaw = 0.0
+    for k in range(6):
+        yaw += whitening[1, k] ** 2
+        for j in range(3, 6):
+            position += whitening[j, k] ** 2
+    return 3 / position, 1 / yaw
 
 
 class OdometryQuality:
@@ -109,11 +148,18 @@ class OdometryQuality:
         self._forget_way()
 
     def update(
-        self, measured: Array, size: Array, way: Array, moved_m: float, drift: Array, yaw: float, yaw_variance: float
+        self,
+        measured: Array,
+        size: tuple[float, float],
+        way: Array,
+        moved_m: float,
+        drift: Array,
+        yaw: float,
+        yaw_variance: float,
     ) -> None:
         """Take in a prediction.
 
-        measured: its position and its yaw against odometry, (4,). size: variances (2,) expected of its position's and
+        measured: its position and its yaw against odometry, (4,). size: variances expected of its position's and
         yaw's errors. way (3,), moved_m, drift (4,): odometry's step since the last one, its length with turns counted
         in, and usual variances. yaw, yaw_variance: the alignment's, as known before.
         """
@@ -124,15 +170,15 @@ class OdometryQuality:
         self._since += moved_m, drift[0], drift[3], bent
         apart, turned = measured[[0, 2]] - self._at, measured[3:4]
         if not self._position.begun:
-            self._position.begin(apart, float(size[0]))
-            self._yaw.begin(turned, float(size[1]))
+            self._position.begin(apart, size[0])
+            self._yaw.begin(turned, size[1])
             self._since[:] = 0.0
             return
         metres, position, heading, bent = self._since.tolist()
         if metres < _EVERY_M:
             return
-        self._position.update(apart, (position, bent), float(size[0]), metres)
-        self._yaw.update(turned, (heading, 0.0), float(size[1]), metres)
+        self._position.update(apart, (position, bent), size[0], metres)
+        self._yaw.update(turned, (heading, 0.0), size[1], metres)
         self._since[:] = 0.0
         position, position_size = self._position.factors(self.sizes_known)
         heading, yaw_size = self._yaw.factors(self.sizes_known)

@@ -10,14 +10,15 @@ Errors are six numbers, rotation (rad) before position (m), in camera axes. Each
 that was expected of it beforehand. What is left has one covariance, learnt as a t distribution's scatter matrix by
 expectation and maximisation."""
 
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from groundwalk.fusion.methods.error_map import Expected
+from groundwalk.fusion.methods.estimator.compiled import compiled
 from groundwalk.geometry.poses import Array
 
-_SIX = np.arange(6)
 # A relative floor that keeps the learnt covariance regular: nobody's errors are a thousandth of what was expected.
 _MIN_VARIANCE = 1e-6
 
@@ -45,19 +46,25 @@ def side_turn_correlation(correlation: float) -> Array:
     return shape
 
 
+@compiled
 def whitening(size: Array, vio_R_cam: Array) -> Array:
     """B (6, 6), which normalises an error in odometry's axes: to camera axes, over the sizes (6,)."""
     matrix = np.zeros((6, 6))
-    matrix[:3, :3] = matrix[3:, 3:] = vio_R_cam.T
-    return matrix / size[:, None]
+    for j in range(3):
+        for k in range(3):
+            matrix[j, k] = vio_R_cam[k, j] / size[j]
+            matrix[3 + j, 3 + k] = vio_R_cam[k, j] / size[3 + j]
+    return matrix
 
 
 def sizes_expected(expected: Expected) -> Array:
     """Sizes (6,) of errors in camera axes from what held-out frames tell of a place."""
-    variance = expected.shared + expected.noise
-    yaw = variance[0] + float(np.square(expected.yaw_per_m) @ variance[1::2])
-    rotation = (yaw + 2 * expected.tilt) / 3
-    return np.sqrt(np.repeat([rotation, variance[1:].mean()], 3))
+    yaw, x, y, z = (
+        shared + noise for shared, noise in zip(expected.shared.tolist(), expected.noise.tolist(), strict=True)
+    )
+    yaw += expected.yaw_per_m[0] ** 2 * x + expected.yaw_per_m[1] ** 2 * z
+    rotation, position = sqrt((yaw + 2 * expected.tilt) / 3), sqrt((x + y + z) / 3)
+    return np.array([rotation, rotation, rotation, position, position, position])
 
 
 def whitening_of_covariance(covariance: Array, map_R_cam: Array, vio_R_cam: Array) -> Array:
@@ -68,19 +75,29 @@ def whitening_of_covariance(covariance: Array, map_R_cam: Array, vio_R_cam: Arra
     return np.linalg.solve(factor, back)
 
 
+@compiled
 def scatter(prior: Prior, errors: Array, spread: Array, counted: Array, weights: Array) -> Array:
     """The covariance (6, 6) of normalised errors (N, 6), of which covariances `spread` (N, 6, 6) aren't known.
 
     counted (N,): how much of an independent prediction each is, 0 to 1. weights (N,):
     what Student's t lets each count.
     """
-    each, count = counted * weights, float(counted.sum())
-    covariance = (errors * each[:, None]).T @ errors + (each @ spread.reshape(len(spread), -1)).reshape(6, 6)
-    covariance += prior.size_count * np.outer(prior.sizes, prior.sizes) * prior.shape
-    covariance /= prior.size_count + count
-    sd = np.sqrt(covariance.diagonal())
+    covariance, count = np.zeros((6, 6)), 0.0
+    for i in range(len(errors)):
+        count += counted[i]
+        each = counted[i] * weights[i]
+        for j in range(6):
+            for k in range(6):
+                covariance[j, k] += each * (errors[i, j] * errors[i, k] + spread[i, j, k])
+    sd, total = np.empty(6), prior.size_count + count
+    for j in range(6):
+        for k in range(6):
+            covariance[j, k] += prior.size_count * prior.sizes[j] * prior.sizes[k] * prior.shape[j, k]
+            covariance[j, k] /= total
+        sd[j] = sqrt(covariance[j, j])
     believed = prior.shape_count / (prior.shape_count + count)
-    covariance *= 1 - believed
-    covariance += believed * np.outer(sd, sd) * prior.shape
-    covariance[_SIX, _SIX] += _MIN_VARIANCE
+    for j in range(6):
+        for k in range(6):
+            covariance[j, k] += believed * (sd[j] * sd[k] * prior.shape[j, k] - covariance[j, k])
+        covariance[j, j] += _MIN_VARIANCE
     return covariance

@@ -7,217 +7,292 @@ odometry loses its frame there, and, for an alignment that was never in force, l
 beforehand. Odometry that has lost its frame may still know one thing of two: the place, as where it turned on the spot,
 or the heading, as where it jumped aside. Such a rival keeps the one and takes the other from the predictions."""
 
-from collections.abc import Callable
-from enum import Enum
+from collections.abc import Sequence
+from math import atan2, cos, inf, log, nan, pi, sin
 from typing import NamedTuple
 
 import numpy as np
 
 from groundwalk.fusion.methods.estimator import robust
-from groundwalk.fusion.methods.estimator.alignment_chain import UNKNOWN, errors
-from groundwalk.fusion.methods.estimator.keyframes import Keyframes
+from groundwalk.fusion.methods.estimator.alignment_chain import UNKNOWN, write_error
+from groundwalk.fusion.methods.estimator.compiled import compiled
+from groundwalk.fusion.methods.estimator.keyframes import Row, Rows
+from groundwalk.fusion.methods.estimator.matrices import add_product, invert, write_columns
 from groundwalk.geometry.poses import Array
 
 # Extent of the places and headings that a phone may turn up at: m, m up, m, rad.
-_ANYWHERE = np.array([40.0, 3.0, 40.0, 2 * np.pi])
-_DIMENSIONS = 6
+_ANYWHERE = (40.0, 3.0, 40.0, 2 * pi)
 # Odds below exp(_SIGN) against a loss of odometry's frame: it jumped, or was gone.
 _SIGN = 5.0
 _WITHOUT_SIGN = 0.5
 _HOPELESS = 5.0  # nats behind, where a rival needn't be worked out
 _BACK = 3.0  # log odds against an earlier alignment's holding again
-
-
 _LOST = 1e4  # variance (m^2, rad^2) of what isn't known any more from one keyframe to the next
 
-
-class Kept(Enum):
-    """What a new alignment has of the one before: nothing, where the camera is, or where it looks. The value is what
-    that leaves unknown of x, y, z and yaw."""
-
-    NOTHING = (True, True, True, True)
-    PLACE = (False, False, False, True)
-    HEADING = (True, True, True, False)
-
-    @property
-    def loose(self) -> Array:
-        """Variances (4,) of x, y, z and yaw from the keyframe before."""
-        return np.where(self.value, _LOST, 0.0)
-
-
-# Predictions that must agree where odometry gave no sign: passing what looks like another place takes some seconds.
-_LEAST = {Kept.NOTHING: 10, Kept.PLACE: 4, Kept.HEADING: 10}
+# What a new alignment has of the one before: nothing, where the camera is, or where it looks; what that leaves unknown
+# of x, y, z and yaw; and predictions that must agree where odometry gave no sign: passing what looks like another place
+# takes some seconds.
+NOTHING, PLACE, HEADING = range(3)
+_UNKNOWN_WITH = ((True, True, True, True), (False, False, False, True), (True, True, True, False))
+_LEAST = (10, 4, 10)
 
 
 class Rival(NamedTuple):
-    """States (N - begin, 4) of the keyframes from `begin` on under another alignment, what it gains in nats, what it
-    keeps of the one in force, the earlier segment whose alignment it is (None for a new one), and what it gains by the
-    predictions alone, where odometry gave a sign."""
+    """The keyframes from `begin` on under another alignment: translation and yaw (4,) of map_T_vio. gain: in nats.
+    kept: what it has of the one in force. segment: the earlier one whose alignment it is, NaN for a new one. evidence:
+    what it gains by the predictions alone, where odometry gave a sign."""
 
     begin: int
-    state: Array
+    alignment: Array
     gain: float
-    kept: Kept
-    segment: float | None
+    kept: int
+    segment: float
     evidence: float
 
 
+class _Judges(NamedTuple):
+    """The newest keyframes, which judge alignments.
+
+    precision (6, 6): of normalised errors. share (N,): what each counts, as neighbours are wrong alike. now (N,): what
+    each prediction costs under the alignment in force. share_new (N,): how much of that counts for a new alignment that
+    begins at keyframe i. dof: of Student's t.
+    """
+
+    keyframes: Rows
+    precision: Array
+    share: Array
+    now: Array
+    share_new: Array
+    dof: float
+
+
+def loose(kept: int) -> Array:
+    """Variances (4,) of x, y, z and yaw from the keyframe before, for an alignment that keeps so much of it."""
+    return np.where(_UNKNOWN_WITH[kept], _LOST, 0.0)
+
+
 def best_rival(
-    keyframes: Keyframes, covariance: Array, squared: Array, dof: float, recent: int, counted: Array
+    keyframes: Rows, covariance: Array, squared: Array, dof: float, recent: int, counted: Array
 ) -> Rival | None:
     """The rival that gains most; None where none can win.
 
     covariance (6, 6) and squared (N,): of the keyframes' errors as they are. recent: how many keyframes judge. counted
     (N,): what each counts in that, as neighbours are wrong alike.
     """
-    segment, rare = keyframes.column("segment"), keyframes.column("rare")
-    first = max(len(keyframes) - recent, int(np.argmax(segment == segment[-1])))
-    count = len(keyframes) - first
-    measured, vio = keyframes.column("measured")[first:], keyframes.column("vio")[first:]
-    judged = _Judged(
-        measured, vio, keyframes.column("whitening")[first:], np.asarray(np.linalg.inv(covariance), dtype=float)
-    )
-    now = robust.costs(squared[first:], _DIMENSIONS, dof)
-    share = counted[first:]
+    rival = _best_rival(keyframes, covariance, squared, dof, recent, counted)
+    return rival if rival.begin >= 0 else None
 
-    def better(costs: Array) -> Array:
-        """By how much alignments (K, N) explain what came from each keyframe on better than the one in force."""
-        return np.asarray(np.cumsum((share * (now - costs))[:, ::-1], axis=1)[:, ::-1])
 
-    # Predictions may be wrong in a row, and all alike, so that they look like a lost frame: where odometry gave no sign
-    # of one they count less. An alignment that held before needs no sign.
-    sign = rare[first:] < _SIGN
-    new_share, new_rare = np.where(sign, 1.0, _WITHOUT_SIGN), rare[first:]
+@compiled
+def lay(keyframes: Rows, rival: Rival) -> None:
+    """Move the keyframes from the rival's begin on to where its alignment has them."""
+    for i in range(rival.begin, len(keyframes)):
+        _compose(rival.alignment, keyframes[i].vio, 1.0, keyframes[i].state)
 
-    def gained(costs: Array) -> Array:
-        return np.asarray(new_share * better(costs) - new_rare)
 
-    usual = float(robust.costs(np.array([robust.middle(squared)]), _DIMENSIONS, dof)[0])
-    newness = _newness(keyframes, covariance)
+@compiled
+def _best_rival(keyframes: Rows, covariance: Array, squared: Array, dof: float, recent: int, counted: Array) -> Rival:
+    newest = keyframes[-1]
+    first = len(keyframes) - 1
+    while first > max(0, len(keyframes) - recent) and keyframes[first - 1].segment == newest.segment:
+        first -= 1
+    precision = covariance.copy()
+    invert(precision)
+    judges = _judges(keyframes[first:], precision, squared[first:], counted[first:], dof)
+    usual = robust.cost(robust.middle(squared), 6, dof)
+    newness = _newness(newest, precision)
+    none = Rival(-1, np.zeros(4), -inf, NOTHING, nan, -inf)
     # Even one that explains every prediction well couldn't win: most often there is nothing to look at.
-    if segment[0] == segment[-1] and gained(np.full((1, count), usual / 2)).max() < min(newness.values()) - _HOPELESS:
-        return None
-    yaw, weight = _named(judged, usual, share, dof, gained)
-    carried = _carried(keyframes, first)
-    loose = keyframes.column("loose")[first:] >= _LOST
-    rival = None
-    for kept, (of_yaw, shift) in _new(yaw, weight, carried, measured, vio).items():
-        gains = np.diag(gained(robust.costs(judged.squared(of_yaw, shift), _DIMENSIONS, dof))) - newness[kept]
-        # What is new where it was lost before is the alignment in force.
-        gains[~sign & (np.arange(count) > count - _LEAST[kept]) | loose[:, kept.value].all(axis=1)] = -np.inf
-        if first == 0:
-            gains[0] = -np.inf
-        begin = int(np.argmax(gains))
-        if np.isfinite(gains[begin]) and (rival is None or gains[begin] > rival.gain):
-            state = _states(of_yaw[begin], shift[begin], vio[begin:])
-            gain = float(gains[begin])
-            rival = Rival(first + begin, state, gain, kept, None, gain + float(sign[begin] * new_rare[begin]))
-    old_yaw, old_shift, segments = _earlier(keyframes)
-    if segments:
-        gains = better(robust.costs(judged.squared(old_yaw, old_shift), _DIMENSIONS, dof)) - np.minimum(new_rare, _BACK)
-        which, begin = (int(i) for i in np.unravel_index(int(np.argmax(gains)), gains.shape))
-        if rival is None or gains[which, begin] > rival.gain:
-            state = _states(old_yaw[which], old_shift[which], vio[begin:])
-            gain = float(gains[which, begin])
-            rival = Rival(first + begin, state, gain, Kept.NOTHING, segments[which], gain)
-    return rival
+    only = keyframes[0].segment == newest.segment
+    if only and _best_hope(judges, usual / 2) < min(newness) - _HOPELESS:
+        return none
+    best = _new(keyframes, first, judges, usual, newness, none)
+    return best if only else _earlier(keyframes, first, judges, best)
 
 
-def _new(yaw: Array, weight: Array, carried: Array, measured: Array, vio: Array) -> dict[Kept, tuple[Array, Array]]:
-    """Yaw (N,) and shift (N, 3) of the alignments that may begin at each keyframe, by what they keep. yaw (N,) and
-    weight (N, N): `_named`; carried (N, 4): where the alignment before has the camera."""
-    place, heading = weight @ measured[:, :3], weight @ vio
-    before = carried[:, 3]
-    return {
-        Kept.NOTHING: (yaw, place - _turned(yaw, heading)),
-        Kept.PLACE: (yaw, carried[:, :3] - _turned(yaw, vio)),
-        Kept.HEADING: (before, place - _turned(before, heading)),
-    }
+@compiled
+def _judges(keyframes: Rows, precision: Array, squared: Array, share: Array, dof: float) -> _Judges:
+    count = len(keyframes)
+    now, share_new = np.empty(count), np.empty(count)
+    for i in range(count):
+        now[i] = robust.cost(squared[i], 6, dof)
+        # Predictions may be wrong in a row, and all alike, so that they look like a lost frame: where odometry gave no
+        # sign of one they count less.
+        share_new[i] = 1.0 if keyframes[i].rare < _SIGN else _WITHOUT_SIGN
+    return _Judges(keyframes, precision, share, now, share_new, dof)
 
 
-def _carried(keyframes: Keyframes, first: int) -> Array:
-    """Position and yaw (N, 4) of the keyframes from `first` on, each carried by odometry from the one before; that of
-    the very first is its own."""
-    state = keyframes.column("state")
-    before = state[np.maximum(np.arange(first, len(state)) - 1, 0)]
-    moved = _turned(before[:, 3], keyframes.column("step")[first:])
-    carried = np.column_stack([before[:, :3] + moved, before[:, 3] + keyframes.column("turn")[first:]])
-    if first == 0:
-        carried[0] = state[0]
-    return carried
+@compiled
+def _newness(keyframe: Row, precision: Array) -> tuple[float, float, float]:
+    """How much narrower, in nats, a prediction names what isn't kept than it was known beforehand."""
+    unknown, pulled, information = np.empty((6, 4)), np.zeros((6, 4)), np.zeros((4, 4))
+    write_columns(keyframe.whitening, UNKNOWN, unknown, 6)
+    add_product(precision, unknown, pulled, (6, 6, 4), 1 / (2 * pi))
+    add_product(unknown.T, pulled, information, (4, 6, 4))
+    heading, of_place = information[3, 3], information[:3, :3].copy()
+    place, both = invert(of_place), invert(information)
+    anywhere = _ANYWHERE[0] * _ANYWHERE[1] * _ANYWHERE[2]
+    return (
+        log(anywhere * _ANYWHERE[3]) + log(both) / 2,
+        log(_ANYWHERE[3]) + log(heading) / 2,
+        log(anywhere) + log(place) / 2,
+    )
 
 
-class _Judged(NamedTuple):
-    """Keyframes that judge alignments: what they measured (N, 6), odometry (N, 3), their whitening (N, 36), and the
-    inverse of the normalised errors' covariance."""
-
-    measured: Array
-    vio: Array
-    whitening: Array
-    precision: Array
-
-    def squared(self, yaw: Array, shift: Array) -> Array:
-        """Squared errors (K, N) under alignments of yaw (K,) and shift (K, 3)."""
-        alignments, count = len(yaw), len(self.vio)
-        position = shift[:, None] + _turned(yaw[:, None], self.vio[None])
-        measured = np.tile(self.measured, (alignments, 1))
-        error = errors(
-            position.reshape(-1, 3), np.repeat(yaw, count), measured[:, :3], measured[:, 3], measured[:, 4:]
-        ).reshape(alignments, count, _DIMENSIONS)
-        whitening = self.whitening.reshape(-1, _DIMENSIONS, _DIMENSIONS)
-        normalised = (whitening @ error[..., None])[..., 0]
-        return np.asarray(((normalised @ self.precision) * normalised).sum(axis=-1))
+@compiled
+def _best_hope(judges: _Judges, cost: float) -> float:
+    """What a new alignment gains at most under which each prediction costs so much."""
+    best, better = -inf, 0.0
+    for i in range(len(judges.now) - 1, -1, -1):
+        better += judges.share[i] * (judges.now[i] - cost)
+        best = max(best, judges.share_new[i] * better - judges.keyframes[i].rare)
+    return best
 
 
-def _named(
-    judged: _Judged, usual: float, share: Array, dof: float, gained: Callable[[Array], Array]
-) -> tuple[Array, Array]:
-    """For each keyframe that may have begun a new alignment, its yaw (N,), the mean of what the predictions since name,
-    and what these count in it (N, N), weighed under the best of them. usual: what a prediction costs; share (N,): what
-    each counts; gained: what alignments gain by their costs (K, N)."""
-    measured, count = judged.measured, len(judged.vio)
-    yaw, shift = measured[:, 3], measured[:, :3] - _turned(measured[:, 3], judged.vio)
-    # Alignments that single predictions name are as uncertain as those: errors under them are twice as large.
-    named = judged.squared(yaw, shift) / 2
-    costs = robust.costs(named, _DIMENSIONS, dof)
-    costs[np.arange(count), np.arange(count)] = usual
-    best = np.argmax(np.where(np.tri(count, dtype=bool), gained(costs), -np.inf), axis=0)
-    weight = np.triu(share * robust.weights(named[best], _DIMENSIONS, dof))
-    weight /= weight.sum(axis=1, keepdims=True)
-    return np.angle(weight @ np.exp(1j * yaw)), weight
+@compiled
+def _squared(judges: _Judges, alignment: Array, at: int) -> float:
+    """The squared error of a keyframe under an alignment."""
+    keyframe = judges.keyframes[at]
+    state, error, normalised = np.empty(4), np.empty(6), np.zeros(6)
+    _compose(alignment, keyframe.vio, 1.0, state)
+    write_error(state, keyframe.measured, error)
+    for j in range(6):
+        for k in range(6):
+            normalised[j] += keyframe.whitening[j, k] * error[k]
+    squared = 0.0
+    for j in range(6):
+        for k in range(6):
+            squared += normalised[j] * judges.precision[j, k] * normalised[k]
+    return squared
 
 
-def _states(yaw: float, shift: Array, vio: Array) -> Array:
-    """Map positions and yaw (N, 4) of odometry's positions (N, 3) under an alignment."""
-    return np.column_stack([shift + _turned(np.full(len(vio), yaw), vio), np.full(len(vio), yaw)])
+@compiled
+def _better(judges: _Judges, alignment: Array, begin: int) -> float:
+    """By how much an alignment explains what came from a keyframe on better than the one in force."""
+    better = 0.0
+    for i in range(begin, len(judges.now)):
+        better += judges.share[i] * (judges.now[i] - robust.cost(_squared(judges, alignment, i), 6, judges.dof))
+    return better
 
 
-def _earlier(keyframes: Keyframes) -> tuple[Array, Array, list[float]]:
-    """Yaw (K,) and shift (K, 3) of map_T_vio that earlier segments had last, and those segments."""
-    segment, state = keyframes.column("segment"), keyframes.column("state")
-    if segment[0] == segment[-1]:
-        return np.zeros(0), np.zeros((0, 3)), []
-    segments = [float(s) for s in np.unique(segment) if s != segment[-1]]
-    last = [int(np.flatnonzero(segment == s)[-1]) for s in segments]
-    yaw = state[last, 3]
-    return yaw, state[last, :3] - _turned(yaw, keyframes.column("vio")[last]), segments
+@compiled
+def _new(keyframes: Rows, first: int, judges: _Judges, usual: float, newness: Sequence[float], best: Rival) -> Rival:
+    """The best of a rival and the alignments that were never in force and begin at one of the judges. newness: what its
+    being new costs, by what is kept."""
+    count = len(judges.now)
+    weights, yaw = _named(judges, usual)
+    carried, place, vio = np.empty(4), np.empty(4), np.empty(3)
+    for begin in range(1 if first == 0 else 0, count):
+        here = judges.keyframes[begin]
+        _write_carried(keyframes[first + begin - 1], here, carried)
+        _write_middle(judges, weights, begin, place, vio)
+        heading = carried[3]
+        for kept in range(3):
+            if (here.rare >= _SIGN and begin > count - _LEAST[kept]) or _holds_already(here, kept):
+                continue
+            alignment = np.empty(4)
+            place[3] = carried[3] = heading if kept == HEADING else yaw[begin]
+            if kept == PLACE:
+                _compose(carried, here.vio, -1.0, alignment)
+            else:
+                _compose(place, vio, -1.0, alignment)
+            gain = judges.share_new[begin] * _better(judges, alignment, begin) - here.rare - newness[kept]
+            if gain > best.gain:
+                best = Rival(first + begin, alignment, gain, kept, nan, gain + (here.rare if here.rare < _SIGN else 0))
+    return best
 
 
-def _turned(yaw: Array, points: Array) -> Array:
-    c, s = np.cos(yaw), np.sin(yaw)
-    x, z = points[..., 0], points[..., 2]
-    turned = np.empty((*np.broadcast_shapes(c.shape, x.shape), 3))
-    turned[..., 0], turned[..., 1], turned[..., 2] = c * x + s * z, points[..., 1], c * z - s * x
-    return turned
+@compiled
+def _holds_already(keyframe: Row, kept: int) -> bool:
+    """Whether all that such an alignment doesn't keep was lost here before: then it is the alignment in force."""
+    for axis in range(4):
+        if _UNKNOWN_WITH[kept][axis] and keyframe.loose[axis] < _LOST:
+            return False
+    return True
 
 
-def _newness(keyframes: Keyframes, covariance: Array) -> dict[Kept, float]:
-    """How much narrower, in nats, the newest prediction names what isn't kept than it was known beforehand."""
-    unknown = keyframes.column("whitening")[-1].reshape(6, 6)[:, UNKNOWN]
-    information = unknown.T @ np.linalg.solve(covariance, unknown) / (2 * np.pi)
-    newness = {}
-    for kept in Kept:
-        lost = np.array(kept.value)
-        log_density = float(np.linalg.slogdet(information[np.ix_(lost, lost)])[1] / 2)
-        newness[kept] = float(np.log(_ANYWHERE[lost]).sum()) + log_density
-    return newness
+@compiled
+def _named(judges: _Judges, usual: float) -> tuple[Array, Array]:
+    """For each keyframe that may have begun a new alignment, what the predictions since count in it (N, N), weighed
+    under the best alignment that one of them names, and its yaw (N,). usual: what a prediction costs."""
+    count = len(judges.now)
+    named, best, best_gain = np.empty((count, count)), np.zeros(count, np.int64), np.full(count, -inf)
+    alignment = np.empty(4)
+    for i in range(count):
+        _compose(judges.keyframes[i].measured, judges.keyframes[i].vio, -1.0, alignment)
+        better = 0.0
+        for begin in range(count - 1, -1, -1):
+            # Alignments that single predictions name are as uncertain as those: errors under them are twice as large.
+            named[i, begin] = _squared(judges, alignment, begin) / 2
+            cost = usual if begin == i else robust.cost(named[i, begin], 6, judges.dof)
+            better += judges.share[begin] * (judges.now[begin] - cost)
+            gain = judges.share_new[begin] * better - judges.keyframes[begin].rare
+            if begin <= i and gain > best_gain[begin]:
+                best[begin], best_gain[begin] = i, gain
+    weights, yaw = np.zeros((count, count)), np.empty(count)
+    for begin in range(count):
+        total = c = s = 0.0
+        for i in range(begin, count):
+            weight = judges.share[i] * robust.weight(named[best[begin], i], 6, judges.dof)
+            weights[begin, i] = weight
+            total += weight
+            c += weight * cos(judges.keyframes[i].measured[3])
+            s += weight * sin(judges.keyframes[i].measured[3])
+        yaw[begin] = atan2(s, c)
+        for i in range(begin, count):
+            weights[begin, i] /= total
+    return weights, yaw
+
+
+@compiled
+def _write_middle(judges: _Judges, weights: Array, begin: int, place: Array, vio: Array) -> None:
+    """Writes means of the predicted positions (3,) and of odometry's (3,) from a keyframe on."""
+    for j in range(3):
+        place[j] = vio[j] = 0.0
+        for i in range(begin, len(judges.now)):
+            place[j] += weights[begin, i] * judges.keyframes[i].measured[j]
+            vio[j] += weights[begin, i] * judges.keyframes[i].vio[j]
+
+
+@compiled
+def _earlier(keyframes: Rows, first: int, judges: _Judges, best: Rival) -> Rival:
+    """The best of a rival and the alignments that earlier segments had last."""
+    for last in range(len(keyframes) - 1):
+        keyframe = keyframes[last]
+        if keyframe.segment == keyframes[-1].segment or not _is_last(keyframes, last):
+            continue
+        alignment = np.empty(4)
+        _compose(keyframe.state, keyframe.vio, -1.0, alignment)
+        for begin in range(len(judges.now)):
+            # An alignment that held before needs no sign.
+            gain = _better(judges, alignment, begin) - min(judges.keyframes[begin].rare, _BACK)
+            if gain > best.gain:
+                best = Rival(first + begin, alignment, gain, NOTHING, keyframe.segment, gain)
+    return best
+
+
+@compiled
+def _is_last(keyframes: Rows, index: int) -> bool:
+    """Whether none of the later keyframes is of the same segment."""
+    for i in range(index + 1, len(keyframes)):
+        if keyframes[i].segment == keyframes[index].segment:
+            return False
+    return True
+
+
+@compiled
+def _write_carried(before: Row, here: Row, state: Array) -> None:
+    """Writes position and yaw (4,) of a keyframe, carried by odometry from the one before."""
+    _compose(before.state, here.step, 1.0, state)
+    state[3] += here.turn
+
+
+@compiled
+def _compose(alignment: Array, point: Array, sign: float, result: Array) -> None:
+    """Writes translation and yaw (4,) of an alignment (4,) after a shift of odometry's axes by `sign` times a point
+    (3,): from map_T_vio and odometry's position the camera's state, and with sign -1 back."""
+    c, s = cos(alignment[3]), sin(alignment[3])
+    result[0] = alignment[0] + sign * (c * point[0] + s * point[2])
+    result[1] = alignment[1] + sign * point[1]
+    result[2] = alignment[2] + sign * (c * point[2] - s * point[0])
+    result[3] = alignment[3]

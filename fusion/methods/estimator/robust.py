@@ -5,22 +5,33 @@ An observation with squared Mahalanobis length z in d dimensions counts (nu + d)
 grows with the logarithm of the error, so that neither the share of outliers nor their size has to be known.
 """
 
-import numpy as np
+from math import log1p, nan
 
+from groundwalk.fusion.methods.estimator.compiled import compiled
 from groundwalk.geometry.poses import Array
 
 
-def weights(squared: Array, dimensions: int, dof: float) -> Array:
-    """What observations of squared Mahalanobis lengths (N,) count, (N,), from 0 to (dof + dimensions) / dof."""
-    return np.asarray((dof + dimensions) / (dof + squared))
+@compiled
+def weight(squared: float, dimensions: int, dof: float) -> float:
+    """What an observation of a squared Mahalanobis length counts, from 0 to (dof + dimensions) / dof."""
+    return (dof + dimensions) / (dof + squared)
 
 
-def costs(squared: Array, dimensions: int, dof: float) -> Array:
-    """Negative logarithms of the densities at squared Mahalanobis lengths (...,), up to a constant."""
-    return np.asarray((dof + dimensions) / 2 * np.log1p(squared / dof))
+@compiled
+def cost(squared: float, dimensions: int, dof: float) -> float:
+    """Negative logarithm of the density at a squared Mahalanobis length, up to a constant."""
+    return (dof + dimensions) / 2 * log1p(squared / dof)
 
 
+@compiled
 def middle(values: Array) -> float:
-    """The median of numbers (N,), the upper one of two; ten times as fast as numpy's for few of them."""
+    """The median of numbers (N,), the upper one of two; NaN where one is."""
     half = len(values) // 2
-    return float(np.partition(values, half)[half])
+    for value in values:
+        less = at_most = 0
+        for other in values:
+            less += other < value
+            at_most += other <= value
+        if less <= half < at_most:
+            return value
+    return nan

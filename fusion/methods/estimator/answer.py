@@ -1,0 +1,70 @@
+"""The pose of a camera that odometry carries on from a keyframe, and how far off it may be."""
+
+from math import cos, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from groundwalk.fusion.methods.estimator.compiled import compiled
+from groundwalk.fusion.methods.estimator.matrices import add_product
+from groundwalk.geometry.poses import Array
+
+
+class Answer(NamedTuple):
+    """map_T_cam and map_T_vio (4, 4), and the covariance (6, 6) of the pose's error in the map frame, rotation (rad)
+    before translation (m)."""
+
+    map_T_cam: Array
+    map_T_vio: Array
+    covariance: Array
+
+
+@compiled
+def leaning(tilt: Array) -> Array:
+    """The rotation (3, 3) about x and z by angles (2,), rad."""
+    x, z = tilt[0], tilt[1]
+    angle = sqrt(x * x + z * z)
+    a, b = (sin(angle) / angle, (1 - cos(angle)) / angle**2) if angle > 1e-9 else (1.0, 0.5)
+    turn = np.empty((3, 3))
+    turn[0, 0], turn[0, 1], turn[0, 2] = 1 - b * z * z, -a * z, b * x * z
+    turn[1, 0], turn[1, 1], turn[1, 2] = a * z, 1 - b * angle**2, -a * x
+    turn[2, 0], turn[2, 1], turn[2, 2] = b * x * z, a * x, 1 - b * x * x
+    return turn
+
+
+@compiled
+def rotation_into_map(yaw: float, tilt: Array) -> Array:
+    """map_R_vio (3, 3) of a yaw and of odometry's gravity error (2,)."""
+    c, s = cos(yaw), sin(yaw)
+    lean, turn = leaning(tilt), np.empty((3, 3))
+    for j in range(3):
+        turn[0, j] = c * lean[0, j] + s * lean[2, j]
+        turn[1, j] = lean[1, j]
+        turn[2, j] = c * lean[2, j] - s * lean[0, j]
+    return turn
+
+
+@compiled
+def answer(state: Array, map_R_vio: Array, vio_T_cam: Array, keyframe: Array, bound: Array, added: Array) -> Answer:
+    """state (4,): the camera's position and yaw. keyframe (4,): those of the keyframe that it is carried from, bound
+    (4, 4) their covariance in map axes, added (4,) what the way since adds to its variances. The covariance's tilt is
+    left out."""
+    map_T_cam, map_T_vio, covariance = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((6, 6))
+    add_product(map_R_vio, vio_T_cam, map_T_cam, (3, 3, 3))
+    map_T_cam[3, 3] = map_T_vio[3, 3] = 1.0
+    for j in range(3):
+        map_T_cam[j, 3] = map_T_vio[j, 3] = state[j]
+        for k in range(3):
+            map_T_vio[j, k] = map_R_vio[j, k]
+            map_T_vio[j, 3] -= map_R_vio[j, k] * vio_T_cam[k, 3]
+    # The keyframe's yaw turns the way since.
+    way = np.zeros(3)
+    way[0], way[2] = state[2] - keyframe[2], keyframe[0] - state[0]
+    for j in range(3):
+        covariance[1, 3 + j] = covariance[3 + j, 1] = bound[j, 3] + way[j] * bound[3, 3]
+        for k in range(3):
+            covariance[3 + j, 3 + k] = bound[j, k] + way[j] * bound[3, k] + bound[j, 3] * way[k]
+            covariance[3 + j, 3 + k] += way[j] * bound[3, 3] * way[k]
+        covariance[3 + j, 3 + j] += added[j]
+    covariance[1, 1] = bound[3, 3] + added[3]
+    return Answer(map_T_cam, map_T_vio, covariance)
