@@ -34,7 +34,7 @@ _MIN_STEP_M = 0.02
 # but shows in the images is followed.
 _LOG_FOCAL_SD = 0.01
 _FOCUS_SD, _PRIOR_FRAMES = 0.0003, 5
-_VARIANCE_STEPS = 100
+_VARIANCE_STEPS, _MAX_SIGMAS = 100, 3.0
 _FIRST_MAX_STEPS, _FIRST_LOSS_WIDENING = 8, 4.0
 _EXACT_SD = 1e-7
 _OUTLIER_SIGMAS = 4.0
@@ -254,8 +254,9 @@ def _sd_growth(mean_M: Array, variance_M: Array, prior_sd: Array) -> float:
     """By what factor the sd of priors, each N(0, prior_sd^2), must grow for the posteriors (M,) that they gave.
 
     Means alone would tell too little: they are shrunk to the prior, as little as the images say. So the square is that
-    which makes what images say of each frame likeliest (expectation maximisation, Dempster et al. 1977), and the prior
-    counts as some frames.
+    which makes what images say of each frame likeliest (expectation maximisation, Dempster et al. 1977), the prior
+    counts as some frames, and what is beyond three sigmas counts as three (Huber 1964): a frame of few points, or at a
+    jump of VIO, says little of the others.
     """
     # Of each frame, in units of its prior's sd: the share of the posterior that images say, what, its variance.
     informed = np.clip(1 - variance_M / prior_sd**2, 1e-6, 1 - 1e-6)
@@ -263,7 +264,8 @@ def _sd_growth(mean_M: Array, variance_M: Array, prior_sd: Array) -> float:
     square = 1.0
     for _ in range(_VARIANCE_STEPS):
         kept = square / (square + noise)
-        square = (_PRIOR_FRAMES + np.sum((kept * said) ** 2 + kept * noise)) / (_PRIOR_FRAMES + len(said))
+        bounded = np.minimum(said**2, _MAX_SIGMAS**2 * (square + noise))
+        square = (_PRIOR_FRAMES + np.sum(kept**2 * bounded + kept * noise)) / (_PRIOR_FRAMES + len(said))
     return float(np.sqrt(square))
 
 
