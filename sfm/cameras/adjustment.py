@@ -72,7 +72,7 @@ class Cameras:
 @dataclass(frozen=True)
 class CameraPriors:
     """Means of the unknowns of cameras, as `Cameras`; covariance (L, 4, 4) of k1, k2, k3 and readout in s; and one
-    sigma of log focal factors (S,), of a frame's focus by session (S,), and of a frame's angular velocity (N,) in
+    sigma of log focal factors (S,), of a frame's focus by session (S,), and of a frame's angular velocity (N, 3) in
     rad/s."""
 
     mean: Cameras
@@ -257,7 +257,7 @@ def prior_information(cameras: Cameras, priors: CameraPriors) -> csr_array:
     angular = (_LOCAL * np.arange(frames)[:, None] + np.arange(_ANGULAR.start, _ANGULAR.stop)).ravel()
     rows.append(angular)
     columns.append(angular)
-    values.append(np.repeat(1 / priors.angular_sd**2, 3))
+    values.append((1 / priors.angular_sd**2).ravel())
     for session in range(sessions):
         members = np.flatnonzero(cameras.session == session)
         lag = np.abs(cameras.t_s[members][:, None] - cameras.t_s[members])
@@ -348,14 +348,11 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
     1948). What is missing is the determinant of the information of the rest, whose derivative by log r is the number of
     angular velocities that images rather than VIO tell; this is one Newton step towards the maximum with it (Laplace).
     """
-    bundle, cameras, priors = adjusted.bundle, adjusted.cameras, adjusted.priors
-    linear = linearize(bundle, cameras)
-    weight = cauchy_weights(linear.residual, adjusted.loss_px)
-    variance = loss_variance(adjusted.loss_px)
-    system = regular_system(bundle, cameras, linear, weight, variance * prior_information(cameras, priors))
+    bundle, cameras = adjusted.bundle, adjusted.cameras
+    linear, weight, system = _normal_equations(adjusted)
     inverse = inverse_of(system.matrix())
-    angular = np.diag(inverse)[: _LOCAL * len(cameras.t_s)].reshape(-1, _LOCAL)[:, _ANGULAR]
-    by_images = 3 - variance * angular.sum(axis=1) / priors.angular_sd**2
+    variance = loss_variance(adjusted.loss_px)
+    by_images = np.sum(1 - _of_frames(variance * np.diag(inverse), cameras)[1] / adjusted.priors.angular_sd**2, axis=1)
     pull = np.zeros(len(inverse))
     readout = _LOCAL * len(cameras.t_s) + LENS_UNKNOWNS * np.arange(len(cameras.readout_s)) + _READOUT
     rolls = np.abs(cameras.readout_s) > _MIN_READOUT_S
@@ -365,6 +362,26 @@ def marginal_readout(adjusted: Adjusted) -> Adjusted:
     at_rest = replace(system, point_gradient=np.zeros_like(system.point_gradient))
     moved = with_step(bundle, cameras, step, _point_step(bundle, cameras, still, weight, at_rest, step))
     return replace(adjusted, bundle=moved[0], cameras=moved[1])
+
+
+def frame_variances(adjusted: Adjusted) -> tuple[Array, Array]:
+    """The variances of each frame's focus (N,) and angular velocity (N, 3), rad^2/s^2, by images and priors."""
+    inverse = inverse_of(_normal_equations(adjusted)[2].matrix())
+    return _of_frames(loss_variance(adjusted.loss_px) * np.diag(inverse), adjusted.cameras)
+
+
+def _of_frames(unknowns: Array, cameras: Cameras) -> tuple[Array, Array]:
+    """The focus (N,) and angular velocity (N, 3) among all unknowns (10 N + G,)."""
+    of_frame = unknowns[: _LOCAL * len(cameras.t_s)].reshape(-1, _LOCAL)
+    return of_frame[:, _FOCUS], of_frame[:, _ANGULAR]
+
+
+def _normal_equations(adjusted: Adjusted) -> tuple[Linearization, Array, System]:
+    """At an adjusted model: linearization, weights (M,) and system."""
+    linear = linearize(adjusted.bundle, adjusted.cameras)
+    weight = cauchy_weights(linear.residual, adjusted.loss_px)
+    information = loss_variance(adjusted.loss_px) * prior_information(adjusted.cameras, adjusted.priors)
+    return linear, weight, regular_system(adjusted.bundle, adjusted.cameras, linear, weight, information)
 
 
 def loss_variance(loss_px: float) -> float:

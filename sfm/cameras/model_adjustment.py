@@ -17,6 +17,7 @@ from groundwalk.sfm.cameras.adjustment import (
     CameraPriors,
     Cameras,
     adjust,
+    frame_variances,
     loss_variance,
     marginal_readout,
     project,
@@ -33,6 +34,7 @@ _MIN_STEP_M = 0.02
 # but shows in the images is followed.
 _LOG_FOCAL_SD = 0.01
 _FOCUS_SD, _PRIOR_FRAMES = 0.0003, 5
+_VARIANCE_STEPS, _MAX_SIGMAS = 100, 3.0
 _FIRST_MAX_STEPS, _FIRST_LOSS_WIDENING = 8, 4.0
 _EXACT_SD = 1e-7
 _OUTLIER_SIGMAS = 4.0
@@ -93,7 +95,7 @@ def adjust_model(
     observations.filter_observations_with_negative_depth()
     rows, point_ids, bundle, features = _bundle_of(model, keypoints)
     if settings.refine_cameras != "never":
-        priors = replace(priors, focus_sd=_focus_sd(adjusted.cameras), angular_sd=_angular_sd(adjusted))
+        priors = with_frame_sds(adjusted)
     adjusted = marginal_readout(adjust(bundle, adjusted.cameras, priors))
     _write_back(model, rows, point_ids, adjusted, features)
     observations.filter_observations_with_negative_depth()
@@ -204,7 +206,7 @@ def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSetting
         np.array([_lens_covariance(one, radius) for one in prior]),
         np.full(len(sessions), _EXACT_SD if is_fixed else _LOG_FOCAL_SD),
         np.full(len(sessions), _EXACT_SD if is_fixed else _FOCUS_SD),
-        log.motion.angular_sd[rows],
+        np.tile(log.motion.angular_sd[rows, None], 3),
     )
     if is_fixed:
         priors = replace(priors, mean=cameras, lens_covariance=np.tile(_EXACT_SD**2 * np.eye(4), (len(lenses), 1, 1)))
@@ -232,20 +234,39 @@ def _units_per_m(sfm_T_cam: Array, vio_T_cam: Array, session: Ints) -> float:
     return float(np.median(units[moved] / metres[moved])) if moved.any() else 0.0
 
 
-def _focus_sd(cameras: Cameras) -> Array:
-    """(S,) sd of the focus of each session's frames, shrunk to the prior."""
-    square = np.bincount(cameras.session, cameras.focus**2, minlength=len(cameras.log_focal))
-    count = np.bincount(cameras.session, minlength=len(cameras.log_focal))
-    return np.sqrt((_PRIOR_FRAMES * _FOCUS_SD**2 + square) / (_PRIOR_FRAMES + count))
-
-
-def _angular_sd(adjusted: Adjusted) -> Array:
-    """(N,) sd of VIO's angular velocities, larger where the images of a session show larger errors."""
+def with_frame_sds(adjusted: Adjusted) -> CameraPriors:
+    """The priors with sds of each session's focus, and of its VIO's angular velocities about each camera axis, as its
+    images show them."""
     cameras, priors = adjusted.cameras, adjusted.priors
-    moved = np.mean((cameras.angular - priors.mean.angular) ** 2, axis=1) / priors.angular_sd**2
-    count = np.bincount(cameras.session)
-    growth = (_PRIOR_FRAMES + np.bincount(cameras.session, moved)) / (_PRIOR_FRAMES + count)
-    return priors.angular_sd * np.sqrt(np.maximum(growth, 1.0))[cameras.session]
+    focus_variance, angular_variance = frame_variances(adjusted)
+    moved = cameras.angular - priors.mean.angular
+    focus_sd, angular_sd = priors.focus_sd.copy(), priors.angular_sd.copy()
+    for session in range(len(focus_sd)):
+        members = cameras.session == session
+        focus_sd[session] *= _sd_growth(cameras.focus[members], focus_variance[members], focus_sd[session])
+        for axis in range(3):
+            sd, moved_M = angular_sd[members, axis], moved[members, axis]
+            angular_sd[members, axis] *= max(_sd_growth(moved_M, angular_variance[members, axis], sd), 1.0)
+    return replace(priors, focus_sd=focus_sd, angular_sd=angular_sd)
+
+
+def _sd_growth(mean_M: Array, variance_M: Array, prior_sd: Array) -> float:
+    """By what factor the sd of priors, each N(0, prior_sd^2), must grow for the posteriors (M,) that they gave.
+
+    Means alone would tell too little: they are shrunk to the prior, as little as the images say. So the square is that
+    which makes what images say of each frame likeliest (expectation maximisation, Dempster et al. 1977), the prior
+    counts as some frames, and what is beyond three sigmas counts as three (Huber 1964): a frame of few points, or at a
+    jump of VIO, says little of the others.
+    """
+    # Of each frame, in units of its prior's sd: the share of the posterior that images say, what, its variance.
+    informed = np.clip(1 - variance_M / prior_sd**2, 1e-6, 1 - 1e-6)
+    said, noise = mean_M / prior_sd / informed, 1 / informed - 1
+    square = 1.0
+    for _ in range(_VARIANCE_STEPS):
+        kept = square / (square + noise)
+        bounded = np.minimum(said**2, _MAX_SIGMAS**2 * (square + noise))
+        square = (_PRIOR_FRAMES + np.sum(kept**2 * bounded + kept * noise)) / (_PRIOR_FRAMES + len(said))
+    return float(np.sqrt(square))
 
 
 def _write_back(

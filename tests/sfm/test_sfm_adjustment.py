@@ -30,7 +30,7 @@ from groundwalk.sfm.cameras.adjustment import (
     with_step,
 )
 from groundwalk.sfm.cameras.calibration import Calibration, Lens
-from groundwalk.sfm.cameras.model_adjustment import CameraLog
+from groundwalk.sfm.cameras.model_adjustment import CameraLog, with_frame_sds
 from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.cameras.normal_equations import Solver, System
 from groundwalk.sfm.mapping.build import BuiltModel
@@ -83,7 +83,12 @@ def _walk(seed: int, first_row: str = "top", k3: float = 0.0) -> tuple[Bundle, C
 
 
 def _adjusted(
-    seed: int, first_row: str = "top", assumed_first_row: str | None = None, k3: float = 0.0
+    seed: int,
+    first_row: str = "top",
+    assumed_first_row: str | None = None,
+    k3: float = 0.0,
+    focus_sd: float = 0.001,
+    angular_sd: float = _ANGULAR_SD,
 ) -> tuple[Adjusted, Bundle, Cameras]:
     """The walk adjusted from noisy observations and VIO's angular velocities; the lens as phones have it on average."""
     truth, cameras = _walk(seed, first_row, k3)
@@ -102,8 +107,8 @@ def _adjusted(
         mean,
         np.diag([0.05**2, 0.08**2, 0.1**2, 0.02**2])[None],
         np.full(2, 0.01),
-        np.full(2, 0.001),
-        np.full(_FRAMES, _ANGULAR_SD),
+        np.full(2, focus_sd),
+        np.full((_FRAMES, 3), angular_sd),
     )
     pose = truth.sfm_T_cam.copy()
     pose[:, :3, 3] += rng.normal(0, 0.01, (_FRAMES, 3))
@@ -243,6 +248,23 @@ def test_sigmas_of_lens_readout_and_poses_are_honest() -> None:
         position.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error))
     assert 0.6 < np.sqrt(np.mean(np.square(shared))) < 1.5
     assert 2.0 < np.mean(position) < 4.5
+
+
+def test_sds_of_focus_and_of_vios_angular_velocities_are_learned_from_images() -> None:
+    """The walk's focus deviates by 0.001 and its angular velocities by _ANGULAR_SD, whatever the priors say."""
+    focus, angular = [], []
+    for seed in range(4):
+        adjusted, _, _ = _adjusted(seed, focus_sd=0.0003, angular_sd=_ANGULAR_SD / 4)
+        learned = with_frame_sds(adjusted)
+        focus.append(learned.focus_sd)
+        angular.append(learned.angular_sd[[0, -1]])
+    assert 0.0006 < np.sqrt(np.mean(np.square(focus))) < 0.0015
+    assert 0.6 < np.sqrt(np.mean(np.square(angular))) / _ANGULAR_SD < 1.5
+    adjusted, _, _ = _adjusted(0)
+    assert 0.6 < np.sqrt(np.mean(with_frame_sds(adjusted).angular_sd ** 2)) / _ANGULAR_SD < 1.5
+    # One frame at a jump of VIO says nothing of the others.
+    adjusted.priors.mean.angular[3] += 1.0
+    assert np.sqrt(np.mean(with_frame_sds(adjusted).angular_sd ** 2)) / _ANGULAR_SD < 1.8
 
 
 @pytest.mark.parametrize("lenses", [1, 2])

@@ -122,7 +122,7 @@ def _covariance(bundle: Bundle, blobs: np.ndarray | None = None) -> Array | None
         np.zeros((_FRAMES, 3)),
     )
     exact = 1e-7
-    known = (1e-14 * np.eye(4)[None], np.full(1, exact), np.full(1, exact), np.full(_FRAMES, exact))
+    known = (1e-14 * np.eye(4)[None], np.full(1, exact), np.full(1, exact), np.full((_FRAMES, 3), exact))
     adjusted = Adjusted(bundle, cameras, CameraPriors(cameras, *known), _LOSS_PX)
     estimate = covariances(adjusted, np.arange(len(bundle.xyz)) if blobs is None else blobs)
     return None if estimate is None else estimate.poses
