@@ -20,7 +20,7 @@ from groundwalk.artefacts.tables import read_table
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import Ints, create_database, image_id, image_name
 from groundwalk.sfm.model import load_models
-from groundwalk.sfm.pairs.features import extract_features
+from groundwalk.sfm.pairs.features import extraction_options
 from groundwalk.sfm.settings import SfmSettings
 
 CameraChoice = Literal["captured", "opencv"]
@@ -126,10 +126,11 @@ def main(
     else:
         create_shared_database(database, names, *session_cameras(frames))
 
-    def report(done: int, note: str = "") -> None:
-        print(f"features of {done} of {len(names)} images", file=sys.stderr)
-
-    extract_features(report, database, images, names, sfm_settings)
+    options = extraction_options(sfm_settings)
+    mode = pycolmap.CameraMode.PER_IMAGE
+    pycolmap.extract_features(
+        database, images, names, camera_mode=mode, extraction_options=options, device=pycolmap.Device.cpu
+    )
     _match(database, len(names))
     options = pycolmap.IncrementalPipelineOptions()
     if camera == "captured":

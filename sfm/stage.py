@@ -137,7 +137,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=15,
+    version=16,
     settings=SfmSettings,
     needs=("import",),
     run=run,
