@@ -1,6 +1,6 @@
 """Stock COLMAP on the images of an imported scene, as a process of its own: `python -m benchmarks.stock --help`.
 
-Our SIFT settings, every pair matched, COLMAP's incremental mapping with its own options throughout.
+SIFT of our size and number in one pass, every pair matched, COLMAP's incremental mapping with its own options.
 """
 
 import shutil
