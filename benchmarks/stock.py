@@ -126,10 +126,10 @@ def main(
     else:
         create_shared_database(database, names, *session_cameras(frames))
 
-    options = extraction_options(sfm_settings)
+    extraction = extraction_options(sfm_settings)
     mode = pycolmap.CameraMode.PER_IMAGE
     pycolmap.extract_features(
-        database, images, names, camera_mode=mode, extraction_options=options, device=pycolmap.Device.cpu
+        database, images, names, camera_mode=mode, extraction_options=extraction, device=pycolmap.Device.cpu
     )
     _match(database, len(names))
     options = pycolmap.IncrementalPipelineOptions()
