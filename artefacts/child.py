@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Protocol
 
 from groundwalk.artefacts.errors import UserError
@@ -93,10 +94,21 @@ def _start(task: Task, log: Path) -> _Running:
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(there, log, task.function, task.arguments), daemon=True)
-    with _added_to_environment(task.environment), signals_held_from_workers():
+    with _added_to_environment(task.environment), _hidden_main(), signals_held_from_workers():
         process.start()
     there.close()
     return _Running(process, here)
+
+
+@contextlib.contextmanager
+def _hidden_main() -> Iterator[None]:
+    """A spawned process imports its parent's main module first: a whole stage, seconds of which no task needs any."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 @contextlib.contextmanager

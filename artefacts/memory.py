@@ -6,7 +6,7 @@ import sys
 import threading
 from pathlib import Path
 
-_EVERY_S = 0.5
+_EVERY_S = 1.0
 
 
 class PeakMemory:

@@ -14,8 +14,9 @@ _HEADER = """# Real captures
 
 Written by `make bench-real` (`python -m benchmarks.real`), with pictures and `real.csv`, which has every figure; not to
 be edited. Profile demo. Images beyond the dataset's frames are support frames, which SfM alone uses. Stock: COLMAP's
-incremental mapper with its own options on the same images and as many SIFT features, every pair matched, one OPENCV
-camera a session that starts at the median of the logged intrinsics; of several models its largest.
+incremental mapper with its own options on the same images and as many SIFT features at most, all of `max_image_size`,
+every pair matched, one OPENCV camera a session that starts at the median of the logged intrinsics; of several models
+its largest.
 """
 
 

@@ -1,6 +1,6 @@
 """Stock COLMAP on the images of an imported scene, as a process of its own: `python -m benchmarks.stock --help`.
 
-Our SIFT settings, every pair matched, COLMAP's incremental mapping with its own options throughout.
+SIFT of our size and number in one pass, every pair matched, COLMAP's incremental mapping with its own options.
 """
 
 import shutil
@@ -20,7 +20,7 @@ from groundwalk.artefacts.tables import read_table
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import Ints, create_database, image_id, image_name
 from groundwalk.sfm.model import load_models
-from groundwalk.sfm.pairs.features import extract_features
+from groundwalk.sfm.pairs.features import extraction_options
 from groundwalk.sfm.settings import SfmSettings
 
 CameraChoice = Literal["captured", "opencv"]
@@ -126,10 +126,11 @@ def main(
     else:
         create_shared_database(database, names, *session_cameras(frames))
 
-    def report(done: int, note: str = "") -> None:
-        print(f"features of {done} of {len(names)} images", file=sys.stderr)
-
-    extract_features(report, database, images, names, sfm_settings)
+    extraction = extraction_options(sfm_settings)
+    mode = pycolmap.CameraMode.PER_IMAGE
+    pycolmap.extract_features(
+        database, images, names, camera_mode=mode, extraction_options=extraction, device=pycolmap.Device.cpu
+    )
     _match(database, len(names))
     options = pycolmap.IncrementalPipelineOptions()
     if camera == "captured":

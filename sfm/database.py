@@ -1,6 +1,8 @@
 """COLMAP's database of a scene: a camera for each frame, and the results of extraction and matching."""
 
+import sqlite3
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -95,10 +97,17 @@ def keypoint_counts(path: Path, count: int) -> Ints:
         return np.array([database.num_keypoints_for_image(image_id(row)) for row in range(count)])
 
 
-def has_features(path: Path, count: int) -> bool:
-    """Whether features of all `count` frames have been extracted, be they none."""
+def longest_side(path: Path) -> int:
+    """Of the largest image, px."""
     with pycolmap.Database.open(path) as database:
-        return all(database.exists_keypoints(image_id(row)) for row in range(count))
+        return max(max(camera.width, camera.height) for camera in database.read_all_cameras())
+
+
+def drop_features(path: Path, rows: Ints) -> None:
+    """Remove the features of these frames."""
+    with closing(sqlite3.connect(path)) as database, database:
+        for table in ("keypoints", "descriptors"):
+            database.executemany(f"DELETE FROM {table} WHERE image_id = ?", [(image_id(row),) for row in rows.tolist()])
 
 
 def has_results(path: Path, pairs: Ints) -> NDArray[np.bool_]:

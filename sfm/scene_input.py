@@ -22,7 +22,7 @@ from groundwalk.sfm.cameras.calibration import (
 )
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log
 from groundwalk.sfm.cameras.motion import motion_by_vio
-from groundwalk.sfm.database import create_database, has_features, image_name, keypoint_counts
+from groundwalk.sfm.database import create_database, image_name, keypoint_counts
 from groundwalk.sfm.pairs.candidates import unique_pairs
 from groundwalk.sfm.pairs.features import extract_features, features_name
 from groundwalk.sfm.pairs.matching import ONE_THREAD, try_networks
@@ -90,11 +90,13 @@ def prepare_scene(r: StageRun[SfmSettings]) -> SceneInput:
 def extracted_features(r: StageRun[SfmSettings], scene: SceneInput, settings: SfmSettings) -> Path:
     """The database with the features as extracted; UserError where hardly any image has some."""
     database = scene.features_file(settings)
-    create_database(database, scene.frames, scene.names)
-    if not has_features(database, len(scene.names)):
+    if not database.is_file():
+        partial = database.with_suffix(".partial.db")
+        create_database(partial, scene.frames, scene.names)
         with r.step("features"):
-            task = Task(extract_features, (database, scene.images, scene.names, settings), len(scene.names))
+            task = Task(extract_features, (partial, scene.images, scene.names, settings), len(scene.names))
             scene.in_child("extracting features", task)
+        partial.replace(database)
     with_features = np.count_nonzero(keypoint_counts(database, len(scene.names)))
     if with_features < MIN_FRAMES:
         raise UserError(
@@ -113,10 +115,7 @@ def calibrated_features(r: StageRun[SfmSettings], scene: SceneInput, settings: S
     with r.step("features"):
         if not database.is_file():
             cameras = (scene.cameras.calibration, scene.cameras.motion)
-            task = Task(
-                write_calibrated_database, (features, database, scene.frames, scene.names, *cameras), len(scene.names)
-            )
-            scene.in_child("correcting keypoints for the rolling shutter", task)
+            write_calibrated_database(features, database, scene.frames, scene.names, *cameras)
     return database
 
 

@@ -137,7 +137,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=17,
+    version=18,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -366,7 +366,6 @@ def to_middle_row(xy_M2: Array, frame: Any, line: Array, readout_s: float, angul
 
 
 def write_calibrated_database(
-    report: Report,
     source: Path,
     target: Path,
     frames: pd.DataFrame,
@@ -390,5 +389,4 @@ def write_calibrated_database(
             keypoints[:, :2] = to_middle_row(xy, frame, line[row], float(readout[row]), angular)
             opened.write_keypoints(image_id(row), keypoints)
             opened.write_descriptors(image_id(row), features.read_descriptors(image_id(row)))
-            report(row + 1)
     partial.replace(target)

@@ -37,6 +37,19 @@ def test_the_result_comes_back(tmp_path: Path) -> None:
     assert in_child("doubling", tmp_path / "log", "", Task(_double, (21,), 1)) == 42
 
 
+def test_the_child_does_without_its_parents_main_module(tmp_path: Path) -> None:
+    script = tmp_path / "main.py"
+    script.write_text(
+        "from pathlib import Path\n"
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        f"from {Path(__file__).stem} import _double, in_child, Task\n"
+        "print('main')\n"
+        f"print(in_child('doubling', Path({str(tmp_path / 'log')!r}), '', Task(_double, (21,), 1)))\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["main", "42"]
+
+
 def test_an_error_in_the_child_is_raised_here(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="the setting is wrong"):
         in_child("refusing", tmp_path / "log", "", Task(_refuse))
