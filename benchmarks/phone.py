@@ -19,7 +19,7 @@ import typer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.results import circumstances, markdown_table
+from benchmarks.results import circumstances, instruction_sets, markdown_table
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.manifests import MANIFEST, load_manifest
@@ -63,27 +63,34 @@ class Figure:
 
 @app.command()
 def main(
-    data: Annotated[Path, typer.Option(help="data root with a finished train stage")] = Path("data"),
+    data: Annotated[
+        str,
+        typer.Option(
+            help="data roots with a finished train stage, separated by commas; the first that has a regressor"
+        ),
+    ] = "data",
     scene: Annotated[str, typer.Option(help="scene of the run")] = "Church",
     profile: Annotated[str, typer.Option(help="profile of the run")] = "demo",
     out: Annotated[Path, typer.Option(help="folder for phone.md and .csv")] = Path("docs/results"),
 ) -> None:
     """Export each regressor of the run, ask it, and write what came out."""
-    folder = DataRoot(data).run(profile, scene, "train")
-    if not (folder / MANIFEST).is_file():
-        raise UserError("there is no finished train stage", where=folder, do=f"run the scene {scene} first")
-    cards = read_table(folder / "models.parquet", schema("train", "models"))
     figures: list[Figure] = []
     notes: list[str] = []
-    for model in cards.loc[cards["file"] != "", "model"]:
-        regressor = load_regressor(DataRoot(data), profile, scene, str(model))
-        for figure in (*_of_bundle(regressor, notes), *_at_published_size(regressor, notes)):
-            print(f"{figure.model} {figure.network}: {figure.name} {figure.value:.4g} {figure.unit}", flush=True)
-            figures.append(figure)
-    kind = "simulated" if load_manifest(folder)["simulated"] else "real"
-    _write(
-        out, figures, notes, f"Scene {scene} ({kind}), profile {profile}, stage train of seed {cards['seed'].iloc[0]}."
-    )
+    kind = ""
+    for root in map(DataRoot, map(Path, data.split(","))):
+        folder = root.run(profile, scene, "train")
+        if not (folder / MANIFEST).is_file():
+            raise UserError("there is no finished train stage", where=folder, do=f"run the scene {scene} first")
+        manifest = load_manifest(folder)
+        kind = "simulated" if manifest["simulated"] else "real"
+        cards = read_table(folder / "models.parquet", schema("train", "models"))
+        for model in set(cards.loc[cards["file"] != "", "model"]) - {figure.model for figure in figures}:
+            regressor = load_regressor(root, profile, scene, str(model))
+            notes.append(f"{model}: trained at revision {manifest['git_revision']}, seed {regressor.card['seed']}")
+            for figure in (*_of_bundle(regressor, notes), *_at_published_size(regressor, notes)):
+                print(f"{figure.model} {figure.network}: {figure.name} {figure.value:.4g} {figure.unit}", flush=True)
+                figures.append(figure)
+    _write(out, figures, notes, f"Scene {scene} ({kind}), profile {profile}.")
 
 
 def _of_bundle(regressor: TrainedRegressor, notes: list[str]) -> Iterator[Figure]:
@@ -171,7 +178,7 @@ def _times(model: str, network: str, file: Path, threads: int, tensor: NDArray[n
 def _write(out: Path, figures: Sequence[Figure], notes: Sequence[str], inputs: str) -> None:
     """Write phone.md and phone.csv into the folder."""
     out.mkdir(parents=True, exist_ok=True)
-    about = f"{circumstances()} {inputs}"
+    about = f"{circumstances()} Instruction sets: {instruction_sets()}. {inputs}"
     with (out / "phone.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["model", "network", "figure", "value", "unit", "most", "met", "circumstances"])
@@ -207,7 +214,9 @@ _HEAD = """# Regressors on a phone
 Written by `make bench-phone`. Networks of a run's bundles, asked about its test frames without PyTorch; and the same
 networks at 224 px, the published size, whatever size the profile trains at: these say what they cost and nothing of
 accuracy. Times are of the network alone unless they say preprocessing, on the clock unless they say processor: where
-other work ran beside, the processor's are the ones to trust. Sizes are in MiB, as the paper counts."""
+other work ran beside, the processor's are the ones to trust. Integers are multiplied fast where the processor has
+sums of four 8-bit products in one instruction (avx_vnni, avx512_vnni, asimddp, which phones have); with avx2 alone it
+takes three. Sizes are in MiB, as the paper counts."""
 
 if __name__ == "__main__":
     app()

@@ -4,8 +4,11 @@ import os
 import platform
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
+from pathlib import Path
 
 from groundwalk.artefacts.stage import git_revision
+
+_INSTRUCTION_SETS = ("avx2", "avx_vnni", "avx512f", "avx512_vnni", "amx_int8", "asimddp", "i8mm")
 
 
 def markdown_table(rows: Iterable[Sequence[str]]) -> str:
@@ -18,6 +21,15 @@ def markdown_table(rows: Iterable[Sequence[str]]) -> str:
 def machine() -> str:
     """The machine and how busy it is now, for the end of a run."""
     return f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} as it ended"
+
+
+def instruction_sets() -> str:
+    """What the processor has for products of integers and of floats, as Linux names it; "unknown" elsewhere."""
+    try:
+        words = set(Path("/proc/cpuinfo").read_text(encoding="utf-8").split())
+    except OSError:
+        return "unknown"
+    return ", ".join(name for name in _INSTRUCTION_SETS if name in words) or "none of those known"
 
 
 def circumstances() -> str:

@@ -3,7 +3,8 @@
 Static quantisation (QDQ: integer nodes between QuantizeLinear and DequantizeLinear), a scale for each channel of a
 weight, ranges of activations from training frames (Jacob et al., 2018; ONNX Runtime's documentation, "Quantize ONNX
 models"). Which groups of nodes stay in float32 is searched for: a group does so where the network is then more accurate
-by too much, or faster, on frames that were held out of training.
+by too much, or faster, on frames that were held out of training. Of products that stay in float32 the large weights are
+stored in 8 bits all the same, and made float32 as the network runs.
 """
 
 import tempfile
@@ -26,7 +27,9 @@ MAX_ERROR_RATIO = 1.05
 """of an int8 network's errors to fp32's, on held-out frames; beyond it int8 isn't shipped"""
 _FASTER = 0.95  # a group stays in float32 for less than this fraction of the time
 _TIMED_S, _MIN_RUNS, _MAX_RUNS = 2.0, 5, 60
-_WITH_WEIGHTS = ("Conv", "Gemm", "MatMul")
+_PRODUCTS = "Gemm", "MatMul"
+_WITH_WEIGHTS = "Conv", *_PRODUCTS
+_LARGE = 10_000  # weights of a product; fewer take no room
 _BETWEEN = ("Add", "Relu", "Clip", "MaxPool", "GlobalAveragePool", "Flatten", "Reshape", "Mul", "Sigmoid")
 
 Tensors = Sequence[NDArray[np.float32]]
@@ -136,6 +139,7 @@ class _Trials:
             nodes_to_exclude=excluded,
             calibration_cache_path=self.folder / "ranges.json",
         )
+        _store_in_int8(self.file(in_float32), excluded)
 
 
 def measure(file: Path, held_out: HeldOut) -> Measured:
@@ -188,7 +192,7 @@ def _kind(node: Any, weights: dict[str, list[int]]) -> str:
         if size > 1 and inputs == 1:
             return "depthwise convolutions"
         return "1x1 convolutions" if set(kernel) == {1} else "convolutions"
-    if node.op_type in ("Gemm", "MatMul"):
+    if node.op_type in _PRODUCTS:
         return "products"
     return {"Add": "sums", "Mul": "gates", "Sigmoid": "gates"}.get(node.op_type, "")
 
@@ -205,6 +209,36 @@ def _last(graph: Any, weights: dict[str, list[int]]) -> set[str]:
         if not (node.op_type in _WITH_WEIGHTS and any(name in weights for name in node.input[1:2])):
             names += node.input
     return seen
+
+
+def _store_in_int8(file: Path, nodes: Sequence[str]) -> None:
+    """Of these nodes, store products' large weights as integers, with a scale for each of their outputs."""
+    import onnx
+    from onnx import helper, numpy_helper
+
+    model = onnx.load(file)
+    graph = model.graph
+    tensors = {tensor.name: tensor for tensor in graph.initializer}
+    for node in [node for node in graph.node if node.op_type in _PRODUCTS and node.name in set(nodes)]:
+        name = node.input[1]
+        if name not in tensors or np.prod(tensors[name].dims) < _LARGE:
+            continue
+        weights = numpy_helper.to_array(tensors[name])
+        axis = 0 if any(a.name == "transB" and a.i for a in node.attribute) else weights.ndim - 1
+        others = tuple(i for i in range(weights.ndim) if i != axis)
+        scale = np.maximum(np.abs(weights).max(axis=others, keepdims=True), np.float32(1e-12)) / np.float32(127)
+        parts = {
+            "integers": np.round(weights / scale).astype(np.int8),
+            "scale": scale.ravel().astype(np.float32),
+            "zero": np.zeros(scale.size, np.int8),
+        }
+        stored = [numpy_helper.from_array(value, f"{name} {part}") for part, value in parts.items()]
+        graph.initializer.extend(stored)
+        graph.initializer.remove(tensors.pop(name))
+        made = helper.make_node("DequantizeLinear", [t.name for t in stored], [f"{name} float32"], axis=axis)
+        graph.node.insert(list(graph.node).index(node), made)
+        node.input[1] = f"{name} float32"
+    onnx.save(model, file)
 
 
 def _reader(tensors: Tensors) -> Any:
