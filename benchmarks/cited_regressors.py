@@ -28,7 +28,7 @@ GRAPH = "MapNet"
 # Bytes of weights that are printed: the paper's for PN. None prints its number of parameters.
 PUBLISHED_MB = {"PN": 85}
 # What PN's section of a profile has no counterpart of, for so few epochs.
-OWN: dict[str, tuple[str, ...]] = {"DFNet": ("matching_from=100",)}
+OWN: dict[str, tuple[str, ...]] = {"DFNet": ("matching_from=150",)}
 Figures = dict[str, float]
 
 

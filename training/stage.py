@@ -424,7 +424,7 @@ def describe(job: Job) -> str:
 
 STAGE = Stage(
     name="train",
-    version=10,
+    version=11,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,
