@@ -122,6 +122,9 @@ bench-phone: $(installed) ## Exported regressors without PyTorch: bytes, millise
 bench-regressors: $(installed) ## PN, MS-T, PN-Lite and MST-Lite beside each other, 3 seeds (docs/results); finished runs of Church and Office; hours
 	@$(py) -m benchmarks.regressors
 
+bench-cited: $(installed) ## The regressors that the paper cites beside PN, few epochs (docs/results); a finished run of Church; half an hour
+	@$(py) -m benchmarks.cited_regressors
+
 bench-training: $(installed) ## Training steps in images a second of a core; official=<folder>: beside MS-Transformer's own code (docs/results)
 	@$(py) -m benchmarks.training $(if $(official),--official "$$official")
 
@@ -174,4 +177,4 @@ help: ## This text
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
 .NOTPARALLEL:
-.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-training bench-fusion bench-recovery bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
+.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-fusion bench-recovery bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help

@@ -28,7 +28,7 @@ GRAPH = "MapNet"
 # Bytes of weights that are printed: the paper's for PN. None prints its number of parameters.
 PUBLISHED_MB = {"PN": 85}
 # What PN's section of a profile has no counterpart of, for so few epochs.
-OWN: dict[str, tuple[str, ...]] = {"DFNet": ("matching_from=100",)}
+OWN: dict[str, tuple[str, ...]] = {"DFNet": ("matching_from=150",)}
 Figures = dict[str, float]
 
 
@@ -63,22 +63,23 @@ def pose_graph_figures(train: Path, scene: str) -> Figures:
 
 
 def sizes(train: Path) -> Figures:
-    """Parameters and bytes on the model card."""
+    """Parameters, bytes and the epoch that was chosen, off the model card."""
     card = read_table(train / "models.parquet", schema("train", "models")).iloc[0]
-    return {"parameters": float(card["parameters"]), "bytes": float(card["bytes"])}
+    return {name: float(card[name]) for name in ("best_epoch", "parameters", "bytes")}
 
 
 def table(rows: dict[str, Figures]) -> str:
     """A row a case."""
-    heads = [*FIGURES, "parameters", "bytes"]
-    units = FIGURES | {"parameters": "millions", "bytes": "MB; published"}
+    heads = [*FIGURES, "chosen epoch", "parameters", "bytes"]
+    units = FIGURES | {"chosen epoch": "", "parameters": "millions", "bytes": "MB; published"}
     lines = [["case", *(f"{name} ({units[name]})" if units[name] else name for name in heads)]]
     for case, figures in rows.items():
         cells = [cell(np.array([figures[name]] if name in figures else [])) for name in FIGURES]
-        of_size = ["-", "-"]
+        of_size = ["-", "-", "-"]
         if "bytes" in figures:
             published = f"{PUBLISHED_MB[case]}" if case in PUBLISHED_MB else "none"
-            of_size = [f"{figures['parameters'] / 1e6:.2f}", f"{figures['bytes'] / 2**20:.1f}; {published}"]
+            size = f"{figures['parameters'] / 1e6:.2f}", f"{figures['bytes'] / 2**20:.1f}; {published}"
+            of_size = [f"{figures['best_epoch']:.0f}", *size]
         lines.append([case, *cells, *of_size])
     return markdown_table(lines)
 
@@ -86,7 +87,7 @@ def table(rows: dict[str, Figures]) -> str:
 def write(out: Path, scene: str, profile: str, epochs: int, rows: dict[str, Figures]) -> None:
     """cited-regressors.md and .csv."""
     head = (
-        f"Written by `python -m benchmarks.cited_regressors`. Scene {scene}, profile `{profile}`, seed 0: each "
+        f"Written by `make bench-cited`. Scene {scene}, profile `{profile}`, seed 0: each "
         f"regressor is trained once with PN's settings of the profile, but for {epochs} epochs, fewer than any needs: "
         "rows compare them at equal epochs and say nothing of how good each can become. MapNet's batches have three "
         "frames for each of PN's, DFNet's up to three rendered views. Scenes without captures of their own are "

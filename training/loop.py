@@ -175,7 +175,8 @@ def train(
         }
         history.append(row)
         score = held_out_score(history)
-        if score < best["score"]:
+        # Scores of the first epochs are of fewer, so luck weighs more in them.
+        if len(history) >= min(_SCORED_EPOCHS, settings.epochs) and score < best["score"]:
             weights = {name: tensor.clone() for name, tensor in model.state_dict().items()}
             best = {"score": score, "epoch": epoch + 1, "weights": weights}
         if epoch + 1 == settings.epochs or time.monotonic() - saved_at >= run.checkpoint_s:

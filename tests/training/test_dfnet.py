@@ -98,6 +98,7 @@ def test_rendered_views_leave_what_testing_normalises_by() -> None:
     norm.momentum = 1.0
     image = torch.randn(4, 3, 32, 32)
     model.loss(image, poses)
+    assert norm.running_mean is not None
     assert torch.allclose(norm.running_mean, model.backbone.conv1(image).mean((0, 2, 3)), atol=1e-5)
     assert norm.momentum == 1.0
 

@@ -153,6 +153,16 @@ def test_one_lucky_epoch_is_not_the_best() -> None:
     assert scores[2] > scores[6]
 
 
+def test_a_lucky_first_epoch_is_not_the_best(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = random_frames(tmp_path / "images", 4)
+    errors = iter([1.0, 9, 8, 7, 6, 5, 4])
+    monkeypatch.setattr(loop, "pose_errors", lambda *_: (np.array([error := next(errors)]), np.array([error])))
+    model = SmallRegressor()
+    settings = PoseNetSettings(epochs=7, batch=4)
+    train(silent, model, frames, frames, settings, Run("test", CPU, "fp32", View(32, 32), 0, tmp_path))
+    assert [row["epoch"] for row in take_best(model, tmp_path) if row["selected"]] == [5]
+
+
 def test_a_diverging_run_says_so(tmp_path: Path) -> None:
     frames = random_frames(tmp_path / "images", 4)
     settings = PoseNetSettings(epochs=20, batch=4, learning_rate=1e30)

@@ -126,7 +126,7 @@ def test_both_signs_of_a_quaternion_are_the_same_rotation(model: BackboneRegress
     for same in (poses, other):
         torch.manual_seed(0)  # of AD-PoseNet's masks and DFNet's views
         losses.append(model.loss(images(4), same))
-    assert torch.allclose(*losses)
+    assert torch.allclose(losses[0], losses[1])
 
 
 @pytest.mark.parametrize("name", OF_PN)

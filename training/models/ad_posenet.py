@@ -41,12 +41,12 @@ class ADPoseNet(PoseNet):
     ) -> None:
         super().__init__(dropout, sx, sq)
         self.threshold = threshold
-        self.channel_attention = nn.Sequential(
-            nn.Linear(FEATURES, _SQUEEZED), nn.ReLU(), nn.Linear(_SQUEEZED, FEATURES), nn.Sigmoid()
-        )
+        squeeze, excite = nn.Linear(FEATURES, _SQUEEZED), nn.Linear(_SQUEEZED, FEATURES)
+        self.channel_attention = nn.Sequential(squeeze, nn.ReLU(), excite, nn.Sigmoid())
         self.cell_attention = nn.Conv2d(FEATURES, 1, 1)
-        for layer in (self.channel_attention[0], self.channel_attention[2], self.cell_attention):
+        for layer in (squeeze, excite, self.cell_attention):
             nn.init.kaiming_normal_(layer.weight)
+            assert layer.bias is not None
             nn.init.zeros_(layer.bias)
         self.register_buffer("prior", torch.full((_SIDE, _SIDE), prior))
         self.register_buffer("noise", torch.randn(samples, _SIDE, _SIDE, generator=torch.Generator().manual_seed(0)))

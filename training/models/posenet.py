@@ -18,7 +18,7 @@ class PoseNet(BackboneRegressor):
 
     def __init__(self, dropout: float = 0.5, sx: float = 0.0, sq: float = -3.0) -> None:
         super().__init__(scenes=1, sx=sx, sq=sq)
-        self.backbone = ResNet34()
+        self.backbone: ResNet34 = ResNet34()
         self.hidden = nn.Linear(FEATURES, HIDDEN)
         self.position = nn.Linear(HIDDEN, 3)
         self.rotation = nn.Linear(HIDDEN, 3)
