@@ -57,7 +57,8 @@ def write_bundle(regressor: TrainedRegressor, folder: Path) -> list[str]:
         "scenes": list(regressor.scenes),
         "profile": regressor.profile,
         "simulated": regressor.simulated,
-        "reduced": regressor.card["reduced"] or "",
+        # Empty cells of a table without any text are read as NaN.
+        "reduced": regressor.card["reduced"] if isinstance(regressor.card["reduced"], str) else "",
         "written_by": f"groundwalk {version('groundwalk')}",
         "network": "int8" if "int8" in networks else "fp32",
         "networks": {name: {"file": file.name, "bytes": file.stat().st_size} for name, file in networks.items()},
