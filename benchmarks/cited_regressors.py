@@ -25,7 +25,7 @@ app = new_app(__doc__ or "")
 
 MODELS = ("PN", "PN-Bayesian", "CoordiNet", "AD-PoseNet", "MapNet", "DFNet")
 GRAPH = "MapNet"
-# Bytes of weights that are printed: the paper's for PN. None prints its number of parameters.
+# Megabytes of weights that the paper prints.
 PUBLISHED_MB = {"PN": 85}
 # What PN's section of a profile has no counterpart of, for so few epochs.
 OWN: dict[str, tuple[str, ...]] = {"DFNet": ("matching_from=150",)}
@@ -94,7 +94,7 @@ def write(out: Path, scene: str, profile: str, epochs: int, rows: dict[str, Figu
         "simulated. MapNet + PGO is fusion method `pose_graph` on MapNet's predictions, with odometry between them. In "
         "bounds: of the stated covariances, 95 %; the rank correlation is Spearman's of the stated deviation and the "
         "true error. Processor seconds are of the whole stage: reading images, training and predicting. MB are 2^20 "
-        "bytes of float32 weights, beside what is printed; no paper prints a number of parameters."
+        "bytes of float32 weights, beside what the paper prints of PN's."
     )
     parts = ["# Regressors that the paper cites", head, circumstances(), table(rows)]
     out.mkdir(parents=True, exist_ok=True)
