@@ -125,8 +125,8 @@ def main(
         train = DataRoot(folder).run(profile, scene, "train")
         train.parent.mkdir(parents=True, exist_ok=True)
         link(train.parent / "sfm", root.run(profile, scene, "sfm"))
-        figures = trained(folder, root, scene, profile, 0, settings_of(model, profile, epochs))
-        rows[model] = figures | sizes(train)
+        training = trained(folder, root, scene, profile, 0, settings_of(model, profile, epochs))
+        rows[model] = {**training.figures, **sizes(train)}
         typer.echo(f"{model}: {rows[model]}")
         if model == GRAPH:
             rows[f"{model} + PGO"] = pose_graph_figures(train, scene)

@@ -95,7 +95,8 @@ def middle_pose(truth: pd.DataFrame) -> pd.DataFrame:
     middle: int = int(np.linalg.norm(position - position.mean(axis=0), axis=1).argmin())
     columns = [str(column) for column in training if str(column).startswith("map_cam_")]
     tested = truth.loc[truth["split"] == "test", ["frame_id", "split"]]
-    return tested.assign(**training[columns].iloc[middle].to_dict(), covariance=None)
+    pose = {column: float(training[column].iloc[middle]) for column in columns}
+    return tested.assign(**pose, covariance=None)
 
 
 def _row(

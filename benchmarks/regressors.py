@@ -164,7 +164,8 @@ def earlier(file: Path) -> Results:
     results: Results = {}
     if file.is_file():
         keys = ["table", "case", "seed", "revision"]
-        for (title, case, seed, revision), rows in pd.read_csv(file).groupby(keys, sort=False):
+        for key, rows in pd.read_csv(file).groupby(keys, sort=False):
+            title, case, seed, revision = map(str, key)
             figures = dict(zip(rows["figure"], rows["value"], strict=True))
             results.setdefault(title, {}).setdefault(case, []).append(Training(int(seed), revision, figures))
     return results

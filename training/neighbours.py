@@ -7,7 +7,6 @@ differs from frame to frame; held-out frames say how large they are.
 """
 
 import torch
-from scipy.stats import chi2, f
 from torch import Tensor
 
 from groundwalk.training.models.regressor import PoseBatch
@@ -26,7 +25,7 @@ def neighbour_covariances(
 
     `training` and `held_out` are row numbers of frames whose `truth` is known. None where too few are held out.
     Standard deviations are proportional to `scatter_sizes`, with a factor for each of the camera's axes such that the
-    held-out errors have the right mean square, then scaled as `CovarianceScale` does, and widened by `widening`.
+    held-out errors have the right mean square, then scaled as `CovarianceScale` does.
     """
     if len(held_out) < MIN_HELD_OUT:
         return None
@@ -44,7 +43,7 @@ def neighbour_covariances(
     covariance_N66 += torch.diag(FLOOR.to(size_N).square())
     scale = CovarianceScale()
     scale.fit(_rows(answers, held_out)._replace(covariance_B66=covariance_N66[held_out]), _rows(truth, held_out))
-    return scale(covariance_N66) * widening(len(held_out))
+    return scale(covariance_N66)
 
 
 def scatter_sizes(descriptor_ND: Tensor, answers: PoseBatch, truth: PoseBatch, training: Tensor) -> Tensor:
@@ -58,12 +57,6 @@ def scatter_sizes(descriptor_ND: Tensor, answers: PoseBatch, truth: PoseBatch, t
         rotation_vector(answers.quaternion_B4[:, None], quaternion).square().sum(-1).mean(-1),
     )
     return (squares[0] * squares[1]).pow(0.25).clamp_min(1e-6)
-
-
-def widening(frames: int) -> float:
-    """By what 95 % bounds of three numbers grow since their variances are known from so many frames only: those of
-    Hotelling's distribution over those of chi square."""
-    return float(3 * frames / (frames - 2) * f.ppf(0.95, 3, frames - 2) / chi2.ppf(0.95, 3))
 
 
 def _double(poses: PoseBatch) -> PoseBatch:

@@ -20,7 +20,7 @@ from groundwalk.cli import all_commands
 from groundwalk.pipeline import Step, _first_outdated, run_steps, steps
 
 ROOT = Path(__file__).resolve().parents[2]
-HEAVY = {"cv2", "numpy", "open3d", "pandas", "pyarrow", "pycolmap", "rerun", "scipy", "torch", "pydantic"}
+HEAVY = {"cv2", "numba", "numpy", "open3d", "pandas", "pyarrow", "pycolmap", "rerun", "scipy", "torch", "pydantic"}
 PROGRAM = """
 import sys
 from groundwalk.cli import app
@@ -94,7 +94,7 @@ def test_a_stage_s_command_has_its_package_s_name_for_it() -> None:
     ("line", "cursor", "expected"),
     [
         ("groundwalk s", 1, ["scenes", "simulate", "sfm", "sweep"]),
-        ("groundwalk sfm --scene C", 3, ["Church"]),
+        ("groundwalk sfm --scene Chu", 3, ["Church"]),
         ("groundwalk train --profile ", 3, ["demo", "paper", "standard", "tiny"]),
         ("groundwalk align --fo", 2, ["--force"]),
     ],

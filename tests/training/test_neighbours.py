@@ -8,8 +8,8 @@ from torch import Tensor
 
 from groundwalk.training.data import pose_batch
 from groundwalk.training.models.regressor import PoseBatch
-from groundwalk.training.models.uncertainty import rotation_vector
-from groundwalk.training.neighbours import MIN_HELD_OUT, neighbour_covariances, scatter_sizes, widening
+from groundwalk.training.models.uncertainty import rotation_vector, widening
+from groundwalk.training.neighbours import MIN_HELD_OUT, neighbour_covariances, scatter_sizes
 
 TRAINING, HELD_OUT, TEST = 400, 40, 400
 N = TRAINING + HELD_OUT + TEST
@@ -63,7 +63,7 @@ def test_bounds_hold_the_errors_and_tell_large_from_small_ones() -> None:
 
 def test_few_held_out_frames_widen_and_too_few_say_nothing() -> None:
     assert stated(MIN_HELD_OUT - 1)[0] is None
-    assert widening(5) > widening(10) > widening(40) > 1
+    assert widening(0) == widening(3) > widening(5) > widening(10) > widening(40) > 1
     assert widening(100_000) == pytest.approx(1, abs=1e-3)
     inside = []
     for seed in range(20):

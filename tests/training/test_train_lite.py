@@ -296,7 +296,7 @@ def test_the_transformer_holds_several_scenes() -> None:
     features = (model.reduced(first), *maps)
     model.fit_training_images(features[0], poses)
     optimiser = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=3e-3)
-    for _ in range(60):
+    for _ in range(120):
         optimiser.zero_grad()
         model.train().feature_loss(features, poses).backward()
         optimiser.step()

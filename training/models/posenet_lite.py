@@ -125,6 +125,7 @@ class LiteRegressor(FrozenRegressor):
 
     def fit_features(self, features: tuple[Tensor, ...]) -> None:
         for channels, part in zip(self.channels, features[0].float().split(_POOLED, dim=1), strict=True):
+            assert isinstance(channels, ChannelComponents)
             channels.fit(part)
         parts = self._components(features[0])
         scales = torch.stack([part.std().clamp_min(_SMALLEST) * part.shape[1] ** 0.5 for part in parts])

@@ -2,12 +2,13 @@
 exp(rotation) estimated rotation`, as in the tables of poses."""
 
 import torch
+from scipy.stats import chi2, f
 from torch import Tensor, nn
 
 from groundwalk.training.models.regressor import PoseBatch, SceneFrames
 from groundwalk.training.rotations import as_matrix, conjugate, exp_quaternion, log_quaternion, multiply
 
-_MIN_FRAMES = 20
+_MIN_FRAMES = 3  # from which on errors of three axes have a covariance
 _QUANTILE = 0.9
 _CHI2_QUANTILE = 6.25  # of three degrees of freedom at _QUANTILE
 _FACTORS = (0.01, 100.0)
@@ -58,7 +59,7 @@ def resized(covariance_B66: Tensor, sd_B2: Tensor) -> Tensor:
 
 def calibration_factors(answers: PoseBatch, truth: PoseBatch) -> Tensor:
     """By what to multiply the covariances' rotation and position parts, (2,), so that nine in ten held-out frames lie
-    within their bounds of that size. Few frames say little: with under 20 the factors are at least 1."""
+    within their bounds of that size, and for how little so many frames say of others (`widening`)."""
     assert answers.covariance_B66 is not None
     covariance = answers.covariance_B66.double()
     factors = []
@@ -66,9 +67,15 @@ def calibration_factors(answers: PoseBatch, truth: PoseBatch) -> Tensor:
     for i, error in enumerate((rotation, truth.position_B3 - answers.position_B3)):
         block = covariance[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         squared = (error.double() * torch.linalg.solve(block, error.double())).sum(-1)
-        low = 1.0 if len(squared) < _MIN_FRAMES else _FACTORS[0]
-        factors.append((torch.quantile(squared, _QUANTILE) / _CHI2_QUANTILE).clamp(low, _FACTORS[1]))
-    return torch.stack(factors).float()
+        factors.append((torch.quantile(squared, _QUANTILE) / _CHI2_QUANTILE).clamp(*_FACTORS))
+    return torch.stack(factors).float() * widening(len(truth.position_B3))
+
+
+def widening(frames: int) -> float:
+    """By what 95 % bounds of three numbers grow since their variances are known from so many frames only: those of
+    Hotelling's distribution over those of chi square. Fewer than three frames count as three."""
+    n = max(frames, _MIN_FRAMES)
+    return float(3 * n / (n - 2) * f.ppf(0.95, 3, n - 2) / chi2.ppf(0.95, 3))
 
 
 class CovarianceScale(nn.Module):
