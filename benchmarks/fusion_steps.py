@@ -74,8 +74,8 @@ def main(
         [
             "# Steps of drift_aware over a long walk",
             "Written by `python -m benchmarks.fusion_steps`; not to be edited. A simulated walk of "
-            f"{minutes:g} minutes at {_RATE} frames a second. Processor time of each step on one thread, which what else runs on the "
-            f"machine lengthens; asked for is a p99 of {_LIMIT_MS} ms that doesn't grow.",
+            f"{minutes:g} minutes at {_RATE} frames a second. Processor time of each step on one thread, which what "
+            f"else runs on the machine lengthens; asked for is a p99 of {_LIMIT_MS} ms that doesn't grow.",
             circumstances(),
             markdown_table([heading, *rows]),
         ]
