@@ -134,6 +134,9 @@ bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures
 bench-recovery: $(installed) ## How fusion methods bear what goes wrong in a walk, and how they start
 	@$(py) -m benchmarks.fusion_recovery
 
+bench-steps: $(installed) ## What a step of drift_aware costs over a walk of half an hour (docs/results)
+	@$(py) -m benchmarks.fusion_steps
+
 bench-trained: $(installed) ## Train the regressors of bench-fusion's trained walks (build/trained); an hour and a half
 	@$(py) -m benchmarks.fusion_trained
 
@@ -177,4 +180,4 @@ help: ## This text
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
 .NOTPARALLEL:
-.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-fusion bench-recovery bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
+.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-fusion bench-recovery bench-steps bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
