@@ -113,7 +113,10 @@ def test_triplet_loss_takes_the_hardest_of_four_negatives() -> None:
 def test_the_stage_gives_it_the_map(make_scene: Callable[..., Path]) -> None:
     data = DataRoot(make_scene())
     small = ["models=['DFNet']", "resize=40", "crop=32", "device=cpu", "threads=1"]
-    small += [f"regressors.DFNet.{s}" for s in ("epochs=1", "weights='scratch'", "points=100", "matching_from=0")]
+    small += [
+        f"regressors.DFNet.{s}"
+        for s in ("epochs=1", "weights='scratch'", "points=100", "matching_from=0", "precision='fp32'")
+    ]
     with pytest.raises(UserError, match="stage sfm of scene Wall hasn't been run"):
         execute(STAGE, "Wall", "tiny", data, small)
     folder = data.run("tiny", "Wall", "sfm")
