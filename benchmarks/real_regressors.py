@@ -65,6 +65,7 @@ def main(
         units = [f"{name} ({unit})" for name, unit in _SHOWN.items()]
         head = ["regressor", *units, *(f"near: {unit}" for unit in units), *_BOUNDS, "training (processor s)"]
         sections += [f"## {scene}", _counts(truth, near), markdown_table([head, *rows])]
+    out.mkdir(parents=True, exist_ok=True)
     (out / "real_regressors.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
 
 
