@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from benchmarks.regressors import FIGURES, cell, link, trained
+from benchmarks.regressors import FIGURES, cell, error_figures, link, trained
 from benchmarks.results import circumstances, markdown_table
 from groundwalk.artefacts import DataRoot
 from groundwalk.artefacts.cli import new_app
@@ -54,12 +54,8 @@ def pose_graph_figures(train: Path, scene: str) -> Figures:
     inputs = Inputs(scene, frames, tables["ground_truth"], tables["predictions"], frozenset([model]))
     errors = evaluate([inputs], FuseSettings(methods=["pose_graph"])).tables["errors"]
     errors = errors[errors["method"] == "pose_graph"].dropna(subset=["position_m"])
-    figures: Figures = {}
-    for name, column in (("position", "position_m"), ("rotation", "rotation_deg")):
-        values = errors[column].to_numpy(float)
-        figures |= {f"{name} mean": float(values.mean()), f"{name} median": float(np.median(values))}
-        figures[f"{name} p95"] = float(np.percentile(values, 95))
-    return figures
+    columns = {"position": "position_m", "rotation": "rotation_deg"}
+    return error_figures({name: errors[column].to_numpy(float) for name, column in columns.items()})
 
 
 def sizes(train: Path) -> Figures:

@@ -15,8 +15,6 @@ docs/results/gates.md and .csv.
 
 import csv
 import json
-import os
-import platform
 import shutil
 import tempfile
 import time
@@ -43,7 +41,7 @@ from benchmarks.gates_breaking import (
     with_walk_of,
 )
 from benchmarks.gates_captures import CORRIDOR, Capture, write_capture
-from benchmarks.results import markdown_table
+from benchmarks.results import circumstances_of, markdown_table
 from groundwalk.alignment.stage import STAGE as ALIGN
 from groundwalk.artefacts import DataRoot, Stage, UserError, execute
 from groundwalk.artefacts.choices import FailureCause
@@ -332,14 +330,12 @@ def _outcome(path: Path) -> Outcome:
 
 def _write(outcomes: list[Outcome], out: Path) -> None:
     """Write docs/results/gates.md and .csv."""
-    revisions, dates = (sorted({getattr(o, name) for o in outcomes}) for name in ("revision", "date"))
     sections = [
         "# Gates: what is broken is found and named",
         "Written by `python -m benchmarks.gates`, not to be edited; `gates.csv` has every figure. All simulated: small "
         "captures, 320x240, of a phone whose lens and shutter nobody states, taken through import, sfm and align. A "
         "capture is named by place, seed, number of walks and, where it is short, length.",
-        f"Machine: {platform.machine()}, {os.cpu_count()} cores. Revisions: {', '.join(revisions)}; dates: "
-        f"{', '.join(dates)}.",
+        circumstances_of((o.revision for o in outcomes), (o.date for o in outcomes)),
         markdown_table(_summary(outcomes)),
         "Wrong: more than 25 cm or 2 degrees from the truth. Lost: registered, without ground truth.",
         markdown_table(_rows(outcomes)),

@@ -84,7 +84,8 @@ def main(
         manifest = load_manifest(folder)
         kind = "simulated" if manifest["simulated"] else "real"
         cards = read_table(folder / "models.parquet", schema("train", "models"))
-        for model in set(cards.loc[cards["file"] != "", "model"]) - {figure.model for figure in figures}:
+        known = {figure.model for figure in figures}
+        for model in cards.loc[(cards["file"] != "") & ~cards["model"].isin(known), "model"]:
             regressor = load_regressor(root, profile, scene, str(model))
             notes.append(f"{model}: trained at revision {manifest['git_revision']}, seed {regressor.card['seed']}")
             for figure in (*_of_bundle(regressor, notes), *_at_published_size(regressor, notes)):

@@ -11,7 +11,6 @@ goes on with the rest; its captures and runs are deleted. Writes docs/results/ph
 import csv
 import json
 import os
-import platform
 import shutil
 import sys
 import time
@@ -29,7 +28,7 @@ from benchmarks.gates import PLACES, SFM_OF_SMALL
 from benchmarks.gates import PROFILE as SMALL
 from benchmarks.gates_captures import Capture, write_capture
 from benchmarks.groundtruth_inputs import PROFILE, errors_after_sim3, ground_truth_targets, simulated, true_poses
-from benchmarks.results import markdown_table
+from benchmarks.results import circumstances_of, markdown_table
 from benchmarks.stages import run_timed
 from benchmarks.stock import stock_command, stock_poses
 from groundwalk.artefacts import DataRoot, UserError, execute
@@ -308,14 +307,13 @@ def _write(work: Path, out: Path) -> bool:
     """Write the tables of all cases that ran; whether all figures of the grid are met."""
     grid, walks = _rows(work, "grid"), _rows(work, "walks")
     runs = grid + walks
-    revisions, dates = (sorted({str(row.get(name)) for row in runs}) for name in ("revision", "date"))
+    revisions, dates = ([str(row.get(name)) for row in runs] for name in ("revision", "date"))
     loads = [f"{row['load']:.1f}" for row in grid]
     sections = [
         "# Simulated phones: lens, rolling shutter and focus unknown",
         "Written by `make bench-cameras` (`python -m benchmarks.phone_cameras`), not to be edited; `phone-cameras.csv` "
         "has every figure. All simulated. The app states a pinhole; sfm estimates the rest.",
-        f"Machine: {platform.machine()}, {os.cpu_count()} cores. Revisions: {', '.join(revisions)}; dates: "
-        f"{', '.join(dates)}; load as a case of the grid ended: {', '.join(loads)}.",
+        circumstances_of(revisions, dates),
     ]
     if grid:
         limits = "; ".join(f"{name} {low:g} to {high:g} {unit}" for name, (unit, low, high) in _LIMITS.items())
@@ -323,7 +321,7 @@ def _write(work: Path, out: Path) -> bool:
             "## Grid",
             "Named by scene, k1, k2, readout and focus breathing (share of the focal length); profile demo (0.18 of "
             "the paper's frames where no other fraction is named), seed 0. "
-            f"Estimates ± one sigma (true). To reach: {limits}.",
+            f"Estimates ± one sigma (true). To reach: {limits}. Load as each case ended: {', '.join(loads)}.",
             markdown_table(_grid_table(grid)),
             "## Beside stock COLMAP",
             "The same images; stock matches every pair and has one OPENCV camera a session.",

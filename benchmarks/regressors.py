@@ -74,6 +74,15 @@ class Training:
 Results = dict[str, dict[str, list[Training]]]
 
 
+def error_figures(errors: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
+    """Mean, median and 95th percentile of errors (N,), by what they are of."""
+    figures: dict[str, float] = {}
+    for name, error in errors.items():
+        figures |= {f"{name} mean": float(error.mean()), f"{name} median": float(np.median(error))}
+        figures[f"{name} p95"] = float(np.percentile(error, 95))
+    return figures
+
+
 def errors_and_honesty(predictions: pd.DataFrame, truth: pd.DataFrame) -> dict[str, float]:
     """The figures of a regressor's answers to test frames; those of covariances only where it states them."""
     test = predictions[predictions["split"] == "test"]
@@ -83,10 +92,7 @@ def errors_and_honesty(predictions: pd.DataFrame, truth: pd.DataFrame) -> dict[s
     usable = np.isfinite(true).all(axis=(1, 2))
     estimated, true = estimated[usable], true[usable]
     errors = {"position": position_error(estimated, true), "rotation": rotation_error_deg(estimated, true)}
-    figures: dict[str, float] = {}
-    for name, error in errors.items():
-        figures |= {f"{name} mean": float(error.mean()), f"{name} median": float(np.median(error))}
-        figures[f"{name} p95"] = float(np.percentile(error, 95))
+    figures = error_figures(errors)
     if both["covariance"].notna().all():
         covariance = np.stack(both["covariance"].tolist()).reshape(-1, 6, 6)[usable]
         inside = 100 * within_bounds(estimated, true, covariance).mean(axis=0)

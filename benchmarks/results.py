@@ -32,6 +32,12 @@ def instruction_sets() -> str:
     return ", ".join(name for name in _INSTRUCTION_SETS if name in words) or "none of those known"
 
 
+def circumstances_of(revisions: Iterable[str], dates: Iterable[str]) -> str:
+    """The machine, and the revisions and dates of cases that ran one after the other, as sentences."""
+    of_cases = ", ".join(sorted(set(revisions))), ", ".join(sorted(set(dates)))
+    return f"Machine: {platform.machine()}, {os.cpu_count()} cores. Revisions: {of_cases[0]}; dates: {of_cases[1]}."
+
+
 def circumstances() -> str:
     """Revision, date and machine of this run, in a sentence."""
     return f"Revision {git_revision()}, {datetime.now(UTC):%Y-%m-%d}; {machine()}."

@@ -117,7 +117,8 @@ def outputs_of(*components: tuple[float, tuple[float, float, float], float]) -> 
 def test_the_answer_is_the_median_and_its_covariance_has_the_other_places() -> None:
     scene = torch.zeros(1, dtype=torch.long)
     two = outputs_of((1.0, (0, 0, 0), 0), (0.0, (4, 0, 0), 3.0))
-    answer = PoseMixture(1, 2).poses(two, scene)
+    mixture = PoseMixture(1, 2)
+    answer = mixture.poses(mixture.decode(two, scene), scene)
     assert answer.position_B3[0].tolist() == pytest.approx([0, 0, 0], abs=0.1)
     covariance = answer.covariance_B66
     assert covariance is not None
@@ -137,13 +138,13 @@ def test_calibration_brings_nine_in_ten_within_bounds() -> None:
     truth = PoseBatch(torch.randn(count, 3), identity, scene)
 
     def within() -> float:
-        answer = mixture.poses(outputs, scene)
+        answer = mixture.poses(mixture.decode(outputs, scene), scene)
         assert answer.covariance_B66 is not None
         squared = truth.position_B3.square().sum(1) / scale(answer.covariance_B66)[:, 3, 3]
         return float((squared < 6.25).float().mean())
 
     assert within() < 0.5
-    scale.fit(mixture.poses(outputs, scene), truth)
+    scale.fit(mixture.poses(mixture.decode(outputs, scene), scene), truth)
     assert within() == pytest.approx(0.9, abs=0.01)
 
 

@@ -82,10 +82,9 @@ class PoseMixture(nn.Module):
         density = density - radians * torch.exp(-c.log_rotation_scale_BK) - 3 * c.log_rotation_scale_BK
         return -(c.log_weight_BK + density).logsumexp(-1).mean()
 
-    def poses(self, outputs: Tensor, scene_B: Tensor) -> PoseBatch:
+    def poses(self, c: Components, scene_B: Tensor) -> PoseBatch:
         """The pose with the smallest expected position and rotation error (geometric medians of the mixture), and the
         covariance of its error: rotation, then position."""
-        c = self.decode(outputs, scene_B)
         weight = c.log_weight_BK.exp()
         spread = (2 * c.log_position_scale_BK).exp()
         position = (weight[..., None] * c.position_BK3).sum(1)
@@ -109,9 +108,8 @@ class PoseMixture(nn.Module):
         covariance = covariance + VARIANCE * torch.diag_embed(torch.cat(variances, dim=-1))
         return PoseBatch(position, quaternion, scene_B, covariance)
 
-    def typical_scales(self, outputs: Tensor, scene_B: Tensor) -> Tensor:
+    def typical_scales(self, c: Components) -> Tensor:
         """Geometric means (B, 2) of the components' scales, in rotation and in position."""
-        c = self.decode(outputs, scene_B)
         logs = torch.stack([c.log_rotation_scale_BK, c.log_position_scale_BK], dim=-1)
         return (c.log_weight_BK.exp()[..., None] * logs).sum(1).exp()
 

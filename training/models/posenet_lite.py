@@ -141,8 +141,9 @@ class LiteRegressor(FrozenRegressor):
         images: how far components lie apart says little about the size of errors.
         """
         with torch.autocast(outputs.device.type, enabled=False):
-            answer = self.mixture.poses(outputs.float(), scene_B)
-            sd = (3 * VARIANCE) ** 0.5 * self.mixture.typical_scales(outputs.float(), scene_B)
+            components = self.mixture.decode(outputs.float(), scene_B)
+            answer = self.mixture.poses(components, scene_B)
+            sd = (3 * VARIANCE) ** 0.5 * self.mixture.typical_scales(components)
             sd = sd * self.training_distance(summary.float(), *answer[:3])[:, None]
         assert answer.covariance_B66 is not None
         covariance = self.covariance_scale(resized(answer.covariance_B66, sd))

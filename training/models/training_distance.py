@@ -1,8 +1,8 @@
 """How far an image and its answer are from the training images: errors grow with both.
 
 Where no training image looks like this one, or none was taken near the answer, the network extrapolates, and says too
-little of it by itself. Measured over three seeds (docs/results/regressors.md): the scales of a mixture's components,
-multiplied by both distances, rank errors better than the spread of the mixture does.
+little of it by itself. The scales of a mixture's components, multiplied by both distances, rank errors at least as well
+as the spread of the mixture does (rank correlations: docs/results/regressors.md).
 """
 
 import torch
