@@ -146,6 +146,9 @@ def scores(cases: Sequence[Case], methods: Sequence[Entrant], processes: int = 1
     return pd.DataFrame(rows)
 
 
+_LOADED: set[str] = set()  # methods that this process has run
+
+
 def _case_rows(case: Case, methods: Sequence[Entrant]) -> list[dict[str, Any]]:
     return [_row(case, entrant) for entrant in methods]
 
@@ -153,6 +156,9 @@ def _case_rows(case: Case, methods: Sequence[Entrant]) -> list[dict[str, Any]]:
 def _row(case: Case, entrant: Entrant) -> dict[str, Any]:
     fused: list[Fused] = []
     spent_ms: list[float] = []
+    if entrant.method not in _LOADED:  # a method's first walk in a process compiles and loads, which is no step's time
+        fuse(Run(entrant.method, "", case.model), case.walks[0], entrant.localiser(case.error_map))
+        _LOADED.add(entrant.method)
     for walk in case.walks:
         localiser = entrant.localiser(case.error_map)
         if not isinstance(localiser, Offline):
