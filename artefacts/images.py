@@ -45,8 +45,10 @@ def verify_images(captures: Path, imported: Path) -> None:
 def read_image(path: Path) -> Image:
     """An image file as RGB (H, W, 3), as the sensor has it (a turn in the file's EXIF is left out, since poses and
     intrinsics are the sensor's). UserError where it isn't there or can't be decoded."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR_BGR | cv2.IMREAD_IGNORE_ORIENTATION)
+    # OpenCV prints a warning of its own for a file that isn't there.
+    is_there = path.exists()
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR_BGR | cv2.IMREAD_IGNORE_ORIENTATION) if is_there else None
     if image is None:
-        actual = "a file that isn't an image" if path.exists() else "no such file"
+        actual = "a file that isn't an image" if is_there else "no such file"
         raise UserError("an image can't be read", where=path, found=actual, do="import the capture again")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
