@@ -223,6 +223,7 @@ def costs(scene: SceneInputs) -> NamedFigure:
         ax.set(xscale="log", yscale="log", xlabel=label)
         ax.margins(0.25)
         style.log_axis(ax.xaxis)
+    style.log_axis(axes[0].yaxis)
     axes[0].set_ylabel("median position error (cm)")
     caption = (
         f"{scene.name}: accuracy against bytes and against time, of every model alone over all test frames; a frame "
@@ -243,6 +244,7 @@ def walks(scene: SceneInputs) -> NamedFigure:
         axes[0].plot(groups, [100 * s.median_m for s in of_model], **drawn)
         axes[1].plot(groups, [s.high for s in of_model], **drawn)
     axes[0].set(yscale="log", ylabel="median position error (cm)")
+    style.log_axis(axes[0].yaxis)
     axes[1].set(ylim=(-3, 103), ylabel="within 0.25 m and 2° (%)")
     for ax in axes:
         ax.margins(x=0.1)

@@ -95,7 +95,11 @@ def save(figure: Figure, folder: Path, name: str) -> str:
     """Write <name>.png (on white) and <name>.svg; the SVG, whose text takes the colour of the page around it, is
     returned too. The same figure gives the same bytes."""
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
-        # By the canvases, as savefig draws everything twice.
+        # By the canvases, as savefig draws everything twice. The layout alone is worked out twice: the first changes
+        # which ticks an axis has, and so how wide they are.
+        layout = figure.get_layout_engine()
+        if layout is not None:
+            layout.execute(figure)
         background = figure.get_facecolor()
         figure.set_dpi(150)
         figure.set_facecolor("white")
