@@ -39,7 +39,7 @@ endif
 # ---------------------------------------------------------------- installation
 # One lock file for every platform: constraints.txt pins each package that pip resolves.
 $(installed): pyproject.toml constraints.txt
-	@echo "Installing into .venv (3.6 GB, a few minutes; once)"
+	@echo "Installing into .venv (4.1 GB, a few minutes; once)"
 	@$(python) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "error: Python 3.11 or later is needed, found $$($(python) --version); name one: make python=python3.12 ..."; exit 2; }
 	@$(python) -m venv .venv
