@@ -60,6 +60,7 @@ def main(
 ) -> None:
     """Time training steps one after the other, and write what came out."""
     torch.set_num_threads(1)
+    out.mkdir(parents=True, exist_ok=True)  # Before the work, so that a folder that can't be written ends it at once.
     speeds: list[Speed] = []
     with tempfile.TemporaryDirectory() as name:
         frames = _frames(Path(name))
