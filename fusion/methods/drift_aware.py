@@ -7,6 +7,7 @@ keyframes (keyframes.py); with each new one the alignment's whole course is fitt
 better by another alignment, odometry has lost its frame, or found it again (rivals.py)."""
 
 from math import acos, atan2, cos, degrees, hypot, isnan, log, pi, radians, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -14,7 +15,7 @@ from pydantic import Field
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.estimator.aligner import DIMENSIONS, Belief, Fit, Model, counted, innovation, iterate
 from groundwalk.fusion.methods.estimator.answer import answer, leaning, rotation_into_map
-from groundwalk.fusion.methods.estimator.bounds import alignment_covariance
+from groundwalk.fusion.methods.estimator.bounds import Sharing, alignment_covariance
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality, expected_variances
 from groundwalk.fusion.methods.estimator.prediction_noise import (
@@ -79,14 +80,19 @@ class DriftAwareOptions(OdometryOptions):
         description="what a prediction counts at least of an independent one: neighbours are wrong alike",
     )
     shared: float = Field(
-        0.7,
+        0.9,
         ge=0,
         lt=1,
-        description="share of their errors' variance that predictions of one place have in common: bounds",
+        description="bounds: share of their errors' variance that predictions of one place have in common",
     )
-    shared_m: float = Field(4.0, gt=0, description="how far apart they are where that has faded to 1/e")
+    shared_sizes: float = Field(
+        18.0,
+        gt=0,
+        description="how far apart they are where that has faded to 1/e, over their standard deviation an axis",
+    )
+    shared_turn_deg: float = Field(33.0, gt=0, description="turn of the view by which it has faded to 1/sqrt(e)")
     position_covariance_factor: float = Field(
-        2.0, gt=0, description="what the position's covariance is multiplied with"
+        2.2, gt=0, description="what the position's covariance is multiplied with"
     )
     yaw_covariance_factor: float = Field(0.6, gt=0, description="the same, of yaw")
     apart_m: float = Field(0.05, gt=0, description="motion after which two predictions are half independent")
@@ -108,17 +114,27 @@ class DriftAwareOptions(OdometryOptions):
     tilt_covariance_factor: float = Field(36.0, gt=0, description="what its covariance is multiplied with")
 
 
+class _Carried(NamedTuple):
+    """A camera's position and yaw (4,) by the alignment of a keyframe, the covariance (4, 4) of that one's in map axes,
+    and what the way from it adds to the variances (4,)."""
+
+    state: Array
+    keyframe: int
+    bound: Array
+    added: Array
+
+
 class DriftAware(Localiser):
     """Every frame from the first prediction on gets a pose and a covariance."""
 
     options: DriftAwareOptions
 
     def __init__(
-        self, options: DriftAwareOptions | None = None, error_map: ErrorMap | None = None, keep_all: bool = False
+        self, options: DriftAwareOptions | None = None, error_map: ErrorMap | None = None, lag_s: float = 0.0
     ) -> None:
-        """`keep_all`: memory grows with the walk, whose course is then known as a whole."""
+        """`lag_s`: how long `revised` may be asked for a frame. That long predictions are kept as they came."""
         super().__init__()
-        self._keep_all = keep_all
+        self._lag_s = lag_s
         self.options = o = options or DriftAwareOptions()
         self._error_map = error_map if o.error_map else None
         widened = np.sqrt(np.array([*[o.position_covariance_factor] * 3, o.yaw_covariance_factor]))
@@ -132,7 +148,7 @@ class DriftAware(Localiser):
         self._forget()
 
     def _forget(self) -> None:
-        self._keyframes = Keyframes(None if self._keep_all else self.options.keyframes)
+        self._keyframes = Keyframes(self.options.keyframes, self._lag_s)
         self._covariance = self._prior.shape.copy()  # of normalised errors
         self._tilt = np.zeros(2)  # odometry's gravity error about its x and z, rad
         self._tilt_variance = radians(self.options.tilt_sd_deg) ** 2
@@ -228,6 +244,7 @@ class DriftAware(Localiser):
             whitening=normalised,
             measured=(*position.tolist(), yaw, *lean),
             vio=vio_T_cam[:3, 3],
+            forward=vio_T_cam[:3, 2],
             step=self._way.step(vio_T_cam[:3, 3]),
             turn=self._way.turn,
             drift=self._drift + _LEAST_DRIFT,
@@ -318,11 +335,28 @@ class DriftAware(Localiser):
         if self._last is None:
             self._iterated()
         assert self._last is not None
-        return self._posed(vio_T_cam, at, self._bound_at(self._last, at), Status.FUSED, (), {})
+        state, nearest = self._between(vio_T_cam, at)
+        carried = _Carried(state, nearest, self._bound_at(self._last, nearest), _NOTHING)
+        return self._posed(vio_T_cam, carried, Status.FUSED, (), {})
+
+    def _between(self, vio_T_cam: Array, at: int) -> tuple[Array, int]:
+        """Position and yaw (4,) of a camera between a keyframe and the next, and the nearer one of both: what odometry
+        has drifted from the one to the other is shared out along the way."""
+        rows, state = self._keyframes.rows, self._carried(vio_T_cam, at)
+        after = at + 1
+        if after == len(rows) or rows[after]["segment"] != rows[at]["segment"]:
+            return state, at
+        gone, left = (float(np.linalg.norm(vio_T_cam[:3, 3] - rows[i]["vio"])) for i in (at, after))
+        if gone == 0.0:
+            return state, at
+        fraction = gone / (gone + left)
+        drifted = self._carried(vio_T_cam, after) - state
+        return state + fraction * drifted, at if fraction < 0.5 else after
 
     def _bound_at(self, fit: Fit, keyframe: int) -> Array:
         o = self.options
-        return alignment_covariance(self._keyframes.rows, fit, o.shared, o.shared_m, keyframe)
+        sharing = Sharing(o.shared, o.shared_sizes, radians(o.shared_turn_deg))
+        return alignment_covariance(self._keyframes.rows, fit, sharing, keyframe)
 
     @property
     def _model(self) -> Model:
@@ -385,31 +419,29 @@ class DriftAware(Localiser):
         """The newest frame's pose; `map_T_cam_apr` is its prediction, where that brought a covariance."""
         assert self._bound is not None
         status = Status.LOST if self._doubted or self._watched else Status.FUSED
-        return self._posed(vio_T_cam, -1, self._bound, status, reasons, signals, map_T_cam_apr)
+        added = self._distrust * self._drift + self._way.loose
+        carried = _Carried(self._carried(vio_T_cam), -1, self._bound, added)
+        return self._posed(vio_T_cam, carried, status, reasons, signals, map_T_cam_apr)
 
     def _posed(
         self,
         vio_T_cam: Array,
-        keyframe: int,
-        bound: Array,
+        carried: _Carried,
         status: Status,
         reasons: tuple[str, ...],
         signals: dict[str, float],
         map_T_cam_apr: Array | None = None,
     ) -> Estimate:
-        """The pose that odometry gives when a keyframe's alignment, of covariance `bound` (4, 4), carries it."""
-        state = self._carried(vio_T_cam, keyframe)
+        """A camera's pose."""
+        state = carried.state
         map_R_vio = rotation_into_map(state[3], self._tilt)
         tilt_variance = self.options.tilt_covariance_factor * self._tilt_variance + _TILT_JITTER
         if map_T_cam_apr is not None:
             apart = map_T_cam_apr[:3, :3] @ (map_R_vio @ vio_T_cam[:3, :3]).T
             tilt, tilt_variance = self._tilt_of(apart, tilt_variance)
             map_R_vio = leaning(tilt) @ map_R_vio
-        added = self._distrust * self._drift + self._way.loose if keyframe == -1 else _NOTHING
-        of_keyframe = self._keyframes.rows[keyframe]["state"]
-        map_T_cam, map_T_vio, covariance = answer(
-            state, map_R_vio, vio_T_cam, of_keyframe, self._widened * bound, added
-        )
+        keyframe, bound = self._keyframes.rows[carried.keyframe]["state"], self._widened * carried.bound
+        map_T_cam, map_T_vio, covariance = answer(state, map_R_vio, vio_T_cam, keyframe, bound, carried.added)
         covariance[0, 0] = covariance[2, 2] = tilt_variance
         signals["position_sd_m"] = sqrt(sum(covariance.diagonal()[3:].tolist()))
         return Estimate(map_T_cam, status, covariance, map_T_vio, (), reasons, signals)

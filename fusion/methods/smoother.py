@@ -3,6 +3,8 @@
 It is the same fit. Later predictions re-weigh earlier ones, and the alignment at an earlier keyframe is read from it.
 """
 
+from math import inf
+
 from pydantic import Field
 
 from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
@@ -26,8 +28,8 @@ class Smoother(Offline):
         self._error_map = error_map
 
     def estimates(self, walk: Walk) -> list[Estimate]:
-        lag_s, has_vio = self.options.lag_s, known(walk.vio_T_cam)
-        localiser = DriftAware(self.options, self._error_map, keep_all=lag_s is None)
+        lag_s = inf if self.options.lag_s is None else self.options.lag_s
+        localiser, has_vio = DriftAware(self.options, self._error_map, lag_s), known(walk.vio_T_cam)
         in_time: list[Estimate] = []
         late: list[Estimate] = []
 
@@ -39,8 +41,7 @@ class Smoother(Offline):
 
         for t_ns, estimate in zip(walk.t_ns, steps(localiser, walk), strict=True):
             in_time.append(estimate)
-            if lag_s is not None:
-                answer(t_ns - lag_s * 1e9)
+            answer(t_ns - lag_s * 1e9)
         localiser.settle()
-        answer(float("inf"))
+        answer(inf)
         return late

@@ -13,7 +13,7 @@ from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.methods.estimator import robust
 from groundwalk.fusion.methods.estimator.aligner import counted
 from groundwalk.fusion.methods.estimator.alignment_chain import Chain, apply, covariances_with, solve, write_error
-from groundwalk.fusion.methods.estimator.bounds import alignment_covariance, turned
+from groundwalk.fusion.methods.estimator.bounds import Sharing, alignment_covariance, turned
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality
 from groundwalk.fusion.methods.estimator.prediction_noise import (
@@ -89,6 +89,15 @@ def test_a_full_table_drops_what_is_densest_and_keeps_the_newest_and_the_way() -
     copy.restore(table.save())
     copy.add(along=200.0, drift=np.ones(4), vio=[200, 0, 0], time_s=200.0)
     assert len(copy) == 10 and copy.column("along")[-1] == 200.0
+
+
+def test_keyframes_that_late_answers_need_are_kept_beside_the_table() -> None:
+    table = Keyframes(10, kept_s=30.0)
+    for i in range(200):
+        table.add(along=float(i), drift=np.full(4, 1.0), vio=[i, 0, 0], time_s=float(i))
+    along = table.column("along")
+    assert len(table) == 40 and list(along[-30:]) == list(range(170, 200)) and along[0] < 100
+    assert np.allclose(table.column("drift")[1:, 0], np.diff(along))
 
 
 def chain(seed: int, count: int = 12) -> tuple[Chain, Array, Array]:
@@ -204,14 +213,19 @@ def test_drift_is_told_from_predictions_that_are_wrong_alike() -> None:
 
 def test_bounds_are_the_fits_own_where_errors_are_independent_and_grow_as_they_are_shared() -> None:
     t_ns, _, vio, apr = upright_walk(0, 30)
-    localiser = DriftAware(DriftAwareOptions(keyframes=40))
+    localiser = DriftAware(DriftAwareOptions(keyframes=40, independent=1.0, apart_m=1e-9))
     for t, v, a in zip(t_ns, vio, apr, strict=True):
         localiser.step(int(t), v, a)
     keyframes, fit = localiser._keyframes, localiser._iterated()
+
+    def bound(at: int, share: float, sizes: float = 1e6, turn: float = 1e6) -> Array:
+        return alignment_covariance(keyframes.rows, fit, Sharing(share, sizes, turn), at)
+
     for at in (5, 29):
         own = turned(fit.solution.covariance[at], keyframes.column("state")[at, 3])
-        alone, some, all_alike = (
-            alignment_covariance(keyframes.rows, fit, share, 1e6, at) for share in (0.0, 0.5, 1.0)
-        )
-        assert np.allclose(alone, own, rtol=1e-6, atol=1e-12)
-        assert (np.diag(own) < np.diag(some)).all() and (np.diag(some) < np.diag(all_alike)).all()
+        assert np.allclose(bound(at, 0.0), own, rtol=1e-6, atol=1e-12)
+        variances = [np.diag(bound(at, share)) for share in (0.0, 0.5, 1.0)]
+        assert (np.diff(variances, axis=0) > 0).all()
+        # Far away from each other, or looking elsewhere, they have nothing in common.
+        assert np.allclose(bound(at, 1.0, sizes=1e-3), own, rtol=1e-3, atol=1e-9)
+        assert np.allclose(bound(at, 1.0, turn=1e-4), own, rtol=1e-3, atol=1e-9)

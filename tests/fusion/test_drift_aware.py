@@ -369,6 +369,19 @@ def test_the_later_the_answer_the_better() -> None:
     assert means[1] < 0.95 * means[0] and means[2] < means[1] and means[3] < 1.02 * means[2]
 
 
+def test_late_answers_are_better_where_odometry_is_bad_and_the_table_is_small() -> None:
+    error = []
+    for seed in range(4):
+        t_ns, truth, vio, apr = upright_walk(seed, 150, noise_m=0.1, noise_deg=1.0)
+        vio = vio.copy()
+        vio[:, [0, 2], 3] += np.cumsum(np.random.default_rng(seed).normal(0, 0.3, (150, 2)), axis=0)
+        walk = as_walk(t_ns, truth, vio, apr)
+        late = (Smoother(SmootherOptions(lag_s=lag_s, keyframes=16)).estimates(walk) for lag_s in (0.0, 5.0, 30.0))
+        error.append([position_error(poses(found), truth).mean() for found in late])
+    in_time, *later = np.mean(error, axis=0)
+    assert max(later) < 0.9 * in_time
+
+
 def test_odometry_that_starts_anew_elsewhere_is_aligned_anew_and_one_that_comes_back_is_believed() -> None:
     again, back = [], []
     for seed in range(6):

@@ -19,6 +19,7 @@ KEYFRAME = np.dtype(
         ("whitening", float, (6, 6)),  # B: from odometry's axes to normalised errors in camera axes
         ("measured", float, 6),  # predicted position (m), yaw against odometry, tilt about the map's x and z (rad)
         ("vio", float, 3),  # odometry's position
+        ("forward", float, 3),  # where the camera looks, in odometry's axes
         ("step", float, 3),  # odometry's step from the keyframe before, in its axes there
         ("turn", float),  # what odometry's axes have turned by since: its frame was lost, and bridged (rad)
         ("drift", float, 4),  # variances that odometry's drift adds on the way from the keyframe before: x, y, z, yaw
@@ -42,10 +43,10 @@ Row = Any
 class Keyframes:
     """The table. `rows` and columns are views of what is in use, which writing to changes."""
 
-    def __init__(self, capacity: int | None) -> None:
-        """`capacity`: how many are kept; None keeps all."""
-        self.capacity = capacity
-        self._rows = np.zeros(64 if capacity is None else capacity + 1, dtype=KEYFRAME)
+    def __init__(self, capacity: int, kept_s: float = 0.0) -> None:
+        """`capacity`: how many are kept of those older than `kept_s`; younger ones are all kept."""
+        self.capacity, self.kept_s = capacity, kept_s
+        self._rows = np.zeros(capacity + 1, dtype=KEYFRAME)
         self._count = 0
 
     def __len__(self) -> int:
@@ -69,8 +70,10 @@ class Keyframes:
         for name, value in values.items():
             row[name] = value
         self._count += 1
-        if self.capacity is not None and self._count > self.capacity:
-            self.remove(_least(self.rows))
+        times_s = self.column("time_s")
+        old = int(np.searchsorted(times_s, times_s[-1] - self.kept_s, side="right"))
+        if old > self.capacity:
+            self.remove(_least(self.rows, old))
 
     def remove(self, index: int) -> None:
         """Take one out; the way to the next one is then the way over it."""
@@ -97,10 +100,10 @@ class Keyframes:
 
 
 @compiled
-def _least(keyframes: Rows) -> int:
-    """The keyframe that says least."""
+def _least(keyframes: Rows, old: int) -> int:
+    """Which of the first `old` keyframes says least."""
     least, index = np.inf, 0
-    for i in range(1, len(keyframes) - 1):
+    for i in range(1, min(old, len(keyframes) - 1)):
         before, here, after = keyframes[i - 1], keyframes[i], keyframes[i + 1]
         apart = after.along - before.along + 1e-6 * (after.time_s - before.time_s)
         # As far apart as they are far back, so that the table reaches far back with few.
