@@ -7,7 +7,7 @@ far as the regressor's errors are large: those of PoseNet and MS-Transformer fad
 fit's linear answer to such errors (a sandwich, as of generalised estimating equations; Liang and Zeger, Biometrika 73,
 1986)."""
 
-from math import cos, exp, sin, sqrt
+from math import cos, exp, log, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,8 @@ from groundwalk.fusion.methods.estimator.keyframes import Rows
 from groundwalk.fusion.methods.estimator.matrices import add_product, clear, invert, write_columns
 from groundwalk.fusion.methods.estimator.odometry_quality import expected_variances
 from groundwalk.geometry.poses import Array
+
+_ALIKE = 1e-3  # correlation below which errors are independent
 
 
 class Sharing(NamedTuple):
@@ -79,11 +81,13 @@ def _alike(keyframes: Rows, fit: Fit, sharing: Sharing, index: int) -> Array:
     alike = np.zeros((count, count))
     for i in range(count):
         for j in range(i):
-            square = turned = 0.0
+            apart = turned = 0.0
             for k in range(3):
-                square += (keyframes[i].state[k] - keyframes[j].state[k]) ** 2
+                apart += (keyframes[i].state[k] - keyframes[j].state[k]) ** 2
                 turned += (looks[i, k] - looks[j, k]) ** 2  # the angle's square, for small ones
-            alike[i, j] = sharing.share * exp(-sqrt(square) / length - turned / (2 * sharing.turn**2))
+            faded = sqrt(apart) / length + turned / (2 * sharing.turn**2)
+            if faded < -log(_ALIKE):
+                alike[i, j] = sharing.share * exp(-faded)
     return alike
 
 
@@ -94,8 +98,11 @@ def _write_together(moved: Array, alike: Array, i: int, together: Array) -> None
     for k in range(6):
         for m in range(4):
             together[k, m] = moved[i, k, m]
-            for j in range(i):
-                together[k, m] += 2 * alike[j] * moved[j, k, m]
+    for j in range(i):
+        if alike[j] > _ALIKE:
+            for k in range(6):
+                for m in range(4):
+                    together[k, m] += 2 * alike[j] * moved[j, k, m]
 
 
 @compiled
