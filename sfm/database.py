@@ -1,8 +1,6 @@
 """COLMAP's database of a scene: a camera for each frame, and the results of extraction and matching."""
 
-import sqlite3
 from collections.abc import Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -95,19 +93,6 @@ def keypoint_counts(path: Path, count: int) -> Ints:
     """How many keypoints each of the `count` frames has."""
     with pycolmap.Database.open(path) as database:
         return np.array([database.num_keypoints_for_image(image_id(row)) for row in range(count)])
-
-
-def longest_side(path: Path) -> int:
-    """Of the largest image, px."""
-    with pycolmap.Database.open(path) as database:
-        return max(max(camera.width, camera.height) for camera in database.read_all_cameras())
-
-
-def drop_features(path: Path, rows: Ints) -> None:
-    """Remove the features of these frames."""
-    with closing(sqlite3.connect(path)) as database, database:
-        for table in ("keypoints", "descriptors"):
-            database.executemany(f"DELETE FROM {table} WHERE image_id = ?", [(image_id(row),) for row in rows.tolist()])
 
 
 def has_results(path: Path, pairs: Ints) -> NDArray[np.bool_]:

@@ -137,7 +137,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=18,
+    version=19,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -78,8 +78,10 @@ def adjust_model(
     """Adjust a model in place; `keypoints` are those of all N frames as extracted. Returns the adjusted model and the
     rows (R,) of its frames.
 
-    Observations beyond four sigma are removed on the way. The model then has the cameras' focal lengths and lenses,
-    and its observations where a camera without rolling shutter would have them.
+    Observations beyond four sigma are removed on the way. Sds of focus and of angular velocities are learned twice: the
+    cautious ones hold the estimates, as each frame's focus would else take up what the camera model lacks, and the
+    likeliest ones, which come back with the model, say how uncertain the estimates are. The model then has the cameras'
+    focal lengths and lenses, and its observations where a camera without rolling shutter would have them.
     """
     observations = pycolmap.ObservationManager(model)
     observations.filter_observations_with_negative_depth()
@@ -94,13 +96,14 @@ def adjust_model(
             observations.delete_observation(image_id(row), feature)
     observations.filter_observations_with_negative_depth()
     rows, point_ids, bundle, features = _bundle_of(model, keypoints)
+    learned = priors
     if settings.refine_cameras != "never":
-        priors = with_frame_sds(adjusted)
+        priors, learned = with_shrunk_sds(adjusted), with_likeliest_sds(adjusted)
     adjusted = marginal_readout(adjust(bundle, adjusted.cameras, priors))
     _write_back(model, rows, point_ids, adjusted, features)
     observations.filter_observations_with_negative_depth()
     model.update_point_3d_errors()
-    return replace(adjusted, bundle=_bundle_of(model, keypoints)[2]), rows
+    return replace(adjusted, bundle=_bundle_of(model, keypoints)[2], priors=learned), rows
 
 
 def with_lenses_of(log: CameraLog, adjusted: Adjusted, rows: Ints) -> CameraLog:
@@ -234,7 +237,20 @@ def _units_per_m(sfm_T_cam: Array, vio_T_cam: Array, session: Ints) -> float:
     return float(np.median(units[moved] / metres[moved])) if moved.any() else 0.0
 
 
-def with_frame_sds(adjusted: Adjusted) -> CameraPriors:
+def with_shrunk_sds(adjusted: Adjusted) -> CameraPriors:
+    """The priors with sds of each session's focus and of its VIO's angular velocities by the scatter of the adjusted
+    ones, which is too small: their priors hold them back."""
+    cameras, priors = adjusted.cameras, adjusted.priors
+    count = _PRIOR_FRAMES + np.bincount(cameras.session)
+    square = _PRIOR_FRAMES * priors.focus_sd**2 + np.bincount(cameras.session, cameras.focus**2)
+    moved = np.mean((cameras.angular - priors.mean.angular) ** 2 / priors.angular_sd**2, axis=1)
+    growth = np.sqrt(np.maximum((_PRIOR_FRAMES + np.bincount(cameras.session, moved)) / count, 1.0))
+    return replace(
+        priors, focus_sd=np.sqrt(square / count), angular_sd=priors.angular_sd * growth[cameras.session, None]
+    )
+
+
+def with_likeliest_sds(adjusted: Adjusted) -> CameraPriors:
     """The priors with sds of each session's focus, and of its VIO's angular velocities about each camera axis, as its
     images show them."""
     cameras, priors = adjusted.cameras, adjusted.priors

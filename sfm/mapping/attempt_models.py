@@ -27,9 +27,6 @@ from groundwalk.sfm.scene_input import SceneInput, calibrated_features
 from groundwalk.sfm.settings import SfmSettings
 
 _MIN_COMPARED_PAIRS = 8
-# A frame with fewer verified matches than this multiple of `max_features` is matched to this many times as many others.
-_FEW_MATCHES = 2
-_MORE_PAIRS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,8 +96,7 @@ def attempt_models(
 
 
 def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, proposals: Proposals) -> MatchedPairs:
-    """Match and verify the proposals, then pairs that both match a third frame, then more pairs of frames with few
-    matches."""
+    """Match and verify the proposals, then pairs that both match a third frame."""
 
     def match(text: str) -> MatchedPairs:
         pairs, origin = first_origins(proposals, len(scene.names))
@@ -115,17 +111,7 @@ def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, 
         more = pairs_of_chains(settings, scene.vio, matched.pairs, matched.inliers)
         proposals = [*proposals, (PairOrigin.TRANSITIVE, more)]
         matched = match("matching pairs that share a partner")
-    inliers = np.where(matched.has_enough_inliers, matched.inliers, 0)
-    matches = np.bincount(matched.pairs.ravel(), np.repeat(inliers, 2), len(scene.names))
-    few = matches < _FEW_MATCHES * settings.max_features
-    if not few.any():
-        return matched
-    wide = settings.model_copy(
-        update={name: _MORE_PAIRS * getattr(settings, name) for name in ("sequence_pairs", "vio_pairs")}
-    )
-    for origin, pairs in pairs_within_sessions(wide, scene.frames, scene.recording_N, scene.vio):
-        proposals = [*proposals, (origin, pairs[few[pairs].any(axis=1)])]
-    return match("matching more pairs of frames with few matches")
+    return matched
 
 
 def _compared_with_vio(settings: SfmSettings, scene: SceneInput, database: Path, matched: MatchedPairs) -> MatchedPairs:

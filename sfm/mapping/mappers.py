@@ -10,7 +10,6 @@ import pycolmap
 from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.database import longest_side
 from groundwalk.sfm.mapping.from_vio import map_from_vio
 
 MIN_MODEL_FRAMES = 3
@@ -134,7 +133,9 @@ def _first_pair_px(database: Path) -> float:
     Two poses explain the matches of a facade within COLMAP's 4 px, and of these RANSAC takes either: a model that
     begins with the wrong one folds, however good all other matches are. Within a pixel one of them remains.
     """
-    return max(1.0, _FIRST_PAIR_FRACTION * longest_side(database))
+    with pycolmap.Database.open(database) as opened:
+        longest = max(max(camera.width, camera.height) for camera in opened.read_all_cameras())
+    return max(1.0, _FIRST_PAIR_FRACTION * longest)
 
 
 def _listed(models: dict[int, pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:

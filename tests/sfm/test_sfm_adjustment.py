@@ -30,7 +30,7 @@ from groundwalk.sfm.cameras.adjustment import (
     with_step,
 )
 from groundwalk.sfm.cameras.calibration import Calibration, Lens
-from groundwalk.sfm.cameras.model_adjustment import CameraLog, with_frame_sds
+from groundwalk.sfm.cameras.model_adjustment import CameraLog, with_likeliest_sds, with_shrunk_sds
 from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.cameras.normal_equations import Solver, System
 from groundwalk.sfm.mapping.build import BuiltModel
@@ -255,16 +255,20 @@ def test_sds_of_focus_and_of_vios_angular_velocities_are_learned_from_images() -
     focus, angular = [], []
     for seed in range(4):
         adjusted, _, _ = _adjusted(seed, focus_sd=0.0003, angular_sd=_ANGULAR_SD / 4)
-        learned = with_frame_sds(adjusted)
+        learned = with_likeliest_sds(adjusted)
         focus.append(learned.focus_sd)
         angular.append(learned.angular_sd[[0, -1]])
+        shrunk = with_shrunk_sds(adjusted)
+        assert (shrunk.focus_sd < learned.focus_sd).all()
+        assert (adjusted.priors.angular_sd <= shrunk.angular_sd).all()
+        assert np.mean(shrunk.angular_sd) < np.mean(learned.angular_sd)
     assert 0.0006 < np.sqrt(np.mean(np.square(focus))) < 0.0015
     assert 0.6 < np.sqrt(np.mean(np.square(angular))) / _ANGULAR_SD < 1.5
     adjusted, _, _ = _adjusted(0)
-    assert 0.6 < np.sqrt(np.mean(with_frame_sds(adjusted).angular_sd ** 2)) / _ANGULAR_SD < 1.5
+    assert 0.6 < np.sqrt(np.mean(with_likeliest_sds(adjusted).angular_sd ** 2)) / _ANGULAR_SD < 1.5
     # One frame at a jump of VIO says nothing of the others.
     adjusted.priors.mean.angular[3] += 1.0
-    assert np.sqrt(np.mean(with_frame_sds(adjusted).angular_sd ** 2)) / _ANGULAR_SD < 1.8
+    assert np.sqrt(np.mean(with_likeliest_sds(adjusted).angular_sd ** 2)) / _ANGULAR_SD < 1.8
 
 
 @pytest.mark.parametrize("lenses", [1, 2])
