@@ -15,8 +15,9 @@ from pydantic import Field
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.estimator.aligner import DIMENSIONS, Belief, Fit, Model, counted, innovation, iterate
 from groundwalk.fusion.methods.estimator.answer import answer, leaning, rotation_into_map
-from groundwalk.fusion.methods.estimator.bounds import Sharing, alignment_covariance
+from groundwalk.fusion.methods.estimator.bounds import alignment_covariance
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
+from groundwalk.fusion.methods.estimator.likeness import Sharing
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality, expected_variances
 from groundwalk.fusion.methods.estimator.prediction_noise import (
     Prior,
@@ -73,28 +74,19 @@ class DriftAwareOptions(OdometryOptions):
     )
     side_turn_count: float = Field(20.0, gt=0, description="predictions that this correlation counts as")
     degrees_of_freedom: float = Field(0.3, gt=0, description="of Student's t: how heavy the tails of errors are")
-    independent: float = Field(
-        0.15,
-        gt=0,
-        le=1,
-        description="what a prediction counts at least of an independent one: neighbours are wrong alike",
-    )
     shared: float = Field(
-        0.9,
-        ge=0,
-        lt=1,
-        description="bounds: share of their errors' variance that predictions of one place have in common",
+        0.9, ge=0, lt=1, description="share of their errors' variance that predictions of one place have in common"
     )
     shared_sizes: float = Field(
-        18.0,
+        10.0,
         gt=0,
         description="how far apart they are where that has faded to 1/e, over their standard deviation an axis",
     )
-    shared_turn_deg: float = Field(33.0, gt=0, description="turn of the view by which it has faded to 1/sqrt(e)")
+    shared_turn_deg: float = Field(45.0, gt=0, description="turn of the view by which it has faded to 1/sqrt(e)")
     position_covariance_factor: float = Field(
         2.2, gt=0, description="what the position's covariance is multiplied with"
     )
-    yaw_covariance_factor: float = Field(0.6, gt=0, description="the same, of yaw")
+    yaw_covariance_factor: float = Field(0.7, gt=0, description="the same, of yaw")
     apart_m: float = Field(0.05, gt=0, description="motion after which two predictions are half independent")
     turn_length_m: float = Field(1.0, ge=0, description="motion that a turn by one radian counts as")
     keyframes: int = Field(64, ge=8, description="predictions kept as evidence")
@@ -354,9 +346,7 @@ class DriftAware(Localiser):
         return state + fraction * drifted, at if fraction < 0.5 else after
 
     def _bound_at(self, fit: Fit, keyframe: int) -> Array:
-        o = self.options
-        sharing = Sharing(o.shared, o.shared_sizes, radians(o.shared_turn_deg))
-        return alignment_covariance(self._keyframes.rows, fit, sharing, keyframe)
+        return alignment_covariance(self._keyframes.rows, fit, keyframe)
 
     @property
     def _model(self) -> Model:
@@ -369,7 +359,8 @@ class DriftAware(Localiser):
             prior = prior._replace(size_count=o.size_count_known)
         if self._quality.has_judged:
             prior = prior.with_sizes(self._quality.sizes, o.size_count_seen)
-        return Model(prior, o.degrees_of_freedom, o.independent, o.apart_m, tilt_sd)
+        sharing = Sharing(o.shared, o.shared_sizes, radians(o.shared_turn_deg))
+        return Model(prior, o.degrees_of_freedom, sharing, o.apart_m, tilt_sd)
 
     @property
     def _belief(self) -> Belief:

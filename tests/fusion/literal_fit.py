@@ -28,12 +28,11 @@ def literal_fit(vio: Array, apr: Array, drift: Array, o: "DriftAwareOptions", tu
     start = [_heading(apr[i, :3, :3] @ vio[i, :3, :3].T) for i in range(count)]
     x = np.column_stack([apr[:, :3, 3], np.full(count, start[0])])
     x[:, :3] = apr[0, :3, 3] + (vio[:, :3, 3] - vio[0, :3, 3]) @ _yaw(start[0]).T
-    covariance, tilt, posterior, each = shape.copy(), np.zeros(2), np.zeros((count, 4, 4)), 1.0
+    covariance, tilt, posterior = shape.copy(), np.zeros(2), np.zeros((count, 4, 4))
     for _ in range(turns):
-        precision = np.linalg.inv(covariance)
-        each = _independent(vio, sizes, drift, precision, o)
+        each = _independent(x, vio, drift, sizes[3] ** 2 * np.trace(covariance[3:, 3:]) / 3, o)
         slopes = [_slope(x[i], vio[i], sizes) for i in range(count)]
-        spread = [each * s @ p @ s.T for s, p in zip(slopes, posterior, strict=True)]
+        spread = [e * s @ p @ s.T for e, s, p in zip(each, slopes, posterior, strict=True)]
         errors = np.array([_error(x[i], vio[i], apr[i], tilt) / sizes for i in range(count)])
         weights = [_weight(e, v, covariance, o) for e, v in zip(errors, spread, strict=True)]
         parts = zip(share, weights, errors, spread, strict=True)
@@ -46,11 +45,11 @@ def literal_fit(vio: Array, apr: Array, drift: Array, o: "DriftAwareOptions", tu
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
         def residuals(
-            flat: Array, tilt: Array = tilt, weights: list[float] = weights, whiten: Array = whiten, each: float = each
+            flat: Array, tilt: Array = tilt, weights: list[float] = weights, whiten: Array = whiten, each: Array = each
         ) -> Array:
             y = flat.reshape(-1, 4)
             found = [
-                np.sqrt(each * share[i] * weights[i]) * (whiten @ (_error(y[i], vio[i], apr[i], tilt) / sizes))
+                np.sqrt(each[i] * share[i] * weights[i]) * (whiten @ (_error(y[i], vio[i], apr[i], tilt) / sizes))
                 for i in range(count)
             ]
             for i in range(1, count):
@@ -65,10 +64,10 @@ def literal_fit(vio: Array, apr: Array, drift: Array, o: "DriftAwareOptions", tu
         posterior = np.array([inverse[i, :, i] for i in range(count)])
 
         def leaning(
-            tilt: Array, x: Array = x, weights: list[float] = weights, whiten: Array = whiten, each: float = each
+            tilt: Array, x: Array = x, weights: list[float] = weights, whiten: Array = whiten, each: Array = each
         ) -> Array:
             found = [
-                np.sqrt(0.1 * each * share[i] * weights[i]) * (whiten @ (_error(x[i], vio[i], apr[i], tilt) / sizes))
+                np.sqrt(0.1 * each[i] * share[i] * weights[i]) * (whiten @ (_error(x[i], vio[i], apr[i], tilt) / sizes))
                 for i in range(count)
             ]
             return np.concatenate([*found, tilt / np.radians(o.tilt_sd_deg)])
@@ -102,14 +101,17 @@ def _weight(error: Array, spread: Array, covariance: Array, o: "DriftAwareOption
     )
 
 
-def _independent(vio: Array, sizes: Array, drift: Array, precision: np.ndarray, o: "DriftAwareOptions") -> float:
-    """What a prediction counts: as many as odometry lets one average over share their errors."""
-    ratios = []
-    for i in range(1, len(vio)):
-        slope = _slope(np.zeros(4), vio[i], sizes)
-        information = slope.T @ precision @ slope
-        ratios.append((information[0, 0] + information[2, 2]) / 2 * drift[i, 0])
-    return max(o.independent, 1 / (1 + np.exp(-0.5 * np.mean(np.log(ratios)))))
+def _independent(x: Array, vio: Array, drift: Array, variance: float, o: "DriftAwareOptions") -> Array:
+    """What each prediction counts: those alike by place and view are one, as far as odometry lets one average them."""
+    looks = np.array([_yaw(state[3]) @ pose[:3, 2] for state, pose in zip(x, vio, strict=True)])
+    apart = np.linalg.norm(x[:, None, :3] - x[None, :, :3], axis=2) / np.sqrt(variance)
+    turned = np.linalg.norm(looks[:, None] - looks[None], axis=2) / np.radians(o.shared_turn_deg)
+    faded = apart / o.shared_sizes + turned**2 / 2
+    alike = np.where(faded < np.log(1000), o.shared * np.exp(-faded), 0.0)
+    drifted = np.abs(np.subtract.outer(np.cumsum(drift[:, 0]), np.cumsum(drift[:, 0])))
+    both = alike / (1 + drifted / variance)
+    np.fill_diagonal(both, 1.0)
+    return np.asarray(1 / both.sum(axis=1))
 
 
 def _shares(vio: Array, o: "DriftAwareOptions") -> Array:

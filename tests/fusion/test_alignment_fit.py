@@ -13,8 +13,9 @@ from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.methods.estimator import robust
 from groundwalk.fusion.methods.estimator.aligner import counted
 from groundwalk.fusion.methods.estimator.alignment_chain import Chain, apply, covariances_with, solve, write_error
-from groundwalk.fusion.methods.estimator.bounds import Sharing, alignment_covariance, turned
+from groundwalk.fusion.methods.estimator.bounds import alignment_covariance, turned
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
+from groundwalk.fusion.methods.estimator.likeness import Sharing, independent, likeness, position_variances
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality
 from groundwalk.fusion.methods.estimator.prediction_noise import (
     Prior,
@@ -213,19 +214,33 @@ def test_drift_is_told_from_predictions_that_are_wrong_alike() -> None:
 
 def test_bounds_are_the_fits_own_where_errors_are_independent_and_grow_as_they_are_shared() -> None:
     t_ns, _, vio, apr = upright_walk(0, 30)
-    localiser = DriftAware(DriftAwareOptions(keyframes=40, independent=1.0, apart_m=1e-9))
+    localiser = DriftAware(DriftAwareOptions(keyframes=40, shared=0.0, apart_m=1e-9))
     for t, v, a in zip(t_ns, vio, apr, strict=True):
         localiser.step(int(t), v, a)
-    keyframes, fit = localiser._keyframes, localiser._iterated()
+    rows, fit = localiser._keyframes.rows, localiser._iterated()
+    variances = position_variances(rows, fit.covariance)
 
     def bound(at: int, share: float, sizes: float = 1e6, turn: float = 1e6) -> Array:
-        return alignment_covariance(keyframes.rows, fit, Sharing(share, sizes, turn), at)
+        alike = likeness(rows, variances, Sharing(share, sizes, turn))
+        return alignment_covariance(rows, fit._replace(alike=alike), at)
 
     for at in (5, 29):
-        own = turned(fit.solution.covariance[at], keyframes.column("state")[at, 3])
+        own = turned(fit.solution.covariance[at], rows["state"][at, 3])
         assert np.allclose(bound(at, 0.0), own, rtol=1e-6, atol=1e-12)
-        variances = [np.diag(bound(at, share)) for share in (0.0, 0.5, 1.0)]
-        assert (np.diff(variances, axis=0) > 0).all()
+        found = [np.diag(bound(at, share)) for share in (0.0, 0.5, 1.0)]
+        assert (np.diff(found, axis=0) > 0).all()
         # Far away from each other, or looking elsewhere, they have nothing in common.
         assert np.allclose(bound(at, 1.0, sizes=1e-3), own, rtol=1e-3, atol=1e-9)
         assert np.allclose(bound(at, 1.0, turn=1e-4), own, rtol=1e-3, atol=1e-9)
+
+
+def test_predictions_that_are_wrong_alike_count_as_one_as_far_as_odometry_holds() -> None:
+    table = Keyframes(10)
+    whitening = np.diag([10.0, 10.0, 10.0, 2.0, 2.0, 2.0])  # 0.1 rad, 0.5 m
+    for x, forward in ((0.0, [0, 0, 1]), (0.0, [0, 0, 1]), (0.0, [1, 0, 0]), (99.0, [0, 0, 1])):
+        table.add(state=[x, 0, 0, 0], forward=forward, whitening=whitening, drift=[1e-9] * 4, time_s=float(len(table)))
+    variances = position_variances(table.rows, np.eye(6))
+    assert variances == pytest.approx(0.25)
+    alike = likeness(table.rows, variances, Sharing(1.0, 10.0, np.radians(20.0)))
+    assert independent(table.rows, variances, alike, 1.0) == pytest.approx([0.5, 0.5, 1.0, 1.0], abs=1e-3)
+    assert independent(table.rows, variances, alike, 1e12) == pytest.approx(1.0, abs=1e-2)

@@ -6,7 +6,7 @@ later ones contradict loses its say in hindsight. Each new prediction starts fro
 iterations do.
 """
 
-from math import exp, inf, isnan, log, nan
+from math import inf, isnan, nan
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from groundwalk.fusion.methods.estimator import robust
 from groundwalk.fusion.methods.estimator.alignment_chain import UNKNOWN, Chain, Solution, apply, solve, write_error
 from groundwalk.fusion.methods.estimator.compiled import compiled, inlined
 from groundwalk.fusion.methods.estimator.keyframes import Row, Rows
+from groundwalk.fusion.methods.estimator.likeness import Sharing, independent, likeness, position_variances
 from groundwalk.fusion.methods.estimator.matrices import add_product, clear, invert, write_columns
 from groundwalk.fusion.methods.estimator.prediction_noise import Prior, scatter
 from groundwalk.geometry import GeometryError
@@ -26,21 +27,19 @@ _TILT = (0, 2)  # of the six numbers of an error: those that odometry's gravity 
 _GRAVITY = 0.1  # what a prediction counts for the tilt: predictions of a whole walk may lean alike
 _REFRESHED = 5  # keyframes whose posterior is worked out anew in an iteration
 _EXCESS = 0.3  # of a squared error that is too much for what is known, taken for the prediction's
-_RECENT = 10  # keyframes that say how many predictions odometry lets one average over
 
 
 class Model(NamedTuple):
     """What the fit assumes.
 
-    prior: of the covariance of normalised errors. dof: degrees of freedom of Student's t. independent: what one
-    prediction counts at least of an independent one, as neighbours are wrong alike. apart_m: motion after which two
-    predictions are half as good as two independent ones of that kind. tilt_sd: of odometry's gravity error an axis,
-    rad.
+    prior: of the covariance of normalised errors. dof: degrees of freedom of Student's t. sharing: of errors. apart_m:
+    motion after which two predictions are half as good as two that are made apart. tilt_sd: of odometry's gravity error
+    an axis, rad.
     """
 
     prior: Prior
     dof: float
-    independent: float
+    sharing: Sharing
     apart_m: float
     tilt_sd: float
 
@@ -61,14 +60,16 @@ class Fit(NamedTuple):
     """What an iteration gives beside the keyframes' states.
 
     covariance (6, 6): of normalised errors. squared (N,): each keyframe's squared error in its units. counted (N,):
-    what it says that its neighbours don't. weights (N,): what Student's t lets it count. information (N, 4, 4) and
-    solution: the predictions' terms, and the step. tilt (2,) and its variance: odometry's gravity error.
+    what it says that others don't. weights (N,): what Student's t lets it count. alike (N, N): correlations of errors,
+    below the diagonal. information (N, 4, 4) and solution: the predictions' terms, and the step. tilt (2,) and its
+    variance: odometry's gravity error.
     """
 
     covariance: Array
     squared: Array
     counted: Array
     weights: Array
+    alike: Array
     information: Array
     solution: Solution
     tilt: Array
@@ -139,12 +140,14 @@ def _iterate(keyframes: Rows, model: Model, belief: Belief, newest: float) -> Fi
     normalised, unknown, spread = np.empty((count, 6)), np.empty((count, 6, 4)), np.empty((count, 6, 6))
     precision = belief.covariance.copy()
     invert(precision)
-    each = _independent(keyframes, model.independent, belief.distrust[0], precision)
+    variances = position_variances(keyframes, belief.covariance)
+    alike = likeness(keyframes, variances, model.sharing)
+    each = independent(keyframes, variances, alike, belief.distrust[0])
     weights, squared, fraction = np.empty(count), np.empty(count), counted(keyframes["along"], model.apart_m)
     for i in range(count):
         _write_normalised(keyframes[i], belief.tilt, normalised[i])
         write_columns(keyframes[i].whitening, UNKNOWN, unknown[i], 6)
-        _write_sandwich(unknown[i], keyframes[i].posterior, each, spread[i], (6, 4))
+        _write_sandwich(unknown[i], keyframes[i].posterior, each[i], spread[i], (6, 4))
         squared[i] = _expected(normalised[i], spread[i], precision)
         weights[i] = robust.weight(squared[i], DIMENSIONS, model.dof)
     covariance = scatter(model.prior, normalised, spread, fraction, weights)
@@ -154,14 +157,14 @@ def _iterate(keyframes: Rows, model: Model, belief: Belief, newest: float) -> Fi
         squared[i] = _expected(normalised[i], spread[i], precision)
         known_better = i == count - 1 and not isnan(newest)
         weights[i] = robust.weight(newest if known_better else squared[i], DIMENSIONS, model.dof)
-        fraction[i] *= each
+        fraction[i] *= each[i]
     information, gradient = _normal_equations(normalised, unknown, fraction, weights, precision)
     tilt, tilt_variance = _tilt(keyframes, normalised, fraction, weights, precision, belief.tilt, model.tilt_sd)
     solution = solve(_chain(keyframes, belief.distrust), keyframes["state"], information, gradient)
     if solution.fault < 0:
         apply(keyframes["state"], solution.increments)
         _refresh(keyframes, solution.covariance)
-    return Fit(covariance, squared, fraction, weights, information, solution, tilt, tilt_variance)
+    return Fit(covariance, squared, fraction, weights, alike, information, solution, tilt, tilt_variance)
 
 
 @compiled
@@ -178,25 +181,6 @@ def _chain(keyframes: Rows, distrust: Array) -> Chain:
             for j in range(4):
                 chain.precision[i, j] = 1 / (distrust[j] * here.drift[j] + here.loose[j])
     return chain
-
-
-@compiled
-def _independent(keyframes: Rows, at_least: float, drift_factor: float, precision: Array) -> float:
-    """What a prediction counts of an independent one, at least the given. Predictions share errors with those that they
-    are averaged with: about as many as their sd is larger than what odometry drifts from one to the next.
-    precision (6, 6): of normalised errors. drift_factor: of the usual variance of drift."""
-    count = len(keyframes)
-    if count < 2:
-        return at_least
-    total, begin = 0.0, max(1, count - _RECENT)
-    for i in range(begin, count):
-        here, information = keyframes[i], 0.0
-        for axis in (UNKNOWN[0], UNKNOWN[2]):
-            for j in range(6):
-                for k in range(6):
-                    information += here.whitening[j, axis] * precision[j, k] * here.whitening[k, axis]
-        total += log(information / 2 * (drift_factor * here.drift[0]))
-    return max(at_least, 1 / (1 + exp(-0.5 * total / (count - begin))))
 
 
 @compiled

@@ -1,0 +1,78 @@
+"""Which predictions are wrong alike.
+
+Predictions of one place share a part of their error, wherever on the walk they were made, as long as they look the same
+way. That holds as far as the regressor's errors are large: those of PoseNet and MS-Transformer fade over 0.3 m where
+they are 0.1 m (chess) and over 6 m where they are 1 m (KingsCollege), and with 40 degrees in either."""
+
+from math import cos, exp, log, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from groundwalk.fusion.methods.estimator.compiled import compiled
+from groundwalk.fusion.methods.estimator.keyframes import Rows
+from groundwalk.fusion.methods.estimator.odometry_quality import expected_variances
+from groundwalk.geometry.poses import Array
+
+LEAST = 1e-3  # correlation below which errors are independent
+
+
+class Sharing(NamedTuple):
+    """What predictions have in common.
+
+    share: of their errors' variance, at one place. sizes: how far apart they are where that has faded to 1/e, over the
+    standard deviation of their position an axis. turn: the turn of the view by which it has faded to 1/sqrt(e), rad.
+    """
+
+    share: float
+    sizes: float
+    turn: float
+
+
+@compiled
+def position_variances(keyframes: Rows, covariance: Array) -> Array:
+    """Of each prediction's position error an axis, (N,). covariance (6, 6): of normalised errors."""
+    factor = (covariance[3, 3] + covariance[4, 4] + covariance[5, 5]) / 3
+    variances = np.empty(len(keyframes))
+    for i in range(len(keyframes)):
+        variances[i] = factor * expected_variances(keyframes[i].whitening)[0]
+    return variances
+
+
+@compiled
+def likeness(keyframes: Rows, variances: Array, sharing: Sharing) -> Array:
+    """Correlations (N, N; below the diagonal) of the errors of predictions, whose positions have these variances."""
+    count = len(keyframes)
+    looks, alike = np.empty((count, 3)), np.zeros((count, count))
+    for i in range(count):
+        x, y, z = keyframes[i].forward[0], keyframes[i].forward[1], keyframes[i].forward[2]
+        c, s = cos(keyframes[i].state[3]), sin(keyframes[i].state[3])
+        looks[i, 0], looks[i, 1], looks[i, 2] = c * x + s * z, y, c * z - s * x
+        for j in range(i):
+            apart = turned = 0.0
+            for k in range(3):
+                apart += (keyframes[i].state[k] - keyframes[j].state[k]) ** 2
+                turned += (looks[i, k] - looks[j, k]) ** 2  # the angle's square, for small ones
+            apart /= (variances[i] + variances[j]) / 2
+            faded = sqrt(apart) / sharing.sizes + turned / (2 * sharing.turn**2)
+            if faded < -log(LEAST):
+                alike[i, j] = sharing.share * exp(-faded)
+    return alike
+
+
+@compiled
+def independent(keyframes: Rows, variances: Array, alike: Array, drift_factor: float) -> Array:
+    """What each prediction counts of an independent one, (N,): those that are wrong alike count as one, as far as
+    odometry lets one average over both. drift_factor: of the usual variance of drift."""
+    count = len(keyframes)
+    since, others = np.zeros(count), np.ones(count)
+    for i in range(count):
+        if i > 0:
+            since[i] = since[i - 1] + drift_factor * keyframes[i].drift[0] + keyframes[i].loose[0]
+        for j in range(i):
+            if alike[i, j] > 0:
+                variance = (variances[i] + variances[j]) / 2
+                both = alike[i, j] * variance / (variance + since[i] - since[j])
+                others[i] += both
+                others[j] += both
+    return 1 / others
