@@ -84,7 +84,7 @@ class DriftAwareOptions(OdometryOptions):
     )
     shared_turn_deg: float = Field(45.0, gt=0, description="turn of the view by which it has faded to 1/sqrt(e)")
     position_covariance_factor: float = Field(
-        2.2, gt=0, description="what the position's covariance is multiplied with"
+        2.6, gt=0, description="what the position's covariance is multiplied with"
     )
     yaw_covariance_factor: float = Field(0.7, gt=0, description="the same, of yaw")
     apart_m: float = Field(0.05, gt=0, description="motion after which two predictions are half independent")
