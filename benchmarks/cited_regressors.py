@@ -80,8 +80,9 @@ def table(rows: dict[str, Figures]) -> str:
     return markdown_table(lines)
 
 
-def write(out: Path, scene: str, profile: str, epochs: int, rows: dict[str, Figures]) -> None:
-    """cited-regressors.md and .csv."""
+def write(out: Path, run: tuple[str, str, int], rows: dict[str, Figures], revisions: dict[str, str]) -> None:
+    """cited-regressors.md and .csv. run: scene, profile and epochs. revisions: of the code that trained each."""
+    scene, profile, epochs = run
     head = (
         f"Written by `make bench-cited`. Scene {scene}, profile `{profile}`, seed 0: each "
         f"regressor is trained once with PN's settings of the profile, but for {epochs} epochs, fewer than any needs: "
@@ -92,7 +93,8 @@ def write(out: Path, scene: str, profile: str, epochs: int, rows: dict[str, Figu
         "true error. Processor seconds are of the whole stage: reading images, training and predicting. MB are 2^20 "
         "bytes of float32 weights, beside what the paper prints of PN's."
     )
-    parts = ["# Regressors that the paper cites", head, circumstances(), table(rows)]
+    trained_by = "Trained by revision: " + ", ".join(f"{name} {one}" for name, one in revisions.items()) + "."
+    parts = ["# Regressors that the paper cites", head, circumstances(), trained_by, table(rows)]
     out.mkdir(parents=True, exist_ok=True)
     (out / "cited-regressors.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     with (out / "cited-regressors.csv").open("w", encoding="utf-8", newline="") as file:
@@ -115,7 +117,7 @@ def main(
     out: Annotated[Path, typer.Option(help="folder for the page and its table")] = Path("docs/results"),
 ) -> None:
     """Train, score, and write the table."""
-    root, rows = DataRoot(data), {}
+    root, rows, revisions = DataRoot(data), {}, {}
     for model in models.split(","):
         folder = work / f"{model}-{epochs}"
         train = DataRoot(folder).run(profile, scene, "train")
@@ -123,10 +125,11 @@ def main(
         link(train.parent / "sfm", root.run(profile, scene, "sfm"))
         training = trained(folder, root, scene, profile, 0, settings_of(model, profile, epochs))
         rows[model] = {**training.figures, **sizes(train)}
+        revisions[model] = training.revision
         typer.echo(f"{model}: {rows[model]}")
         if model == GRAPH:
             rows[f"{model} + PGO"] = pose_graph_figures(train, scene)
-        write(out, scene, profile, epochs, rows)
+        write(out, (scene, profile, epochs), rows, revisions)
 
 
 if __name__ == "__main__":
