@@ -80,9 +80,9 @@ class DriftAwareOptions(OdometryOptions):
     shared_sizes: float = Field(
         10.0,
         gt=0,
-        description="how far apart they are where that has faded to 1/e, over their standard deviation an axis",
+        description="distance over which that fades to 1/e, in standard deviations of a prediction's position an axis",
     )
-    shared_turn_deg: float = Field(45.0, gt=0, description="turn of the view by which it has faded to 1/sqrt(e)")
+    shared_turn_deg: float = Field(45.0, gt=0, description="turn of the camera over which it fades to 1/sqrt(e)")
     position_covariance_factor: float = Field(
         2.6, gt=0, description="what the position's covariance is multiplied with"
     )
@@ -106,9 +106,9 @@ class DriftAwareOptions(OdometryOptions):
     tilt_covariance_factor: float = Field(36.0, gt=0, description="what its covariance is multiplied with")
 
 
-class _Carried(NamedTuple):
-    """A camera's position and yaw (4,) by the alignment of a keyframe, the covariance (4, 4) of that one's in map axes,
-    and what the way from it adds to the variances (4,)."""
+class _Extrapolation(NamedTuple):
+    """What odometry makes of a keyframe for another camera: its position and yaw (4,), the keyframe's index and
+    covariance (4, 4) in map axes, and what the way between both adds to the variances (4,)."""
 
     state: Array
     keyframe: int
@@ -124,7 +124,7 @@ class DriftAware(Localiser):
     def __init__(
         self, options: DriftAwareOptions | None = None, error_map: ErrorMap | None = None, lag_s: float = 0.0
     ) -> None:
-        """`lag_s`: how long `revised` may be asked for a frame. That long predictions are kept as they came."""
+        """`lag_s`: how old a frame that `revised` is asked for may be. Predictions up to that age are all kept."""
         super().__init__()
         self._lag_s = lag_s
         self.options = o = options or DriftAwareOptions()
@@ -306,7 +306,7 @@ class DriftAware(Localiser):
                     fit = self._iterated()
                 self._doubted |= rival.evidence > -_DOUBT
         self._known = fit.solution.covariance[-1]
-        self._bound = self._bound_at(fit, len(keyframes) - 1)
+        self._bound = alignment_covariance(keyframes.rows, fit, len(keyframes) - 1)
         signals = {"surprise": float(fit.squared[-1]), "weight": float(fit.weights[-1])}
         if np.isfinite(gain):
             signals["rival_gain"] = gain
@@ -328,8 +328,8 @@ class DriftAware(Localiser):
             self._iterated()
         assert self._last is not None
         state, nearest = self._between(vio_T_cam, at)
-        carried = _Carried(state, nearest, self._bound_at(self._last, nearest), _NOTHING)
-        return self._posed(vio_T_cam, carried, Status.FUSED, (), {})
+        bound = alignment_covariance(keyframes.rows, self._last, nearest)
+        return self._posed(vio_T_cam, _Extrapolation(state, nearest, bound, _NOTHING), Status.FUSED, (), {})
 
     def _between(self, vio_T_cam: Array, at: int) -> tuple[Array, int]:
         """Position and yaw (4,) of a camera between a keyframe and the next, and the nearer one of both: what odometry
@@ -344,9 +344,6 @@ class DriftAware(Localiser):
         fraction = gone / (gone + left)
         drifted = self._carried(vio_T_cam, after) - state
         return state + fraction * drifted, at if fraction < 0.5 else after
-
-    def _bound_at(self, fit: Fit, keyframe: int) -> Array:
-        return alignment_covariance(self._keyframes.rows, fit, keyframe)
 
     @property
     def _model(self) -> Model:
@@ -411,28 +408,28 @@ class DriftAware(Localiser):
         assert self._bound is not None
         status = Status.LOST if self._doubted or self._watched else Status.FUSED
         added = self._distrust * self._drift + self._way.loose
-        carried = _Carried(self._carried(vio_T_cam), -1, self._bound, added)
-        return self._posed(vio_T_cam, carried, status, reasons, signals, map_T_cam_apr)
+        by_odometry = _Extrapolation(self._carried(vio_T_cam), -1, self._bound, added)
+        return self._posed(vio_T_cam, by_odometry, status, reasons, signals, map_T_cam_apr)
 
     def _posed(
         self,
         vio_T_cam: Array,
-        carried: _Carried,
+        by_odometry: _Extrapolation,
         status: Status,
         reasons: tuple[str, ...],
         signals: dict[str, float],
         map_T_cam_apr: Array | None = None,
     ) -> Estimate:
-        """A camera's pose."""
-        state = carried.state
+        """The pose that odometry gives from a keyframe, its tilt by the prediction where that knows it better."""
+        state = by_odometry.state
         map_R_vio = rotation_into_map(state[3], self._tilt)
         tilt_variance = self.options.tilt_covariance_factor * self._tilt_variance + _TILT_JITTER
         if map_T_cam_apr is not None:
             apart = map_T_cam_apr[:3, :3] @ (map_R_vio @ vio_T_cam[:3, :3]).T
             tilt, tilt_variance = self._tilt_of(apart, tilt_variance)
             map_R_vio = leaning(tilt) @ map_R_vio
-        keyframe, bound = self._keyframes.rows[carried.keyframe]["state"], self._widened * carried.bound
-        map_T_cam, map_T_vio, covariance = answer(state, map_R_vio, vio_T_cam, keyframe, bound, carried.added)
+        keyframe, bound = self._keyframes.rows[by_odometry.keyframe]["state"], self._widened * by_odometry.bound
+        map_T_cam, map_T_vio, covariance = answer(state, map_R_vio, vio_T_cam, keyframe, bound, by_odometry.added)
         covariance[0, 0] = covariance[2, 2] = tilt_variance
         signals["position_sd_m"] = sqrt(sum(covariance.diagonal()[3:].tolist()))
         return Estimate(map_T_cam, status, covariance, map_T_vio, (), reasons, signals)

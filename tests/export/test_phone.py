@@ -169,7 +169,7 @@ def test_a_covariance_is_exported_with_its_pose(tmp_path: Path) -> None:
         assert given == pytest.approx(model(image).covariance_B66.numpy(), rel=1e-5)
 
 
-# Ten seconds each and more: these two have what the others share.
+# The others take ten seconds each and more, and share their layers with these two.
 QUICK_TO_EXPORT = ("PN", "PN-Lite")
 
 

@@ -1,8 +1,8 @@
 """Which predictions are wrong alike.
 
-Predictions of one place share a part of their error, wherever on the walk they were made, as long as they look the same
-way. That holds as far as the regressor's errors are large: those of PoseNet and MS-Transformer fade over 0.3 m where
-they are 0.1 m (chess) and over 6 m where they are 1 m (KingsCollege), and with 40 degrees in either."""
+Predictions of one place share a part of their error, wherever on the walk they were made, as long as the camera looks
+the same way. How far that reaches grows with the errors' size: those of PoseNet, MS-Transformer and DFNet fade within
+half a metre on 7-Scenes and within some metres on KingsCollege, and with a turn of 30 to 45 degrees in either."""
 
 from math import cos, exp, log, sin, sqrt
 from typing import NamedTuple
@@ -14,14 +14,14 @@ from groundwalk.fusion.methods.estimator.keyframes import Rows
 from groundwalk.fusion.methods.estimator.odometry_quality import expected_variances
 from groundwalk.geometry.poses import Array
 
-LEAST = 1e-3  # correlation below which errors are independent
+_LEAST = 1e-3  # correlation below which errors are independent
 
 
 class Sharing(NamedTuple):
     """What predictions have in common.
 
-    share: of their errors' variance, at one place. sizes: how far apart they are where that has faded to 1/e, over the
-    standard deviation of their position an axis. turn: the turn of the view by which it has faded to 1/sqrt(e), rad.
+    share: of their errors' variance, at one place. sizes: the distance over which that fades to 1/e, in standard
+    deviations of a prediction's position an axis. turn: that of the camera over which it fades to 1/sqrt(e), rad.
     """
 
     share: float
@@ -55,7 +55,7 @@ def likeness(keyframes: Rows, variances: Array, sharing: Sharing) -> Array:
                 turned += (looks[i, k] - looks[j, k]) ** 2  # the angle's square, for small ones
             apart /= (variances[i] + variances[j]) / 2
             faded = sqrt(apart) / sharing.sizes + turned / (2 * sharing.turn**2)
-            if faded < -log(LEAST):
+            if faded < -log(_LEAST):
                 alike[i, j] = sharing.share * exp(-faded)
     return alike
 
