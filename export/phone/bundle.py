@@ -60,7 +60,7 @@ def write_bundle(regressor: TrainedRegressor, folder: Path) -> list[str]:
         # Empty cells of a table without any text are read as NaN.
         "reduced": regressor.card["reduced"] if isinstance(regressor.card["reduced"], str) else "",
         "written_by": f"groundwalk {version('groundwalk')}",
-        "network": "int8" if "int8" in networks else "fp32",
+        "network": "int8" if "int8" in networks and quantised.is_faster else "fp32",
         "networks": {name: {"file": file.name, "bytes": file.stat().st_size} for name, file in networks.items()},
         "coreml": PACKAGE if not coreml else None,
         "quantisation": {**asdict(quantised), "processor": platform.processor() or platform.machine()},
@@ -145,4 +145,9 @@ def _notes(quantised: Quantised, coreml: str) -> list[str]:
         notes.append(f"no int8 network: {quantised.refusal}")
     elif quantised.in_float32:
         notes.append(f"int8 leaves in float32, as it is faster or more accurate so: {', '.join(quantised.in_float32)}")
+    if not quantised.refusal and not quantised.is_faster:
+        notes.append(
+            f"int8 is slower on the machine that exported, {quantised.int8.milliseconds:.1f} ms of processor time a "
+            f"query against {quantised.fp32.milliseconds:.1f} ms: measure both on the phone"
+        )
     return [*notes, *([coreml] if coreml else [])]

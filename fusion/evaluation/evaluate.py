@@ -10,6 +10,7 @@ import pandas as pd
 from pydantic import Field
 
 from groundwalk.artefacts import Settings
+from groundwalk.artefacts.progress import track
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_rows, signal_rows
 from groundwalk.fusion.evaluation.intervals import intervals
@@ -97,25 +98,29 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
     walks: dict[tuple[str, str], list[Walk]] = {}
     error_maps: dict[tuple[str, str], ErrorMap] = {}
     left_out = {name: METHODS.problems[name][0] for name in settings.methods if name not in METHODS}
-    for scene in inputs:
-        for number, (model, joined) in enumerate(joined_walks(scene, settings.splits)):
-            walks[scene.scene, model] = joined.walks
-            counts.update(joined.prediction_counts)
-            if number == 0:
-                counts.update(joined.frame_counts)
-            error_map = learnt(scene, model, settings)
-            if error_map is not None:
-                error_maps[scene.scene, model] = error_map
-            for name, chosen in options.items():
-                if name in left_out:
-                    continue
-                run = Run(name, options_json(chosen.model_dump(mode="json")), model)
-                make = partial(method(name).localiser, chosen, error_map)
-                try:
-                    with METHODS.guard(name):
-                        fused += fuse_all(run, joined.walks, make)
-                except PluginError as fault:
-                    left_out[name] = fault
+    cases = [
+        (scene, model, joined, number == 0)
+        for scene in inputs
+        for number, (model, joined) in enumerate(joined_walks(scene, settings.splits))
+    ]
+    for scene, model, joined, first in track(cases, "fusing predictions"):
+        walks[scene.scene, model] = joined.walks
+        counts.update(joined.prediction_counts)
+        if first:
+            counts.update(joined.frame_counts)
+        error_map = learnt(scene, model, settings)
+        if error_map is not None:
+            error_maps[scene.scene, model] = error_map
+        for name, chosen in options.items():
+            if name in left_out:
+                continue
+            run = Run(name, options_json(chosen.model_dump(mode="json")), model)
+            make = partial(method(name).localiser, chosen, error_map)
+            try:
+                with METHODS.guard(name):
+                    fused += fuse_all(run, joined.walks, make)
+            except PluginError as fault:
+                left_out[name] = fault
     options = {name: chosen for name, chosen in options.items() if name not in left_out}
     fused = [f for f in fused if f.run.method in options]
     if not options:

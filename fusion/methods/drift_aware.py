@@ -6,15 +6,15 @@ keyframes (keyframes.py); with each new one the alignment's whole course is fitt
 (aligner.py), so that what a prediction counts is decided in hindsight. Where the newest ones are explained
 better by another alignment, odometry has lost its frame, or found it again (rivals.py)."""
 
-from math import acos, atan2, cos, degrees, hypot, isnan, log, pi, radians, sin, sqrt
+from math import acos, cos, degrees, hypot, isnan, log, pi, radians, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from pydantic import Field
 
+from groundwalk.fusion.methods.drift_aware_options import DriftAwareOptions
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.estimator.aligner import DIMENSIONS, Belief, Fit, Model, counted, innovation, iterate
-from groundwalk.fusion.methods.estimator.answer import answer, leaning, rotation_into_map
+from groundwalk.fusion.methods.estimator.answer import answer, leaning, rotation_into_map, yaw_and_lean
 from groundwalk.fusion.methods.estimator.bounds import alignment_covariance
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
 from groundwalk.fusion.methods.estimator.likeness import Sharing
@@ -30,80 +30,18 @@ from groundwalk.fusion.methods.estimator.rivals import Rival, best_rival, lay, l
 from groundwalk.fusion.methods.estimator.robust import middle
 from groundwalk.fusion.methods.estimator.way import Way
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, State, Status, array, plain
-from groundwalk.fusion.methods.odometry import OdometryOptions
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 
 # Standing still drifts a little too: what a second adds to the variances, of what a metre does.
 _STANDING = 0.05
 _NOTHING = np.zeros(4)
 _LEAST_DRIFT = np.array([1e-8, 1e-8, 1e-8, 1e-10])
-
-
-class DriftAwareOptions(OdometryOptions):
-    """What is assumed of odometry and of the regressor before it has been seen."""
-
-    vio_speed_m_s: float = Field(1.5, gt=0, description="fastest motion that odometry is believed without question")
-    vio_jump_m: float = Field(0.5, gt=0, description="motion beyond that speed that counts as an odometry jump")
-    vio_turn_deg_s: float = Field(360.0, gt=0, description="fastest turn that odometry is believed without question")
-    vio_turn_jump_deg: float = Field(15.0, gt=0, description="turn beyond that speed that counts as an odometry jump")
-    jump_s: float = Field(2.0, ge=0, description="longest jump over which the phone is taken to have gone on")
-    jump_m_s: float = Field(
-        0.5, gt=0, description="how far a jump's second takes the phone from where it was going, one sigma"
-    )
-    jump_deg: float = Field(3.0, gt=0, description="heading error of odometry across a jump, one sigma")
-    jump_deg_s: float = Field(60.0, gt=0, description="how far the phone turns in a second of a jump that turns")
-    jump_loss: float = Field(
-        0.05, gt=0, le=0.5, description="probability that odometry lost its frame in a jump of at most jump_s"
-    )
-    vio_gap_s: float = Field(10.0, gt=0, description="time without a frame after which odometry may have begun anew")
-    position_sd_m: float = Field(0.3, gt=0, description="a prediction's first assumed position error an axis")
-    rotation_sd_deg: float = Field(8.0, gt=0, description="a prediction's first assumed rotation error an axis")
-    size_count: float = Field(0.3, gt=0, description="predictions that the first assumed sizes count as")
-    size_count_known: float = Field(20.0, gt=0, description="the same where held-out frames say how large errors are")
-    size_count_stated: float = Field(
-        10.0, gt=0, description="the same where predictions bring covariances, whose common factor is learnt"
-    )
-    size_count_seen: float = Field(
-        2.0, gt=0, description="predictions that the sizes count as which show beside odometry's quality"
-    )
-    side_turn: float = Field(
-        0.7,
-        ge=0,
-        lt=1,
-        description="assumed correlation of errors to the side with yaw errors, and of height with pitch",
-    )
-    side_turn_count: float = Field(20.0, gt=0, description="predictions that this correlation counts as")
-    degrees_of_freedom: float = Field(0.3, gt=0, description="of Student's t: how heavy the tails of errors are")
-    shared: float = Field(
-        0.9, ge=0, lt=1, description="share of their errors' variance that predictions of one place have in common"
-    )
-    shared_sizes: float = Field(
-        10.0,
-        gt=0,
-        description="distance over which that fades to 1/e, in standard deviations of a prediction's position an axis",
-    )
-    shared_turn_deg: float = Field(45.0, gt=0, description="turn of the camera over which it fades to 1/sqrt(e)")
-    position_covariance_factor: float = Field(
-        2.6, gt=0, description="what the position's covariance is multiplied with"
-    )
-    yaw_covariance_factor: float = Field(0.7, gt=0, description="the same, of yaw")
-    apart_m: float = Field(0.05, gt=0, description="motion after which two predictions are half independent")
-    turn_length_m: float = Field(1.0, ge=0, description="motion that a turn by one radian counts as")
-    keyframes: int = Field(64, ge=8, description="predictions kept as evidence")
-    iterations: int = Field(2, ge=1, description="iterations with each prediction while few are kept, later one")
-    error_map: bool = Field(True, description="use what held-out frames tell of the regressor's errors")
-    covariances: bool = Field(True, description="use the covariances that predictions bring")
-    drift_m: float = Field(0.03, gt=0, description="odometry's drift over one metre, one sigma, as a random walk")
-    drift_height_m: float = Field(0.008, gt=0, description="the same, of height")
-    drift_deg_m: float = Field(0.35, gt=0, description="odometry's yaw drift over one metre, one sigma")
-    drift_deg_s: float = Field(0.05, gt=0, description="odometry's yaw drift over one second, one sigma")
-    distrust: bool = Field(True, description="learn how much more than usual odometry drifts")
-    rivals: bool = Field(True, description="try other alignments: odometry may have lost its frame")
-    recent: int = Field(10, ge=2, description="newest predictions that judge other alignments")
-    evidence: float = Field(0.7, gt=0, le=1, description="how much a prediction counts in judging other alignments")
-    loss: float = Field(1e-6, gt=0, lt=0.5, description="probability that odometry loses its frame unnoticed, a frame")
-    tilt_sd_deg: float = Field(0.05, gt=0, description="odometry's gravity error an axis, one sigma")
-    tilt_covariance_factor: float = Field(36.0, gt=0, description="what its covariance is multiplied with")
+_SETTLING = 20
+_TILT_JITTER = radians(0.02) ** 2  # a frame's rotation is off by as much whatever is known of gravity
+_WORTH_A_LOOK = 2.0  # squared error, over the usual one, of a prediction that may be of another alignment
+# So many predictions in a row that are this much farther off (in the square) than usual: something is wrong.
+_SURPRISES, _SURPRISING = 4, 8.0
+_DOUBT = 3.0  # nats by which a rival may be behind and the alignment still be doubted
 
 
 class _Extrapolation(NamedTuple):
@@ -213,7 +151,7 @@ class DriftAware(Localiser):
 
     def _take(self, t_ns: int, vio_T_cam: Array, map_T_cam_apr: Array) -> None:
         """Keep a prediction as the newest keyframe."""
-        yaw, lean = _yaw_and_lean(map_T_cam_apr[:3, :3] @ vio_T_cam[:3, :3].T)
+        yaw, lean = yaw_and_lean(map_T_cam_apr[:3, :3] @ vio_T_cam[:3, :3].T)
         position = map_T_cam_apr[:3, 3]
         sizes = self._usual_sizes
         if self._error_map is not None:
@@ -442,7 +380,7 @@ class DriftAware(Localiser):
         factor = float(self._covariance.trace()) / (DIMENSIONS * weight)
         of_prediction = factor * self._apr_covariance[:3:2, :3:2]
         gain = of_odometry * np.linalg.inv(of_odometry * np.eye(2) + of_prediction)
-        _, (x, z) = _yaw_and_lean(rotation)
+        _, (x, z) = yaw_and_lean(rotation)
         return gain @ np.array([x, z]), float((gain @ of_prediction).trace()) / 2
 
     def _without_odometry(self, map_T_cam_apr: Array | None) -> Estimate:
@@ -495,24 +433,3 @@ class DriftAware(Localiser):
         self._along_m, self._segment, self._count = state["along_m"], state["segment"], state["count"]
         self._watched, self._doubted = state["watched"], state["doubted"]
         self._stated = state["stated"]
-
-
-_SETTLING = 20
-_TILT_JITTER = radians(0.02) ** 2  # a frame's rotation is off by as much whatever is known of gravity
-_WORTH_A_LOOK = 2.0  # squared error, over the usual one, of a prediction that may be of another alignment
-# So many predictions in a row that are this much farther off (in the square) than usual: something is wrong.
-_SURPRISES, _SURPRISING = 4, 8.0
-_DOUBT = 3.0  # nats by which a rival may be behind and the alignment still be doubted
-
-
-def _yaw_and_lean(rotation: Array) -> tuple[float, tuple[float, float]]:
-    """The yaw (rad) nearest to a rotation (3, 3), and the rest of it: what is turned about x and z after the yaw."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
-    yaw = atan2(c - g, a + i)
-    # rest = rotation @ yaw_rotation(-yaw) has no yaw left; its axis lies in the horizontal plane.
-    cosine, sine = cos(yaw), sin(yaw)
-    x, z = h - (f * cosine - d * sine), (d * cosine + f * sine) - b
-    length = sqrt(x * x + z * z)
-    angle = atan2(length, a * cosine + c * sine + e + i * cosine - g * sine - 1)
-    scale = angle / length if length > 1e-12 else 0.5
-    return yaw, (x * scale, z * scale)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from groundwalk.geometry.poses import Array
 
 if TYPE_CHECKING:
-    from groundwalk.fusion.methods.drift_aware import DriftAwareOptions
+    from groundwalk.fusion.methods.drift_aware_options import DriftAwareOptions
 
 
 def literal_fit(vio: Array, apr: Array, drift: Array, o: "DriftAwareOptions", turns: int = 40) -> Array:

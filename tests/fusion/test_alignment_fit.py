@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_t
 from upright_walks import upright_walk
 
-from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
+from groundwalk.fusion.methods.drift_aware import DriftAware
+from groundwalk.fusion.methods.drift_aware_options import DriftAwareOptions
 from groundwalk.fusion.methods.estimator import robust
 from groundwalk.fusion.methods.estimator.aligner import counted
 from groundwalk.fusion.methods.estimator.alignment_chain import Chain, apply, covariances_with, solve, write_error

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from upright_walks import as_walk, upright_walk
 
-from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
+from groundwalk.fusion.methods.drift_aware import DriftAware
+from groundwalk.fusion.methods.drift_aware_options import DriftAwareOptions
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.localiser import Estimate, Localiser
 from groundwalk.fusion.methods.mobilearloc import MobileARLoc

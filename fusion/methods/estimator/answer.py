@@ -1,6 +1,6 @@
 """The pose of a camera that odometry carries on from a keyframe, and how far off it may be."""
 
-from math import cos, sin, sqrt
+from math import atan2, cos, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +30,19 @@ def leaning(tilt: Array) -> Array:
     turn[1, 0], turn[1, 1], turn[1, 2] = a * z, 1 - b * angle**2, -a * x
     turn[2, 0], turn[2, 1], turn[2, 2] = b * x * z, a * x, 1 - b * x * x
     return turn
+
+
+def yaw_and_lean(rotation: Array) -> tuple[float, tuple[float, float]]:
+    """The yaw (rad) nearest to a rotation (3, 3), and the rest of it: what is turned about x and z after the yaw."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    yaw = atan2(c - g, a + i)
+    # rest = rotation @ yaw_rotation(-yaw) has no yaw left; its axis lies in the horizontal plane.
+    cosine, sine = cos(yaw), sin(yaw)
+    x, z = h - (f * cosine - d * sine), (d * cosine + f * sine) - b
+    length = sqrt(x * x + z * z)
+    angle = atan2(length, a * cosine + c * sine + e + i * cosine - g * sine - 1)
+    scale = angle / length if length > 1e-12 else 0.5
+    return yaw, (x * scale, z * scale)
 
 
 @compiled
