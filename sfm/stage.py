@@ -137,7 +137,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=19,
+    version=20,
     settings=SfmSettings,
     needs=("import",),
     run=run,

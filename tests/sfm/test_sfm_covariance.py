@@ -10,13 +10,14 @@ from scipy.spatial.transform import Rotation
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.sfm.cameras.adjustment import Adjusted, Bundle, CameraPriors, Cameras
 from groundwalk.sfm.model import blobs_of
-from groundwalk.sfm.quality.covariance import covariances
+from groundwalk.sfm.quality.covariance import Covariances, covariances
 
 _FRAMES, _POINTS, _RUNS = 8, 300, 25
 _NOISE_PX = 0.7
 _LOSS_PX = 1.5
 _FOCAL_PX = 500.0
 _SIZE_PX = (800, 600)
+_EXACT = 1e-7
 
 
 def _independent(rng: np.random.Generator) -> Array:
@@ -105,8 +106,25 @@ def test_no_covariance_where_the_observations_do_not_determine_the_poses() -> No
     assert _covariance(Bundle(truth, xyz, frame, point, _project(truth, xyz, frame, point) + 1)) is None
 
 
+def test_residuals_that_hang_together_widen_what_images_tell_and_no_prior() -> None:
+    truth, rng = _ring_of_cameras(), np.random.default_rng(6)
+    xyz = rng.uniform(-1, 1, (_POINTS, 3))
+    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
+    exact_px = _project(truth, xyz, frame, point)
+    observed_px = exact_px + rng.normal(0, _NOISE_PX, exact_px.shape) + np.where(exact_px[:, :1] < 400, 1.0, -1.0)
+    found = _covariances(Bundle(truth, xyz, frame, point, observed_px))
+    assert found is not None and found.by_cell > 3
+    assert np.allclose(np.sqrt(np.diag(found.shared)), _EXACT, rtol=0.05)
+
+
 def _covariance(bundle: Bundle, blobs: np.ndarray | None = None) -> Array | None:
-    """(N, 6, 6) of poses adjusted with pinhole cameras that are known exactly."""
+    """(N, 6, 6) of poses."""
+    estimate = _covariances(bundle, blobs)
+    return None if estimate is None else estimate.poses
+
+
+def _covariances(bundle: Bundle, blobs: np.ndarray | None = None) -> Covariances | None:
+    """Of a model adjusted with pinhole cameras that are known exactly."""
     size = np.array(_SIZE_PX) / 2
     cameras = Cameras(
         np.tile([_FOCAL_PX, _FOCAL_PX, *size], (_FRAMES, 1)),
@@ -121,11 +139,10 @@ def _covariance(bundle: Bundle, blobs: np.ndarray | None = None) -> Array | None
         np.zeros((_FRAMES, 3)),
         np.zeros((_FRAMES, 3)),
     )
-    exact = 1e-7
-    known = (1e-14 * np.eye(4)[None], np.full(1, exact), np.full(1, exact), np.full((_FRAMES, 3), exact))
-    adjusted = Adjusted(bundle, cameras, CameraPriors(cameras, *known), _LOSS_PX)
-    estimate = covariances(adjusted, np.arange(len(bundle.xyz)) if blobs is None else blobs)
-    return None if estimate is None else estimate.poses
+    one, rates = np.full(1, _EXACT), np.full((_FRAMES, 3), _EXACT)
+    priors = CameraPriors(cameras, _EXACT**2 * np.eye(4)[None], one, one, rates)
+    adjusted = Adjusted(bundle, cameras, priors, _LOSS_PX)
+    return covariances(adjusted, np.arange(len(bundle.xyz)) if blobs is None else blobs)
 
 
 def _ring_of_cameras() -> Array:
