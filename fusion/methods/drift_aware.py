@@ -21,6 +21,7 @@ from groundwalk.fusion.methods.estimator.likeness import Sharing
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality, expected_variances
 from groundwalk.fusion.methods.estimator.prediction_noise import (
     Prior,
+    believed,
     side_turn_correlation,
     sizes_expected,
     whitening,
@@ -162,7 +163,8 @@ class DriftAware(Localiser):
         self._stated = self._apr_covariance is not None and self.options.covariances
         if self._stated:
             assert self._apr_covariance is not None
-            beside_odometry = self._apr_covariance + np.diag([_TILT_JITTER, 0.0, _TILT_JITTER, 0.0, 0.0, 0.0])
+            stated = believed(self._apr_covariance, (self._distrust * self._drift + _LEAST_DRIFT)[:3])
+            beside_odometry = stated + np.diag([_TILT_JITTER, 0.0, _TILT_JITTER, 0.0, 0.0, 0.0])
             normalised = whitening_of_covariance(beside_odometry, map_T_cam_apr[:3, :3], vio_T_cam[:3, :3])
         else:
             normalised = whitening(sizes, vio_T_cam[:3, :3])

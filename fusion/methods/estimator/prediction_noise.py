@@ -21,6 +21,8 @@ from groundwalk.geometry.poses import Array
 
 # A relative floor that keeps the learnt covariance regular: nobody's errors are a thousandth of what was expected.
 _MIN_VARIANCE = 1e-6
+# A position variance of so many times odometry's drift since the last prediction is believed in its direction by half.
+_DRIFTS = 10.0
 
 
 class Prior(NamedTuple):
@@ -65,6 +67,23 @@ def sizes_expected(expected: Expected) -> Array:
     yaw += expected.yaw_per_m[0] ** 2 * x + expected.yaw_per_m[1] ** 2 * z
     rotation, position = sqrt((yaw + 2 * expected.tilt) / 3), sqrt((x + y + z) / 3)
     return np.array([rotation, rotation, rotation, position, position, position])
+
+
+def believed(covariance: Array, drift: Array) -> Array:
+    """A prediction's covariance (6, 6) as far as it is believed; drift (3,): variances (m^2) of odometry's drift since
+    the last prediction.
+
+    What it states of the direction of position errors, and of how they go with rotation errors, is geometry where the
+    prediction is much better than odometry. A regressor's predictions, a lot worse, are averaged over many, and there
+    the direction is that of what they are wrong in alike, which none states: the size alone is kept.
+    """
+    variance = covariance.diagonal()[3:].mean()
+    directed = _DRIFTS * drift.mean() / (_DRIFTS * drift.mean() + variance)
+    result: Array = covariance.copy()
+    result[3:] *= directed
+    result[:3, 3:] *= directed
+    result[3:, 3:] += (1 - directed) * variance * np.eye(3)
+    return result
 
 
 def whitening_of_covariance(covariance: Array, map_R_cam: Array, vio_R_cam: Array) -> Array:
