@@ -190,12 +190,15 @@ def _run_rows(results: Iterable[Result]) -> Iterable[list[str]]:
 
 
 def _stability_section(stability: Sequence[Tried]) -> str:
-    rows = [["case", "resampling", "images", "verdict", "frames with ground truth", "A, B, C", "agrees with the whole"]]
+    head = ["case", "resampling", "images", "verdict", "frames with ground truth", "A, B, C", "agrees with the whole"]
+    rows = [[*head, "revision"]]
     for tried in stability:
         classes = ", ".join(str(tried.classes[name]) for name in "ABC") if tried.classes else ""
         same = "" if tried.is_whole else "yes" if tried.agrees else "**no**"
         truth = "" if tried.with_ground_truth is None else str(tried.with_ground_truth)
-        rows.append([tried.case, tried.resampling, str(tried.images), str(tried.verdict), truth, classes, same])
+        rows.append(
+            [tried.case, tried.resampling, str(tried.images), str(tried.verdict), truth, classes, same, tried.revision]
+        )
     agree, count = agreeing(stability)
     share = f"{agree} of {count} resamplings ({100 * agree / count:.0f} %) have the whole's verdict; 95 % to reach."
     explained = (

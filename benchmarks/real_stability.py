@@ -13,6 +13,7 @@ import pandas as pd
 from benchmarks.real_cases import PROFILE, Case, run_stages
 from benchmarks.real_figures import PASSED, Finished, Verdict
 from groundwalk.artefacts import DataRoot
+from groundwalk.artefacts.stage import git_revision
 
 WHOLE = "whole"
 _ALL = ('sampling="all"',)
@@ -52,6 +53,7 @@ class Tried:
     images: int
     verdict: Verdict
     whole: str
+    revision: str
     with_ground_truth: int | None = None
     classes: dict[str, int] | None = None
 
@@ -143,6 +145,7 @@ def _try(case: Case, resampling: Resampling, frames: pd.DataFrame | None, folder
         len(run.table("import", "frames")) if run.has("import") else 0,
         verdict,
         whole.verdict.outcome if whole else verdict.outcome,
+        git_revision(),
         int(align["with_ground_truth"]) if align else None,
         {name: int(align[f"quality_{name}"]) for name in "ABC"} if align else None,
     )

@@ -164,8 +164,10 @@ def test_a_result_is_read_back_as_it_was(tmp_path: Path) -> None:
 
 
 def test_the_report_says_met_and_missed_and_its_tables_are_whole(tmp_path: Path) -> None:
-    tried = [Tried("chair", "whole", 30, Verdict(PASSED), PASSED, 30, {"A": 1, "B": 2, "C": 27})]
-    tried.append(Tried("chair", "every 3rd image", 10, Verdict(REFUSED, "align", "disconnected session"), PASSED))
+    tried = [Tried("chair", "whole", 30, Verdict(PASSED), PASSED, "abc", 30, {"A": 1, "B": 2, "C": 27})]
+    tried.append(
+        Tried("chair", "every 3rd image", 10, Verdict(REFUSED, "align", "disconnected session"), PASSED, "abc")
+    )
     write_report(tmp_path, [result()], tried)
     text = (tmp_path / "real.md").read_text(encoding="utf-8")
     assert "| chair | accepted | 1 | ≥ 1 | met |" in text
