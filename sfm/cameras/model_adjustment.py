@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pycolmap
+from scipy.linalg import LinAlgError
 
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.lens import k1_k2_of_k3
@@ -38,6 +39,8 @@ _VARIANCE_STEPS, _MAX_SIGMAS = 100, 3.0
 _FIRST_MAX_STEPS, _FIRST_LOSS_WIDENING = 8, 4.0
 _EXACT_SD = 1e-7
 _OUTLIER_SIGMAS = 4.0
+# A point that two frames see tells one number of their poses, which have six each.
+_MIN_OBSERVATIONS, _MIN_FRAMES = 8, 2
 
 
 @dataclass(frozen=True)
@@ -76,8 +79,9 @@ def adjust_model(
     model: pycolmap.Reconstruction, keypoints: list[Array], log: CameraLog, settings: SfmSettings
 ) -> tuple[Adjusted, Ints]:
     """Adjust a model in place; `keypoints` are those of all N frames as extracted. Returns the adjusted model and the
-    rows (R,) of its frames.
+    rows (R,) of its frames. Raises LinAlgError where its images don't determine it.
 
+    Frames that have too few observations for a pose are deregistered, before and where outliers leave them so few.
     Observations beyond four sigma are removed on the way. Sds of focus and of angular velocities are learned twice: the
     cautious ones hold the estimates, as each frame's focus would else take up what the camera model lacks, and the
     likeliest ones, which come back with the model, say how uncertain the estimates are. The model then has the cameras'
@@ -85,6 +89,9 @@ def adjust_model(
     """
     observations = pycolmap.ObservationManager(model)
     observations.filter_observations_with_negative_depth()
+    _deregister_undetermined(model)
+    if model.num_reg_frames() < _MIN_FRAMES:
+        raise LinAlgError("hardly any frame has enough observations for a pose")
     rows, point_ids, bundle, features = _bundle_of(model, keypoints)
     cameras, priors = _cameras_of(rows, bundle, log, settings)
     adjusted = adjust(bundle, cameras, priors, _FIRST_MAX_STEPS, _FIRST_LOSS_WIDENING)
@@ -95,6 +102,8 @@ def adjust_model(
         if model.image(image_id(row)).point2D(feature).has_point3D():
             observations.delete_observation(image_id(row), feature)
     observations.filter_observations_with_negative_depth()
+    if _deregister_undetermined(model):
+        return adjust_model(model, keypoints, log, settings)
     rows, point_ids, bundle, features = _bundle_of(model, keypoints)
     learned = priors
     if settings.refine_cameras != "never":
@@ -104,6 +113,18 @@ def adjust_model(
     observations.filter_observations_with_negative_depth()
     model.update_point_3d_errors()
     return replace(adjusted, bundle=_bundle_of(model, keypoints)[2], priors=learned), rows
+
+
+def _deregister_undetermined(model: pycolmap.Reconstruction) -> bool:
+    """Deregister frames with too few observations, and those that have too few without them; whether there were any."""
+    any_few = False
+    while few := [
+        frame_id for frame_id in model.reg_frame_ids() if model.image(frame_id).num_points3D < _MIN_OBSERVATIONS
+    ]:
+        any_few = True
+        for frame_id in few:
+            model.deregister_frame(frame_id)
+    return any_few
 
 
 def with_lenses_of(log: CameraLog, adjusted: Adjusted, rows: Ints) -> CameraLog:

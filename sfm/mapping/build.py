@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 
 import pycolmap
+from scipy.linalg import LinAlgError
 
 from groundwalk.artefacts.child import Report
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, adjust_model, save_adjusted, with_lenses_of
@@ -55,7 +56,8 @@ def build_models(
 
     Where the largest of the models lacks images, a second mapping continues from it with fewer inliers needed to
     register one. The largest of all is selected, and of the others those that have `min_component_frames` or more
-    frames that no larger one has; a frame stays in the largest that has it. Each is adjusted once more as a whole, with
+    frames that no larger one has; a frame stays in the largest that has it. One that its images don't determine isn't
+    selected. Each is adjusted once more as a whole, with
     the cameras of phones and robustly: a few per cent of wrong observations would otherwise weigh more than all right
     ones. The largest comes first, and its lenses are the prior of the others'.
     """
@@ -73,9 +75,14 @@ def build_models(
             continue
         for other in set(model.reg_frame_ids()) & assigned:
             model.deregister_frame(other)
-        assigned |= new
+        try:
+            adjusted, rows = adjust_model(model, keypoints, log, settings)
+        except LinAlgError:
+            continue
+        if model.num_reg_frames() < settings.min_component_frames and assigned:
+            continue
+        assigned |= set(model.reg_frame_ids())
         name = next(names)
-        adjusted, rows = adjust_model(model, keypoints, log, settings)
         log = with_lenses_of(log, adjusted, rows)
         save_adjusted(work / f"{name}.npz", adjusted, rows)
         model.extract_colors_for_all_images(source.images)

@@ -2,7 +2,9 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
+import pytest
 from known import cells
+from scipy.linalg import LinAlgError
 
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import Array, inverse, make_pose
@@ -27,6 +29,22 @@ def test_points_behind_a_camera_are_taken_out(tmp_path: Path) -> None:
     assert left.registered.all() and len(left.xyz) >= 59
 
 
+def test_a_frame_with_hardly_an_observation_is_deregistered() -> None:
+    model = _model()
+    _leave(model, 6, 5)
+    adjusted, rows = adjust_model(model, _keypoints(model), _log(model), SfmSettings())
+    assert rows.tolist() == list(range(5)) == [frame_id - 1 for frame_id in sorted(model.reg_frame_ids())]
+    assert len(adjusted.bundle.sfm_T_cam) == 5 and np.isfinite(adjusted.bundle.sfm_T_cam).all()
+
+
+def test_a_model_of_a_handful_of_observations_is_not_determined() -> None:
+    model = _model()
+    for image_id in range(1, 7):
+        _leave(model, image_id, 5)
+    with pytest.raises(LinAlgError, match="hardly any frame"):
+        adjust_model(model, _keypoints(model), _log(model), SfmSettings())
+
+
 def test_further_models_start_from_the_lens_of_the_largest() -> None:
     model, settings = _model(), SfmSettings()
     log = _log(model, settings)
@@ -42,6 +60,15 @@ def _model() -> pycolmap.Reconstruction:
     pycolmap.set_random_seed(0)
     options = pycolmap.SyntheticDatasetOptions(num_rigs=6, num_cameras_per_rig=1, num_frames_per_rig=1, num_points3D=60)
     return pycolmap.synthesize_dataset(options)
+
+
+def _leave(model: pycolmap.Reconstruction, image_id: int, count: int) -> None:
+    """Take all but some of an image's observations away."""
+    observations = pycolmap.ObservationManager(model)
+    seen = [i for i, point in enumerate(model.image(image_id).points2D) if point.has_point3D()]
+    for index in seen[count:]:
+        if model.image(image_id).point2D(index).has_point3D():
+            observations.delete_observation(image_id, index)
 
 
 def _keypoints(model: pycolmap.Reconstruction) -> list[Array]:
