@@ -22,6 +22,7 @@ from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality
 from groundwalk.fusion.methods.estimator.prediction_noise import (
     Prior,
     believed,
+    direction_weight,
     side_turn_correlation,
     sizes_expected,
     whitening,
@@ -97,6 +98,7 @@ class DriftAware(Localiser):
         self._count = 0  # predictions taken in
         self._watched = False  # odometry has jumped, or was gone, since the newest keyframe
         self._stated = False  # the newest prediction brought a covariance
+        self._direction_weight = 0.0  # how far its directions are believed
         self._doubted = False  # another alignment explains the newest predictions nearly as well
 
     # ------------------------------------------------------------ a frame
@@ -163,8 +165,11 @@ class DriftAware(Localiser):
         self._stated = self._apr_covariance is not None and self.options.covariances
         if self._stated:
             assert self._apr_covariance is not None
-            stated = believed(self._apr_covariance, (self._distrust * self._drift + _LEAST_DRIFT)[:3])
-            beside_odometry = stated + np.diag([_TILT_JITTER, 0.0, _TILT_JITTER, 0.0, 0.0, 0.0])
+            drift = (self._distrust * self._drift + _LEAST_DRIFT)[:3]
+            self._direction_weight = direction_weight(self._apr_covariance, drift)
+            beside_odometry = believed(self._apr_covariance, self._direction_weight) + np.diag(
+                [_TILT_JITTER, 0.0, _TILT_JITTER, 0.0, 0.0, 0.0]
+            )
             normalised = whitening_of_covariance(beside_odometry, map_T_cam_apr[:3, :3], vio_T_cam[:3, :3])
         else:
             normalised = whitening(sizes, vio_T_cam[:3, :3])
@@ -290,8 +295,7 @@ class DriftAware(Localiser):
         o = self.options
         tilt_sd, prior = radians(o.tilt_sd_deg), self._prior
         if self._stated:
-            # What goes with what is in the covariances themselves.
-            prior = prior._replace(shape=np.eye(6), size_count=o.size_count_stated)
+            prior = prior.for_covariances(self._direction_weight, o.size_count_stated)
         elif self._error_map is not None:
             prior = prior._replace(size_count=o.size_count_known)
         if self._quality.has_judged:
@@ -420,6 +424,7 @@ class DriftAware(Localiser):
             "watched": self._watched,
             "doubted": self._doubted,
             "stated": self._stated,
+            "direction_weight": self._direction_weight,
         }
 
     def _set_state(self, state: State) -> None:
@@ -434,4 +439,4 @@ class DriftAware(Localiser):
         self._way.restore(state["way"])
         self._along_m, self._segment, self._count = state["along_m"], state["segment"], state["count"]
         self._watched, self._doubted = state["watched"], state["doubted"]
-        self._stated = state["stated"]
+        self._stated, self._direction_weight = state["stated"], state["direction_weight"]

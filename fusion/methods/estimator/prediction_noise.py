@@ -34,6 +34,12 @@ class Prior(NamedTuple):
     size_count: float
     sizes: Array = np.ones(6)
 
+    def for_covariances(self, weight: float, count: float) -> "Prior":
+        """For errors over the covariances that predictions state: as far as those are believed in their directions
+        (`direction_weight`), what goes with what is in them. Their common factor, 1 beforehand, counts as so many
+        predictions."""
+        return self._replace(shape=weight * np.eye(6) + (1 - weight) * self.shape, size_count=count)
+
     def with_sizes(self, sizes: Array, count: float) -> "Prior":
         """With sizes (6,) that were learnt elsewhere, which count as so many predictions more."""
         return self._replace(size_count=self.size_count + count, sizes=sizes)
@@ -69,20 +75,24 @@ def sizes_expected(expected: Expected) -> Array:
     return np.array([rotation, rotation, rotation, position, position, position])
 
 
-def believed(covariance: Array, drift: Array) -> Array:
-    """A prediction's covariance (6, 6) as far as it is believed; drift (3,): variances (m^2) of odometry's drift since
-    the last prediction.
+def direction_weight(covariance: Array, drift: Array) -> float:
+    """The fraction to which a prediction's covariance (6, 6) is believed in the direction of position errors and in how
+    they go with rotation errors; drift (3,): variances (m^2) of odometry's drift since the last prediction.
 
-    What it states of the direction of position errors, and of how they go with rotation errors, is geometry where the
-    prediction is much better than odometry. A regressor's predictions, a lot worse, are averaged over many, and there
-    the direction is that of what they are wrong in alike, which none states: the size alone is kept.
+    Both are geometry where the prediction is much better than odometry. A regressor's predictions, a lot worse, are
+    averaged over many, and there they are those of what predictions are wrong in alike, which none states.
     """
+    usual = _DRIFTS * float(drift.mean())
+    return usual / (usual + float(covariance.diagonal()[3:].mean()))
+
+
+def believed(covariance: Array, weight: float) -> Array:
+    """A prediction's covariance (6, 6), of whose position errors the size alone is kept, but for this fraction."""
     variance = covariance.diagonal()[3:].mean()
-    directed = _DRIFTS * drift.mean() / (_DRIFTS * drift.mean() + variance)
     result: Array = covariance.copy()
-    result[3:] *= directed
-    result[:3, 3:] *= directed
-    result[3:, 3:] += (1 - directed) * variance * np.eye(3)
+    result[3:] *= weight
+    result[:3, 3:] *= weight
+    result[3:, 3:] += (1 - weight) * variance * np.eye(3)
     return result
 
 
