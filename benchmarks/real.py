@@ -2,7 +2,8 @@
 
 `python -m benchmarks.real` runs chair, corridor and charuco, where `--captures` has them, and any folder named with
 `--capture`, one after the other, and writes docs/results/real.md, real.csv and pictures. Cases that ran before keep
-their rows, each with its git revision and date. Recordings without images have nothing for SfM (`make bench-import` and
+their rows, each with its git revision and date. `--stability` resamples them instead and writes real-stability.md.
+Recordings without images have nothing for SfM (`make bench-import` and
 `make bench-fusion` use them).
 """
 
@@ -12,12 +13,14 @@ from typing import Annotated
 import typer
 
 from benchmarks.real_cases import Case, Result, judge, named_case, run_case, standard_cases
-from benchmarks.real_report import write_report
+from benchmarks.real_report import write_report, write_stability
 from benchmarks.real_stability import load, save, stability_of
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.cli import new_app
 
 app = new_app(__doc__ or "")
+
+_STABILITY = ".stability.json"
 
 
 @app.command()
@@ -44,16 +47,16 @@ def main(
         print(f"{case.name}: {'resamplings of ' if stability else ''}{case.folder}", flush=True)
         if stability:
             tried = stability_of(case, work / "stability")
-            save(tried, kept / f"{case.name}.stability.json")
+            save(tried, kept / f"{case.name}{_STABILITY}")
             met &= all(one.agrees for one in tried)
         else:
             result = run_case(case, work, out)
             result.save(kept)
             met &= all(judge(result.figures, target).met for target in result.targets)
         # After each case: a run that is stopped keeps what it has.
-        _write(kept, out)
+        page = _write_stability(kept, out) if stability else _write(kept, out)
     if chosen:
-        print((out / "real.md").read_text(encoding="utf-8"))
+        print(page.read_text(encoding="utf-8"))
     if not met:
         raise typer.Exit(1)
 
@@ -70,11 +73,17 @@ def _cases(captures: Path, named: list[Path], only: list[str]) -> list[Case]:
     return [case for case in cases if not only or case.name in only]
 
 
-def _write(kept: Path, out: Path) -> None:
+def _write(kept: Path, out: Path) -> Path:
     """The report of all cases that ran, the latest run of each."""
-    stability = sorted(kept.glob("*.stability.json"))
-    results = [Result.load(path) for path in sorted(kept.glob("*.json")) if path not in stability]
-    write_report(out, results, [one for path in stability for one in load(path)])
+    paths = sorted(path for path in kept.glob("*.json") if not path.name.endswith(_STABILITY))
+    write_report(out, [Result.load(path) for path in paths])
+    return out / "real.md"
+
+
+def _write_stability(kept: Path, out: Path) -> Path:
+    """The report of all cases that were resampled."""
+    write_stability(out, [one for path in sorted(kept.glob(f"*{_STABILITY}")) for one in load(path)])
+    return out / "real-stability.md"
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Tables of the real benchmark's results: real.md and real.csv."""
+"""Tables of the real benchmark's results: real.md and real.csv, and real-stability.md."""
 
 import csv
 import io
@@ -19,8 +19,15 @@ every pair matched, one OPENCV camera a session that starts at the median of the
 its largest.
 """
 
+_STABILITY_HEADER = """# Real captures, resampled
 
-def write_report(folder: Path, results: Sequence[Result], stability: Sequence[Tried]) -> None:
+Written by `make bench-real stability=1` (`python -m benchmarks.real --stability`), not to be edited. Profile demo.
+Images are left out of a copy of the capture, its log of poses stays whole; 1, 2 and 5 Hz are import's `rate_hz`, with
+`min_frames=0`.
+"""
+
+
+def write_report(folder: Path, results: Sequence[Result]) -> None:
     """Write real.md and real.csv into the folder."""
     folder.mkdir(parents=True, exist_ok=True)
     sections = [
@@ -39,13 +46,29 @@ def write_report(folder: Path, results: Sequence[Result], stability: Sequence[Tr
         "## Cost\n\n"
         "Processor seconds of the whole process tree, wall minutes beside; peak memory of the largest process. Ours: "
         "import + sfm + align.\n\n" + markdown_table(_cost_rows(results)),
-        *([_stability_section(stability)] if stability else []),
         "## Runs\n\nLoad: processes that were busy on the machine as it began.\n\n"
         + markdown_table(_run_rows(results)),
         "## Pictures\n\n" + "\n\n".join(_pictures(folder, results)),
     ]
     (folder / "real.md").write_text("\n\n".join(s.strip() for s in sections) + "\n", encoding="utf-8")
     (folder / "real.csv").write_text(csv_text(results), encoding="utf-8")
+
+
+def write_stability(folder: Path, stability: Sequence[Tried]) -> None:
+    """Write real-stability.md into the folder."""
+    head = ["case", "resampling", "images", "verdict", "frames with ground truth", "A, B, C", "agrees with the whole"]
+    rows = [[*head, "revision"]]
+    for tried in stability:
+        classes = ", ".join(str(tried.classes[name]) for name in "ABC") if tried.classes else ""
+        same = "" if tried.is_whole else "yes" if tried.agrees else "**no**"
+        truth = "" if tried.with_ground_truth is None else str(tried.with_ground_truth)
+        row = [tried.case, tried.resampling, str(tried.images), str(tried.verdict), truth, classes, same]
+        rows.append([*row, tried.revision])
+    agree, count = agreeing(stability)
+    share = f"{agree} of {count} resamplings ({100 * agree / count:.0f} %) have the whole's verdict; 95 % to reach."
+    folder.mkdir(parents=True, exist_ok=True)
+    text = f"{_STABILITY_HEADER}\n{share}\n\n{markdown_table(rows)}\n"
+    (folder / "real-stability.md").write_text(text, encoding="utf-8")
 
 
 def csv_text(results: Iterable[Result]) -> str:
@@ -187,25 +210,6 @@ def _run_rows(results: Iterable[Result]) -> Iterable[list[str]]:
         settings = " ".join(f"`{s}`" for s in r.settings) or "default"
         run = [r.inputs, r.revision, r.date, f"{r.system_load:g}", r.machine]
         yield [r.case, r.capture, settings, str(r.seed), *run]
-
-
-def _stability_section(stability: Sequence[Tried]) -> str:
-    head = ["case", "resampling", "images", "verdict", "frames with ground truth", "A, B, C", "agrees with the whole"]
-    rows = [[*head, "revision"]]
-    for tried in stability:
-        classes = ", ".join(str(tried.classes[name]) for name in "ABC") if tried.classes else ""
-        same = "" if tried.is_whole else "yes" if tried.agrees else "**no**"
-        truth = "" if tried.with_ground_truth is None else str(tried.with_ground_truth)
-        rows.append(
-            [tried.case, tried.resampling, str(tried.images), str(tried.verdict), truth, classes, same, tried.revision]
-        )
-    agree, count = agreeing(stability)
-    share = f"{agree} of {count} resamplings ({100 * agree / count:.0f} %) have the whole's verdict; 95 % to reach."
-    explained = (
-        "Images are left out of a copy of the capture, its log of poses stays whole; 1, 2 and 5 Hz are import's "
-        "`rate_hz`, with `min_frames=0`."
-    )
-    return f"## Stability\n\n{explained} {share}\n\n{markdown_table(rows)}"
 
 
 def _pictures(folder: Path, results: Iterable[Result]) -> Iterable[str]:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.real import app
 from benchmarks.real_cases import Result, Target, judge, named_case, standard_cases
 from benchmarks.real_figures import CRASHED, PASSED, RATIO, REFUSED, STOCK, Figure, Verdict, place, verdict_of
-from benchmarks.real_report import csv_text, write_report
+from benchmarks.real_report import csv_text, write_report, write_stability
 from benchmarks.real_stability import RESAMPLINGS, Tried, agreeing, copy_without, left_out
 from benchmarks.stages import run_timed
 from benchmarks.stock import create_shared_database, session_cameras
@@ -168,8 +168,9 @@ def test_the_report_says_met_and_missed_and_its_tables_are_whole(tmp_path: Path)
     tried.append(
         Tried("chair", "every 3rd image", 10, Verdict(REFUSED, "align", "disconnected session"), PASSED, "abc")
     )
-    write_report(tmp_path, [result()], tried)
-    text = (tmp_path / "real.md").read_text(encoding="utf-8")
+    write_report(tmp_path, [result()])
+    write_stability(tmp_path, tried)
+    text = "\n".join((tmp_path / name).read_text(encoding="utf-8") for name in ("real.md", "real-stability.md"))
     assert "| chair | accepted | 1 | ≥ 1 | met |" in text
     assert "| chair | processor, ours / stock | 0.7 | ≤ 0.5 | **missed** |" in text
     assert "| chair | models | none | ≤ 1 | **missed** |" in text
