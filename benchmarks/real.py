@@ -3,8 +3,7 @@
 `python -m benchmarks.real` runs chair, corridor and charuco, where `--captures` has them, and any folder named with
 `--capture`, one after the other, and writes docs/results/real.md, real.csv and pictures. Cases that ran before keep
 their rows, each with its git revision and date. `--stability` resamples them instead and writes real-stability.md.
-Recordings without images have nothing for SfM (`make bench-import` and
-`make bench-fusion` use them).
+Recordings without images have nothing for SfM (`make bench-import` and `make bench-fusion` use them).
 """
 
 from pathlib import Path
