@@ -21,8 +21,8 @@ from groundwalk.fusion.methods.estimator.likeness import Sharing
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality, expected_variances
 from groundwalk.fusion.methods.estimator.prediction_noise import (
     Prior,
-    believed,
-    direction_weight,
+    shrinkage_of,
+    shrunk,
     side_turn_correlation,
     sizes_expected,
     whitening,
@@ -97,8 +97,7 @@ class DriftAware(Localiser):
         self._segment = 0
         self._count = 0  # predictions taken in
         self._watched = False  # odometry has jumped, or was gone, since the newest keyframe
-        self._stated = False  # the newest prediction brought a covariance
-        self._direction_weight = 0.0  # how far its directions are believed
+        self._shrinkage: float | None = None  # of the newest prediction's covariance, if it brought one
         self._doubted = False  # another alignment explains the newest predictions nearly as well
 
     # ------------------------------------------------------------ a frame
@@ -124,7 +123,7 @@ class DriftAware(Localiser):
             reasons = ("first_prediction",)
         self._take(t_ns, vio_T_cam, map_T_cam_apr)
         signals = self._fit()
-        return self._estimate(vio_T_cam, reasons, signals, map_T_cam_apr if self._stated else None)
+        return self._estimate(vio_T_cam, reasons, signals, map_T_cam_apr if self._shrinkage is not None else None)
 
     def _move(self, t_ns: int, vio_T_cam: Array) -> bool:
         """Count the motion since the last frame; returns whether odometry jumped."""
@@ -162,17 +161,16 @@ class DriftAware(Localiser):
             sizes = sizes_expected(expected)
             yaw -= float(expected.error[0])
             position = position - expected.error[1:]
-        self._stated = self._apr_covariance is not None and self.options.covariances
-        if self._stated:
-            assert self._apr_covariance is not None
-            drift = (self._distrust * self._drift + _LEAST_DRIFT)[:3]
-            self._direction_weight = direction_weight(self._apr_covariance, drift)
-            beside_odometry = believed(self._apr_covariance, self._direction_weight) + np.diag(
+        stated = self._apr_covariance if self.options.covariances else None
+        if stated is None:
+            self._shrinkage = None
+            normalised = whitening(sizes, vio_T_cam[:3, :3])
+        else:
+            self._shrinkage = shrinkage_of(stated, (self._distrust * self._drift + _LEAST_DRIFT)[:3])
+            beside_odometry = shrunk(stated, self._shrinkage) + np.diag(
                 [_TILT_JITTER, 0.0, _TILT_JITTER, 0.0, 0.0, 0.0]
             )
             normalised = whitening_of_covariance(beside_odometry, map_T_cam_apr[:3, :3], vio_T_cam[:3, :3])
-        else:
-            normalised = whitening(sizes, vio_T_cam[:3, :3])
         state = self._carried(vio_T_cam) if len(self._keyframes) else np.array([*position, yaw])
         if self.options.distrust:
             self._judge_odometry(position, yaw, normalised, state, vio_T_cam)
@@ -200,7 +198,7 @@ class DriftAware(Localiser):
 
     def _judge_odometry(self, position: Array, yaw: float, normalised: Array, state: Array, vio_T_cam: Array) -> None:
         way = np.zeros(3)
-        self._quality.sizes_known = self._stated or self._error_map is not None
+        self._quality.sizes_known = self._shrinkage is not None or self._error_map is not None
         if self._watched:
             self._quality.lost()
         elif len(self._keyframes):
@@ -294,8 +292,8 @@ class DriftAware(Localiser):
     def _model(self) -> Model:
         o = self.options
         tilt_sd, prior = radians(o.tilt_sd_deg), self._prior
-        if self._stated:
-            prior = prior.for_covariances(self._direction_weight, o.size_count_stated)
+        if self._shrinkage is not None:
+            prior = prior.for_covariances(self._shrinkage, o.size_count_stated)
         elif self._error_map is not None:
             prior = prior._replace(size_count=o.size_count_known)
         if self._quality.has_judged:
@@ -423,8 +421,7 @@ class DriftAware(Localiser):
             "count": self._count,
             "watched": self._watched,
             "doubted": self._doubted,
-            "stated": self._stated,
-            "direction_weight": self._direction_weight,
+            "shrinkage": self._shrinkage,
         }
 
     def _set_state(self, state: State) -> None:
@@ -439,4 +436,4 @@ class DriftAware(Localiser):
         self._way.restore(state["way"])
         self._along_m, self._segment, self._count = state["along_m"], state["segment"], state["count"]
         self._watched, self._doubted = state["watched"], state["doubted"]
-        self._stated, self._direction_weight = state["stated"], state["direction_weight"]
+        self._shrinkage = state["shrinkage"]

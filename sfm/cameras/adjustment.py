@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial.transform import Rotation
 
@@ -304,7 +303,7 @@ def with_step(bundle: Bundle, cameras: Cameras, step: Array, point_step: Array) 
 def adjust(
     bundle: Bundle, cameras: Cameras, priors: CameraPriors, steps: int = _MAX_STEPS, loss_widening: float = 1.0
 ) -> Adjusted:
-    """Adjust everything.
+    """Adjust everything; raises LinAlgError where the scene is too small to tell.
 
     Where a camera isn't near the right one yet, misfit in the corners is no outlier: a wider loss lets it count.
     """
@@ -323,11 +322,7 @@ def adjust(
         gradient = system.gradient + variance * (information @ deviation)
         diagonal = system.diagonal()
         for _ in range(_MAX_DAMPINGS):
-            try:
-                step = solver.solve(system, diagonal, damping, -gradient)
-            except LinAlgError:
-                damping *= 30
-                continue
+            step = solver.solve(system, diagonal, damping, -gradient)
             point_step = _point_step(bundle, cameras, linear, weight, system, step)
             moved = with_step(bundle, cameras, step, point_step)
             cost = _cost(project(*moved) - bundle.observed_px, loss_px)

@@ -56,10 +56,10 @@ def build_models(
 
     Where the largest of the models lacks images, a second mapping continues from it with fewer inliers needed to
     register one. The largest of all is selected, and of the others those that have `min_component_frames` or more
-    frames that no larger one has; a frame stays in the largest that has it. One that its images don't determine isn't
-    selected. Each is adjusted once more as a whole, with
+    frames that no larger one has; a frame stays in the largest that has it. Each is adjusted once more as a whole, with
     the cameras of phones and robustly: a few per cent of wrong observations would otherwise weigh more than all right
-    ones. The largest comes first, and its lenses are the prior of the others'.
+    ones. One that its images don't determine isn't selected. The largest comes first, and its lenses are the prior of
+    the others'.
     """
     write_mapping_input(verified, source.database, settings.held_out_fraction, source.seed)
     work = output.with_name(output.name + ".partial")
@@ -77,7 +77,8 @@ def build_models(
             model.deregister_frame(other)
         try:
             adjusted, rows = adjust_model(model, keypoints, log, settings)
-        except LinAlgError:
+        except LinAlgError as error:
+            print(f"{entry.model_id}: not selected, as its images don't determine it: {error}")  # into the log
             continue
         if model.num_reg_frames() < settings.min_component_frames and assigned:
             continue

@@ -83,7 +83,7 @@ def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
     of_shared = inverse[10 * frames :]
     poses = _gauge_free_sandwich(inverse, middle, bundle.sfm_T_cam[:, :3, 3])
     by_rows, by_cell = coherence(adjusted, linear.residual, blob_P)
-    # What priors say of the shared unknowns doesn't hang on the residuals.
+    # The part of the images grows, that of the priors doesn't.
     moved = by_blob.T @ of_shared.T
     shared = of_shared @ middle @ of_shared.T + (max(by_rows, by_cell) - 1) * moved.T @ moved
     return Covariances(by_rows * poses, shared, by_rows, by_cell)

@@ -20,9 +20,9 @@ from groundwalk.fusion.methods.estimator.likeness import Sharing, independent, l
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality
 from groundwalk.fusion.methods.estimator.prediction_noise import (
     Prior,
-    believed,
-    direction_weight,
     scatter,
+    shrinkage_of,
+    shrunk,
     side_turn_correlation,
     whitening,
     whitening_of_covariance,
@@ -81,21 +81,21 @@ def test_whitening_normalises_what_a_covariance_says() -> None:
     assert np.allclose(whitening(sizes, vio_R_cam) @ np.r_[0, 0, 0, vio_R_cam[:, 1]], [0, 0, 0, 0, 1 / 5, 0])
 
 
-def test_a_covariance_is_believed_in_its_directions_where_it_is_small_beside_odometrys_drift() -> None:
+def test_a_covariance_is_shrunk_as_far_as_it_is_large_beside_odometrys_drift() -> None:
     root = np.random.default_rng(4).normal(size=(6, 6))
     stated, drift = root @ root.T, np.array([2.0, 1.0, 3.0])
-    assert direction_weight(1e-6 * stated, drift) > 1 - 1e-5 and direction_weight(stated, 1e-6 * drift) < 1e-4
+    assert shrinkage_of(1e-6 * stated, drift) < 1e-5 and shrinkage_of(stated, 1e-6 * drift) > 1 - 1e-4
     # Half where the variance is that of ten such ways.
-    assert np.isclose(direction_weight(stated, np.full(3, stated.diagonal()[3:].mean() / 10)), 0.5)
-    assert np.allclose(believed(stated, 1.0), stated)
-    sizes = believed(stated, 0.0)
+    assert np.isclose(shrinkage_of(stated, np.full(3, stated.diagonal()[3:].mean() / 10)), 0.5)
+    assert np.allclose(shrunk(stated, 0.0), stated)
+    sizes = shrunk(stated, 1.0)
     assert np.allclose(sizes[:3, :3], stated[:3, :3]) and not sizes[:3, 3:].any() and not sizes[3:, :3].any()
     assert np.allclose(sizes[3:, 3:], stated.diagonal()[3:].mean() * np.eye(3))
-    between = believed(stated, 0.5)
+    between = shrunk(stated, 0.5)
     assert np.allclose(between, (stated + sizes) / 2) and np.linalg.eigvalsh(between).min() > 0
     prior = Prior(side_turn_correlation(0.6), 20.0, 0.3)
-    assert np.allclose(prior.for_covariances(1.0, 5.0).shape, np.eye(6))
-    assert np.allclose(prior.for_covariances(0.0, 5.0).shape, prior.shape)
+    assert np.allclose(prior.for_covariances(0.0, 5.0).shape, np.eye(6))
+    assert np.allclose(prior.for_covariances(1.0, 5.0).shape, prior.shape)
 
 
 def test_a_full_table_drops_what_is_densest_and_keeps_the_newest_and_the_way() -> None:

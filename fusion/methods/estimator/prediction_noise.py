@@ -21,7 +21,7 @@ from groundwalk.geometry.poses import Array
 
 # A relative floor that keeps the learnt covariance regular: nobody's errors are a thousandth of what was expected.
 _MIN_VARIANCE = 1e-6
-# A position variance of so many times odometry's drift since the last prediction is believed in its direction by half.
+# Shrinkage is a half where a prediction's position variance is so many times odometry's drift since the last one.
 _DRIFTS = 10.0
 
 
@@ -34,11 +34,10 @@ class Prior(NamedTuple):
     size_count: float
     sizes: Array = np.ones(6)
 
-    def for_covariances(self, weight: float, count: float) -> "Prior":
-        """For errors over the covariances that predictions state: as far as those are believed in their directions
-        (`direction_weight`), what goes with what is in them. Their common factor, 1 beforehand, counts as so many
-        predictions."""
-        return self._replace(shape=weight * np.eye(6) + (1 - weight) * self.shape, size_count=count)
+    def for_covariances(self, shrinkage: float, count: float) -> "Prior":
+        """For errors that are whitened by the covariances that predictions state: `shape` holds as far as those are
+        shrunk. Their common factor, 1 beforehand, counts as so many predictions."""
+        return self._replace(shape=(1 - shrinkage) * np.eye(6) + shrinkage * self.shape, size_count=count)
 
     def with_sizes(self, sizes: Array, count: float) -> "Prior":
         """With sizes (6,) that were learnt elsewhere, which count as so many predictions more."""
@@ -75,24 +74,25 @@ def sizes_expected(expected: Expected) -> Array:
     return np.array([rotation, rotation, rotation, position, position, position])
 
 
-def direction_weight(covariance: Array, drift: Array) -> float:
-    """The fraction to which a prediction's covariance (6, 6) is believed in the direction of position errors and in how
-    they go with rotation errors; drift (3,): variances (m^2) of odometry's drift since the last prediction.
+def shrinkage_of(covariance: Array, drift: Array) -> float:
+    """How far to shrink a prediction's covariance (6, 6), 0 to 1 (`shrunk`); drift (3,): variances (m^2) of odometry's
+    drift since the last prediction.
 
-    Both are geometry where the prediction is much better than odometry. A regressor's predictions, a lot worse, are
-    averaged over many, and there they are those of what predictions are wrong in alike, which none states.
+    The direction of position errors and their correlation with rotation errors are geometry where the prediction is
+    much better than odometry. A regressor's predictions are a lot worse and averaged over many, and its covariances say
+    little of the errors that those share.
     """
-    usual = _DRIFTS * float(drift.mean())
-    return usual / (usual + float(covariance.diagonal()[3:].mean()))
+    variance = float(covariance.diagonal()[3:].mean())
+    return variance / (_DRIFTS * float(drift.mean()) + variance)
 
 
-def believed(covariance: Array, weight: float) -> Array:
-    """A prediction's covariance (6, 6), of whose position errors the size alone is kept, but for this fraction."""
-    variance = covariance.diagonal()[3:].mean()
+def shrunk(covariance: Array, shrinkage: float) -> Array:
+    """A covariance (6, 6) shrunk towards one with the same rotation part and size of position errors, which have no
+    direction and no correlation with rotation errors."""
     result: Array = covariance.copy()
-    result[3:] *= weight
-    result[:3, 3:] *= weight
-    result[3:, 3:] += (1 - weight) * variance * np.eye(3)
+    result[3:] *= 1 - shrinkage
+    result[:3, 3:] *= 1 - shrinkage
+    result[3:, 3:] += shrinkage * covariance.diagonal()[3:].mean() * np.eye(3)
     return result
 
 
