@@ -53,7 +53,9 @@ def sweep(
 def leaderboard(
     folders: Annotated[
         list[Path] | None,
-        typer.Argument(help="Folders of GROUP/SCENE/{frames,ground_truth,predictions}.parquet."),
+        typer.Argument(
+            help="Folders of GROUP/SCENE/ with frames.parquet, ground_truth.parquet and predictions.parquet."
+        ),
     ] = None,
     data: Annotated[Path, typer.Option(help="The data folder, whose finished runs take part.")] = Path("data"),
     out: Annotated[Path, typer.Option(help="Folder for fusion.md, fusion.csv and fusion_lag.png.")] = Path(
