@@ -54,9 +54,9 @@ def stretch_vio(scene: Scene, factor: float) -> None:
         (SHORT, None, Status.UNDECIDED),
         ({"drift_m": 0.03, "drift_yaw_deg": 0.5, "sfm_deg": 0.2}, None, None),
         ({}, lambda scene: stretch_vio(scene, 0.88), Status.FAILED),
-        ({}, lambda scene: stretch_vio(scene, 0.97), None),
+        pytest.param({}, lambda scene: stretch_vio(scene, 0.97), None, marks=pytest.mark.slow),
         ({}, lambda scene: turn_otherwise(scene, of_walk(scene, 1), 0.9), Status.FAILED),
-        ({}, lambda scene: turn_otherwise(scene, of_walk(scene, 1), 0.97), None),
+        pytest.param({}, lambda scene: turn_otherwise(scene, of_walk(scene, 1), 0.97), None, marks=pytest.mark.slow),
         ({}, lambda scene: shuffle(scene, of_walk(scene, 1)), Status.FAILED),
     ],
 )

@@ -73,8 +73,7 @@ def start(run: str, data: DataRoot, limits: Callable[[], None] | None = None) ->
     )
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("group", [True, False])
+@pytest.mark.parametrize(("number", "group"), [(signal.SIGINT, True), (signal.SIGTERM, False)])
 def test_a_signal_ends_a_stage_with_one_line_and_its_exit_code(
     data: DataRoot, number: signal.Signals, group: bool
 ) -> None:

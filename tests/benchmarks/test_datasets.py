@@ -22,6 +22,7 @@ def test_a_published_figure_has_a_source_and_a_scene_a_recipe() -> None:
             assert config.environment != "unknown" and "MS-T" in sections["train"]["regressors"]
 
 
+@pytest.mark.slow
 def test_our_errors_stand_beside_the_published_ones(trained_wall: Path, tmp_path: Path) -> None:
     data = Path(shutil.copytree(trained_wall, tmp_path / "data"))
     (data / "runs/tiny/Wall").rename(data / "runs/tiny/7scenes-chess")

@@ -237,6 +237,7 @@ def test_int8_is_left_out_where_it_loses(int8: Measured, reason: str) -> None:
     assert reason in refusal and bool(refusal) == bool(reason)
 
 
+@pytest.mark.slow
 def test_slower_int8_is_shipped_and_float32_recommended(
     trained_wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -189,7 +189,7 @@ def test_predictions_made_standing_still_count_as_one() -> None:
     assert counted(along, 0.05).sum() < 3
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_fit_is_what_it_is_defined_to_be(seed: int) -> None:
     t_ns, _, vio, apr = upright_walk(seed, 9)
     options = DriftAwareOptions(rivals=False, distrust=False)

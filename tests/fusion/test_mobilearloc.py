@@ -71,7 +71,7 @@ def same_pose(pose: Array, x: Vector | None, q: Vector | None) -> bool:
     return np.allclose(xyz, x, atol=2e-5) and bool(abs(np.dot(quaternion, q)) > 1 - 1e-9)
 
 
-@pytest.mark.parametrize("block", range(10))
+@pytest.mark.parametrize("block", [*range(3), *(pytest.param(block, marks=pytest.mark.slow) for block in range(3, 10))])
 def test_agrees_with_the_literal_rule(block: int) -> None:
     """On each frame and status of 1,000 walks: half with the defaults, half with random readings of the open points."""
     seen: set[str] = set()

@@ -76,7 +76,10 @@ def test_triangulation_of_two_views_is_opencvs() -> None:
 
 
 @pytest.mark.parametrize("corners", [board(6, 4), tags()], ids=["board", "tags"])
-@pytest.mark.parametrize(("pose_sd_m", "pose_sd"), [(0.0, 0.0), (0.002, 0.001)], ids=["pixels", "poses"])
+@pytest.mark.parametrize(
+    ("pose_sd_m", "pose_sd"),
+    [pytest.param(0.0, 0.0, id="pixels", marks=pytest.mark.slow), pytest.param(0.002, 0.001, id="poses")],
+)
 def test_the_standard_error_holds_over_noise_draws(corners: Corners, pose_sd_m: float, pose_sd: float) -> None:
     """Errors over 40 draws of pixel and pose noise, in sigmas: a standard deviation near 1, 95 % within 1.96."""
     sigmas = []

@@ -136,6 +136,21 @@ def data(finished: tuple[Path, str], tmp_path: Path) -> Path:
     return shutil.copytree(finished[0], tmp_path / "data", symlinks=True)
 
 
+def test_formats_of_packages_are_used_and_broken_ones_named(packages: list[Path], room: Path, tmp_path: Path) -> None:
+    data = shutil.copytree(room, tmp_path / "data", symlinks=True)
+    configure(data, EXAMPLE)
+    said = " ".join(run(packages, data, "capture_import").split())
+    assert set(table(data, "import", "sessions")["format"]) == {"walk_csv"}
+    for point, reason in (
+        ("no_module = groundwalk_broken.no_such_module:FORMAT", "can't be imported"),
+        ("no_record = groundwalk_broken.formats:NOT_A_RECORD", "it is a dict, not"),
+        ("fails_to_detect", "RuntimeError: no idea"),
+    ):
+        assert f"package groundwalk-broken 0.3, entry point groundwalk.formats: {point}" in said
+        assert reason in said
+
+
+@pytest.mark.slow
 def test_a_package_runs_from_import_to_report(packages: list[Path], data: Path, finished: tuple[Path, str]) -> None:
     assert "warning" not in finished[1]
 
@@ -173,22 +188,19 @@ def test_a_package_runs_from_import_to_report(packages: list[Path], data: Path, 
     assert all((out / image).is_file() for image in written["image"])
 
 
+@pytest.mark.slow
 def test_a_broken_package_is_named_and_the_rest_goes_on(packages: list[Path], data: Path) -> None:
     train = 'models = ["mean_colour", "wrong_shape", "no_capability", "fails_in_training"]'
     methods = 'methods = ["apr", "keep_first", "wrong_covariance"]'
     text = EXAMPLE.replace('models = ["mean_colour"]', train).replace('methods = ["apr", "keep_first"]', methods)
     text += "\n[train.regressors.fails_in_training]\nbatch = 4\n"
     configure(data, text)
-    said = {stage: " ".join(run(packages, data, stage).split()) for stage in ("capture_import", "training", "fusion")}
+    said = {stage: " ".join(run(packages, data, stage).split()) for stage in ("training", "fusion")}
 
     def named(stage: str, point: str, reason: str) -> None:
         assert f"package groundwalk-broken 0.3, entry point {point}" in said[stage]
         assert reason in said[stage]
 
-    point = "groundwalk.formats:"
-    named("capture_import", f"{point} no_module = groundwalk_broken.no_such_module:FORMAT", "can't be imported")
-    named("capture_import", f"{point} no_record = groundwalk_broken.formats:NOT_A_RECORD", "it is a dict, not")
-    named("capture_import", f"{point} fails_to_detect", "RuntimeError: no idea")
     point = "groundwalk.regressors:"
     named("training", f"{point} PN", "its id is taken: package groundwalk")
     named("training", f"{point} no_capability", "missing 1 required keyword-only argument: 'multi_scene'")
@@ -197,13 +209,13 @@ def test_a_broken_package_is_named_and_the_rest_goes_on(packages: list[Path], da
     named("training", f"{point} fails_in_training", "the batch is too large for me")
     named("fusion", "groundwalk.fusion_methods: wrong_covariance", "covariance for frame 0 has shape (3, 3)")
 
-    assert set(table(data, "import", "sessions")["format"]) == {"walk_csv"}
     assert set(table(data, "train", "models")["model"]) == {"mean_colour"}
     assert set(table(data, "fuse", "methods")["method"]) == {"apr", "keep_first"}
     figures = json.loads((data / "runs/tiny/Room/train/manifest.json").read_text())["figures"]
     assert len([name for name in figures if name.startswith("left out: ")]) == 3
 
 
+@pytest.mark.slow
 def test_predictions_from_elsewhere_take_part_to_the_end(data: Path) -> None:
     """Without any package: the true poses, half a metre off, as a regressor called mine."""
     truth = table(data, "align", "ground_truth")
@@ -223,6 +235,7 @@ def test_predictions_from_elsewhere_take_part_to_the_end(data: Path) -> None:
     assert (data / "runs/tiny/Room/train/recording.rrd").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_an_exporter_that_fails_leaves_nothing(packages: list[Path], data: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *map(str, packages)])}
     command = [sys.executable, "-m", "groundwalk.export", "--scene", "Room", "--profile", "tiny"]
@@ -232,6 +245,7 @@ def test_an_exporter_that_fails_leaves_nothing(packages: list[Path], data: Path)
     assert not (data / "nothing").exists()
 
 
+@pytest.mark.slow
 def test_settings_of_a_package_that_is_not_installed(data: Path) -> None:
     configure(data, EXAMPLE)
     command = [sys.executable, "-m", "groundwalk.training", "--scene", "Room", "--profile", "tiny", "--data", str(data)]

@@ -204,6 +204,7 @@ _FAR_PAIRS = ["sequence_pairs=16", "vio_pairs=0", "vio_max_distance_m=24", "vio_
 _FAR_PAIRS += ["min_component_frames=5"]
 
 
+@pytest.mark.slow
 def test_perceptual_aliasing_is_tried_again_with_stricter_pairs(tmp_path: Path) -> None:
     room = make_look_alike_rooms(tmp_path)
     folder = _run(room, *_FAR_PAIRS)
@@ -222,6 +223,7 @@ def test_perceptual_aliasing_is_tried_again_with_stricter_pairs(tmp_path: Path) 
         assert np.linalg.norm(fit_sim3(true, xyz).points(xyz) - true, axis=1).max() < 0.02
 
 
+@pytest.mark.slow
 def test_where_no_attempt_is_consistent_the_best_is_selected(tmp_path: Path) -> None:
     folder = _run(make_look_alike_rooms(tmp_path), *_FAR_PAIRS, "retry=false")
     attempts = pd.read_parquet(folder / "attempts.parquet")

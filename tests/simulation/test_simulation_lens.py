@@ -185,7 +185,9 @@ CAMERAS: dict[str, dict[str, float]] = {
 }
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in ("lens", "shutter") else []) for name in CAMERAS]
+)
 def test_corners_are_rendered_where_opencv_predicts_them(name: str, tmp_path: Path) -> None:
     at, off = offsets(*walked(tmp_path, **CAMERAS[name]))
     assert len(off) > 1000

@@ -110,6 +110,7 @@ def test_triplet_loss_takes_the_hardest_of_four_negatives() -> None:
     assert float(triplet_loss([real], [view], 1.5)) == pytest.approx(0.5, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_the_stage_gives_it_the_map(make_scene: Callable[..., Path]) -> None:
     data = DataRoot(make_scene())
     small = ["models=['DFNet']", "resize=40", "crop=32", "device=cpu", "threads=1"]

@@ -69,6 +69,7 @@ def test_bfloat16_has_to_be_clearly_faster() -> None:
     assert faster({"fp32": 1.2, "bf16": 1.0}) == "bf16"
 
 
+@pytest.mark.slow
 def test_a_resumed_run_keeps_its_precision(make_scene: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
     data = DataRoot(make_scene())
     settings = [*SETTINGS, "regressors.PN.precision=measured"]
@@ -89,10 +90,15 @@ def test_a_resumed_run_keeps_its_precision(make_scene: Callable[..., Path], monk
     assert device.endswith("trained in bfloat16 (a step in bfloat16 measured 3.00 times as fast as in float32)")
 
 
+@pytest.mark.slow
 def test_a_setting_decides_instead(make_scene: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
     data = DataRoot(make_scene())
     monkeypatch.setattr(stage, "step_seconds", lambda *_: {"fp32": 3.0, "bf16": 1.0})
     folder = execute(stage.STAGE, "Wall", "tiny", data, [*SETTINGS, "regressors.PN.precision=fp32"])
     assert load_manifest(folder)["figures"]["PN precision"] == "fp32"
+
+
+def test_the_setting_s_former_name_is_refused(make_scene: Callable[..., Path]) -> None:
+    data = DataRoot(make_scene())
     with pytest.raises(UserError, match=r"renamed to 'precision'"):
         execute(stage.STAGE, "Wall", "tiny", data, [*SETTINGS, "regressors.PN.mixed_precision=auto"])

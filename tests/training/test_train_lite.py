@@ -285,6 +285,7 @@ def test_the_stage_trains_on_twelve_frames(make_scene: Callable[..., Path], name
     assert "efficientnet-lite0" in card["weights"][0]
 
 
+@pytest.mark.slow
 def test_the_transformer_holds_several_scenes() -> None:
     torch.manual_seed(0)
     settings = MSTransformerLiteSettings(width=16, components=4)

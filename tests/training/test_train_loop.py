@@ -81,6 +81,7 @@ def overfitted(folder: Path, name: str, epochs: int, **settings: object) -> list
     return [float(np.median(error) / np.median(of_mean)) for error, of_mean in both]
 
 
+@pytest.mark.slow
 def test_overfits_a_few_images(tmp_path: Path) -> None:
     position, rotation = overfitted(tmp_path, "PN", 40)
     assert position < 0.2 and rotation < 0.4
