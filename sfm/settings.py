@@ -14,6 +14,8 @@ LensSource = Literal["auto", "stated"]
 RetrievalName = Annotated[str, AfterValidator(RETRIEVALS.known)]
 SiftMatcherName = Literal["nearest", "lightglue"]
 
+_MAX_SHARE = 2048  # features per image that scene_features leads to at most
+
 
 class SfmSettings(VioDriftSettings):
     """[sfm]"""
@@ -31,6 +33,12 @@ class SfmSettings(VioDriftSettings):
 
     max_image_size: int = Field(1600, ge=64, description="longest side of images for features, px; larger ones shrink")
     max_features: int = Field(2048, gt=0, description="features per image")
+    scene_features: int = Field(
+        0,
+        ge=0,
+        description="features of all images together: where they are few, each has more than max_features, up to 2048, "
+        "until they have so many",
+    )
     first_octave: int = Field(
         0, ge=-1, le=2, description="SIFT: -1 doubles the image first: more features, 2 to 4 times slower"
     )
@@ -102,3 +110,8 @@ class SfmSettings(VioDriftSettings):
         2500, ge=0, description="larger models get no covariances (memory: 36 n² numbers)"
     )
     threads: int = Field(-1, ge=-1, description="threads for features; -1: all cores. Mapping has one, to repeat")
+
+    def for_images(self, images: int) -> "SfmSettings":
+        """The settings with the features per image that a scene of so many images has."""
+        share = min(self.scene_features // max(images, 1), _MAX_SHARE)
+        return self.model_copy(update={"max_features": max(self.max_features, share)})

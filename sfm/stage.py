@@ -1,6 +1,7 @@
 """The sfm stage: import's frames in, COLMAP models over all sessions out, one where the images allow it."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -39,6 +40,7 @@ AdjustedModels = list[tuple[Adjusted, NDArray[np.int64]]]
 
 
 def run(r: StageRun[SfmSettings]) -> None:
+    r = replace(r, settings=r.settings.for_images(len(r.read("import", "frames"))))
     scene = prepare_scene(r)
     attempts, best, made = _select_attempt(r, scene)
     selected, model = made.selected, made.model
@@ -137,7 +139,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=20,
+    version=21,
     settings=SfmSettings,
     needs=("import",),
     run=run,
@@ -146,5 +148,5 @@ STAGE = Stage(
     "all sessions, one where the images allow it, and their quality.",
     reads_images=lambda settings: True,
     # Keypoints, descriptors and matches, and the images without their lens.
-    space_bytes=lambda settings, frames: (32 << 20) + frames * (200_000 + 250 * settings.max_features),
+    space_bytes=lambda settings, frames: (32 << 20) + frames * (200_000 + 250 * settings.for_images(frames).max_features),
 )
