@@ -126,7 +126,7 @@ def main(
     else:
         create_shared_database(database, names, *session_cameras(frames))
 
-    extraction = extraction_options(sfm_settings)
+    extraction = extraction_options(sfm_settings.for_images(len(names)))
     mode = pycolmap.CameraMode.PER_IMAGE
     pycolmap.extract_features(
         database, images, names, camera_mode=mode, extraction_options=extraction, device=pycolmap.Device.cpu

@@ -148,5 +148,7 @@ STAGE = Stage(
     "all sessions, one where the images allow it, and their quality.",
     reads_images=lambda settings: True,
     # Keypoints, descriptors and matches, and the images without their lens.
-    space_bytes=lambda settings, frames: (32 << 20) + frames * (200_000 + 250 * settings.for_images(frames).max_features),
+    space_bytes=lambda settings, frames: (
+        (32 << 20) + frames * (200_000 + 250 * settings.for_images(frames).max_features)
+    ),
 )
