@@ -14,7 +14,7 @@ LensSource = Literal["auto", "stated"]
 RetrievalName = Annotated[str, AfterValidator(RETRIEVALS.known)]
 SiftMatcherName = Literal["nearest", "lightglue"]
 
-_MAX_SHARE = 2048  # features per image that scene_features leads to at most
+_MOST_OF_FEW_IMAGES = 2048  # features per image, as far as scene_features gives them
 
 
 class SfmSettings(VioDriftSettings):
@@ -36,8 +36,8 @@ class SfmSettings(VioDriftSettings):
     scene_features: int = Field(
         0,
         ge=0,
-        description="features of all images together: where they are few, each has more than max_features, up to 2048, "
-        "until they have so many",
+        description="features to have in all images together: with few images, each gets more than max_features, at "
+        "most 2048; 0: max_features alone",
     )
     first_octave: int = Field(
         0, ge=-1, le=2, description="SIFT: -1 doubles the image first: more features, 2 to 4 times slower"
@@ -112,6 +112,6 @@ class SfmSettings(VioDriftSettings):
     threads: int = Field(-1, ge=-1, description="threads for features; -1: all cores. Mapping has one, to repeat")
 
     def for_images(self, images: int) -> "SfmSettings":
-        """The settings with the features per image that a scene of so many images has."""
-        share = min(self.scene_features // max(images, 1), _MAX_SHARE)
+        """The same with max_features as a scene of so many images has them."""
+        share = min(self.scene_features // max(images, 1), _MOST_OF_FEW_IMAGES)
         return self.model_copy(update={"max_features": max(self.max_features, share)})

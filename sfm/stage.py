@@ -40,8 +40,9 @@ AdjustedModels = list[tuple[Adjusted, NDArray[np.int64]]]
 
 
 def run(r: StageRun[SfmSettings]) -> None:
-    r = replace(r, settings=r.settings.for_images(len(r.read("import", "frames"))))
-    scene = prepare_scene(r)
+    frames = r.read("import", "frames")
+    r = replace(r, settings=r.settings.for_images(len(frames)))
+    scene = prepare_scene(r, frames)
     attempts, best, made = _select_attempt(r, scene)
     selected, model = made.selected, made.model
     assert model is not None  # the selected attempt has one

@@ -73,7 +73,15 @@ def start(run: str, data: DataRoot, limits: Callable[[], None] | None = None) ->
     )
 
 
-@pytest.mark.parametrize(("number", "group"), [(signal.SIGINT, True), (signal.SIGTERM, False)])
+@pytest.mark.parametrize(
+    ("number", "group"),
+    [
+        (signal.SIGINT, True),
+        (signal.SIGTERM, False),
+        pytest.param(signal.SIGINT, False, marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, True, marks=pytest.mark.slow),
+    ],
+)
 def test_a_signal_ends_a_stage_with_one_line_and_its_exit_code(
     data: DataRoot, number: signal.Signals, group: bool
 ) -> None:
