@@ -424,7 +424,7 @@ def describe(job: Job) -> str:
 
 STAGE = Stage(
     name="train",
-    version=11,
+    version=12,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,

@@ -1,20 +1,39 @@
 """Dropout that costs little on a CPU.
 
 PyTorch draws one random number after the other there, and keeps attention's weights of all heads in memory several
-times over: with 784 cells most of a transformer's training step. Here a vector of bytes is drawn at once, so that an
-element is left out with a probability of a whole 256th, the nearest; and attention goes head by head, its weights and
-their mask made again for the gradient (Dao et al., 2022, do so block by block). Weights are powers of 2, which PyTorch
-computes twice as fast as powers of e, and are normalised after they are summed up.
+times over: with 784 cells most of a transformer's training step. Here what is left out is decided by bytes that are
+made from the element's number and a seed, so that an element is left out with a probability of a whole 256th, the
+nearest, and the gradient makes them again instead of keeping them; and attention goes head by head, its weights made
+again for the gradient, too (Dao et al., 2022, do so block by block). Of a head's weights everything but the products is
+done in one compiled pass over each row. Weights are powers of 2, which takes a product less than powers of e, and are
+normalised after they are summed up.
 """
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
+import numba
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 _LEVELS = 256
+# Of 2 ** x, for x of half at most: as accurate as float32 is.
+_SERIES = tuple(np.float32(math.log(2) ** n / math.factorial(n)) for n in range(7))
+# What lets a loop over numbers become one over vectors; infinities and what is no number stay as they are.
+_FASTMATH = {"contract", "reassoc", "nsz"}
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def _compiled(function: Function) -> Function:
+    njit: Any = numba.njit  # its stubs lack options
+    try:
+        compiled: Function = njit(cache=True, fastmath=_FASTMATH)(function)
+    except RuntimeError:  # there is no folder to keep the code in
+        compiled = njit(fastmath=_FASTMATH)(function)
+    return compiled
 
 
 class Dropout(nn.Dropout):
@@ -28,74 +47,78 @@ def dropped(x: Tensor, probability: float, training: bool) -> Tensor:
     """As nn.functional.dropout, in the same way."""
     if not training or probability == 0 or x.device.type != "cpu":
         return nn.functional.dropout(x, probability, training)
-    keep = _kept(_generator(_seed()), x.shape, _limit(probability))
-    return x * keep.to(x.dtype).mul_(_scale(probability))
+    left: Tensor = _Dropped.apply(x, probability, _seed())
+    return left
 
 
 def attention(query: Tensor, key: Tensor, value: Tensor, probability: float) -> Tensor:
     """Attended values (..., N, D) of queries (..., N, D), keys and values (..., M, D), on a CPU; the softmax's weights
-    are left out with that probability, and the others scaled so that the mean stays. Computed in float32 at least: the
-    products of one head are too small to gain by less."""
-    wide = torch.promote_types(query.dtype, torch.float32)
+    are left out with that probability, and the others scaled so that the mean stays. Computed in float32."""
     # Scores to the base of 2.
     scaled = query * (query.shape[-1] ** -0.5 / math.log(2))
-    heads = [x.to(wide).flatten(0, -3).contiguous() for x in (scaled, key, value)]
-    attended: Tensor = _Attention.apply(*heads, probability)
+    heads = [x.float().flatten(0, -3).contiguous() for x in (scaled, key, value)]
+    attended: Tensor = _Attention.apply(*heads, probability, _seed())
     return attended.view(query.shape).to(query.dtype)
+
+
+class _Dropped(torch.autograd.Function):
+    @staticmethod
+    def forward(context: Any, x: Tensor, probability: float, seed: int) -> Tensor:
+        context.probability, context.seed = probability, seed
+        return _without_some(x, probability, seed)
+
+    @staticmethod
+    def backward(context: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
+        return _without_some(gradient, context.probability, context.seed), None, None
 
 
 class _Attention(torch.autograd.Function):
     @staticmethod
-    def forward(context: Any, q: Tensor, k: Tensor, v: Tensor, probability: float) -> Tensor:
-        context.seed, context.probability = _seed(), probability
-        out, log_sum = torch.empty_like(q), q.new_empty(*q.shape[:-1], 1)
-        rng, limit = _generator(context.seed), _limit(probability)
-        weights = q.new_empty(q.shape[1], k.shape[1])
+    def forward(context: Any, q: Tensor, k: Tensor, v: Tensor, probability: float, seed: int) -> Tensor:
+        context.seed, context.probability = seed, probability
+        out, top, total = torch.empty_like(q), q.new_empty(q.shape[:-1]), q.new_empty(q.shape[:-1])
+        weights, limit = q.new_empty(q.shape[1], k.shape[1]), _limit(probability)
         with torch.autocast("cpu", enabled=False):
             for h in range(len(q)):
                 torch.mm(q[h], k[h].T, out=weights)
-                top = weights.amax(-1, keepdim=True)
-                total = weights.sub_(top).exp2_().sum(-1, keepdim=True)
-                weights.mul_(_kept(rng, weights.shape, limit))
-                torch.mm(weights, v[h], out=out[h]).div_(total)
-                torch.add(top, total.log2_(), out=log_sum[h])
-            out.mul_(_scale(probability))
-        context.save_for_backward(q, k, v, out, log_sum)
+                torch.amax(weights, -1, out=top[h])
+                _weigh(weights.numpy(), top[h].numpy(), total[h].numpy(), seed, h, limit)
+                torch.mm(weights, v[h], out=out[h])
+            out.mul_((_scale(probability) / total)[..., None])
+        context.save_for_backward(q, k, v, out, top + total.log2())
         return out
 
     @staticmethod
-    def backward(context: Any, gradient: Tensor) -> tuple[Tensor, Tensor, Tensor, None]:
+    def backward(context: Any, gradient: Tensor) -> tuple[Tensor, Tensor, Tensor, None, None]:
         q, k, v, out, log_sum = context.saved_tensors
-        rng, limit = _generator(context.seed), _limit(context.probability)
+        limit = _limit(context.probability)
         # What softmax's gradient takes away from each row: the weights' gradients, weighted by them.
-        common = (gradient * out).sum(-1, keepdim=True)
+        common = (gradient * out).sum(-1)
         scaled = gradient * _scale(context.probability)
         dq, dk, dv = (torch.empty_like(x) for x in (q, k, v))
         weights, d_weights = (q.new_empty(q.shape[1], k.shape[1]) for _ in range(2))
         for h in range(len(q)):
-            torch.mm(q[h], k[h].T, out=weights).sub_(log_sum[h]).exp2_()
-            keep = _kept(rng, weights.shape, limit)
-            torch.mm(scaled[h], v[h].T, out=d_weights).mul_(keep).sub_(common[h]).mul_(weights)
+            torch.mm(q[h], k[h].T, out=weights)
+            torch.mm(scaled[h], v[h].T, out=d_weights)
+            rows = log_sum[h].numpy(), common[h].numpy()
+            _weigh_gradient(weights.numpy(), d_weights.numpy(), *rows, context.seed, h, limit)
             torch.mm(d_weights, k[h], out=dq[h])
             torch.mm(d_weights.T, q[h], out=dk[h])
-            torch.mm(weights.mul_(keep).T, scaled[h], out=dv[h])
+            torch.mm(weights.T, scaled[h], out=dv[h])
         # Of scores to the base of 2.
-        return dq.mul_(math.log(2)), dk.mul_(math.log(2)), dv, None
+        return dq.mul_(math.log(2)), dk.mul_(math.log(2)), dv, None, None
+
+
+def _without_some(x: Tensor, probability: float, seed: int) -> Tensor:
+    left = x.detach().clone(memory_format=torch.contiguous_format)
+    # As whole numbers, which numpy has of all sizes: 0 is 0 in each.
+    bits = left.view({2: torch.int16, 4: torch.int32, 8: torch.int64}[x.element_size()])
+    _leave_out(bits.view(-1).numpy(), seed, _limit(probability))
+    return left.mul_(_scale(probability))
 
 
 def _seed() -> int:
     return int(torch.randint(torch.iinfo(torch.int64).max, ()).item())
-
-
-def _generator(seed: int) -> np.random.SFC64:
-    return np.random.SFC64(seed)
-
-
-def _kept(bits: np.random.SFC64, shape: torch.Size, limit: int) -> Tensor:
-    """1 where an element is kept, else 0: bytes, which PyTorch turns into floats faster than it does truth values."""
-    count = shape.numel()
-    drawn = bits.random_raw(-(-count // 8)).view(np.uint8)[:count]
-    return torch.from_numpy((drawn >= limit).view(np.uint8)).view(shape)
 
 
 def _limit(probability: float) -> int:
@@ -104,3 +127,84 @@ def _limit(probability: float) -> int:
 
 def _scale(probability: float) -> float:
     return _LEVELS / (_LEVELS - _limit(probability))
+
+
+@_compiled
+def _draw(words: NDArray[np.uint32], first: int, seed: int) -> None:
+    """Random numbers of their own for each seed and number from `first` on (the last steps of MurmurHash3)."""
+    low, high = np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32)
+    for i in range(len(words)):
+        x = np.uint32(np.uint32(first + i) * np.uint32(0x9E3779B1) + low)
+        x = np.uint32((x ^ (x >> np.uint32(16)) ^ high) * np.uint32(0x85EBCA6B))
+        x = np.uint32((x ^ (x >> np.uint32(13))) * np.uint32(0xC2B2AE35))
+        words[i] = x ^ (x >> np.uint32(16))
+
+
+@_compiled
+def _power_of_2(x: np.float32) -> np.float32:
+    """Of numbers to about 100; under 2 ** -126 that."""
+    x = max(x, np.float32(-126))
+    whole = np.floor(x + np.float32(0.5))
+    part = x - whole
+    value = _SERIES[6]
+    value = value * part + _SERIES[5]
+    value = value * part + _SERIES[4]
+    value = value * part + _SERIES[3]
+    value = value * part + _SERIES[2]
+    value = value * part + _SERIES[1]
+    value = value * part + _SERIES[0]
+    return value * np.int32((np.int32(whole) + np.int32(127)) << np.int32(23)).view(np.float32)
+
+
+@_compiled
+def _weigh(
+    scores: NDArray[np.float32], top: NDArray[np.float32], total: NDArray[np.float32], seed: int, head: int, limit: int
+) -> None:
+    """Make scores (N, M) weights, some left out; `total` becomes the sums (N,) of all of them."""
+    rows, columns = scores.shape
+    words = np.empty((columns + 3) // 4, np.uint32)
+    drawn, least = words.view(np.uint8), np.uint8(limit)
+    for r in range(rows):
+        row, highest, sum_of_row = scores[r], top[r], np.float32(0)
+        _draw(words, (head * rows + r) * len(words), seed)
+        for c in range(columns):
+            weight = _power_of_2(row[c] - highest)
+            sum_of_row += weight
+            row[c] = weight if drawn[c] >= least else np.float32(0)
+        total[r] = sum_of_row
+
+
+@_compiled
+def _weigh_gradient(
+    scores: NDArray[np.float32],
+    gradient: NDArray[np.float32],
+    log_sum: NDArray[np.float32],
+    common: NDArray[np.float32],
+    seed: int,
+    head: int,
+    limit: int,
+) -> None:
+    """Make scores (N, M) normalised weights, some left out, and the weights' gradient (N, M) that of the scores."""
+    rows, columns = scores.shape
+    words = np.empty((columns + 3) // 4, np.uint32)
+    drawn, least = words.view(np.uint8), np.uint8(limit)
+    for r in range(rows):
+        row, d_row, log_of_row, common_of_row = scores[r], gradient[r], log_sum[r], common[r]
+        _draw(words, (head * rows + r) * len(words), seed)
+        for c in range(columns):
+            weight = _power_of_2(row[c] - log_of_row)
+            kept = drawn[c] >= least
+            row[c] = weight if kept else np.float32(0)
+            d_row[c] = weight * ((d_row[c] if kept else np.float32(0)) - common_of_row)
+
+
+@_compiled
+def _leave_out(values: NDArray[Any], seed: int, limit: int) -> None:
+    """Make some of the numbers (N,) 0."""
+    words = np.empty(min(256, (len(values) + 3) // 4), np.uint32)
+    drawn, least = words.view(np.uint8), np.uint8(limit)
+    for start in range(0, len(values), len(drawn)):
+        _draw(words, start // 4, seed)
+        part = values[start : start + len(drawn)]
+        for i in range(len(part)):
+            part[i] = part[i] if drawn[i] >= least else 0
