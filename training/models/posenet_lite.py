@@ -132,7 +132,7 @@ class LiteRegressor(FrozenRegressor):
         self.whitening.fit(torch.cat(parts, dim=1), scales.repeat_interleave(torch.tensor(self.widths)))
 
     def fit_training_images(self, first: Tensor, poses: PoseBatch) -> None:
-        self.training_distance.fit(first, *self.frames.from_map(poses), poses.scene_B)
+        self.training_distance.fit(first, poses.scene_B)
 
     def mixed(self, outputs: Tensor, summary: Tensor, scene_B: Tensor) -> PoseBatch:
         """The poses in the map frame of the mixture's outputs for images with this whitened summary.
@@ -144,7 +144,7 @@ class LiteRegressor(FrozenRegressor):
             components = self.mixture.decode(outputs.float(), scene_B)
             answer = self.mixture.poses(components, scene_B)
             sd = (3 * VARIANCE) ** 0.5 * self.mixture.typical_scales(components)
-            sd = sd * self.training_distance(summary.float(), *answer[:3])[:, None]
+            sd = sd * self.training_distance(summary.float(), scene_B)[:, None]
         assert answer.covariance_B66 is not None
         covariance = self.covariance_scale(resized(answer.covariance_B66, sd))
         poses = self.frames.to_map(answer.position_B3, answer.quaternion_B4, scene_B)
