@@ -3,14 +3,14 @@
 PyTorch draws one random number after the other there, and keeps attention's weights of all heads in memory several
 times over: with 784 cells most of a transformer's training step. Here what is left out is decided by bytes that are
 made from the element's number and a seed, so that an element is left out with a probability of a whole 256th, the
-nearest, and the gradient makes them again instead of keeping them; and attention goes head by head, its weights made
-again for the gradient, too (Dao et al., 2022, do so block by block). Of a head's weights everything but the products is
-done in one compiled pass over each row. Weights are powers of 2, which takes a product less than powers of e, and are
-normalised after they are summed up.
+nearest, and the gradient makes them again instead of keeping them; and attention goes by as many heads at a time as a
+core's cache holds, one at least, their weights made again for the gradient, too (Dao et al., 2022, do so block by
+block). Of the weights everything but the products is done in one compiled pass over each row. Weights are powers of 2,
+which takes a product less than powers of e, and are normalised after they are summed up.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import numba
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 _LEVELS = 256
+_CACHED = 1 << 18  # numbers: a megabyte
 # Of 2 ** x, for x of half at most: as accurate as float32 is.
 _SERIES = tuple(np.float32(math.log(2) ** n / math.factorial(n)) for n in range(7))
 # What lets a loop over numbers become one over vectors; infinities and what is no number stay as they are.
@@ -77,13 +78,14 @@ class _Attention(torch.autograd.Function):
     def forward(context: Any, q: Tensor, k: Tensor, v: Tensor, probability: float, seed: int) -> Tensor:
         context.seed, context.probability = seed, probability
         out, top, total = torch.empty_like(q), q.new_empty(q.shape[:-1]), q.new_empty(q.shape[:-1])
-        weights, limit = q.new_empty(q.shape[1], k.shape[1]), _limit(probability)
+        limit = _limit(probability)
         with torch.autocast("cpu", enabled=False):
-            for h in range(len(q)):
-                torch.mm(q[h], k[h].T, out=weights)
-                torch.amax(weights, -1, out=top[h])
-                _weigh(weights.numpy(), top[h].numpy(), total[h].numpy(), seed, h, limit)
-                torch.mm(weights, v[h], out=out[h])
+            for heads, weights in _parts(q, k, 1):
+                torch.bmm(q[heads], k[heads].mT, out=weights)
+                torch.amax(weights, -1, out=top[heads])
+                rows = (part[heads].view(-1).numpy() for part in (top, total))
+                _weigh(weights.flatten(0, 1).numpy(), *rows, seed, heads.start * q.shape[1], limit)
+                torch.bmm(weights, v[heads], out=out[heads])
             out.mul_((_scale(probability) / total)[..., None])
         context.save_for_backward(q, k, v, out, top + total.log2())
         return out
@@ -96,17 +98,28 @@ class _Attention(torch.autograd.Function):
         common = (gradient * out).sum(-1)
         scaled = gradient * _scale(context.probability)
         dq, dk, dv = (torch.empty_like(x) for x in (q, k, v))
-        weights, d_weights = (q.new_empty(q.shape[1], k.shape[1]) for _ in range(2))
-        for h in range(len(q)):
-            torch.mm(q[h], k[h].T, out=weights)
-            torch.mm(scaled[h], v[h].T, out=d_weights)
-            rows = log_sum[h].numpy(), common[h].numpy()
-            _weigh_gradient(weights.numpy(), d_weights.numpy(), *rows, context.seed, h, limit)
-            torch.mm(d_weights, k[h], out=dq[h])
-            torch.mm(d_weights.T, q[h], out=dk[h])
-            torch.mm(weights.T, scaled[h], out=dv[h])
+        for heads, weights, d_weights in _parts(q, k, 2):
+            torch.bmm(q[heads], k[heads].mT, out=weights)
+            torch.bmm(scaled[heads], v[heads].mT, out=d_weights)
+            matrices = (part.flatten(0, 1).numpy() for part in (weights, d_weights))
+            rows = (part[heads].view(-1).numpy() for part in (log_sum, common))
+            _weigh_gradient(*matrices, *rows, context.seed, heads.start * q.shape[1], limit)
+            torch.bmm(d_weights, k[heads], out=dq[heads])
+            torch.bmm(d_weights.mT, q[heads], out=dk[heads])
+            torch.bmm(weights.mT, scaled[heads], out=dv[heads])
         # Of scores to the base of 2.
         return dq.mul_(math.log(2)), dk.mul_(math.log(2)), dv, None, None
+
+
+def _parts(q: Tensor, k: Tensor, matrices: int) -> Iterator[Any]:
+    """Slices of heads, and for each so many matrices (heads, N, M) that stay in a core's cache together, or of one head
+    where that is too large."""
+    size = q.shape[1] * k.shape[1]
+    count = max(1, _CACHED // (matrices * size))
+    kept = [q.new_empty(min(count, len(q)), q.shape[1], k.shape[1]) for _ in range(matrices)]
+    for start in range(0, len(q), count):
+        heads = slice(start, min(start + count, len(q)))
+        yield heads, *(matrix[: heads.stop - start] for matrix in kept)
 
 
 def _without_some(x: Tensor, probability: float, seed: int) -> Tensor:
@@ -158,15 +171,16 @@ def _power_of_2(x: np.float32) -> np.float32:
 
 @_compiled
 def _weigh(
-    scores: NDArray[np.float32], top: NDArray[np.float32], total: NDArray[np.float32], seed: int, head: int, limit: int
+    scores: NDArray[np.float32], top: NDArray[np.float32], total: NDArray[np.float32], seed: int, first: int, limit: int
 ) -> None:
-    """Make scores (N, M) weights, some left out; `total` becomes the sums (N,) of all of them."""
+    """Make scores (N, M) weights, some left out; `total` becomes the sums (N,) of all of them. `first` is the number of
+    their first row among those of all heads."""
     rows, columns = scores.shape
     words = np.empty((columns + 3) // 4, np.uint32)
     drawn, least = words.view(np.uint8), np.uint8(limit)
     for r in range(rows):
         row, highest, sum_of_row = scores[r], top[r], np.float32(0)
-        _draw(words, (head * rows + r) * len(words), seed)
+        _draw(words, (first + r) * len(words), seed)
         for c in range(columns):
             weight = _power_of_2(row[c] - highest)
             sum_of_row += weight
@@ -181,7 +195,7 @@ def _weigh_gradient(
     log_sum: NDArray[np.float32],
     common: NDArray[np.float32],
     seed: int,
-    head: int,
+    first: int,
     limit: int,
 ) -> None:
     """Make scores (N, M) normalised weights, some left out, and the weights' gradient (N, M) that of the scores."""
@@ -190,7 +204,7 @@ def _weigh_gradient(
     drawn, least = words.view(np.uint8), np.uint8(limit)
     for r in range(rows):
         row, d_row, log_of_row, common_of_row = scores[r], gradient[r], log_sum[r], common[r]
-        _draw(words, (head * rows + r) * len(words), seed)
+        _draw(words, (first + r) * len(words), seed)
         for c in range(columns):
             weight = _power_of_2(row[c] - log_of_row)
             kept = drawn[c] >= least
