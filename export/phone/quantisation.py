@@ -25,6 +25,9 @@ from groundwalk.runtime.bundle import onnx_session
 
 MAX_ERROR_RATIO = 1.05
 """of an int8 network's errors to fp32's, on held-out frames; beyond it int8 isn't shipped"""
+# Held-out frames are few, and others may lose more than they do: up to this ratio nothing is to be gained, and a larger
+# one weighs as much as this many times the time.
+_WANTED, _WORTH = 1.02, 1.1
 _FASTER = 0.95  # a group stays in float32 for less than this fraction of the time
 _TIMED_S, _MIN_RUNS, _MAX_RUNS = 2.0, 5, 60
 _PRODUCTS = "Gemm", "MatMul"
@@ -114,7 +117,8 @@ class _Trials:
     def _is_better(self, one: Measured, other: Measured) -> bool:
         fits, other_fits = (m.ratio(self.fp32) <= MAX_ERROR_RATIO for m in (one, other))
         if fits and other_fits:
-            return one.milliseconds < _FASTER * other.milliseconds
+            cost, other_cost = (m.milliseconds * (_WORTH if m.ratio(self.fp32) > _WANTED else 1) for m in (one, other))
+            return cost < _FASTER * other_cost
         return fits or (not other_fits and one.ratio(self.fp32) < other.ratio(self.fp32))
 
     def trial(self, in_float32: tuple[str, ...]) -> Measured:

@@ -221,6 +221,9 @@ def test_a_group_stays_in_float32_where_that_is_faster_or_more_accurate() -> Non
     wrong = Measured(5.0, 2.0, 1.0)
     table = {(): wrong, ("a",): wrong, ("b",): Measured(6.0, 1.04, 1.0)}
     assert Table(["a", "b"], table).search()[0] == ("b",)
+    # What is just accurate enough gives way to what is more so in about the same time.
+    just, more = Measured(5.0, 1.04, 1.0), Measured(5.1, 1.0, 1.0)
+    assert Table(["a", "b"], {(): just, ("a",): Measured(9.0, 1.0, 1.0), ("b",): more}).search()[0] == ("b",)
 
 
 @pytest.mark.parametrize(
