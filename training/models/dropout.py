@@ -83,8 +83,8 @@ class _Attention(torch.autograd.Function):
             for heads, weights in _parts(q, k, 1):
                 torch.bmm(q[heads], k[heads].mT, out=weights)
                 torch.amax(weights, -1, out=top[heads])
-                rows = (part[heads].view(-1).numpy() for part in (top, total))
-                _weigh(weights.flatten(0, 1).numpy(), *rows, seed, heads.start * q.shape[1], limit)
+                tops, totals = (part[heads].view(-1).numpy() for part in (top, total))
+                _weigh(weights.flatten(0, 1).numpy(), tops, totals, seed, heads.start * q.shape[1], limit)
                 torch.bmm(weights, v[heads], out=out[heads])
             out.mul_((_scale(probability) / total)[..., None])
         context.save_for_backward(q, k, v, out, top + total.log2())
@@ -101,9 +101,9 @@ class _Attention(torch.autograd.Function):
         for heads, weights, d_weights in _parts(q, k, 2):
             torch.bmm(q[heads], k[heads].mT, out=weights)
             torch.bmm(scaled[heads], v[heads].mT, out=d_weights)
-            matrices = (part.flatten(0, 1).numpy() for part in (weights, d_weights))
-            rows = (part[heads].view(-1).numpy() for part in (log_sum, common))
-            _weigh_gradient(*matrices, *rows, context.seed, heads.start * q.shape[1], limit)
+            scores, gradients = (part.flatten(0, 1).numpy() for part in (weights, d_weights))
+            logs, commons = (part[heads].view(-1).numpy() for part in (log_sum, common))
+            _weigh_gradient(scores, gradients, logs, commons, context.seed, heads.start * q.shape[1], limit)
             torch.bmm(d_weights, k[heads], out=dq[heads])
             torch.bmm(d_weights.mT, q[heads], out=dk[heads])
             torch.bmm(weights.mT, scaled[heads], out=dv[heads])
