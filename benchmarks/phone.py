@@ -113,21 +113,21 @@ def _of_bundle(regressor: TrainedRegressor, notes: list[str]) -> Iterator[Figure
                 yield Figure(model, network, f"{label}, p95", float(np.percentile(times, 95)), "ms")
             poses = np.array([answer.map_T_cam for answer in answers]), regressor.map_T_cam[rows]
             errors[network] = {"position": position_error(*poses), "rotation": rotation_error_deg(*poses)}
-            for name, unit in (("position", "m"), ("rotation", "deg")):
+            for part, unit in (("position", "m"), ("rotation", "deg")):
                 for kind, of in _KINDS.items():
-                    yield Figure(model, network, f"{kind} {name} error", float(of(errors[network][name])), unit)
+                    yield Figure(model, network, f"{kind} {part} error", float(of(errors[network][part])), unit)
     if "int8" in errors:
         yield from _ratios(model, errors["int8"], errors["fp32"])
 
 
 def _ratios(model: str, int8: dict[str, Array], fp32: dict[str, Array]) -> Iterator[Figure]:
     """int8's errors over fp32's, and between which bounds 95 % of resampled test frames have that."""
-    for name in int8:
-        drawn = np.random.default_rng(0).integers(0, len(int8[name]), (_RESAMPLED, len(int8[name])))
+    for part in int8:
+        drawn = np.random.default_rng(0).integers(0, len(int8[part]), (_RESAMPLED, len(int8[part])))
         for kind, of in _KINDS.items():
-            label = f"{kind} {name} error, int8 / fp32"
-            yield Figure(model, "int8", label, float(of(int8[name]) / of(fp32[name])), "", MAX_ERROR_RATIO)
-            resampled = of(int8[name][drawn], axis=1) / of(fp32[name][drawn], axis=1)
+            label = f"{kind} {part} error, int8 / fp32"
+            yield Figure(model, "int8", label, float(of(int8[part]) / of(fp32[part])), "", MAX_ERROR_RATIO)
+            resampled = of(int8[part][drawn], axis=1) / of(fp32[part][drawn], axis=1)
             for end, percent in (("least", 2.5), ("most", 97.5)):
                 yield Figure(model, "int8", f"{label}, {end}", float(np.percentile(resampled, percent)), "")
 
