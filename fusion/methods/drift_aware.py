@@ -71,7 +71,7 @@ class DriftAware(Localiser):
         self._error_map = error_map if o.error_map else None
         widened = np.sqrt(np.array([*[o.position_covariance_factor] * 3, o.yaw_covariance_factor]))
         self._widened = np.outer(widened, widened)
-        self._prior = Prior(side_turn_correlation(o.side_turn), o.side_turn_count, o.size_count)
+        self._prior = Prior(side_turn_correlation(o.side_turn), o.side_turn_count, o.size_count, o.axis_count)
         self._usual_sizes = np.repeat([radians(o.rotation_sd_deg), o.position_sd_m], 3)
         yaw_m, position, height = radians(o.drift_deg_m) ** 2, o.drift_m**2, o.drift_height_m**2
         self._drift_a_metre = np.array([position, height, position, yaw_m])
@@ -293,7 +293,7 @@ class DriftAware(Localiser):
         o = self.options
         tilt_sd, prior = radians(o.tilt_sd_deg), self._prior
         if self._shrinkage is not None:
-            prior = prior.for_covariances(self._shrinkage, o.size_count_stated)
+            prior = prior.for_covariances(self._shrinkage, o.size_count_stated, o.axis_count_stated)
         elif self._error_map is not None:
             prior = prior._replace(size_count=o.size_count_known)
         if self._quality.has_judged:
@@ -314,7 +314,8 @@ class DriftAware(Localiser):
     def _rival(self, fit: Fit) -> Rival | None:
         o = self.options
         count = o.evidence * counted(self._keyframes.column("along"), o.apart_m)
-        return best_rival(self._keyframes.rows, self._covariance, fit.squared, o.degrees_of_freedom, o.recent, count)
+        dof = o.rival_degrees_of_freedom
+        return best_rival(self._keyframes.rows, self._covariance, fit.squared, dof, o.recent, count)
 
     def _follow(self, rival: Rival) -> None:
         """Change to another alignment from some keyframe on."""

@@ -37,7 +37,14 @@ class DriftAwareOptions(OdometryOptions):
         description="assumed correlation of errors to the side with yaw errors, and of height with pitch",
     )
     side_turn_count: float = Field(20.0, gt=0, description="predictions that this correlation counts as")
-    degrees_of_freedom: float = Field(0.3, gt=0, description="of Student's t: how heavy the tails of errors are")
+    axis_count: float = Field(
+        10.0, ge=0, description="predictions that equal sizes of errors along the three axes count as"
+    )
+    axis_count_stated: float = Field(100.0, ge=0, description="the same where predictions bring good covariances")
+    degrees_of_freedom: float = Field(
+        3.0, gt=0, description="of Student's t: how heavy the tails of errors are, and how soon a wrong one is left out"
+    )
+    rival_degrees_of_freedom: float = Field(0.3, gt=0, description="the same, where alignments are compared")
     shared: float = Field(
         0.9, ge=0, lt=1, description="share of their errors' variance that predictions of one place have in common"
     )

@@ -38,10 +38,16 @@ def literal_fit(vio: Array, apr: Array, drift: Array, o: "DriftAwareOptions", tu
         parts = zip(share, weights, errors, spread, strict=True)
         scatter = sum(s * w * (np.outer(e, e) + v) for s, w, e, v in parts)
         scatter = (scatter + o.size_count * shape) / (o.size_count + share.sum())
-        sd = np.sqrt(np.diag(scatter))
+        variances = np.diag(scatter)
+        means = np.repeat(variances.reshape(2, 3).mean(axis=1), 3)
+        believed = o.axis_count / (o.axis_count + o.size_count + share.sum())
+        sd = np.sqrt((1 - believed) * variances + believed * means)
+        scatter = scatter * np.outer(sd, sd) / np.sqrt(np.outer(variances, variances))
         believed = o.side_turn_count / (o.side_turn_count + share.sum())
         covariance = (1 - believed) * scatter + believed * np.outer(sd, sd) * shape + 1e-6 * np.eye(6)
-        weights = [_weight(e, v, covariance, o) for e, v in zip(errors, spread, strict=True)]
+        weights = [
+            _weight(e, v, covariance, o) ** (o.degrees_of_freedom / 2) for e, v in zip(errors, spread, strict=True)
+        ]
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
         def residuals(

@@ -41,6 +41,15 @@ def test_costs_are_those_of_students_t() -> None:
         assert np.isclose(robust.weight(z, 6, 0.7), slope, rtol=1e-6)
 
 
+def test_the_bounded_kernel_is_barrons() -> None:
+    for dof in (1.0, 2.0, 3.0, 5.0):
+        # Slopes of Barron's cost of shape 2 - dof by half the square, over that at the usual length.
+        slopes = [(z / dof + 1) ** (-dof / 2) for z in (1.0, 6.0, 300.0)]
+        found = [robust.bounded(z, 6, dof) for z in (1.0, 6.0, 300.0)]
+        assert np.allclose(found, np.array(slopes) / slopes[1])
+    assert robust.bounded(50.0, 6, 2.0) == robust.weight(50.0, 6, 2.0)
+
+
 def test_middle_is_a_median() -> None:
     for count in (1, 2, 7, 50):
         values = np.random.default_rng(count).normal(size=count)
@@ -53,7 +62,7 @@ def test_scatter_finds_the_covariance_of_students_t() -> None:
     true = root @ root.T
     sample = multivariate_t(np.zeros(6), true, df=3).rvs(4000, random_state=2)
     found = np.eye(6)
-    prior = Prior(np.eye(6), 1e-6, 1e-6)
+    prior = Prior(np.eye(6), 1e-6, 1e-6, 0.0)
     for _ in range(100):
         squared = np.einsum("ni,ij,nj->n", sample, np.linalg.inv(found), sample)
         weights = np.array([robust.weight(z, 6, 3.0) for z in squared])
@@ -62,11 +71,22 @@ def test_scatter_finds_the_covariance_of_students_t() -> None:
 
 
 def test_with_few_predictions_the_shape_is_the_assumed_one_whatever_the_size() -> None:
-    prior = Prior(side_turn_correlation(0.6), 20.0, 0.3)
+    prior = Prior(side_turn_correlation(0.6), 20.0, 0.3, 10.0)
     one = scatter(prior, np.full((1, 6), 5.0), np.zeros((1, 6, 6)), np.ones(1), np.ones(1))
     sd = np.sqrt(np.diag(one))
     assert -0.6 < one[1, 3] / (sd[1] * sd[3]) < -0.5 and 0.6 < one[0, 4] / (sd[0] * sd[4]) < 0.7
     assert (sd > 3).all()
+
+
+def test_axes_are_as_large_as_their_mean_until_many_predictions_say_otherwise() -> None:
+    prior = Prior(side_turn_correlation(0.6), 20.0, 0.3, 10.0)
+    sizes = np.array([1.0, 4.0, 1.0, 0.2, 0.1, 0.2])
+    for count, bounds in ((3, (1.0, 1.5)), (3000, (3.8, 4.2))):
+        errors = np.random.default_rng(0).normal(size=(count, 6)) * sizes
+        found = scatter(prior, errors, np.zeros((count, 6, 6)), np.ones(count), np.ones(count))
+        sd = np.sqrt(np.diag(found))
+        assert bounds[0] < sd[1] / sd[0] < bounds[1]
+        assert np.linalg.eigvalsh(found)[0] > 0
 
 
 def test_whitening_normalises_what_a_covariance_says() -> None:
@@ -93,9 +113,9 @@ def test_a_covariance_is_shrunk_as_far_as_it_is_large_beside_odometrys_drift() -
     assert np.allclose(sizes[3:, 3:], stated.diagonal()[3:].mean() * np.eye(3))
     between = shrunk(stated, 0.5)
     assert np.allclose(between, (stated + sizes) / 2) and np.linalg.eigvalsh(between).min() > 0
-    prior = Prior(side_turn_correlation(0.6), 20.0, 0.3)
-    assert np.allclose(prior.for_covariances(0.0, 5.0).shape, np.eye(6))
-    assert np.allclose(prior.for_covariances(1.0, 5.0).shape, prior.shape)
+    prior = Prior(side_turn_correlation(0.6), 20.0, 0.3, 10.0)
+    assert np.allclose(prior.for_covariances(0.0, 5.0, 100.0).shape, np.eye(6))
+    assert np.allclose(prior.for_covariances(1.0, 5.0, 100.0).shape, prior.shape)
 
 
 def test_a_full_table_drops_what_is_densest_and_keeps_the_newest_and_the_way() -> None:

@@ -1,9 +1,8 @@
 """The alignment of odometry with the map from kept predictions: solved anew, robustly, with each new one.
 
-The estimate is the joint fit of alignment_chain.py to all keyframes, with what each prediction counts (Student's
-t, robust.py) and the covariance of their errors (prediction_noise.py) fitted along: a prediction that
-later ones contradict loses its say in hindsight. Each new prediction starts from the last solution, so that few
-iterations do.
+The estimate is the joint fit of alignment_chain.py to all keyframes, with what each prediction counts (robust.py) and
+the covariance of their errors (prediction_noise.py) fitted along: a prediction that later ones contradict loses its say
+in hindsight. Each new prediction starts from the last solution, so that few iterations do.
 """
 
 from math import inf, isnan, nan
@@ -60,7 +59,7 @@ class Fit(NamedTuple):
     """What an iteration gives beside the keyframes' states.
 
     covariance (6, 6): of normalised errors. squared (N,): each keyframe's squared error in its units. counted (N,):
-    what it says that others don't. weights (N,): what Student's t lets it count. alike (N, N): correlations of errors,
+    what it says that others don't. weights (N,): what the kernel lets it count. alike (N, N): correlations of errors,
     below the diagonal. information (N, 4, 4) and solution: the predictions' terms, and the step. tilt (2,) and its
     variance: odometry's gravity error.
     """
@@ -156,7 +155,7 @@ def _iterate(keyframes: Rows, model: Model, belief: Belief, newest: float) -> Fi
     for i in range(count):
         squared[i] = _expected(normalised[i], spread[i], precision)
         known_better = i == count - 1 and not isnan(newest)
-        weights[i] = robust.weight(newest if known_better else squared[i], DIMENSIONS, model.dof)
+        weights[i] = robust.bounded(newest if known_better else squared[i], DIMENSIONS, model.dof)
         fraction[i] *= each[i]
     information, gradient = _normal_equations(normalised, unknown, fraction, weights, precision)
     tilt, tilt_variance = _tilt(keyframes, normalised, fraction, weights, precision, belief.tilt, model.tilt_sd)
