@@ -10,9 +10,9 @@ from scipy.stats import chi2
 
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, transform
+from groundwalk.geometry.sift import Features
 from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.compact import Calibration
-from groundwalk.localisation.features import Features
 from groundwalk.localisation.query import MapLocaliser, with_lens
 from groundwalk.scoring.errors import normalised_squares, pose_error
 

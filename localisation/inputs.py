@@ -16,8 +16,8 @@ from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import camera_of, dataset_frames, poses_of, read_table
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
+from groundwalk.geometry.sift import Features
 from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
-from groundwalk.localisation.features import Features
 from groundwalk.localisation.frames import Views, subset
 from groundwalk.localisation.localiser_settings import StructureSettings
 from groundwalk.localisation.prepared import Training

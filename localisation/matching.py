@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.geometry.poses import Array
-from groundwalk.localisation.features import Features
+from groundwalk.geometry.sift import Features
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]

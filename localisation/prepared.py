@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
+from groundwalk.geometry.sift import Features
 from groundwalk.localisation.compact import Lens
 from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
-from groundwalk.localisation.features import Features
 from groundwalk.localisation.frames import Views
 from groundwalk.localisation.localiser_settings import StructureSettings
 from groundwalk.localisation.structure import Matches, Structure, matched_features, matches_of, structure_of

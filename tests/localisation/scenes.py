@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
-from groundwalk.localisation.features import Features
+from groundwalk.geometry.sift import Features
 from groundwalk.localisation.frames import Views
 from groundwalk.localisation.prepared import Training
 
