@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.files import written_aside
-from groundwalk.geometry.sift import Features
+from groundwalk.features.sift import Features
 
 
 def keep_features(path: Path, features: Features) -> None:

@@ -7,9 +7,9 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.sift import Features
 from groundwalk.localisation.compact import Lens
 from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
 from groundwalk.localisation.frames import Views

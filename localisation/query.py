@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from groundwalk.artefacts.choices import Refusal
+from groundwalk.features.sift import Features, sift
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, skew
-from groundwalk.geometry.sift import Features, sift
 from groundwalk.localisation.answers import Answer, Clock, of_another_size, refused, seen_by
 from groundwalk.localisation.compact import CompactMap, Lens, bytes_by_section, point_covariances, read_map, write_map
 from groundwalk.localisation.frames import row_times

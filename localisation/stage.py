@@ -17,8 +17,8 @@ from groundwalk.artefacts.parallel import in_parallel, one_thread
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import camera_of, pose_frame, poses_of
+from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.sift import Features
 from groundwalk.localisation.answers import Answer, read_answer, write_answer
 from groundwalk.localisation.build import MIN_POINTS
 from groundwalk.localisation.feature_kinds import FeatureKind

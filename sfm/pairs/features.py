@@ -11,7 +11,7 @@ import pycolmap
 from groundwalk.artefacts.child import Report
 from groundwalk.artefacts.cores import usable_cores
 from groundwalk.artefacts.images import read_image
-from groundwalk.geometry.sift import Features, even_sift
+from groundwalk.features.sift import Features, even_sift
 from groundwalk.sfm.database import image_id
 from groundwalk.sfm.pairs.networks import options_of_network
 from groundwalk.sfm.settings import SfmSettings

@@ -12,8 +12,8 @@ from known import there
 from scenes import LOGGED, Place, features, place, training, walk
 
 from groundwalk.artefacts import UserError
+from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.sift import Features
 from groundwalk.localisation.build import build_map
 from groundwalk.localisation.calibration import Trial, calibrated
 from groundwalk.localisation.compact import CompactMap, point_covariances, read_map, write_map

@@ -46,16 +46,16 @@ def even_sift(grey: NDArray[np.uint8], max_features: int, max_side: int, contras
     each cell of a grid, then the second of each, and so on."""
     small, scale = shrunk(grey, max_side)
     detector = cv2.SIFT.create(contrastThreshold=contrast, enable_precise_upscale=True)
-    found = detector.detect(small, None)
-    if not found:
+    candidates = detector.detect(small, None)
+    if not candidates:
         return _features([], scale, None)
-    cell = (cv2.KeyPoint.convert(found) * _CELLS // max(small.shape)).astype(np.int64) @ [_CELLS, 1]
-    response = np.array([k.response for k in found])
+    cell = (cv2.KeyPoint.convert(candidates) * _CELLS // max(small.shape)).astype(np.int64) @ [_CELLS, 1]
+    response = np.array([k.response for k in candidates])
     order = np.lexsort([-response, cell])
-    rank = np.empty(len(found), np.int64)
-    rank[order] = np.arange(len(found)) - np.searchsorted(cell[order], cell[order])
+    rank = np.empty(len(candidates), np.int64)
+    rank[order] = np.arange(len(candidates)) - np.searchsorted(cell[order], cell[order])
     kept = np.lexsort([-response, rank])[:max_features]
-    keypoints, rows = detector.compute(small, [found[i] for i in kept])
+    keypoints, rows = detector.compute(small, [candidates[i] for i in kept])
     return _features(keypoints, scale, rows)
 
 

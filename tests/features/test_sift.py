@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.geometry.sift import DESCRIPTOR_SIZE, even_sift, sift
+from groundwalk.features.sift import DESCRIPTOR_SIZE, even_sift, sift
 
 WIDTH, HEIGHT = 640, 480
 BLOBS = np.array([[120.5, 90.25], [420.0, 300.75], [533.25, 131.5], [240.75, 400.5]])
