@@ -129,10 +129,10 @@ def mapped(part: Part, database: Path, settings: SfmSettings, folder: Path) -> N
 
 
 def features(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object]]:
-    """SIFT's settings: more features, doubled images."""
+    """SIFT's settings: more features, larger images."""
     for max_features in (settings.max_features // 2, settings.max_features, 2 * settings.max_features):
-        for first_octave in (0, -1):
-            changed = settings.model_copy(update={"max_features": max_features, "first_octave": first_octave})
+        for max_image_size in (settings.max_image_size // 2, settings.max_image_size):
+            changed = settings.model_copy(update={"max_features": max_features, "max_image_size": max_image_size})
             database, extracting = part.features(changed)
             pairs = pairs_to_match(part, changed, database)
             start = time.process_time()
@@ -143,7 +143,7 @@ def features(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object]
                 [part.folder / "mapping" / m.folder for m in selected_models(read_built(part.folder / "mapping"))],
                 len(part.frames),
             )
-            row = {"max_features": max_features, "first_octave": first_octave, "features s": extracting}
+            row = {"max_features": max_features, "max_image_size": max_image_size, "features s": extracting}
             yield row | {"matching s": matching, **errors(model.sfm_T_cam, model.model, part.truth)}
 
 

@@ -1,6 +1,7 @@
 """Stock COLMAP on the images of an imported scene, as a process of its own: `python -m benchmarks.stock --help`.
 
-SIFT of our size and number in one pass, every pair matched, COLMAP's incremental mapping with its own options.
+Its own SIFT, as many features as we have, in images of 1600 px; every pair matched; incremental mapping with its own
+options.
 """
 
 import shutil
@@ -20,7 +21,6 @@ from groundwalk.artefacts.tables import read_table
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import Ints, create_database, image_id, image_name
 from groundwalk.sfm.model import load_models
-from groundwalk.sfm.pairs.features import extraction_options
 from groundwalk.sfm.settings import SfmSettings
 
 CameraChoice = Literal["captured", "opencv"]
@@ -29,6 +29,7 @@ MOST_EXHAUSTIVE = 600
 """Images up to which every pair is matched; 180,000 pairs take half an hour on two cores."""
 
 _SEQUENTIAL_OVERLAP = 10
+_MAX_IMAGE_SIZE = 1600
 
 app = new_app(__doc__ or "")
 
@@ -126,7 +127,11 @@ def main(
     else:
         create_shared_database(database, names, *session_cameras(frames))
 
-    extraction = extraction_options(sfm_settings.for_images(len(names)))
+    extraction = pycolmap.FeatureExtractionOptions()
+    extraction.use_gpu = False
+    extraction.max_image_size = _MAX_IMAGE_SIZE
+    extraction.sift.max_num_features = sfm_settings.max_features
+    extraction.sift.first_octave = 0
     mode = pycolmap.CameraMode.PER_IMAGE
     pycolmap.extract_features(
         database, images, names, camera_mode=mode, extraction_options=extraction, device=pycolmap.Device.cpu

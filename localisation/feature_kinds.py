@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.registry import Lazy
-from groundwalk.localisation.features import Features
+from groundwalk.features.sift import Features
 from groundwalk.localisation.matching import SIFT_RATIO
 
 Size = tuple[int, int]
@@ -32,7 +32,7 @@ class FeatureKind:
 SIFT = FeatureKind(
     "SIFT",
     SIFT_RATIO,
-    Lazy("groundwalk.localisation.features:extract"),
+    Lazy("groundwalk.features.sift:sift"),
     Lazy("groundwalk.localisation.matching:match_sift"),
 )
 XFEAT = FeatureKind(

@@ -12,12 +12,13 @@ import pycolmap
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.choices import Refusal
+from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.vlad import aggregate, k_means
 from groundwalk.localisation.answers import Answer, Clock, of_another_size, refused, seen_by
 from groundwalk.localisation.feature_kinds import Size
-from groundwalk.localisation.features import Features, unit
+from groundwalk.localisation.features import unit
 from groundwalk.localisation.localiser_settings import HLocSettings
 from groundwalk.localisation.prepared import Prepared, Track, untracked
 from groundwalk.localisation.query import with_lens

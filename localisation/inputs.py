@@ -14,10 +14,10 @@ from groundwalk.artefacts.motion import rates_by_vio
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import camera_of, dataset_frames, poses_of, read_table
+from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
-from groundwalk.localisation.features import Features
 from groundwalk.localisation.frames import Views, subset
 from groundwalk.localisation.localiser_settings import StructureSettings
 from groundwalk.localisation.prepared import Training

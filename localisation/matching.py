@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
-from groundwalk.localisation.features import Features
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]

@@ -7,11 +7,11 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.compact import Lens
 from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
-from groundwalk.localisation.features import Features
 from groundwalk.localisation.frames import Views
 from groundwalk.localisation.localiser_settings import StructureSettings
 from groundwalk.localisation.structure import Matches, Structure, matched_features, matches_of, structure_of

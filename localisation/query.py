@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from groundwalk.artefacts.choices import Refusal
+from groundwalk.features.sift import Features, sift
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.localisation.answers import Answer, Clock, of_another_size, refused, seen_by
 from groundwalk.localisation.compact import CompactMap, Lens, bytes_by_section, point_covariances, read_map, write_map
-from groundwalk.localisation.features import Features, extract
 from groundwalk.localisation.frames import row_times
 from groundwalk.localisation.pose import Fit, Observed, Priors, ransac, refine, upright_ransac
 
@@ -94,7 +94,7 @@ class MapLocaliser:
         for attempt in (_NEAR_PRIOR, _WHOLE) if prior is not None else (_WHOLE,):
             with clock.part("features"):
                 count, side = (round(part * of) for part, of in zip(attempt, self._extraction, strict=True))
-                features = extract(grey, count, side)
+                features = sift(grey, count, side)
             guess = prior if attempt == _NEAR_PRIOR else None
             answer = self.localise_features(features, camera, gravity, guess, seed=seed, clock=clock)
             if best is None or answer.map_T_cam is not None or best.map_T_cam is None:

@@ -17,11 +17,12 @@ from groundwalk.artefacts.parallel import in_parallel, one_thread
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import camera_of, pose_frame, poses_of
+from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.answers import Answer, read_answer, write_answer
 from groundwalk.localisation.build import MIN_POINTS
 from groundwalk.localisation.feature_kinds import FeatureKind
-from groundwalk.localisation.features import Features, keep_features, load_features
+from groundwalk.localisation.features import keep_features, load_features
 from groundwalk.localisation.inputs import grey, read_inputs, training_of
 from groundwalk.localisation.localisers import LOCALISERS, Localiser
 from groundwalk.localisation.prepared import Prepared, match, prepared_from

@@ -57,10 +57,9 @@ class SceneInput:
         return self.scratch / f"features{features_name(settings)}.db"
 
 
-def prepare_scene(r: StageRun[SfmSettings], frames: pd.DataFrame) -> SceneInput:
-    """The scene of import's frames with its images in one folder, and its lenses and readout times as estimated from
-    pairs of images."""
-    sessions = r.read("import", "sessions").set_index("session_id")
+def prepare_scene(r: StageRun[SfmSettings]) -> SceneInput:
+    """The scene with its images in one folder, and its lenses and readout times as estimated from pairs of images."""
+    frames, sessions = r.read("import", "frames"), r.read("import", "sessions").set_index("session_id")
     if len(frames) < MIN_FRAMES:
         raise UserError(
             "too few frames for a model",

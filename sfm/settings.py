@@ -14,8 +14,6 @@ LensSource = Literal["auto", "stated"]
 RetrievalName = Annotated[str, AfterValidator(RETRIEVALS.known)]
 SiftMatcherName = Literal["nearest", "lightglue"]
 
-_MOST_OF_FEW_IMAGES = 2048  # features per image, as far as scene_features gives them
-
 
 class SfmSettings(VioDriftSettings):
     """[sfm]"""
@@ -31,16 +29,10 @@ class SfmSettings(VioDriftSettings):
         "min_agreeing": "min_consistent_fraction",
     }
 
-    max_image_size: int = Field(1600, ge=64, description="longest side of images for features, px; larger ones shrink")
+    max_image_size: int = Field(1120, ge=64, description="longest side of images for features, px; larger ones shrink")
     max_features: int = Field(2048, gt=0, description="features per image")
-    scene_features: int = Field(
-        0,
-        ge=0,
-        description="features to have in all images together: with few images, each gets more than max_features, at "
-        "most 2048; 0: max_features alone",
-    )
-    first_octave: int = Field(
-        0, ge=-1, le=2, description="SIFT: -1 doubles the image first: more features, 2 to 4 times slower"
+    min_contrast: float = Field(
+        0.02, gt=0, lt=1, description="SIFT: contrast that a feature needs (OpenCV's contrastThreshold)"
     )
     features: FeatureName = Field("sift", description="sift, or aliked: a network's, matched by LightGlue")
     sift_matcher: SiftMatcherName = Field("nearest", description="SIFT: nearest descriptors, or lightglue: a network")
@@ -110,8 +102,3 @@ class SfmSettings(VioDriftSettings):
         2500, ge=0, description="larger models get no covariances (memory: 36 n² numbers)"
     )
     threads: int = Field(-1, ge=-1, description="threads for features; -1: all cores. Mapping has one, to repeat")
-
-    def for_images(self, images: int) -> "SfmSettings":
-        """The same with max_features as a scene of so many images has them."""
-        share = min(self.scene_features // max(images, 1), _MOST_OF_FEW_IMAGES)
-        return self.model_copy(update={"max_features": max(self.max_features, share)})

@@ -1,7 +1,6 @@
 """The sfm stage: import's frames in, COLMAP models over all sessions out, one where the images allow it."""
 
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -40,9 +39,7 @@ AdjustedModels = list[tuple[Adjusted, NDArray[np.int64]]]
 
 
 def run(r: StageRun[SfmSettings]) -> None:
-    frames = r.read("import", "frames")
-    r = replace(r, settings=r.settings.for_images(len(frames)))
-    scene = prepare_scene(r, frames)
+    scene = prepare_scene(r)
     attempts, best, made = _select_attempt(r, scene)
     selected, model = made.selected, made.model
     assert model is not None  # the selected attempt has one
@@ -140,7 +137,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=21,
+    version=22,
     settings=SfmSettings,
     needs=("import",),
     run=run,
@@ -149,7 +146,5 @@ STAGE = Stage(
     "all sessions, one where the images allow it, and their quality.",
     reads_images=lambda settings: True,
     # Keypoints, descriptors and matches, and the images without their lens.
-    space_bytes=lambda settings, frames: (
-        (32 << 20) + frames * (200_000 + 250 * settings.for_images(frames).max_features)
-    ),
+    space_bytes=lambda settings, frames: (32 << 20) + frames * (200_000 + 250 * settings.max_features),
 )

@@ -11,17 +11,18 @@ ROOT = Path(__file__).resolve().parents[1]
 # Which packages a package imports, beside itself. `groundwalk`, benchmarks and tests may import all of them.
 GRAPH: dict[str, set[str]] = {
     "geometry": set(),
+    "features": set(),
     "consistency": {"geometry"},
     "scoring": {"geometry"},
     "artefacts": {"consistency", "geometry"},
     "simulation": {"artefacts", "geometry"},
     "capture_import": {"artefacts", "geometry"},
-    "sfm": {"artefacts", "consistency", "geometry"},
+    "sfm": {"artefacts", "consistency", "features", "geometry"},
     "alignment": {"artefacts", "consistency", "geometry", "scoring"},
     "runtime": {"artefacts", "geometry"},
     "export": {"artefacts", "geometry", "runtime", "scoring", "training"},
     "training": {"artefacts", "geometry", "scoring"},
-    "localisation": {"artefacts", "geometry", "runtime", "scoring"},
+    "localisation": {"artefacts", "features", "geometry", "runtime", "scoring"},
     "fusion": {"artefacts", "geometry", "scoring"},
     "reports": {"artefacts", "geometry", "scoring"},
 }

@@ -37,7 +37,6 @@ frame_fraction = 0.02
 texel_m = 0.05
 [sfm]
 max_features = 1024
-first_octave = -1
 retrieval_pairs = 5
 [train]
 resize = 40

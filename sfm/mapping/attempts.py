@@ -94,8 +94,12 @@ def steps_of(settings: SfmSettings) -> list[Step]:
         "min_inliers": 2 * settings.min_inliers,
     }
     steps.append(Step(AttemptName.STRICTER_PAIRS, stricter, (AttemptOutcome.INCONSISTENT_WITH_VIO,)))
-    # A feature needs more pixels around it than there are in a small image: doubling it gives more.
-    steps.append(Step(AttemptName.MORE_FEATURES, {"max_features": 2 * settings.max_features, "first_octave": -1}))
+    finer = {
+        "max_features": 2 * settings.max_features,
+        "max_image_size": 2 * settings.max_image_size,
+        "min_contrast": settings.min_contrast / 2,
+    }
+    steps.append(Step(AttemptName.MORE_FEATURES, finer))
     others = (m for m in ("global", "incremental") if m != settings.mapper)
     steps += [Step(AttemptName.OTHER_MAPPER, {"mapper": mapper}) for mapper in others]
     if settings.mapper != "vio":

@@ -119,6 +119,8 @@ def pipeline_options(source: MappingInput) -> pycolmap.IncrementalPipelineOption
     options.ba_local_max_refinements = 1
     options.ba_local_max_num_iterations = 10
     options.mapper.init_max_error = _first_pair_px(source.database)
+    # People walk forward. A first pair still needs rays that meet at a wide enough angle.
+    options.mapper.init_max_forward_motion = 1.0
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
     options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
     # Lenses stay as they are given. Fisheye ones have coefficients above 1, which COLMAP takes for diverged; its global

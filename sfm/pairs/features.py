@@ -1,12 +1,18 @@
 """Features of all frames: SIFT, or ALIKED (Zhao et al., IEEE TIM 2023) where its network can be run."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pycolmap
 
 from groundwalk.artefacts.child import Report
+from groundwalk.artefacts.cores import usable_cores
+from groundwalk.artefacts.images import read_image
+from groundwalk.features.sift import Features, even_sift
+from groundwalk.sfm.database import image_id
 from groundwalk.sfm.pairs.networks import options_of_network
 from groundwalk.sfm.settings import SfmSettings
 
@@ -17,33 +23,52 @@ _CHUNKS = 12
 
 def features_name(settings: SfmSettings) -> str:
     """Settings with the same name have the same features."""
-    if settings.features == "aliked":
-        return f"_aliked_{settings.max_features}"
-    return f"{settings.first_octave}_{settings.max_features}"
+    contrast = "" if settings.features == "aliked" else f"_{settings.min_contrast:g}"
+    return f"_{settings.features}_{settings.max_image_size}_{settings.max_features}{contrast}"
 
 
 def extraction_options(settings: SfmSettings) -> pycolmap.FeatureExtractionOptions:
-    """COLMAP's options; UserError where they need a network that this COLMAP was built without."""
+    """COLMAP's options of ALIKED; UserError where this COLMAP was built without networks."""
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False
     options.num_threads = settings.threads
     options.max_image_size = settings.max_image_size
-    if settings.features == "aliked":
-        options.type = pycolmap.FeatureExtractorType.ALIKED_N16ROT
-        aliked = options_of_network(options, "aliked")
-        aliked.max_num_features = settings.max_features
-        aliked.n16rot_model_path = settings.aliked_model
-    else:
-        options.sift.max_num_features = settings.max_features
-        options.sift.first_octave = settings.first_octave
+    options.type = pycolmap.FeatureExtractorType.ALIKED_N16ROT
+    aliked = options_of_network(options, "aliked")
+    aliked.max_num_features = settings.max_features
+    aliked.n16rot_model_path = settings.aliked_model
     return options
 
 
 def extract_features(report: Report, database: Path, images: Path, names: Sequence[str], settings: SfmSettings) -> None:
-    """Extract features of the named images into the database; images that have theirs are skipped.
+    """Extract features of the named images, the database's rows in order, into it; images that have theirs are skipped.
 
     Images larger than max_image_size are shrunk first; keypoints are in pixels of the full image.
     """
+    if settings.features == "aliked":
+        _extract_aliked(report, database, images, names, settings)
+        return
+    cv2.setNumThreads(1)  # images are described side by side
+
+    def features_of(row: int) -> Features:
+        grey = cv2.cvtColor(read_image(images / names[row]), cv2.COLOR_RGB2GRAY)
+        return even_sift(
+            np.asarray(grey, np.uint8), settings.max_features, settings.max_image_size, settings.min_contrast
+        )
+
+    sift = pycolmap.FeatureExtractorType.SIFT
+    with pycolmap.Database.open(database) as opened:
+        rows = [row for row in range(len(names)) if not opened.exists_keypoints(image_id(row))]
+        with ThreadPoolExecutor(settings.threads if settings.threads > 0 else usable_cores()) as pool:
+            for row, features in zip(rows, pool.map(features_of, rows), strict=True):
+                with pycolmap.DatabaseTransaction(opened):
+                    opened.write_keypoints(image_id(row), features.px)
+                    described = pycolmap.FeatureDescriptors(data=features.descriptors, type=sift)
+                    opened.write_descriptors(image_id(row), described)
+                report(row + 1)
+
+
+def _extract_aliked(report: Report, database: Path, images: Path, names: Sequence[str], settings: SfmSettings) -> None:
     options = extraction_options(settings)
     # COLMAP reports no progress of extraction, so it gets some images at a time.
     size = int(np.clip(len(names) // _CHUNKS, *_CHUNK_SIZES))

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
-from groundwalk.localisation.features import Features
 from groundwalk.localisation.frames import Views
 from groundwalk.localisation.prepared import Training
 

@@ -12,11 +12,11 @@ from known import there
 from scenes import LOGGED, Place, features, place, training, walk
 
 from groundwalk.artefacts import UserError
+from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.build import build_map
 from groundwalk.localisation.calibration import Trial, calibrated
 from groundwalk.localisation.compact import CompactMap, point_covariances, read_map, write_map
-from groundwalk.localisation.features import Features
 from groundwalk.localisation.hloc import HLocLocaliser
 from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings, StructureSettings
 from groundwalk.localisation.map_file import read_sections, write_sections
@@ -198,7 +198,7 @@ def test_a_sure_answer_near_a_prior_is_of_a_small_image_and_others_of_the_whole(
         sizes.append(size)
         return seen
 
-    monkeypatch.setattr("groundwalk.localisation.query.extract", extract)
+    monkeypatch.setattr("groundwalk.localisation.query.sift", extract)
     picture = np.zeros((480, 640), np.uint8)
     assert localiser.localise(picture, LOGGED).map_T_cam is not None
     assert sizes == [(1536, 640)]

@@ -13,7 +13,7 @@ from groundwalk.sfm.pairs.features import extract_features
 from groundwalk.sfm.pairs.matching import match_pairs, verification_options
 from groundwalk.sfm.settings import SfmSettings
 
-SETTINGS = SfmSettings(first_octave=-1, max_features=400)
+SETTINGS = SfmSettings(max_features=400)
 SEED = 3
 
 

@@ -11,7 +11,7 @@ from textured_room import Room
 
 from groundwalk.artefacts import UserError, execute
 from groundwalk.sfm.database import create_database, image_id, read_descriptors
-from groundwalk.sfm.pairs.features import extract_features, extraction_options, features_name
+from groundwalk.sfm.pairs.features import extract_features, features_name
 from groundwalk.sfm.pairs.matching import match_pairs, matching_options
 from groundwalk.sfm.pairs.networks import require_model_files
 from groundwalk.sfm.pairs.retrieval import vlad
@@ -118,17 +118,11 @@ def test_aliked_and_lightglue_are_asked_for_with_their_files(tmp_path: Path, mon
     assert sift.sift.lightglue.model_path == "c.onnx"
 
 
-def test_sift_is_asked_for_as_ever() -> None:
-    options = extraction_options(SfmSettings(max_features=500, first_octave=-1))
-    assert options.type == pycolmap.FeatureExtractorType.SIFT
-    assert (options.sift.max_num_features, options.sift.first_octave) == (500, -1)
-    assert matching_options(SfmSettings()).type == pycolmap.FeatureMatcherType.SIFT_BRUTEFORCE
-
-
 def test_other_features_have_another_name() -> None:
     every = [
         SfmSettings(),
-        SfmSettings(first_octave=-1),
+        SfmSettings(min_contrast=0.01),
+        SfmSettings(max_image_size=700),
         SfmSettings(max_features=7),
         SfmSettings(features="aliked"),
         SfmSettings(features="aliked", max_features=7),

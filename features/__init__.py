@@ -1,0 +1,1 @@
+"""Local features of an image: used by sfm and localise."""
