@@ -5,6 +5,7 @@ first, as RootSIFT (Arandjelović and Zisserman, "Three things everyone should k
 2012) in bytes.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,7 +50,8 @@ def even_sift(grey: NDArray[np.uint8], max_features: int, max_side: int, contras
     candidates = detector.detect(small, None)
     if not candidates:
         return _features([], scale, None)
-    cell = (cv2.KeyPoint.convert(candidates) * _CELLS // max(small.shape)).astype(np.int64) @ [_CELLS, 1]
+    xy = np.array([k.pt for k in candidates])
+    cell = (xy * _CELLS // max(small.shape)).astype(np.int64) @ [_CELLS, 1]
     response = np.array([k.response for k in candidates])
     order = np.lexsort([-response, cell])
     rank = np.empty(len(candidates), np.int64)
@@ -59,14 +61,13 @@ def even_sift(grey: NDArray[np.uint8], max_features: int, max_side: int, contras
     return _features(keypoints, scale, rows)
 
 
-def _features(keypoints: list[cv2.KeyPoint], scale: NDArray[np.float64], sift_rows: NDArray[Any] | None) -> Features:
-    """Features of OpenCV's keypoints in a shrunk image and their descriptors (K, 128)."""
-    if not len(keypoints) or sift_rows is None:
-        nothing = np.zeros((0, 2), np.float32), np.zeros(0, np.float32)
-        return Features(*nothing, np.zeros((0, DESCRIPTOR_SIZE), np.uint8))
-    px = (np.array([k.pt for k in keypoints]) + 0.5) * scale
+def _features(keypoints: Sequence[cv2.KeyPoint], scale: NDArray[np.float64], rows: NDArray[Any] | None) -> Features:
+    """Features of OpenCV's keypoints in a shrunk image and their SIFT descriptors (K, 128)."""
+    if rows is None:
+        rows = np.zeros((0, DESCRIPTOR_SIZE))
+    px = (np.array([k.pt for k in keypoints]).reshape(-1, 2) + 0.5) * scale
     size = np.array([k.size for k in keypoints]) * scale.mean()
-    return Features(px.astype(np.float32), size.astype(np.float32), _root_sift(np.asarray(sift_rows, np.float32)))
+    return Features(px.astype(np.float32), size.astype(np.float32), _root_sift(np.asarray(rows, np.float32)))
 
 
 def shrunk(grey: NDArray[np.uint8], max_side: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
