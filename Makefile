@@ -10,6 +10,7 @@ web ?=
 seconds ?= 60
 nerfstudio ?=
 official ?=
+predictions ?=
 python ?= python3
 
 # What the user gives is text, never make's or the shell's language: it's read unexpanded, and recipes get it through the
@@ -22,7 +23,8 @@ override web := $(value web)
 override seconds := $(value seconds)
 override nerfstudio := $(value nerfstudio)
 override official := $(value official)
-export scene profile captures seconds nerfstudio official
+override predictions := $(value predictions)
+export scene profile captures seconds nerfstudio official predictions
 
 py := .venv/bin/python
 installed := .venv/.installed
@@ -137,6 +139,9 @@ bench-recovery: $(installed) ## How fusion methods bear what goes wrong in a wal
 bench-steps: $(installed) ## What a step of drift_aware costs over a walk of half an hour (docs/results)
 	@$(py) -m benchmarks.fusion_steps
 
+bench-fusion-bound: $(installed) ## What limits drift_aware; predictions=<folder>: published ones of real regressors (docs/results)
+	@$(py) -m benchmarks.fusion_bound $(if $(predictions),--predictions "$$predictions")
+
 bench-trained: $(installed) ## Train the regressors of bench-fusion's trained walks (build/trained); an hour and a half
 	@$(py) -m benchmarks.fusion_trained
 
@@ -180,4 +185,4 @@ help: ## This text
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
 .NOTPARALLEL:
-.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-fusion bench-recovery bench-steps bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
+.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-fusion bench-recovery bench-steps bench-fusion-bound bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help

@@ -1,0 +1,148 @@
+"""What limits `drift_aware` on real predictions: `python -m benchmarks.fusion_bound --predictions FOLDER`.
+
+Walks of published predictions of real regressors (benchmarks/real_predictions.py). The method as it is stands beside
+itself told of its regressor's true errors, and beside its offline form. Writes docs/results/fusion_bound.md.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from scipy.spatial.transform import Rotation
+
+from benchmarks.fusion_inputs import Case
+from benchmarks.real_predictions import DEVELOPMENT, real_cases
+from benchmarks.results import circumstances, markdown_table
+from groundwalk.artefacts.cli import new_app
+from groundwalk.artefacts.files import written_aside
+from groundwalk.artefacts.progress import track
+from groundwalk.fusion.evaluation.fuse import Run, fuse, pose_errors
+from groundwalk.fusion.methods.drift_aware import DriftAware
+from groundwalk.fusion.methods.drift_aware_options import DriftAwareOptions
+from groundwalk.fusion.methods.estimator import robust
+from groundwalk.fusion.methods.estimator.aligner import DIMENSIONS, Model
+from groundwalk.fusion.methods.estimator.prediction_noise import Prior
+from groundwalk.fusion.methods.mobilearloc import MobileARLoc
+from groundwalk.fusion.methods.smoother import Smoother
+from groundwalk.fusion.walk import Walk
+from groundwalk.geometry.poses import Array
+
+app = new_app(__doc__ or "")
+
+_DOF = DriftAwareOptions().degrees_of_freedom
+_CERTAIN = 1e9  # predictions that what is told counts as
+_EVEN = 1e-6  # degrees of freedom with which the kernel lets every prediction count the same
+
+
+class Told(DriftAware):
+    """`drift_aware` that is told the covariance (6, 6) of its regressor's errors, in camera axes, and doesn't learn it;
+    with `weights` also what the prediction at each time counts."""
+
+    def __init__(self, covariance: Array, weights: Mapping[int, float] | None = None) -> None:
+        super().__init__(DriftAwareOptions(degrees_of_freedom=_DOF if weights is None else _EVEN))
+        self._weights = weights
+        self._sd = self._usual_sizes = np.sqrt(covariance.diagonal())
+        self._prior = Prior(covariance / np.outer(self._sd, self._sd), _CERTAIN, _CERTAIN, 0.0)
+        self._forget()
+
+    def _take(self, t_ns: int, vio_T_cam: Array, map_T_cam_apr: Array) -> None:
+        if self._weights is not None:
+            self._usual_sizes = self._sd / np.sqrt(self._weights[t_ns])
+        super()._take(t_ns, vio_T_cam, map_T_cam_apr)
+
+    @property
+    def _model(self) -> Model:
+        return super()._model._replace(prior=self._prior)  # without the sizes that show beside odometry's quality
+
+
+def errors_of(walks: Sequence[Walk]) -> Array:
+    """The predictions' errors (N, 6): rotation (rad) before position (m), in the true cameras' axes."""
+    true, predicted = (np.concatenate([getattr(w, of) for w in walks]) for of in ("map_T_cam", "map_T_cam_apr"))
+    cam_R_map = true[:, :3, :3].swapaxes(1, 2)
+    turned = Rotation.from_matrix(cam_R_map @ predicted[:, :3, :3]).as_rotvec()
+    return np.hstack([turned, np.einsum("nij,nj->ni", cam_R_map, predicted[:, :3, 3] - true[:, :3, 3])])
+
+
+def squared(errors: Array, covariance: Array) -> Array:
+    """Squared lengths (N,) of errors (N, 6) in units of a covariance."""
+    return np.asarray(np.einsum("ni,in->n", errors, np.linalg.solve(covariance, errors.T)))
+
+
+def covariance_of(errors: Array) -> Array:
+    """The scatter matrix (6, 6) of errors (N, 6) about zero under Student's t, as the method learns it."""
+    covariance = np.diag((1.4826 * np.median(np.abs(errors), axis=0)) ** 2)
+    for _ in range(100):
+        weights = (_DOF + DIMENSIONS) / (_DOF + squared(errors, covariance))
+        covariance = (errors * weights[:, None]).T @ errors / len(errors)
+    return covariance
+
+
+def _other_sequences(case: Case, walk: Walk) -> Told:
+    sequence = walk.session_id.split("~")[0]
+    return Told(covariance_of(errors_of([w for w in case.walks if w.session_id.split("~")[0] != sequence])))
+
+
+def _weighed(case: Case, walk: Walk) -> Told:
+    covariance = covariance_of(errors_of(case.walks))
+    weights = [robust.bounded(z, DIMENSIONS, _DOF) for z in squared(errors_of([walk]), covariance)]
+    return Told(covariance, dict(zip(walk.t_ns.tolist(), weights, strict=True)))
+
+
+Make = Callable[[Case, Walk], DriftAware | MobileARLoc | Smoother]
+# What each row's method is told, and how it is made for a walk of a case.
+ROWS: dict[str, Make] = {
+    "1. `drift_aware` as it is": lambda case, walk: DriftAware(),
+    "2. told one covariance of this regressor's errors in this scene, in hindsight": lambda case, walk: Told(
+        covariance_of(errors_of(case.walks))
+    ),
+    "3. told the covariance of the errors in the scene's other sequences, as of an earlier walk": _other_sequences,
+    "4. `smoother`: told the rest of the walk": lambda case, walk: Smoother(),
+    "5. told 2's covariance, and what each prediction's true error lets it count": _weighed,
+}
+
+
+def mean_errors(case: Case, make: Make) -> Array:
+    """Mean position and rotation error (2,) over the answered frames of all walks."""
+    fused = [fuse(Run("", "", case.model), walk, make(case, walk)) for walk in case.walks]
+    errors = np.hstack([pose_errors(f.live_map_T_cam, f.walk.map_T_cam) for f in fused])
+    return np.asarray(np.nanmean(errors, axis=1))
+
+
+@app.command()
+def main(
+    predictions: Annotated[Path, typer.Option(help="Folder of published predictions.")],
+    out: Annotated[Path, typer.Option(help="Folder for fusion_bound.md.")] = Path("docs/results"),
+    seeds: Annotated[int, typer.Option(min=1, help="Draws of odometry's drift.")] = 3,
+) -> None:
+    """Run all rows, and write what came out."""
+    cases = real_cases(predictions, DEVELOPMENT, range(seeds))
+    rule = np.array([mean_errors(case, lambda case, walk: MobileARLoc()) for case in cases])
+    rows = [["", "position /rule", "worst position", "rotation /rule", "worst rotation"]]
+    for name in track(list(ROWS), "rows"):
+        ratio = np.array([mean_errors(case, ROWS[name]) for case in cases]) / rule
+        figures = zip(np.exp(np.log(ratio).mean(axis=0)), ratio.max(axis=0), strict=True)
+        rows.append([name, *(f"{value:.3f}" for pair in figures for value in pair)])
+    text = f"""# What limits drift_aware
+
+Written by `python -m benchmarks.fusion_bound`; not to be edited. Real predictions of published regressors
+(github.com/lck666666/HR-APR) in {", ".join(DEVELOPMENT)}; odometry is simulated from the true poses with
+the fitted drift, seeds 0 to {seeds - 1}. `/rule` is a mean error over the paper's rule's in the same scene with the
+same model, the geometric mean over {len(cases)} cases, and the worst.
+
+Rows 2, 3 and 5 are told of true errors and row 4 answers after the walk, so no causal method can have them. A
+covariance is of rotation and position together, in camera axes, under Student's t, and stays as it is told.
+
+{circumstances()}
+
+{markdown_table(rows)}
+"""
+    out.mkdir(parents=True, exist_ok=True)
+    with written_aside(out / "fusion_bound.md") as partial_file:
+        partial_file.write_text(text, encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    app()
