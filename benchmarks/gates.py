@@ -62,7 +62,7 @@ CLEAN = "clean"
 SHORT = "clean, scale within its bounds"
 NOTHING = "nothing"
 LENS = "stated distortion wrong"
-SFM_OF_SMALL = ["max_features=800", "sequence_pairs=3", "vio_pairs=4", "retrieval_pairs=4", "transitive_pairs=2"]
+SFM_OF_SMALL = ["max_features=1024", "sequence_pairs=3", "vio_pairs=4", "retrieval_pairs=4", "transitive_pairs=2"]
 # What keeps a corridor's look-alike stretches apart, switched off: every pair of frames is tried, and a model that
 # is inconsistent with VIO isn't attempted again, so that align's checks get it.
 _ALL_PAIRS = ["sequence_pairs=40", "vio_max_distance_m=1000", "vio_max_angle_deg=180", "vio_pairs=0", "retry=false"]
