@@ -52,3 +52,8 @@ def read_image(path: Path) -> Image:
         actual = "a file that isn't an image" if is_there else "no such file"
         raise UserError("an image can't be read", where=path, found=actual, do="import the capture again")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def read_grey_image(path: Path) -> Image:
+    """An image file in grey (H, W); as `read_image`."""
+    return np.asarray(cv2.cvtColor(read_image(path), cv2.COLOR_RGB2GRAY), np.uint8)

@@ -10,7 +10,6 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from scipy.spatial.transform import Rotation
 
 from benchmarks.fusion_inputs import Case
 from benchmarks.real_predictions import DEVELOPMENT, real_cases
@@ -28,6 +27,7 @@ from groundwalk.fusion.methods.mobilearloc import MobileARLoc
 from groundwalk.fusion.methods.smoother import Smoother
 from groundwalk.fusion.walk import Walk
 from groundwalk.geometry.poses import Array
+from groundwalk.scoring.errors import pose_error
 
 app = new_app(__doc__ or "")
 
@@ -60,9 +60,8 @@ class Told(DriftAware):
 def errors_of(walks: Sequence[Walk]) -> Array:
     """The predictions' errors (N, 6): rotation (rad) before position (m), in the true cameras' axes."""
     true, predicted = (np.concatenate([getattr(w, of) for w in walks]) for of in ("map_T_cam", "map_T_cam_apr"))
-    cam_R_map = true[:, :3, :3].swapaxes(1, 2)
-    turned = Rotation.from_matrix(cam_R_map @ predicted[:, :3, :3]).as_rotvec()
-    return np.hstack([turned, np.einsum("nij,nj->ni", cam_R_map, predicted[:, :3, 3] - true[:, :3, 3])])
+    parts = pose_error(predicted, true).reshape(-1, 2, 3)
+    return np.asarray((parts @ true[:, :3, :3]).reshape(-1, 6))
 
 
 def squared(errors: Array, covariance: Array) -> Array:

@@ -30,7 +30,7 @@ from benchmarks.results import machine, markdown_table
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.choices import Appearance
 from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.images import image_file
+from groundwalk.artefacts.images import image_file, read_grey_image
 from groundwalk.artefacts.parallel import one_thread
 from groundwalk.artefacts.stage import git_revision
 from groundwalk.export.regressor import TrainedRegressor
@@ -40,7 +40,7 @@ from groundwalk.localisation.build import build_map
 from groundwalk.localisation.compact import read_map, write_map
 from groundwalk.localisation.feature_kinds import ALIKED, SIFT, XFEAT
 from groundwalk.localisation.hloc import HLocLocaliser
-from groundwalk.localisation.inputs import Inputs, grey, read_features, read_inputs, training_of
+from groundwalk.localisation.inputs import Inputs, read_features, read_inputs, training_of
 from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings, StructureSettings
 from groundwalk.localisation.prepared import Training, prepare
 from groundwalk.localisation.query import MapLocaliser
@@ -226,7 +226,7 @@ def run_case(case: Case, built: Built, folder: Path) -> list[Figure]:
     files = {row: built.images[row] for row in query.tolist()}
     if case.light != Appearance.SAME:
         files = {row: folder / file.parent.name / file.name for row, file in files.items()}
-    pictures = {row: grey(file) for row, file in files.items()}
+    pictures = {row: read_grey_image(file) for row, file in files.items()}
     asked = [localiser.localise(picture, inputs.logged[row], gravity[row]) for row, picture in pictures.items()]
     without = [localiser.localise(picture, inputs.logged[row]) for row, picture in pictures.items()]
     baseline = [hloc.localise(picture, inputs.logged[row]) for row, picture in pictures.items()]
@@ -273,7 +273,7 @@ def _growth(built: Built, settings: Chosen) -> list[Figure]:
     rows = built.query[:: max(1, len(built.query) // _TIMED)].tolist()
     asked = [
         (
-            grey(built.images[row]),
+            read_grey_image(built.images[row]),
             inputs.logged[row],
             inputs.gravity[row] if np.isfinite(inputs.gravity[row]).all() else None,
         )

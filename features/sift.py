@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 DESCRIPTOR_SIZE = 128
-CONTRAST = 0.04
 _LENGTH = 512.0
 _CELLS = 12  # of features that lie evenly, along the longer side
 
@@ -42,7 +41,7 @@ def sift(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Features:
     return _features([keypoints[i] for i in order], scale, None if rows is None else np.asarray(rows)[order])
 
 
-def even_sift(grey: NDArray[np.uint8], max_features: int, max_side: int, contrast: float = CONTRAST) -> Features:
+def even_sift(grey: NDArray[np.uint8], max_features: int, max_side: int, contrast: float) -> Features:
     """As `sift`, of at least this contrast (OpenCV's contrastThreshold), but evenly over the image: the strongest of
     each cell of a grid, then the second of each, and so on."""
     small, scale = shrunk(grey, max_side)

@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.images import image_file, read_image
+from groundwalk.artefacts.images import image_file, read_grey_image
 from groundwalk.artefacts.motion import rates_by_vio
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.artefacts.schemas import schema
@@ -72,16 +71,11 @@ def read_features(
     return list(
         in_parallel(
             lambda name: kind.extract(
-                grey(image_file(name, captures, imported)), settings.max_features, settings.max_side
+                read_grey_image(image_file(name, captures, imported)), settings.max_features, settings.max_side
             ),
             inputs.frames["image"].iloc[rows],
         )
     )
-
-
-def grey(path: Path) -> NDArray[np.uint8]:
-    """An image file in grey, as the sensor has it; UserError where it can't be read."""
-    return np.asarray(cv2.cvtColor(read_image(path), cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def training_of(inputs: Inputs, rows: NDArray[np.int64], features: Sequence[Features]) -> Training:

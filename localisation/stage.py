@@ -13,6 +13,7 @@ import pandas as pd
 from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.cores import usable_cores
 from groundwalk.artefacts.files import written_aside
+from groundwalk.artefacts.images import read_grey_image
 from groundwalk.artefacts.parallel import in_parallel, one_thread
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.schemas import schema
@@ -23,7 +24,7 @@ from groundwalk.localisation.answers import Answer, read_answer, write_answer
 from groundwalk.localisation.build import MIN_POINTS
 from groundwalk.localisation.feature_kinds import FeatureKind
 from groundwalk.localisation.features import keep_features, load_features
-from groundwalk.localisation.inputs import grey, read_inputs, training_of
+from groundwalk.localisation.inputs import read_inputs, training_of
 from groundwalk.localisation.localisers import LOCALISERS, Localiser
 from groundwalk.localisation.prepared import Prepared, match, prepared_from
 from groundwalk.localisation.record import blueprint, record
@@ -115,7 +116,7 @@ def features_of(r: StageRun[LocaliseSettings], images: "pd.Series[str]", kind: F
     def kept(item: tuple[int, str]) -> Features:
         file = folder / f"{item[0]}.npz"
         if not file.exists():
-            grey_image = grey(r.image_path(item[1]))
+            grey_image = read_grey_image(r.image_path(item[1]))
             keep_features(file, kind.extract(grey_image, r.settings.max_features, r.settings.max_side))
         return load_features(file)
 
@@ -175,7 +176,7 @@ def answered(
             file = folder / f"{row}.npz"
             if not file.exists():
                 down = gravity[row] if np.isfinite(gravity[row]).all() else None
-                image, camera = grey(r.image_path(queries["image"].iloc[row])), camera_of(queries.iloc[row])
+                image, camera = read_grey_image(r.image_path(queries["image"].iloc[row])), camera_of(queries.iloc[row])
                 wall, cpu = time.perf_counter(), time.process_time()
                 answer = localiser.localise(image, camera, down, seed=r.seed)
                 cost_s = time.perf_counter() - wall, time.process_time() - cpu

@@ -25,9 +25,9 @@ from groundwalk.runtime.bundle import onnx_session
 
 MAX_ERROR_RATIO = 1.05
 """of an int8 network's errors to fp32's, on held-out frames; beyond it int8 isn't shipped"""
-# Held-out frames are few, and others may lose more than they do: up to this ratio nothing is to be gained, and a larger
-# one weighs as much as this many times the time.
-_WANTED, _WORTH = 1.02, 1.1
+# Held-out frames are few, and others may lose more than they do: of two networks below the limit, one above this ratio
+# is taken only where it is faster by more than this factor.
+_SAFE_ERROR_RATIO, _UNSAFE_TIME_FACTOR = 1.02, 1.1
 _FASTER = 0.95  # a group stays in float32 for less than this fraction of the time
 _TIMED_S, _MIN_RUNS, _MAX_RUNS = 2.0, 5, 60
 _PRODUCTS = "Gemm", "MatMul"
@@ -117,8 +117,11 @@ class _Trials:
     def _is_better(self, one: Measured, other: Measured) -> bool:
         fits, other_fits = (m.ratio(self.fp32) <= MAX_ERROR_RATIO for m in (one, other))
         if fits and other_fits:
-            cost, other_cost = (m.milliseconds * (_WORTH if m.ratio(self.fp32) > _WANTED else 1) for m in (one, other))
-            return cost < _FASTER * other_cost
+            time, other_time = (
+                m.milliseconds * (_UNSAFE_TIME_FACTOR if m.ratio(self.fp32) > _SAFE_ERROR_RATIO else 1)
+                for m in (one, other)
+            )
+            return time < _FASTER * other_time
         return fits or (not other_fits and one.ratio(self.fp32) < other.ratio(self.fp32))
 
     def trial(self, in_float32: tuple[str, ...]) -> Measured:

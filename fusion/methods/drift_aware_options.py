@@ -38,13 +38,19 @@ class DriftAwareOptions(OdometryOptions):
     )
     side_turn_count: float = Field(20.0, gt=0, description="predictions that this correlation counts as")
     axis_count: float = Field(
-        10.0, ge=0, description="predictions that equal sizes of errors along the three axes count as"
+        10.0, ge=0, description="weight, in predictions, of the prior that errors are as large along each axis"
     )
-    axis_count_stated: float = Field(100.0, ge=0, description="the same where predictions bring good covariances")
+    axis_count_stated: float = Field(
+        100.0,
+        ge=0,
+        description="weight, in predictions, of the prior that good stated covariances have one common factor",
+    )
     degrees_of_freedom: float = Field(
-        3.0, gt=0, description="of Student's t: how heavy the tails of errors are, and how soon a wrong one is left out"
+        3.0, gt=0, description="d of the fit's robust kernel, Barron's of shape 2 - d: larger ignores outliers sooner"
     )
-    rival_degrees_of_freedom: float = Field(0.3, gt=0, description="the same, where alignments are compared")
+    rival_degrees_of_freedom: float = Field(
+        0.3, gt=0, description="of Student's t by which rival alignments are compared: smaller has heavier tails"
+    )
     shared: float = Field(
         0.9, ge=0, lt=1, description="share of their errors' variance that predictions of one place have in common"
     )

@@ -1,16 +1,14 @@
 """Features of all frames: SIFT, or ALIKED (Zhao et al., IEEE TIM 2023) where its network can be run."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pycolmap
 
 from groundwalk.artefacts.child import Report
-from groundwalk.artefacts.cores import usable_cores
-from groundwalk.artefacts.images import read_image
+from groundwalk.artefacts.images import read_grey_image
+from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.features.sift import Features, even_sift
 from groundwalk.sfm.database import image_id
 from groundwalk.sfm.pairs.networks import options_of_network
@@ -48,24 +46,21 @@ def extract_features(report: Report, database: Path, images: Path, names: Sequen
     if settings.features == "aliked":
         _extract_aliked(report, database, images, names, settings)
         return
-    cv2.setNumThreads(1)  # images are described side by side
 
     def features_of(row: int) -> Features:
-        grey = cv2.cvtColor(read_image(images / names[row]), cv2.COLOR_RGB2GRAY)
-        return even_sift(
-            np.asarray(grey, np.uint8), settings.max_features, settings.max_image_size, settings.min_contrast
-        )
+        grey = read_grey_image(images / names[row])
+        return even_sift(grey, settings.max_features, settings.max_image_size, settings.min_contrast)
 
     sift = pycolmap.FeatureExtractorType.SIFT
     with pycolmap.Database.open(database) as opened:
         rows = [row for row in range(len(names)) if not opened.exists_keypoints(image_id(row))]
-        with ThreadPoolExecutor(settings.threads if settings.threads > 0 else usable_cores()) as pool:
-            for row, features in zip(rows, pool.map(features_of, rows), strict=True):
-                with pycolmap.DatabaseTransaction(opened):
-                    opened.write_keypoints(image_id(row), features.px)
-                    described = pycolmap.FeatureDescriptors(data=features.descriptors, type=sift)
-                    opened.write_descriptors(image_id(row), described)
-                report(row + 1)
+        described = in_parallel(features_of, rows, settings.threads if settings.threads > 0 else None)
+        for row, features in zip(rows, described, strict=True):
+            with pycolmap.DatabaseTransaction(opened):
+                opened.write_keypoints(image_id(row), features.px)
+                descriptors = pycolmap.FeatureDescriptors(data=features.descriptors, type=sift)
+                opened.write_descriptors(image_id(row), descriptors)
+            report(row + 1)
 
 
 def _extract_aliked(report: Report, database: Path, images: Path, names: Sequence[str], settings: SfmSettings) -> None:

@@ -28,7 +28,7 @@ def half_textured() -> NDArray[np.uint8]:
 
 def test_the_first_pixel_s_centre_is_at_a_half() -> None:
     for factor in (1.0, 2.5):  # at 2.5 the image is shrunk first
-        px = even_sift(blobs(factor), 100, WIDTH).px / factor
+        px = even_sift(blobs(factor), 100, WIDTH, 0.04).px / factor
         distance = np.linalg.norm(px[:, None] - BLOBS, axis=2).min(axis=0)
         assert (distance < 0.1).all()
 
@@ -43,13 +43,13 @@ def test_even_features_reach_where_texture_is_faint() -> None:
 
 
 def test_descriptors_have_one_length() -> None:
-    features = even_sift(half_textured(), 200, WIDTH)
+    features = even_sift(half_textured(), 200, WIDTH, 0.04)
     assert features.descriptors.dtype == np.uint8
     np.testing.assert_allclose(np.linalg.norm(features.descriptors.astype(float), axis=1), 512, rtol=0.02)
 
 
 def test_a_blank_image_has_no_features() -> None:
     blank = np.full((HEIGHT, WIDTH), 128, np.uint8)
-    for features in (sift(blank, 100, WIDTH), even_sift(blank, 100, WIDTH)):
+    for features in (sift(blank, 100, WIDTH), even_sift(blank, 100, WIDTH, 0.04)):
         assert features.px.shape == (0, 2)
         assert features.descriptors.shape == (0, DESCRIPTOR_SIZE)

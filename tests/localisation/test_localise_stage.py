@@ -124,9 +124,10 @@ def test_a_killed_run_resumes_and_ends_in_the_same_tables(
         calls.append(more)
         return localise(self, *arguments, **more)
 
-    monkeypatch.setattr(MapLocaliser, "localise", counted)
-    monkeypatch.setattr("groundwalk.localisation.build.build_map", None)  # the map is there
-    assert run(made)["resumed"]
+    with monkeypatch.context() as patched:
+        patched.setattr(MapLocaliser, "localise", counted)
+        patched.setattr("groundwalk.localisation.build.build_map", None)  # the map is there
+        assert run(made)["resumed"]
     assert len(calls) == int((TEST | VAL).sum()) - 2
     run(boards)
     assert made.map_bytes() == boards.map_bytes()

@@ -118,6 +118,10 @@ def test_aliked_and_lightglue_are_asked_for_with_their_files(tmp_path: Path, mon
     assert sift.sift.lightglue.model_path == "c.onnx"
 
 
+def test_sift_is_matched_by_brute_force() -> None:
+    assert matching_options(SfmSettings()).type == pycolmap.FeatureMatcherType.SIFT_BRUTEFORCE
+
+
 def test_other_features_have_another_name() -> None:
     every = [
         SfmSettings(),

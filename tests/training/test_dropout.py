@@ -56,7 +56,7 @@ def test_attention_has_the_values_and_gradients_of_what_it_computes() -> None:
         assert torch.allclose(one.grad, other.grad, atol=1e-5)
 
 
-def test_attention_bears_scores_far_apart_and_shows_what_is_no_number() -> None:
+def test_attention_of_scores_far_apart_is_finite_and_of_nan_is_nan() -> None:
     q, k, v = torch.tensor([[3e3], [-3e3], [float("nan")]]), torch.tensor([[1.0], [-1.0]]), torch.tensor([[2.0], [5.0]])
     answer = attention(q[None], k[None], v[None], 1e-6)[0, :, 0]
     assert answer[:2].tolist() == [2, 5] and answer[2].isnan()

@@ -10,14 +10,15 @@ which takes a product less than powers of e, and are normalised after they are s
 """
 
 import math
-from collections.abc import Callable, Iterator
-from typing import Any, TypeVar
+from collections.abc import Iterator
+from typing import Any
 
-import numba
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+
+from groundwalk.artefacts.compiled import Function, compiled_and_kept
 
 _LEVELS = 256
 _CACHED = 1 << 18  # numbers: a megabyte
@@ -25,16 +26,10 @@ _CACHED = 1 << 18  # numbers: a megabyte
 _SERIES = tuple(np.float32(math.log(2) ** n / math.factorial(n)) for n in range(7))
 # What lets a loop over numbers become one over vectors; infinities and what is no number stay as they are.
 _FASTMATH = {"contract", "reassoc", "nsz"}
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def _compiled(function: Function) -> Function:
-    njit: Any = numba.njit  # its stubs lack options
-    try:
-        compiled: Function = njit(cache=True, fastmath=_FASTMATH)(function)
-    except RuntimeError:  # there is no folder to keep the code in
-        compiled = njit(fastmath=_FASTMATH)(function)
-    return compiled
+    return compiled_and_kept(function, fastmath=_FASTMATH)
 
 
 class Dropout(nn.Dropout):
@@ -155,7 +150,7 @@ def _draw(words: NDArray[np.uint32], first: int, seed: int) -> None:
 
 @_compiled
 def _power_of_2(x: np.float32) -> np.float32:
-    """Of numbers to about 100; under 2 ** -126 that."""
+    """2 ** x for x up to about 100; never less than 2 ** -126."""
     x = max(x, np.float32(-126))
     whole = np.floor(x + np.float32(0.5))
     part = x - whole

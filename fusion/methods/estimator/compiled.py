@@ -5,13 +5,10 @@ of calls. Compiled functions work on plain numbers and arrays, and call each oth
 times as fast as numpy's functions and expressions do, so these are hardly used in them."""
 
 import hashlib
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-import numba
-
-Function = TypeVar("Function", bound=Callable[..., Any])
+from groundwalk.artefacts.compiled import Function, compiled_and_kept, njit
 
 
 def _stamp() -> str:
@@ -20,20 +17,11 @@ def _stamp() -> str:
 
 
 _STAMP = _stamp()
-njit: Any = numba.njit  # its stubs lack options
 
 
 def compiled(function: Function) -> Function:
-    """The function, compiled at its first call. The code is kept beside the module, or in the user's cache folder
-    where that can't be written; without either, each process compiles it anew."""
-    try:
-        dispatcher: Any = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True)(function)
-        # numba takes kept code for current while the function's own file is; it holds functions of other files, too.
-        dispatcher._cache._cache_file._source_stamp = _STAMP
-    except RuntimeError:  # there is no folder
-        dispatcher = njit(error_model="numpy", no_cfunc_wrapper=True)(function)
-    typed: Function = dispatcher
-    return typed
+    """The function, compiled at its first call, and kept while no source of the estimator changes."""
+    return compiled_and_kept(function, _STAMP, error_model="numpy", no_cfunc_wrapper=True)
 
 
 def inlined(function: Function) -> Function:
