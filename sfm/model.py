@@ -148,6 +148,12 @@ def load_models(folders: Sequence[Path], frames: int) -> Model:
     )
 
 
+def pose_of(image: pycolmap.Image) -> Array:
+    """sfm_T_cam (4, 4) of a registered image."""
+    cam_T_sfm = image.cam_from_world().matrix()
+    return inverse(make_pose(cam_T_sfm[:, :3], cam_T_sfm[:, 3]))
+
+
 def _load(folder: Path, number: int, frames: int) -> Model:
     reconstruction = pycolmap.Reconstruction(folder)
     points = reconstruction.points3D
@@ -163,7 +169,7 @@ def _load(folder: Path, number: int, frames: int) -> Model:
         if not image.has_pose:
             continue
         cam_T_sfm = image.cam_from_world().matrix()
-        sfm_T_cam[row] = inverse(make_pose(cam_T_sfm[:, :3], cam_T_sfm[:, 3]))
+        sfm_T_cam[row] = pose_of(image)
         observed = image.get_observation_points2D()
         index = np.searchsorted(point_ids, [p.point3D_id for p in observed])
         in_camera = xyz[index] @ cam_T_sfm[:, :3].T + cam_T_sfm[:, 3]

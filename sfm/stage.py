@@ -137,7 +137,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=22,
+    version=23,
     settings=SfmSettings,
     needs=("import",),
     run=run,

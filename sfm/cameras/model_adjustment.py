@@ -11,7 +11,7 @@ from scipy.linalg import LinAlgError
 
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.lens import k1_k2_of_k3
-from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.geometry.poses import Array, inverse
 from groundwalk.sfm.cameras.adjustment import (
     Adjusted,
     Bundle,
@@ -26,6 +26,7 @@ from groundwalk.sfm.cameras.adjustment import (
 from groundwalk.sfm.cameras.calibration import Calibration, Lens, lines_of, prior_lenses
 from groundwalk.sfm.cameras.motion import Motion, motion_by_vio
 from groundwalk.sfm.database import Ints, image_id
+from groundwalk.sfm.model import pose_of
 from groundwalk.sfm.settings import SfmSettings
 
 # Shorter steps of VIO say too little of the length of an sfm unit.
@@ -189,8 +190,7 @@ def _bundle_of(model: pycolmap.Reconstruction, keypoints: list[Array]) -> tuple[
     poses, frame, point, feature, observed_px = [], [], [], [], []
     for number, row in enumerate(rows.tolist()):
         image = model.image(image_id(row))
-        cam_T_sfm = image.cam_from_world().matrix()
-        poses.append(inverse(make_pose(cam_T_sfm[:, :3], cam_T_sfm[:, 3])))
+        poses.append(pose_of(image))
         features = np.asarray(image.get_observation_point2D_idxs(), np.int64)
         frame.append(np.full(len(features), number))
         ids = [p.point3D_id for p in image.get_observation_points2D()]

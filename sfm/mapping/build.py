@@ -11,14 +11,22 @@ import pycolmap
 from scipy.linalg import LinAlgError
 
 from groundwalk.artefacts.child import Report
-from groundwalk.sfm.cameras.model_adjustment import CameraLog, adjust_model, save_adjusted, with_lenses_of
+from groundwalk.sfm.cameras.model_adjustment import (
+    CameraLog,
+    adjust_model,
+    cameras_of_frames,
+    save_adjusted,
+    with_lenses_of,
+)
 from groundwalk.sfm.database import read_keypoints
 from groundwalk.sfm.extensions import MAPPERS
-from groundwalk.sfm.mapping.mappers import MappingInput, continued
-from groundwalk.sfm.mapping.source import VerifiedPairs, write_mapping_input
+from groundwalk.sfm.mapping.mappers import MIN_MODEL_FRAMES, MappingInput, continued, explained_px
+from groundwalk.sfm.mapping.misplaced import MatchCheck
+from groundwalk.sfm.mapping.source import VerifiedPairs, read_matches, write_mapping_input
 from groundwalk.sfm.settings import SfmSettings
 
 _CONTINUED_MIN_INLIERS = 15
+_MAX_CONTINUED = 2
 _BUILT = "built.json"
 
 
@@ -54,8 +62,9 @@ def build_models(
 ) -> None:
     """Map verified pairs; `output` then holds what `read_built` reads and the folders that it names.
 
-    Where the largest of the models lacks images, a second mapping continues from it with fewer inliers needed to
-    register one. The largest of all is selected, and of the others those that have `min_component_frames` or more
+    Frames whose verified matches deny their poses are taken out (module `misplaced`). Where the largest of the models
+    lacks images, a second mapping continues from it with fewer inliers needed to register one, and a third one where
+    that found some. The largest of all is selected, and of the others those that have `min_component_frames` or more
     frames that no larger one has; a frame stays in the largest that has it. Each is adjusted once more as a whole, with
     the cameras of phones and robustly: a few per cent of wrong observations would otherwise weigh more than all right
     ones. One that its images don't determine isn't selected. The largest comes first, and its lenses are the prior of
@@ -64,7 +73,7 @@ def build_models(
     write_mapping_input(verified, source.database, settings.held_out_fraction, source.seed)
     work = output.with_name(output.name + ".partial")
     shutil.rmtree(work, ignore_errors=True)
-    built = _map(report, source, settings, work)
+    built = _map(report, source, log, settings, work)
     keypoints = read_keypoints(verified.features, len(verified.frames))
     assigned: set[int] = set()
     names = _folder_names()
@@ -94,10 +103,10 @@ def build_models(
     work.rename(output)
 
 
-def _map(report: Report, source: MappingInput, settings: SfmSettings, work: Path) -> list[Built]:
-    """All models of the mapper and, where the largest lacks images, of continuing from it."""
-    with pycolmap.Database.open(source.database) as opened:
-        images = opened.num_images()
+def _map(report: Report, source: MappingInput, log: CameraLog, settings: SfmSettings, work: Path) -> list[Built]:
+    """All models of the mapper and, where the largest lacks images, of continuing from it; without misplaced frames."""
+    images = len(log.t_s)
+    check = MatchCheck(read_matches(source.database), cameras_of_frames(log, []), explained_px(source.database))
     registered = 0
 
     def report_one() -> None:
@@ -107,10 +116,18 @@ def _map(report: Report, source: MappingInput, settings: SfmSettings, work: Path
 
     mapper = settings.mapper
     with MAPPERS.guard(mapper):
-        built = _described(mapper, MAPPERS.find(mapper).run(source, _new_folder(work / mapper), report_one))
-    if built and (largest := max(built, key=_size)[1]).num_reg_images() < images:
-        more = continued(source, largest, _CONTINUED_MIN_INLIERS, _new_folder(work / "continued"), report_one)
-        built += _described("continued", more)
+        models = MAPPERS.find(mapper).run(source, _new_folder(work / mapper), report_one)
+    built = _described(mapper, models, check)
+    for number in range(_MAX_CONTINUED):
+        largest = max(built, key=_size, default=None)
+        if largest is None or largest[0].images == images:
+            break
+        folder = _new_folder(work / f"continued_{number}")
+        models = continued(source, largest[1], _CONTINUED_MIN_INLIERS, folder, report_one)
+        more = _described("continued", models, check, number)
+        built += more
+        if max(map(_size, more), default=(0, 0)) <= _size(largest):
+            break
     return built
 
 
@@ -138,8 +155,17 @@ def _size(built: Built) -> tuple[int, int]:
     return built[0].images, built[0].observations
 
 
-def _described(mapping: str, models: list[pycolmap.Reconstruction]) -> list[Built]:
-    return [(_describe(mapping, number, model), model) for number, model in enumerate(models)]
+def _described(
+    mapping: str, models: list[pycolmap.Reconstruction], check: MatchCheck, first_number: int = 0
+) -> list[Built]:
+    """The models, without misplaced frames, that still have frames enough."""
+    described = []
+    for number, model in enumerate(models, first_number):
+        if misplaced := check.deregister_misplaced(model):  # into the log
+            print(f"{mapping}/{number}: {misplaced} frames deregistered, as their verified matches deny their poses")
+        if model.num_reg_images() >= MIN_MODEL_FRAMES:
+            described.append((_describe(mapping, number, model), model))
+    return described
 
 
 def _describe(mapping: str, number: int, model: pycolmap.Reconstruction) -> BuiltModel:

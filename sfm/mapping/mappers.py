@@ -14,7 +14,7 @@ from groundwalk.sfm.mapping.from_vio import map_from_vio
 
 MIN_MODEL_FRAMES = 3
 _LEAF_IMAGES = 200
-_FIRST_PAIR_FRACTION = 0.001  # of an image's longer side
+_EXPLAINED_FRACTION = 0.001  # of an image's longer side
 _ANY_COEFFICIENT = 1e9
 
 
@@ -118,7 +118,7 @@ def pipeline_options(source: MappingInput) -> pycolmap.IncrementalPipelineOption
     options.ba_global_max_num_iterations = 2
     options.ba_local_max_refinements = 1
     options.ba_local_max_num_iterations = 10
-    options.mapper.init_max_error = _first_pair_px(source.database)
+    options.mapper.init_max_error = explained_px(source.database)
     # People walk forward. A first pair still needs rays that meet at a wide enough angle.
     options.mapper.init_max_forward_motion = 1.0
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
@@ -129,15 +129,15 @@ def pipeline_options(source: MappingInput) -> pycolmap.IncrementalPipelineOption
     return options
 
 
-def _first_pair_px(database: Path) -> float:
-    """What a match of the first pair may be off by, in pixels.
+def explained_px(database: Path) -> float:
+    """What a match may be off by, in pixels, that the poses of its frames explain; the first pair's, too.
 
     Two poses explain the matches of a facade within COLMAP's 4 px, and of these RANSAC takes either: a model that
     begins with the wrong one folds, however good all other matches are. Within a pixel one of them remains.
     """
     with pycolmap.Database.open(database) as opened:
         longest = max(max(camera.width, camera.height) for camera in opened.read_all_cameras())
-    return max(1.0, _FIRST_PAIR_FRACTION * longest)
+    return max(1.0, _EXPLAINED_FRACTION * longest)
 
 
 def _listed(models: dict[int, pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:

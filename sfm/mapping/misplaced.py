@@ -1,0 +1,71 @@
+"""Frames that a mapper put in a wrong place, by their own verified matches.
+
+Incremental mapping can register a few frames that look at one spot by points that those frames triangulated wrongly
+among themselves. The reprojection error stays low: matches with other frames, which deny their poses, are left out as
+outliers. They are verified matches all the same, and here they count: a pair is violated where the poses explain less
+than half of its matches.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import pycolmap
+
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.cameras.adjustment import Cameras
+from groundwalk.sfm.database import Ints, image_id
+from groundwalk.sfm.mapping.source import Matches, held_out_check
+from groundwalk.sfm.model import pose_of
+
+_MAX_VIOLATED = 0.3  # of a frame's matches, those in violated pairs
+_TYPICAL_ERRORS = 4.0  # in medians of the pairs' errors
+
+
+@dataclass(frozen=True)
+class MatchCheck:
+    """What a model's frames are held against: matches of all N frames, their cameras, and the Sampson distance (px)
+    up to which poses explain a match."""
+
+    matches: Matches
+    cameras: Cameras
+    explained_px: float
+
+    def deregister_misplaced(self, model: pycolmap.Reconstruction) -> int:
+        """Deregister the misplaced frames of a model; how many there were."""
+        frames = len(self.cameras.t_s)
+        sfm_T_cam, model_N = np.full((frames, 4, 4), np.nan), np.full(frames, -1)
+        for number in model.reg_image_ids():
+            sfm_T_cam[number - 1], model_N[number - 1] = pose_of(model.image(number)), 0
+        check = held_out_check(self.matches, self.cameras, sfm_T_cam, model_N)
+        rows = misplaced(check.frames, check.error_px, self.explained_px)
+        for row in rows:
+            frame = model.image(image_id(row)).frame
+            assert frame is not None
+            model.deregister_frame(frame.frame_id)
+        return len(rows)
+
+
+def misplaced(frames_M2: Ints, error_px_M: Array, explained_px: float) -> list[int]:
+    """Rows of frames of which too large a fraction of the matches are in violated pairs, from the frames (M, 2) and
+    Sampson distances (M,; px, NaN for none) of matches. The worst goes first, as it violates the pairs of others.
+
+    Where all cameras are off, by a wrong focal length, say, no frame stands out: the limit grows with the errors.
+    """
+    known = np.isfinite(error_px_M)
+    matches = pd.DataFrame({"a": frames_M2[known, 0], "b": frames_M2[known, 1], "error": error_px_M[known]})
+    pairs = matches.groupby(["a", "b"])["error"].agg(["median", "count"]).reset_index()
+    a, b, count = (pairs[name].to_numpy() for name in ("a", "b", "count"))
+    limit_px = max(explained_px, _TYPICAL_ERRORS * pairs["median"].median()) if len(pairs) else explained_px
+    violated = np.where(pairs["median"] > limit_px, count, 0)
+    rows: list[int] = []
+    kept = np.ones(len(pairs), bool)
+    while kept.any():
+        ends = np.concatenate([a[kept], b[kept]])
+        of_frame = np.bincount(ends, np.tile(violated[kept], 2)) / np.bincount(ends, np.tile(count[kept], 2)).clip(1)
+        worst = int(of_frame.argmax())
+        if of_frame[worst] <= _MAX_VIOLATED:
+            break
+        rows.append(worst)
+        kept &= (a != worst) & (b != worst)
+    return rows
