@@ -226,12 +226,12 @@ class LiteSettings(RegressorSettings):
 
 
 class MSTransformerLiteSettings(LiteSettings):
-    """The same with MS-T's transformers on two of the backbone's maps."""
+    """The same with MS-T's decoders on two of the backbone's maps."""
 
-    epochs: int = Field(10, gt=0, description="passes over the training frames and their copies")
+    epochs: int = Field(30, gt=0, description="passes over the training frames and their copies")
     batch: int = Field(64, gt=1, description="images a step")
-    learning_rate: float = Field(1e-3, gt=0, description="Adam's learning rate after warming up")
-    warmup_epochs: float = Field(1, ge=0, description="epochs over which the learning rate rises from zero")
-    dropout: float = Field(0.1, ge=0, lt=1, description="share of the head's features left out in training")
-    encoder_layers: int = Field(1, gt=0, description="encoder layers of each transformer")
+    warmup_epochs: float = Field(3, ge=0, description="epochs over which the learning rate rises from zero")
+    attention_dropout: float = Field(
+        0.5, ge=0, lt=1, description="share of a training step's images that are answered without attention to maps"
+    )
     decoder_layers: int = Field(1, gt=0, description="decoder layers of each transformer")

@@ -424,7 +424,7 @@ def describe(job: Job) -> str:
 
 STAGE = Stage(
     name="train",
-    version=12,
+    version=13,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,

@@ -282,11 +282,10 @@ def test_the_stage_trains_on_twelve_frames(make_scene: Callable[..., Path], name
     assert "efficientnet-lite0" in card["weights"][0]
 
 
-@pytest.mark.slow
-def test_the_transformer_holds_several_scenes() -> None:
+def two_scenes() -> tuple[MSTransformerLite, tuple[torch.Tensor, ...], PoseBatch]:
+    """MST-Lite before training, and the features and poses of three images of each scene."""
     torch.manual_seed(0)
-    settings = MSTransformerLiteSettings(width=16, components=4)
-    model = MSTransformerLite(2, settings)
+    model = MSTransformerLite(2, MSTransformerLiteSettings(width=64, components=4, dropout=0.1))
     poses = PoseBatch(torch.randn(6, 3), torch.tensor([[0.0, 0, 0, 1]]).repeat(6, 1), torch.tensor([0, 0, 0, 1, 1, 1]))
     model.frames.fit(poses, True, False)
     model.mixture.fit(*model.frames.from_map(poses), poses.scene_B)
@@ -294,6 +293,28 @@ def test_the_transformer_holds_several_scenes() -> None:
     model.fit_features((first, *maps))
     features = (model.reduced(first), *maps)
     model.fit_training_images(features[0], poses)
+    return model, features, poses
+
+
+def test_attention_to_the_maps_only_adds_to_the_summary() -> None:
+    model, (summary, *maps), poses = two_scenes()
+    others = [feature_map.flip(0) for feature_map in maps]
+    model.train().feature_loss((summary, *maps), poses)  # the maps' norms see them
+
+    def positions(features: list[torch.Tensor], scene: int) -> torch.Tensor:
+        with torch.no_grad():
+            _, vectors, _ = model.eval()._decode((summary, *features))
+            return model._outputs(summary, vectors, torch.full((6,), scene))
+
+    assert torch.equal(positions(maps, 0), positions(others, 0)) and torch.equal(positions(maps, 0), positions(maps, 1))
+    torch.nn.init.normal_(model.from_attention.weight)
+    assert not torch.allclose(positions(maps, 0), positions(others, 0), atol=1e-3)
+    assert not torch.allclose(positions(maps, 0), positions(maps, 1), atol=1e-3)
+
+
+@pytest.mark.slow
+def test_the_transformer_holds_several_scenes() -> None:
+    model, features, poses = two_scenes()
     optimiser = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=3e-3)
     for _ in range(120):
         optimiser.zero_grad()
