@@ -74,7 +74,7 @@ class MSTransformerLite(LiteRegressor):
         # Attention only adds to what the summary tells, from nothing on.
         nn.init.zeros_(self.from_attention.weight)
         nn.init.zeros_(self.from_attention.bias)
-        self.attention_dropout = settings.attention_dropout
+        self.attention_dropout = nn.Dropout(settings.attention_dropout)
         last = nn.Linear(settings.width, settings.components * OUTPUTS)
         with torch.no_grad():
             last.weight *= 0.3  # the anchors themselves are a good first answer
@@ -105,10 +105,9 @@ class MSTransformerLite(LiteRegressor):
     def _outputs(self, summary: Tensor, vectors_BSC: Tensor, scene_B: Tensor) -> Tensor:
         """The mixture's outputs (B, K * OUTPUTS) from the summary and from the vectors of one scene a sample."""
         vector = vectors_BSC.gather(1, scene_B[:, None, None].expand(-1, 1, 2 * WIDTH)).squeeze(1)
-        if self.training:
-            # Not scaled up as dropout is, so that an answer has what the others of these images had.
-            vector = vector * (torch.rand_like(vector[:, :1]) >= self.attention_dropout)
-        outputs: Tensor = self.head(self.from_summary(summary) + self.from_attention(vector))
+        # Of an image all attention is left out or none.
+        attended = vector * self.attention_dropout(vector.new_ones(len(vector), 1))
+        outputs: Tensor = self.head(self.from_summary(summary) + self.from_attention(attended))
         return outputs
 
     def answer(self, features: tuple[Tensor, ...]) -> PoseBatch:
