@@ -4,15 +4,14 @@ benchmarks.fusion_recovery`.
 Simulated test walks of the six scenes, with predictions as wrong as the published regressors'. A third of the way in,
 odometry jumps, turns or predictions go wrong. A method has recovered at the first frame whose error is at most 1.5
 times the larger of its error before (mean of 30 s) and of what the same method has at that frame of the walk as it was,
-in position and in rotation. `told` is what the other predictions allow: the same method, which is told of the trouble:
-it doesn't get the wrong predictions, or starts anew where odometry lost its frame. Writes
-docs/results/fusion_recovery.md and .csv.
+in position and in rotation. `informed` is what the other predictions allow: the same method told of the trouble, in the
+way that recovers first on this walk. Writes docs/results/fusion_recovery.md and .csv.
 """
 
 import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -30,9 +29,12 @@ from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.progress import track
 from groundwalk.fusion.evaluation.fuse import Run, fuse, pose_errors
+from groundwalk.fusion.evaluation.leaderboard import within_bounds
 from groundwalk.fusion.methods import METHODS, resolve_options
+from groundwalk.fusion.methods.drift_aware import DriftAware
 from groundwalk.fusion.methods.error_map import ErrorMap
-from groundwalk.fusion.methods.localiser import Status
+from groundwalk.fusion.methods.estimator.rivals import LOST
+from groundwalk.fusion.methods.localiser import Localiser, Status
 from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.simulation.scenes import NAMES
@@ -47,14 +49,14 @@ _FOLLOWED = (OURS, "error_state", "last_good", RULE)  # window30 and pose_graph 
 @dataclass(frozen=True)
 class Trouble:
     """Something that goes wrong at a frame. spoilt: the walk with it, from a frame on. lasts_s: how long; recovery is
-    counted from its end. within_s: how soon a method should have recovered. of_odometry: odometry loses its frame.
-    rate: frames a second, of which one has a prediction."""
+    counted from its end. within_s: how soon a method should have recovered. loses: which of x, y, z and yaw odometry
+    loses there, if any. rate: frames a second, of which one has a prediction."""
 
     name: str
     spoilt: Callable[[Walk, int, np.random.Generator], Walk]
     lasts_s: int
     within_s: int
-    of_odometry: bool = False
+    loses: tuple[bool, bool, bool, bool] | None = None
     rate: int = 1
 
 
@@ -100,11 +102,12 @@ def _with_odometry(walk: Walk, at: int, new_T_vio: Array) -> Walk:
     return replace(walk, vio_T_cam=vio)
 
 
+_PLACE, _HEADING = (True, True, True, False), (False, False, False, True)
 TROUBLES = [
-    Trouble("odometry jumps by 5 m", _jump, 0, 5, of_odometry=True),
-    Trouble("odometry turns by 30 deg in place", _relocalisation, 0, 5, of_odometry=True),
-    Trouble("odometry jumps by 5 m, 30 frames a second", _jump, 0, 5, of_odometry=True, rate=30),
-    Trouble("odometry turns by 30 deg in place, 30 frames a second", _relocalisation, 0, 5, of_odometry=True, rate=30),
+    Trouble("odometry jumps by 5 m", _jump, 0, 5, _PLACE),
+    Trouble("odometry turns by 30 deg in place", _relocalisation, 0, 5, _HEADING),
+    Trouble("odometry jumps by 5 m, 30 frames a second", _jump, 0, 5, _PLACE, rate=30),
+    Trouble("odometry turns by 30 deg in place, 30 frames a second", _relocalisation, 0, 5, _HEADING, rate=30),
     Trouble("10 s without predictions", _silence, 10, 5),
     Trouble("30 % gross outliers from there on", _outliers, 0, 5),
     Trouble("60 s of perceptual aliasing", _wrong_place, 60, 15),
@@ -116,11 +119,29 @@ RATES = sorted({trouble.rate for trouble in TROUBLES})
 
 @dataclass(frozen=True)
 class Course:
-    """A method's errors on a walk, infinite without a pose, and which frames it says it is lost at; (N,) each."""
+    """A method's errors on a walk, infinite without a pose, where it says that it is lost, and where an error is beyond its
+    95 % bounds; (N,) each."""
 
     position_m: Array
     rotation_deg: Array
     lost: NDArray[np.bool_]
+    beyond: NDArray[np.bool_]
+
+
+class ToldOfLoss(DriftAware):
+    """`drift_aware` that is told when odometry loses its frame, and which of x, y, z and yaw that is."""
+
+    def __init__(self, error_map: ErrorMap | None, t_ns: int, loses: Sequence[bool]) -> None:
+        super().__init__(None, error_map)
+        self._told_ns, self._loses = t_ns, loses
+
+    def _move(self, t_ns: int, vio_T_cam: Array) -> bool:
+        jumped = super()._move(t_ns, vio_T_cam)
+        if t_ns == self._told_ns:
+            self._segment += not self._way.loose.any()
+            self._way.loose = np.where(self._loses, LOST, self._way.loose)
+            self._quality.lost()
+        return jumped
 
 
 def refined(walk: Walk, rate: int) -> Walk:
@@ -144,17 +165,33 @@ def refined(walk: Walk, rate: int) -> Walk:
 
 def course(walk: Walk, method: str, error_map: ErrorMap | None, rate: int = 1) -> Course:
     """Of the frames with a prediction, of which there are so many fewer."""
-    fused = fuse(Run(method, "", ""), walk, METHODS[method].localiser(resolve_options(method), error_map))
+    return _course(walk, METHODS[method].localiser(resolve_options(method), error_map), rate)
+
+
+def _course(walk: Walk, localiser: Localiser, rate: int) -> Course:
+    fused = fuse(Run("", "", ""), walk, localiser)
     errors = pose_errors(fused.live_map_T_cam, walk.map_T_cam)
     position, rotation = (np.where(np.isnan(error), np.inf, error) for error in errors)
     lost = np.isin(fused.live_status, [Status.LOST, Status.NONE, Status.ALIGNING])
-    return Course(position[::rate], rotation[::rate], lost[::rate])
+    beyond = np.zeros(len(walk), dtype=bool)
+    beyond[[e.covariance is not None for e in fused.estimates]] = ~within_bounds(fused).all(axis=1)
+    return Course(position[::rate], rotation[::rate], lost[::rate], beyond[::rate])
 
 
-def recovery(plain: Course, spoilt: Course, at: int, end: int) -> tuple[float, float, bool]:
-    """Seconds from frame `end` until it has recovered, infinite where it doesn't within a minute; the share of the
-    frames between, trouble included, that it says it is lost at (NaN where there are none); whether any was off at
-    all. Walks have a frame a second."""
+@dataclass(frozen=True)
+class Recovery:
+    """seconds: from the trouble's end on, infinite where it isn't over within a minute. said: the share of the frames
+    until then, trouble included, that are off and said to be lost; NaN where none is off. unsaid: the share of all of
+    them beyond their bounds and not said to be lost; NaN where there are none. off: whether any was."""
+
+    seconds: float
+    said: float
+    unsaid: float
+    off: bool
+
+
+def recovery(plain: Course, spoilt: Course, at: int, end: int) -> Recovery:
+    """From trouble that begins at one frame and ends at another. Walks have a frame a second."""
     good = np.ones(len(plain.lost), dtype=bool)
     for name in ("position_m", "rotation_deg"):
         usual, now = getattr(plain, name), getattr(spoilt, name)
@@ -163,8 +200,10 @@ def recovery(plain: Course, spoilt: Course, at: int, end: int) -> tuple[float, f
     after = np.flatnonzero(good[end : end + _AFTER_S])
     seconds = float(after[0]) if len(after) else np.inf
     until = end + (int(after[0]) if len(after) else _AFTER_S)
-    bad = ~good[at:until]
-    return seconds, float(spoilt.lost[at:until][bad].mean()) if bad.any() else np.nan, bool(bad.any())
+    bad, lost = ~good[at:until], spoilt.lost[at:until]
+    said = float(lost[bad].mean()) if bad.any() else np.nan
+    unsaid = float((spoilt.beyond[at:until] & ~lost).mean()) if until > at else np.nan
+    return Recovery(seconds, said, unsaid, bool(bad.any()))
 
 
 def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, object]]:
@@ -183,9 +222,8 @@ def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, obj
                 rng, plain, rate = np.random.default_rng([number, which]), plains[trouble.rate], trouble.rate
                 spoilt_walk = trouble.spoilt(refined(walk, rate), rate * at, rng)
                 end = at + trouble.lasts_s
-                recovered_s, lost, off = recovery(plain, course(spoilt_walk, method, error_map, rate), at, end)
-                informed = informed_course(trouble, walk, spoilt_walk, at, method, plain, error_map)
-                informed_s = recovery(plain, informed, at, end)[0]
+                found = recovery(plain, course(spoilt_walk, method, error_map, rate), at, end)
+                informed = informed_courses(trouble, walk, spoilt_walk, at, method, plain, error_map)
                 rows.append(
                     {
                         "scene": scene,
@@ -193,29 +231,38 @@ def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, obj
                         "walk": walk.session_id,
                         "method": method,
                         "what": trouble.name,
-                        "recovered_s": recovered_s,
-                        "lost_fraction": lost,
-                        "off": off,
-                        "informed_s": informed_s,
+                        "recovered_s": found.seconds,
+                        "lost_fraction": found.said,
+                        "unsaid_fraction": found.unsaid,
+                        "off": found.off,
+                        "informed_s": min(
+                            found.seconds, *(recovery(plain, told, at, end).seconds for told in informed)
+                        ),
                         "before_m": float(plain.position_m[at - _BEFORE_S : at].mean()),
                     }
                 )
     return rows
 
 
-def informed_course(
+def informed_courses(
     trouble: Trouble, walk: Walk, spoilt: Walk, at: int, method: str, plain: Course, error_map: ErrorMap | None
-) -> Course:
-    """The errors of the same method where it is told of the trouble."""
-    if not trouble.of_odometry:
+) -> Iterator[Course]:
+    """The errors of the same method where it is told of the trouble: without the wrong predictions, or started anew
+    where odometry lost its frame; ours also where it keeps what odometry still knows."""
+    if trouble.loses is None:
         wrong = known(spoilt.map_T_cam_apr) & (spoilt.map_T_cam_apr != walk.map_T_cam_apr).any(axis=(1, 2))
         left = np.where(wrong[:, None, None], np.nan, spoilt.map_T_cam_apr)
-        return course(replace(spoilt, map_T_cam_apr=left), method, error_map)
+        yield course(replace(spoilt, map_T_cam_apr=left), method, error_map)
+        anew = at + trouble.lasts_s
+    else:
+        anew = at
+        if method == OURS:
+            told = ToldOfLoss(error_map, int(spoilt.t_ns[trouble.rate * at]), trouble.loses)
+            yield _course(spoilt, told, trouble.rate)
     names = ("frame_id", "t_ns", "gravity", "vio_T_cam", "map_T_cam_apr", "map_T_cam")
     rate = trouble.rate
-    rest = course(replace(spoilt, **{n: getattr(spoilt, n)[rate * at :] for n in names}), method, error_map, rate)
-    errors = ("position_m", "rotation_deg", "lost")
-    return Course(*(np.concatenate([getattr(plain, n)[:at], getattr(rest, n)]) for n in errors))
+    rest = course(replace(spoilt, **{n: getattr(spoilt, n)[rate * anew :] for n in names}), method, error_map, rate)
+    yield Course(*(np.concatenate([getattr(plain, f.name)[:anew], getattr(rest, f.name)]) for f in fields(Course)))
 
 
 def start_rows(scene: str, model: str, walk: Walk, method: str, plain: Course) -> Iterator[dict[str, object]]:
@@ -266,9 +313,13 @@ def _page(rows: pd.DataFrame, methods: Sequence[str]) -> Iterable[str]:
         "with 30 frames a second, one has a prediction. A third of the way in something goes wrong. Recovered: "
         "error at most 1.5 times the larger of the mean of the 30 s before and of the same method's error at that "
         "frame without the trouble, in position and in rotation, within a minute of the trouble's end. Informed: the "
-        "same method where it is told of the trouble (it doesn't get the wrong predictions, or starts anew where "
-        "odometry lost its frame), which is what the other predictions allow. Says so: share of the frames until "
-        "then that are off and said to be lost, or have no pose."
+        "same method where it is told of the trouble, which is what the other predictions allow: without the wrong "
+        "predictions, or started anew where odometry lost its frame, or where the wrong predictions end; "
+        f"`{OURS}` also where it is told what odometry still knows: where the phone is as it turns in place, which way "
+        "it looks as it jumps. Of these and the method as it is, the first to recover on each walk. Says so: share of "
+        "the frames until then that are off and said to be lost, or have no pose. Beyond bounds unsaid: share of all "
+        "frames until then whose error is beyond the method's own 95 % bounds in position or in rotation, and that "
+        "aren't said to be lost; where nothing is wrong up to 10 % are, and none of a method without bounds."
     )
     yield circumstances()
     for trouble in TROUBLES:
@@ -294,6 +345,7 @@ def _recovery_rows(rows: pd.DataFrame, methods: Sequence[str], within_s: int) ->
         f"informed: {limit}",
         "informed: median s",
         "says so, %",
+        "beyond bounds unsaid, %",
     ]
     for method in methods:
         of = rows[rows["method"] == method]
@@ -307,8 +359,12 @@ def _recovery_rows(rows: pd.DataFrame, methods: Sequence[str], within_s: int) ->
             _seconds(seconds, 90),
             f"{100 * float((informed <= within_s).mean()):.0f}",
             _seconds(informed, 50),
-            f"{100 * float(of['lost_fraction'].mean()):.0f}" if of["lost_fraction"].notna().any() else "",
+            *(_percent(of[name]) for name in ("lost_fraction", "unsaid_fraction")),
         ]
+
+
+def _percent(shares: "pd.Series[float]") -> str:
+    return f"{100 * float(shares.mean()):.0f}" if shares.notna().any() else ""
 
 
 def _seconds(seconds: Array, percent: float) -> str:

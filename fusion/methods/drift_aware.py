@@ -17,7 +17,7 @@ from groundwalk.fusion.methods.estimator.aligner import DIMENSIONS, Belief, Fit,
 from groundwalk.fusion.methods.estimator.answer import answer, leaning, rotation_into_map, yaw_and_lean
 from groundwalk.fusion.methods.estimator.bounds import alignment_covariance
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
-from groundwalk.fusion.methods.estimator.likeness import Sharing
+from groundwalk.fusion.methods.estimator.likeness import Sharing, position_variances
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality, expected_variances
 from groundwalk.fusion.methods.estimator.prediction_noise import (
     Prior,
@@ -28,7 +28,7 @@ from groundwalk.fusion.methods.estimator.prediction_noise import (
     whitening,
     whitening_of_covariance,
 )
-from groundwalk.fusion.methods.estimator.rivals import Rival, best_rival, lay, loose
+from groundwalk.fusion.methods.estimator.rivals import SIGN, Rival, best_rival, lay, loose
 from groundwalk.fusion.methods.estimator.robust import middle
 from groundwalk.fusion.methods.estimator.way import Way
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, State, Status, array, plain
@@ -98,7 +98,9 @@ class DriftAware(Localiser):
         self._count = 0  # predictions taken in
         self._watched = False  # odometry has jumped, or was gone, since the newest keyframe
         self._shrinkage: float | None = None  # of the newest prediction's covariance, if it brought one
-        self._doubted = False  # another alignment explains the newest predictions nearly as well
+        self._surprised = False  # something is wrong with the newest predictions, or with the alignment
+        self._doubted = False  # that, or another alignment explains the newest predictions nearly as well
+        self._unproven = 0  # predictions that the alignment in force must explain yet until it is believed
 
     # ------------------------------------------------------------ a frame
 
@@ -195,10 +197,12 @@ class DriftAware(Localiser):
         self._way.begin(vio_T_cam[:3, 3])
         self._drift, self._watched = np.zeros(4), False
         self._count += 1
+        self._unproven -= 1
 
     def _judge_odometry(self, position: Array, yaw: float, normalised: Array, state: Array, vio_T_cam: Array) -> None:
         way = np.zeros(3)
         self._quality.sizes_known = self._shrinkage is not None or self._error_map is not None
+        self._quality.doubtful = self._surprised
         if self._watched:
             self._quality.lost()
         elif len(self._keyframes):
@@ -238,7 +242,7 @@ class DriftAware(Localiser):
             fit = self._iterated(newest)
             newest = None
         usual = middle(fit.squared)
-        self._doubted = bool(fit.squared[-_SURPRISES:].min() > _SURPRISING * usual)
+        self._doubted = self._surprised = bool(fit.squared[-_SURPRISES:].min() > _SURPRISING * usual)
         gain = -np.inf
         if self.options.rivals and len(keyframes) > 1 and fit.squared[-1] > _WORTH_A_LOOK * usual:
             rival = self._rival(fit)
@@ -321,12 +325,16 @@ class DriftAware(Localiser):
         """Change to another alignment from some keyframe on."""
         self._quality.lost()
         keyframes = self._keyframes
+        before = keyframes.column("state")[rival.begin].copy()
         lay(keyframes.rows, rival)
         if isnan(rival.segment):
+            if self._cannot_be(rival.begin, before):
+                self._unproven = self._count - 2 * (len(keyframes) - rival.begin)
             self._segment += 1
             keyframes.column("segment")[rival.begin :] = self._segment
             keyframes.column("loose")[rival.begin] = loose(rival.kept)
             return
+        self._unproven = 0
         # An earlier alignment holds again: what lies between was another frame of odometry's, or wrong predictions.
         segment = keyframes.column("segment")
         segment[rival.begin :] = rival.segment
@@ -337,6 +345,17 @@ class DriftAware(Localiser):
         for name, value in (("step", step), ("turn", 0.0), ("loose", 0.0)):
             keyframes.column(name)[before + 1] = value
         self._segment = int(keyframes.column("segment")[-1])
+
+    def _cannot_be(self, index: int, before: Array) -> bool:
+        """Whether a keyframe, moved from a state (4,), is farther away than odometry can jump without a sign: then its
+        place rather looks like another, or the walk began in such a one."""
+        o, keyframes = self.options, self._keyframes
+        if keyframes.column("rare")[index] < SIGN:
+            return False
+        moved = float(np.linalg.norm((keyframes.column("state")[index] - before)[:3]))
+        seconds = float(keyframes.column("time_s")[index] - keyframes.column("time_s")[index - 1])
+        sd = sqrt(float(position_variances(keyframes.rows, self._covariance)[index]))
+        return moved > o.vio_jump_m + o.vio_speed_m_s * seconds + 2 * sd
 
     # ------------------------------------------------------------ answers
 
@@ -349,7 +368,7 @@ class DriftAware(Localiser):
     ) -> Estimate:
         """The newest frame's pose; `map_T_cam_apr` is its prediction, where that brought a covariance."""
         assert self._bound is not None
-        status = Status.LOST if self._doubted or self._watched else Status.FUSED
+        status = Status.LOST if self._doubted or self._watched or self._unproven > 0 else Status.FUSED
         added = self._distrust * self._drift + self._way.loose
         by_odometry = _Extrapolation(self._carried(vio_T_cam), -1, self._bound, added)
         return self._posed(vio_T_cam, by_odometry, status, reasons, signals, map_T_cam_apr)
@@ -422,6 +441,8 @@ class DriftAware(Localiser):
             "count": self._count,
             "watched": self._watched,
             "doubted": self._doubted,
+            "surprised": self._surprised,
+            "unproven": self._unproven,
             "shrinkage": self._shrinkage,
         }
 
@@ -437,4 +458,5 @@ class DriftAware(Localiser):
         self._way.restore(state["way"])
         self._along_m, self._segment, self._count = state["along_m"], state["segment"], state["count"]
         self._watched, self._doubted = state["watched"], state["doubted"]
+        self._surprised, self._unproven = state["surprised"], state["unproven"]
         self._shrinkage = state["shrinkage"]

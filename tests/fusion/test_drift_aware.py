@@ -242,6 +242,23 @@ def test_a_turn_on_the_spot_is_bridged_where_frames_are_close_enough_to_see_it()
     assert after < 1.5 * before + 0.1
 
 
+def test_a_turn_on_the_spot_is_found_out_by_some_predictions_where_frames_are_too_far_apart_to_see_it() -> None:
+    """40 degrees between two frames a second apart; that the camera turned so seemingly is what tells it from the same
+    mistake in some predictions."""
+    turn = yaw_rotation(np.radians(40.0))
+    found, believed = [], []
+    for seed in range(4):
+        t_ns, truth, vio, apr = upright_walk(seed, 120, noise_m=0.2, noise_deg=4.0, outliers=0.0)
+        turned, place = vio.copy(), vio[60, :3, 3]
+        turned[60:] = make_pose(turn, place - turn @ place) @ vio[60:]
+        found.append(rotation_error_deg(poses(answers(DriftAware(), t_ns, turned, apr)), truth))
+        wrong = apr.copy()
+        wrong[60:64, :3, :3] = turn @ apr[60:64, :3, :3]
+        believed.append(rotation_error_deg(poses(answers(DriftAware(), t_ns, vio, wrong)), truth))
+    assert np.max(np.median(found, axis=0)[65:80]) < 6.0
+    assert np.max(np.median(believed, axis=0)[60:80]) < 6.0
+
+
 def test_odometry_that_begins_anew_elsewhere_is_not_bridged_for_long() -> None:
     """The phone was carried 12 m on and turned while odometry was gone for 8 s: predictions say where it is."""
     for seed in range(3):
@@ -261,8 +278,11 @@ def test_a_minute_of_one_wrong_place_is_left_again() -> None:
         t_ns, truth, vio, apr = upright_walk(seed, 180, noise_m=0.2, noise_deg=2.0, outliers=0.05)
         apr = apr.copy()
         apr[60:120] = make_pose(yaw_rotation(2.0), [8.0, 0.0, -6.0]) @ apr[60:120]
-        error = position_error(poses(answers(DriftAware(), t_ns, vio, apr)), truth)
+        found = answers(DriftAware(), t_ns, vio, apr)
+        error, lost = position_error(poses(found), truth), np.array([e.status == "lost" for e in found])
         assert error[135:].mean() < 1.5 * error[30:60].mean() + 0.1
+        # Odometry can't have jumped as far without a sign: while this place is believed, it is said to be in doubt.
+        assert lost[63:110][error[63:110] > 1.0].all() and not lost[135:].any()
 
 
 def test_predictions_better_than_odometry_are_followed() -> None:

@@ -133,6 +133,8 @@ class OdometryQuality:
         self._position, self._yaw = _Bank(2), _Bank(1)
         self.factors, self.sizes = np.ones(4), np.ones(6)
         self.has_judged = False
+        # The next prediction may be of another place, or odometry have lost its frame: neither tells how far it drifts.
+        self.doubtful = False
         self.sizes_known = False  # held-out frames or covariances say how large errors are
         self._forget_way()
 
@@ -175,7 +177,7 @@ class OdometryQuality:
             self._since[:] = 0.0
             return
         metres, position, heading, bent = self._since.tolist()
-        if metres < _EVERY_M:
+        if metres < _EVERY_M or self.doubtful:
             return
         self._position.update(apart, (position, bent), size[0], metres)
         self._yaw.update(turned, (heading, 0.0), size[1], metres)

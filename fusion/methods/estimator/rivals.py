@@ -5,10 +5,13 @@ the newest keyframes names an alignment, and each earlier segment has its last o
 keyframe on: it gains what it explains the predictions since better than the alignment in force does, less how rarely
 odometry loses its frame there, and, for an alignment that was never in force, less how little was known of it
 beforehand. Odometry that has lost its frame may still know one thing of two: the place, as where it turned on the spot,
-or the heading, as where it jumped aside. Such a rival keeps the one and takes the other from the predictions."""
+or the heading, as where it jumped aside. Such a rival keeps the one and takes the other from the predictions.
+
+A turn on the spot gives no sign where frames are far apart, but it is seen: under the alignment in force the camera has
+turned, and under the rival it has gone on looking where it did, as cameras do most of the time."""
 
 from collections.abc import Sequence
-from math import atan2, cos, inf, log, nan, pi, sin
+from math import atan2, cos, exp, inf, log, log1p, nan, pi, radians, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -22,19 +25,22 @@ from groundwalk.geometry.poses import Array
 
 # Extent of the places and headings that a phone may turn up at: m, m up, m, rad.
 _ANYWHERE = (40.0, 3.0, 40.0, 2 * pi)
-# Odds below exp(_SIGN) against a loss of odometry's frame: it jumped, or was gone.
-_SIGN = 5.0
+# Odds below exp(SIGN) against a loss of odometry's frame: it jumped, or was gone.
+SIGN = 5.0
 _WITHOUT_SIGN = 0.5
+_USUAL = 3.0  # squared error, over the usual one, up to which predictions are explained where there was no sign
+_TURNED = 7.0  # log odds against a turn of odometry on the spot without a sign, before the camera's turn is looked at
+_TURN_S = radians(10.0)  # scale of a camera's turn in a second, under a Cauchy distribution
 _HOPELESS = 5.0  # nats behind, where a rival needn't be worked out
 _BACK = 3.0  # log odds against an earlier alignment's holding again
-_LOST = 1e4  # variance (m^2, rad^2) of what isn't known any more from one keyframe to the next
+LOST = 1e4  # variance (m^2, rad^2) of what isn't known any more from one keyframe to the next
 
 # What a new alignment has of the one before: nothing, where the camera is, or where it looks; what that leaves unknown
 # of x, y, z and yaw; and predictions that must agree where odometry gave no sign: passing what looks like another place
 # takes some seconds.
 NOTHING, PLACE, HEADING = range(3)
 _UNKNOWN_WITH = ((True, True, True, True), (False, False, False, True), (True, True, True, False))
-_LEAST = (10, 4, 10)
+_LEAST = (10, 3, 10)
 
 
 class Rival(NamedTuple):
@@ -68,7 +74,7 @@ class _Judges(NamedTuple):
 
 def loose(kept: int) -> Array:
     """Variances (4,) of x, y, z and yaw from the keyframe before, for an alignment that keeps so much of it."""
-    return np.where(_UNKNOWN_WITH[kept], _LOST, 0.0)
+    return np.where(_UNKNOWN_WITH[kept], LOST, 0.0)
 
 
 def best_rival(
@@ -118,7 +124,7 @@ def _judges(keyframes: Rows, precision: Array, squared: Array, share: Array, dof
         now[i] = robust.cost(squared[i], 6, dof)
         # Predictions may be wrong in a row, and all alike, so that they look like a lost frame: where odometry gave no
         # sign of one they count less.
-        share_new[i] = 1.0 if keyframes[i].rare < _SIGN else _WITHOUT_SIGN
+        share_new[i] = 1.0 if keyframes[i].rare < SIGN else _WITHOUT_SIGN
     return _Judges(keyframes, precision, share, now, share_new, dof)
 
 
@@ -145,7 +151,7 @@ def _best_hope(judges: _Judges, cost: float) -> float:
     best, better = -inf, 0.0
     for i in range(len(judges.now) - 1, -1, -1):
         better += judges.share[i] * (judges.now[i] - cost)
-        best = max(best, judges.share_new[i] * better - judges.keyframes[i].rare)
+        best = max(best, judges.share_new[i] * better - min(judges.keyframes[i].rare, _TURNED - _HOPELESS))
     return best
 
 
@@ -188,7 +194,8 @@ def _new(keyframes: Rows, first: int, judges: _Judges, usual: float, newness: Se
         _write_middle(judges, weights, begin, place, vio)
         heading = carried[3]
         for kept in range(3):
-            if (here.rare >= _SIGN and begin > count - _LEAST[kept]) or _holds_already(here, kept):
+            unseen = here.rare >= SIGN
+            if (unseen and begin > count - _LEAST[kept]) or _holds_already(here, kept):
                 continue
             alignment = np.empty(4)
             place[3] = carried[3] = heading if kept == HEADING else yaw[begin]
@@ -196,17 +203,44 @@ def _new(keyframes: Rows, first: int, judges: _Judges, usual: float, newness: Se
                 _compose(carried, here.vio, -1.0, alignment)
             else:
                 _compose(place, vio, -1.0, alignment)
-            gain = judges.share_new[begin] * _better(judges, alignment, begin) - here.rare - newness[kept]
+            if unseen and not _explained(judges, alignment, begin, usual):
+                continue
+            rare = here.rare
+            if unseen and kept == PLACE:
+                rare = _TURNED - _steadier(keyframes[first + begin - 1], here, yaw[begin] - heading)
+            gain = judges.share_new[begin] * _better(judges, alignment, begin) - rare - newness[kept]
             if gain > best.gain:
-                best = Rival(first + begin, alignment, gain, kept, nan, gain + (here.rare if here.rare < _SIGN else 0))
+                best = Rival(first + begin, alignment, gain, kept, nan, gain + (here.rare if here.rare < SIGN else 0))
     return best
+
+
+@compiled
+def _explained(judges: _Judges, alignment: Array, begin: int, usual: float) -> bool:
+    """Whether an alignment explains what came from a keyframe on about as well as predictions usually are, which cost
+    so much: one that is merely better than the one in force is none."""
+    cost = counted = 0.0
+    for i in range(begin, len(judges.now)):
+        cost += judges.share[i] * robust.cost(_squared(judges, alignment, i), 6, judges.dof)
+        counted += judges.share[i]
+    squared = judges.dof * (exp(2 * usual / (judges.dof + 6)) - 1)
+    return cost <= counted * robust.cost(_USUAL * squared, 6, judges.dof)
+
+
+@compiled
+def _steadier(before: Row, here: Row, turn: float) -> float:
+    """By how much likelier, in nats, the camera's turn from the keyframe before is where odometry's axes have turned
+    in the map by an angle (rad) meanwhile."""
+    turned = atan2(here.forward[0], here.forward[2]) - atan2(before.forward[0], before.forward[2]) + here.turn
+    scale = _TURN_S * (here.time_s - before.time_s)
+    now, then = (turned + pi) % (2 * pi) - pi, (turned + turn + pi) % (2 * pi) - pi
+    return log1p((now / scale) ** 2) - log1p((then / scale) ** 2)
 
 
 @compiled
 def _holds_already(keyframe: Row, kept: int) -> bool:
     """Whether all that such an alignment doesn't keep was lost here before: then it is the alignment in force."""
     for axis in range(4):
-        if _UNKNOWN_WITH[kept][axis] and keyframe.loose[axis] < _LOST:
+        if _UNKNOWN_WITH[kept][axis] and keyframe.loose[axis] < LOST:
             return False
     return True
 
