@@ -181,12 +181,12 @@ def _course(walk: Walk, localiser: Localiser, rate: int) -> Course:
 @dataclass(frozen=True)
 class Recovery:
     """seconds: from the trouble's end on, infinite where it isn't over within a minute. said: the share of the frames
-    until then, trouble included, that are off and said to be lost; NaN where none is off. unsaid: the share of all of
-    them beyond their bounds and not said to be lost; NaN where there are none. off: whether any was."""
+    until then, trouble included, that are off and said to be lost; NaN where none is off. unsaid_s: for how long of that
+    time errors are beyond their bounds and it isn't said to be lost. off: whether any frame was."""
 
     seconds: float
     said: float
-    unsaid: float
+    unsaid_s: float
     off: bool
 
 
@@ -202,8 +202,7 @@ def recovery(plain: Course, spoilt: Course, at: int, end: int) -> Recovery:
     until = end + (int(after[0]) if len(after) else _AFTER_S)
     bad, lost = ~good[at:until], spoilt.lost[at:until]
     said = float(lost[bad].mean()) if bad.any() else np.nan
-    unsaid = float((spoilt.beyond[at:until] & ~lost).mean()) if until > at else np.nan
-    return Recovery(seconds, said, unsaid, bool(bad.any()))
+    return Recovery(seconds, said, float((spoilt.beyond[at:until] & ~lost).sum()), bool(bad.any()))
 
 
 def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, object]]:
@@ -233,7 +232,7 @@ def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, obj
                         "what": trouble.name,
                         "recovered_s": found.seconds,
                         "lost_fraction": found.said,
-                        "unsaid_fraction": found.unsaid,
+                        "unsaid_s": found.unsaid_s,
                         "off": found.off,
                         "informed_s": min(
                             found.seconds, *(recovery(plain, told, at, end).seconds for told in informed)
@@ -317,9 +316,9 @@ def _page(rows: pd.DataFrame, methods: Sequence[str]) -> Iterable[str]:
         "predictions, or started anew where odometry lost its frame, or where the wrong predictions end; "
         f"`{OURS}` also where it is told what odometry still knows: where the phone is as it turns in place, which way "
         "it looks as it jumps. Of these and the method as it is, the first to recover on each walk. Says so: share of "
-        "the frames until then that are off and said to be lost, or have no pose. Beyond bounds unsaid: share of all "
-        "frames until then whose error is beyond the method's own 95 % bounds in position or in rotation, and that "
-        "aren't said to be lost; where nothing is wrong up to 10 % are, and none of a method without bounds."
+        "the frames until then that are off and said to be lost, or have no pose. Beyond bounds "
+        "unsaid: for how long until then, trouble included, an error is beyond the method's own 95 % bounds in position "
+        "or in rotation and it isn't said to be lost, mean of the walks; never, for a method without bounds."
     )
     yield circumstances()
     for trouble in TROUBLES:
@@ -345,7 +344,7 @@ def _recovery_rows(rows: pd.DataFrame, methods: Sequence[str], within_s: int) ->
         f"informed: {limit}",
         "informed: median s",
         "says so, %",
-        "beyond bounds unsaid, %",
+        "beyond bounds unsaid, s",
     ]
     for method in methods:
         of = rows[rows["method"] == method]
@@ -359,12 +358,9 @@ def _recovery_rows(rows: pd.DataFrame, methods: Sequence[str], within_s: int) ->
             _seconds(seconds, 90),
             f"{100 * float((informed <= within_s).mean()):.0f}",
             _seconds(informed, 50),
-            *(_percent(of[name]) for name in ("lost_fraction", "unsaid_fraction")),
+            f"{100 * float(of['lost_fraction'].mean()):.0f}" if of["lost_fraction"].notna().any() else "",
+            f"{of['unsaid_s'].mean():.1f}",
         ]
-
-
-def _percent(shares: "pd.Series[float]") -> str:
-    return f"{100 * float(shares.mean()):.0f}" if shares.notna().any() else ""
 
 
 def _seconds(seconds: Array, percent: float) -> str:
