@@ -181,8 +181,8 @@ def _course(walk: Walk, localiser: Localiser, rate: int) -> Course:
 @dataclass(frozen=True)
 class Recovery:
     """seconds: from the trouble's end on, infinite where it isn't over within a minute. said: the share of the frames
-    until then, trouble included, that are off and said to be lost; NaN where none is off. unsaid_s: for how long of that
-    time errors are beyond their bounds and it isn't said to be lost. off: whether any frame was."""
+    until then, trouble included, that are off and said to be lost; NaN where none is off. unsaid_s: for how long errors
+    are beyond their bounds and it isn't said to be lost. off: whether any frame was."""
 
     seconds: float
     said: float
@@ -316,9 +316,9 @@ def _page(rows: pd.DataFrame, methods: Sequence[str]) -> Iterable[str]:
         "predictions, or started anew where odometry lost its frame, or where the wrong predictions end; "
         f"`{OURS}` also where it is told what odometry still knows: where the phone is as it turns in place, which way "
         "it looks as it jumps. Of these and the method as it is, the first to recover on each walk. Says so: share of "
-        "the frames until then that are off and said to be lost, or have no pose. Beyond bounds "
-        "unsaid: for how long until then, trouble included, an error is beyond the method's own 95 % bounds in position "
-        "or in rotation and it isn't said to be lost, mean of the walks; never, for a method without bounds."
+        "the frames until then that are off and said to be lost, or have no pose. Beyond bounds unsaid: "
+        "for how long until then, trouble included, an error is beyond the method's own 95 % bounds in position or in "
+        "rotation and it isn't said to be lost, mean of the walks; never, for a method without bounds."
     )
     yield circumstances()
     for trouble in TROUBLES:
