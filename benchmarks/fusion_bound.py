@@ -29,7 +29,7 @@ from groundwalk.fusion.methods.drift_aware_options import DriftAwareOptions
 from groundwalk.fusion.methods.estimator import robust
 from groundwalk.fusion.methods.estimator.aligner import DIMENSIONS, Model
 from groundwalk.fusion.methods.estimator.prediction_noise import Prior
-from groundwalk.fusion.methods.localiser import Localiser
+from groundwalk.fusion.methods.localiser import Stepping
 from groundwalk.fusion.methods.offline import Offline
 from groundwalk.fusion.methods.smoother import Smoother
 from groundwalk.fusion.methods.vio_oracle import VioOracle
@@ -98,7 +98,7 @@ def _weighed(case: Case, walk: Walk) -> Told:
     return Told(covariance, dict(zip(walk.t_ns.tolist(), weights, strict=True)))
 
 
-Make = Callable[[Case, Walk], Localiser | Offline]
+Make = Callable[[Case, Walk], Stepping | Offline]
 # What each row's method is told, and how it is made for a walk of a case.
 ROWS: dict[str, Make] = {
     "1. `drift_aware` as it is": lambda case, walk: DriftAware(),

@@ -34,7 +34,8 @@ from groundwalk.fusion.methods import METHODS, resolve_options
 from groundwalk.fusion.methods.drift_aware import DriftAware
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.estimator.rivals import LOST
-from groundwalk.fusion.methods.localiser import Localiser, Status
+from groundwalk.fusion.methods.localiser import Status, Stepping
+from groundwalk.fusion.methods.offline import Offline
 from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.simulation.scenes import NAMES
@@ -168,7 +169,7 @@ def course(walk: Walk, method: str, error_map: ErrorMap | None, rate: int = 1) -
     return _course(walk, METHODS[method].localiser(resolve_options(method), error_map), rate)
 
 
-def _course(walk: Walk, localiser: Localiser, rate: int) -> Course:
+def _course(walk: Walk, localiser: Stepping | Offline, rate: int) -> Course:
     fused = fuse(Run("", "", ""), walk, localiser)
     errors = pose_errors(fused.live_map_T_cam, walk.map_T_cam)
     position, rotation = (np.where(np.isnan(error), np.inf, error) for error in errors)
