@@ -133,8 +133,8 @@ def table(cases: Sequence[Case], what: str) -> list[list[str]]:
         ["", *(f"{of} {over}" for over in ("/rule", "worst", "/next best", "worst /next best") for of in _QUANTITIES)]
     ]
     for name in track(list(ROWS), what):
-        found = np.array([mean_errors(case, ROWS[name]) for case in cases])
-        figures = [f for ratio in (found / rule, found / others) for f in (_geometric_mean(ratio), ratio.max(axis=0))]
+        errors = np.array([mean_errors(case, ROWS[name]) for case in cases])
+        figures = [f for ratio in (errors / rule, errors / others) for f in (_geometric_mean(ratio), ratio.max(axis=0))]
         rows.append([name, *(f"{value:.3f}" for value in np.concatenate(figures))])
     return rows
 

@@ -134,11 +134,11 @@ class ToldOfLoss(DriftAware):
 
     def __init__(self, error_map: ErrorMap | None, t_ns: int, loses: Sequence[bool]) -> None:
         super().__init__(None, error_map)
-        self._told_ns, self._loses = t_ns, loses
+        self._loss_ns, self._loses = t_ns, loses
 
     def _move(self, t_ns: int, vio_T_cam: Array) -> bool:
         jumped = super()._move(t_ns, vio_T_cam)
-        if t_ns == self._told_ns:
+        if t_ns == self._loss_ns:
             self._segment += not self._way.loose.any()
             self._way.loose = np.where(self._loses, LOST, self._way.loose)
             self._quality.lost()
@@ -222,7 +222,7 @@ def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, obj
                 rng, plain, rate = np.random.default_rng([number, which]), plains[trouble.rate], trouble.rate
                 spoilt_walk = trouble.spoilt(refined(walk, rate), rate * at, rng)
                 end = at + trouble.lasts_s
-                found = recovery(plain, course(spoilt_walk, method, error_map, rate), at, end)
+                result = recovery(plain, course(spoilt_walk, method, error_map, rate), at, end)
                 informed = informed_courses(trouble, walk, spoilt_walk, at, method, plain, error_map)
                 rows.append(
                     {
@@ -231,13 +231,11 @@ def rows_of(pair: tuple[str, str], methods: Sequence[str]) -> list[dict[str, obj
                         "walk": walk.session_id,
                         "method": method,
                         "what": trouble.name,
-                        "recovered_s": found.seconds,
-                        "lost_fraction": found.said,
-                        "unsaid_s": found.unsaid_s,
-                        "off": found.off,
-                        "informed_s": min(
-                            found.seconds, *(recovery(plain, told, at, end).seconds for told in informed)
-                        ),
+                        "recovered_s": result.seconds,
+                        "lost_fraction": result.said,
+                        "unsaid_s": result.unsaid_s,
+                        "off": result.off,
+                        "informed_s": min(result.seconds, *(recovery(plain, one, at, end).seconds for one in informed)),
                         "before_m": float(plain.position_m[at - _BEFORE_S : at].mean()),
                     }
                 )
@@ -257,8 +255,8 @@ def informed_courses(
     else:
         anew = at
         if method == OURS:
-            told = ToldOfLoss(error_map, int(spoilt.t_ns[trouble.rate * at]), trouble.loses)
-            yield _course(spoilt, told, trouble.rate)
+            localiser = ToldOfLoss(error_map, int(spoilt.t_ns[trouble.rate * at]), trouble.loses)
+            yield _course(spoilt, localiser, trouble.rate)
     names = ("frame_id", "t_ns", "gravity", "vio_T_cam", "map_T_cam_apr", "map_T_cam")
     rate = trouble.rate
     rest = course(replace(spoilt, **{n: getattr(spoilt, n)[rate * anew :] for n in names}), method, error_map, rate)
