@@ -12,9 +12,13 @@ def sampson_px(a_T_b: Array, ray_a: Array, ray_b: Array, focal_a: Array, focal_b
     lengths (M, 2) or (2,) in pixels along x and y. First-order distance of a match from the epipolar constraint
     (Hartley and Zisserman, "Multiple View Geometry", 2nd ed., eq. 11.9), in the pixels of both images.
     """
-    essential = skew(a_T_b[:, :3, 3]) @ a_T_b[:, :3, :3]
-    line_a = np.einsum("mij,mj->mi", essential, ray_b)
-    line_b = np.einsum("mji,mj->mi", essential, ray_a)
+    return epipolar_px(np.swapaxes(skew(a_T_b[:, :3, 3]) @ a_T_b[:, :3, :3], 1, 2), ray_a, ray_b, focal_a, focal_b)
+
+
+def epipolar_px(essential: Array, ray_a: Array, ray_b: Array, focal_a: Array, focal_b: Array) -> Array:
+    """As `sampson_px`, by essential matrices (M, 3, 3), or (3, 3) for all, with ray_b^T essential ray_a = 0."""
+    line_a = np.einsum("...ji,...j->...i", essential, ray_b)
+    line_b = np.einsum("...ij,...j->...i", essential, ray_a)
     gradient = np.sum((line_a[:, :2] / focal_a) ** 2, axis=1)
     gradient += np.sum((line_b[:, :2] / focal_b) ** 2, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):

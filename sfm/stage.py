@@ -137,7 +137,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=23,
+    version=24,
     settings=SfmSettings,
     needs=("import",),
     run=run,

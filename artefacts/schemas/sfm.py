@@ -203,7 +203,7 @@ TABLES = [
             Column("frame_id_b", "string", "later row of import.frames"),
             Column("origin", "string", "what proposed it first", choices=PairOrigin),
             Column("matches", "int64", "matched features"),
-            Column("inliers", "int64", "matches that fit one relative pose"),
+            Column("inliers", "int64", "matches that fit one relative pose; of weak pairs those of guided matching"),
             Column("status", "string", "whether it goes into mapping", choices=PairStatus),
             Column("reason", "string", "what is inconsistent with VIO; empty: nothing", choices=PairInconsistency),
             Column("rotation_deg", "float64", "angle between the rotations by images and by VIO", "deg", "", True),

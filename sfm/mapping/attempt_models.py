@@ -18,7 +18,8 @@ from groundwalk.sfm.mapping.mappers import MappingInput
 from groundwalk.sfm.mapping.source import VerifiedPairs
 from groundwalk.sfm.model import Model, load_models
 from groundwalk.sfm.pairs.candidates import first_origins
-from groundwalk.sfm.pairs.matching import ONE_THREAD, MatchedPairs, match_pairs
+from groundwalk.sfm.pairs.matching import ONE_THREAD, MatchedPairs, guide_pairs, match_pairs
+from groundwalk.sfm.pairs.networks import model_files
 from groundwalk.sfm.pairs.odometry import PairLimits, nothing_compared
 from groundwalk.sfm.pairs.selection import Proposals, pairs_across_sessions, pairs_of_chains, pairs_within_sessions
 from groundwalk.sfm.pairs.two_views import compare_pairs
@@ -96,13 +97,17 @@ def attempt_models(
 
 
 def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, proposals: Proposals) -> MatchedPairs:
-    """Match and verify the proposals, then pairs that both match a third frame."""
+    """Match and verify the proposals, then pairs that both match a third frame; weak pairs a second time."""
 
     def match(text: str) -> MatchedPairs:
-        pairs, origin = first_origins(proposals, len(scene.names))
+        pairs, _ = first_origins(proposals, len(scene.names))
         if not has_results(database, pairs).all():
             arguments = (database, scene.names, pairs, settings, seed)
             scene.in_child(text, Task(match_pairs, arguments, len(pairs), ONE_THREAD))
+        return results()
+
+    def results() -> MatchedPairs:
+        pairs, origin = first_origins(proposals, len(scene.names))
         matches, inliers = read_pair_results(database, pairs)
         return MatchedPairs(pairs, origin, matches, inliers, settings.min_inliers, nothing_compared(len(pairs)))
 
@@ -111,6 +116,10 @@ def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, 
         more = pairs_of_chains(settings, scene.vio, matched.pairs, matched.inliers)
         proposals = [*proposals, (PairOrigin.TRANSITIVE, more)]
         matched = match("matching pairs that share a partner")
+    weak = matched.pairs[matched.weak]
+    if len(weak) and not model_files(settings):
+        scene.in_child("matching weak pairs", Task(guide_pairs, (database, weak), len(weak), ONE_THREAD))
+        matched = results()
     return matched
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pycolmap
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 from groundwalk.artefacts.child import Report
 from groundwalk.artefacts.choices import PairStatus
 from groundwalk.artefacts.cores import usable_cores
+from groundwalk.geometry.epipolar import epipolar_px
+from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import has_results, image_id
 from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.features import extraction_options
-from groundwalk.sfm.pairs.nearest import mutual_matches
+from groundwalk.sfm.pairs.nearest import Ints, guided_matches, mutual_matches
 from groundwalk.sfm.pairs.networks import cannot_run, model_files, options_of_network
 from groundwalk.sfm.pairs.odometry import VioComparison
 from groundwalk.sfm.settings import SfmSettings
@@ -24,6 +27,10 @@ _CHUNK = 128  # a bound on the descriptors in memory, and what a killed run matc
 _TRIAL_IMAGE_PX = 64
 # COLMAP's minimum of 100 trials is for matches of which half are wrong; it adds trials where a pair needs them.
 _MIN_RANSAC_TRIALS = 30
+_GUIDE = 0.002  # of an image's longer side: how far from its epipolar line a guided match may be
+# Verified pairs with fewer inliers are matched again where one of their frames has fewer pairs of so many matches.
+_GOOD_PAIRS, _MANY_MATCHES = 3, 200
+_FEW_INLIERS = 100
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 """Environment of the process that matches: pairs are matched side by side, each on one thread."""
 
@@ -49,6 +56,13 @@ class MatchedPairs:
     def verified(self) -> NDArray[np.bool_]:
         """(P,) the pair has enough inliers and is consistent with VIO."""
         return self.has_enough_inliers & self.compared.consistent
+
+    @property
+    def weak(self) -> NDArray[np.bool_]:
+        """(P,) verified, but with few inliers, and one of its frames has few pairs with many matches."""
+        good = np.bincount(self.pairs[self.matches >= _MANY_MATCHES].ravel(), minlength=self.pairs.max(initial=0) + 1)
+        few = (good < _GOOD_PAIRS)[self.pairs].any(axis=1)
+        return np.asarray(self.has_enough_inliers & (self.inliers < _FEW_INLIERS) & few)
 
     @property
     def status(self) -> NDArray[np.object_]:
@@ -132,18 +146,75 @@ def _match_by_network(
     pycolmap.match_image_pairs(database, matching_options(settings), pairing, verification, pycolmap.Device.cpu)
 
 
+def guide_pairs(report: Report, database: Path, pairs: Pairs) -> None:
+    """Match verified pairs of rows (P, 2) again, by SIFT along the epipolar lines of their essential matrices.
+
+    Of what is in the database only these pairs' inliers change, and to the same ones however often it is done.
+    """
+    for start in range(0, len(pairs), _CHUNK):
+        _guide(database, pairs[start : start + _CHUNK])
+        report(min(start + _CHUNK, len(pairs)))
+
+
+def _guide(database: Path, pairs: Pairs) -> None:
+    with pycolmap.Database.open(database) as opened, pycolmap.DatabaseTransaction(opened):
+        images = _images(opened, pairs)
+        rays = {row: _rays(image) for row, image in images.items()}
+        focal = {row: np.full(2, image.camera.mean_focal_length()) for row, image in images.items()}
+
+        def guided(pair: tuple[int, int], essential: Array) -> NDArray[np.uint32]:
+            a, b = pair
+            limit_px = _GUIDE * max(images[a].camera.width, images[a].camera.height)
+
+            def fits(i: Ints, j: Ints) -> NDArray[np.bool_]:
+                return epipolar_px(essential, rays[a][i], rays[b][j], focal[a], focal[b]) <= limit_px
+
+            return guided_matches(images[a].descriptors, images[b].descriptors, fits)
+
+        geometries = [((a, b), opened.read_two_view_geometry(image_id(a), image_id(b))) for a, b in pairs.tolist()]
+        certain = [(p, g) for p, g in geometries if g.config == pycolmap.TwoViewGeometryConfiguration.CALIBRATED]
+        with ThreadPoolExecutor(usable_cores()) as pool:
+            matches = pool.map(guided, *zip(*((p, g.E) for p, g in certain), strict=True)) if certain else []
+            for ((a, b), geometry), inliers in zip(certain, matches, strict=True):
+                geometry.inlier_matches = inliers
+                opened.update_two_view_geometry(image_id(a), image_id(b), geometry)
+
+
+class _Image(NamedTuple):
+    """A camera, its keypoints (K, 2), px, and their descriptors (K, D)."""
+
+    camera: pycolmap.Camera
+    keypoints: Array
+    descriptors: NDArray[np.float32]
+
+
+def _images(database: pycolmap.Database, pairs: Pairs) -> dict[int, _Image]:
+    return {
+        row: _Image(
+            database.read_camera(image_id(row)),
+            database.read_keypoints(image_id(row))[:, :2].astype(float),
+            database.read_descriptors(image_id(row)).data.astype(np.float32),
+        )
+        for row in np.unique(pairs).tolist()
+    }
+
+
+def _rays(image: _Image) -> Array:
+    """Rays (K, 3) with z = 1 through an image's keypoints."""
+    xy = np.asarray(image.camera.cam_from_img(image.keypoints)).reshape(-1, 2)
+    return np.column_stack([xy, np.ones(len(xy))])
+
+
 def _match_nearest(database: Path, pairs: Pairs, verification: pycolmap.TwoViewGeometryOptions) -> None:
     """Match and verify pairs in parallel, one a core, and write the results once all are done."""
     with pycolmap.Database.open(database) as opened, pycolmap.DatabaseTransaction(opened):
-        cameras = {row: opened.read_camera(image_id(row)) for row in np.unique(pairs).tolist()}
-        keypoints = {row: opened.read_keypoints(image_id(row))[:, :2].astype(float) for row in cameras}
-        descriptors = {row: opened.read_descriptors(image_id(row)).data.astype(np.float32) for row in cameras}
+        images = _images(opened, pairs)
 
         def match(pair: list[int]) -> tuple[NDArray[np.uint32], pycolmap.TwoViewGeometry]:
-            a, b = pair
-            matches = mutual_matches(descriptors[a], descriptors[b])
+            a, b = (images[row] for row in pair)
+            matches = mutual_matches(a.descriptors, b.descriptors)
             return matches, pycolmap.estimate_two_view_geometry(
-                cameras[a], keypoints[a], cameras[b], keypoints[b], matches, verification
+                a.camera, a.keypoints, b.camera, b.keypoints, matches, verification
             )
 
         listed = pairs.tolist()

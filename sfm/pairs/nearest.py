@@ -1,7 +1,11 @@
 """SIFT matches by comparing all descriptors of two images with each other."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
+
+Ints = NDArray[np.int64]
 
 _LENGTH = 512.0
 _MAX_ANGLE, _MAX_RATIO = 0.7, 0.8  # COLMAP's
@@ -16,7 +20,26 @@ def mutual_matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np
     """
     if not len(a) or not len(b):
         return np.empty((0, 2), np.uint32)
+    return _mutual(a @ b.T)
+
+
+def guided_matches(
+    a: NDArray[np.float32], b: NDArray[np.float32], fits: Callable[[Ints, Ints], NDArray[np.bool_]]
+) -> NDArray[np.uint32]:
+    """As `mutual_matches`, among rows i (C,) of a and j (C,) of b that fit each other, (C,): of `fits`' two arguments.
+
+    What doesn't fit is no second nearest either, so that a feature of a repeated pattern can match.
+    """
     product = a @ b.T
+    # A second nearest beyond this angle refuses no match.
+    i, j = np.nonzero(product >= _LENGTH**2 * np.cos(_MAX_ANGLE / _MAX_RATIO))
+    fit = fits(i, j)
+    fitting = np.zeros_like(product)
+    fitting[i[fit], j[fit]] = product[i[fit], j[fit]]
+    return _mutual(fitting)
+
+
+def _mutual(product: NDArray[np.float32]) -> NDArray[np.uint32]:
     nearest = product.argmax(axis=1)
     mutual = product.max(axis=1) == product.max(axis=0)[nearest]
     # Of two that are equally near one is used, and refused below: its second nearest is just as near.

@@ -8,9 +8,12 @@ import numpy as np
 import pycolmap
 from textured_room import Room
 
+from groundwalk.geometry.epipolar import sampson_px
+from groundwalk.geometry.poses import skew
 from groundwalk.sfm.database import create_database, has_results, image_id, image_name, read_pair_results
 from groundwalk.sfm.pairs.features import extract_features
-from groundwalk.sfm.pairs.matching import match_pairs, verification_options
+from groundwalk.sfm.pairs.matching import MatchedPairs, guide_pairs, match_pairs, verification_options
+from groundwalk.sfm.pairs.odometry import nothing_compared
 from groundwalk.sfm.settings import SfmSettings
 
 SETTINGS = SfmSettings(max_features=400)
@@ -73,3 +76,47 @@ def test_each_pair_is_matched_alike_whatever_is_matched_beside_it(room: Room, tm
             np.testing.assert_array_equal(one.read_matches(*ids), other.read_matches(*ids))
             found, expected = one.read_two_view_geometry(*ids), other.read_two_view_geometry(*ids)
             np.testing.assert_array_equal(found.inlier_matches, expected.inlier_matches)
+
+
+def test_guided_matches_lie_along_epipolar_lines(room: Room, tmp_path: Path) -> None:
+    """Essential matrices are the true ones here; of the room's pairs many are planar, and these stay as they are."""
+    database = tmp_path / "database.db"
+    names = with_features(room, database)
+    pairs = np.array([(0, 1), (0, 3), (1, 4), (2, 9)])
+    match_pairs(quiet, database, names, pairs, SETTINGS, SEED)
+    b_T_a = np.linalg.inv(room.true_T_cam[pairs[:, 1]]) @ room.true_T_cam[pairs[:, 0]]
+    with pycolmap.Database.open(database) as opened:
+        for (a, b), motion in zip(pairs[:3].tolist(), b_T_a, strict=False):
+            geometry = opened.read_two_view_geometry(image_id(a), image_id(b))
+            geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
+            geometry.E = skew(motion[:3, 3] / np.linalg.norm(motion[:3, 3])) @ motion[:3, :3]
+            opened.update_two_view_geometry(image_id(a), image_id(b), geometry)
+        assert opened.read_two_view_geometry(image_id(2), image_id(9)).config != geometry.config
+    matches, before = read_pair_results(database, pairs)
+
+    guide_pairs(quiet, database, pairs)
+
+    _, after = read_pair_results(database, pairs)
+    assert (after[:3] > 1.05 * before[:3]).all() and after[3] == before[3]
+    assert np.array_equal(read_pair_results(database, pairs)[0], matches)
+    guide_pairs(quiet, database, pairs)
+    assert np.array_equal(read_pair_results(database, pairs)[1], after)
+    with pycolmap.Database.open(database) as opened:
+        for (a, b), motion in zip(pairs[:3].tolist(), b_T_a, strict=False):
+            found = opened.read_two_view_geometry(image_id(a), image_id(b)).inlier_matches
+            rays, focal = [], []
+            for row, column in ((a, 0), (b, 1)):
+                camera = opened.read_camera(image_id(row))
+                px = opened.read_keypoints(image_id(row))[found[:, column], :2].astype(float)
+                rays.append(np.column_stack([np.asarray(camera.cam_from_img(px)), np.ones(len(px))]))
+                focal.append(np.full(2, camera.mean_focal_length()))
+            a_T_b = np.repeat(np.linalg.inv(motion)[None], len(found), axis=0)
+            assert sampson_px(a_T_b, *rays, *focal).max() < 0.002 * 320 + 1e-6
+
+
+def test_only_pairs_of_frames_with_few_matches_are_weak() -> None:
+    pairs = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3), (0, 4), (4, 5)])
+    matches = np.array([250, 250, 250, 250, 250, 250, 80, 80])
+    inliers = np.array([90, 240, 240, 240, 240, 240, 60, 10])
+    matched = MatchedPairs(pairs, np.full(8, ""), matches, inliers, 15, nothing_compared(8))
+    assert matched.weak.tolist() == [False] * 6 + [True, False]

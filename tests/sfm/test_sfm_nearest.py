@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.sfm.pairs.nearest import mutual_matches
+from groundwalk.sfm.pairs.nearest import guided_matches, mutual_matches
 
 
 def sift_like(rng: np.random.Generator, count: int) -> NDArray[np.float32]:
@@ -67,3 +67,12 @@ def test_images_without_features_match_nothing() -> None:
     empty = np.empty((0, 128), np.float32)
     some = sift_like(np.random.default_rng(3), 3)
     assert mutual_matches(empty, some).shape == mutual_matches(some, empty).shape == (0, 2)
+
+
+def test_of_a_repeated_pattern_what_fits_is_matched() -> None:
+    a = sift_like(np.random.default_rng(5), 4)
+    b = np.repeat(a, 2, axis=0)  # each feature is seen twice
+    assert len(mutual_matches(a, b)) == 0
+    found = guided_matches(a, b, lambda i, j: j == 2 * i + 1)
+    assert found.tolist() == [[i, 2 * i + 1] for i in range(4)]
+    assert len(guided_matches(a, b, lambda i, j: np.zeros(len(i), bool))) == 0
