@@ -3,8 +3,8 @@
 Static quantisation (QDQ: integer nodes between QuantizeLinear and DequantizeLinear), a scale for each channel of a
 weight, ranges of activations from training frames (Jacob et al., 2018; ONNX Runtime's documentation, "Quantize ONNX
 models"). Which groups of nodes stay in float32 is searched for: a group does so where the network is then more accurate
-by too much, or faster, on frames that were held out of training. Of products that stay in float32 the large weights are
-stored in 8 bits all the same, and made float32 as the network runs.
+by too much, or faster, on frames that were held out of training. The large weights of what stays in float32 are stored
+in 8 bits all the same, and made float32 as the network runs.
 """
 
 import tempfile
@@ -32,7 +32,7 @@ _FASTER = 0.95  # a group stays in float32 for less than this fraction of the ti
 _TIMED_S, _MIN_RUNS, _MAX_RUNS = 2.0, 5, 60
 _PRODUCTS = "Gemm", "MatMul"
 _WITH_WEIGHTS = "Conv", *_PRODUCTS
-_LARGE = 10_000  # weights of a product; fewer take no room
+_LARGE = 10_000  # weights of a node; fewer take no room
 _BETWEEN = ("Add", "Relu", "Clip", "MaxPool", "GlobalAveragePool", "Flatten", "Reshape", "Mul", "Sigmoid")
 
 Tensors = Sequence[NDArray[np.float32]]
@@ -222,19 +222,20 @@ def _last(graph: Any, weights: dict[str, list[int]]) -> set[str]:
 
 
 def _store_in_int8(file: Path, nodes: Sequence[str]) -> None:
-    """Of these nodes, store products' large weights as integers, with a scale for each of their outputs."""
+    """Store the large weights of these nodes as integers, with a scale for each of their outputs."""
     import onnx
     from onnx import helper, numpy_helper
 
     model = onnx.load(file)
     graph = model.graph
     tensors = {tensor.name: tensor for tensor in graph.initializer}
-    for node in [node for node in graph.node if node.op_type in _PRODUCTS and node.name in set(nodes)]:
+    for node in [node for node in graph.node if node.op_type in _WITH_WEIGHTS and node.name in set(nodes)]:
         name = node.input[1]
         if name not in tensors or np.prod(tensors[name].dims) < _LARGE:
             continue
         weights = numpy_helper.to_array(tensors[name])
-        axis = 0 if any(a.name == "transB" and a.i for a in node.attribute) else weights.ndim - 1
+        outputs_first = node.op_type == "Conv" or any(a.name == "transB" and a.i for a in node.attribute)
+        axis = 0 if outputs_first else weights.ndim - 1
         others = tuple(i for i in range(weights.ndim) if i != axis)
         scale = np.maximum(np.abs(weights).max(axis=others, keepdims=True), np.float32(1e-12)) / np.float32(127)
         parts = {

@@ -261,6 +261,19 @@ def test_a_network_that_int8_spoils_is_shipped_in_float32_alone(
     assert result.refusal and not (tmp_path / "int8.onnx").exists()
 
 
+def test_what_stays_in_float32_is_stored_in_8_bits(
+    wall_bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(quantisation._Trials, "search", lambda self: (kept := (*self.groups,)[1:], self.trial(kept)))
+    tensors = [np.random.default_rng(0).normal(size=(1, 3, 32, 32)).astype(np.float32)]
+    held_out = HeldOut(tensors, np.full((1, 3), 1000.0), np.array([[0, 0, 0, 1.0]]))
+    fp32, int8 = wall_bundle / "fp32.onnx", tmp_path / "int8.onnx"
+    assert not quantisation.write_int8(fp32, int8, tensors, held_out).refusal
+    assert int8.stat().st_size < 0.3 * fp32.stat().st_size
+    answers = [open_session(file).run(["position"], {"image": tensors[0]})[0] for file in (fp32, int8)]
+    assert np.abs(answers[0] - answers[1]).max() < 0.05 * np.abs(answers[0]).max()
+
+
 def test_core_ml_is_left_out_with_a_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "coremltools", None)
     trained = Trained(WithCovariance().eval(), ["Wall"], 40, 32, None, 32, False)
