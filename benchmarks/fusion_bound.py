@@ -9,7 +9,7 @@ docs/results/fusion_bound.md.
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import typer
@@ -22,7 +22,7 @@ from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.progress import track
 from groundwalk.fusion.evaluation.fuse import Run, fuse, pose_errors
-from groundwalk.fusion.evaluation.leaderboard import RULE, cases_in
+from groundwalk.fusion.evaluation.leaderboard import RULE, cases_in, within_bounds
 from groundwalk.fusion.methods import METHODS, resolve_options
 from groundwalk.fusion.methods.drift_aware import DriftAware
 from groundwalk.fusion.methods.drift_aware_options import DriftAwareOptions
@@ -42,6 +42,7 @@ app = new_app(__doc__ or "")
 _DOF = DriftAwareOptions().degrees_of_freedom
 _CERTAIN = 1e9  # predictions that what is told counts as
 _QUANTITIES = ("position", "rotation")
+_RIGHT = 0.85, 0.99  # of errors within their 95 % bounds
 _EVEN = 1e-6  # degrees of freedom with which the kernel lets every prediction count the same
 
 
@@ -118,25 +119,43 @@ def by_id(name: str) -> Make:
     return lambda case, walk: METHODS[name].localiser(resolve_options(name), None)
 
 
-def mean_errors(case: Case, make: Make) -> Array:
-    """Mean position and rotation error (2,) over the answered frames of all walks."""
+class Outcome(NamedTuple):
+    """Of position and of rotation, over the answered frames of all walks: mean errors (2,), and the shares (2,) within
+    the 95 % bounds, NaN for a method without."""
+
+    errors: Array
+    inside: Array
+
+
+def outcome(case: Case, make: Make) -> Outcome:
+    """What a method that is made for each of a case's walks has for it."""
     fused = [fuse(Run("", "", case.model), walk, make(case, walk)) for walk in case.walks]
     errors = np.hstack([pose_errors(f.live_map_T_cam, f.walk.map_T_cam) for f in fused])
-    return np.asarray(np.nanmean(errors, axis=1))
+    inside = np.vstack([within_bounds(f) for f in fused])
+    return Outcome(np.nanmean(errors, axis=1), inside.mean(axis=0) if len(inside) else np.full(2, np.nan))
 
 
 def table(cases: Sequence[Case], what: str) -> list[list[str]]:
-    """The rows' mean errors over the paper's rule's and over those of the best of the other causal methods."""
-    rule = np.array([mean_errors(case, by_id(RULE)) for case in cases])
-    others = np.array([[mean_errors(case, by_id(name)) for case in cases] for name in _OTHERS]).min(axis=0)
-    rows = [
-        ["", *(f"{of} {over}" for over in ("/rule", "worst", "/next best", "worst /next best") for of in _QUANTITIES)]
-    ]
+    """The rows' mean errors over the paper's rule's and over those of the best of the other causal methods, and in how
+    many cases the share within the bounds is what it should be."""
+    rule = np.array([outcome(case, by_id(RULE)).errors for case in cases])
+    others = np.array([[outcome(case, by_id(name)).errors for case in cases] for name in _OTHERS]).min(axis=0)
+    heads = [f"{of} {over}" for over in ("/rule", "worst", "/next best", "worst /next best") for of in _QUANTITIES]
+    rows = [["", *heads, *(f"{of} in bounds: cases below, at, above" for of in _QUANTITIES)]]
     for name in track(list(ROWS), what):
-        errors = np.array([mean_errors(case, ROWS[name]) for case in cases])
+        outcomes = [outcome(case, ROWS[name]) for case in cases]
+        errors, inside = (np.array(part) for part in zip(*outcomes, strict=True))
         figures = [f for ratio in (errors / rule, errors / others) for f in (_geometric_mean(ratio), ratio.max(axis=0))]
-        rows.append([name, *(f"{value:.3f}" for value in np.concatenate(figures))])
+        rows.append([name, *(f"{value:.3f}" for value in np.concatenate(figures)), *map(_counted, inside.T)])
     return rows
+
+
+def _counted(inside: Array) -> str:
+    """How many cases have too small a share within their bounds, the right one, and too large a one."""
+    if np.isnan(inside).any():
+        return ""
+    least, most = _RIGHT
+    return f"{(inside < least).sum()}, {((inside >= least) & (inside <= most)).sum()}, {(inside > most).sum()}"
 
 
 def _geometric_mean(ratio: Array) -> Array:
@@ -169,7 +188,8 @@ def main(
 
 Written by `python -m benchmarks.fusion_bound`; not to be edited. `/rule` is a mean error over the paper's rule's in the
 same scene with the same model, `/next best` over that of the best of {", ".join(_OTHERS)} there; geometric means over
-the cases.
+the cases. In bounds: in how many cases fewer than {_RIGHT[0]:.0%} of the errors are within their 95 % bounds, from
+these to {_RIGHT[1]:.0%}, and more.
 
 Rows 2, 3, 5 and 6 are told of true errors and rows 4 and 6 answer after the walk, so no causal method can have them. A
 covariance is of rotation and position together, in camera axes, under Student's t, and stays as it is told.

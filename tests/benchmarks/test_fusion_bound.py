@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.fusion_bound import ROWS, Told, covariance_of, errors_of, mean_errors
+from benchmarks.fusion_bound import ROWS, Told, covariance_of, errors_of, outcome
 from benchmarks.fusion_inputs import Case, Track, predicted_walk
 from groundwalk.fusion.evaluation.fuse import Run, fuse
 from groundwalk.fusion.walk import Walk
@@ -32,5 +32,7 @@ def test_what_is_told_stays_and_helps() -> None:
     told = Told(covariance)
     fuse(Run("", "", "PN"), case.walks[0], told)
     assert np.allclose(told.save()["covariance"], covariance / np.outer(sd, sd), atol=1e-4)
-    as_it_is, _, _, smoother, weighed, oracle = (mean_errors(case, make) for make in ROWS.values())
+    outcomes = [outcome(case, make) for make in ROWS.values()]
+    as_it_is, _, _, smoother, weighed, oracle = (o.errors for o in outcomes)
     assert (weighed < as_it_is).all() and (smoother < as_it_is).all() and (oracle < 1e-6).all()
+    assert all((o.inside > 0.8).all() for o in outcomes[:5]) and np.isnan(outcomes[5].inside).all()
