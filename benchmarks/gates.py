@@ -51,6 +51,7 @@ from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.stage import git_revision
 from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.capture_import.stage import STAGE as IMPORT
+from groundwalk.consistency.motions import MIRRORED, MISTAKE_REASONS, UNRELATED, UPSIDE_DOWN
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import Sim3, fit_robust, fit_sim3, fit_yaw
 from groundwalk.geometry.poses import Array
@@ -214,9 +215,10 @@ def _named_fault(data: DataRoot, scene: str, case: Case) -> tuple[str, str, str]
 
 def _named(text: str) -> str:
     """The fault that an error names."""
-    if "the images are mirrored" in text or "the images are upside down" in text:
+    mirrored = "the images are mirrored", MISTAKE_REASONS[MIRRORED], MISTAKE_REASONS[UPSIDE_DOWN]
+    if any(words in text for words in mirrored):
         return FailureCause.MIRRORED_IMAGES
-    if "the images are unrelated" in text:
+    if MISTAKE_REASONS[UNRELATED] in text:
         return FailureCause.MISMATCHED_IMAGES
     return next((cause for cause in FailureCause if cause in text), "refused without a name")
 

@@ -35,6 +35,13 @@ MISTAKE_REASONS = {
     UPSIDE_DOWN: "images turn and move as VIO does in a mirror: they are mirrored upside down",
     UNRELATED: "images move in no relation to VIO: they don't belong to these poses",
 }
+_NOT_MIRRORED = "export the session's images as the camera saw them, not mirrored; or leave the session out"
+MISTAKE_ADVICE = {
+    MIRRORED: _NOT_MIRRORED,
+    UPSIDE_DOWN: _NOT_MIRRORED,
+    UNRELATED: "look whether the session's images are of the same recording as its poses, and in their order; or leave "
+    "the session out",
+}
 _MIRRORS = {MIRRORED: np.diag([-1.0, 1.0, 1.0]), UPSIDE_DOWN: np.diag([1.0, -1.0, 1.0])}
 
 

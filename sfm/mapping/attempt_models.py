@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from groundwalk.artefacts import StageRun, UserError
 from groundwalk.artefacts.child import Task
 from groundwalk.artefacts.choices import AttemptName, PairOrigin
-from groundwalk.consistency.motions import MISTAKE_REASONS, compare_motions
+from groundwalk.consistency.motions import MISTAKE_ADVICE, MISTAKE_REASONS, compare_motions
 from groundwalk.geometry.poses import relative
 from groundwalk.sfm.database import has_results, keypoint_counts, read_pair_results
 from groundwalk.sfm.mapping.attempts import Attempt, outcome_of
@@ -141,13 +141,14 @@ def _compared_with_vio(settings: SfmSettings, scene: SceneInput, database: Path,
         if members.sum() >= _MIN_COMPARED_PAIRS and inconsistent > members.sum() / 2:
             a, b = pairs[members].T
             motions = compare_motions(a_T_b[members], relative(vio_T_cam[a], vio_T_cam[b]), common_scale=False)
-            mistake = f"; {MISTAKE_REASONS[motions.mistake]}" if motions.mistake else ""
+            mistake = motions.mistake
+            look = "look at how the session was exported, and at its intrinsics; or leave the session out"
+            reason = f"; {MISTAKE_REASONS[mistake]}" if mistake else ""
             raise UserError(
                 f"images and VIO of session {name} are inconsistent",
                 expected="the same relative motions, within VIO's drift, in all but a few pairs of frames",
-                found=f"{inconsistent} of {members.sum()} verified pairs inconsistent with VIO{mistake}",
-                do="look at how this session was exported: mirrored or turned images, images in another order than "
-                "their poses, or wrong intrinsics; or leave the session out",
+                found=f"{inconsistent} of {members.sum()} verified pairs inconsistent with VIO{reason}",
+                do=MISTAKE_ADVICE[mistake] if mistake else look,
             )
     return replace(matched, compared=compared.scattered(rows, len(matched.pairs)))
 
