@@ -136,8 +136,11 @@ def test_a_stage_killed_anywhere_ends_in_the_same_tables(room: Room, tmp_path: P
         f"if __name__ == '__main__':\n"
         f"    execute(STAGE, 'room', 'tiny', DataRoot(Path({str(room.data.root)!r})), {_SETTINGS})\n"
     )
-    database = scratch / "database-1_1024.db"
-    for reached in (database.exists, lambda: _any_verified(database), (scratch / "mapping_0").exists):
+
+    def databases() -> list[Path]:
+        return [path for path in scratch.glob("database*.db") if ".partial" not in path.name]
+
+    for reached in (databases, lambda: any(map(_any_verified, databases())), (scratch / "mapping_0").exists):
         process = subprocess.Popen([sys.executable, program], start_new_session=True)
         while not reached() and process.poll() is None:
             time.sleep(0.005)
