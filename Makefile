@@ -11,6 +11,7 @@ seconds ?= 60
 nerfstudio ?=
 official ?=
 predictions ?=
+trained ?=
 python ?= python3
 
 # What the user gives is text, never make's or the shell's language: it's read unexpanded, and recipes get it through the
@@ -24,7 +25,8 @@ override seconds := $(value seconds)
 override nerfstudio := $(value nerfstudio)
 override official := $(value official)
 override predictions := $(value predictions)
-export scene profile captures seconds nerfstudio official predictions
+override trained := $(value trained)
+export scene profile captures seconds nerfstudio official predictions trained
 
 py := .venv/bin/python
 installed := .venv/.installed
@@ -139,8 +141,8 @@ bench-recovery: $(installed) ## How fusion methods bear what goes wrong in a wal
 bench-steps: $(installed) ## What a step of drift_aware costs over a walk of half an hour (docs/results)
 	@$(py) -m benchmarks.fusion_steps
 
-bench-fusion-bound: $(installed) ## What limits drift_aware; predictions=<folder>: published ones of real regressors (docs/results)
-	@$(py) -m benchmarks.fusion_bound $(if $(predictions),--predictions "$$predictions")
+bench-fusion-bound: $(installed) ## What limits drift_aware; predictions=<folder>: published ones of real regressors; trained=<folder>: of trained ones (docs/results)
+	@$(py) -m benchmarks.fusion_bound $(if $(predictions),--predictions "$$predictions") $(if $(trained),--trained "$$trained")
 
 bench-trained: $(installed) ## Train the regressors of bench-fusion's trained walks (build/trained); an hour and a half
 	@$(py) -m benchmarks.fusion_trained

@@ -180,8 +180,8 @@ def main(
         parts.append(_part("Real predictions", about, cases))
     if trained is not None:
         cases = [Case("", c.scene, c.model, tuple(c.walks), (None,) * len(c.walks)) for c in cases_in(trained)[0]]
-        scenes = ", ".join(dict.fromkeys(case.scene for case in cases))
-        parts.append(_part("Trained regressors", f"PN and MS-T trained in simulated scenes: {scenes}.", cases))
+        models, scenes = (", ".join(dict.fromkeys(getattr(c, of) for c in cases)) for of in ("model", "scene"))
+        parts.append(_part("Trained regressors", f"{models} trained in simulated scenes: {scenes}.", cases))
     if not parts:
         raise UserError("there is nothing to measure", expected="--predictions or --trained")
     text = f"""# What limits drift_aware

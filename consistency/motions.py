@@ -39,8 +39,8 @@ _NOT_MIRRORED = "export the session's images as the camera saw them, not mirrore
 MISTAKE_ADVICE = {
     MIRRORED: _NOT_MIRRORED,
     UPSIDE_DOWN: _NOT_MIRRORED,
-    UNRELATED: "look whether the session's images are of the same recording as its poses, and in their order; or leave "
-    "the session out",
+    UNRELATED: "check that the session's images and poses are of one recording, and in the same order; or leave the "
+    "session out",
 }
 _MIRRORS = {MIRRORED: np.diag([-1.0, 1.0, 1.0]), UPSIDE_DOWN: np.diag([1.0, -1.0, 1.0])}
 

@@ -100,14 +100,10 @@ def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, 
     """Match and verify the proposals, then pairs that both match a third frame; weak pairs a second time."""
 
     def match(text: str) -> MatchedPairs:
-        pairs, _ = first_origins(proposals, len(scene.names))
+        pairs, origin = first_origins(proposals, len(scene.names))
         if not has_results(database, pairs).all():
             arguments = (database, scene.names, pairs, settings, seed)
             scene.in_child(text, Task(match_pairs, arguments, len(pairs), ONE_THREAD))
-        return results()
-
-    def results() -> MatchedPairs:
-        pairs, origin = first_origins(proposals, len(scene.names))
         matches, inliers = read_pair_results(database, pairs)
         return MatchedPairs(pairs, origin, matches, inliers, settings.min_inliers, nothing_compared(len(pairs)))
 
@@ -119,7 +115,7 @@ def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, 
     weak = matched.pairs[matched.weak]
     if len(weak) and not model_files(settings):
         scene.in_child("matching weak pairs", Task(guide_pairs, (database, weak), len(weak), ONE_THREAD))
-        matched = results()
+        matched = replace(matched, inliers=read_pair_results(database, matched.pairs)[1])
     return matched
 
 

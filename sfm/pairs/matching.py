@@ -15,10 +15,10 @@ from groundwalk.artefacts.choices import PairStatus
 from groundwalk.artefacts.cores import usable_cores
 from groundwalk.geometry.epipolar import epipolar_px
 from groundwalk.geometry.poses import Array
-from groundwalk.sfm.database import has_results, image_id
+from groundwalk.sfm.database import Ints, has_results, image_id
 from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.features import extraction_options
-from groundwalk.sfm.pairs.nearest import Ints, guided_matches, mutual_matches
+from groundwalk.sfm.pairs.nearest import guided_matches, mutual_matches
 from groundwalk.sfm.pairs.networks import cannot_run, model_files, options_of_network
 from groundwalk.sfm.pairs.odometry import VioComparison
 from groundwalk.sfm.settings import SfmSettings
@@ -162,8 +162,9 @@ def _guide(database: Path, pairs: Pairs) -> None:
         rays = {row: _rays(image) for row, image in images.items()}
         focal = {row: np.full(2, image.camera.mean_focal_length()) for row, image in images.items()}
 
-        def guided(pair: tuple[int, int], essential: Array) -> NDArray[np.uint32]:
-            a, b = pair
+        def guided(pair: tuple[int, int]) -> NDArray[np.uint32]:
+            (a, b), essential = pair, geometries[pair].E
+            assert essential is not None
             limit_px = _GUIDE * max(images[a].camera.width, images[a].camera.height)
 
             def fits(i: Ints, j: Ints) -> NDArray[np.bool_]:
@@ -171,11 +172,12 @@ def _guide(database: Path, pairs: Pairs) -> None:
 
             return guided_matches(images[a].descriptors, images[b].descriptors, fits)
 
-        geometries = [((a, b), opened.read_two_view_geometry(image_id(a), image_id(b))) for a, b in pairs.tolist()]
-        certain = [(p, g) for p, g in geometries if g.config == pycolmap.TwoViewGeometryConfiguration.CALIBRATED]
+        geometries = {(a, b): opened.read_two_view_geometry(image_id(a), image_id(b)) for a, b in pairs.tolist()}
+        calibrated = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
+        certain = [pair for pair, geometry in geometries.items() if geometry.config == calibrated]
         with ThreadPoolExecutor(usable_cores()) as pool:
-            matches = pool.map(guided, *zip(*((p, g.E) for p, g in certain), strict=True)) if certain else []
-            for ((a, b), geometry), inliers in zip(certain, matches, strict=True):
+            for (a, b), inliers in zip(certain, pool.map(guided, certain), strict=True):
+                geometry = geometries[a, b]
                 geometry.inlier_matches = inliers
                 opened.update_two_view_geometry(image_id(a), image_id(b), geometry)
 
