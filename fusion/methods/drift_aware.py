@@ -16,6 +16,7 @@ from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.estimator.aligner import DIMENSIONS, Belief, Fit, Model, counted, innovation, iterate
 from groundwalk.fusion.methods.estimator.answer import answer, leaning, rotation_into_map, yaw_and_lean
 from groundwalk.fusion.methods.estimator.bounds import alignment_covariance
+from groundwalk.fusion.methods.estimator.hindsight import Answered, Hindsight
 from groundwalk.fusion.methods.estimator.keyframes import Keyframes
 from groundwalk.fusion.methods.estimator.likeness import Sharing, position_variances
 from groundwalk.fusion.methods.estimator.odometry_quality import OdometryQuality, expected_variances
@@ -69,8 +70,6 @@ class DriftAware(Localiser):
         self._lag_s = lag_s
         self.options = o = options or DriftAwareOptions()
         self._error_map = error_map if o.error_map else None
-        widened = np.sqrt(np.array([*[o.position_covariance_factor] * 3, o.yaw_covariance_factor]))
-        self._widened = np.outer(widened, widened)
         self._prior = Prior(side_turn_correlation(o.side_turn), o.side_turn_count, o.size_count, o.axis_count)
         self._usual_sizes = np.repeat([radians(o.rotation_sd_deg), o.position_sd_m], 3)
         yaw_m, position, height = radians(o.drift_deg_m) ** 2, o.drift_m**2, o.drift_height_m**2
@@ -91,6 +90,13 @@ class DriftAware(Localiser):
         self._way = Way()
         self._distrust = np.ones(4)  # factors of odometry's drift variances: x, y, z, yaw
         self._quality = OdometryQuality()
+        o = self.options
+        self._hindsight = Hindsight(
+            o.hindsight_s,
+            np.array([1.0, o.yaw_covariance_factor]),
+            o.hindsight_count,
+            np.array([o.position_hindsight_factor, o.yaw_hindsight_factor]),
+        )
         self._predicted_at_m = 0.0  # `_along_m` at the newest prediction
         self._along_m = 0.0
         self._drift = np.zeros(4)  # variances since the newest keyframe
@@ -173,7 +179,7 @@ class DriftAware(Localiser):
                 [_TILT_JITTER, 0.0, _TILT_JITTER, 0.0, 0.0, 0.0]
             )
             normalised = whitening_of_covariance(beside_odometry, map_T_cam_apr[:3, :3], vio_T_cam[:3, :3])
-        state = self._carried(vio_T_cam) if len(self._keyframes) else np.array([*position, yaw])
+        state = self._carried(vio_T_cam[:3, 3]) if len(self._keyframes) else np.array([*position, yaw])
         if self.options.distrust:
             self._judge_odometry(position, yaw, normalised, state, vio_T_cam)
         loss = self.options.jump_loss if self._way.loose.any() else 0.5 if self._watched else self.options.loss
@@ -221,13 +227,14 @@ class DriftAware(Localiser):
         self._predicted_at_m = self._along_m
         self._distrust = self._quality.factors
 
-    def _carried(self, vio_T_cam: Array, keyframe: int = -1) -> Array:
-        """Position and yaw (4,) of a camera: a keyframe's, by default the newest's, moved on by odometry."""
+    def _carried(self, vio: Array, keyframe: int = -1) -> Array:
+        """Position and yaw (4,) of a camera: a keyframe's, by default the newest's, moved on to odometry's position
+        (3,)."""
         x, y, z, yaw = self._keyframes.rows[keyframe]["state"].tolist()
         if keyframe == -1:
-            (dx, dy, dz), turn = self._way.step(vio_T_cam[:3, 3]), self._way.turn
+            (dx, dy, dz), turn = self._way.step(vio), self._way.turn
         else:
-            (dx, dy, dz), turn = (vio_T_cam[:3, 3] - self._keyframes.rows[keyframe]["vio"]).tolist(), 0.0
+            (dx, dy, dz), turn = (vio - self._keyframes.rows[keyframe]["vio"]).tolist(), 0.0
         c, s = cos(yaw), sin(yaw)
         return np.array([x + c * dx + s * dz, y + dy, z + c * dz - s * dx, yaw + turn])
 
@@ -254,10 +261,20 @@ class DriftAware(Localiser):
                 self._doubted |= rival.evidence > -_DOUBT
         self._known = fit.solution.covariance[-1]
         self._bound = alignment_covariance(keyframes.rows, fit, len(keyframes) - 1)
+        self._judge_answers()
         signals = {"surprise": float(fit.squared[-1]), "weight": float(fit.weights[-1])}
         if np.isfinite(gain):
             signals["rival_gain"] = gain
         return signals
+
+    def _judge_answers(self) -> None:
+        """Hold earlier answers against what is known of their poses by now, and remember the newest one."""
+        newest = self._keyframes.rows[-1]
+        for answered in self._hindsight.old(float(newest["time_s"])):
+            self._hindsight.judge(answered, self._between(answered.vio, self._before(answered.time_s))[0])
+        assert self._bound is not None
+        now = Answered(float(newest["time_s"]), newest["vio"].copy(), newest["state"].copy(), self._bound)
+        self._hindsight.remember(now)
 
     def settle(self) -> None:
         """Iterate the fit until it hardly changes, as `smoother` does at a walk's end."""
@@ -270,26 +287,29 @@ class DriftAware(Localiser):
         keyframes = self._keyframes
         if not len(keyframes):
             return None
-        at = max(int(np.searchsorted(keyframes.column("time_s"), t_ns * 1e-9 + 1e-6, side="right")) - 1, 0)
         if self._last is None:
             self._iterated()
         assert self._last is not None
-        state, nearest = self._between(vio_T_cam, at)
+        state, nearest = self._between(vio_T_cam[:3, 3], self._before(t_ns * 1e-9))
         bound = alignment_covariance(keyframes.rows, self._last, nearest)
         return self._posed(vio_T_cam, _Extrapolation(state, nearest, bound, _NOTHING), Status.FUSED, (), {})
 
-    def _between(self, vio_T_cam: Array, at: int) -> tuple[Array, int]:
-        """Position and yaw (4,) of a camera between a keyframe and the next, and the nearer one of both: what odometry
-        has drifted from the one to the other is shared out along the way."""
-        rows, state = self._keyframes.rows, self._carried(vio_T_cam, at)
+    def _before(self, time_s: float) -> int:
+        """The last keyframe at a time or before it, or else the first."""
+        return max(int(np.searchsorted(self._keyframes.column("time_s"), time_s + 1e-6, side="right")) - 1, 0)
+
+    def _between(self, vio: Array, at: int) -> tuple[Array, int]:
+        """Position and yaw (4,) of a camera, at odometry's position (3,), between a keyframe and the next, and the
+        nearer one of both: what odometry has drifted from the one to the other is shared out along the way."""
+        rows, state = self._keyframes.rows, self._carried(vio, at)
         after = at + 1
         if after == len(rows) or rows[after]["segment"] != rows[at]["segment"]:
             return state, at
-        gone, left = (float(np.linalg.norm(vio_T_cam[:3, 3] - rows[i]["vio"])) for i in (at, after))
+        gone, left = (float(np.linalg.norm(vio - rows[i]["vio"])) for i in (at, after))
         if gone == 0.0:
             return state, at
         fraction = gone / (gone + left)
-        drifted = self._carried(vio_T_cam, after) - state
+        drifted = self._carried(vio, after) - state
         return state + fraction * drifted, at if fraction < 0.5 else after
 
     @property
@@ -370,7 +390,7 @@ class DriftAware(Localiser):
         assert self._bound is not None
         status = Status.LOST if self._doubted or self._watched or self._unproven > 0 else Status.FUSED
         added = self._distrust * self._drift + self._way.loose
-        by_odometry = _Extrapolation(self._carried(vio_T_cam), -1, self._bound, added)
+        by_odometry = _Extrapolation(self._carried(vio_T_cam[:3, 3]), -1, self._bound, added)
         return self._posed(vio_T_cam, by_odometry, status, reasons, signals, map_T_cam_apr)
 
     def _posed(
@@ -390,7 +410,8 @@ class DriftAware(Localiser):
             apart = map_T_cam_apr[:3, :3] @ (map_R_vio @ vio_T_cam[:3, :3]).T
             tilt, tilt_variance = self._tilt_of(apart, tilt_variance)
             map_R_vio = leaning(tilt) @ map_R_vio
-        keyframe, bound = self._keyframes.rows[by_odometry.keyframe]["state"], self._widened * by_odometry.bound
+        keyframe = self._keyframes.rows[by_odometry.keyframe]["state"]
+        bound = self._hindsight.widening * by_odometry.bound
         map_T_cam, map_T_vio, covariance = answer(state, map_R_vio, vio_T_cam, keyframe, bound, by_odometry.added)
         covariance[0, 0] = covariance[2, 2] = tilt_variance
         signals["position_sd_m"] = sqrt(sum(covariance.diagonal()[3:].tolist()))
@@ -436,6 +457,7 @@ class DriftAware(Localiser):
             "drift": plain(self._drift),
             "distrust": plain(self._distrust),
             "quality": self._quality.save(),
+            "hindsight": self._hindsight.save(),
             "predicted_at_m": self._predicted_at_m,
             "segment": self._segment,
             "count": self._count,
@@ -454,6 +476,7 @@ class DriftAware(Localiser):
         self._known, self._bound = array(state["known"]), array(state["bound"])
         self._distrust, self._predicted_at_m = np.array(state["distrust"]), state["predicted_at_m"]
         self._quality.restore(state["quality"])
+        self._hindsight.restore(state["hindsight"])
         self._vio = None if state["vio"] is None else (state["vio"][0], np.array(state["vio"][1]))
         self._way.restore(state["way"])
         self._along_m, self._segment, self._count = state["along_m"], state["segment"], state["count"]

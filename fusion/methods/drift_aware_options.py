@@ -60,10 +60,15 @@ class DriftAwareOptions(OdometryOptions):
         description="distance over which that fades to 1/e, in standard deviations of a prediction's position an axis",
     )
     shared_turn_deg: float = Field(45.0, gt=0, description="turn of the camera over which it fades to 1/sqrt(e)")
-    position_covariance_factor: float = Field(
-        2.6, gt=0, description="what the position's covariance is multiplied with"
+    yaw_covariance_factor: float = Field(
+        0.7, gt=0, description="what the yaw's variance is multiplied with before answers could be judged"
     )
-    yaw_covariance_factor: float = Field(0.7, gt=0, description="the same, of yaw")
+    hindsight_s: float = Field(20.0, gt=0, description="age at which an answer is judged by what is then known")
+    hindsight_count: float = Field(3.0, gt=0, description="answers that the first factors, 1 and yaw's, count as")
+    position_hindsight_factor: float = Field(
+        4.0, gt=0, description="what squared position errors are multiplied with that hindsight shows"
+    )
+    yaw_hindsight_factor: float = Field(1.3, gt=0, description="the same, of yaw")
     apart_m: float = Field(0.05, gt=0, description="motion after which two predictions are half independent")
     turn_length_m: float = Field(1.0, ge=0, description="motion that a turn by one radian counts as")
     keyframes: int = Field(64, ge=8, description="predictions kept as evidence")
