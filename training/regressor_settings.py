@@ -178,7 +178,7 @@ class MSTransformerSettings(BackboneSettings):
 class LiteSettings(RegressorSettings):
     """A head on features of EfficientNet-Lite0, which are computed once: small images, many turned copies of each."""
 
-    epochs: int = Field(60, gt=0, description="passes over the training frames and their copies")
+    epochs: int = Field(40, gt=0, description="passes over the training frames and their copies")
     batch: int = Field(128, gt=1, description="images a step")
     learning_rate: float = Field(2e-3, gt=0, description="Adam's learning rate after warming up")
     optimiser: Literal["adam", "adamw"] = Field(
@@ -218,7 +218,7 @@ class LiteSettings(RegressorSettings):
         " with a state dict of the same names",
     )
     copies: int = Field(
-        12, ge=0, description="turned and re-coloured copies of each training image, beside the image itself"
+        20, ge=0, description="turned and re-coloured copies of each training image, beside the image itself"
     )
     components: int = Field(32, gt=0, description="poses that the mixture has for each image")
     width: int = Field(256, gt=0, description="features after whitening, and in the hidden layers")
@@ -228,7 +228,7 @@ class LiteSettings(RegressorSettings):
 class MSTransformerLiteSettings(LiteSettings):
     """The same with MS-T's decoders on two of the backbone's maps."""
 
-    epochs: int = Field(30, gt=0, description="passes over the training frames and their copies")
+    epochs: int = Field(20, gt=0, description="passes over the training frames and their copies")
     batch: int = Field(64, gt=1, description="images a step")
     warmup_epochs: float = Field(3, ge=0, description="epochs over which the learning rate rises from zero")
     attention_dropout: float = Field(
