@@ -213,9 +213,9 @@ def write(out: Path, profile: str, results: Results) -> None:
         f"of profile `{profile}`, and asked about the test frames. Scenes without captures of their own are simulated. "
         "Cells are means over the seeds, with their range. In bounds: of the stated covariances, 95 %; the rank "
         "correlation is Spearman's of the stated deviation and the true error; drawn: of errors drawn from the stated "
-        "covariances, which is what covariances of these sizes have that are exactly right. Processor seconds are of the "
-        "whole stage: reading images, training and predicting. The revision is that of the code that trained the row; the "
-        "one below that of the code that wrote the page.",
+        "covariances, which is what covariances of these sizes have that are exactly right. Processor seconds are of "
+        "the whole stage: reading images, training and predicting. The revision is that of the code that trained the "
+        "row; the one below that of the code that wrote the page.",
         "",
         circumstances(),
     ]
