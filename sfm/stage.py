@@ -34,6 +34,9 @@ from groundwalk.sfm.tables import (
 )
 
 RESIDUALS_PLOT = "residuals.png"
+# Blobs of one surface are a little off alike, which the adjustment follows, so residuals don't show it: by what the
+# poses' variances are larger (docs/explanation/sfm.md).
+_OF_SURFACES = 1.5
 _MAX_COHERENCE = 4.0
 AdjustedModels = list[tuple[Adjusted, NDArray[np.int64]]]
 
@@ -122,7 +125,7 @@ def _covariances(
         elif (estimate := covariances(one, blobs_of(one.bundle))) is None:
             r.say(f"model {entry.model_id}: no covariances: too few points")
         else:
-            covariance[rows] = estimate.poses
+            covariance[rows] = _OF_SURFACES * estimate.poses
             r.figure(f"coherence_rows_{entry.folder}", estimate.by_rows)
             r.figure(f"coherence_cells_{entry.folder}", estimate.by_cell)
             if estimate.by_rows > _MAX_COHERENCE:
@@ -137,7 +140,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=24,
+    version=25,
     settings=SfmSettings,
     needs=("import",),
     run=run,
