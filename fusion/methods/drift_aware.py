@@ -100,6 +100,7 @@ class DriftAware(Localiser):
         self._predicted_at_m = 0.0  # `_along_m` at the newest prediction
         self._along_m = 0.0
         self._drift = np.zeros(4)  # variances since the newest keyframe
+        self._swung = [0.0, 0.0]  # covariances of x and z with the yaw since then, by steps after the yaw has drifted
         self._segment = 0
         self._count = 0  # predictions taken in
         self._watched = False  # odometry has jumped, or was gone, since the newest keyframe
@@ -155,9 +156,17 @@ class DriftAware(Localiser):
             length, angle = hypot(*moved), 0.0 if turned else angle
         elif not jumped:
             self._way.go([dx, dy, dz], seconds)
+            self._swing(dx, dz)
         self._along_m += length + o.turn_length_m * angle
         self._drift = self._drift + length * self._drift_a_metre + seconds * self._drift_a_second
         return jumped or gone
+
+    def _swing(self, dx: float, dz: float) -> None:
+        """Add what a step of odometry is off to the side by for how much the yaw has drifted by now."""
+        yaw, (x, z) = float(self._drift[3]), self._swung
+        more = dz * x - dx * z + (dx * dx + dz * dz) * yaw / 2
+        self._drift = self._drift + np.array([more, 0.0, more, 0.0])
+        self._swung = [x + dz * yaw, z - dx * yaw]
 
     def _take(self, t_ns: int, vio_T_cam: Array, map_T_cam_apr: Array) -> None:
         """Keep a prediction as the newest keyframe."""
@@ -201,7 +210,7 @@ class DriftAware(Localiser):
             rare=log((1 - loss) / loss),
         )
         self._way.begin(vio_T_cam[:3, 3])
-        self._drift, self._watched = np.zeros(4), False
+        self._drift, self._swung, self._watched = np.zeros(4), [0.0, 0.0], False
         self._count += 1
         self._unproven -= 1
 
@@ -455,6 +464,7 @@ class DriftAware(Localiser):
             "way": self._way.save(),
             "along_m": self._along_m,
             "drift": plain(self._drift),
+            "swung": self._swung,
             "distrust": plain(self._distrust),
             "quality": self._quality.save(),
             "hindsight": self._hindsight.save(),
@@ -472,6 +482,7 @@ class DriftAware(Localiser):
         self._forget()
         self._keyframes.restore(state["keyframes"])
         self._covariance, self._drift = np.array(state["covariance"]), np.array(state["drift"])
+        self._swung = list(state["swung"])
         self._tilt, self._tilt_variance = np.array(state["tilt"][0]), state["tilt"][1]
         self._known, self._bound = array(state["known"]), array(state["bound"])
         self._distrust, self._predicted_at_m = np.array(state["distrust"]), state["predicted_at_m"]

@@ -132,6 +132,17 @@ def test_a_full_table_drops_what_is_densest_and_keeps_the_newest_and_the_way() -
     assert len(copy) == 10 and copy.column("along")[-1] == 200.0
 
 
+def test_a_way_over_dropped_keyframes_is_as_uncertain_as_the_whole_of_it() -> None:
+    table, yaw = Keyframes(10), 1e-4  # a metre's variance of yaw
+    for i in range(100):
+        aside = yaw / 6  # half of what a metre with this drift of yaw ends aside
+        table.add(along=float(i), step=[0, 0, 1.0], drift=[aside, 0, aside, yaw], vio=[0, 0, i], time_s=float(i))
+    metres = np.diff(table.column("along"))
+    assert metres.max() > 10
+    assert np.allclose(table.column("drift")[1:, 3], yaw * metres)
+    assert np.allclose(table.column("drift")[1:, [0, 2]].T, yaw * metres**3 / 6)
+
+
 def test_keyframes_that_late_answers_need_are_kept_beside_the_table() -> None:
     table = Keyframes(10, kept_s=30.0)
     for i in range(200):

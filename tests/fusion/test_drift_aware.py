@@ -74,6 +74,21 @@ def test_going_on_from_a_saved_state_changes_nothing_and_its_size_is_bounded() -
     assert max(sizes[30:]) <= 1.05 * max(sizes[2:30])
 
 
+def test_a_long_way_without_predictions_is_as_uncertain_as_odometrys_yaw_makes_it() -> None:
+    options = DriftAwareOptions(distrust=False)
+    localiser, pose = DriftAware(options), np.eye(4)
+    localiser.step(0, pose, pose)
+    for second in range(1, 61):
+        forward = make_pose(np.eye(3), np.array([0.0, 0.0, float(second)]))
+        there(localiser.step(second * 10**9, forward, None).map_T_cam)
+    yaw = np.radians(options.drift_deg_m) ** 2 + np.radians(options.drift_deg_s) ** 2  # a second and metre
+    # A yaw that is a random walk over a way L takes its end aside by the root of q L^3 / 3; half of that on each axis.
+    steps, metres = 60, 60.0
+    expected = metres * options.drift_m**2 * 1.05 + yaw * metres**3 / 6
+    x, _, z, turned = localiser.save()["drift"]
+    assert np.isclose(turned, steps * yaw) and np.allclose([x, z], expected, rtol=0.05)
+
+
 def test_odometry_between_predictions_changes_little() -> None:
     """Ten odometry poses a second and one prediction: as good and as sure as at one pose a second."""
     found: dict[int, list[tuple[float, float]]] = {1: [], 10: []}

@@ -121,6 +121,10 @@ def _close(keyframes: Rows, index: int) -> None:
         gone, after = keyframes[index], keyframes[index + 1]
         c, s = cos(gone.turn), sin(gone.turn)
         x, z = after.step[0], after.step[2]
+        # What the yaw has drifted on the first way takes the second one aside, and the first by half as much.
+        aside = max(x * x + z * z + gone.step[0] * x + gone.step[2] * z, 0.0) * gone.drift[3] / 2
+        after.drift[0] += aside
+        after.drift[2] += aside
         after.step[0] = gone.step[0] + (c * x + s * z)
         after.step[1] += gone.step[1]
         after.step[2] = gone.step[2] + (c * z - s * x)
