@@ -1,12 +1,13 @@
-"""How far off answers turn out to have been, and what their bounds are to be multiplied with for that.
+"""How far off answers turn out to have been, and what their covariances are to be multiplied with for that.
 
-Bounds assume how predictions are wrong together (likeness.py). Whether that holds for this regressor in this place, its
-innovations hardly tell; later answers do: some time after a pose was answered, predictions from farther on say where it
-was. What they agree with it on in error stays unseen, so squared errors count as larger than they seem."""
+Covariances assume how predictions are wrong together (likeness.py). Whether that holds for this regressor in this place
+its newest predictions hardly tell; later ones do: some time after a pose was answered, predictions from farther on say
+where it was. An error that these have in common with the answer isn't seen, so squared errors count as larger than they
+seem."""
 
 from collections import deque
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -63,12 +64,11 @@ class Hindsight:
         self._sum = self._sum + self._seen * np.minimum(squared, _MOST)
         self._count += 1
 
-    def save(self) -> list[object]:
+    def save(self) -> list[Any]:
         """The state as plain data."""
         return [[[a.time_s, *map(plain, a[1:])] for a in self._young], plain(self._sum), self._count]
 
-    def restore(self, saved: list[object]) -> None:
-        """Go on from what `save` gave."""
-        young, total, count = saved
-        self._young = deque(Answered(time_s, *map(np.array, arrays)) for time_s, *arrays in young)  # type: ignore
-        self._sum, self._count = np.array(total), float(count)  # type: ignore
+    def restore(self, state: list[Any]) -> None:
+        """Take over what `save` gave."""
+        self._young = deque(Answered(time_s, *map(np.array, arrays)) for time_s, *arrays in state[0])
+        self._sum, self._count = np.array(state[1]), state[2]
