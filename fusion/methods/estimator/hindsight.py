@@ -7,6 +7,7 @@ seem."""
 
 from collections import deque
 from collections.abc import Iterator
+from math import pi
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,8 +61,9 @@ class Hindsight:
         """Hold an answer against what is known of its state (4,) by now."""
         apart = state - answered.state
         position = apart[:3] @ np.linalg.solve(answered.bound[:3, :3], apart[:3]) / 3
-        squared = np.array([position, apart[3] ** 2 / max(answered.bound[3, 3], _SMALLEST)])
-        self._sum = self._sum + self._seen * np.minimum(squared, _MOST)
+        yaw = (apart[3] + pi) % (2 * pi) - pi
+        squared = np.array([position, yaw**2 / max(answered.bound[3, 3], _SMALLEST)])
+        self._sum = self._sum + self._seen * np.clip(squared, 0.0, _MOST)
         self._count += 1
 
     def save(self) -> list[Any]:
