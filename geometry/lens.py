@@ -59,6 +59,15 @@ def undistort(distorted_M2: Array, coefficients: ArrayLike) -> Array:
     return ideal
 
 
+def fold_radius(coefficients: ArrayLike) -> float:
+    """The ideal radius, in focal lengths, beyond which the polynomial puts points nearer to the middle again, as no
+    lens does; infinity where it doesn't up to 80 degrees from the axis. Tangential distortion is left out."""
+    radius = np.tan(np.linspace(0, np.radians(_MAX_ANGLE_DEG), _ANGLES))
+    radial = np.where(np.isin(np.arange(8), (2, 3)), 0.0, _eight(coefficients))
+    turns = np.flatnonzero(~(np.diff(distort(np.stack([radius, 0 * radius], axis=1), radial)[:, 0]) > 0))
+    return float(radius[turns[0]]) if len(turns) else np.inf
+
+
 def k1_k2_of_k3(radius: float) -> Array:
     """The k1 and k2 (2,) that come nearest to k3 = 1, in least squares over a disc of `radius` (focal lengths)."""
     return np.array([-10 / 21 * radius**4, 10 / 7 * radius**2])

@@ -1,6 +1,7 @@
 """The sfm stage: import's frames in, COLMAP models over all sessions out, one where the images allow it."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -34,8 +35,8 @@ from groundwalk.sfm.tables import (
 )
 
 RESIDUALS_PLOT = "residuals.png"
-# Blobs of one surface are a little off alike, which the adjustment follows, so residuals don't show it: by what the
-# poses' variances are larger (docs/explanation/sfm.md).
+# Blobs of one surface are a little off alike, which the adjustment follows, so residuals don't show it: by what all
+# variances are larger (docs/explanation/sfm.md).
 _OF_SURFACES = 1.5
 _MAX_COHERENCE = 4.0
 AdjustedModels = list[tuple[Adjusted, NDArray[np.int64]]]
@@ -125,7 +126,8 @@ def _covariances(
         elif (estimate := covariances(one, blobs_of(one.bundle))) is None:
             r.say(f"model {entry.model_id}: no covariances: too few points")
         else:
-            covariance[rows] = _OF_SURFACES * estimate.poses
+            estimate = replace(estimate, poses=_OF_SURFACES * estimate.poses, shared=_OF_SURFACES * estimate.shared)
+            covariance[rows] = estimate.poses
             r.figure(f"coherence_rows_{entry.folder}", estimate.by_rows)
             r.figure(f"coherence_cells_{entry.folder}", estimate.by_cell)
             if estimate.by_rows > _MAX_COHERENCE:
@@ -140,7 +142,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=25,
+    version=26,
     settings=SfmSettings,
     needs=("import",),
     run=run,

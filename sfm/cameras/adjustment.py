@@ -20,7 +20,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.spatial.transform import Rotation
 
 from groundwalk.artefacts.progress import track
-from groundwalk.geometry.lens import distort_with_slope, slope_by_numerator
+from groundwalk.geometry.lens import distort_with_slope, fold_radius, slope_by_numerator
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN, cauchy_weights
 from groundwalk.geometry.shutter import readout_fraction
@@ -117,6 +117,13 @@ class Adjusted:
 def project(bundle: Bundle, cameras: Cameras, *, shutter: bool = True) -> Array:
     """Where each observation's point is seen, (M, 2) px; without the shutter: as if all rows were the middle one."""
     return _forward(bundle, cameras, shutter=shutter).pixel
+
+
+def folded(bundle: Bundle, cameras: Cameras) -> np.ndarray:
+    """Which observations (M,) are of points so far aside that only the lens's polynomial, which turns back beyond some
+    radius, puts them into the image. One of them can bend a lens, as it has a hundred times the others' leverage."""
+    limit_L = np.array([fold_radius(coefficients) for coefficients in cameras.coefficients])
+    return np.linalg.norm(_forward(bundle, cameras).ideal, axis=1) > limit_L[cameras.lens[bundle.frame]]
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from groundwalk.sfm.cameras.adjustment import (
     CameraPriors,
     Cameras,
     adjust,
+    folded,
     frame_variances,
     loss_variance,
     marginal_readout,
@@ -83,10 +84,11 @@ def adjust_model(
     rows (R,) of its frames. Raises LinAlgError where its images don't determine it.
 
     Frames that have too few observations for a pose are deregistered, before and where outliers leave them so few.
-    Observations beyond four sigma are removed on the way. Sds of focus and of angular velocities are learned twice: the
-    cautious ones hold the estimates, as each frame's focus would else take up what the camera model lacks, and the
-    likeliest ones, which come back with the model, say how uncertain the estimates are. The model then has the cameras'
-    focal lengths and lenses, and its observations where a camera without rolling shutter would have them.
+    Observations beyond four sigma, and those that the lens's polynomial has folded into the image, are removed on the
+    way. Sds of focus and of angular velocities are learned twice: the cautious ones hold the estimates, as each
+    frame's focus would else take up what the camera model lacks, and the likeliest ones, which come back with the
+    model, say how uncertain the estimates are. The model then has the cameras' focal lengths and lenses, and its
+    observations where a camera without rolling shutter would have them.
     """
     observations = pycolmap.ObservationManager(model)
     observations.filter_observations_with_negative_depth()
@@ -99,6 +101,7 @@ def adjust_model(
     _write_back(model, rows, point_ids, adjusted, features)
     residual = project(adjusted.bundle, adjusted.cameras) - bundle.observed_px
     outliers = np.linalg.norm(residual, axis=1) > _OUTLIER_SIGMAS * np.sqrt(loss_variance(adjusted.loss_px))
+    outliers |= folded(adjusted.bundle, adjusted.cameras)
     for row, feature in zip(rows[bundle.frame[outliers]].tolist(), features[outliers].tolist(), strict=True):
         if model.image(image_id(row)).point2D(feature).has_point3D():
             observations.delete_observation(image_id(row), feature)

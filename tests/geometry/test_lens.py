@@ -5,7 +5,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from groundwalk.geometry.lens import distort, max_shift, undistort
+from groundwalk.geometry.lens import distort, fold_radius, max_shift, undistort
 
 _LENSES = [
     [0.092, -0.125],
@@ -51,3 +51,10 @@ def test_no_coefficients_change_nothing() -> None:
 def test_max_shift_is_the_farthest_that_two_lenses_differ() -> None:
     assert max_shift([0.1], [0.1], (0.66, 0.5)) == 0.0
     assert max_shift([0.1], [0.0], (0.66, 0.5)) == pytest.approx(0.1 * np.hypot(0.66, 0.5) ** 3)
+
+
+def test_a_lens_folds_back_where_its_radial_derivative_is_zero() -> None:
+    k1, k2 = 0.083, -0.1455
+    expected = np.sqrt((-3 * k1 - np.sqrt(9 * k1**2 - 20 * k2)) / (10 * k2))
+    assert fold_radius([k1, k2]) == pytest.approx(expected, abs=2e-3)
+    assert fold_radius([k1, 0.0]) == fold_radius([]) == np.inf

@@ -22,6 +22,7 @@ from groundwalk.sfm.cameras.adjustment import (
     Cameras,
     adjust,
     camera_unknowns,
+    folded,
     linearize,
     prior_information,
     project,
@@ -208,6 +209,22 @@ def test_a_lens_of_three_coefficients_is_recovered() -> None:
     assert np.all(np.abs(off) < 3 * np.sqrt(np.diag(estimate.shared)[:3]))
     assert np.sqrt(estimate.shared[2, 2]) < 0.06
     assert _position_error_m(adjusted.bundle, truth) < 0.008
+
+
+def test_points_beside_the_image_that_the_lens_folds_into_it_are_known() -> None:
+    bundle, cameras = _walk(0)
+    assert not folded(bundle, cameras).any()
+    beside = bundle.sfm_T_cam[0, :3, 3] + bundle.sfm_T_cam[0, :3, :3] @ [9.0, 0.0, 5.0]
+    seen = replace(
+        bundle,
+        xyz=np.concatenate([bundle.xyz, beside[None]]),
+        frame=np.append(bundle.frame, 0),
+        point=np.append(bundle.point, len(bundle.xyz)),
+        observed_px=np.concatenate([bundle.observed_px, [[320.0, 240.0]]]),
+    )
+    x, _ = project(seen, cameras)[-1]
+    assert 0 < x < 640
+    assert np.flatnonzero(folded(seen, cameras)).tolist() == [len(bundle.point)]
 
 
 @pytest.mark.parametrize("first_row", ["right", "bottom", "left"])
