@@ -142,7 +142,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=26,
+    version=27,
     settings=SfmSettings,
     needs=("import",),
     run=run,

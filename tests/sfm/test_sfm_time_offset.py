@@ -24,8 +24,8 @@ def _turned(t_s: np.ndarray, seed: int) -> Array:
     return Rotation.from_rotvec(angles).as_matrix()
 
 
-def _estimated(offset_s: float, seed: int, still: bool = False) -> TimeOffset | None:
-    """The estimate for frames whose middle rows are `offset_s` before their time stamps."""
+def _estimated(offset_s: float, seed: int, still: bool = False, drift_sd: float = 0.0) -> TimeOffset | None:
+    """The estimate for frames whose middle rows are `offset_s` before their time stamps, by VIO that drifts a step."""
     rng = np.random.default_rng(seed)
     stamp_s = np.linspace(0.0, 0.5 * (_FRAMES - 1), _FRAMES)
     places = make_pose(np.eye(3), rng.normal(0, 0.6, (_FRAMES, 3)))
@@ -34,6 +34,8 @@ def _estimated(offset_s: float, seed: int, still: bool = False) -> TimeOffset | 
         true[:, :3, :3], by_vio[:, :3, :3] = _turned(stamp_s - offset_s, seed), _turned(stamp_s, seed)
     noise = Rotation.from_rotvec(rng.normal(0, _VIO_SD, (_FRAMES, 3))).as_matrix()
     by_vio[:, :3, :3] = by_vio[:, :3, :3] @ noise
+    drift = Rotation.from_rotvec(np.cumsum(rng.normal(0, 1, (_FRAMES, 3)), axis=0) * [0, drift_sd, 0]).as_matrix()
+    by_vio[:, :3, :3] = drift @ by_vio[:, :3, :3]
     step = 0.01
     before, after = _turned(stamp_s - step, seed), _turned(stamp_s + step, seed)
     angular = Rotation.from_matrix(np.swapaxes(before, 1, 2) @ after).as_rotvec() / (2 * step)
@@ -66,8 +68,9 @@ def test_the_offset_is_found_within_its_bounds_and_accepted(offset_s: float) -> 
     assert found.sd_s < 0.003
 
 
-def test_its_standard_error_is_honest() -> None:
-    found = [_estimated(0.0, seed) for seed in range(60)]
+@pytest.mark.parametrize("drift_sd", [0.0, 0.03])
+def test_its_standard_error_is_honest(drift_sd: float) -> None:
+    found = [_estimated(0.0, seed, drift_sd=drift_sd) for seed in range(60)]
     ratio = [one.offset_s / one.sd_s for one in found if one is not None]
     assert len(ratio) == 60 and 0.7 < np.sqrt(np.mean(np.square(ratio))) < 1.5
 
