@@ -43,7 +43,14 @@ from groundwalk.sfm.stage import STAGE as SFM
 
 app = new_app(__doc__ or "")
 
-_ESTIMATES = "k1", "k2", "k3", "readout_s", "time_offset_s"
+# Columns of sfm.lenses that are held against the truth, and those of their standard deviations.
+_ESTIMATES = {
+    "k1": "k1_sd",
+    "k2": "k2_sd",
+    "k3": "k3_sd",
+    "readout_s": "readout_sd_s",
+    "time_offset_s": "time_offset_sd_s",
+}
 SETTINGS = {"k1": "lens_k1", "k2": "lens_k2", "readout_s": "readout_s", "breathing": "focus_breathing"}
 
 
@@ -171,9 +178,8 @@ def _cameras(scene: str, profile: str, root: DataRoot) -> dict[str, Any]:
         "registered": int(registered.sum()),
         "focal_error": float(np.median(focal_error)),
     }
-    for name in _ESTIMATES:
-        sd = lens[name.removesuffix("_s") + "_sd_s" if name.endswith("_s") else f"{name}_sd"]
-        figures |= {f"{name}": float(lens[name]), f"{name}_sd": float(sd), f"true_{name}": float(true[name].iloc[0])}
+    for name, sd in _ESTIMATES.items():
+        figures |= {name: float(lens[name]), f"{name}_sd": float(lens[sd]), f"true_{name}": float(true[name].iloc[0])}
     return figures
 
 

@@ -120,8 +120,8 @@ def project(bundle: Bundle, cameras: Cameras, *, shutter: bool = True) -> Array:
 
 
 def folded(bundle: Bundle, cameras: Cameras) -> np.ndarray:
-    """Which observations (M,) are of points so far aside that only the lens's polynomial, which turns back beyond some
-    radius, puts them into the image. One of them can bend a lens, as it has a hundred times the others' leverage."""
+    """Which observations (M,) are of points outside the field of view that the distortion polynomial, which isn't
+    monotonic, folds back into the image. One of them can spoil a lens: it has far more leverage than any other."""
     limit_L = np.array([fold_radius(coefficients) for coefficients in cameras.coefficients])
     return np.linalg.norm(_forward(bundle, cameras).ideal, axis=1) > limit_L[cameras.lens[bundle.frame]]
 

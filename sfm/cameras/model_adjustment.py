@@ -84,8 +84,8 @@ def adjust_model(
     rows (R,) of its frames. Raises LinAlgError where its images don't determine it.
 
     Frames that have too few observations for a pose are deregistered, before and where outliers leave them so few.
-    Observations beyond four sigma, and those that the lens's polynomial has folded into the image, are removed on the
-    way. Sds of focus and of angular velocities are learned twice: the cautious ones hold the estimates, as each
+    Observations beyond four sigma, and those that the distortion polynomial folds back into the image, are removed on
+    the way. Sds of focus and of angular velocities are learned twice: the cautious ones hold the estimates, as each
     frame's focus would else take up what the camera model lacks, and the likeliest ones, which come back with the
     model, say how uncertain the estimates are. The model then has the cameras' focal lengths and lenses, and its
     observations where a camera without rolling shutter would have them.

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.poses import Array
-from groundwalk.geometry.robust import CAUCHY_WIDTH
+from groundwalk.geometry.robust import CAUCHY_WIDTH, cauchy_weights
 from groundwalk.sfm.cameras.lens_from_pairs import LensEstimate, PairMatches, sampson_of
 from groundwalk.sfm.database import Ints
 
@@ -59,15 +59,15 @@ def estimate_time_offset(
 
     `vio_a_R_b` (P, 3, 3) are the pairs' rotations by VIO at the time stamps, NaN where there are none. None for too few
     pairs. The offset is shrunk to a prior of 0 ± 30 ms, for phones that hardly turn. A Cauchy loss on the difference of
-    rotations. VIO's drift is alike in pairs of about the same time, and few turns tell most: the standard error is that
-    of a jackknife that leaves out blocks of pairs in order of time (Kuensch, Annals of Statistics 17, 1989).
+    rotations. VIO's drift correlates pairs of about the same time, and a few turns have most of the leverage: the
+    standard error is a block jackknife's, which leaves out successive pairs together (Kuensch, Annals of Statistics 17,
+    1989).
     """
     used = np.isfinite(vio_a_R_b[:, 0, 0])
     if used.sum() < _MIN_PAIRS:
         return None
-    rotation = fitted.a_T_b[used, :3, :3]
     angular_a, angular_b = matches.twist_a[used, :3], matches.twist_b[used, :3]
-    turns = _Turns(rotation, vio_a_R_b[used], angular_a, angular_b)
+    turns = _Turns(fitted.a_T_b[used, :3, :3], vio_a_R_b[used], angular_a, angular_b)
     offset, prior_variance = _offset_of(turns)
     in_time = np.argsort(matches.frames[used].sum(axis=1), kind="stable")
     left_out = np.array_split(in_time, min(_BLOCKS, len(in_time)))
@@ -76,23 +76,22 @@ def estimate_time_offset(
     errors = []
     for at in (0.0, offset):
         a_T_b = fitted.a_T_b.copy()
-        a_T_b[used, :3, :3] = rotations_at(vio_a_R_b[used], angular_a, angular_b, at)
+        a_T_b[used, :3, :3] = rotations_at(turns.by_vio, angular_a, angular_b, at)
         distance = np.abs(sampson_of(held_out, a_T_b, fitted.parameters))
         errors.append(float(np.median(distance[used[held_out.pair]])))
     return TimeOffset(offset, float(np.sqrt(variance + prior_variance)), *errors)
 
 
 def _offset_of(turns: _Turns) -> tuple[float, float]:
-    """The offset that turns show, and the part of its variance that the prior is to blame for."""
+    """The offset, s, that fits the turns best, and the prior's part of its variance, s^2."""
     slope = np.einsum("pji,pj->pi", turns.by_images, turns.angular_a) - turns.angular_b
     offset, information, prior, sd_rad = 0.0, 0.0, 0.0, 0.0
     for _ in range(_STEPS):
         at_offset = rotations_at(turns.by_vio, turns.angular_a, turns.angular_b, offset)
         difference = Rotation.from_matrix(np.swapaxes(turns.by_images, 1, 2) @ at_offset).as_rotvec()
-        size = np.linalg.norm(difference, axis=1)
         # The median length of three normal components is 1.54 sigma.
-        sd_rad = max(float(np.median(size)) / 1.54, _MIN_SD_RAD)
-        weight = 1 / (1 + (size / (CAUCHY_WIDTH * sd_rad)) ** 2)
+        sd_rad = max(float(np.median(np.linalg.norm(difference, axis=1))) / 1.54, _MIN_SD_RAD)
+        weight = cauchy_weights(difference, CAUCHY_WIDTH * sd_rad)
         prior = (sd_rad / _PRIOR_SD_S) ** 2
         information = float(np.sum(weight * np.sum(slope**2, axis=1))) + prior
         pull = float(np.sum(weight * np.sum(slope * difference, axis=1)))
