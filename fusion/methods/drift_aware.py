@@ -13,7 +13,17 @@ import numpy as np
 
 from groundwalk.fusion.methods.drift_aware_options import DriftAwareOptions
 from groundwalk.fusion.methods.error_map import ErrorMap
-from groundwalk.fusion.methods.estimator.aligner import DIMENSIONS, Belief, Fit, Model, counted, innovation, iterate
+from groundwalk.fusion.methods.estimator.aligner import (
+    DIMENSIONS,
+    POSITION,
+    ROTATION,
+    Belief,
+    Fit,
+    Model,
+    counted,
+    innovation,
+    iterate,
+)
 from groundwalk.fusion.methods.estimator.answer import answer, leaning, rotation_into_map, yaw_and_lean
 from groundwalk.fusion.methods.estimator.bounds import alignment_covariance
 from groundwalk.fusion.methods.estimator.hindsight import Answered, Hindsight
@@ -271,7 +281,7 @@ class DriftAware(Localiser):
         self._known = fit.solution.covariance[-1]
         self._bound = alignment_covariance(keyframes.rows, fit, len(keyframes) - 1)
         self._judge_answers()
-        signals = {"surprise": float(fit.squared[-1]), "weight": float(fit.weights[-1])}
+        signals = {"surprise": float(fit.squared[-1]), "weight": float(fit.weights[-1, POSITION])}
         if np.isfinite(gain):
             signals["rival_gain"] = gain
         return signals
@@ -332,13 +342,16 @@ class DriftAware(Localiser):
         if self._quality.has_judged:
             prior = prior.with_sizes(self._quality.sizes, o.size_count_seen)
         sharing = Sharing(o.shared, o.shared_sizes, radians(o.shared_turn_deg))
-        return Model(prior, o.degrees_of_freedom, sharing, o.apart_m, tilt_sd)
+        # A precise prediction's covariance is off by one factor for rotation and position, so both are gross together.
+        extent = 1.0 if self._shrinkage is None else self._shrinkage
+        alone = extent * o.rotation_alone, extent * o.position_alone
+        return Model(prior, o.degrees_of_freedom, alone, sharing, o.apart_m, tilt_sd)
 
     @property
     def _belief(self) -> Belief:
         return Belief(self._covariance, self._tilt, self._distrust)
 
-    def _iterated(self, newest: float | None = None) -> Fit:
+    def _iterated(self, newest: tuple[float, float, float] | None = None) -> Fit:
         fit = iterate(self._keyframes.rows, self._model, self._belief, newest)
         self._covariance, self._last = fit.covariance, fit
         self._tilt, self._tilt_variance = fit.tilt, fit.tilt_variance
@@ -430,7 +443,7 @@ class DriftAware(Localiser):
         """What the newest prediction, turned from odometry's pose by a rotation (3, 3), says of the tilt about the
         map's x and z, (2,), and what variance that leaves of odometry's."""
         assert self._apr_covariance is not None and self._last is not None
-        weight = min(float(self._last.weights[-1]), 1.0)
+        weight = min(float(self._last.weights[-1, ROTATION]), 1.0)
         factor = float(self._covariance.trace()) / (DIMENSIONS * weight)
         of_prediction = factor * self._apr_covariance[:3:2, :3:2]
         gain = of_odometry * np.linalg.inv(of_odometry * np.eye(2) + of_prediction)

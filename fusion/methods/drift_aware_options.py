@@ -48,6 +48,10 @@ class DriftAwareOptions(OdometryOptions):
     degrees_of_freedom: float = Field(
         3.0, gt=0, description="d of the fit's robust kernel, Barron's of shape 2 - d: larger ignores outliers sooner"
     )
+    rotation_alone: float = Field(
+        0.3, ge=0, le=1, description="how far a rotation's weight is its own error's, instead of the whole prediction's"
+    )
+    position_alone: float = Field(0.6, ge=0, le=1, description="the same, of a position")
     rival_degrees_of_freedom: float = Field(
         0.3, gt=0, description="of Student's t by which rival alignments are compared: smaller has heavier tails"
     )
@@ -61,14 +65,14 @@ class DriftAwareOptions(OdometryOptions):
     )
     shared_turn_deg: float = Field(45.0, gt=0, description="turn of the camera over which it fades to 1/sqrt(e)")
     yaw_covariance_factor: float = Field(
-        0.7, gt=0, description="what the yaw's variance is multiplied with before answers could be judged"
+        0.8, gt=0, description="what the yaw's variance is multiplied with before answers could be judged"
     )
-    hindsight_s: float = Field(20.0, gt=0, description="age at which an answer is judged by what is then known")
+    hindsight_s: float = Field(15.0, gt=0, description="age at which an answer is judged by what is then known")
     hindsight_count: float = Field(3.0, gt=0, description="answers that the first factors, 1 and yaw's, count as")
     position_hindsight_factor: float = Field(
-        4.0, gt=0, description="what squared position errors are multiplied with that hindsight shows"
+        5.0, gt=0, description="what squared position errors are multiplied with that hindsight shows"
     )
-    yaw_hindsight_factor: float = Field(1.3, gt=0, description="the same, of yaw")
+    yaw_hindsight_factor: float = Field(1.6, gt=0, description="the same, of yaw")
     apart_m: float = Field(0.05, gt=0, description="motion after which two predictions are half independent")
     turn_length_m: float = Field(1.0, ge=0, description="motion that a turn by one radian counts as")
     keyframes: int = Field(64, ge=8, description="predictions kept as evidence")

@@ -45,17 +45,15 @@ def literal_fit(vio: Array, apr: Array, drift: Array, o: "DriftAwareOptions", tu
         scatter = scatter * np.outer(sd, sd) / np.sqrt(np.outer(variances, variances))
         believed = o.side_turn_count / (o.side_turn_count + share.sum())
         covariance = (1 - believed) * scatter + believed * np.outer(sd, sd) * shape + 1e-6 * np.eye(6)
-        weights = [
-            _weight(e, v, covariance, o) ** (o.degrees_of_freedom / 2) for e, v in zip(errors, spread, strict=True)
-        ]
+        roots = [_roots(e, v, covariance, o) for e, v in zip(errors, spread, strict=True)]
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
         def residuals(
-            flat: Array, tilt: Array = tilt, weights: list[float] = weights, whiten: Array = whiten, each: Array = each
+            flat: Array, tilt: Array = tilt, roots: list[Array] = roots, whiten: Array = whiten, each: Array = each
         ) -> Array:
             y = flat.reshape(-1, 4)
             found = [
-                np.sqrt(each[i] * share[i] * weights[i]) * (whiten @ (_error(y[i], vio[i], apr[i], tilt) / sizes))
+                np.sqrt(each[i] * share[i]) * (whiten @ (roots[i] * _error(y[i], vio[i], apr[i], tilt) / sizes))
                 for i in range(count)
             ]
             for i in range(1, count):
@@ -70,10 +68,10 @@ def literal_fit(vio: Array, apr: Array, drift: Array, o: "DriftAwareOptions", tu
         posterior = np.array([inverse[i, :, i] for i in range(count)])
 
         def leaning(
-            tilt: Array, x: Array = x, weights: list[float] = weights, whiten: Array = whiten, each: Array = each
+            tilt: Array, x: Array = x, roots: list[Array] = roots, whiten: Array = whiten, each: Array = each
         ) -> Array:
             found = [
-                np.sqrt(0.1 * each[i] * share[i] * weights[i]) * (whiten @ (_error(x[i], vio[i], apr[i], tilt) / sizes))
+                np.sqrt(0.1 * each[i] * share[i]) * (whiten @ (roots[i] * _error(x[i], vio[i], apr[i], tilt) / sizes))
                 for i in range(count)
             ]
             return np.concatenate([*found, tilt / np.radians(o.tilt_sd_deg)])
@@ -102,9 +100,19 @@ def _slope(x: Array, vio: Array, sizes: Array) -> Array:
 
 def _weight(error: Array, spread: Array, covariance: Array, o: "DriftAwareOptions") -> float:
     precision = np.linalg.inv(covariance)
-    return (o.degrees_of_freedom + 6) / (
+    return (o.degrees_of_freedom + len(error)) / (
         o.degrees_of_freedom + error @ precision @ error + np.trace(precision @ spread)
     )
+
+
+def _roots(error: Array, spread: Array, covariance: Array, o: "DriftAwareOptions") -> Array:
+    """Roots (6,) of what a prediction's rotation and position count, by the whole error and by their own."""
+    whole = _weight(error, spread, covariance, o)
+    parts = []
+    for numbers, alone in ((slice(3), o.rotation_alone), (slice(3, 6), o.position_alone)):
+        own = _weight(error[numbers], spread[numbers, numbers], covariance[numbers, numbers], o)
+        parts.append((whole ** (1 - alone) * own**alone) ** (o.degrees_of_freedom / 4))
+    return np.repeat(parts, 3)
 
 
 def _independent(x: Array, vio: Array, drift: Array, variance: float, o: "DriftAwareOptions") -> Array:

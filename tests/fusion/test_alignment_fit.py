@@ -263,6 +263,18 @@ def test_drift_is_told_from_predictions_that_are_wrong_alike() -> None:
         assert judged(vio, vio + drifted, size)[0] > 50
 
 
+def test_drift_of_height_is_told_by_itself_near_that_of_position() -> None:
+    """Phones' heights drift little, but not on every phone."""
+    rng = np.random.default_rng(7)
+    vio = np.column_stack([2.0 * np.arange(90), np.zeros(90), np.zeros(90)])
+    steps = rng.normal(0, [0.03, 1.0, 0.03], (90, 3))
+    position, height, *_ = judged(vio, vio + np.cumsum(steps, axis=0) + rng.normal(0, 0.1, (90, 3)), 0.01)
+    assert position < 4 and height > 50
+    # With few predictions it's about as large as the position's.
+    position, height, *_ = judged(vio[:6], vio[:6] + np.cumsum(rng.normal(0, [1, 0.01, 1], (6, 3)), axis=0), 0.01)
+    assert 0.2 < height / position < 1
+
+
 def test_bounds_are_the_fits_own_where_errors_are_independent_and_grow_as_they_are_shared() -> None:
     t_ns, _, vio, apr = upright_walk(0, 30)
     localiser = DriftAware(DriftAwareOptions(keyframes=40, shared=0.0, apart_m=1e-9))

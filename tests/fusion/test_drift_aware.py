@@ -185,6 +185,25 @@ def test_a_prediction_counts_less_for_leaning() -> None:
         assert weight < 0.3 * plain_weight
 
 
+def test_where_only_a_rotation_or_a_position_is_gross_the_other_still_counts() -> None:
+    t_ns, _, vio, apr = upright_walk(0, 60, noise_m=0.1, noise_deg=1.0, outliers=0.0)
+    askew, aside = apr.copy(), apr.copy()
+    askew[-1, :3, :3] = yaw_rotation(np.radians(15)) @ askew[-1, :3, :3]
+    aside[-1, :3, 3] += [2.0, 0.0, 0.0]
+
+    def weights(predictions: Array, **options: float) -> Array:
+        localiser = DriftAware(DriftAwareOptions(rivals=False, **options))
+        answers(localiser, t_ns, vio, predictions)
+        return localiser._iterated().weights[-1]
+
+    rotation, position = weights(askew)
+    together, same = weights(askew, rotation_alone=0.0, position_alone=0.0)
+    assert together == same and rotation < 2 * together and position > 10 * together
+    rotation, position = weights(aside)
+    together, same = weights(aside, rotation_alone=0.0, position_alone=0.0)
+    assert together == same and position < 2 * together and rotation > 3 * together
+
+
 def test_one_prediction_far_off_changes_next_to_nothing() -> None:
     """It is turned by 150 degrees and 12 m off; the answer hardly moves, and forgets it."""
     for seed in range(6):

@@ -5,7 +5,7 @@ the covariance of their errors (prediction_noise.py) fitted along: a prediction 
 in hindsight. Each new prediction starts from the last solution, so that few iterations do.
 """
 
-from math import inf, isnan, nan
+from math import inf, isnan, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ from groundwalk.geometry.poses import Array
 
 DIMENSIONS = 6
 _MIN_COUNTED = 1e-3  # of what a prediction counts, so that each is bound to something
+ROTATION, POSITION = 0, 1  # of `Fit.weights`
 _TILT = (0, 2)  # of the six numbers of an error: those that odometry's gravity error changes
 _GRAVITY = 0.1  # what a prediction counts for the tilt: predictions of a whole walk may lean alike
 _REFRESHED = 5  # keyframes whose posterior is worked out anew in an iteration
@@ -31,13 +32,15 @@ _EXCESS = 0.3  # of a squared error that is too much for what is known, taken fo
 class Model(NamedTuple):
     """What the fit assumes.
 
-    prior: of the covariance of normalised errors. dof: degrees of freedom of Student's t. sharing: of errors. apart_m:
-    motion after which two predictions are half as good as two that are made apart. tilt_sd: of odometry's gravity error
-    an axis, rad.
+    prior: of the covariance of normalised errors. dof: degrees of freedom of Student's t. alone: of rotation and
+    position, how far the weight of either comes from its own error, instead of the whole prediction's. sharing: of
+    errors. apart_m: motion after which two predictions are half as good as two that are made apart. tilt_sd: of
+    odometry's gravity error an axis, rad.
     """
 
     prior: Prior
     dof: float
+    alone: tuple[float, float]
     sharing: Sharing
     apart_m: float
     tilt_sd: float
@@ -59,9 +62,9 @@ class Fit(NamedTuple):
     """What an iteration gives beside the keyframes' states.
 
     covariance (6, 6): of normalised errors. squared (N,): each keyframe's squared error in its units. counted (N,):
-    what it says that others don't. weights (N,): what the kernel lets it count. alike (N, N): correlations of errors,
-    below the diagonal. information (N, 4, 4) and solution: the predictions' terms, and the step. tilt (2,) and its
-    variance: odometry's gravity error.
+    what it says that others don't. weights (N, 2): what the kernel lets its rotation and its position count. alike
+    (N, N): correlations of errors, below the diagonal. information (N, 4, 4) and solution: the predictions' terms, and
+    the step. tilt (2,) and its variance: odometry's gravity error.
     """
 
     covariance: Array
@@ -86,10 +89,11 @@ def counted(along: Array, apart_m: float) -> Array:
 
 
 @compiled
-def innovation(keyframes: Rows, belief: Belief, known: Array) -> float:
-    """Squared length of the newest prediction's error that is to be expected once it is taken in, for a state of
-    covariance `known` (4, 4) at the one before. What may be odometry's drift is no error of the prediction, and doesn't
-    show that it is a good one either; what is too much for both is an error."""
+def innovation(keyframes: Rows, belief: Belief, known: Array) -> tuple[float, float, float]:
+    """Squared lengths of the newest prediction's error, and of its rotation's and position's alone, that are to be
+    expected once it is taken in, for a state of covariance `known` (4, 4) at the one before. What may be odometry's
+    drift is no error of the prediction, and doesn't show that it is a good one either; what is too much for both is an
+    error."""
     newest = keyframes[-1]
     known = known.copy()
     for j in range(4):  # the yaw before turns the step
@@ -104,28 +108,38 @@ def innovation(keyframes: Rows, belief: Belief, known: Array) -> float:
     _write_normalised(newest, belief.tilt, normalised)
     write_columns(newest.whitening, UNKNOWN, unknown, 6)
     _write_sandwich(unknown, known, 1.0, spread, (6, 4))
-    precision, left = belief.covariance + spread, np.zeros(6)
+    whole = _innovation(belief.covariance, spread, normalised)
+    rotation = _innovation(belief.covariance[:3, :3], spread[:3, :3], normalised[:3])
+    position = _innovation(belief.covariance[3:, 3:], spread[3:, 3:], normalised[3:])
+    return whole, rotation, position
+
+
+@compiled
+def _innovation(covariance: Array, spread: Array, normalised: Array) -> float:
+    """That of an error (n,) of covariance (n, n), whose state spreads it by (n, n)."""
+    n = len(normalised)
+    precision, left = covariance + spread, np.zeros(n)
     invert(precision)
     expected = error = 0.0
-    for j in range(6):
-        for k in range(6):
+    for j in range(n):
+        for k in range(n):
             left[j] += precision[j, k] * normalised[k]
             expected += precision[j, k] * spread[j, k]  # dimensions, less the trace with the errors' own
         error += normalised[j] * left[j]
-    for j in range(6):
-        for k in range(6):
-            expected += left[j] * belief.covariance[j, k] * left[k]
+    for j in range(n):
+        for k in range(n):
+            expected += left[j] * covariance[j, k] * left[k]
     return max(expected, _EXCESS * error)
 
 
-def iterate(keyframes: Rows, model: Model, belief: Belief, newest: float | None = None) -> Fit:
+def iterate(keyframes: Rows, model: Model, belief: Belief, newest: tuple[float, float, float] | None = None) -> Fit:
     """One iteration: weights and covariance from the errors as they are expected (expectation and maximisation: an
     error is what is left of the prediction, and how uncertain the state is), then one step of the keyframes' states.
 
-    `newest` stands in for the newest keyframe's squared error in its weight (`innovation`). Raises GeometryError where
-    nothing binds a keyframe.
+    `newest` stands in for the newest keyframe's squared errors in its weights (`innovation`). Raises GeometryError
+    where nothing binds a keyframe.
     """
-    fit = _iterate(keyframes, model, belief, nan if newest is None else newest)
+    fit = _iterate(keyframes, model, belief, np.full(3, nan) if newest is None else np.array(newest))
     if fit.solution.fault >= 0:
         raise GeometryError(
             f"nothing binds keyframe {fit.solution.fault} of {len(keyframes)}: the information isn't positive"
@@ -134,7 +148,7 @@ def iterate(keyframes: Rows, model: Model, belief: Belief, newest: float | None 
 
 
 @compiled
-def _iterate(keyframes: Rows, model: Model, belief: Belief, newest: float) -> Fit:
+def _iterate(keyframes: Rows, model: Model, belief: Belief, newest: Array) -> Fit:
     count = len(keyframes)
     normalised, unknown, spread = np.empty((count, 6)), np.empty((count, 6, 4)), np.empty((count, 6, 6))
     precision = belief.covariance.copy()
@@ -142,20 +156,26 @@ def _iterate(keyframes: Rows, model: Model, belief: Belief, newest: float) -> Fi
     variances = position_variances(keyframes, belief.covariance)
     alike = likeness(keyframes, variances, model.sharing)
     each = independent(keyframes, variances, alike, belief.distrust[0])
-    weights, squared, fraction = np.empty(count), np.empty(count), counted(keyframes["along"], model.apart_m)
+    students, squared, fraction = np.empty(count), np.empty(count), counted(keyframes["along"], model.apart_m)
     for i in range(count):
         _write_normalised(keyframes[i], belief.tilt, normalised[i])
         write_columns(keyframes[i].whitening, UNKNOWN, unknown[i], 6)
         _write_sandwich(unknown[i], keyframes[i].posterior, each[i], spread[i], (6, 4))
         squared[i] = _expected(normalised[i], spread[i], precision)
-        weights[i] = robust.weight(squared[i], DIMENSIONS, model.dof)
-    covariance = scatter(model.prior, normalised, spread, fraction, weights)
+        students[i] = robust.weight(squared[i], DIMENSIONS, model.dof)
+    covariance = scatter(model.prior, normalised, spread, fraction, students)
     precision = covariance.copy()
     invert(precision)
+    of_rotation, of_position = covariance[:3, :3].copy(), covariance[3:, 3:].copy()
+    invert(of_rotation)
+    invert(of_position)
+    weights, lengths = np.empty((count, 2)), np.empty(3)
     for i in range(count):
-        squared[i] = _expected(normalised[i], spread[i], precision)
-        known_better = i == count - 1 and not isnan(newest)
-        weights[i] = robust.bounded(newest if known_better else squared[i], DIMENSIONS, model.dof)
+        squared[i] = lengths[0] = _expected(normalised[i], spread[i], precision)
+        lengths[1] = _expected(normalised[i, :3], spread[i, :3, :3], of_rotation)
+        lengths[2] = _expected(normalised[i, 3:], spread[i, 3:, 3:], of_position)
+        known_better = i == count - 1 and not isnan(newest[0])
+        _write_weights(newest if known_better else lengths, model, weights[i])
         fraction[i] *= each[i]
     information, gradient = _normal_equations(normalised, unknown, fraction, weights, precision)
     tilt, tilt_variance = _tilt(keyframes, normalised, fraction, weights, precision, belief.tilt, model.tilt_sd)
@@ -207,12 +227,30 @@ def _write_sandwich(outer: Array, middle: Array, scale: float, result: Array, sh
 
 @inlined
 def _expected(normalised: Array, spread: Array, precision: Array) -> float:
-    """The squared error that is to be expected of an error (6,) whose state spreads it by (6, 6)."""
+    """The squared error that is to be expected of an error (n,) whose state spreads it by (n, n)."""
     squared = 0.0
-    for j in range(6):
-        for k in range(6):
+    for j in range(len(precision)):
+        for k in range(len(precision)):
             squared += precision[j, k] * (normalised[j] * normalised[k] + spread[j, k])
     return squared
+
+
+@inlined
+def _write_weights(lengths: Array, model: Model, weights: Array) -> None:
+    """Writes what rotation and position count, (2,), by squared lengths (3,) of the whole error and of theirs. Where
+    only one of both is gross, the other still says something."""
+    whole = robust.bounded(lengths[0], DIMENSIONS, model.dof)
+    for part in (ROTATION, POSITION):
+        own = robust.bounded(lengths[1 + part], DIMENSIONS // 2, model.dof)
+        weights[part] = whole ** (1 - model.alone[part]) * own ** model.alone[part]
+
+
+@inlined
+def _write_weighed(precision: Array, weights: Array, weighed: Array) -> None:
+    """Writes the precision (6, 6) of errors whose rotation and position count so much, (2,)."""
+    for j in range(6):
+        for k in range(6):
+            weighed[j, k] = precision[j, k] * sqrt(weights[j // 3] * weights[k // 3])
 
 
 @compiled
@@ -221,14 +259,15 @@ def _normal_equations(
 ) -> tuple[Array, Array]:
     """The predictions' information (N, 4, 4) and gradient (N, 4)."""
     count = len(weights)
-    information, gradient, pulled = np.empty((count, 4, 4)), np.zeros((count, 4)), np.empty(6)
+    information, gradient = np.empty((count, 4, 4)), np.zeros((count, 4))
+    weighed, pulled = np.empty((6, 6)), np.empty(6)
     for i in range(count):
-        weight = fraction[i] * weights[i]
-        _write_sandwich(unknown[i].T, precision, weight, information[i], (4, 6))
+        _write_weighed(precision, weights[i], weighed)
+        _write_sandwich(unknown[i].T, weighed, fraction[i], information[i], (4, 6))
         for j in range(6):
             pulled[j] = 0.0
             for k in range(6):
-                pulled[j] += weight * precision[j, k] * normalised[i, k]
+                pulled[j] += fraction[i] * weighed[j, k] * normalised[i, k]
         for j in range(6):
             for k in range(4):
                 gradient[i, k] += unknown[i, j, k] * pulled[j]
@@ -243,13 +282,15 @@ def _tilt(
     information, gradient = np.zeros((2, 2)), np.empty(2)
     for j in range(2):
         information[j, j], gradient[j] = 1 / sd**2, -tilt[j] / sd**2
+    weighed = np.empty((6, 6))
     for i in range(len(keyframes)):
-        weight, whitening = _GRAVITY * fraction[i] * weights[i], keyframes[i].whitening
+        counts, whitening = _GRAVITY * fraction[i], keyframes[i].whitening
+        _write_weighed(precision, weights[i], weighed)
         for j in range(2):
             for k in range(6):
                 pulled = 0.0
                 for m in range(6):
-                    pulled += weight * whitening[m, _TILT[j]] * precision[m, k]
+                    pulled += counts * whitening[m, _TILT[j]] * weighed[m, k]
                 gradient[j] += pulled * normalised[i, k]
                 for m in range(2):
                     information[j, m] += pulled * whitening[k, _TILT[m]]

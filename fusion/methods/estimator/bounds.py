@@ -45,7 +45,10 @@ def _moved(keyframes: Rows, fit: Fit, answer: Array) -> Array:
     unknown, moved = np.empty((6, 4)), np.zeros((len(keyframes), 6, 4))
     for i in range(len(keyframes)):
         write_columns(keyframes[i].whitening, UNKNOWN, unknown, 6)
-        add_product(unknown, answer[i], moved[i], (6, 4, 4), fit.counted[i] * sqrt(fit.weights[i]))
+        add_product(unknown, answer[i], moved[i], (6, 4, 4), fit.counted[i])
+        for j in range(6):
+            for k in range(4):
+                moved[i, j, k] *= sqrt(fit.weights[i, j // 3])
     return moved
 
 

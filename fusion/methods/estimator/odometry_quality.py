@@ -8,7 +8,7 @@ it. Under each hypothesis odometry's offset and the shared error are two numbers
 the tails of Student's t follows. Nothing here hangs on the fit of the alignment but its yaw, so a fit that has gone
 wrong doesn't confirm itself."""
 
-from math import cos, exp, log, sin
+from math import cos, exp, log, sin, sqrt
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,8 @@ _DRIFTS, _SIZES, _SHARES, _ = _HYPOTHESES.T
 _LOG_FACTORS = np.log(_HYPOTHESES[:, :2])
 _RARE = 0.4  # prior odds of each further factor of drift
 _LOG_PRIOR = np.log(_RARE) * np.log(_DRIFTS) / np.log(4.0)
-_LOG_PRIOR_KNOWN = _LOG_PRIOR - (np.log(_SIZES) / np.log(2.0)) ** 2 / 2  # a factor of two, one sigma
+_NEAR = sqrt(2) * log(4.0)  # of the logarithm of height's factor about position's, one sigma
+_SIZE_PRIOR = -((np.log(_SIZES) / np.log(2.0)) ** 2) / 2  # a factor of two, one sigma
 _DOF = 1.5  # of Student's t
 _KEPT = 0.98  # of the evidence so far, with each prediction taken
 _EVERY_M = 2.5  # motion between two predictions taken, turns counted in
@@ -57,9 +58,11 @@ class _Bank:
         variances = np.array([*drift, size])
         _filter(_HYPOTHESES, self._offset, self._P, self._log_odds, apart, variances, moved_m)
 
-    def factors(self, sizes_known: bool) -> tuple[float, float]:
-        """Of the usual variances of drift and of a prediction's error: means of their logarithms over hypotheses."""
-        return _mean_factors(_LOG_FACTORS, self._log_odds, _LOG_PRIOR_KNOWN if sizes_known else _LOG_PRIOR)
+    def factors(self, sizes_known: bool, near: float | None = None) -> tuple[float, float]:
+        """Of the usual variances of drift and of a prediction's error: means of their logarithms over hypotheses.
+        near: what drift's factor is expected to be, where that isn't 1."""
+        log_prior = _LOG_PRIOR if near is None else -((np.log(_DRIFTS / near) / _NEAR) ** 2) / 2
+        return _mean_factors(_LOG_FACTORS, self._log_odds, log_prior + _SIZE_PRIOR if sizes_known else log_prior)
 
     def save(self) -> list[Any]:
         return [plain(self._offset), plain(self._P), plain(self._log_odds), self.begun]
@@ -130,7 +133,7 @@ class OdometryQuality:
     the expected sizes of predictions' errors."""
 
     def __init__(self) -> None:
-        self._position, self._yaw = _Bank(2), _Bank(1)
+        self._position, self._height, self._yaw = _Bank(2), _Bank(1), _Bank(1)
         self.factors, self.sizes = np.ones(4), np.ones(6)
         self.has_judged = False
         # The next prediction may be of another place, or odometry have lost its frame: neither tells how far it drifts.
@@ -139,14 +142,13 @@ class OdometryQuality:
         self._forget_way()
 
     def _forget_way(self) -> None:
-        self._at = np.zeros(2)  # where odometry's way has come to, x and z in the map, begun anywhere
-        self._since = np.zeros(
-            4
-        )  # the last prediction taken: metres, usual drift of position and yaw, and of bent ways
+        self._at = np.zeros(3)  # where odometry's way has come to in the map, begun anywhere
+        # Since the last prediction taken: metres, usual drift of position, height and yaw, and of bent ways.
+        self._since = np.zeros(5)
 
     def lost(self) -> None:
         """Odometry has lost its frame, or may have: its offset is unknown again, its quality isn't."""
-        self._position.begun = self._yaw.begun = False
+        self._position.begun = False
         self._forget_way()
 
     def update(
@@ -165,39 +167,49 @@ class OdometryQuality:
         yaw's errors. way (3,), moved_m, drift (4,): odometry's step since the last one, its length with turns counted
         in, and usual variances. yaw, yaw_variance: the alignment's, as known before.
         """
-        x, _, z = way.tolist()
+        x, y, z = way.tolist()
         c, s = cos(yaw), sin(yaw)
-        self._at += c * x + s * z, c * z - s * x
+        self._at += c * x + s * z, y, c * z - s * x
         bent = _COHERENT * min(yaw_variance, _MAX_YAW) * (x * x + z * z)
-        self._since += moved_m, drift[0], drift[3], bent
-        apart, turned = measured[[0, 2]] - self._at, measured[3:4]
+        self._since += moved_m, drift[0], drift[1], drift[3], bent
+        apart, turned = measured[:3] - self._at, measured[3:4]
         if not self._position.begun:
-            self._position.begin(apart, size[0])
+            self._position.begin(apart[::2], size[0])
+            self._height.begin(apart[1:2], size[0])
             self._yaw.begin(turned, size[1])
             self._since[:] = 0.0
             return
-        metres, position, heading, bent = self._since.tolist()
+        metres, position, height, heading, bent = self._since.tolist()
         if metres < _EVERY_M or self.doubtful:
             return
-        self._position.update(apart, (position, bent), size[0], metres)
+        self._position.update(apart[::2], (position, bent), size[0], metres)
+        self._height.update(apart[1:2], (height, 0.0), size[0], metres)
         self._yaw.update(turned, (heading, 0.0), size[1], metres)
         self._since[:] = 0.0
         position, position_size = self._position.factors(self.sizes_known)
+        height, _ = self._height.factors(self.sizes_known, position)
         heading, yaw_size = self._yaw.factors(self.sizes_known)
-        self.factors = np.array([position, position, position, heading])
+        self.factors = np.array([position, height, position, heading])
         self.sizes = np.sqrt(np.repeat([yaw_size, position_size], 3))
         self.has_judged = True
 
     def save(self) -> list[Any]:
         """The state as plain data."""
-        return [self._position.save(), self._yaw.save(), self.has_judged, *map(plain, self._arrays())]
+        return [
+            self._position.save(),
+            self._height.save(),
+            self._yaw.save(),
+            self.has_judged,
+            *map(plain, self._arrays()),
+        ]
 
     def restore(self, state: list[Any]) -> None:
         """Take over what `save` gave."""
         self._position.restore(state[0])
-        self._yaw.restore(state[1])
-        self.has_judged = state[2]
-        self.factors, self.sizes, self._at, self._since = (np.array(part) for part in state[3:])
+        self._height.restore(state[1])
+        self._yaw.restore(state[2])
+        self.has_judged = state[3]
+        self.factors, self.sizes, self._at, self._since = (np.array(part) for part in state[4:])
 
     def _arrays(self) -> tuple[Array, ...]:
         return self.factors, self.sizes, self._at, self._since
