@@ -142,7 +142,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=27,
+    version=28,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -286,7 +286,7 @@ def with_likeliest_sds(adjusted: Adjusted) -> CameraPriors:
         focus_sd[session] *= _sd_growth(cameras.focus[members], focus_variance[members], focus_sd[session])
         for axis in range(3):
             sd, moved_M = angular_sd[members, axis], moved[members, axis]
-            angular_sd[members, axis] *= max(_sd_growth(moved_M, angular_variance[members, axis], sd), 1.0)
+            angular_sd[members, axis] *= _sd_growth(moved_M, angular_variance[members, axis], sd)
     return replace(priors, focus_sd=focus_sd, angular_sd=angular_sd)
 
 

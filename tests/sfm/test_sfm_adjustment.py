@@ -283,6 +283,11 @@ def test_sds_of_focus_and_of_vios_angular_velocities_are_learned_from_images() -
     assert 0.6 < np.sqrt(np.mean(np.square(angular))) / _ANGULAR_SD < 1.5
     adjusted, _, _ = _adjusted(0)
     assert 0.6 < np.sqrt(np.mean(with_likeliest_sds(adjusted).angular_sd ** 2)) / _ANGULAR_SD < 1.5
+    # VIO may be better than its prior.
+    adjusted, _, _ = _adjusted(0, angular_sd=8 * _ANGULAR_SD)
+    better = with_likeliest_sds(adjusted).angular_sd
+    assert np.sqrt(np.mean(better**2)) < 0.7 * np.sqrt(np.mean(adjusted.priors.angular_sd**2))
+    adjusted, _, _ = _adjusted(0)
     # One frame at a jump of VIO says nothing of the others.
     adjusted.priors.mean.angular[3] += 1.0
     assert np.sqrt(np.mean(with_likeliest_sds(adjusted).angular_sd ** 2)) / _ANGULAR_SD < 1.8
