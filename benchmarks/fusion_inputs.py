@@ -215,7 +215,7 @@ def _learnt(regressor: Regressor, walks: tuple[Held, ...]) -> ErrorMap | None:
     """What the regressor's errors on held-out frames tell."""
     poses = [(regressor.predict(w.name, w.map_T_cam)[w.rows], w.map_T_cam[w.rows]) for w in walks]
     apr, true = (np.concatenate(part) for part in zip(*poses, strict=True))
-    return ErrorMap.learnt(apr, true)
+    return ErrorMap.learnt(apr, true, np.repeat([w.name for w in walks], [len(w.rows) for w in walks]))
 
 
 @cache

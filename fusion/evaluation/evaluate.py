@@ -171,7 +171,8 @@ def learnt(inputs: Inputs, model: str, settings: FuseSettings) -> ErrorMap | Non
     rows = rows[held_out & ~of_frame.isin(settings.splits)].sort_values("frame_id")
     if rows.empty:
         return None
-    return ErrorMap.learnt(poses_for(rows, rows, "map_cam"), poses_for(rows, inputs.truth, "map_cam"))
+    apr, true = poses_for(rows, rows, "map_cam"), poses_for(rows, inputs.truth, "map_cam")
+    return ErrorMap.learnt(apr, true, rows["frame_id"].map(inputs.frames.set_index("frame_id")["session_id"]))
 
 
 def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator[tuple[str, list[Walk]]]:

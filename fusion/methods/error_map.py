@@ -1,20 +1,22 @@
 """What a regressor gets wrong, by place: learnt from frames that were held out of its training.
 
-A regressor is wrong in a systematic way. Seen again from the same place in the same direction, a scene gives nearly the
-same error, and some places are far harder than others. Both change smoothly as the camera moves and turns, so frames of
-training walks that the regressor never learnt from tell what to expect of it on another walk: which error, and how
-uncertain that is.
+Some places are far harder than others, and on one walk a regressor's error changes smoothly as the camera moves and
+turns. So frames of training walks that the regressor never learnt from tell what to expect of it on another walk: how
+uncertain it is and, as far as errors are the same on another walk, which error.
 
 The error is a Gaussian process (Rasmussen and Williams, 2006, chapters 2 and 5) over the *predicted* position and
 viewing direction, which is what a phone has. Its size is another one, on the logarithm. How far both reach and how much
 of the error is noise is what makes the held-out errors most likely. Nothing of a test walk goes in.
+
+What frames of one walk have in common needn't be so on another, with another light or a path some metres aside. So each
+walk's errors are foretold from the other walks', and the mean error counts as far as that comes true.
 
 A step to the side and a turn move an image nearly alike, and regressors take one for the other: an error to the side
 comes with a yaw error, of some degrees a metre, as the scene is near or far. How many is fitted, too, and the Gaussian
 process of yaw is one of what is left.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import exp, hypot, sqrt
 from typing import NamedTuple, Self
 
@@ -32,6 +34,8 @@ _MOST_FRAMES = 200  # kept, evenly: a step looks at each of them
 _FITTED_FRAMES = 120  # looked at to fit how far errors reach
 
 _SLOPE_STEPS, _SLOPE_DOF = 20, 3.0
+_FORETELLING = 10  # frames of other walks, from which a walk's errors can be foretold
+_SURELY = 3.0  # standard errors: a mean error that doesn't come again makes fusion worse than none
 _ALIKE = 4.0  # neighbouring frames whose errors are alike, and so tell what one does
 _UPRIGHT = 0.1  # of the viewing direction's horizontal part: less has no side
 
@@ -66,19 +70,28 @@ class Reach:
     position_noise: float  # share of a position error's variance that is new in each frame
     yaw_noise: float
     yaw_per_m: float  # yaw error, rad, that comes with a metre of error to the left of the viewing direction
+    position_repeats: float = 0.0  # how much of the mean error is the same on another walk, 0 to 1
+    yaw_repeats: float = 0.0
 
 
 class ErrorMap:
     """Held-out errors, ready to be asked about other predictions of the same regressor in the same scene."""
 
-    def __init__(self, where: Array, error: Array, tilt: Array, reach: Reach | None = None) -> None:
+    def __init__(
+        self,
+        where: Array,
+        error: Array,
+        tilt: Array,
+        walk: NDArray[np.object_] | None = None,
+        reach: Reach | None = None,
+    ) -> None:
         """where (N, 6): predicted position (m) and viewing direction; error (N, 4) and tilt (N,) as `errors_of` gives
-        them. Without `reach` it is fitted."""
+        them; walk (N,): of which each is, all of one by default. Without `reach` it is fitted."""
         self.where, self.error, self.tilt = where, error, tilt
         _, x, y, z = error.T
         left = np.array([_leftwards(look) for look in where[:, 3:]])
         aside = np.einsum("ni,ni->n", left, error[:, 1::2])
-        per_m = _yaw_per_m(error[:, 0], aside) if reach is None else reach.yaw_per_m
+        per_m = _slope(error[:, 0], aside) if reach is None else reach.yaw_per_m
         yaw = error[:, 0] - per_m * aside
         self._uncoupled = np.column_stack([yaw, error[:, 1:]])
         horizontal, vertical, angle, lean = (_variance(e) for e in (np.concatenate([x, z]), y, yaw, tilt / np.sqrt(2)))
@@ -89,16 +102,21 @@ class ErrorMap:
         self._usual = self._logs.mean(axis=0)
         self.reach = reach or _fitted(where, self._uncoupled / self._units, self._logs - self._usual, per_m)
         self._prepare()
+        if reach is None and walk is not None:
+            position, yaw = (self._repeats(walk, group) for group in (_POSITION, _ANGLE))
+            self.reach = replace(self.reach, position_repeats=position, yaw_repeats=yaw)
 
     @classmethod
-    def learnt(cls, map_T_cam_apr: ArrayLike, map_T_cam: ArrayLike) -> Self | None:
-        """From predicted and true poses (N, 4, 4) of held-out frames, NaN where missing; None for too few."""
+    def learnt(cls, map_T_cam_apr: ArrayLike, map_T_cam: ArrayLike, walk: ArrayLike) -> Self | None:
+        """From predicted and true poses (N, 4, 4) of held-out frames, NaN where missing, and the walk of each (N,);
+        None for too few."""
         apr, true = np.asarray(map_T_cam_apr, dtype=float), np.asarray(map_T_cam, dtype=float)
         there = np.flatnonzero(np.isfinite(apr).all(axis=(1, 2)) & np.isfinite(true).all(axis=(1, 2)))
         if len(there) < LEAST_FRAMES:
             return None
         kept = _evenly(there, _MOST_FRAMES)
-        return cls(np.hstack([apr[kept, :3, 3], apr[kept, :3, 2]]), *errors_of(apr[kept], true[kept]))
+        where = np.hstack([apr[kept, :3, 3], apr[kept, :3, 2]])
+        return cls(where, *errors_of(apr[kept], true[kept]), np.asarray(walk, dtype=object)[kept])
 
     def _prepare(self) -> None:
         r = self.reach
@@ -109,7 +127,8 @@ class ErrorMap:
         values, vectors = np.linalg.eigh(K)
         self._vectors = np.ascontiguousarray(vectors.T)
         precisions = [(1 - share) / ((1 - share) * np.maximum(values, 0.0) + share) for share in self._shares]
-        scaled = self._vectors @ (self._uncoupled / self._units / np.exp(logs[:, _GROUP] / 2))
+        self._scaled = self._uncoupled / self._units / np.exp(logs[:, _GROUP] / 2)
+        scaled = self._vectors @ self._scaled
         weights = [precisions[g] * scaled[:, c] for c, g in enumerate(_GROUP)]
         self._weights = np.column_stack([*weights, self._vectors @ (r.size_variance * size_weights)])
         self._precisions = np.column_stack(precisions)
@@ -117,6 +136,18 @@ class ErrorMap:
         self._middle = self.where.mean(axis=0)
         self._features = (self.where - self._middle) * self._per_length
         self._half_squares = (self._features**2).sum(axis=1) / 2
+
+    def _repeats(self, walk: NDArray[np.object_], group: int) -> float:
+        """How much of the mean error that other walks' frames foretell, in units of each frame's size, comes true."""
+        K, share = _kernel(self.where, self.reach), self._shares[group]
+        error = self._scaled[:, group == _GROUP]
+        foretold = np.zeros_like(error)
+        for name in set(walk):
+            of, others = walk == name, walk != name
+            if others.sum() >= _FORETELLING:
+                weights = np.linalg.solve(_noisy(K[np.ix_(others, others)], share), error[others])
+                foretold[of] = (1 - share) * K[np.ix_(of, others)] @ weights
+        return float(np.clip(_slope(error.ravel(), foretold.ravel(), _SURELY), 0.0, 1.0))
 
     def expected(self, position: Array, look: Array) -> Expected:
         """Of a prediction at `position` (3,) in metres that looks along `look` (3,)."""
@@ -128,10 +159,12 @@ class ErrorMap:
         # In plain numbers: numpy takes longer for four of them.
         variance, angle_variance = exp(log_position + self._usual[_POSITION]), exp(log_angle + self._usual[_ANGLE])
         share, angle_share = self._shares
-        left, angle_left = (1 - share) * max(1 - known_position, 0.0), (1 - angle_share) * max(1 - known_angle, 0.0)
+        repeats, angle_repeats = self.reach.position_repeats, self.reach.yaw_repeats
+        left = (1 - share) * max(1 - repeats * known_position, 0.0)
+        angle_left = (1 - angle_share) * max(1 - angle_repeats * known_angle, 0.0)
         size, angle_size = sqrt(variance), sqrt(angle_variance)
         square = self._units * np.array([angle_size, size, size, size])
-        error = square * errors
+        error = square * errors * np.array([angle_repeats, repeats, repeats, repeats])
         square *= square
         left_x, left_z = _leftwards(look)
         per_m = self.reach.yaw_per_m * left_x, self.reach.yaw_per_m * left_z
@@ -156,7 +189,7 @@ class ErrorMap:
         """The map of one scene and model from the rows that `table` gave."""
         numbers = table.drop(columns=list(Reach.__dataclass_fields__)).select_dtypes("number").to_numpy(float)
         reach = Reach(**{name: float(table[name].iloc[0]) for name in Reach.__dataclass_fields__})
-        return cls(numbers[:, :6], numbers[:, 6:10], numbers[:, 10], reach)
+        return cls(numbers[:, :6], numbers[:, 6:10], numbers[:, 10], reach=reach)
 
 
 def errors_of(map_T_cam_apr: Array, map_T_cam: Array) -> tuple[Array, Array]:
@@ -175,20 +208,20 @@ def _leftwards(look: Array) -> tuple[float, float]:
     return z / length, -x / length
 
 
-def _yaw_per_m(yaw: Array, aside: Array) -> float:
-    """Slope (rad/m) of yaw errors (N,) over errors aside (N,), as far as it is surely there.
+def _slope(y: Array, x: Array, sigmas: float = 1.0) -> float:
+    """Slope of numbers (N,) over others (N,), as far as it is surely there.
 
-    Robust (iterated weights of Student's t), and shrunk by its own uncertainty (James and Stein's positive part), for
-    which a few neighbouring frames count as one.
+    Robust (iterated weights of Student's t), and shrunk by its own uncertainty (James and Stein's positive part, of so
+    many standard errors), for which a few neighbouring frames count as one.
     """
-    slope, weight = 0.0, np.ones(len(yaw))
+    slope, weight = 0.0, np.ones(len(y))
     for _ in range(_SLOPE_STEPS):
-        power = float(weight @ aside**2) + 1e-12
-        slope = float(weight @ (yaw * aside)) / power
-        rest = yaw - slope * aside
-        weight = 1 / ((1 + rest**2 / _variance(rest) / _SLOPE_DOF) * (1 + aside**2 / _variance(aside) / _SLOPE_DOF))
-    variance = _ALIKE * float(((weight * rest * aside) ** 2).sum()) / power**2
-    return slope * max(0.0, 1 - variance / (slope**2 + 1e-12))
+        power = float(weight @ x**2) + 1e-12
+        slope = float(weight @ (y * x)) / power
+        rest = y - slope * x
+        weight = 1 / ((1 + rest**2 / _variance(rest) / _SLOPE_DOF) * (1 + x**2 / _variance(x) / _SLOPE_DOF))
+    variance = _ALIKE * float(((weight * rest * x) ** 2).sum()) / power**2
+    return slope * max(0.0, 1 - sigmas**2 * variance / (slope**2 + 1e-12))
 
 
 def _variance(errors: Array) -> float:

@@ -452,7 +452,7 @@ def test_odometry_that_starts_anew_elsewhere_is_aligned_anew_and_one_that_comes_
 
 
 def test_what_was_learnt_beforehand_is_used_and_can_be_switched_off() -> None:
-    """A regressor with the same bias along the same way, which held-out frames of another walk have shown."""
+    """A regressor with the same bias along the same way, which held-out frames of two walks have shown."""
     ratio = []
     for seed in range(4):
         rng = np.random.default_rng(seed)
@@ -465,7 +465,8 @@ def test_what_was_learnt_beforehand_is_used_and_can_be_switched_off() -> None:
             turn = Rotation.from_rotvec(np.radians(1) * rng.normal(size=(200, 3))).as_matrix()
             return make_pose(turn @ truth[:, :3, :3], truth[:, :3, 3] + shift)
 
-        error_map = ErrorMap.learnt(predicted(), truth)
+        held_out = np.concatenate([predicted(), predicted()])
+        error_map = ErrorMap.learnt(held_out, np.tile(truth, (2, 1, 1)), np.repeat([0, 1], 200))
         apr = predicted()
         with_map, switched_off, without = (
             position_error(poses(answers(localiser, t_ns, vio, apr)), truth).mean()

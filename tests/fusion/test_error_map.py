@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from known import there
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -29,8 +30,13 @@ def walk(seed: int, frames: int = 150, noise: float = 0.1) -> tuple[Array, Array
     return true, make_pose(wrong @ lean @ true[:, :3, :3], xyz + error[:, 1:] * [1, 0.3, 1])
 
 
+def in_turns(count: int) -> NDArray[np.intp]:
+    """Three frames are of one walk, the next three of another, and so on."""
+    return np.arange(count) // 3 % 2
+
+
 def from_all(apr: Array, true: Array) -> ErrorMap:
-    return there(ErrorMap.learnt(apr, true))
+    return there(ErrorMap.learnt(apr, true, in_turns(len(apr))))
 
 
 def asked(error_map: ErrorMap, apr: Array) -> list[Expected]:
@@ -101,6 +107,25 @@ def test_yaw_errors_of_their_own_are_left_alone() -> None:
     assert np.count_nonzero(slopes) <= 3 and np.abs(np.degrees(slopes)).max() < 1.5
 
 
+def test_what_isnt_the_same_on_another_walk_is_no_expected_error() -> None:
+    """Of walks with alike errors, with errors of their own, and of a single one, which can't tell."""
+    walks = [walk(seed, 60) for seed in range(4)]
+    alike = [np.concatenate(part) for part in zip(*walks, strict=True)]
+    true, apr = alike[0], alike[1].copy()
+    turned = yaw_rotation(np.repeat(np.radians([0, 90, 180, 270]), 60))
+    apr[:, :3, 3] = true[:, :3, 3] + (turned @ (apr - true)[:, :3, 3, None])[:, :, 0]
+    number = np.repeat(np.arange(4), 60)
+    learnt = [there(ErrorMap.learnt(*of)) for of in ((alike[1], true, number), (apr, true, number))]
+    assert learnt[0].reach.position_repeats > 0.9 and learnt[0].reach.yaw_repeats > 0.9
+    assert learnt[1].reach.position_repeats < 0.3
+    single = there(ErrorMap.learnt(alike[1], true, np.zeros(240)))
+    assert single.reach.position_repeats == single.reach.yaw_repeats == 0
+    at, look = alike[1][200, :3, 3], alike[1][200, :3, 2]
+    same, own = learnt[0].expected(at, look), single.expected(at, look)
+    assert not own.error.any() and np.abs(same.error).max() > 0.05
+    assert (own.shared > same.shared).all()  # what isn't corrected is left
+
+
 def test_where_nothing_was_held_out_nothing_is_known(learnt: ErrorMap) -> None:
     far = learnt.expected(np.array([500.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     assert far.error == pytest.approx(0) and (far.shared > 0).all()
@@ -128,11 +153,11 @@ def test_a_table_gives_the_same_map(learnt: ErrorMap, tmp_path: Path) -> None:
 def test_too_few_frames_make_no_map_and_missing_ones_do_not_count() -> None:
     true, apr = walk(0)
     apr[LEAST_FRAMES - 1 :] = np.nan
-    assert ErrorMap.learnt(apr, true) is None
+    assert ErrorMap.learnt(apr, true, np.zeros(len(apr))) is None
     true, apr = walk(0)
     apr[::7], true[3] = np.nan, np.nan
     known = np.isfinite(apr).all(axis=(1, 2)) & np.isfinite(true).all(axis=(1, 2))
-    with_holes, without = from_all(apr, true), from_all(apr[known], true[known])
+    with_holes, without = from_all(apr, true), ErrorMap.learnt(apr[known], true[known], in_turns(150)[known])
     _, queries = walk(1, 20)
-    for a, b in zip(asked(with_holes, queries), asked(without, queries), strict=True):
+    for a, b in zip(asked(with_holes, queries), asked(there(without), queries), strict=True):
         assert np.array_equal(a.error, b.error)
