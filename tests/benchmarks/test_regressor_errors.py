@@ -35,10 +35,16 @@ def offsets(truth: Array, model: AprModel = MODEL, map_seed: int = 1, noise_seed
     return simulate_apr(truth, model, map_seed, noise_seed)[:, :3, 3] - truth[:, :3, 3]
 
 
-def test_bias_is_the_places_own() -> None:
+def test_bias_is_the_places_own_as_far_as_it_repeats() -> None:
     there = straight(30, 0.5)
-    assert np.allclose(offsets(there, noise_seed=2), offsets(there[::-1], noise_seed=3)[::-1])
-    assert not np.allclose(offsets(there), offsets(there, map_seed=9))
+    every = AprModel(**MODEL.__dict__ | {"position_repeats": 1.0})
+    assert np.allclose(offsets(there, every, noise_seed=2), offsets(there[::-1], every, noise_seed=3)[::-1])
+    assert not np.allclose(offsets(there, every), offsets(there, every, map_seed=9))
+    half = AprModel(**MODEL.__dict__ | {"position_repeats": 0.5, "position_spread": 0.0})
+    one, other = (
+        np.concatenate([offsets(there, half, seed, noise_seed=seed + k) for seed in range(200)]) for k in (1000, 2000)
+    )
+    assert np.corrcoef(one.ravel(), other.ravel())[0, 1] == pytest.approx(0.5, abs=0.07)
     turned = straight(30, 0.5, 180)
     assert np.abs(offsets(there) - offsets(turned)).mean() > 0.1
 
