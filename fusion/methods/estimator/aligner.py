@@ -161,7 +161,7 @@ def _iterate(keyframes: Rows, model: Model, belief: Belief, newest: Array) -> Fi
         _write_normalised(keyframes[i], belief.tilt, normalised[i])
         write_columns(keyframes[i].whitening, UNKNOWN, unknown[i], 6)
         _write_sandwich(unknown[i], keyframes[i].posterior, each[i], spread[i], (6, 4))
-        squared[i] = _expected(normalised[i], spread[i], precision)
+        squared[i] = _expected(normalised[i], spread[i], precision, 0, 6)
         students[i] = robust.weight(squared[i], DIMENSIONS, model.dof)
     covariance = scatter(model.prior, normalised, spread, fraction, students)
     precision = covariance.copy()
@@ -171,9 +171,9 @@ def _iterate(keyframes: Rows, model: Model, belief: Belief, newest: Array) -> Fi
     invert(of_position)
     weights, lengths = np.empty((count, 2)), np.empty(3)
     for i in range(count):
-        squared[i] = lengths[0] = _expected(normalised[i], spread[i], precision)
-        lengths[1] = _expected(normalised[i, :3], spread[i, :3, :3], of_rotation)
-        lengths[2] = _expected(normalised[i, 3:], spread[i, 3:, 3:], of_position)
+        squared[i] = lengths[0] = _expected(normalised[i], spread[i], precision, 0, 6)
+        lengths[1] = _expected(normalised[i], spread[i], of_rotation, 0, 3)
+        lengths[2] = _expected(normalised[i], spread[i], of_position, 3, 6)
         known_better = i == count - 1 and not isnan(newest[0])
         _write_weights(newest if known_better else lengths, model, weights[i])
         fraction[i] *= each[i]
@@ -226,12 +226,13 @@ def _write_sandwich(outer: Array, middle: Array, scale: float, result: Array, sh
 
 
 @inlined
-def _expected(normalised: Array, spread: Array, precision: Array) -> float:
-    """The squared error that is to be expected of an error (n,) whose state spreads it by (n, n)."""
+def _expected(normalised: Array, spread: Array, precision: Array, first: int, end: int) -> float:
+    """The squared error that is to be expected of some numbers of an error (6,) whose state spreads it by (6, 6), with
+    the precision of these numbers."""
     squared = 0.0
-    for j in range(len(precision)):
-        for k in range(len(precision)):
-            squared += precision[j, k] * (normalised[j] * normalised[k] + spread[j, k])
+    for j in range(first, end):
+        for k in range(first, end):
+            squared += precision[j - first, k - first] * (normalised[j] * normalised[k] + spread[j, k])
     return squared
 
 
@@ -248,9 +249,10 @@ def _write_weights(lengths: Array, model: Model, weights: Array) -> None:
 @inlined
 def _write_weighed(precision: Array, weights: Array, weighed: Array) -> None:
     """Writes the precision (6, 6) of errors whose rotation and position count so much, (2,)."""
+    rotation, position = sqrt(weights[ROTATION]), sqrt(weights[POSITION])
     for j in range(6):
         for k in range(6):
-            weighed[j, k] = precision[j, k] * sqrt(weights[j // 3] * weights[k // 3])
+            weighed[j, k] = precision[j, k] * (rotation if j < 3 else position) * (rotation if k < 3 else position)
 
 
 @compiled

@@ -47,8 +47,9 @@ def _moved(keyframes: Rows, fit: Fit, answer: Array) -> Array:
         write_columns(keyframes[i].whitening, UNKNOWN, unknown, 6)
         add_product(unknown, answer[i], moved[i], (6, 4, 4), fit.counted[i])
         for j in range(6):
+            root = sqrt(fit.weights[i, j // 3])
             for k in range(4):
-                moved[i, j, k] *= sqrt(fit.weights[i, j // 3])
+                moved[i, j, k] *= root
     return moved
 
 
