@@ -205,7 +205,7 @@ class Regressor:
     amplitude: float = 1.0
 
     def predict(self, walk: str, map_T_cam: Array) -> Array:
-        """Predictions (N, 4, 4) for true poses of a walk; noise differs from walk to walk, the bias at a place not."""
+        """Predictions (N, 4, 4) for true poses of a walk; noise and part of the bias differ from walk to walk."""
         errors = read_apr_models()[self.scene, self.model]
         return simulate_apr(map_T_cam, errors, *apr_seeds(self.scene, self.model, self.seed, walk), self.amplitude)
 

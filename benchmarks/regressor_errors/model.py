@@ -107,8 +107,8 @@ def standard_errors(map_T_cam: Array, model: AprModel, map_seed: int, noise_seed
     noise *= np.sqrt((model.tail - 2) / chdtri(model.tail, rng.uniform(size=len(where))))[:, None]
 
     def bias(which: int, repeats: float) -> Array:
-        every, own = (_fields(where, 3, [seed, which]) for seed in (map_seed, noise_seed))
-        return np.sqrt(repeats) * every + np.sqrt(1 - repeats) * own
+        map_bias, walk_bias = (_fields(where, 3, [seed, which]) for seed in (map_seed, noise_seed))
+        return np.sqrt(repeats) * map_bias + np.sqrt(1 - repeats) * walk_bias
 
     return StandardErrors(
         _fields(where, 2, [map_seed, _SCALES]),

@@ -242,8 +242,8 @@ def _write_weights(lengths: Array, model: Model, weights: Array) -> None:
     only one of both is gross, the other still says something."""
     whole = robust.bounded(lengths[0], DIMENSIONS, model.dof)
     for part in (ROTATION, POSITION):
-        own = robust.bounded(lengths[1 + part], DIMENSIONS // 2, model.dof)
-        weights[part] = whole ** (1 - model.alone[part]) * own ** model.alone[part]
+        by_itself = robust.bounded(lengths[1 + part], DIMENSIONS // 2, model.dof)
+        weights[part] = whole ** (1 - model.alone[part]) * by_itself ** model.alone[part]
 
 
 @inlined
