@@ -61,7 +61,7 @@ def _made_here(r: StageRun[FuseSettings], leaf: str) -> frozenset[str]:
 
 STAGE = Stage(
     name="fuse",
-    version=21,
+    version=22,
     settings=FuseSettings,
     needs=("import", "align", "localise", "train"),
     run=run,

@@ -183,8 +183,10 @@ TABLES = [
             Column("position_noise", "float64", "share of a position error's variance that is new in each frame"),
             Column("yaw_noise", "float64", "share of a yaw error's variance that is new in each frame"),
             Column("yaw_per_m", "float64", "yaw error that comes with a metre of error to the left", "rad/m"),
-            Column("position_repeats", "float64", "how much of the mean position error is the same on another walk"),
-            Column("yaw_repeats", "float64", "how much of the mean yaw error is the same on another walk"),
+            Column(
+                "position_repeatability", "float64", "share of the mean position error that is the same on another walk"
+            ),
+            Column("yaw_repeatability", "float64", "share of the mean yaw error that is the same on another walk"),
         ],
         version="3.0",
     ),

@@ -6,9 +6,9 @@ Beside it there is noise that is new in each frame, with some frames far worse t
 over the map by an order of magnitude: some places are hard.
 
 Sizes are matched to published errors, scene by scene (`python -m benchmarks.regressor_errors.fit`); the fields of
-`AprModel` with a default are what no publication says. How much of the bias comes again is the median of PoseNet's,
-MS-Transformer's and DFNet's on chess, fire, office and KingsCollege: the slope of a walk's errors over those that a
-Gaussian process foretells from the scene's other walks. Nothing here was measured on a regressor of ours.
+`AprModel` with a default are what no publication says. How repeatable the bias is follows PoseNet, MS-Transformer and
+DFNet on chess, fire, office and KingsCollege: about the median slope of a walk's errors over those that a Gaussian
+process predicts from the scene's other walks. Nothing here was measured on a regressor of ours.
 """
 
 import tomllib
@@ -51,8 +51,8 @@ class AprModel:
     bias_length_m: float = _number("m", "motion over which bias and sizes change", 0.01)
     bias_length_deg: float = _number("deg", "turn over which they change", 1.0)
     tail: float = _number("1", "degrees of freedom of the noise's Student t", 2.01)
-    position_repeats: float = _number("1", "share of the position bias's variance that every walk has", 0.0, 1.0, 0.5)
-    rotation_repeats: float = _number("1", "the same of the rotation bias", 0.0, 1.0, 0.3)
+    position_repeatability: float = _number("1", "share of the bias's variance that all walks share", 0.0, 1.0, 0.5)
+    rotation_repeatability: float = _number("1", "the same, of the rotation bias", 0.0, 1.0, 0.3)
     noise_follows: float = _number("1", "power of the place's size that the noise has", 0.0, 1.0, 0.5)
     vertical: float = _number("1", "height error against a horizontal axis: phones are held alike", 0.0, np.inf, 0.35)
     tilt: float = _number("1", "pitch error and roll error, each, against yaw", 0.0, np.inf, 0.5)
@@ -75,7 +75,7 @@ def simulate_apr(
 ) -> Array:
     """Predictions (N, 4, 4) for true poses map_T_cam (N, 4, 4), map +y up, OpenCV camera axes.
 
-    `map_seed` is the regressor's: what is wrong on every walk. `noise_seed` is the walk's own.
+    `map_seed` is the regressor's and draws the bias that all walks share; `noise_seed` draws the rest, walk by walk.
     `amplitude` multiplies all errors.
     """
     truth = np.asarray(map_T_cam, dtype=float)
@@ -98,7 +98,7 @@ class StandardErrors:
 
 
 def standard_errors(map_T_cam: Array, model: AprModel, map_seed: int, noise_seed: int) -> StandardErrors:
-    """Draw the fields of a map at the walk's poses (N, 4, 4), and the walk's own and its noise."""
+    """Draw the biases that all walks share and this walk's own at its poses (N, 4, 4), and its noise."""
     look = map_T_cam[:, :3, 2] / np.radians(model.bias_length_deg)
     where = np.hstack([map_T_cam[:, :3, 3] / model.bias_length_m, look])
     rng = np.random.default_rng([noise_seed, _NOISE])
@@ -106,14 +106,14 @@ def standard_errors(map_T_cam: Array, model: AprModel, map_seed: int, noise_seed
     # One factor for both: a blurred picture is bad for position and rotation.
     noise *= np.sqrt((model.tail - 2) / chdtri(model.tail, rng.uniform(size=len(where))))[:, None]
 
-    def bias(which: int, repeats: float) -> Array:
+    def bias(which: int, shared: float) -> Array:
         map_bias, walk_bias = (_fields(where, 3, [seed, which]) for seed in (map_seed, noise_seed))
-        return np.sqrt(repeats) * map_bias + np.sqrt(1 - repeats) * walk_bias
+        return np.sqrt(shared) * map_bias + np.sqrt(1 - shared) * walk_bias
 
     return StandardErrors(
         _fields(where, 2, [map_seed, _SCALES]),
-        (bias(_POSITION, model.position_repeats), noise[0]),
-        (bias(_ROTATION, model.rotation_repeats), noise[1]),
+        (bias(_POSITION, model.position_repeatability), noise[0]),
+        (bias(_ROTATION, model.rotation_repeatability), noise[1]),
     )
 
 

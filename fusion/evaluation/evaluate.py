@@ -166,13 +166,14 @@ def learnt(inputs: Inputs, model: str, settings: FuseSettings) -> ErrorMap | Non
     """What held-out frames say of a model's errors in a scene; None where there are too few. Predictions say in their
     column `split` what was held out, or else frames do; a frame that is evaluated is never learnt from."""
     rows = inputs.predictions[inputs.predictions["model"] == model]
-    of_frame = rows["frame_id"].map(inputs.frames.set_index("frame_id")["split"])
+    frames = inputs.frames.set_index("frame_id")
+    of_frame = rows["frame_id"].map(frames["split"])
     held_out = (rows["split"] if "split" in rows.columns else of_frame) == settings.learn_from
     rows = rows[held_out & ~of_frame.isin(settings.splits)].sort_values("frame_id")
     if rows.empty:
         return None
     apr, true = poses_for(rows, rows, "map_cam"), poses_for(rows, inputs.truth, "map_cam")
-    return ErrorMap.learnt(apr, true, rows["frame_id"].map(inputs.frames.set_index("frame_id")["session_id"]))
+    return ErrorMap.learnt(apr, true, rows["frame_id"].map(frames["session_id"]))
 
 
 def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator[tuple[str, list[Walk]]]:

@@ -344,8 +344,8 @@ class DriftAware(Localiser):
         sharing = Sharing(o.shared, o.shared_sizes, radians(o.shared_turn_deg))
         # A precise prediction's covariance is off by one factor for rotation and position, so both are gross together.
         extent = 1.0 if self._shrinkage is None else self._shrinkage
-        alone = extent * o.rotation_alone, extent * o.position_alone
-        return Model(prior, o.degrees_of_freedom, alone, sharing, o.apart_m, tilt_sd)
+        marginal = extent * o.rotation_marginal, extent * o.position_marginal
+        return Model(prior, o.degrees_of_freedom, marginal, sharing, o.apart_m, tilt_sd)
 
     @property
     def _belief(self) -> Belief:

@@ -48,10 +48,14 @@ class DriftAwareOptions(OdometryOptions):
     degrees_of_freedom: float = Field(
         3.0, gt=0, description="d of the fit's robust kernel, Barron's of shape 2 - d: larger ignores outliers sooner"
     )
-    rotation_alone: float = Field(
-        0.3, ge=0, le=1, description="how far a rotation's weight is its own error's, instead of the whole prediction's"
+    rotation_marginal: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="0: a rotation's robust weight is by the joint error with the position; 1: by its own error; "
+        "between: the geometric mean, with this exponent",
     )
-    position_alone: float = Field(0.6, ge=0, le=1, description="the same, of a position")
+    position_marginal: float = Field(0.6, ge=0, le=1, description="the same, of a position's robust weight")
     rival_degrees_of_freedom: float = Field(
         0.3, gt=0, description="of Student's t by which rival alignments are compared: smaller has heavier tails"
     )

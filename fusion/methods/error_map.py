@@ -8,8 +8,9 @@ The error is a Gaussian process (Rasmussen and Williams, 2006, chapters 2 and 5)
 viewing direction, which is what a phone has. Its size is another one, on the logarithm. How far both reach and how much
 of the error is noise is what makes the held-out errors most likely. Nothing of a test walk goes in.
 
-What frames of one walk have in common needn't be so on another, with another light or a path some metres aside. So each
-walk's errors are foretold from the other walks', and the mean error counts as far as that comes true.
+An error that frames of one walk share needn't be repeatable on another, with another light or a path some metres aside.
+Leave-one-walk-out cross-validation tells: the mean error counts as far as the other walks' frames predict a walk's
+errors.
 
 A step to the side and a turn move an image nearly alike, and regressors take one for the other: an error to the side
 comes with a yaw error, of some degrees a metre, as the scene is near or far. How many is fitted, too, and the Gaussian
@@ -34,8 +35,8 @@ _MOST_FRAMES = 200  # kept, evenly: a step looks at each of them
 _FITTED_FRAMES = 120  # looked at to fit how far errors reach
 
 _SLOPE_STEPS, _SLOPE_DOF = 20, 3.0
-_FORETELLING = 10  # frames of other walks, from which a walk's errors can be foretold
-_SURELY = 3.0  # standard errors: a mean error that doesn't come again makes fusion worse than none
+_LEAST_TRAINING = 10  # frames of other walks, for cross-validation
+_SIGNIFICANT = 3.0  # standard errors: correcting an error that isn't repeatable makes fusion worse
 _ALIKE = 4.0  # neighbouring frames whose errors are alike, and so tell what one does
 _UPRIGHT = 0.1  # of the viewing direction's horizontal part: less has no side
 
@@ -70,8 +71,8 @@ class Reach:
     position_noise: float  # share of a position error's variance that is new in each frame
     yaw_noise: float
     yaw_per_m: float  # yaw error, rad, that comes with a metre of error to the left of the viewing direction
-    position_repeats: float = 0.0  # how much of the mean error is the same on another walk, 0 to 1
-    yaw_repeats: float = 0.0
+    position_repeatability: float = 0.0  # share of the mean error that is the same on another walk
+    yaw_repeatability: float = 0.0
 
 
 class ErrorMap:
@@ -101,10 +102,13 @@ class ErrorMap:
         self._logs = np.log(np.maximum(np.column_stack(sizes), 1e-6)) - _LOG_MEAN
         self._usual = self._logs.mean(axis=0)
         self.reach = reach or _fitted(where, self._uncoupled / self._units, self._logs - self._usual, per_m)
-        self._prepare()
+        K, scaled = self._prepare()
         if reach is None and walk is not None:
-            position, yaw = (self._repeats(walk, group) for group in (_POSITION, _ANGLE))
-            self.reach = replace(self.reach, position_repeats=position, yaw_repeats=yaw)
+            position, yaw = (
+                _repeatability(K, share, scaled[:, group == _GROUP], walk)
+                for group, share in zip((_POSITION, _ANGLE), self._shares, strict=True)
+            )
+            self.reach = replace(self.reach, position_repeatability=position, yaw_repeatability=yaw)
 
     @classmethod
     def learnt(cls, map_T_cam_apr: ArrayLike, map_T_cam: ArrayLike, walk: ArrayLike) -> Self | None:
@@ -118,7 +122,8 @@ class ErrorMap:
         where = np.hstack([apr[kept, :3, 3], apr[kept, :3, 2]])
         return cls(where, *errors_of(apr[kept], true[kept]), np.asarray(walk, dtype=object)[kept])
 
-    def _prepare(self) -> None:
+    def _prepare(self) -> tuple[Array, Array]:
+        """The kernel (N, N), and the errors (N, 4) in units of each frame's size."""
         r = self.reach
         K = _kernel(self.where, r)
         size_weights, logs = _leave_one_out(K, self._logs - self._usual, r.size_variance)
@@ -127,27 +132,15 @@ class ErrorMap:
         values, vectors = np.linalg.eigh(K)
         self._vectors = np.ascontiguousarray(vectors.T)
         precisions = [(1 - share) / ((1 - share) * np.maximum(values, 0.0) + share) for share in self._shares]
-        self._scaled = self._uncoupled / self._units / np.exp(logs[:, _GROUP] / 2)
-        scaled = self._vectors @ self._scaled
-        weights = [precisions[g] * scaled[:, c] for c, g in enumerate(_GROUP)]
+        scaled = self._uncoupled / self._units / np.exp(logs[:, _GROUP] / 2)
+        weights = [precisions[g] * (self._vectors @ scaled[:, c]) for c, g in enumerate(_GROUP)]
         self._weights = np.column_stack([*weights, self._vectors @ (r.size_variance * size_weights)])
         self._precisions = np.column_stack(precisions)
         self._per_length = np.repeat([1 / r.length_m, 1 / r.length_look], 3)
         self._middle = self.where.mean(axis=0)
         self._features = (self.where - self._middle) * self._per_length
         self._half_squares = (self._features**2).sum(axis=1) / 2
-
-    def _repeats(self, walk: NDArray[np.object_], group: int) -> float:
-        """How much of the mean error that other walks' frames foretell, in units of each frame's size, comes true."""
-        K, share = _kernel(self.where, self.reach), self._shares[group]
-        error = self._scaled[:, group == _GROUP]
-        foretold = np.zeros_like(error)
-        for name in set(walk):
-            of, others = walk == name, walk != name
-            if others.sum() >= _FORETELLING:
-                weights = np.linalg.solve(_noisy(K[np.ix_(others, others)], share), error[others])
-                foretold[of] = (1 - share) * K[np.ix_(of, others)] @ weights
-        return float(np.clip(_slope(error.ravel(), foretold.ravel(), _SURELY), 0.0, 1.0))
+        return K, scaled
 
     def expected(self, position: Array, look: Array) -> Expected:
         """Of a prediction at `position` (3,) in metres that looks along `look` (3,)."""
@@ -159,12 +152,12 @@ class ErrorMap:
         # In plain numbers: numpy takes longer for four of them.
         variance, angle_variance = exp(log_position + self._usual[_POSITION]), exp(log_angle + self._usual[_ANGLE])
         share, angle_share = self._shares
-        repeats, angle_repeats = self.reach.position_repeats, self.reach.yaw_repeats
-        left = (1 - share) * max(1 - repeats * known_position, 0.0)
-        angle_left = (1 - angle_share) * max(1 - angle_repeats * known_angle, 0.0)
+        corrected, angle_corrected = self.reach.position_repeatability, self.reach.yaw_repeatability
+        left = (1 - share) * max(1 - corrected * known_position, 0.0)
+        angle_left = (1 - angle_share) * max(1 - angle_corrected * known_angle, 0.0)
         size, angle_size = sqrt(variance), sqrt(angle_variance)
         square = self._units * np.array([angle_size, size, size, size])
-        error = square * errors * np.array([angle_repeats, repeats, repeats, repeats])
+        error = square * errors * np.array([angle_corrected, corrected, corrected, corrected])
         square *= square
         left_x, left_z = _leftwards(look)
         per_m = self.reach.yaw_per_m * left_x, self.reach.yaw_per_m * left_z
@@ -253,6 +246,18 @@ def _leave_one_out(K: Array, logs: Array, variance: float) -> tuple[Array, Array
     inverse = np.linalg.inv(A)
     weights = inverse @ logs
     return weights, logs - weights / inverse.diagonal()[:, None]
+
+
+def _repeatability(K: Array, noise: float, error: Array, walk: NDArray[np.object_]) -> float:
+    """Share of the mean error that is the same on another walk: the slope of errors (N, D), in units of each frame's
+    size, over those that the Gaussian process with kernel (N, N) predicts from the other walks' frames; walk (N,)."""
+    predicted = np.zeros_like(error)
+    for name in set(walk):
+        of, others = walk == name, walk != name
+        if others.sum() >= _LEAST_TRAINING:
+            weights = np.linalg.solve(_noisy(K[np.ix_(others, others)], noise), error[others])
+            predicted[of] = (1 - noise) * K[np.ix_(of, others)] @ weights
+    return float(np.clip(_slope(error.ravel(), predicted.ravel(), _SIGNIFICANT), 0.0, 1.0))
 
 
 def _fitted(where: Array, error: Array, logs: Array, yaw_per_m: float) -> Reach:

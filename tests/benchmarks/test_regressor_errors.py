@@ -35,12 +35,12 @@ def offsets(truth: Array, model: AprModel = MODEL, map_seed: int = 1, noise_seed
     return simulate_apr(truth, model, map_seed, noise_seed)[:, :3, 3] - truth[:, :3, 3]
 
 
-def test_bias_is_the_places_own_as_far_as_it_repeats() -> None:
+def test_bias_is_the_places_own_as_far_as_it_is_repeatable() -> None:
     there = straight(30, 0.5)
-    every = AprModel(**MODEL.__dict__ | {"position_repeats": 1.0})
+    every = AprModel(**MODEL.__dict__ | {"position_repeatability": 1.0})
     assert np.allclose(offsets(there, every, noise_seed=2), offsets(there[::-1], every, noise_seed=3)[::-1])
     assert not np.allclose(offsets(there, every), offsets(there, every, map_seed=9))
-    half = AprModel(**MODEL.__dict__ | {"position_repeats": 0.5, "position_spread": 0.0})
+    half = AprModel(**MODEL.__dict__ | {"position_repeatability": 0.5, "position_spread": 0.0})
     one, other = (
         np.concatenate([offsets(there, half, seed, noise_seed=seed + k) for seed in range(200)]) for k in (1000, 2000)
     )

@@ -109,9 +109,9 @@ def _roots(error: Array, spread: Array, covariance: Array, o: "DriftAwareOptions
     """Roots (6,) of what a prediction's rotation and position count, by the whole error and by their own."""
     whole = _weight(error, spread, covariance, o)
     parts = []
-    for numbers, alone in ((slice(3), o.rotation_alone), (slice(3, 6), o.position_alone)):
+    for numbers, marginal in ((slice(3), o.rotation_marginal), (slice(3, 6), o.position_marginal)):
         own = _weight(error[numbers], spread[numbers, numbers], covariance[numbers, numbers], o)
-        parts.append((whole ** (1 - alone) * own**alone) ** (o.degrees_of_freedom / 4))
+        parts.append((whole ** (1 - marginal) * own**marginal) ** (o.degrees_of_freedom / 4))
     return np.repeat(parts, 3)
 
 

@@ -197,10 +197,10 @@ def test_where_only_a_rotation_or_a_position_is_gross_the_other_still_counts() -
         return localiser._iterated().weights[-1]
 
     rotation, position = weights(askew)
-    together, same = weights(askew, rotation_alone=0.0, position_alone=0.0)
+    together, same = weights(askew, rotation_marginal=0.0, position_marginal=0.0)
     assert together == same and rotation < 2 * together and position > 10 * together
     rotation, position = weights(aside)
-    together, same = weights(aside, rotation_alone=0.0, position_alone=0.0)
+    together, same = weights(aside, rotation_marginal=0.0, position_marginal=0.0)
     assert together == same and position < 2 * together and rotation > 3 * together
 
 

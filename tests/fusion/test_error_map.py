@@ -116,10 +116,10 @@ def test_what_isnt_the_same_on_another_walk_is_no_expected_error() -> None:
     apr[:, :3, 3] = true[:, :3, 3] + (turned @ (apr - true)[:, :3, 3, None])[:, :, 0]
     number = np.repeat(np.arange(4), 60)
     learnt = [there(ErrorMap.learnt(*of)) for of in ((alike[1], true, number), (apr, true, number))]
-    assert learnt[0].reach.position_repeats > 0.9 and learnt[0].reach.yaw_repeats > 0.9
-    assert learnt[1].reach.position_repeats < 0.3
+    assert learnt[0].reach.position_repeatability > 0.9 and learnt[0].reach.yaw_repeatability > 0.9
+    assert learnt[1].reach.position_repeatability < 0.3
     single = there(ErrorMap.learnt(alike[1], true, np.zeros(240)))
-    assert single.reach.position_repeats == single.reach.yaw_repeats == 0
+    assert single.reach.position_repeatability == single.reach.yaw_repeatability == 0
     at, look = alike[1][200, :3, 3], alike[1][200, :3, 2]
     same, own = learnt[0].expected(at, look), single.expected(at, look)
     assert not own.error.any() and np.abs(same.error).max() > 0.05

@@ -32,15 +32,15 @@ _EXCESS = 0.3  # of a squared error that is too much for what is known, taken fo
 class Model(NamedTuple):
     """What the fit assumes.
 
-    prior: of the covariance of normalised errors. dof: degrees of freedom of Student's t. alone: of rotation and
-    position, how far the weight of either comes from its own error, instead of the whole prediction's. sharing: of
-    errors. apart_m: motion after which two predictions are half as good as two that are made apart. tilt_sd: of
-    odometry's gravity error an axis, rad.
+    prior: of the covariance of normalised errors. dof: degrees of freedom of Student's t. marginal: of rotation and
+    position, the exponent of the weight by its own error, beside that by the whole prediction's. sharing: of errors.
+    apart_m: motion after which two predictions are half as good as two that are made apart. tilt_sd: of odometry's
+    gravity error an axis, rad.
     """
 
     prior: Prior
     dof: float
-    alone: tuple[float, float]
+    marginal: tuple[float, float]
     sharing: Sharing
     apart_m: float
     tilt_sd: float
@@ -156,20 +156,20 @@ def _iterate(keyframes: Rows, model: Model, belief: Belief, newest: Array) -> Fi
     variances = position_variances(keyframes, belief.covariance)
     alike = likeness(keyframes, variances, model.sharing)
     each = independent(keyframes, variances, alike, belief.distrust[0])
-    students, squared, fraction = np.empty(count), np.empty(count), counted(keyframes["along"], model.apart_m)
+    t_weights, squared, fraction = np.empty(count), np.empty(count), counted(keyframes["along"], model.apart_m)
     for i in range(count):
         _write_normalised(keyframes[i], belief.tilt, normalised[i])
         write_columns(keyframes[i].whitening, UNKNOWN, unknown[i], 6)
         _write_sandwich(unknown[i], keyframes[i].posterior, each[i], spread[i], (6, 4))
         squared[i] = _expected(normalised[i], spread[i], precision, 0, 6)
-        students[i] = robust.weight(squared[i], DIMENSIONS, model.dof)
-    covariance = scatter(model.prior, normalised, spread, fraction, students)
+        t_weights[i] = robust.weight(squared[i], DIMENSIONS, model.dof)
+    covariance = scatter(model.prior, normalised, spread, fraction, t_weights)
     precision = covariance.copy()
     invert(precision)
     of_rotation, of_position = covariance[:3, :3].copy(), covariance[3:, 3:].copy()
     invert(of_rotation)
     invert(of_position)
-    weights, lengths = np.empty((count, 2)), np.empty(3)
+    weights, lengths, weighed = np.empty((count, 2)), np.empty(3), np.empty((count, 6, 6))
     for i in range(count):
         squared[i] = lengths[0] = _expected(normalised[i], spread[i], precision, 0, 6)
         lengths[1] = _expected(normalised[i], spread[i], of_rotation, 0, 3)
@@ -177,8 +177,9 @@ def _iterate(keyframes: Rows, model: Model, belief: Belief, newest: Array) -> Fi
         known_better = i == count - 1 and not isnan(newest[0])
         _write_weights(newest if known_better else lengths, model, weights[i])
         fraction[i] *= each[i]
-    information, gradient = _normal_equations(normalised, unknown, fraction, weights, precision)
-    tilt, tilt_variance = _tilt(keyframes, normalised, fraction, weights, precision, belief.tilt, model.tilt_sd)
+        _write_weighed(precision, weights[i], fraction[i], weighed[i])
+    information, gradient = _normal_equations(normalised, unknown, weighed)
+    tilt, tilt_variance = _tilt(keyframes, normalised, weighed, belief.tilt, model.tilt_sd)
     solution = solve(_chain(keyframes, belief.distrust), keyframes["state"], information, gradient)
     if solution.fault < 0:
         apply(keyframes["state"], solution.increments)
@@ -242,34 +243,32 @@ def _write_weights(lengths: Array, model: Model, weights: Array) -> None:
     only one of both is gross, the other still says something."""
     whole = robust.bounded(lengths[0], DIMENSIONS, model.dof)
     for part in (ROTATION, POSITION):
-        by_itself = robust.bounded(lengths[1 + part], DIMENSIONS // 2, model.dof)
-        weights[part] = whole ** (1 - model.alone[part]) * by_itself ** model.alone[part]
+        marginal = robust.bounded(lengths[1 + part], DIMENSIONS // 2, model.dof)
+        weights[part] = whole ** (1 - model.marginal[part]) * marginal ** model.marginal[part]
 
 
 @inlined
-def _write_weighed(precision: Array, weights: Array, weighed: Array) -> None:
-    """Writes the precision (6, 6) of errors whose rotation and position count so much, (2,)."""
+def _write_weighed(precision: Array, weights: Array, fraction: float, weighed: Array) -> None:
+    """Writes the precision (6, 6) of errors that say so much by themselves, and whose rotation and position count so
+    much, (2,)."""
     rotation, position = sqrt(weights[ROTATION]), sqrt(weights[POSITION])
     for j in range(6):
         for k in range(6):
-            weighed[j, k] = precision[j, k] * (rotation if j < 3 else position) * (rotation if k < 3 else position)
+            count = (rotation if j < 3 else position) * (rotation if k < 3 else position)
+            weighed[j, k] = fraction * count * precision[j, k]
 
 
 @compiled
-def _normal_equations(
-    normalised: Array, unknown: Array, fraction: Array, weights: Array, precision: Array
-) -> tuple[Array, Array]:
-    """The predictions' information (N, 4, 4) and gradient (N, 4)."""
-    count = len(weights)
-    information, gradient = np.empty((count, 4, 4)), np.zeros((count, 4))
-    weighed, pulled = np.empty((6, 6)), np.empty(6)
+def _normal_equations(normalised: Array, unknown: Array, weighed: Array) -> tuple[Array, Array]:
+    """The predictions' information (N, 4, 4) and gradient (N, 4); weighed (N, 6, 6): the errors' precisions."""
+    count = len(weighed)
+    information, gradient, pulled = np.empty((count, 4, 4)), np.zeros((count, 4)), np.empty(6)
     for i in range(count):
-        _write_weighed(precision, weights[i], weighed)
-        _write_sandwich(unknown[i].T, weighed, fraction[i], information[i], (4, 6))
+        _write_sandwich(unknown[i].T, weighed[i], 1.0, information[i], (4, 6))
         for j in range(6):
             pulled[j] = 0.0
             for k in range(6):
-                pulled[j] += fraction[i] * weighed[j, k] * normalised[i, k]
+                pulled[j] += weighed[i, j, k] * normalised[i, k]
         for j in range(6):
             for k in range(4):
                 gradient[i, k] += unknown[i, j, k] * pulled[j]
@@ -277,22 +276,18 @@ def _normal_equations(
 
 
 @compiled
-def _tilt(
-    keyframes: Rows, normalised: Array, fraction: Array, weights: Array, precision: Array, tilt: Array, sd: float
-) -> tuple[Array, float]:
+def _tilt(keyframes: Rows, normalised: Array, weighed: Array, tilt: Array, sd: float) -> tuple[Array, float]:
     """Odometry's gravity error (2,) after one step from `tilt`, and its variance, given its sd beforehand."""
     information, gradient = np.zeros((2, 2)), np.empty(2)
     for j in range(2):
         information[j, j], gradient[j] = 1 / sd**2, -tilt[j] / sd**2
-    weighed = np.empty((6, 6))
     for i in range(len(keyframes)):
-        counts, whitening = _GRAVITY * fraction[i], keyframes[i].whitening
-        _write_weighed(precision, weights[i], weighed)
+        whitening = keyframes[i].whitening
         for j in range(2):
             for k in range(6):
                 pulled = 0.0
                 for m in range(6):
-                    pulled += counts * whitening[m, _TILT[j]] * weighed[m, k]
+                    pulled += _GRAVITY * whitening[m, _TILT[j]] * weighed[i, m, k]
                 gradient[j] += pulled * normalised[i, k]
                 for m in range(2):
                     information[j, m] += pulled * whitening[k, _TILT[m]]

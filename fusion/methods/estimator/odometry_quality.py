@@ -44,14 +44,12 @@ class _Bank:
         self._offset = np.zeros((2, axes, hypotheses))  # odometry's, and the error shared with the last prediction
         self._P = np.zeros((3, hypotheses))  # variances of both, and their covariance
         self._log_odds = np.zeros(hypotheses)
-        self.begun = False
 
     def begin(self, apart: Array, size: float) -> None:
         """The first prediction of a frame of odometry's: `apart` (axes,) from where odometry's way begins."""
         usual = size * _SIZES
         self._offset[0], self._offset[1] = apart[:, None], 0.0
         self._P[:] = usual, _SHARES * usual, -_SHARES * usual
-        self.begun = True
 
     def update(self, apart: Array, drift: tuple[float, float], size: float, moved_m: float) -> None:
         """Take in the next one. drift: the usual variance on the way, and what is to be added to it anyhow."""
@@ -65,11 +63,10 @@ class _Bank:
         return _mean_factors(_LOG_FACTORS, self._log_odds, log_prior + _SIZE_PRIOR if sizes_known else log_prior)
 
     def save(self) -> list[Any]:
-        return [plain(self._offset), plain(self._P), plain(self._log_odds), self.begun]
+        return [plain(self._offset), plain(self._P), plain(self._log_odds)]
 
     def restore(self, state: list[Any]) -> None:
-        self._offset, self._P, self._log_odds = (np.array(part) for part in state[:3])
-        self.begun = state[3]
+        self._offset, self._P, self._log_odds = (np.array(part) for part in state)
 
 
 @compiled
@@ -142,13 +139,13 @@ class OdometryQuality:
         self._forget_way()
 
     def _forget_way(self) -> None:
+        self._begun = False  # a prediction has been taken in this frame of odometry's
         self._at = np.zeros(3)  # where odometry's way has come to in the map, begun anywhere
         # Since the last prediction taken: metres, usual drift of position, height and yaw, and of bent ways.
         self._since = np.zeros(5)
 
     def lost(self) -> None:
         """Odometry has lost its frame, or may have: its offset is unknown again, its quality isn't."""
-        self._position.begun = False
         self._forget_way()
 
     def update(
@@ -173,7 +170,8 @@ class OdometryQuality:
         bent = _COHERENT * min(yaw_variance, _MAX_YAW) * (x * x + z * z)
         self._since += moved_m, drift[0], drift[1], drift[3], bent
         apart, turned = measured[:3] - self._at, measured[3:4]
-        if not self._position.begun:
+        if not self._begun:
+            self._begun = True
             self._position.begin(apart[::2], size[0])
             self._height.begin(apart[1:2], size[0])
             self._yaw.begin(turned, size[1])
@@ -199,6 +197,7 @@ class OdometryQuality:
             self._position.save(),
             self._height.save(),
             self._yaw.save(),
+            self._begun,
             self.has_judged,
             *map(plain, self._arrays()),
         ]
@@ -208,8 +207,8 @@ class OdometryQuality:
         self._position.restore(state[0])
         self._height.restore(state[1])
         self._yaw.restore(state[2])
-        self.has_judged = state[3]
-        self.factors, self.sizes, self._at, self._since = (np.array(part) for part in state[4:])
+        self._begun, self.has_judged = state[3:5]
+        self.factors, self.sizes, self._at, self._since = (np.array(part) for part in state[5:])
 
     def _arrays(self) -> tuple[Array, ...]:
         return self.factors, self.sizes, self._at, self._since
