@@ -42,6 +42,7 @@ ABLATIONS: dict[str, tuple[str, ...]] = {
     "turned by 8 degrees at most": ("turn_deg=[8, 3, 4]",),
     "one pose instead of a mixture": ("components=1",),
     "4 copies instead of 20": ("copies=4",),
+    "one head instead of three": ("heads=1",),
     "as captured instead of one virtual pinhole": ("undistort=false",),
 }
 _NEEDED = ("import", "align")

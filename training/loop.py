@@ -108,9 +108,6 @@ class FeatureSource:
         ]
         reduced = torch.cat([self.model.reduced(part.to(self.run.device)).cpu() for part in parts])
         self.cache = replace(self.cache, features=(reduced.numpy(), *others))
-        if not resumed:
-            (captured, *_), poses = self.cache.rows(np.arange(len(self.cache.training)), self.run.device)
-            self.model.fit_training_images(captured, poses)
         held_out, *maps = self.held_out_features
         self.held_out_features = self.model.reduced(held_out), *maps
 

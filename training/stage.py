@@ -424,7 +424,7 @@ def describe(job: Job) -> str:
 
 STAGE = Stage(
     name="train",
-    version=13,
+    version=14,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,

@@ -3,10 +3,9 @@
 import torch
 from torch import Tensor, nn
 
-from groundwalk.training.models.anchored_mixture import OUTPUTS
 from groundwalk.training.models.efficientnet_lite import MAP_CHANNELS
 from groundwalk.training.models.ms_transformer import MAX_CELLS, WIDTH, DecoderLayer
-from groundwalk.training.models.posenet_lite import LiteRegressor
+from groundwalk.training.models.posenet_lite import LiteRegressor, last_layers
 from groundwalk.training.models.regressor import PoseBatch
 from groundwalk.training.regressor_settings import MSTransformerLiteSettings
 
@@ -55,6 +54,23 @@ class LiteTransformer(nn.Module):
         return self.decoder_norm(scenes)
 
 
+class AttentionHead(nn.Module):
+    """A mixture's outputs from the summary and from what the queries found."""
+
+    def __init__(self, settings: MSTransformerLiteSettings) -> None:
+        super().__init__()
+        self.from_summary = nn.Linear(settings.width, settings.width)
+        self.from_attention = nn.Linear(2 * WIDTH, settings.width)
+        # Attention only adds to what the summary tells, from nothing on.
+        nn.init.zeros_(self.from_attention.weight)
+        nn.init.zeros_(self.from_attention.bias)
+        self.layers = nn.Sequential(*last_layers(settings))
+
+    def forward(self, summary: Tensor, attended: Tensor) -> Tensor:
+        outputs: Tensor = self.layers(self.from_summary(summary) + self.from_attention(attended))
+        return outputs
+
+
 class MSTransformerLite(LiteRegressor):
     """A mixture of poses from the summary, as PN-Lite's, and from what a query a scene finds in the 1/16 and in the 1/8
     map; a classifier picks the scene."""
@@ -69,23 +85,8 @@ class MSTransformerLite(LiteRegressor):
         )
         self.scene_logit = nn.Linear(2 * WIDTH, 1)
         self.summary_logits = nn.Linear(settings.width, scenes)
-        self.from_summary = nn.Linear(settings.width, settings.width)
-        self.from_attention = nn.Linear(2 * WIDTH, settings.width)
-        # Attention only adds to what the summary tells, from nothing on.
-        nn.init.zeros_(self.from_attention.weight)
-        nn.init.zeros_(self.from_attention.bias)
         self.attention_dropout = nn.Dropout(settings.attention_dropout)
-        last = nn.Linear(settings.width, settings.components * OUTPUTS)
-        with torch.no_grad():
-            last.weight *= 0.3  # the anchors themselves are a good first answer
-        self.head = nn.Sequential(
-            nn.GELU(),
-            nn.Dropout(settings.dropout),
-            nn.Linear(settings.width, settings.width),
-            nn.GELU(),
-            nn.Dropout(settings.dropout),
-            last,
-        )
+        self.heads = nn.ModuleList(AttentionHead(settings) for _ in range(settings.heads))
 
     def layers(self) -> str:
         return f"{self.decoder_layers} decoder layers a map"
@@ -103,17 +104,17 @@ class MSTransformerLite(LiteRegressor):
         return summary, vectors, self.scene_logit(vectors).squeeze(-1) + self.summary_logits(summary)
 
     def _outputs(self, summary: Tensor, vectors_BSC: Tensor, scene_B: Tensor) -> Tensor:
-        """The mixture's outputs (B, K * OUTPUTS) from the summary and from the vectors of one scene a sample."""
+        """The heads' outputs (B, heads * components * OUTPUTS) from the summary and from the vectors of one scene a
+        sample."""
         vector = vectors_BSC.gather(1, scene_B[:, None, None].expand(-1, 1, 2 * WIDTH)).squeeze(1)
         # Of an image all attention is left out or none.
         attended = vector * self.attention_dropout(vector.new_ones(len(vector), 1))
-        outputs: Tensor = self.head(self.from_summary(summary) + self.from_attention(attended))
-        return outputs
+        return torch.cat([head(summary, attended) for head in self.heads], dim=1)
 
     def answer(self, features: tuple[Tensor, ...]) -> PoseBatch:
         summary, vectors, logits = self._decode(features)
         scene = logits.argmax(dim=1)
-        return self.mixed(self._outputs(summary, vectors, scene), features[0], scene)
+        return self.mixed(self._outputs(summary, vectors, scene), scene)
 
     def feature_loss(self, features: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
         """The mixture's negative log-likelihood, plus the scene's."""

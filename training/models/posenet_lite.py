@@ -9,7 +9,6 @@ from groundwalk.training.models.anchored_mixture import OUTPUTS, VARIANCE, PoseM
 from groundwalk.training.models.efficientnet_lite import MAP_CHANNELS, EfficientNetLite0
 from groundwalk.training.models.posenet import single_scene
 from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch, SceneFrames
-from groundwalk.training.models.training_distance import TrainingDistance
 from groundwalk.training.models.uncertainty import CovarianceScale, resized
 from groundwalk.training.regressor_settings import LiteSettings, RegressorSettings
 from groundwalk.training.weights import load_lite0
@@ -76,6 +75,15 @@ class Whitening(nn.Module):
         return (features_BF - self.mean) @ self.axes
 
 
+def last_layers(settings: LiteSettings) -> list[nn.Module]:
+    """The layers of a head after its first: a hidden one, and the outputs of its mixture."""
+    last = nn.Linear(settings.width, settings.components * OUTPUTS)
+    with torch.no_grad():
+        last.weight *= 0.3  # the anchors themselves are a good first answer
+    hidden = nn.Linear(settings.width, settings.width)
+    return [nn.GELU(), nn.Dropout(settings.dropout), hidden, nn.GELU(), nn.Dropout(settings.dropout), last]
+
+
 class LiteRegressor(FrozenRegressor):
     """Base of regressors on EfficientNet-Lite0: its frozen maps, their whitened summary, and a mixture of poses."""
 
@@ -87,8 +95,7 @@ class LiteRegressor(FrozenRegressor):
         self.widths = [width * cells for width, cells in zip(_CHANNEL_WIDTHS, _CELLS, strict=True)]
         self.whitening = Whitening(sum(self.widths), settings.width)
         self.frames = SceneFrames(scenes)
-        self.mixture = PoseMixture(scenes, settings.components)
-        self.training_distance = TrainingDistance(scenes, settings.width)
+        self.mixture = PoseMixture(scenes, settings.components, settings.heads)
         self.covariance_scale = CovarianceScale()
 
     def initialise(self, poses: PoseBatch, settings: RegressorSettings, downloads: Path) -> str:
@@ -131,20 +138,16 @@ class LiteRegressor(FrozenRegressor):
         scales = torch.stack([part.std().clamp_min(_SMALLEST) * part.shape[1] ** 0.5 for part in parts])
         self.whitening.fit(torch.cat(parts, dim=1), scales.repeat_interleave(torch.tensor(self.widths)))
 
-    def fit_training_images(self, first: Tensor, poses: PoseBatch) -> None:
-        self.training_distance.fit(first, poses.scene_B)
+    def mixed(self, outputs: Tensor, scene_B: Tensor) -> PoseBatch:
+        """The poses in the map frame of the heads' outputs.
 
-    def mixed(self, outputs: Tensor, summary: Tensor, scene_B: Tensor) -> PoseBatch:
-        """The poses in the map frame of the mixture's outputs for images with this whitened summary.
-
-        Covariances have the shape of the mixture's, and the size of its components, times the distance to the training
-        images: how far components lie apart says little about the size of errors.
+        Covariances have the shape of the mixture's, and the size of its components: how far these lie apart says less
+        about the size of errors (rank correlations: docs/results/regressors.md).
         """
         with torch.autocast(outputs.device.type, enabled=False):
             components = self.mixture.decode(outputs.float(), scene_B)
             answer = self.mixture.poses(components, scene_B)
             sd = (3 * VARIANCE) ** 0.5 * self.mixture.typical_scales(components)
-            sd = sd * self.training_distance(summary.float(), scene_B)[:, None]
         assert answer.covariance_B66 is not None
         covariance = self.covariance_scale(resized(answer.covariance_B66, sd))
         poses = self.frames.to_map(answer.position_B3, answer.quaternion_B4, scene_B)
@@ -167,30 +170,24 @@ class PoseNetLite(LiteRegressor):
     def __init__(self, settings: LiteSettings) -> None:
         super().__init__(1, settings)
         width = settings.width
-        last = nn.Linear(width, settings.components * OUTPUTS)
-        self.head = nn.Sequential(
-            nn.Dropout(settings.dropout / 2),
-            nn.Linear(width, width),
-            nn.GELU(),
-            nn.Dropout(settings.dropout),
-            nn.Linear(width, width),
-            nn.GELU(),
-            nn.Dropout(settings.dropout),
-            last,
+        self.heads = nn.ModuleList(
+            nn.Sequential(nn.Dropout(settings.dropout / 2), nn.Linear(width, width), *last_layers(settings))
+            for _ in range(settings.heads)
         )
-        with torch.no_grad():
-            last.weight *= 0.3  # the anchors themselves are a good first answer
+
+    def _outputs(self, summary: Tensor) -> Tensor:
+        return torch.cat([head(summary) for head in self.heads], dim=1)
 
     def features(self, image_B3HW: Tensor) -> tuple[Tensor, ...]:
         _, map_16, map_32 = self.maps(image_B3HW)
         return (self.pooled(map_16, map_32),)
 
     def answer(self, features: tuple[Tensor, ...]) -> PoseBatch:
-        outputs = self.head(features[0])
-        return self.mixed(outputs, features[0], torch.zeros(len(outputs), dtype=torch.long, device=outputs.device))
+        outputs = self._outputs(features[0])
+        return self.mixed(outputs, torch.zeros(len(outputs), dtype=torch.long, device=outputs.device))
 
     def feature_loss(self, features: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
-        return self.mixture_loss(self.head(features[0]), poses)
+        return self.mixture_loss(self._outputs(features[0]), poses)
 
 
 def make_posenet_lite(settings: LiteSettings, scenes: int, outdoor: bool) -> PoseNetLite:

@@ -176,10 +176,6 @@ class FrozenRegressor(PoseRegressor):
         """The first of the features as `answer` and `feature_loss` take it: after the steps that `fit_features` fixes,
         which are computed once for all images."""
 
-    def fit_training_images(self, first: Tensor, poses: PoseBatch) -> None:
-        """Called once before training, after `fit_features`, with the training images' reduced features and poses;
-        copies aren't among them."""
-
     @abstractmethod
     def answer(self, features: tuple[Tensor, ...]) -> PoseBatch:
         """`forward`, from reduced features on."""
