@@ -138,6 +138,9 @@ bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures
 bench-recovery: $(installed) ## How fusion methods bear what goes wrong in a walk, and how they start
 	@$(py) -m benchmarks.fusion_recovery
 
+bench-repeatability: $(installed) ## How repeatable regressors' errors are from walk to walk; predictions=<folder>: published ones, too (docs/results)
+	@$(py) -m benchmarks.regressor_errors.repeatability $(if $(predictions),--predictions "$$predictions")
+
 bench-steps: $(installed) ## What a step of drift_aware costs over a walk of half an hour (docs/results)
 	@$(py) -m benchmarks.fusion_steps
 
@@ -187,4 +190,4 @@ help: ## This text
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
 .NOTPARALLEL:
-.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-fusion bench-recovery bench-steps bench-fusion-bound bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
+.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-fusion bench-recovery bench-repeatability bench-steps bench-fusion-bound bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help

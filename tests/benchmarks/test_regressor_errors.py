@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from benchmarks.fusion_inputs import Track, predicted_walk
 from benchmarks.regressor_errors.fit import REGRESSORS, Walks, published
 from benchmarks.regressor_errors.model import AprModel, read_apr_models, simulate_apr
+from benchmarks.regressor_errors.repeatability import repeatability
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg
@@ -33,6 +35,18 @@ def straight(length_m: float, step_m: float, turn_deg: float = 0.0) -> np.ndarra
 
 def offsets(truth: Array, model: AprModel = MODEL, map_seed: int = 1, noise_seed: int = 2) -> Array:
     return simulate_apr(truth, model, map_seed, noise_seed)[:, :3, 3] - truth[:, :3, 3]
+
+
+@pytest.mark.parametrize(("share", "least", "most"), [(1.0, 0.8, 1.2), (0.0, -0.3, 0.3)])
+def test_repeatability_tells_the_scenes_errors_from_a_walks_own(share: float, least: float, most: float) -> None:
+    repeatable = {"position_repeatability": share, "rotation_repeatability": share}
+    model = AprModel(**MODEL.__dict__ | repeatable | {"position_noise": 0.1, "rotation_noise": 0.1})
+    poses = straight(200, 1.5)
+    t_ns = np.arange(len(poses)) * 10**9
+    walks = [predicted_walk("", Track(f"{i}", t_ns, poses, poses), simulate_apr(poses, model, 1, i)) for i in range(4)]
+    frames, position, yaw = repeatability(walks)
+    assert frames == 4 * len(poses)
+    assert least < position < most and least < yaw < most
 
 
 def test_bias_is_the_places_own_as_far_as_it_is_repeatable() -> None:
