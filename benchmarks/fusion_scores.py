@@ -40,7 +40,8 @@ def ablations(options: MethodOptions) -> list[Variant]:
     values = options.model_dump()
     off: dict[str, dict[str, Any]] = {name: {name: False} for name, value in values.items() if value is True}
     if "degrees_of_freedom" in values:
-        off["heavy tails"] = {"degrees_of_freedom": 1e-6}  # Barron's shape 2: every prediction counts the same
+        # Barron's shape 2: every prediction counts the same.
+        off["heavy tails"] = {"degrees_of_freedom": 1e-6, "position_degrees_of_freedom": 1e-6}
     return [
         Variant(f"{OURS} without {name}", OURS, resolve_options(OURS, values | changed))
         for name, changed in off.items()

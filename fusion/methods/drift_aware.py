@@ -345,7 +345,8 @@ class DriftAware(Localiser):
         # A precise prediction's covariance is off by one factor for rotation and position, so both are gross together.
         extent = 1.0 if self._shrinkage is None else self._shrinkage
         marginal = extent * o.rotation_marginal, extent * o.position_marginal
-        return Model(prior, o.degrees_of_freedom, marginal, sharing, o.apart_m, tilt_sd)
+        dof = o.degrees_of_freedom, max(o.degrees_of_freedom, o.position_degrees_of_freedom)
+        return Model(prior, *dof, marginal, sharing, o.apart_m, tilt_sd)
 
     @property
     def _belief(self) -> Belief:

@@ -48,6 +48,12 @@ class DriftAwareOptions(OdometryOptions):
     degrees_of_freedom: float = Field(
         3.0, gt=0, description="d of the fit's robust kernel, Barron's of shape 2 - d: larger ignores outliers sooner"
     )
+    position_degrees_of_freedom: float = Field(
+        6.0,
+        gt=0,
+        description="the same of a position where the state is known much better than one prediction tells it, at "
+        "least degrees_of_freedom; down to this where it isn't",
+    )
     rotation_marginal: float = Field(
         0.3,
         ge=0,

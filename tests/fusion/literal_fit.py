@@ -34,7 +34,7 @@ def literal_fit(vio: Array, apr: Array, drift: Array, o: "DriftAwareOptions", tu
         slopes = [_slope(x[i], vio[i], sizes) for i in range(count)]
         spread = [e * s @ p @ s.T for e, s, p in zip(each, slopes, posterior, strict=True)]
         errors = np.array([_error(x[i], vio[i], apr[i], tilt) / sizes for i in range(count)])
-        weights = [_weight(e, v, covariance, o) for e, v in zip(errors, spread, strict=True)]
+        weights = [_weight(e, v, covariance, o.degrees_of_freedom) for e, v in zip(errors, spread, strict=True)]
         parts = zip(share, weights, errors, spread, strict=True)
         scatter = sum(s * w * (np.outer(e, e) + v) for s, w, e, v in parts)
         scatter = (scatter + o.size_count * shape) / (o.size_count + share.sum())
@@ -98,20 +98,24 @@ def _slope(x: Array, vio: Array, sizes: Array) -> Array:
     return slope / sizes[:, None]
 
 
-def _weight(error: Array, spread: Array, covariance: Array, o: "DriftAwareOptions") -> float:
+def _weight(error: Array, spread: Array, covariance: Array, dof: float) -> float:
     precision = np.linalg.inv(covariance)
-    return (o.degrees_of_freedom + len(error)) / (
-        o.degrees_of_freedom + error @ precision @ error + np.trace(precision @ spread)
-    )
+    return (dof + len(error)) / (dof + error @ precision @ error + np.trace(precision @ spread))
 
 
 def _roots(error: Array, spread: Array, covariance: Array, o: "DriftAwareOptions") -> Array:
     """Roots (6,) of what a prediction's rotation and position count, by the whole error and by their own."""
-    whole = _weight(error, spread, covariance, o)
+    unknown = np.trace(spread[3:, 3:]) / np.trace(covariance[3:, 3:])
+    more = (o.position_degrees_of_freedom - o.degrees_of_freedom) / (1 + 10 * unknown)
+    position_dof = o.degrees_of_freedom + more
     parts = []
-    for numbers, marginal in ((slice(3), o.rotation_marginal), (slice(3, 6), o.position_marginal)):
-        own = _weight(error[numbers], spread[numbers, numbers], covariance[numbers, numbers], o)
-        parts.append((whole ** (1 - marginal) * own**marginal) ** (o.degrees_of_freedom / 4))
+    for numbers, marginal, dof in (
+        (slice(3), o.rotation_marginal, o.degrees_of_freedom),
+        (slice(3, 6), o.position_marginal, position_dof),
+    ):
+        whole = _weight(error, spread, covariance, dof)
+        own = _weight(error[numbers], spread[numbers, numbers], covariance[numbers, numbers], dof)
+        parts.append((whole ** (1 - marginal) * own**marginal) ** (dof / 4))
     return np.repeat(parts, 3)
 
 

@@ -192,7 +192,7 @@ def test_where_only_a_rotation_or_a_position_is_gross_the_other_still_counts() -
     aside[-1, :3, 3] += [2.0, 0.0, 0.0]
 
     def weights(predictions: Array, **options: float) -> Array:
-        localiser = DriftAware(DriftAwareOptions(rivals=False, **options))
+        localiser = DriftAware(DriftAwareOptions(rivals=False, position_degrees_of_freedom=3.0, **options))
         answers(localiser, t_ns, vio, predictions)
         return localiser._iterated().weights[-1]
 
@@ -202,6 +202,22 @@ def test_where_only_a_rotation_or_a_position_is_gross_the_other_still_counts() -
     rotation, position = weights(aside)
     together, same = weights(aside, rotation_marginal=0.0, position_marginal=0.0)
     assert together == same and position < 2 * together and rotation > 3 * together
+
+
+def test_a_position_far_off_counts_less_the_better_the_state_is_known() -> None:
+    """Beside odometry that can't have moved by so much it is the prediction's fault; beside a poor one it may not be."""
+    t_ns, _, vio, apr = upright_walk(0, 60, noise_m=0.1, noise_deg=1.0, outliers=0.0)
+    apr[-1, :3, 3] += [0.6, 0.0, 0.0]
+
+    def weight(drift_m: float, most: float) -> float:
+        options = DriftAwareOptions(rivals=False, distrust=False, drift_m=drift_m, position_degrees_of_freedom=most)
+        localiser = DriftAware(options)
+        answers(localiser, t_ns, vio, apr)
+        return float(localiser._iterated().weights[-1][1])
+
+    assert weight(0.03, 6.0) < 0.5 * weight(0.03, 3.0)
+    assert weight(3.0, 6.0) > 0.8 * weight(3.0, 3.0)
+    assert weight(0.03, 1.0) == weight(0.03, 3.0)  # never less than the other degrees of freedom
 
 
 def test_one_prediction_far_off_changes_next_to_nothing() -> None:

@@ -26,20 +26,22 @@ ROTATION, POSITION = 0, 1  # of `Fit.weights`
 _TILT = (0, 2)  # of the six numbers of an error: those that odometry's gravity error changes
 _GRAVITY = 0.1  # what a prediction counts for the tilt: predictions of a whole walk may lean alike
 _REFRESHED = 5  # keyframes whose posterior is worked out anew in an iteration
+_UNKNOWN = 10.0  # of a state's variance over an error's: how soon a position's kernel has heavier tails
 _EXCESS = 0.3  # of a squared error that is too much for what is known, taken for the prediction's
 
 
 class Model(NamedTuple):
     """What the fit assumes.
 
-    prior: of the covariance of normalised errors. dof: degrees of freedom of Student's t. marginal: of rotation and
-    position, the exponent of the weight by its own error, beside that by the whole prediction's. sharing: of errors.
-    apart_m: motion after which two predictions are half as good as two that are made apart. tilt_sd: of odometry's
-    gravity error an axis, rad.
+    prior: of the covariance of normalised errors. dof: degrees of freedom of Student's t; position_dof: the most that a
+    position's kernel has. marginal: of rotation and position, the exponent of the weight by its own error, beside that
+    by the whole prediction's. sharing: of errors. apart_m: motion after which two predictions are half as good as two
+    that are made apart. tilt_sd: of odometry's gravity error an axis, rad.
     """
 
     prior: Prior
     dof: float
+    position_dof: float
     marginal: tuple[float, float]
     sharing: Sharing
     apart_m: float
@@ -175,7 +177,8 @@ def _iterate(keyframes: Rows, model: Model, belief: Belief, newest: Array) -> Fi
         lengths[1] = _expected(normalised[i], spread[i], of_rotation, 0, 3)
         lengths[2] = _expected(normalised[i], spread[i], of_position, 3, 6)
         known_better = i == count - 1 and not isnan(newest[0])
-        _write_weights(newest if known_better else lengths, model, weights[i])
+        position_dof = _position_dof(model, covariance, spread[i])
+        _write_weights(newest if known_better else lengths, model, position_dof, weights[i])
         fraction[i] *= each[i]
         _write_weighed(precision, weights[i], fraction[i], weighed[i])
     information, gradient = _normal_equations(normalised, unknown, weighed)
@@ -238,12 +241,25 @@ def _expected(normalised: Array, spread: Array, precision: Array, first: int, en
 
 
 @inlined
-def _write_weights(lengths: Array, model: Model, weights: Array) -> None:
+def _position_dof(model: Model, covariance: Array, spread: Array) -> float:
+    """Degrees of freedom of the kernel of a position, of errors' covariance (6, 6) and the state's (6, 6) in their
+    units. What is off is surely the prediction's fault where many agree on the state; where it is hardly better known
+    than one prediction tells it, odometry may be to blame."""
+    errors = unknown = 0.0
+    for j in range(3, 6):
+        errors += covariance[j, j]
+        unknown += spread[j, j]
+    return model.dof + (model.position_dof - model.dof) / (1 + _UNKNOWN * unknown / errors)
+
+
+@inlined
+def _write_weights(lengths: Array, model: Model, position_dof: float, weights: Array) -> None:
     """Writes what rotation and position count, (2,), by squared lengths (3,) of the whole error and of theirs. Where
     only one of both is gross, the other still says something."""
-    whole = robust.bounded(lengths[0], DIMENSIONS, model.dof)
     for part in (ROTATION, POSITION):
-        marginal = robust.bounded(lengths[1 + part], DIMENSIONS // 2, model.dof)
+        dof = position_dof if part == POSITION else model.dof
+        whole = robust.bounded(lengths[0], DIMENSIONS, dof)
+        marginal = robust.bounded(lengths[1 + part], DIMENSIONS // 2, dof)
         weights[part] = whole ** (1 - model.marginal[part]) * marginal ** model.marginal[part]
 
 
