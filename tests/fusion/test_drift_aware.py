@@ -205,7 +205,7 @@ def test_where_only_a_rotation_or_a_position_is_gross_the_other_still_counts() -
 
 
 def test_a_position_far_off_counts_less_the_better_the_state_is_known() -> None:
-    """Beside odometry that can't have moved by so much it is the prediction's fault; beside a poor one it may not be."""
+    """Beside odometry that can't have moved so far it is the prediction's fault; beside a poor one it may not be."""
     t_ns, _, vio, apr = upright_walk(0, 60, noise_m=0.1, noise_deg=1.0, outliers=0.0)
     apr[-1, :3, 3] += [0.6, 0.0, 0.0]
 
