@@ -15,6 +15,7 @@ import numpy as np
 import typer
 
 from benchmarks.fusion_inputs import Case
+from benchmarks.fusion_scores import EVEN
 from benchmarks.real_predictions import DEVELOPMENT, real_cases
 from benchmarks.results import circumstances, markdown_table
 from groundwalk.artefacts import UserError
@@ -43,8 +44,6 @@ _DOF = DriftAwareOptions().degrees_of_freedom
 _CERTAIN = 1e9  # predictions that what is told counts as
 _QUANTITIES = ("position", "rotation")
 _RIGHT = 0.85, 0.99  # of errors within their 95 % bounds
-# The kernel lets every prediction count the same.
-_EVEN = DriftAwareOptions(degrees_of_freedom=1e-6, position_degrees_of_freedom=1e-6)
 
 
 class Told(DriftAware):
@@ -52,7 +51,7 @@ class Told(DriftAware):
     with `weights` also what the prediction at each time counts."""
 
     def __init__(self, covariance: Array, weights: Mapping[int, float] | None = None) -> None:
-        super().__init__(DriftAwareOptions() if weights is None else _EVEN)
+        super().__init__(DriftAwareOptions(**({} if weights is None else EVEN)))
         self._weights = weights
         self._sd = self._usual_sizes = np.sqrt(covariance.diagonal())
         self._prior = Prior(covariance / np.outer(self._sd, self._sd), _CERTAIN, _CERTAIN, 0.0)

@@ -24,6 +24,8 @@ from groundwalk.scoring.bootstrap import draws
 RAW, RULE, OURS = "apr", "mobilearloc", "drift_aware"
 UNTAUGHT = f"{OURS} without error_map"
 ERRORS = ["position_mean_m", "rotation_mean_deg"]
+# Options of ours: Barron's kernel of shape 2, under which every prediction counts the same.
+EVEN = {"degrees_of_freedom": 1e-6, "position_degrees_of_freedom": 1e-6}
 
 
 @dataclass(frozen=True)
@@ -40,8 +42,7 @@ def ablations(options: MethodOptions) -> list[Variant]:
     values = options.model_dump()
     off: dict[str, dict[str, Any]] = {name: {name: False} for name, value in values.items() if value is True}
     if "degrees_of_freedom" in values:
-        # Barron's shape 2: every prediction counts the same.
-        off["heavy tails"] = {"degrees_of_freedom": 1e-6, "position_degrees_of_freedom": 1e-6}
+        off["heavy tails"] = EVEN
     return [
         Variant(f"{OURS} without {name}", OURS, resolve_options(OURS, values | changed))
         for name, changed in off.items()

@@ -222,7 +222,7 @@ class LiteSettings(RegressorSettings):
     )
     components: int = Field(32, gt=0, description="poses that a head's mixture has for each image")
     heads: int = Field(
-        3, gt=0, description="heads, each with a mixture of its own; the answer is out of all their components"
+        3, gt=0, description="output heads, each with a mixture of poses; the answer is computed from all of them"
     )
     width: int = Field(256, gt=0, description="features after whitening, and in the hidden layers")
     dropout: float = Field(0.3, ge=0, lt=1, description="share of the head's features left out in training")

@@ -21,7 +21,7 @@ from benchmarks.results import circumstances, markdown_table
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.files import written_aside
 from groundwalk.fusion.methods.error_map import errors_of
-from groundwalk.fusion.walk import Walk
+from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.poses import Array
 from groundwalk.simulation.scenes import NAMES
 
@@ -33,11 +33,11 @@ _HEAD = ("predictions", "scene", "regressor", "walks", "frames", "position", "ya
 
 
 def repeatability(walks: Sequence[Walk]) -> tuple[int, float, float]:
-    """How many frames have a prediction, and what share of position and of yaw errors' similarity at one place is left
-    between walks."""
+    """How many frames have a prediction, and the mean product of errors of nearby predictions of two walks over that of
+    one walk, in position and in yaw."""
     apr, true = (np.concatenate([getattr(w, name) for w in walks]) for name in ("map_T_cam_apr", "map_T_cam"))
     walk = np.repeat(np.arange(len(walks)), [len(w) for w in walks])
-    there = np.isfinite(apr).all(axis=(1, 2)) & np.isfinite(true).all(axis=(1, 2))
+    there = known(apr) & known(true)
     apr, true, walk = apr[there], true[there], walk[there]
     error, _ = errors_of(apr, true)
     near = _nearness(true)
@@ -81,7 +81,7 @@ def main(
     predictions: Annotated[Path | None, typer.Option(help="Folder of published predictions.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for regressor_repeatability.md.")] = Path("docs/results"),
 ) -> None:
-    """Judge, and write the page."""
+    """Compare errors within and between walks, and write the page."""
     published = [] if predictions is None else real_cases(predictions, DEVELOPMENT, [0], _STRIDES)
     simulated = [simulated_case(SIMULATED, scene, model, [0]) for scene in NAMES for model in REGRESSORS]
     lines: list[Sequence[str]] = [_HEAD]

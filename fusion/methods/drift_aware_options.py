@@ -51,8 +51,8 @@ class DriftAwareOptions(OdometryOptions):
     position_degrees_of_freedom: float = Field(
         6.0,
         gt=0,
-        description="the same of a position where the state is known much better than one prediction tells it, at "
-        "least degrees_of_freedom; down to this where it isn't",
+        description="d of a position's kernel where many predictions agree on the pose; it falls to "
+        "degrees_of_freedom, its least value, where one prediction tells the pose about as well",
     )
     rotation_marginal: float = Field(
         0.3,
