@@ -424,7 +424,7 @@ def describe(job: Job) -> str:
 
 STAGE = Stage(
     name="train",
-    version=14,
+    version=15,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,

@@ -147,6 +147,21 @@ def test_calibration_brings_nine_in_ten_within_bounds() -> None:
     assert within() == pytest.approx(0.9, abs=0.01)
 
 
+def test_an_answer_between_two_components_is_less_certain_than_each() -> None:
+    mixture, scene = PoseMixture(1, 2), torch.zeros(1, dtype=torch.long)
+    outputs = torch.zeros(1, 2 * OUTPUTS)
+    alone = 12**0.5 * np.exp(-1.5)
+    alike = mixture.decode(outputs, scene)
+    assert mixture.error_sizes(alike, mixture.poses(alike, scene))[0].tolist() == pytest.approx([alone, alone])
+    mixture.position_SK3[0, 1, 0] = 6.0
+    apart = mixture.decode(outputs, scene)
+    turn, move = mixture.error_sizes(apart, mixture.poses(apart, scene))[0].tolist()
+    assert turn == pytest.approx(alone)
+    # The geometric median of two lies between them, wherever it is.
+    x = float(mixture.poses(apart, scene).position_B3[0, 0])
+    assert move == pytest.approx(alone**0.5 * np.prod([(alone**2 + d * d) ** 0.125 for d in (x, 6 - x)]), rel=1e-4)
+
+
 def test_heads_are_one_mixture_and_learn_by_themselves() -> None:
     torch.manual_seed(0)
     one, two = PoseMixture(1, 3), PoseMixture(1, 3, heads=2)

@@ -117,10 +117,19 @@ class PoseMixture(nn.Module):
         covariance = covariance + VARIANCE * torch.diag_embed(torch.cat(variances, dim=-1))
         return PoseBatch(position, quaternion, scene_B, covariance)
 
-    def typical_scales(self, c: Components) -> Tensor:
-        """Geometric means (B, 2) of the components' scales, in rotation and in position."""
-        logs = torch.stack([c.log_rotation_scale_BK, c.log_position_scale_BK], dim=-1)
-        return (c.log_weight_BK.exp()[..., None] * logs).sum(1).exp()
+    def error_sizes(self, c: Components, answer: PoseBatch) -> Tensor:
+        """Sizes (B, 2) of the errors of an answer of `poses`, in rotation and in position: geometric means, over the
+        components, of their own deviations and of their root mean square distances from the answer, as many of one as
+        of the other. A far and unlikely component so adds little, where in a covariance its square counts."""
+        weight = c.log_weight_BK.exp()
+        turn = rotation_vector(answer.quaternion_B4[:, None], c.quaternion_BK4)
+        distance = c.position_BK3 - answer.position_B3[:, None]
+        sizes = []
+        for error, log_scale in ((turn, c.log_rotation_scale_BK), (distance, c.log_position_scale_BK)):
+            variance = 3 * VARIANCE * (2 * log_scale).exp()
+            logs = variance.log() + (variance + error.square().sum(-1)).log()
+            sizes.append((weight * logs / 4).sum(1).exp())
+        return torch.stack(sizes, dim=1)
 
 
 def _clusters(

@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from groundwalk.training.models.anchored_mixture import OUTPUTS, VARIANCE, PoseMixture
+from groundwalk.training.models.anchored_mixture import OUTPUTS, PoseMixture
 from groundwalk.training.models.efficientnet_lite import MAP_CHANNELS, EfficientNetLite0
 from groundwalk.training.models.posenet import single_scene
 from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch, SceneFrames
@@ -141,13 +141,12 @@ class LiteRegressor(FrozenRegressor):
     def mixed(self, outputs: Tensor, scene_B: Tensor) -> PoseBatch:
         """The poses in the map frame of the heads' outputs.
 
-        Covariances have the shape of the mixture's, and the size of its components: how far these lie apart says less
-        about the size of errors (rank correlations: docs/results/regressors.md).
+        Covariances have the shape of the mixture's, and the size of `error_sizes`.
         """
         with torch.autocast(outputs.device.type, enabled=False):
             components = self.mixture.decode(outputs.float(), scene_B)
             answer = self.mixture.poses(components, scene_B)
-            sd = (3 * VARIANCE) ** 0.5 * self.mixture.typical_scales(components)
+            sd = self.mixture.error_sizes(components, answer)
         assert answer.covariance_B66 is not None
         covariance = self.covariance_scale(resized(answer.covariance_B66, sd))
         poses = self.frames.to_map(answer.position_B3, answer.quaternion_B4, scene_B)
