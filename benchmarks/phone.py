@@ -32,7 +32,7 @@ from groundwalk.export.phone.quantisation import MAX_ERROR_RATIO, HeldOut, write
 from groundwalk.export.regressor import TrainedRegressor, load_regressor
 from groundwalk.geometry import Array
 from groundwalk.runtime import open_bundle
-from groundwalk.runtime.bundle import onnx_session
+from groundwalk.runtime.bundle import Prediction, onnx_session
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 app = new_app(__doc__ or "")
@@ -67,7 +67,8 @@ def main(
     data: Annotated[
         str,
         typer.Option(
-            help="data roots with a finished train stage, separated by commas; the first that has a regressor"
+            help="data roots with a finished train stage, separated by commas; of a regressor that several have, "
+            "sizes and times are of the first, errors of all together"
         ),
     ] = "data",
     scene: Annotated[str, typer.Option(help="scene of the run")] = "Church",
@@ -78,6 +79,7 @@ def main(
     figures: list[Figure] = []
     notes: list[str] = []
     kind = ""
+    regressors: dict[str, list[TrainedRegressor]] = {}
     for root in map(DataRoot, map(Path, data.split(","))):
         folder = root.run(profile, scene, "train")
         if not (folder / MANIFEST).is_file():
@@ -85,39 +87,62 @@ def main(
         manifest = load_manifest(folder)
         kind = "simulated" if manifest["simulated"] else "real"
         cards = read_table(folder / "models.parquet", schema("train", "models"))
-        known = {figure.model for figure in figures}
-        for model in cards.loc[(cards["file"] != "") & ~cards["model"].isin(known), "model"]:
+        for model in cards.loc[cards["file"] != "", "model"]:
             regressor = load_regressor(root, profile, scene, str(model))
+            regressors.setdefault(str(model), []).append(regressor)
             notes.append(f"{model}: trained at revision {manifest['git_revision']}, seed {regressor.card['seed']}")
-            for figure in (*_of_bundle(regressor, notes), *_at_published_size(regressor, notes)):
-                print(f"{figure.model} {figure.network}: {figure.name} {figure.value:.4g} {figure.unit}", flush=True)
-                figures.append(figure)
+    for trained in regressors.values():
+        for figure in (*_of_bundles(trained, notes), *_at_published_size(trained[0], notes)):
+            print(f"{figure.model} {figure.network}: {figure.name} {figure.value:.4g} {figure.unit}", flush=True)
+            figures.append(figure)
     _write(out, figures, notes, f"Scene {scene} ({kind}), profile {profile}.")
 
 
-def _of_bundle(regressor: TrainedRegressor, notes: list[str]) -> Iterator[Figure]:
-    """Bytes, times and errors of the bundle's networks on the test frames, as a phone asks about them."""
-    inputs, model = PhoneInputs(regressor), regressor.model
+def _of_bundles(regressors: Sequence[TrainedRegressor], notes: list[str]) -> Iterator[Figure]:
+    """Bytes and times of the first bundle's networks, and errors of all bundles' on the test frames, as a phone asks
+    about them. A network that one of the bundles is without has no errors."""
+    model, crop = regressors[0].model, regressors[0].trained.crop
+    errors: dict[str, list[dict[str, Array]]] = {}
+    for regressor in regressors:
+        for network, size, answers, of_network in _asked(regressor, notes):
+            errors.setdefault(network, []).append(of_network)
+            if regressor is not regressors[0]:
+                continue
+            yield Figure(model, network, "size", size, "MiB", TARGETS.get((model, network, "size")))
+            for part in ("preprocessing", "network"):
+                times = [1e3 * answer.seconds[part] for answer in answers[_WARM_UP:]]
+                label = f"{crop} px, 2 threads, {part}"
+                yield Figure(model, network, f"{label}, median", float(np.median(times)), "ms")
+                yield Figure(model, network, f"{label}, p95", float(np.percentile(times, 95)), "ms")
+    units = {"position": "m", "rotation": "deg"}
+    of_all = {
+        network: {part: np.concatenate([one[part] for one in each]) for part in units}
+        for network, each in errors.items()
+        if len(each) == len(regressors)
+    }
+    for network, of_network in of_all.items():
+        for part, unit in units.items():
+            for kind, of in _KINDS.items():
+                yield Figure(model, network, f"{kind} {part} error", float(of(of_network[part])), unit)
+    if "int8" in of_all:
+        yield from _ratios(model, of_all["int8"], of_all["fp32"])
+
+
+def _asked(
+    regressor: TrainedRegressor, notes: list[str]
+) -> Iterator[tuple[str, float, list[Prediction], dict[str, Array]]]:
+    """Of each network of the regressor's bundle: its name, MiB, answers to the test frames, and their errors."""
+    inputs = PhoneInputs(regressor)
     rows = inputs.spread("test", len(regressor.frames))
-    errors: dict[str, dict[str, Array]] = {}
     with tempfile.TemporaryDirectory() as name:
-        notes += [f"{model}: {note}" for note in write_bundle(regressor, Path(name))[1:]]
+        title = f"{regressor.model}, seed {regressor.card['seed']}"
+        notes += [f"{title}: {note}" for note in write_bundle(regressor, Path(name))[1:]]
         for network, about in open_bundle(name).manifest["networks"].items():
             bundle = open_bundle(name, network=network, threads=2)
             answers = [bundle.ask(inputs.query(row)) for row in rows]
-            yield Figure(model, network, "size", about["bytes"] / 2**20, "MiB", TARGETS.get((model, network, "size")))
-            for part in ("preprocessing", "network"):
-                times = [1e3 * answer.seconds[part] for answer in answers[_WARM_UP:]]
-                label = f"{regressor.trained.crop} px, 2 threads, {part}"
-                yield Figure(model, network, f"{label}, median", float(np.median(times)), "ms")
-                yield Figure(model, network, f"{label}, p95", float(np.percentile(times, 95)), "ms")
             poses = np.array([answer.map_T_cam for answer in answers]), regressor.map_T_cam[rows]
-            errors[network] = {"position": position_error(*poses), "rotation": rotation_error_deg(*poses)}
-            for part, unit in (("position", "m"), ("rotation", "deg")):
-                for kind, of in _KINDS.items():
-                    yield Figure(model, network, f"{kind} {part} error", float(of(errors[network][part])), unit)
-    if "int8" in errors:
-        yield from _ratios(model, errors["int8"], errors["fp32"])
+            errors = {"position": position_error(*poses), "rotation": rotation_error_deg(*poses)}
+            yield network, about["bytes"] / 2**20, answers, errors
 
 
 def _ratios(model: str, int8: dict[str, Array], fp32: dict[str, Array]) -> Iterator[Figure]:
@@ -221,7 +246,7 @@ def _met(figure: Figure) -> str:
 
 _HEAD = """# Regressors on a phone
 
-Written by `make bench-phone`. Networks of a run's bundles, asked about its test frames without PyTorch; and the same
+Written by `make bench-phone`. Networks of runs' bundles, asked about their test frames without PyTorch; and the same
 networks at 224 px, the published size, whatever size the profile trains at: these say what they cost and nothing of
 accuracy. Times are of the network alone unless they say preprocessing, on the clock unless they say processor: where
 other work ran beside, the processor's are the ones to trust. Integers are multiplied fast where the processor has

@@ -48,15 +48,22 @@ def load_trained(path: Path) -> Trained:
     """The regressor of a weights file, in eval mode on the CPU; UserError where it isn't one."""
     try:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-        regressor = REGRESSORS.find(content["model"])
-        model = regressor.make(regressor.settings.model_validate(content["settings"]), len(content["scenes"]), True)
-        model.load_state_dict(content["state"])
-        missing = {"width", "upright"} - content.keys()
-        if missing:
-            raise KeyError(*missing)
+        name, state = content["model"], content["state"]
     except (OSError, RuntimeError, EOFError, KeyError, TypeError, ValueError, pickle.UnpicklingError) as error:
         raise UserError(
             "not a trained model", where=path, expected="a file that the train stage wrote", found=type(error).__name__
         ) from None
-    names = ("scenes", "resize", "crop", "focal_px", "width", "upright")
-    return Trained(model.eval(), *(content[name] for name in names))
+    regressor = REGRESSORS.find(name)
+    try:
+        model = regressor.make(regressor.settings.model_validate(content["settings"]), len(content["scenes"]), True)
+        model.load_state_dict(state)
+        about = [content[key] for key in ("scenes", "resize", "crop", "focal_px", "width", "upright")]
+    except (RuntimeError, KeyError, TypeError, ValueError) as error:
+        raise UserError(
+            "these weights don't fit the model that they name",
+            where=path,
+            expected=f"weights of {name} as this version of groundwalk builds it",
+            found=str(error).strip().splitlines()[-1].strip(),
+            do="run the stage train again",
+        ) from None
+    return Trained(model.eval(), *about)

@@ -5,10 +5,13 @@ import torch
 
 from groundwalk.artefacts import UserError
 from groundwalk.training import weights
+from groundwalk.training.build import Trained, load_trained, save_trained
 from groundwalk.training.models.ms_transformer import MSTransformer
 from groundwalk.training.models.posenet import PoseNet
+from groundwalk.training.models.posenet_lite import PoseNetLite
 from groundwalk.training.models.regressor import BackboneRegressor
 from groundwalk.training.models.resnet import ResNet34
+from groundwalk.training.regressor_settings import LiteSettings
 from groundwalk.training.weights import load_first_weights
 
 
@@ -53,3 +56,20 @@ def test_weights_that_cannot_be_fetched(tmp_path: Path, monkeypatch: pytest.Monk
     # Put there by hand, the file is used without a network.
     torch.save(ResNet34(classes=1000).state_dict(), tmp_path / "resnet34-b627a593.pth")
     assert fill(model, "auto", tmp_path).startswith("ImageNet, resnet34-b627a593.pth, sha256 ")
+
+
+def test_a_weights_file_of_another_version_or_cut_short_says_so(tmp_path: Path) -> None:
+    file = tmp_path / "PN-Lite.pt"
+    settings = LiteSettings(width=16, components=4)
+    model = PoseNetLite(settings)
+    save_trained(file, "PN-Lite", settings, Trained(model, ["Church"], 120, 120, None, 160, True))
+    assert load_trained(file).width == 160
+    content = torch.load(file, weights_only=True)
+    del content["state"]["whitening.axes"]
+    torch.save(content, file)
+    with pytest.raises(UserError, match="don't fit the model") as caught:
+        load_trained(file)
+    assert "whitening.axes" in str(caught.value) and "run the stage train again" in str(caught.value)
+    file.write_bytes(file.read_bytes()[:1000])
+    with pytest.raises(UserError, match="not a trained model"):
+        load_trained(file)
