@@ -61,7 +61,7 @@ def _made_here(r: StageRun[FuseSettings], leaf: str) -> frozenset[str]:
 
 STAGE = Stage(
     name="fuse",
-    version=23,
+    version=24,
     settings=FuseSettings,
     needs=("import", "align", "localise", "train"),
     run=run,

@@ -39,7 +39,7 @@ from groundwalk.fusion.methods.estimator.prediction_noise import (
     whitening,
     whitening_of_covariance,
 )
-from groundwalk.fusion.methods.estimator.rivals import SIGN, Rival, best_rival, lay, loose
+from groundwalk.fusion.methods.estimator.rivals import BEGUN_ANEW, SIGN, Rival, best_rival, lay, loose
 from groundwalk.fusion.methods.estimator.robust import middle
 from groundwalk.fusion.methods.estimator.way import Way
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, State, Status, array, plain
@@ -112,7 +112,7 @@ class DriftAware(Localiser):
         self._drift = np.zeros(4)  # variances since the newest keyframe
         self._swung = [0.0, 0.0]  # covariances of x and z with the yaw since then, by steps after the yaw has drifted
         self._segment = 0
-        self._count = 0  # predictions taken in
+        self._count = 0  # predictions taken in since odometry was last gone
         self._watched = False  # odometry has jumped, or was gone, since the newest keyframe
         self._shrinkage: float | None = None  # of the newest prediction's covariance, if it brought one
         self._surprised = False  # something is wrong with the newest predictions, or with the alignment
@@ -201,7 +201,10 @@ class DriftAware(Localiser):
         state = self._carried(vio_T_cam[:3, 3]) if len(self._keyframes) else np.array([*position, yaw])
         if self.options.distrust:
             self._judge_odometry(position, yaw, normalised, state, vio_T_cam)
-        loss = self.options.jump_loss if self._way.loose.any() else 0.5 if self._watched else self.options.loss
+        bridged = self._way.loose.any()
+        loss = self.options.jump_loss if bridged else 0.5 if self._watched else self.options.loss
+        if self._watched and not bridged:
+            self._count = 0
         self._keyframes.add(
             whitening=normalised,
             measured=(*position.tolist(), yaw, *lean),
@@ -370,6 +373,8 @@ class DriftAware(Localiser):
         keyframes = self._keyframes
         before = keyframes.column("state")[rival.begin].copy()
         lay(keyframes.rows, rival)
+        if rival.kept == BEGUN_ANEW:
+            return
         if isnan(rival.segment):
             if self._cannot_be(rival.begin, before):
                 self._unproven = self._count - 2 * (len(keyframes) - rival.begin)

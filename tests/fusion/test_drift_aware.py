@@ -17,7 +17,7 @@ from upright_walks import as_walk, upright_walk
 from groundwalk.fusion.methods.drift_aware import DriftAware
 from groundwalk.fusion.methods.drift_aware_options import DriftAwareOptions
 from groundwalk.fusion.methods.error_map import ErrorMap
-from groundwalk.fusion.methods.localiser import Estimate, Localiser
+from groundwalk.fusion.methods.localiser import Estimate, Localiser, Status
 from groundwalk.fusion.methods.mobilearloc import MobileARLoc
 from groundwalk.fusion.methods.smoother import Smoother, SmootherOptions
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
@@ -154,6 +154,19 @@ def test_a_jump_too_short_to_see_is_answered_by_following_the_predictions() -> N
             assert not any("odometry_jump" in e.reasons for e in estimates)
             found.append(position_error(poses(estimates), truth)[110:130].mean())
     assert np.mean(after[True]) < 0.9 * np.mean(after[False])
+
+
+def test_after_a_restart_that_begins_with_wrong_predictions_it_is_soon_right_and_says_so() -> None:
+    for seed in range(4):
+        t_ns, truth, vio, apr = upright_walk(seed, 120, noise_m=0.2, outliers=0.05)
+        vio, apr = vio.copy(), apr.copy()
+        vio[60:] = make_pose(yaw_rotation(2.0), [30.0, 0.0, 10.0]) @ vio[60:]
+        for i, aside in zip(range(60, 64), (25.0, -7.0, 5.0, -4.0), strict=True):
+            apr[i, :3, 3] = truth[i, :3, 3] + [aside, 0.0, 4.0]
+        odometry = [None if i in range(55, 60) else v for i, v in enumerate(vio)]
+        estimates = answers(DriftAware(), t_ns, odometry, apr)
+        assert position_error(poses(estimates), truth)[68:].max() < 1.0
+        assert all(e.status == Status.FUSED for e in estimates[75:])
 
 
 def test_how_much_odometry_drifts_is_learnt() -> None:
