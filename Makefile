@@ -120,7 +120,7 @@ bench: $(installed) ## Time, memory and bytes of each stage (profile=demo scene=
 bench-localise: $(installed) ## Structure localisers Map and HLoc against the figures to reach (docs/results); finished runs
 	@$(py) -m benchmarks.localise
 
-bench-phone: $(installed) ## Exported regressors without PyTorch: bytes, milliseconds, int8 against fp32 (docs/results); a finished run, or roots=<folders, joined by commas>: of bench-regressors, all seeds together
+bench-phone: $(installed) ## Exported regressors without PyTorch: bytes, milliseconds, int8 against fp32 (docs/results); a finished run; roots=<folders, joined by commas>: trainings of bench-regressors (build/regressors/PN-0,...)
 	@$(py) -m benchmarks.phone --scene "$${scene:-Church}" --profile "$$profile" $(if $(roots),--data "$$roots")
 
 bench-regressors: $(installed) ## PN, MS-T, PN-Lite and MST-Lite beside each other, 3 seeds (docs/results); finished runs of Church and Office; hours

@@ -252,7 +252,8 @@ accuracy. Times are of the network alone unless they say preprocessing, on the c
 other work ran beside, the processor's are the ones to trust. Integers are multiplied fast where the processor has
 sums of four 8-bit products in one instruction (avx_vnni, avx512_vnni, asimddp, which phones have); with avx2 alone it
 takes three. Ratios of errors have beside them, as least and most, what 95 % of 2000 draws of as many test frames,
-with repeats, have: where 1.05 lies between, so few frames don't say. Sizes are in MiB, as the paper counts."""
+with repeats, have: where 1.05 lies between, so few frames don't say. Of a regressor that was trained several times,
+sizes and times are of the first training, errors of all together. Sizes are in MiB, as the paper counts."""
 
 if __name__ == "__main__":
     app()

@@ -49,21 +49,21 @@ def load_trained(path: Path) -> Trained:
     try:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         name, state = content["model"], content["state"]
+        regressor = REGRESSORS.find(name)
     except (OSError, RuntimeError, EOFError, KeyError, TypeError, ValueError, pickle.UnpicklingError) as error:
         raise UserError(
             "not a trained model", where=path, expected="a file that the train stage wrote", found=type(error).__name__
         ) from None
-    regressor = REGRESSORS.find(name)
     try:
         model = regressor.make(regressor.settings.model_validate(content["settings"]), len(content["scenes"]), True)
         model.load_state_dict(state)
         about = [content[key] for key in ("scenes", "resize", "crop", "focal_px", "width", "upright")]
     except (RuntimeError, KeyError, TypeError, ValueError) as error:
         raise UserError(
-            "these weights don't fit the model that they name",
+            "the weights don't fit the model that their file names",
             where=path,
             expected=f"weights of {name} as this version of groundwalk builds it",
-            found=str(error).strip().splitlines()[-1].strip(),
+            found=" ".join(str(error).split())[:200],
             do="run the stage train again",
         ) from None
     return Trained(model.eval(), *about)

@@ -39,7 +39,7 @@ from groundwalk.fusion.methods.estimator.prediction_noise import (
     whitening,
     whitening_of_covariance,
 )
-from groundwalk.fusion.methods.estimator.rivals import BEGUN_ANEW, SIGN, Rival, best_rival, lay, loose
+from groundwalk.fusion.methods.estimator.rivals import SAME_START, SIGN, Rival, best_rival, lay, loose
 from groundwalk.fusion.methods.estimator.robust import middle
 from groundwalk.fusion.methods.estimator.way import Way
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, State, Status, array, plain
@@ -112,7 +112,7 @@ class DriftAware(Localiser):
         self._drift = np.zeros(4)  # variances since the newest keyframe
         self._swung = [0.0, 0.0]  # covariances of x and z with the yaw since then, by steps after the yaw has drifted
         self._segment = 0
-        self._count = 0  # predictions taken in since odometry was last gone
+        self._count = 0  # predictions taken in since odometry's tracking was last lost
         self._watched = False  # odometry has jumped, or was gone, since the newest keyframe
         self._shrinkage: float | None = None  # of the newest prediction's covariance, if it brought one
         self._surprised = False  # something is wrong with the newest predictions, or with the alignment
@@ -373,7 +373,7 @@ class DriftAware(Localiser):
         keyframes = self._keyframes
         before = keyframes.column("state")[rival.begin].copy()
         lay(keyframes.rows, rival)
-        if rival.kept == BEGUN_ANEW:
+        if rival.kept == SAME_START:
             return
         if isnan(rival.segment):
             if self._cannot_be(rival.begin, before):

@@ -110,26 +110,27 @@ class PoseMixture(nn.Module):
             mean = (pull[..., None] * turn).sum(1) / pull.sum(-1, keepdim=True)
             quaternion = canonical(multiply(exp_quaternion(0.5 * mean), quaternion))
 
-        turn = rotation_vector(quaternion[:, None], c.quaternion_BK4)
-        errors = torch.cat([turn, c.position_BK3 - position[:, None]], dim=-1)
+        errors = _offsets(c, position, quaternion)
         covariance = torch.einsum("bk,bki,bkj->bij", weight, errors, errors)
         variances = [(weight * s).sum(-1, keepdim=True).expand(-1, 3) for s in (turn_spread, spread)]
         covariance = covariance + VARIANCE * torch.diag_embed(torch.cat(variances, dim=-1))
         return PoseBatch(position, quaternion, scene_B, covariance)
 
     def error_sizes(self, c: Components, answer: PoseBatch) -> Tensor:
-        """Sizes (B, 2) of the errors of an answer of `poses`, in rotation and in position: geometric means, over the
-        components, of their own deviations and of their root mean square distances from the answer, as many of one as
-        of the other. A far and unlikely component so adds little, where in a covariance its square counts."""
-        weight = c.log_weight_BK.exp()
-        turn = rotation_vector(answer.quaternion_B4[:, None], c.quaternion_BK4)
-        distance = c.position_BK3 - answer.position_B3[:, None]
-        sizes = []
-        for error, log_scale in ((turn, c.log_rotation_scale_BK), (distance, c.log_position_scale_BK)):
-            variance = 3 * VARIANCE * (2 * log_scale).exp()
-            logs = variance.log() + (variance + error.square().sum(-1)).log()
-            sizes.append((weight * logs / 4).sum(1).exp())
-        return torch.stack(sizes, dim=1)
+        """Expected sizes (B, 2) of an answer's rotation error (rad) and position error: geometric means, over the
+        components, of two deviations with equal weight, each component's own and its root mean square distance from the
+        answer. A far and unlikely component adds less to such a mean than to a covariance, which takes its square."""
+        squares = _offsets(c, answer.position_B3, answer.quaternion_B4).square().unflatten(-1, (2, 3)).sum(-1)
+        log_scale = torch.stack([c.log_rotation_scale_BK, c.log_position_scale_BK], dim=-1)
+        variance = 3 * VARIANCE * (2 * log_scale).exp()
+        logs = variance.log() + (variance + squares).log()
+        return (c.log_weight_BK.exp()[..., None] * logs / 4).sum(1).exp()
+
+
+def _offsets(c: Components, position_B3: Tensor, quaternion_B4: Tensor) -> Tensor:
+    """The components' poses (B, K, 6) from a pose: rotation (rad), then position."""
+    turn = rotation_vector(quaternion_B4[:, None], c.quaternion_BK4)
+    return torch.cat([turn, c.position_BK3 - position_B3[:, None]], dim=-1)
 
 
 def _clusters(

@@ -7,8 +7,9 @@ odometry loses its frame there, and, for an alignment that was never in force, l
 beforehand. Odometry that has lost its frame may still know one thing of two: the place, as where it turned on the spot,
 or the heading, as where it jumped aside. Such a rival keeps the one and takes the other from the predictions.
 
-An alignment that began with wrong predictions holds on to them: from there the fit doesn't find to what later ones
-agree on. So what these name is a rival from the same keyframe on, and is no newer than the one in force.
+Where the first predictions after a start or a loss of tracking were wrong, the fit stays at the alignment that they
+named, a local minimum, even where all later ones agree on another. That other one is a rival from the same keyframe on.
+Being new costs it nothing, as the one in force is as new.
 
 A turn on the spot gives no sign where frames are far apart, but it is seen: under the alignment in force the camera has
 turned, and under the rival it has gone on looking where it did, as cameras do most of the time."""
@@ -35,7 +36,7 @@ _USUAL = 3.0  # squared error, over the usual one, up to which predictions are e
 _TURNED = 7.0  # log odds against a turn of odometry on the spot without a sign, before the camera's turn is looked at
 _TURN_S = radians(10.0)  # scale of a camera's turn in a second, under a Cauchy distribution
 _HOPELESS = 5.0  # nats behind, where a rival needn't be worked out
-_WRONGLY_BEGUN = 5.0  # nats by which another alignment must explain all better that was predicted since it began
+_SAME_START_GAIN = 5.0  # nats that an alignment from the same keyframe on as the one in force must gain
 _BACK = 3.0  # log odds against an earlier alignment's holding again
 LOST = 1e4  # variance (m^2, rad^2) of what isn't known any more from one keyframe to the next
 
@@ -43,7 +44,7 @@ LOST = 1e4  # variance (m^2, rad^2) of what isn't known any more from one keyfra
 # of x, y, z and yaw; and predictions that must agree where odometry gave no sign: passing what looks like another place
 # takes some seconds.
 NOTHING, PLACE, HEADING = range(3)
-BEGUN_ANEW = 3  # of `Rival.kept`: nothing is kept, of an alignment in force whose first predictions were wrong
+SAME_START = 3  # of `Rival.kept`: nothing, and the rival starts at the keyframe where the one in force did
 _UNKNOWN_WITH = ((True, True, True, True), (False, False, False, True), (True, True, True, False))
 _LEAST = (10, 3, 10)
 
@@ -114,10 +115,10 @@ def _best_rival(keyframes: Rows, covariance: Array, squared: Array, dof: float, 
     newness = _newness(newest, precision)
     none = Rival(-1, np.zeros(4), -inf, NOTHING, nan, -inf)
     # Even one that explains every prediction well couldn't win: most often there is nothing to look at.
-    only, begun = keyframes[0].segment == newest.segment, _begun(judges, first)
-    if only and begun < 0 and _best_hope(judges, usual / 2) < min(newness) - _HOPELESS:
+    only, start = keyframes[0].segment == newest.segment, _start(judges, first)
+    if only and start < 0 and _best_hope(judges, usual / 2) < min(newness) - _HOPELESS:
         return none
-    best = _new(keyframes, first, judges, usual, newness, begun, none)
+    best = _new(keyframes, first, judges, usual, newness, start, none)
     return best if only else _earlier(keyframes, first, judges, best)
 
 
@@ -187,8 +188,8 @@ def _better(judges: _Judges, alignment: Array, begin: int) -> float:
 
 
 @compiled
-def _begun(judges: _Judges, first: int) -> int:
-    """The judge with which the alignment in force began, without anything of one before; -1 where it is older."""
+def _start(judges: _Judges, first: int) -> int:
+    """The judge at which the alignment in force started, with nothing of one before; -1 where it is older."""
     for i in range(len(judges.now) - 1, -1, -1):
         if first + i == 0 or _holds_already(judges.keyframes[i], NOTHING):
             return i
@@ -197,21 +198,21 @@ def _begun(judges: _Judges, first: int) -> int:
 
 @compiled
 def _new(
-    keyframes: Rows, first: int, judges: _Judges, usual: float, newness: Sequence[float], begun: int, best: Rival
+    keyframes: Rows, first: int, judges: _Judges, usual: float, newness: Sequence[float], start: int, best: Rival
 ) -> Rival:
     """The best of a rival and the alignments that were never in force and begin at one of the judges. newness: what its
-    being new costs, by what is kept. begun: see `_begun`; another one from there on is as new as that in force."""
+    being new costs, by what is kept. start: see `_start`."""
     count = len(judges.now)
     weights, yaw = _named(judges, usual)
     carried, place, vio = np.empty(4), np.empty(4), np.empty(3)
-    if begun >= 0:
-        _write_middle(judges, weights, begun, place, vio)
-        place[3] = yaw[begun]
+    if start >= 0:
+        _write_middle(judges, weights, start, place, vio)
+        place[3] = yaw[start]
         alignment = np.empty(4)
         _compose(place, vio, -1.0, alignment)
-        gain = _better(judges, alignment, begun)
-        if gain > _WRONGLY_BEGUN:
-            best = Rival(first + begun, alignment, gain, BEGUN_ANEW, nan, gain)
+        gain = _better(judges, alignment, start)
+        if gain > _SAME_START_GAIN:
+            best = Rival(first + start, alignment, gain, SAME_START, nan, gain)
     for begin in range(1 if first == 0 else 0, count):
         here = judges.keyframes[begin]
         _write_carried(keyframes[first + begin - 1], here, carried)
