@@ -26,7 +26,7 @@ override nerfstudio := $(value nerfstudio)
 override official := $(value official)
 override predictions := $(value predictions)
 override trained := $(value trained)
-export scene profile captures seconds nerfstudio official predictions trained
+export scene profile captures seconds nerfstudio official predictions trained device
 
 py := .venv/bin/python
 installed := .venv/.installed
@@ -129,8 +129,8 @@ bench-regressors: $(installed) ## PN, MS-T, PN-Lite and MST-Lite beside each oth
 bench-cited: $(installed) ## The regressors that the paper cites beside PN, few epochs (docs/results); a finished run of Church; half an hour
 	@$(py) -m benchmarks.cited_regressors
 
-bench-training: $(installed) ## Training steps in images a second of a core; official=<folder>: beside MS-Transformer's own code (docs/results)
-	@$(py) -m benchmarks.training $(if $(official),--official "$$official")
+bench-training: $(installed) ## Training steps in images a second of a core, or device=cuda; official=<folder>: beside MS-Transformer's own code (docs/results)
+	@$(py) -m benchmarks.training $(if $(official),--official "$$official") $(if $(device),--device "$$device")
 
 bench-fusion: $(installed) ## Fusion methods on the same walks, with the figures to reach (build/fusion)
 	@$(py) -m benchmarks.fusion $(if $(wildcard build/trained/runs),--data build/trained)

@@ -1,8 +1,9 @@
 """Training speed: `python -m benchmarks.training`, with official=<folder> beside MS-Transformer's own code.
 
-Whole training steps (crops, colours, forward, loss, backward, optimiser) at 224 px, in images a second of one core: by
-processor seconds, since they tell less of what else runs. MS-T and the official code have the same batch, precision and
-dropout. Beside them stands what the step's matrix products alone would take. Writes docs/results/training.md and .csv.
+Whole training steps (crops, colours, forward, loss, backward, optimiser) at 224 px, in images a second. On one core by
+processor seconds, since they tell less of what else runs; on a GPU by the clock, with the crops that the processor
+makes. MS-T and the official code have the same batch, precision and dropout. Beside them stands what the step's matrix
+products alone would take. Writes docs/results/training.md and .csv, of a GPU training-cuda.md and .csv.
 """
 
 import csv
@@ -11,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -31,13 +32,37 @@ from groundwalk.training.regressors import REGRESSORS
 
 app = new_app(__doc__ or "")
 _CROP, _SHORT, _LONG, _IMAGES = 224, 256, 341, 16
-_CPU, _VIEW = torch.device("cpu"), View(_CROP, _CROP)
+_VIEW = View(_CROP, _CROP)
 TARGET = 3.0
 
 
 @dataclass(frozen=True)
+class Timer:
+    """Where steps are timed, and how: seconds of the processor, of a GPU those of the clock after its work is done."""
+
+    device: torch.device
+    steps: int
+
+    def now(self) -> float:
+        if self.device.type == "cpu":
+            return time.process_time()
+        torch.cuda.synchronize(self.device)
+        return time.perf_counter()
+
+    def median_s(self, step: Callable[[], None]) -> float:
+        """Of the steps after the first, which chooses kernels and allocates."""
+        step()
+        seconds = []
+        for _ in range(self.steps):
+            start = self.now()
+            step()
+            seconds.append(self.now() - start)
+        return float(np.median(seconds))
+
+
+@dataclass(frozen=True)
 class Speed:
-    """Median processor seconds of a step."""
+    """Median seconds of a step."""
 
     name: str
     batch: int
@@ -55,67 +80,71 @@ def main(
     official: Annotated[
         Path | None, typer.Option(help="folder with MS-Transformer's official code; skipped without")
     ] = None,
+    device: Annotated[Literal["cpu", "cuda"], typer.Option(help="where to train: one core, or a GPU")] = "cpu",
     steps: Annotated[int, typer.Option(help="steps timed of each, after one that isn't")] = 3,
-    out: Annotated[Path, typer.Option(help="folder for training.md and .csv")] = Path("docs/results"),
+    out: Annotated[Path, typer.Option(help="folder for the page and its .csv")] = Path("docs/results"),
 ) -> None:
     """Time training steps one after the other, and write what came out."""
     torch.set_num_threads(1)
     out.mkdir(parents=True, exist_ok=True)  # Before the work, so that a folder that can't be written ends it at once.
     speeds: list[Speed] = []
+    timer = Timer(torch.device(device), steps)
     with tempfile.TemporaryDirectory() as name:
         frames = _frames(Path(name))
         for model in ("MS-T", "PN"):
             for precision in WORDS:
-                speeds.append(_ours(model, frames, precision, steps))
+                speeds.append(_ours(model, frames, precision, timer))
                 print(speeds[-1], f"{speeds[-1].images_per_s:.3g} images/s", flush=True)
     notes = ["The official code wasn't timed: no folder with it was named (`official=`)."]
     if official is not None:
-        speeds.append(_official(official, steps))
+        speeds.append(_official(official, timer))
         print(speeds[-1], f"{speeds[-1].images_per_s:.3g} images/s", flush=True)
         ratio = speeds[0].images_per_s / speeds[-1].images_per_s
         notes = [f"MS-T trains {ratio:.2f} times as fast as the official code in float32; to reach: {TARGET:g}."]
         best = max(speed.images_per_s for speed in speeds if speed.name == "MS-T") / speeds[-1].images_per_s
         notes.append(f"In the faster of both precisions: {best:.2f} times.")
-    notes.append(_bound(speeds))
-    _write(out, speeds, notes)
+    notes.append(_bound(speeds, timer))
+    _write(out, speeds, notes, timer.device)
 
 
-def _ours(model: str, frames: Frames, precision: Precision, steps: int) -> Speed:
+def _ours(model: str, frames: Frames, precision: Precision, timer: Timer) -> Speed:
     regressor = REGRESSORS[model]
     settings: Any = regressor.settings.model_validate({"weights": "scratch"})
     batch = int(settings.batch) if model == "MS-T" else _IMAGES
     torch.manual_seed(0)
     net: PoseRegressor = regressor.make(settings, 1, True)
-    net.to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
+    net.to(timer.device, memory_format=torch.channels_last).train()  # type: ignore[call-overload]
     optimiser = make_optimiser(net, settings)
     rng = np.random.default_rng(0)
     loading: list[float] = []
 
     def step() -> None:
-        start = time.process_time()
-        image, poses = frames.select(np.arange(batch)).training_crops(_VIEW, None, rng, _CPU)
+        start = timer.now()
+        image, poses = frames.select(np.arange(batch)).training_crops(_VIEW, None, rng, timer.device)
         image = normalised(Jitter(*settings.jitter).apply(image, rng)).contiguous(memory_format=torch.channels_last)
-        loading.append(time.process_time() - start)
-        with autocast(precision, _CPU):
+        loading.append(timer.now() - start)
+        with autocast(precision, timer.device):
             loss = net.loss(image, poses)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
 
-    seconds = _median_s(step, steps)
+    seconds = timer.median_s(step)
     return Speed(model, batch, WORDS[precision], seconds, float(np.median(loading)) / seconds)
 
 
-def _official(folder: Path, steps: int) -> Speed:
+def _official(folder: Path, timer: Timer) -> Speed:
     torch.manual_seed(0)
     net, pose_loss = official_model(folder, 1)
-    net.train()
+    net.to(timer.device).train()
+    pose_loss.to(timer.device)
     parameters = [*net.parameters(), *pose_loss.parameters()]
     settings = {name: CONFIG[name] for name in ("lr", "eps", "weight_decay")}
     optimiser = torch.optim.Adam(parameters, **settings)
     batch = int(CONFIG["batch_size"])
-    image, scene = torch.randn(batch, 3, _CROP, _CROP), torch.zeros(batch, dtype=torch.long)
-    truth = torch.nn.functional.normalize(torch.randn(batch, 7), dim=-1)
+    image = torch.randn(batch, 3, _CROP, _CROP, device=timer.device)
+    scene = torch.zeros(batch, dtype=torch.long, device=timer.device)
+    truth = torch.nn.functional.normalize(torch.randn(batch, 7, device=timer.device), dim=-1)
 
     def step() -> None:
         optimiser.zero_grad()
@@ -124,17 +153,18 @@ def _official(folder: Path, steps: int) -> Speed:
         (loss + torch.nn.functional.nll_loss(answer["scene_log_distr"], scene)).backward()
         optimiser.step()
 
-    return Speed("official MS-Transformer", batch, "float32", _median_s(step, steps), 0.0)
+    return Speed("official MS-Transformer", batch, "float32", timer.median_s(step), 0.0)
 
 
-def _bound(speeds: Sequence[Speed]) -> str:
+def _bound(speeds: Sequence[Speed], timer: Timer) -> str:
     """What MS-T's products alone would allow, in a sentence."""
-    work, rate = _products_gflop(), _gflop_per_s()
+    work, rate = _products_gflop(), _gflop_per_s(timer)
     most = rate / work
+    where = "core" if timer.device.type == "cpu" else "GPU"
     official = [speed.images_per_s for speed in speeds if speed.name.startswith("official")]
     against = f", {most / official[0]:.1f} times the official code's" if official else ""
     return (
-        f"MS-T's matrix products and convolutions are {work:.1f} GFLOP an image, forward and back, and this core "
+        f"MS-T's matrix products and convolutions are {work:.1f} GFLOP an image, forward and back, and this {where} "
         f"multiplies large float32 matrices at {rate:.0f} GFLOP/s: no float32 step could train more than {most:.2f} "
         f"images a second{against}. Ours reaches {speeds[0].images_per_s / most:.0%} of it. The rest are attention's "
         "exponentials, dropout's masks, norms, activations, and products that the gradient makes again."
@@ -149,24 +179,14 @@ def _products_gflop() -> float:
     return 3 * counter.get_total_flops() / 2 / 1e9
 
 
-def _gflop_per_s(side: int = 2048, repeats: int = 5) -> float:
-    a, b = torch.randn(2, side, side)
+def _gflop_per_s(timer: Timer, side: int = 2048, repeats: int = 5) -> float:
+    a, b = torch.randn(2, side, side, device=timer.device)
     seconds = []
     for _ in range(repeats):
-        start = time.process_time()
+        start = timer.now()
         torch.mm(a, b)
-        seconds.append(time.process_time() - start)
+        seconds.append(timer.now() - start)
     return 2 * side**3 / min(seconds) / 1e9
-
-
-def _median_s(step: Callable[[], None], steps: int) -> float:
-    step()
-    seconds = []
-    for _ in range(steps):
-        start = time.process_time()
-        step()
-        seconds.append(time.process_time() - start)
-    return float(np.median(seconds))
 
 
 def _frames(folder: Path) -> Frames:
@@ -184,26 +204,33 @@ def _frames(folder: Path) -> Frames:
     return Frames(cache, np.arange(_IMAGES), K, position, quaternion, same, same, down)
 
 
-def _write(out: Path, speeds: Sequence[Speed], notes: Sequence[str]) -> None:
-    """Write training.md and training.csv into the folder."""
-    about = circumstances()
+def _write(out: Path, speeds: Sequence[Speed], notes: Sequence[str], device: torch.device) -> None:
+    """Write the page and its .csv into the folder."""
+    cpu = device.type == "cpu"
+    name = "training" if cpu else f"training-{device.type}"
+    gpu = "" if cpu else f" {torch.cuda.get_device_name(device)}, PyTorch {torch.__version__}."
+    about = circumstances() + gpu
     rows = [
         [s.name, str(s.batch), s.precision, f"{s.images_per_s:.3g}", f"{100 * s.loading_fraction:.1f} %"]
         for s in speeds
     ]
-    with (out / "training.csv").open("w", newline="", encoding="utf-8") as file:
+    with (out / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["regressor", "batch", "precision", "images_per_processor_second", "loading_fraction", "run"])
+        per_second = f"images_per_{'processor_' if cpu else ''}second"
+        writer.writerow(["regressor", "batch", "precision", per_second, "loading_fraction", "run"])
         writer.writerows([s.name, s.batch, s.precision, s.images_per_s, s.loading_fraction, about] for s in speeds)
-    head = ["regressor", "batch", "precision", "images a second of one core", "of it crops and colours"]
-    sections = [_HEAD, about, markdown_table([head, *rows]), "\n".join(f"- {note}" for note in notes)]
-    (out / "training.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+    of = " of one core" if cpu else ""
+    head = ["regressor", "batch", "precision", f"images a second{of}", "of it crops and colours"]
+    title = _HEAD.format(command=f"make bench-training{'' if cpu else ' device=cuda'}", how=_HOW[device.type])
+    sections = [title, about, markdown_table([head, *rows]), "\n".join(f"- {note}" for note in notes)]
+    (out / f"{name}.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
 
 
+_HOW = {"cpu": "one thread, by processor seconds", "cuda": "by the clock, crops made by one thread of the processor"}
 _HEAD = """# Training speed
 
-Written by `make bench-training`. Whole training steps at 224 px with the published layers, batch and dropout, weights
-from scratch, one thread, by processor seconds. The official code's steps are without its loading of images."""
+Written by `{command}`. Whole training steps at 224 px with the published layers, batch and dropout, weights from
+scratch, {how}. The official code's steps are without its loading of images."""
 
 if __name__ == "__main__":
     app()
