@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import torch
 import typer
+from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
@@ -26,9 +27,10 @@ from groundwalk.artefacts.cli import new_app
 from groundwalk.training.data import Frames, ImageCache, Jitter, View, normalised
 from groundwalk.training.loop import make_optimiser
 from groundwalk.training.models.ms_transformer import MSTransformer
-from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
 from groundwalk.training.precision import WORDS, Precision, autocast
 from groundwalk.training.regressors import REGRESSORS
+from groundwalk.training.steps import GradientStep
 
 app = new_app(__doc__ or "")
 _CROP, _SHORT, _LONG, _IMAGES = 224, 256, 341, 16
@@ -118,15 +120,18 @@ def _ours(model: str, frames: Frames, precision: Precision, timer: Timer) -> Spe
     rng = np.random.default_rng(0)
     loading: list[float] = []
 
+    def loss_of(inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
+        with autocast(precision, timer.device):
+            return net.loss(*inputs, poses)
+
+    gradient = GradientStep(net, loss_of, record=net.recordable and timer.device.type == "cuda")
+
     def step() -> None:
         start = timer.now()
         image, poses = frames.select(np.arange(batch)).training_crops(_VIEW, None, rng, timer.device)
         image = normalised(Jitter(*settings.jitter).apply(image, rng)).contiguous(memory_format=torch.channels_last)
         loading.append(timer.now() - start)
-        with autocast(precision, timer.device):
-            loss = net.loss(image, poses)
-        optimiser.zero_grad()
-        loss.backward()
+        gradient((image,), poses)
         optimiser.step()
 
     seconds = timer.median_s(step)

@@ -1,7 +1,10 @@
 """Images and poses for training: an image cache decoded once, crops, and colour jitter."""
 
+import os
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +22,7 @@ from groundwalk.training.models.regressor import PoseBatch
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
+_THREADS = 8
 
 
 class ImageCache:
@@ -142,8 +146,7 @@ class Frames:
         """Normalised images (N, 3, height, width) from the middle of each image, as testing sees them."""
         crops = []
         if view.upright:
-            for index, K, turn in zip(self.index_N, self.K_N33, self.seen(view).as_matrix(), strict=True):
-                crops.append(turned_crop(self.cache[index], K, turn, view.width, view.height))
+            crops = self._turned(self.seen(view), view, device)
         else:
             for index in self.index_N:
                 image = self.cache[index]
@@ -170,10 +173,23 @@ class Frames:
         else:
             angles = rng.uniform(-1, 1, (len(self), 3)) * (turns or Turns(0, 0, 0))
             cam_R_turned = self.seen(view) * Rotation.from_euler("yxz", angles, degrees=True)
-            for index, K, turn in zip(self.index_N, self.K_N33, cam_R_turned.as_matrix(), strict=True):
-                crops.append(turned_crop(self.cache[index], K, turn, view.width, view.height))
+            crops = self._turned(cam_R_turned, view, device)
             quaternions = (Rotation.from_quat(quaternions) * cam_R_turned).as_quat()
         return to_tensor(crops, device), pose_batch(self.position_N3, quaternions, self.scene_N, device)
+
+    def _turned(self, cam_R_turned: Rotation, view: View, device: torch.device) -> list[Image]:
+        """What the cameras see after these turns; for a GPU, which one thread can't keep busy, cropped by several."""
+
+        def crop(index: int, K: NDArray[np.float64], turn: NDArray[np.float64]) -> Image:
+            return turned_crop(self.cache[index], K, turn, view.width, view.height)
+
+        columns = self.index_N, self.K_N33, cam_R_turned.as_matrix()
+        return list(map(crop, *columns) if device.type == "cpu" else _threads().map(crop, *columns))
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1))
 
 
 def pose_batch(

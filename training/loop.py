@@ -18,9 +18,10 @@ from groundwalk.artefacts.files import written_aside
 from groundwalk.training.data import Frames, Jitter, Turns, View, normalised
 from groundwalk.training.evaluation import errors, pose_errors
 from groundwalk.training.features import feature_cache
-from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
+from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch, PoseRegressor
 from groundwalk.training.precision import Precision, autocast
 from groundwalk.training.regressor_settings import RegressorSettings
+from groundwalk.training.steps import GradientStep
 
 CHECKPOINT = "checkpoint.pt"
 _SCORED_EPOCHS = 5
@@ -51,8 +52,12 @@ class Source(Protocol):
     def prepare(self, resumed: bool) -> None:
         """Called once before the first epoch, after the checkpoint of a resumed run is loaded."""
 
-    def loss(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Tensor:
-        """The training loss over some rows."""
+    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], PoseBatch]:
+        """What the loss of some rows is computed from, and the true poses."""
+        ...
+
+    def loss(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
+        """The training loss of a batch."""
         ...
 
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -72,13 +77,16 @@ class ImageSource:
     def prepare(self, resumed: bool) -> None:
         pass
 
-    def loss(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Tensor:
+    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], PoseBatch]:
         turns = Turns(*self.settings.turn_deg) if self.settings.turn_deg else None
         rows = self.training.sequences(rows, *self.model.sequence())
         image, poses = self.training.select(rows).training_crops(self.run.view, turns, rng, self.run.device)
         image = normalised(Jitter(*self.settings.jitter).apply(image, rng))
+        return (image.contiguous(memory_format=torch.channels_last),), poses
+
+    def loss(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
         with autocast(self.run.precision, self.run.device):
-            return self.model.loss(image.contiguous(memory_format=torch.channels_last), poses)
+            return self.model.loss(*inputs, poses)
 
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return pose_errors(self.model, self.held_out, self.run.view, self.run.device)
@@ -111,10 +119,12 @@ class FeatureSource:
         held_out, *maps = self.held_out_features
         self.held_out_features = self.model.reduced(held_out), *maps
 
-    def loss(self, rows: NDArray[np.int64], rng: np.random.Generator) -> Tensor:
-        features, poses = self.cache.rows(rows, self.run.device)
+    def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], PoseBatch]:
+        return self.cache.rows(rows, self.run.device)
+
+    def loss(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
         with autocast(self.run.precision, self.run.device):
-            return self.model.feature_loss(features, poses)
+            return self.model.feature_loss(inputs, poses)
 
     @torch.no_grad()
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -153,12 +163,13 @@ def train(
         optimiser.load_state_dict(saved["optimiser"])
         history, best = saved["history"], saved["best"]
     source.prepare(resumed=bool(history))
+    gradient = GradientStep(model, source.loss, record=model.recordable and run.device.type == "cuda")
 
     report(len(history))
     saved_at = time.monotonic()
     for epoch in range(len(history), settings.epochs):
         started = time.monotonic()
-        train_loss, rate = train_epoch(model, source, optimiser, epoch, settings, run)
+        train_loss, rate = train_epoch(model, source, gradient, optimiser, epoch, settings, run)
         refuse_divergence(train_loss, rate, history, run)
         position_m, rotation_deg = source.errors()
         row = {
@@ -186,6 +197,7 @@ def train(
 def train_epoch(
     model: PoseRegressor,
     source: Source,
+    gradient: GradientStep,
     optimiser: torch.optim.Optimizer,
     epoch: int,
     settings: RegressorSettings,
@@ -201,13 +213,10 @@ def train_epoch(
         rate = learning_rate(settings, epoch + step / len(batches))
         for group in optimiser.param_groups:
             group["lr"] = rate
-        loss = source.loss(rows, rng)
-        optimiser.zero_grad()
-        loss.backward()
+        losses.append(gradient(*source.batch(rows, rng)))
         if settings.clip_gradient:
             torch.nn.utils.clip_grad_norm_(model.parameters(), settings.clip_gradient)
         optimiser.step()
-        losses.append(loss.detach())
     return torch.stack(losses).mean().item(), rate
 
 

@@ -14,7 +14,8 @@ from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from groundwalk.training.data import Frames, View, normalised
-from groundwalk.training.models.regressor import FrozenRegressor, PoseRegressor
+from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch, PoseRegressor
+from groundwalk.training.steps import GradientStep
 
 Precision = Literal["fp32", "bf16"]
 WORDS: dict[Precision, str] = {"fp32": "float32", "bf16": "bfloat16"}
@@ -50,18 +51,22 @@ def step_seconds(
         frames = training.select(rows)
         image = normalised(frames.training_crops(view, None, np.random.default_rng(0), device)[0])
         image, poses = image.contiguous(memory_format=torch.channels_last), frames.poses(device)
-        features = model.reduced_features(image) if isinstance(model, FrozenRegressor) else None
+        inputs = model.reduced_features(image) if isinstance(model, FrozenRegressor) else (image,)
 
-        def loss() -> Tensor:
-            if isinstance(model, FrozenRegressor) and features is not None:
-                return model.feature_loss(features, poses)
-            return model.loss(image, poses)
+        def gradient(precision: Precision) -> GradientStep:
+            def loss(inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
+                with autocast(precision, device):
+                    if isinstance(model, FrozenRegressor):
+                        return model.feature_loss(inputs, poses)
+                    return model.loss(*inputs, poses)
+
+            return GradientStep(model, loss, record=model.recordable and device.type == "cuda")
+
+        gradients = {precision: gradient(precision) for precision in WORDS}
 
         def step(precision: Precision) -> float:
             started = _now(device)
-            with autocast(precision, device):
-                value = loss()
-            value.backward()
+            gradients[precision](inputs, poses)
             return _now(device) - started
 
         seconds: dict[Precision, float] = dict.fromkeys(WORDS, math.inf)

@@ -22,6 +22,7 @@ _LOG_SD = (-7.0, 3.0)
 class CoordiNet(BackboneRegressor):
     """One scene's poses with standard deviations by axis."""
 
+    recordable = True
     backbone_url = "https://download.pytorch.org/models/resnet34-b627a593.pth"
 
     def __init__(self, sx: float = 0.0, sq: float = -3.0) -> None:

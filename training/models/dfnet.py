@@ -28,6 +28,7 @@ class DFNet(PoseNet):
     """
 
     uses_map = True
+    recordable = False
     steps: Tensor
 
     def __init__(self, settings: DFNetSettings) -> None:

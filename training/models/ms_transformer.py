@@ -130,6 +130,7 @@ class MSTransformer(BackboneRegressor):
     """
 
     backbone: EfficientNetB0
+    recordable = True
     backbone_url = "https://download.pytorch.org/models/efficientnet_b0_rwightman-7f5810bc.pth"
 
     def __init__(

@@ -14,6 +14,7 @@ HIDDEN = 2048
 class PoseNet(BackboneRegressor):
     """One scene's poses: features 512 -> 2048, ReLU, dropout, then position (3) and log-quaternion (3)."""
 
+    recordable = True
     backbone_url = "https://download.pytorch.org/models/resnet34-b627a593.pth"
 
     def __init__(self, dropout: float = 0.5, sx: float = 0.0, sq: float = -3.0) -> None:

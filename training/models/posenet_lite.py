@@ -87,6 +87,8 @@ def last_layers(settings: LiteSettings) -> list[nn.Module]:
 class LiteRegressor(FrozenRegressor):
     """Base of regressors on EfficientNet-Lite0: its frozen maps, their whitened summary, and a mixture of poses."""
 
+    recordable = True
+
     def __init__(self, scenes: int, settings: LiteSettings) -> None:
         super().__init__()
         self.scenes, self.copies = scenes, settings.copies
@@ -136,7 +138,9 @@ class LiteRegressor(FrozenRegressor):
             channels.fit(part)
         parts = self._components(features[0])
         scales = torch.stack([part.std().clamp_min(_SMALLEST) * part.shape[1] ** 0.5 for part in parts])
-        self.whitening.fit(torch.cat(parts, dim=1), scales.repeat_interleave(torch.tensor(self.widths)))
+        self.whitening.fit(
+            torch.cat(parts, dim=1), scales.repeat_interleave(torch.tensor(self.widths, device=scales.device))
+        )
 
     def mixed(self, outputs: Tensor, scene_B: Tensor) -> PoseBatch:
         """The poses in the map frame of the heads' outputs.

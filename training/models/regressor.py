@@ -105,6 +105,10 @@ class PoseRegressor(nn.Module, ABC):
     uses_map: ClassVar[bool] = False
     """`see_map` is to be called, once before training."""
 
+    recordable: ClassVar[bool] = False
+    """`loss` (of a FrozenRegressor `feature_loss`) does the same for all batches of a shape and never looks at a
+    tensor's value in Python, so that a GPU can run it as one recorded CUDA graph."""
+
     @abstractmethod
     def forward(self, image_B3HW: Tensor) -> PoseBatch:
         """The estimated poses, in the map frame of the scene that the model picks."""

@@ -1,0 +1,90 @@
+"""Regressors on a GPU; skipped where there is none."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from test_train_loop import CPU, random_frames, silent
+from torch import Tensor
+
+from groundwalk.training.data import View, normalised
+from groundwalk.training.evaluation import answers, pose_errors
+from groundwalk.training.loop import Run, take_best, train
+from groundwalk.training.models.regressor import FrozenRegressor, MapPoints, PoseBatch, PoseRegressor
+from groundwalk.training.precision import step_seconds
+from groundwalk.training.regressor_settings import RegressorSettings
+from groundwalk.training.regressors import REGRESSORS
+from groundwalk.training.steps import GradientStep
+
+pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="PyTorch sees no GPU")
+CUDA, VIEW = torch.device("cuda"), View(32, 32)
+
+
+def made(name: str, poses: PoseBatch) -> tuple[PoseRegressor, RegressorSettings]:
+    """A regressor with its first weights, on the CPU."""
+    torch.manual_seed(0)
+    entry = REGRESSORS[name]
+    copies = {"copies": 1} if "copies" in entry.settings.model_fields else {}
+    chosen = entry.settings.model_validate({"batch": 8, "epochs": 5, **copies})
+    model = entry.make(chosen, 1, False)
+    model.initialise(poses, chosen, Path("nowhere"))
+    points = torch.rand(2, 500, 3)
+    model.see_map(MapPoints(20 * points[0] - 10, points[1], 40.0))
+    return model, chosen
+
+
+@pytest.mark.parametrize("name", list(REGRESSORS.builtin))
+def test_trains_and_answers(tmp_path: Path, name: str) -> None:
+    frames = random_frames(tmp_path / "images", 20)
+    model, chosen = made(name, frames.poses(CPU))
+    assert np.isfinite(list(step_seconds(model, frames, 8, VIEW, CUDA).values())).all()
+    train(silent, model, frames, frames, chosen, Run("test", CUDA, "fp32", VIEW, 0, tmp_path, 1000))
+    assert np.isfinite([row["train_loss"] for row in take_best(model, tmp_path)]).all()
+    estimates = answers(model, frames, VIEW, CUDA)
+    assert estimates.position_B3.device.type == "cuda"
+    model.calibrate(estimates, frames.poses(CUDA))
+    on_gpu = pose_errors(model, frames, VIEW, CUDA)
+    for errors, on_cpu in zip(on_gpu, pose_errors(model.to(CPU), frames, VIEW, CPU), strict=True):
+        assert errors == pytest.approx(on_cpu, rel=0.05, abs=0.05)
+
+
+@pytest.mark.parametrize("name", [name for name in REGRESSORS.builtin if name != "DFNet"])
+def test_a_recorded_step_is_the_same_step(tmp_path: Path, name: str) -> None:
+    """For batches of two shapes in turn, whose numbers differ each time."""
+    frames = random_frames(tmp_path / "images", 30)
+    model, _ = made(name, frames.poses(CPU))
+    assert model.recordable
+    model.to(CUDA).train()
+    for module in model.modules():
+        if isinstance(module, torch.nn.Dropout):
+            module.p = 0.0
+    if hasattr(model, "_visible"):
+        pytest.skip("its masks are random numbers")
+
+    def batch(count: int, first: int) -> tuple[tuple[Tensor, ...], PoseBatch]:
+        chosen = frames.select(np.arange(first, first + count))
+        image = normalised(chosen.training_crops(VIEW, None, np.random.default_rng(0), CUDA)[0])
+        inputs = model.reduced_features(image) if isinstance(model, FrozenRegressor) else (image,)
+        return inputs, chosen.poses(CUDA)
+
+    if isinstance(model, FrozenRegressor):
+        model.fit_features(model.features(normalised(frames.centre_crops(VIEW, CUDA))))
+
+    def loss(inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
+        return model.feature_loss(inputs, poses) if isinstance(model, FrozenRegressor) else model.loss(*inputs, poses)
+
+    plain, recorded = (GradientStep(model, loss, record) for record in (False, True))
+    before = {key: value.clone() for key, value in model.state_dict().items()}
+    for count, first in ((9, 0), (6, 9), (9, 15), (6, 24)):
+        values, gradients, buffers = [], [], []
+        for step in (plain, recorded):
+            model.load_state_dict(before)
+            values.append(step(*batch(count, first)).item())
+            gradients.append([p.grad.clone() for p in model.parameters() if p.grad is not None])
+            buffers.append([buffer.clone() for buffer in model.buffers()])
+        assert values[1] == pytest.approx(values[0], rel=1e-4)
+        for a, b in zip(*gradients, strict=True):
+            assert torch.allclose(a, b, rtol=1e-2, atol=1e-3 * float(a.abs().max()) + 1e-6)
+        for a, b in zip(*buffers, strict=True):
+            assert torch.allclose(a, b, rtol=1e-3, atol=1e-5)

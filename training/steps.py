@@ -1,0 +1,80 @@
+"""The loss and gradient of a batch: on a GPU, where the model allows it, as one CUDA graph.
+
+MS-T's step is three thousand kernels of some microseconds each, and a processor takes four times as long to launch them
+as a GPU to run them (docs/results/training-cuda.md). Recorded once for each shape of a batch, they are launched as one.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from groundwalk.training.models.regressor import PoseBatch
+
+_WARM_UP = 3  # steps before recording, in which libraries choose kernels and allocate
+
+# Of inputs and true poses the loss, a scalar.
+Loss = Callable[[tuple[Tensor, ...], PoseBatch], Tensor]
+
+
+class _Recording(NamedTuple):
+    inputs: tuple[Tensor, ...]
+    poses: PoseBatch
+    graph: Any
+    loss: Tensor
+
+
+class GradientStep:
+    """Computes the loss of a batch, detached, and leaves its gradient in the model's parameters.
+
+    With `record` the kernels of the first batch of each shape are recorded and run again for every later one, on its
+    own numbers: `loss` must do the same for all batches of a shape and not look at a tensor's value in Python.
+    """
+
+    def __init__(self, model: nn.Module, loss: Loss, record: bool) -> None:
+        self.model, self.loss, self.record = model, loss, record
+        self._recordings: dict[Any, _Recording] = {}
+
+    def __call__(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
+        if not self.record:
+            loss = self.loss(inputs, poses)
+            self.model.zero_grad()
+            loss.backward()
+            return loss.detach()
+        shape = tuple((part.shape, part.dtype, part.stride()) for part in inputs)
+        if shape not in self._recordings:
+            self._recordings[shape] = self._recorded(inputs, poses)
+        recording = self._recordings[shape]
+        for kept, new in zip((*recording.inputs, *recording.poses[:3]), (*inputs, *poses[:3]), strict=True):
+            kept.copy_(new)
+        recording.graph.replay()
+        return recording.loss.clone()
+
+    def _recorded(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> _Recording:
+        """The step on copies of the batch. The model's buffers and the random numbers stay as they are."""
+        inputs, poses = tuple(part.clone() for part in inputs), PoseBatch(*(part.clone() for part in poses[:3]))
+        buffers = [(buffer, buffer.clone()) for buffer in self.model.buffers()]
+        random = torch.cuda.get_rng_state(inputs[0].device)
+        stream = torch.cuda.Stream()
+        stream.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(stream):
+            for _ in range(_WARM_UP):
+                self._accumulate(inputs, poses)
+        torch.cuda.current_stream().wait_stream(stream)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            loss = self._accumulate(inputs, poses)
+        torch.cuda.set_rng_state(random, inputs[0].device)
+        for buffer, before in buffers:
+            buffer.copy_(before)
+        return _Recording(inputs, poses, graph, loss)
+
+    def _accumulate(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
+        """Gradients stay where they are in memory, which the recordings of all shapes share."""
+        gradients = [p.grad for p in self.model.parameters() if p.grad is not None]
+        if gradients:
+            torch._foreach_zero_(gradients)
+        loss = self.loss(inputs, poses)
+        loss.backward()
+        return loss.detach()
