@@ -11,7 +11,8 @@ seconds ?= 60
 nerfstudio ?=
 official ?=
 predictions ?=
-trained ?=
+tables ?=
+device ?=
 python ?= python3
 
 # What the user gives is text, never make's or the shell's language: it's read unexpanded, and recipes get it through the
@@ -25,8 +26,9 @@ override seconds := $(value seconds)
 override nerfstudio := $(value nerfstudio)
 override official := $(value official)
 override predictions := $(value predictions)
-override trained := $(value trained)
-export scene profile captures seconds nerfstudio official predictions trained device
+override tables := $(value tables)
+override device := $(value device)
+export scene profile captures seconds nerfstudio official predictions tables device
 
 py := .venv/bin/python
 installed := .venv/.installed
@@ -144,8 +146,8 @@ bench-repeatability: $(installed) ## How repeatable regressors' errors are from 
 bench-steps: $(installed) ## What a step of drift_aware costs over a walk of half an hour (docs/results)
 	@$(py) -m benchmarks.fusion_steps
 
-bench-fusion-bound: $(installed) ## What limits drift_aware; predictions=<folder>: published ones of real regressors; trained=<folder>: of trained ones (docs/results)
-	@$(py) -m benchmarks.fusion_bound $(if $(predictions),--predictions "$$predictions") $(if $(trained),--trained "$$trained")
+bench-fusion-bound: $(installed) ## What limits drift_aware; predictions=<folder>: published ones of real regressors; tables=<folder>: of a group of walks (docs/results)
+	@$(py) -m benchmarks.fusion_bound $(if $(predictions),--predictions "$$predictions") $(if $(tables),--tables "$$tables")
 
 bench-trained: $(installed) ## Train the regressors of bench-fusion's trained walks (build/trained); an hour and a half
 	@$(py) -m benchmarks.fusion_trained

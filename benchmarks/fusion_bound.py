@@ -1,10 +1,9 @@
-"""What limits `drift_aware` on real and on trained regressors: `python -m benchmarks.fusion_bound --predictions FOLDER
---trained TABLES`.
+"""What limits `drift_aware`: `python -m benchmarks.fusion_bound --predictions FOLDER --tables GROUP`.
 
-Walks of published predictions of real regressors (benchmarks/real_predictions.py), and of regressors trained in
-simulated scenes, as benchmarks/fusion_tables.py lays them. The method as it is stands beside itself told of its
-regressor's true errors, beside its offline form, and beside the best rigid alignment of odometry. Writes
-docs/results/fusion_bound.md.
+Walks of published predictions of real regressors (benchmarks/real_predictions.py), and groups of walks as
+benchmarks/fusion_tables.py lays them. The method as it is stands beside itself told of its regressor's true errors,
+beside later answers, and beside the best rigid alignment of odometry. How often predictions in a row agree on a wrong
+heading says how many have to agree before odometry is disbelieved. Writes docs/results/fusion_bound.md.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,12 +26,14 @@ from groundwalk.fusion.evaluation.leaderboard import RULE, cases_in, within_boun
 from groundwalk.fusion.methods import METHODS, resolve_options
 from groundwalk.fusion.methods.drift_aware import DriftAware
 from groundwalk.fusion.methods.drift_aware_options import DriftAwareOptions
+from groundwalk.fusion.methods.error_map import ErrorMap
+from groundwalk.fusion.methods.error_map import errors_of as errors_in_map
 from groundwalk.fusion.methods.estimator import robust
 from groundwalk.fusion.methods.estimator.aligner import DIMENSIONS, Model
 from groundwalk.fusion.methods.estimator.prediction_noise import Prior
 from groundwalk.fusion.methods.localiser import Stepping
 from groundwalk.fusion.methods.offline import Offline
-from groundwalk.fusion.methods.smoother import Smoother
+from groundwalk.fusion.methods.smoother import Smoother, SmootherOptions
 from groundwalk.fusion.methods.vio_oracle import VioOracle
 from groundwalk.fusion.walk import Walk
 from groundwalk.geometry.poses import Array
@@ -44,14 +45,17 @@ _DOF = DriftAwareOptions().degrees_of_freedom
 _CERTAIN = 1e9  # predictions that what is told counts as
 _QUANTITIES = ("position", "rotation")
 _RIGHT = 0.85, 0.99  # of errors within their 95 % bounds
+_LATE_S = 5.0
+_IN_A_ROW = (2, 3, 4, 5, 10)
+_FAR_DEG, _ALIKE_DEG, _APART_S = 15.0, 10.0, 0.95
 
 
 class Told(DriftAware):
     """`drift_aware` that is told the covariance (6, 6) of its regressor's errors, in camera axes, and doesn't learn it;
     with `weights` also what the prediction at each time counts."""
 
-    def __init__(self, covariance: Array, weights: Mapping[int, float] | None = None) -> None:
-        super().__init__(DriftAwareOptions(**({} if weights is None else EVEN)))
+    def __init__(self, covariance: Array, weights: Mapping[int, float] | None = None, lag_s: float = 0.0) -> None:
+        super().__init__(DriftAwareOptions(**({} if weights is None else EVEN)), lag_s=lag_s)
         self._weights = weights
         self._sd = self._usual_sizes = np.sqrt(covariance.diagonal())
         self._prior = Prior(covariance / np.outer(self._sd, self._sd), _CERTAIN, _CERTAIN, 0.0)
@@ -65,6 +69,17 @@ class Told(DriftAware):
     @property
     def _model(self) -> Model:
         return super()._model._replace(prior=self._prior)  # without the sizes that show beside odometry's quality
+
+
+class ToldLate(Smoother):
+    """`Told`, answering some seconds late."""
+
+    def __init__(self, covariance: Array, lag_s: float) -> None:
+        super().__init__(SmootherOptions(lag_s=lag_s))
+        self._covariance = covariance
+
+    def causal(self, lag_s: float) -> DriftAware:
+        return Told(self._covariance, lag_s=lag_s)
 
 
 def errors_of(walks: Sequence[Walk]) -> Array:
@@ -99,17 +114,23 @@ def _weighed(case: Case, walk: Walk) -> Told:
     return Told(covariance, dict(zip(walk.t_ns.tolist(), weights, strict=True)))
 
 
+def _map_of(case: Case, walk: Walk) -> ErrorMap | None:
+    return next(m for w, m in zip(case.walks, case.error_maps, strict=True) if w is walk)
+
+
 Make = Callable[[Case, Walk], Stepping | Offline]
 # What each row's method is told, and how it is made for a walk of a case.
 ROWS: dict[str, Make] = {
-    "1. `drift_aware` as it is": lambda case, walk: DriftAware(),
+    "1. `drift_aware` as it is": lambda case, walk: DriftAware(None, _map_of(case, walk)),
     "2. told one covariance of this regressor's errors in this scene, in hindsight": lambda case, walk: Told(
         covariance_of(errors_of(case.walks))
     ),
     "3. told the covariance of the errors in the scene's other sequences, as of an earlier walk": _other_sequences,
-    "4. `smoother`: told the rest of the walk": lambda case, walk: Smoother(),
+    "4. `smoother`: told the rest of the walk": lambda case, walk: Smoother(None, _map_of(case, walk)),
     "5. told 2's covariance, and what each prediction's true error lets it count": _weighed,
     "6. `vio_oracle`: odometry laid on the true poses, rigidly": lambda case, walk: VioOracle(),
+    f"7. as 1, {_LATE_S:g} s late": lambda case, walk: Smoother(SmootherOptions(lag_s=_LATE_S), _map_of(case, walk)),
+    f"8. as 2, {_LATE_S:g} s late": lambda case, walk: ToldLate(covariance_of(errors_of(case.walks)), _LATE_S),
 }
 _OTHERS = ("window30", "error_state", "pose_graph", "last_good")
 
@@ -162,15 +183,35 @@ def _geometric_mean(ratio: Array) -> Array:
     return np.asarray(np.exp(np.log(ratio).mean(axis=0)))
 
 
+def wrong_alike(walks: Sequence[Walk], count: int) -> float:
+    """The share, in per cent, of predictions at least _APART_S apart that begin so many in a row whose headings are
+    wrong by over _FAR_DEG in the median, and all within _ALIKE_DEG of that."""
+    found: list[bool] = []
+    for walk in walks:
+        rows: list[int] = []
+        for row, t_ns in enumerate(walk.t_ns):
+            if not rows or t_ns - walk.t_ns[rows[-1]] >= _APART_S * 1e9:
+                rows.append(row)
+        yaw = np.degrees(errors_in_map(walk.map_T_cam_apr[rows], walk.map_T_cam[rows])[0][:, 0])
+        for start in range(len(yaw) - count + 1):
+            part = yaw[start : start + count]
+            middle = np.median(part)
+            found.append(bool(abs(middle) > _FAR_DEG and (np.abs(part - middle) < _ALIKE_DEG).all()))
+    return 100 * float(np.mean(found))
+
+
 @app.command()
 def main(
     predictions: Annotated[Path | None, typer.Option(help="Folder of published predictions.")] = None,
-    trained: Annotated[Path | None, typer.Option(help="Folder of tables of trained regressors, a scene each.")] = None,
+    tables: Annotated[
+        list[Path] | None, typer.Option(help="Folder of a group of walks, a scene each; may be repeated.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for fusion_bound.md.")] = Path("docs/results"),
     seeds: Annotated[int, typer.Option(min=1, help="Draws of odometry's drift.")] = 3,
 ) -> None:
     """Run all rows, and write what came out."""
     parts = []
+    wrong: list[list[str]] = [["predictions", "walks", *(f"{count} in a row" for count in _IN_A_ROW)]]
     if predictions is not None:
         cases = real_cases(predictions, DEVELOPMENT, range(seeds))
         about = (
@@ -178,12 +219,14 @@ def main(
             f"from the true poses with the fitted drift, seeds 0 to {seeds - 1}."
         )
         parts.append(_part("Real predictions", about, cases))
-    if trained is not None:
-        cases = [Case("", c.scene, c.model, tuple(c.walks), (None,) * len(c.walks)) for c in cases_in(trained)[0]]
+        wrong.append(_wrong_row("real predictions", [w for c in cases for w in c.walks if w.session_id.endswith("~0")]))
+    for folder in tables or []:
+        cases = [Case("", c.scene, c.model, tuple(c.walks), (c.error_map,) * len(c.walks)) for c in cases_in(folder)[0]]
         models, scenes = (", ".join(dict.fromkeys(getattr(c, of) for c in cases)) for of in ("model", "scene"))
-        parts.append(_part("Trained regressors", f"{models} trained in simulated scenes: {scenes}.", cases))
+        parts.append(_part(folder.name, f"Simulated scenes; {models} in {scenes}.", cases))
+        wrong.append(_wrong_row(folder.name, [w for c in cases for w in c.walks]))
     if not parts:
-        raise UserError("there is nothing to measure", expected="--predictions or --trained")
+        raise UserError("there is nothing to measure", expected="--predictions or --tables")
     text = f"""# What limits drift_aware
 
 Written by `python -m benchmarks.fusion_bound`; not to be edited. `/rule` is a mean error over the paper's rule's in the
@@ -191,12 +234,19 @@ same scene with the same model, `/next best` over that of the best of {", ".join
 the cases. In bounds: in how many cases fewer than {_RIGHT[0]:.0%} of the errors are within their 95 % bounds, from
 these to {_RIGHT[1]:.0%}, and more.
 
-Rows 2, 3, 5 and 6 are told of true errors and rows 4 and 6 answer after the walk, so no causal method can have them. A
-covariance is of rotation and position together, in camera axes, under Student's t, and stays as it is told.
+Rows 2, 3, 5, 6 and 8 are told of true errors and rows 4 and 6 answer after the walk, so no causal method can have them.
+A covariance is of rotation and position together, in camera axes, under Student's t, and stays as it is told.
 
 {circumstances()}
 
-{"".join(parts)}"""
+{"".join(parts)}## Predictions that are wrong alike
+
+Of all predictions a second apart, the share, in per cent, that begin so many in a row whose headings are wrong by over
+{_FAR_DEG:g} degrees in the median, and all within {_ALIKE_DEG:g} degrees of that. To a fusion method they look like a
+turn of odometry's axes that odometry doesn't report.
+
+{markdown_table(wrong)}
+"""
     out.mkdir(parents=True, exist_ok=True)
     with written_aside(out / "fusion_bound.md") as partial_file:
         partial_file.write_text(text, encoding="utf-8")
@@ -206,6 +256,10 @@ covariance is of rotation and position together, in camera axes, under Student's
 def _part(title: str, about: str, cases: Sequence[Case]) -> str:
     walks = sum(len(case.walks) for case in cases)
     return f"## {title}\n\n{about} {len(cases)} cases, {walks} walks.\n\n{markdown_table(table(cases, title))}\n\n"
+
+
+def _wrong_row(what: str, walks: Sequence[Walk]) -> list[str]:
+    return [what, str(len(walks)), *(f"{wrong_alike(walks, count):.2f}" for count in _IN_A_ROW)]
 
 
 if __name__ == "__main__":

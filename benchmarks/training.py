@@ -122,7 +122,7 @@ def _ours(model: str, frames: Frames, precision: Precision, timer: Timer) -> Spe
 
     def loss_of(inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
         with autocast(precision, timer.device):
-            return net.loss(*inputs, poses)
+            return net.loss(inputs[0], poses)
 
     gradient = GradientStep(net, loss_of, record=net.recordable and timer.device.type == "cuda")
 

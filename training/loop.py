@@ -86,7 +86,7 @@ class ImageSource:
 
     def loss(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
         with autocast(self.run.precision, self.run.device):
-            return self.model.loss(*inputs, poses)
+            return self.model.loss(inputs[0], poses)
 
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return pose_errors(self.model, self.held_out, self.run.view, self.run.device)

@@ -58,7 +58,7 @@ def step_seconds(
                 with autocast(precision, device):
                     if isinstance(model, FrozenRegressor):
                         return model.feature_loss(inputs, poses)
-                    return model.loss(*inputs, poses)
+                    return model.loss(inputs[0], poses)
 
             return GradientStep(model, loss, record=model.recordable and device.type == "cuda")
 

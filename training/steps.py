@@ -35,6 +35,7 @@ class GradientStep:
     def __init__(self, model: nn.Module, loss: Loss, record: bool) -> None:
         self.model, self.loss, self.record = model, loss, record
         self._recordings: dict[Any, _Recording] = {}
+        self._gradients: list[tuple[nn.Parameter, Tensor]] = []  # where all recordings leave them
 
     def __call__(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
         if not self.record:
@@ -49,6 +50,7 @@ class GradientStep:
         for kept, new in zip((*recording.inputs, *recording.poses[:3]), (*inputs, *poses[:3]), strict=True):
             kept.copy_(new)
         recording.graph.replay()
+        self._point_at_gradients()
         return recording.loss.clone()
 
     def _recorded(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> _Recording:
@@ -56,12 +58,15 @@ class GradientStep:
         inputs, poses = tuple(part.clone() for part in inputs), PoseBatch(*(part.clone() for part in poses[:3]))
         buffers = [(buffer, buffer.clone()) for buffer in self.model.buffers()]
         random = torch.cuda.get_rng_state(inputs[0].device)
+        self.model.zero_grad()
+        self._point_at_gradients()
         stream = torch.cuda.Stream()
         stream.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(stream):
             for _ in range(_WARM_UP):
                 self._accumulate(inputs, poses)
         torch.cuda.current_stream().wait_stream(stream)
+        self._gradients = [(p, p.grad) for p in self.model.parameters() if p.grad is not None]
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(graph):
             loss = self._accumulate(inputs, poses)
@@ -70,8 +75,12 @@ class GradientStep:
             buffer.copy_(before)
         return _Recording(inputs, poses, graph, loss)
 
+    def _point_at_gradients(self) -> None:
+        for parameter, gradient in self._gradients:
+            parameter.grad = gradient
+
     def _accumulate(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
-        """Gradients stay where they are in memory, which the recordings of all shapes share."""
+        """Gradients stay where they are in memory."""
         gradients = [p.grad for p in self.model.parameters() if p.grad is not None]
         if gradients:
             torch._foreach_zero_(gradients)

@@ -28,9 +28,13 @@ class Smoother(Offline):
         self.options = options or SmootherOptions()
         self._error_map = error_map
 
+    def causal(self, lag_s: float) -> DriftAware:
+        """The fit that keeps what answers of that lag need."""
+        return DriftAware(self.options, self._error_map, lag_s)
+
     def estimates(self, walk: Walk) -> list[Estimate]:
         lag_s = inf if self.options.lag_s is None else self.options.lag_s
-        localiser, has_vio = DriftAware(self.options, self._error_map, lag_s), known(walk.vio_T_cam)
+        localiser, has_vio = self.causal(lag_s), known(walk.vio_T_cam)
         in_time: list[Estimate] = []
         late: list[Estimate] = []
 

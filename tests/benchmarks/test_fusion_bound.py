@@ -1,9 +1,11 @@
 """What the benchmark of drift_aware's limits tells it is what it goes by."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.fusion_bound import ROWS, Told, covariance_of, errors_of, outcome
+from benchmarks.fusion_bound import ROWS, Told, covariance_of, errors_of, outcome, wrong_alike
 from benchmarks.fusion_inputs import Case, Track, predicted_walk
 from groundwalk.fusion.evaluation.fuse import Run, fuse
 from groundwalk.fusion.walk import Walk
@@ -33,6 +35,21 @@ def test_what_is_told_stays_and_helps() -> None:
     fuse(Run("", "", "PN"), case.walks[0], told)
     assert np.allclose(told.save()["covariance"], covariance / np.outer(sd, sd), atol=1e-4)
     outcomes = [outcome(case, make) for make in ROWS.values()]
-    as_it_is, _, _, smoother, weighed, oracle = (o.errors for o in outcomes)
+    as_it_is, _, _, smoother, weighed, oracle, *_ = (o.errors for o in outcomes)
     assert (weighed < as_it_is).all() and (smoother < as_it_is).all() and (oracle < 1e-6).all()
     assert all((o.inside > 0.8).all() for o in outcomes[:5]) and np.isnan(outcomes[5].inside).all()
+
+
+def test_predictions_that_are_wrong_alike_are_counted() -> None:
+    """Of forty a second apart, five in a row have headings that are 20 degrees off."""
+    walked = walk("seq0~0", 0)
+    turned = walked.map_T_cam.copy()
+    turned[10:15, :3, :3] = yaw_rotation(np.full(5, np.radians(20.0))) @ turned[10:15, :3, :3]
+    walked = replace(walked, map_T_cam_apr=turned)
+    assert [wrong_alike([walked], count) for count in (1, 3, 5, 6)] == [12.5, 300 / 38, 100 / 36, 0]
+
+
+def test_a_later_answer_is_told_the_same() -> None:
+    case = Case("real", "Hall", "PN", tuple(walk(f"seq{i}~0", i) for i in range(2)), (None,) * 2)
+    in_time, late = (outcome(case, ROWS[name]).errors for name in ROWS if name[0] in "28")
+    assert (late < in_time).all()
