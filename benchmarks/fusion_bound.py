@@ -186,7 +186,7 @@ def _geometric_mean(ratio: Array) -> Array:
 def wrong_alike(walks: Sequence[Walk], count: int) -> float:
     """The share, in per cent, of predictions at least _APART_S apart that begin so many in a row whose headings are
     wrong by over _FAR_DEG in the median, and all within _ALIKE_DEG of that."""
-    found: list[bool] = []
+    is_wrong: list[bool] = []
     for walk in walks:
         rows: list[int] = []
         for row, t_ns in enumerate(walk.t_ns):
@@ -196,8 +196,8 @@ def wrong_alike(walks: Sequence[Walk], count: int) -> float:
         for start in range(len(yaw) - count + 1):
             part = yaw[start : start + count]
             middle = np.median(part)
-            found.append(bool(abs(middle) > _FAR_DEG and (np.abs(part - middle) < _ALIKE_DEG).all()))
-    return 100 * float(np.mean(found))
+            is_wrong.append(bool(abs(middle) > _FAR_DEG and (np.abs(part - middle) < _ALIKE_DEG).all()))
+    return 100 * float(np.mean(is_wrong))
 
 
 @app.command()
