@@ -42,8 +42,9 @@ def locate(
     """Say where images were taken: a pose in the map with its covariance, or a refusal with its reason.
 
     An image's intrinsics are in `<image>.json` or `intrinsics.json` beside it, or in --intrinsics: an object with fx,
-    fy, cx, cy and, where they are known, width, height, gravity and prior (map_T_cam, 4x4). An image whose own file has
-    other intrinsics is asked with these. An image of a folder that can't be asked is refused as bad_input.
+    fy, cx, cy and, where they are known, width, height, gravity and prior (map_T_cam, 4x4), or 3D Scanner App's file of
+    the frame. An image whose own file has other intrinsics is asked with these. An image of a folder that can't be
+    asked is refused as bad_input; it's an error where that is so of all.
     """
     ask = _asked(map_, bundle, scene, network, verify)
     common: Row = {}
@@ -63,6 +64,8 @@ def locate(
             partial.write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
     refused = sum(row["refusal"] is not None for row in rows)
     progress.console.print(f"{len(rows) - refused} of {len(rows)} images localised, {refused} refused", markup=False)
+    if all(row["refusal"] == Refusal.BAD_INPUT for row in rows):
+        raise UserError("no image of the folder can be asked", where=images, found=rows[0]["reason"])
 
 
 def _answer(ask: Callable[[Query], Row], path: Path, common: Row, *, among_others: bool) -> Row:

@@ -17,6 +17,7 @@ from groundwalk.geometry.cameras import Camera
 _IMAGES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 _INTRINSICS_FILE = "intrinsics.json"
 _INTRINSICS = ("fx", "fy", "cx", "cy")
+_ARKIT_POSE = "cameraPoseARFrame"
 _MIN_FOCAL, _MAX_FOCAL = 0.2, 20.0  # by the longer side: from 136 degrees to 3 degrees of view
 _MAX_OFF_CENTRE = 0.1  # of the longer side; phones' are within a hundredth or two
 _RIGID = 1e-3
@@ -108,13 +109,23 @@ def image_files(images: Path) -> list[Path]:
 
 
 def file_query(path: Path, common: Mapping[str, Any]) -> Query:
-    """An image with what is known of it: what the command says, then the folder's file, then its own."""
+    """An image with what is known of it: what the command says, then the folder's file, then its own, which may be
+    3D Scanner App's of a frame."""
     known = dict(common)
     for file in (path.with_name(_INTRINSICS_FILE), path.with_name(path.name + ".json"), path.with_suffix(".json")):
         if file.is_file():
-            known |= _object(file)
+            content = _object(file)
+            known |= _scanner_app(content, file) if _ARKIT_POSE in content else content
     where = f"{path.name}.json or {_INTRINSICS_FILE} beside {path}, or --intrinsics fx,fy,cx,cy"
     return query_of(path, known, where)
+
+
+def _scanner_app(content: Mapping[str, Any], file: Path) -> dict[str, Any]:
+    """Intrinsics, and gravity by ARKit's pose (camera y up and z backward, world y up), of a frame's file."""
+    K = _array(content.get("intrinsics"), (3, 3), "intrinsics", file)
+    world_T_arkit_cam = _array(content[_ARKIT_POSE], (4, 4), _ARKIT_POSE, file)
+    down = -world_T_arkit_cam[1, :3] * [1, -1, -1]
+    return {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2], "gravity": down}
 
 
 def _object(file: Path) -> dict[str, Any]:

@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 from board_scene import CAMERA, HEIGHT, TEST, WIDTH, Boards, other_board_picture
 from known import read_picture
+from scipy.spatial.transform import Rotation
 
 import groundwalk
 from groundwalk import UserError
 from groundwalk.artefacts import execute
 from groundwalk.artefacts.images import read_image
 from groundwalk.geometry.cameras import Camera
-from groundwalk.geometry.poses import make_pose, pose_from_tq
+from groundwalk.geometry.poses import make_pose, pose_from_tq, yaw_rotation
 from groundwalk.localisation.locate import app
 from groundwalk.localisation.stage import STAGE
+from groundwalk.runtime.queries import file_query
 from groundwalk.scoring.errors import position_error
 
 SMALL = ["max_features=300", "pairs_per_frame=5", "localisers.Map.max_points=400"]
@@ -149,6 +151,30 @@ def test_the_command_answers_one_image_on_standard_output(map_file: Path, boards
     done = locate(boards.image(ROW), "--map", map_file, *options)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["inliers"] >= 10 and "1 of 1 images localised" in done.stderr
+
+
+def test_a_frame_of_the_scanner_app_brings_intrinsics_and_gravity(boards: Boards, tmp_path: Path) -> None:
+    image = tmp_path / "frame_00007.jpg"
+    image.write_bytes(boards.image(ROW).read_bytes())
+    world_R_cam = yaw_rotation(np.array([0.4]))[0] @ Rotation.from_euler("xz", [20, -10], degrees=True).as_matrix()
+    world_R_cam = world_R_cam @ np.diag([1.0, -1.0, -1.0])  # the world's y is up, a level camera's down
+    pose = make_pose(world_R_cam @ np.diag([1.0, -1.0, -1.0]), np.array([1.0, 2.0, 3.0]))
+    K_9 = [CAMERA["fx"], 0, CAMERA["cx"], 0, CAMERA["fy"], CAMERA["cy"], 0, 0, 1]
+    frame = {"cameraPoseARFrame": pose.ravel().tolist(), "intrinsics": K_9}
+    image.with_suffix(".json").write_text(json.dumps(frame))
+    query = file_query(image, {})
+    assert query.camera == Camera(WIDTH, HEIGHT, *FOUR)
+    assert query.gravity == pytest.approx(world_R_cam.T @ [0, -1, 0])
+    image.with_suffix(".json").write_text(json.dumps(frame | {"intrinsics": K_9[:4]}))
+    with pytest.raises(UserError, match="intrinsics isn't"):
+        file_query(image, {})
+
+
+def test_a_folder_of_which_nothing_can_be_asked_is_an_error(map_file: Path, boards: Boards, tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(boards.image(ROW).read_bytes())
+    done = locate(tmp_path, "--map", map_file)
+    assert done.returncode == 2 and "no image of the folder can be asked" in done.stderr
+    assert json.loads(done.stdout)["refusal"] == "bad_input" and "no intrinsics" in done.stderr
 
 
 def test_the_command_says_what_is_wrong(
