@@ -1,7 +1,7 @@
 """The loss and gradient of a batch: on a GPU, where the model allows it, as one CUDA graph.
 
-MS-T's step is three thousand kernels of some microseconds each, and a processor takes four times as long to launch them
-as a GPU to run them (docs/results/training-cuda.md). Recorded once for each shape of a batch, they are launched as one.
+MS-T's step is three thousand kernels of some microseconds each, which a processor takes longer to launch one by one
+than a GPU to run. Recorded once for each shape of a batch, they are launched as one.
 """
 
 from collections.abc import Callable
