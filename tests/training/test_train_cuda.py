@@ -22,15 +22,20 @@ CUDA, VIEW = torch.device("cuda"), View(32, 32)
 
 
 def made(name: str, poses: PoseBatch, random: bool = True) -> tuple[PoseRegressor, RegressorSettings]:
-    """A regressor with its first weights, on the CPU; `random`: with dropout."""
+    """A regressor with its first weights, on the CPU; `random`: with dropout and stochastic depth."""
     torch.manual_seed(0)
     entry = REGRESSORS[name]
     changes = {"batch": 8, "epochs": 5, "copies": 1}
     if not random:
-        changes |= dict.fromkeys(("dropout", "attention_dropout", "stochastic_depth"), 0)
+        changes["stochastic_depth"] = 0
     fields = entry.settings.model_fields
     chosen = entry.settings.model_validate({key: value for key, value in changes.items() if key in fields})
     model = entry.make(chosen, 1, False)
+    for module in model.modules() if not random else ():
+        if isinstance(module, torch.nn.Dropout):
+            module.p = 0.0
+        if isinstance(module, torch.nn.MultiheadAttention):
+            module.dropout = 0.0
     model.initialise(poses, chosen, Path("nowhere"))
     points = torch.rand(2, 500, 3)
     model.see_map(MapPoints(20 * points[0] - 10, points[1], 40.0))
