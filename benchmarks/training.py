@@ -8,7 +8,6 @@ products alone would take. Writes docs/results/training.md and .csv, of a GPU tr
 
 import csv
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import torch
 import typer
-from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
@@ -27,10 +25,9 @@ from groundwalk.artefacts.cli import new_app
 from groundwalk.training.data import Frames, ImageCache, Jitter, View, normalised
 from groundwalk.training.loop import make_optimiser
 from groundwalk.training.models.ms_transformer import MSTransformer
-from groundwalk.training.models.regressor import PoseBatch, PoseRegressor
-from groundwalk.training.precision import WORDS, Precision, autocast
+from groundwalk.training.models.regressor import PoseRegressor
+from groundwalk.training.precision import WORDS, Precision, gradient_step, seconds_on
 from groundwalk.training.regressors import REGRESSORS
-from groundwalk.training.steps import GradientStep
 
 app = new_app(__doc__ or "")
 _CROP, _SHORT, _LONG, _IMAGES = 224, 256, 341, 16
@@ -46,10 +43,7 @@ class Timer:
     steps: int
 
     def now(self) -> float:
-        if self.device.type == "cpu":
-            return time.process_time()
-        torch.cuda.synchronize(self.device)
-        return time.perf_counter()
+        return seconds_on(self.device)
 
     def median_s(self, step: Callable[[], None]) -> float:
         """Of the steps after the first, which chooses kernels and allocates."""
@@ -120,11 +114,7 @@ def _ours(model: str, frames: Frames, precision: Precision, timer: Timer) -> Spe
     rng = np.random.default_rng(0)
     loading: list[float] = []
 
-    def loss_of(inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
-        with autocast(precision, timer.device):
-            return net.loss(inputs[0], poses)
-
-    gradient = GradientStep(net, loss_of, record=net.recordable and timer.device.type == "cuda")
+    gradient = gradient_step(net, precision, timer.device)
 
     def step() -> None:
         start = timer.now()

@@ -19,7 +19,7 @@ from groundwalk.training.data import Frames, Jitter, Turns, View, normalised
 from groundwalk.training.evaluation import errors, pose_errors
 from groundwalk.training.features import feature_cache
 from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch, PoseRegressor
-from groundwalk.training.precision import Precision, autocast
+from groundwalk.training.precision import Precision, gradient_step
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.steps import GradientStep
 
@@ -53,11 +53,7 @@ class Source(Protocol):
         """Called once before the first epoch, after the checkpoint of a resumed run is loaded."""
 
     def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], PoseBatch]:
-        """What the loss of some rows is computed from, and the true poses."""
-        ...
-
-    def loss(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
-        """The training loss of a batch."""
+        """What the loss of some rows is computed from (see `gradient_step`), and the true poses."""
         ...
 
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -83,10 +79,6 @@ class ImageSource:
         image, poses = self.training.select(rows).training_crops(self.run.view, turns, rng, self.run.device)
         image = normalised(Jitter(*self.settings.jitter).apply(image, rng))
         return (image.contiguous(memory_format=torch.channels_last),), poses
-
-    def loss(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
-        with autocast(self.run.precision, self.run.device):
-            return self.model.loss(inputs[0], poses)
 
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return pose_errors(self.model, self.held_out, self.run.view, self.run.device)
@@ -121,10 +113,6 @@ class FeatureSource:
 
     def batch(self, rows: NDArray[np.int64], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], PoseBatch]:
         return self.cache.rows(rows, self.run.device)
-
-    def loss(self, inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
-        with autocast(self.run.precision, self.run.device):
-            return self.model.feature_loss(inputs, poses)
 
     @torch.no_grad()
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -163,7 +151,7 @@ def train(
         optimiser.load_state_dict(saved["optimiser"])
         history, best = saved["history"], saved["best"]
     source.prepare(resumed=bool(history))
-    gradient = GradientStep(model, source.loss, record=model.recordable and run.device.type == "cuda")
+    gradient = gradient_step(model, run.precision, run.device)
 
     report(len(history))
     saved_at = time.monotonic()

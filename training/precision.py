@@ -36,6 +36,19 @@ def autocast(precision: Precision, device: torch.device) -> Iterator[None]:
         yield
 
 
+def gradient_step(model: PoseRegressor, precision: Precision, device: torch.device) -> GradientStep:
+    """The regressor's loss and gradient in a precision, recorded where a GPU can run it so. Its inputs are images, of a
+    FrozenRegressor the reduced features."""
+
+    def loss(inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
+        with autocast(precision, device):
+            if isinstance(model, FrozenRegressor):
+                return model.feature_loss(inputs, poses)
+            return model.loss(inputs[0], poses)
+
+    return GradientStep(model, loss, record=model.recordable and device.type == "cuda")
+
+
 def step_seconds(
     model: PoseRegressor, training: Frames, batch: int, view: View, device: torch.device
 ) -> dict[Precision, float]:
@@ -53,21 +66,12 @@ def step_seconds(
         image, poses = image.contiguous(memory_format=torch.channels_last), frames.poses(device)
         inputs = model.reduced_features(image) if isinstance(model, FrozenRegressor) else (image,)
 
-        def gradient(precision: Precision) -> GradientStep:
-            def loss(inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
-                with autocast(precision, device):
-                    if isinstance(model, FrozenRegressor):
-                        return model.feature_loss(inputs, poses)
-                    return model.loss(inputs[0], poses)
-
-            return GradientStep(model, loss, record=model.recordable and device.type == "cuda")
-
-        gradients = {precision: gradient(precision) for precision in WORDS}
+        gradients = {precision: gradient_step(model, precision, device) for precision in WORDS}
 
         def step(precision: Precision) -> float:
-            started = _now(device)
+            started = seconds_on(device)
             gradients[precision](inputs, poses)
-            return _now(device) - started
+            return seconds_on(device) - started
 
         seconds: dict[Precision, float] = dict.fromkeys(WORDS, math.inf)
         step("fp32")  # the first steps choose kernels and allocate
@@ -90,7 +94,7 @@ def faster(seconds: dict[Precision, float]) -> Precision:
     return "bf16" if seconds["bf16"] * _GAIN <= seconds["fp32"] else "fp32"
 
 
-def _now(device: torch.device) -> float:
+def seconds_on(device: torch.device) -> float:
     """Seconds, of the processor or of the clock, after what the device has been asked for is done."""
     if device.type == "cpu":
         return time.process_time()

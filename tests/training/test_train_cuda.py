@@ -12,7 +12,7 @@ from groundwalk.training.data import View, normalised
 from groundwalk.training.evaluation import answers, pose_errors
 from groundwalk.training.loop import Run, take_best, train
 from groundwalk.training.models.regressor import FrozenRegressor, MapPoints, PoseBatch, PoseRegressor
-from groundwalk.training.precision import step_seconds
+from groundwalk.training.precision import gradient_step, step_seconds
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.regressors import REGRESSORS
 from groundwalk.training.steps import GradientStep
@@ -74,13 +74,9 @@ def test_a_recorded_step_is_the_same_step(tmp_path: Path, name: str) -> None:
     if isinstance(model, FrozenRegressor):
         model.fit_features(model.features(normalised(frames.centre_crops(VIEW, CUDA))))
 
-    def loss(inputs: tuple[Tensor, ...], poses: PoseBatch) -> Tensor:
-        if isinstance(model, FrozenRegressor):
-            return model.feature_loss(inputs, poses)
-        (image,) = inputs
-        return model.loss(image, poses)
-
-    plain, recorded = (GradientStep(model, loss, record) for record in (False, True))
+    recorded = gradient_step(model, "fp32", CUDA)
+    plain = GradientStep(model, recorded.loss, record=False)
+    assert recorded.record
     before = {key: value.clone() for key, value in model.state_dict().items()}
     for count, first in ((9, 0), (6, 9), (9, 15), (6, 24)):
         values, gradients, buffers = [], [], []
