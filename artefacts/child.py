@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -18,6 +18,11 @@ from groundwalk.artefacts.progress import Reporter
 from groundwalk.artefacts.signals import signals_held_from_workers
 
 _TAIL_LINES = 15
+# Processes are forked, from one that does nothing else. Elsewhere system libraries don't bear a fork.
+if sys.platform == "linux":
+    _CONTEXT = multiprocessing.get_context("forkserver")
+else:
+    _CONTEXT = multiprocessing.get_context("spawn")
 
 
 class Report(Protocol):
@@ -31,13 +36,11 @@ class Task:
     """`function(report, *arguments)` in a process of its own.
 
     `function` is importable; its arguments and result can be pickled. `total` counts its items, where that is known.
-    `environment` is added to the process's variables before any library loads.
     """
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
     total: int | None = None
-    environment: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -55,6 +58,12 @@ class ProcessDied(UserError):
     def __init__(self, what: str, *, exit_code: int | None = None, **details: Any) -> None:
         super().__init__(what, **details)
         self.exit_code = exit_code
+
+
+def preload(*modules: str) -> None:
+    """Name what the tasks of this process import, before the first one starts: where processes are forked, from one
+    that does nothing else, it is imported there, once."""
+    _CONTEXT.set_forkserver_preload(list(modules))
 
 
 def in_child(text: str, log: Path, remedy: str, task: Task) -> Any:
@@ -91,10 +100,9 @@ def in_children(text: str, log: Path, remedy: str, tasks: list[Task]) -> list[An
 
 
 def _start(task: Task, log: Path) -> _Running:
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(there, log, task.function, task.arguments), daemon=True)
-    with _added_to_environment(task.environment), _hidden_main(), signals_held_from_workers():
+    here, there = _CONTEXT.Pipe(duplex=False)
+    process = _CONTEXT.Process(target=_work, args=(there, log, task.function, task.arguments), daemon=True)
+    with _hidden_main(), signals_held_from_workers():
         process.start()
     there.close()
     return _Running(process, here)
@@ -109,17 +117,6 @@ def _hidden_main() -> Iterator[None]:
         yield
     finally:
         sys.modules["__main__"] = main
-
-
-@contextlib.contextmanager
-def _added_to_environment(variables: Mapping[str, str]) -> Iterator[None]:
-    before = dict(os.environ)
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
 
 
 def _receive(one: _Running, text: str, log: Path, remedy: str) -> None:

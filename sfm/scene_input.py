@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.artefacts import StageRun, UserError
-from groundwalk.artefacts.child import Task, in_child
+from groundwalk.artefacts.child import Task, in_child, preload
 from groundwalk.artefacts.choices import Tracking
 from groundwalk.artefacts.hints import run_command
 from groundwalk.artefacts.tables import poses_of
@@ -25,13 +25,14 @@ from groundwalk.sfm.cameras.motion import motion_by_vio
 from groundwalk.sfm.database import create_database, image_name, keypoint_counts
 from groundwalk.sfm.pairs.candidates import unique_pairs
 from groundwalk.sfm.pairs.features import extract_features, features_name
-from groundwalk.sfm.pairs.matching import ONE_THREAD, try_networks
+from groundwalk.sfm.pairs.matching import try_networks
 from groundwalk.sfm.pairs.networks import model_files, require_model_files
 from groundwalk.sfm.pairs.odometry import Odometry, odometry
 from groundwalk.sfm.pairs.selection import pairs_within_sessions
 from groundwalk.sfm.settings import SfmSettings
 
 MIN_FRAMES = 3
+_OF_TASKS = ("groundwalk.sfm.cameras.calibration", "groundwalk.sfm.mapping.build", "groundwalk.sfm.pairs.features")
 MEMORY_HINT = "too little memory needs a smaller sfm.max_image_size or sfm.max_features"
 
 
@@ -69,6 +70,7 @@ def prepare_scene(r: StageRun[SfmSettings]) -> SceneInput:
             do="capture more, or let import keep more (its table rejects says what was left out and why)",
         )
     log = r.scratch / "colmap.log"
+    preload(*_OF_TASKS)
     if model_files(r.settings):
         require_model_files(r.settings)
         in_child("trying the networks", log, MEMORY_HINT, Task(try_networks, (r.settings,)))
@@ -163,7 +165,7 @@ def _calibrated(r: StageRun[SfmSettings], scene: SceneInput) -> SceneInput:
             pairs = unique_pairs(np.concatenate([pairs for _, pairs in proposals]))
             images = CalibrationImages(database, scene.frames, scene.names, scene.cameras.motion)
             arguments = (images, pairs, scene.cameras.calibration, r.settings, r.seed, path)
-            scene.in_child("calibrating lenses", Task(calibrate, arguments, None, ONE_THREAD))
+            scene.in_child("calibrating lenses", Task(calibrate, arguments, None))
     calibration = Calibration.load(path)
     frames = with_lenses(scene.frames, calibration)
     motion = motion_by_vio(frames, r.read("import", "vio"), calibration.time_offset_s[calibration.lens])

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from groundwalk.artefacts.child import Report
 from groundwalk.artefacts.choices import CameraOrigin
 from groundwalk.artefacts.files import written_aside
+from groundwalk.artefacts.parallel import one_thread
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.lens import distort, max_shift, undistort
 from groundwalk.geometry.poses import Array, inverse, make_pose
@@ -202,6 +203,7 @@ class CalibrationImages:
     motion: Motion
 
 
+@one_thread()
 def calibrate(
     report: Report,
     images: CalibrationImages,

@@ -18,7 +18,7 @@ from groundwalk.sfm.mapping.mappers import MappingInput
 from groundwalk.sfm.mapping.source import VerifiedPairs
 from groundwalk.sfm.model import Model, load_models
 from groundwalk.sfm.pairs.candidates import first_origins
-from groundwalk.sfm.pairs.matching import ONE_THREAD, MatchedPairs, guide_pairs, match_pairs
+from groundwalk.sfm.pairs.matching import MatchedPairs, guide_pairs, match_pairs
 from groundwalk.sfm.pairs.networks import model_files
 from groundwalk.sfm.pairs.odometry import PairLimits, nothing_compared
 from groundwalk.sfm.pairs.selection import Proposals, pairs_across_sessions, pairs_of_chains, pairs_within_sessions
@@ -103,7 +103,7 @@ def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, 
         pairs, origin = first_origins(proposals, len(scene.names))
         if not has_results(database, pairs).all():
             arguments = (database, scene.names, pairs, settings, seed)
-            scene.in_child(text, Task(match_pairs, arguments, len(pairs), ONE_THREAD))
+            scene.in_child(text, Task(match_pairs, arguments, len(pairs)))
         matches, inliers = read_pair_results(database, pairs)
         return MatchedPairs(pairs, origin, matches, inliers, settings.min_inliers, nothing_compared(len(pairs)))
 
@@ -114,7 +114,7 @@ def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, 
         matched = match("matching pairs that share a partner")
     weak = matched.pairs[matched.weak]
     if len(weak) and not model_files(settings):
-        scene.in_child("matching weak pairs", Task(guide_pairs, (database, weak), len(weak), ONE_THREAD))
+        scene.in_child("matching weak pairs", Task(guide_pairs, (database, weak), len(weak)))
         matched = replace(matched, inliers=read_pair_results(database, matched.pairs)[1])
     return matched
 

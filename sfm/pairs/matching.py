@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from groundwalk.artefacts.child import Report
 from groundwalk.artefacts.choices import PairStatus
 from groundwalk.artefacts.cores import usable_cores
+from groundwalk.artefacts.parallel import one_thread
 from groundwalk.geometry.epipolar import epipolar_px
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import Ints, has_results, image_id
@@ -31,8 +32,6 @@ _GUIDE = 0.002  # of an image's longer side: how far from its epipolar line a gu
 # Verified pairs with fewer inliers are matched again where one of their frames has fewer pairs of so many matches.
 _GOOD_PAIRS, _MANY_MATCHES = 3, 200
 _FEW_INLIERS = 100
-ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
-"""Environment of the process that matches: pairs are matched side by side, each on one thread."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +111,7 @@ def try_networks(report: Report, settings: SfmSettings) -> None:
         raise cannot_run(settings, error) from None
 
 
+@one_thread()
 def match_pairs(
     report: Report, database: Path, names: Sequence[str], pairs: Pairs, settings: SfmSettings, seed: int
 ) -> None:
@@ -146,6 +146,7 @@ def _match_by_network(
     pycolmap.match_image_pairs(database, matching_options(settings), pairing, verification, pycolmap.Device.cpu)
 
 
+@one_thread()
 def guide_pairs(report: Report, database: Path, pairs: Pairs) -> None:
     """Match verified pairs of rows (P, 2) again, by SIFT along the epipolar lines of their essential matrices.
 

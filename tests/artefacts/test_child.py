@@ -50,6 +50,24 @@ def test_the_child_does_without_its_parents_main_module(tmp_path: Path) -> None:
     assert done.stdout.split() == ["main", "42"]
 
 
+def _has_zipapp(report: Report) -> bool:
+    return "zipapp" in sys.modules
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+def test_a_child_has_what_was_named_before_it_started(tmp_path: Path) -> None:
+    script = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from groundwalk.artefacts.child import preload\n"
+        f"from {Path(__file__).stem} import _has_zipapp, in_child, Path, Task\n"
+        "preload(*sys.argv[1:])\n"
+        f"print(in_child('looking', Path({str(tmp_path / 'log')!r}), '', Task(_has_zipapp)))\n"
+    )
+    for modules in ([], ["zipapp"]):
+        done = subprocess.run([sys.executable, "-c", script, *modules], capture_output=True, text=True, check=True)
+        assert done.stdout.strip() == str(bool(modules))
+
+
 def test_an_error_in_the_child_is_raised_here(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="the setting is wrong"):
         in_child("refusing", tmp_path / "log", "", Task(_refuse))
