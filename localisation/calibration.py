@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
@@ -92,6 +92,6 @@ def _fitted(errors: Array, covariances: Array, min_inliers: int) -> Calibration:
 
     best = minimize(cost, np.log([1.5, 1e-4, 1e-3]), method="Nelder-Mead", options={"maxiter": 400})
     squares = normalised_squares(errors, grown(best.x))
-    short = max(np.quantile(s, 0.95) for s in squares) / chi2.ppf(0.95, 3)
+    short = max(np.quantile(s, 0.95) for s in squares) / chdtri(3, 0.05)
     factor, rotation, position = np.exp(best.x) * np.sqrt(max(short, 1.0))
     return Calibration(min_inliers, float(factor), float(position), float(rotation))

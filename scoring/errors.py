@@ -7,14 +7,14 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from groundwalk.geometry.poses import Array, inverse, quaternion_angle, relative, rotation_angle, tq_from_pose
 
 # (metres, degrees): high, medium and low accuracy.
 ACCURACY_LEVELS = {"high": (0.25, 2.0), "medium": (0.5, 5.0), "low": (5.0, 10.0)}
 # 95 % of a chi square with 3 degrees of freedom, a position's or a rotation's.
-BOUND_95 = float(chi2.ppf(0.95, 3))
+BOUND_95 = float(chdtri(3, 0.05))
 # Quality classes of ground truth that lies within every accuracy level's bounds with 95 % (2.8 sigma, three axes):
 # A within 0.06 m and 0.3 degrees, B within 0.14 m and 0.9 degrees. C has no limits, so it promises nothing.
 SURE_CLASSES = ("A", "B")

@@ -10,7 +10,7 @@ from math import radians
 import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from groundwalk.fusion.methods.localiser import Estimate, State, Status, array, plain
 from groundwalk.fusion.methods.odometry import OdometryLocaliser, OdometryOptions, raw
@@ -32,7 +32,7 @@ class ErrorState(OdometryLocaliser):
     def __init__(self, options: ErrorStateOptions | None = None) -> None:
         super().__init__()
         self.options: ErrorStateOptions = options or ErrorStateOptions()
-        self._limit = float(chi2.ppf(self.options.gate, 6))
+        self._limit = float(chdtri(6, 1 - self.options.gate))
         variances = [radians(self.options.rotation_sd_deg) ** 2, self.options.position_sd_m**2]
         self._noise = np.diag(np.repeat(variances, 3))
         self._forget()

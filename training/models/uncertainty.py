@@ -2,7 +2,7 @@
 exp(rotation) estimated rotation`, as in the tables of poses."""
 
 import torch
-from scipy.stats import chi2, f
+from scipy.special import chdtri, fdtri
 from torch import Tensor, nn
 
 from groundwalk.training.models.regressor import PoseBatch, SceneFrames
@@ -75,7 +75,7 @@ def widening(frames: int) -> float:
     """By what 95 % bounds of three numbers grow since their variances are known from so many frames only: those of
     Hotelling's distribution over those of chi square. Fewer than three frames count as three."""
     n = max(frames, _MIN_FRAMES)
-    return float(3 * n / (n - 2) * f.ppf(0.95, 3, n - 2) / chi2.ppf(0.95, 3))
+    return float(3 * n / (n - 2) * fdtri(3, n - 2, 0.95) / chdtri(3, 0.05))
 
 
 class CovarianceScale(nn.Module):
