@@ -247,7 +247,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=12,
+    version=13,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

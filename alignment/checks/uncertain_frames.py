@@ -16,6 +16,9 @@ from groundwalk.artefacts.choices import CheckName, FailureCause, QualityClass
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import relative
 
+# Steps between certain frames that tell how far VIO drifts, and the share of them that is within it.
+_MIN_STEPS, _MOST = 20, 0.99
+
 
 class _UncertainRows(NamedTuple):
     """Rows of a session's uncertain frames, and those of them that VIO contradicts."""
@@ -31,9 +34,9 @@ def check_uncertain_frames(
     why a frame is of class C for another reason.
 
     A frame of class A or B needs no confirmation: its 95 % bounds of 0.3 degrees are 7 cm after 5 m, and VIO drifts as
-    far. One of class C must move as VIO does, within a tighter limit than elsewhere; where most of a session's don't,
-    none of them gets ground truth. That is a fault of the session where it excludes too many frames. The fraction is a
-    count: it has no standard error.
+    far. One of class C must move as VIO does, within a tighter limit than elsewhere, or as the session's certain frames
+    do; where most of a session's don't, none of them gets ground truth. That is a fault of the session where it
+    excludes too many frames. The fraction is a count: it has no standard error.
     """
     covariance, results = sfm_covariances(inputs.sfm.images["covariance"]), []
     for component in (c for c in components if c.scale.is_known):
@@ -58,7 +61,10 @@ def _check(rows: _UncertainRows, subject: Subject, settings: AlignSettings) -> C
     )
     fraction, limit = Quantity(len(excluded) / subject.frames), 1 - settings.min_consistent_fraction
     result = evaluate(CheckName.SESSION_UNCERTAIN, subject, fraction, limit, failure)
-    reason = f"uncertain pose in SfM, inconsistent with VIO by more than {settings.max_uncertain_deviation:.1%}"
+    reason = (
+        f"uncertain pose in SfM, inconsistent with VIO by more than {settings.max_uncertain_deviation:.1%} "
+        "and than certain ones"
+    )
     return replace(result, exclusions=(Exclusion(excluded, reason),))
 
 
@@ -77,22 +83,24 @@ def _uncertain_rows(
 
 def _inconsistent(part: Segment, metric_S_sfm: Sim3, is_certain: np.ndarray, settings: AlignSettings) -> np.ndarray:
     """Which frames (N,) with both poses are uncertain and contradicted by VIO: over a path of `uncertain_step_m` to
-    three times that, relative positions differ by more than the allowed fraction of it.
+    three times that, relative positions differ by more than the allowed fraction of it, and by more than those of all
+    but a few steps between certain frames: VIO itself may drift by that much here.
 
     The worst frame is excluded first, until no step with an uncertain frame is contradicted.
     """
     along, step_m = part.travelled_m, settings.uncertain_step_m
     first, last = np.nonzero((along[None] - along[:, None] >= step_m) & (along[None] - along[:, None] <= 3 * step_m))
-    has_uncertain = ~is_certain[first] | ~is_certain[last]
-    first, last = first[has_uncertain], last[has_uncertain]
     sfm, vio = metric_S_sfm.poses(part.sfm_T_cam), part.vio_T_cam
     difference = relative(sfm[first], sfm[last])[:, :3, 3] - relative(vio[first], vio[last])[:, :3, 3]
-    limits_m = settings.max_uncertain_deviation * (along[last] - along[first])
-    excess = np.linalg.norm(difference, axis=1) / limits_m
-    is_contradicted = excess > 1
+    deviation = np.linalg.norm(difference, axis=1) / (along[last] - along[first])
+    between_certain = deviation[is_certain[first] & is_certain[last]]
+    limit = settings.max_uncertain_deviation
+    if len(between_certain) >= _MIN_STEPS:
+        limit = max(limit, float(np.quantile(between_certain, _MOST)))
+    is_contradicted = (deviation > limit) & ~(is_certain[first] & is_certain[last])
     excluded = np.zeros(len(along), dtype=bool)
     while is_contradicted.any():
-        a, b, by = first[is_contradicted], last[is_contradicted], excess[is_contradicted]
+        a, b, by = first[is_contradicted], last[is_contradicted], deviation[is_contradicted]
         contradictions = np.bincount(a, by, len(along)) + np.bincount(b, by, len(along))
         worst = int(np.argmax(np.where(is_certain, 0.0, contradictions)))
         excluded[worst] = True

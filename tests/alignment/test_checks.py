@@ -277,6 +277,23 @@ def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks: Walks) -> None:
     assert check.subject.session_id == "walk0" and check.cause == FailureCause.VIO_INCONSISTENT
 
 
+def test_an_uncertain_frame_may_differ_from_vio_as_certain_ones_do(walks: Walks) -> None:
+    """VIO drifts by 3 %, which the certain frames around show."""
+    scene = walks.make(frames=60, sfm_m=0.003, sfm_deg=0.02)
+    rows = of_walk(scene, 0)
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[rows, :3, 3] = sfm[rows[0], :3, 3] + 1.03 * (sfm[rows, :3, 3] - sfm[rows[0], :3, 3])
+    scene.set_sfm(sfm)
+    unsure = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
+    middle = [rows[30]]
+    scene.images.loc[middle, "covariance"] = pd.Series(unsure, dtype=object).iloc[middle]
+    assert run(scene).has_ground_truth.all()
+
+    sfm[middle, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])
+    scene.set_sfm(sfm)
+    assert np.flatnonzero(~run(scene).has_ground_truth).tolist() == middle
+
+
 def test_one_unsure_frame_that_is_off_goes_alone(walks: Walks) -> None:
     scene = walks.make(frames=30, sfm_m=0.002, sfm_deg=0.02)
     scene.images["covariance"] = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
