@@ -1,7 +1,6 @@
 """The sfm stage: import's frames in, COLMAP models over all sessions out, one where the images allow it."""
 
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -35,9 +34,9 @@ from groundwalk.sfm.tables import (
 )
 
 RESIDUALS_PLOT = "residuals.png"
-# Blobs of one surface are a little off alike, which the adjustment follows, so residuals don't show it: by what all
-# variances are larger (docs/explanation/sfm.md).
-_OF_SURFACES = 1.5
+# By how much features of one surface shift alike where the view turns by a radian, in pixels of the images that they
+# were taken from: the adjustment follows, so residuals don't show it (docs/explanation/sfm.md).
+_SURFACE_PX = 0.07
 _MAX_COHERENCE = 4.0
 AdjustedModels = list[tuple[Adjusted, NDArray[np.int64]]]
 
@@ -51,7 +50,8 @@ def run(r: StageRun[SfmSettings]) -> None:
     with r.step("quality"):
         adjusted = [load_adjusted(made.folder / f"{entry.folder}.npz") for entry in selected]
         cameras = cameras_of_frames(scene.cameras, adjusted)
-        covariance, estimates = _covariances(r, len(frame_ids), selected, adjusted)
+        shrinking = scene.frames[["width", "height"]].max(axis=1).to_numpy(float) / made.settings.max_image_size
+        covariance, estimates = _covariances(r, _SURFACE_PX * np.maximum(shrinking, 1.0), selected, adjusted)
         check = held_out_check(read_matches(made.mapping_input), cameras, model.sfm_T_cam, model.model)
         images = images_table(frame_ids, model, selected, made.keypoints, check, cameras, covariance)
         calibration = scene.cameras.calibration
@@ -114,19 +114,18 @@ def _residuals(scene: SceneInput, selected: list[BuiltModel], adjusted: Adjusted
 
 
 def _covariances(
-    r: StageRun[SfmSettings], frames: int, selected: list[BuiltModel], adjusted: AdjustedModels
+    r: StageRun[SfmSettings], surface_px_N: Array, selected: list[BuiltModel], adjusted: AdjustedModels
 ) -> tuple[Array, list[Covariances | None]]:
     """(N, 6, 6), NaN for frames without one, and each selected model's covariances of frames and cameras."""
-    covariance, estimates = np.full((frames, 6, 6), np.nan), []
+    covariance, estimates = np.full((len(surface_px_N), 6, 6), np.nan), []
     for entry, (one, rows) in zip(selected, adjusted, strict=True):
         estimate = None
         if entry.images > r.settings.covariance_max_images:
             limit = f"limit {r.settings.covariance_max_images} (sfm.covariance_max_images)"
             r.say(f"model {entry.model_id}: no covariances: {entry.images} frames, {limit}")
-        elif (estimate := covariances(one, blobs_of(one.bundle))) is None:
+        elif (estimate := covariances(one, blobs_of(one.bundle), float(np.median(surface_px_N[rows])))) is None:
             r.say(f"model {entry.model_id}: no covariances: too few points")
         else:
-            estimate = replace(estimate, poses=_OF_SURFACES * estimate.poses, shared=_OF_SURFACES * estimate.shared)
             covariance[rows] = estimate.poses
             r.figure(f"coherence_rows_{entry.folder}", estimate.by_rows)
             r.figure(f"coherence_cells_{entry.folder}", estimate.by_cell)
@@ -142,7 +141,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=28,
+    version=29,
     settings=SfmSettings,
     needs=("import",),
     run=run,

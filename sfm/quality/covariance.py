@@ -32,6 +32,7 @@ from groundwalk.sfm.cameras.normal_equations import block_rows, inverse_of, simi
 _POINTS_PER_UNKNOWN = 2
 # Parts of the image in which errors of the cameras' model are alike.
 _BANDS, _COLUMNS = 6, 8
+_HALVINGS = 3  # of the points, into parts whose features shift alike
 _CHUNK = 64  # frames at once, for memory
 
 
@@ -48,8 +49,9 @@ class Covariances:
     by_cell: float
 
 
-def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
+def covariances(adjusted: Adjusted, blob_P: Ints, surface_px: float = 0.0) -> Covariances | None:
     """None where there are too few points to tell. `blob_P` numbers the blob of the images that each point is of.
+    `surface_px`: sd of the shifts that features of one part of the scene have in common (`_of_surfaces`).
 
     Nothing is assumed of the noise but that errors of two blobs have nothing to do with each other: those of one blob
     in the frames that see it hang together, as its features slide with the view, and points of one blob share them. So
@@ -79,14 +81,17 @@ def covariances(adjusted: Adjusted, blob_P: Ints) -> Covariances | None:
     fitted = np.sqrt(2 * track_length / np.maximum(2 * track_length - 3, 1))[bundle.point]
     force = _forces(linear, weight, fitted[:, None] * linear.residual, bundle.point, system.point_inverse)
     by_blob = _rows_of_unknowns(force, adjusted, blob_P[bundle.point], blobs)
+    by_surface = surface_px * _of_surfaces(adjusted, linear, weight, system.point_inverse)
     middle = _dense(by_blob, variance**2 * information)
-    of_shared = inverse[10 * frames :]
-    poses = _gauge_free_sandwich(inverse, middle, bundle.sfm_T_cam[:, :3, 3])
     by_rows, by_cell = coherence(adjusted, linear.residual, blob_P)
-    # The part of the images grows, that of the priors doesn't.
-    moved = by_blob.T @ of_shared.T
-    shared = of_shared @ middle @ of_shared.T + (max(by_rows, by_cell) - 1) * moved.T @ moved
-    return Covariances(by_rows * poses, shared, by_rows, by_cell)
+    of_shared = inverse[10 * frames :]
+    # The part of the blobs grows with what they have in common, that of the priors doesn't.
+    by_blobs, by_surfaces = by_blob.T @ of_shared.T, by_surface.T @ of_shared.T
+    shared = of_shared @ middle @ of_shared.T + (max(by_rows, by_cell) - 1) * by_blobs.T @ by_blobs
+    middle *= by_rows
+    middle += by_surface @ by_surface.T
+    poses = _gauge_free_sandwich(inverse, middle, bundle.sfm_T_cam[:, :3, 3])
+    return Covariances(poses, shared + by_surfaces.T @ by_surfaces, by_rows, by_cell)
 
 
 def _dense(by_blob: csr_array, information: csr_array) -> Array:
@@ -97,6 +102,45 @@ def _dense(by_blob: csr_array, information: csr_array) -> Array:
         rows = slice(first, first + 10 * _CHUNK)
         middle[rows] += (by_blob[rows] @ transposed).toarray()
     return middle
+
+
+def _of_surfaces(adjusted: Adjusted, linear: Linearization, weight_M: Array, point_inverse: Array) -> Array:
+    """What shifts of features that are alike on one part of the scene pull each unknown by, (10 N + G, shifts).
+
+    Where a blob appears to be changes with the direction from which its surface is seen, and so does where its
+    neighbours on it appear to be. To first order that is a shift along each axis of the image for each component of the
+    direction: a pixel for a component of 1. The scene's parts are its points halved at the median of the axis along
+    which they lie widest, three times.
+    """
+    bundle = adjusted.bundle
+    part_M = _parts(bundle.xyz)[bundle.point]
+    parts = int(part_M.max()) + 1
+    offset = bundle.xyz[bundle.point] - bundle.sfm_T_cam[bundle.frame, :3, 3]
+    direction = offset / np.linalg.norm(offset, axis=1, keepdims=True)
+    pulls = []
+    for component_M in (direction - (summed(direction, part_M, parts) / np.bincount(part_M)[:, None])[part_M]).T:
+        for axis in np.eye(2):
+            force = _forces(linear, weight_M, component_M[:, None] * axis, bundle.point, point_inverse)
+            pulls.append(_rows_of_unknowns(force, adjusted, part_M, parts).toarray())
+    return np.hstack(pulls)
+
+
+def _parts(xyz_P3: Array) -> Ints:
+    """Which part of the scene each point is in (P,)."""
+    members = [np.arange(len(xyz_P3))]
+    for _ in range(_HALVINGS):
+        members = [half for part in members for half in _halves(xyz_P3, part) if len(half)]
+    number = np.empty(len(xyz_P3), np.int64)
+    for k, part in enumerate(members):
+        number[part] = k
+    return number
+
+
+def _halves(xyz_P3: Array, members: Ints) -> tuple[Ints, Ints]:
+    xyz = xyz_P3[members]
+    widest = int(np.argmax(np.subtract(*np.percentile(xyz, [75, 25], axis=0))))
+    is_beyond = xyz[:, widest] > np.median(xyz[:, widest])
+    return members[~is_beyond], members[is_beyond]
 
 
 def _rows_of_unknowns(force_M15: Array, adjusted: Adjusted, blob_M: Ints, blobs: int) -> csr_array:

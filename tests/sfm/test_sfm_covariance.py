@@ -61,6 +61,31 @@ def test_normalised_errors_have_the_size_that_the_covariance_says(
     assert np.allclose(np.mean(rotation_too, axis=(0, 1)), 1, atol=0.35)
 
 
+def test_shifts_that_the_features_of_a_surface_share_are_part_of_the_covariance() -> None:
+    """The adjustment follows them, and no residual shows it."""
+    rng, surface_px = np.random.default_rng(8), 0.5
+    truth = _ring_of_cameras()
+    corner = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
+    surface = rng.integers(0, 8, _POINTS)
+    xyz = corner[surface] + rng.uniform(-0.5, 0.5, (_POINTS, 3))
+    frame, point = (index.ravel() for index in np.indices((_FRAMES, _POINTS)))
+    direction = xyz[point] - truth[frame, :3, 3]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    exact_px = _project(truth, xyz, frame, point)
+    squared = []
+    for _ in range(_RUNS):
+        shift_per_direction = rng.normal(0, surface_px, (8, 2, 3))[surface[point]]
+        shifted_px = exact_px + np.einsum("mij,mj->mi", shift_per_direction, direction)
+        observed_px = shifted_px + rng.normal(0, 0.05, exact_px.shape)
+        adjusted, adjusted_xyz = _bundle_adjusted(truth, xyz, observed_px.reshape(_FRAMES, _POINTS, 2))
+        bundle, error = Bundle(adjusted, adjusted_xyz, frame, point, observed_px), _error_without_gauge(truth, adjusted)
+        stated = [_covariances(bundle, surface_px=px) for px in (0.0, surface_px)]
+        squared.append([np.einsum("ni,nij,nj->n", error, np.linalg.inv(one.poses), error) for one in stated if one])
+    without, with_them = np.mean(squared, axis=(0, 2))
+    assert without > 30
+    assert 3 < with_them < 9
+
+
 def test_covariance_follows_the_gauge() -> None:
     truth = _ring_of_cameras()
     rng = np.random.default_rng(4)
@@ -123,7 +148,7 @@ def _covariance(bundle: Bundle, blobs: np.ndarray | None = None) -> Array | None
     return None if estimate is None else estimate.poses
 
 
-def _covariances(bundle: Bundle, blobs: np.ndarray | None = None) -> Covariances | None:
+def _covariances(bundle: Bundle, blobs: np.ndarray | None = None, surface_px: float = 0.0) -> Covariances | None:
     """Of a model adjusted with pinhole cameras that are known exactly."""
     size = np.array(_SIZE_PX) / 2
     cameras = Cameras(
@@ -142,7 +167,7 @@ def _covariances(bundle: Bundle, blobs: np.ndarray | None = None) -> Covariances
     one, rates = np.full(1, _EXACT), np.full((_FRAMES, 3), _EXACT)
     priors = CameraPriors(cameras, _EXACT**2 * np.eye(4)[None], one, one, rates)
     adjusted = Adjusted(bundle, cameras, priors, _LOSS_PX)
-    return covariances(adjusted, np.arange(len(bundle.xyz)) if blobs is None else blobs)
+    return covariances(adjusted, np.arange(len(bundle.xyz)) if blobs is None else blobs, surface_px)
 
 
 def _ring_of_cameras() -> Array:
