@@ -89,7 +89,8 @@ def covariances(adjusted: Adjusted, blob_P: Ints, surface_px: float = 0.0) -> Co
     by_blobs, by_surfaces = by_blob.T @ of_shared.T, by_surface.T @ of_shared.T
     shared = of_shared @ middle @ of_shared.T + (max(by_rows, by_cell) - 1) * by_blobs.T @ by_blobs
     middle *= by_rows
-    middle += by_surface @ by_surface.T
+    for first in range(0, len(middle), 10 * _CHUNK):
+        middle[first : first + 10 * _CHUNK] += by_surface[first : first + 10 * _CHUNK] @ by_surface.T
     poses = _gauge_free_sandwich(inverse, middle, bundle.sfm_T_cam[:, :3, 3])
     return Covariances(poses, shared + by_surfaces.T @ by_surfaces, by_rows, by_cell)
 
