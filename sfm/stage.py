@@ -1,6 +1,7 @@
 """The sfm stage: import's frames in, COLMAP models over all sessions out, one where the images allow it."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -37,6 +38,9 @@ RESIDUALS_PLOT = "residuals.png"
 # By how much features of one surface shift alike where the view turns by a radian, in pixels of the images that they
 # were taken from: the adjustment follows, so residuals don't show it (docs/explanation/sfm.md).
 _SURFACE_PX = 0.07
+# They also shift with the place in the image, alike in all frames: by what variances of lenses, readout times and focal
+# factors are larger.
+_OF_CAMERAS = 1.5
 _MAX_COHERENCE = 4.0
 AdjustedModels = list[tuple[Adjusted, NDArray[np.int64]]]
 
@@ -126,6 +130,7 @@ def _covariances(
         elif (estimate := covariances(one, blobs_of(one.bundle), float(np.median(surface_px_N[rows])))) is None:
             r.say(f"model {entry.model_id}: no covariances: too few points")
         else:
+            estimate = replace(estimate, shared=_OF_CAMERAS * estimate.shared)
             covariance[rows] = estimate.poses
             r.figure(f"coherence_rows_{entry.folder}", estimate.by_rows)
             r.figure(f"coherence_cells_{entry.folder}", estimate.by_cell)
@@ -141,7 +146,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=29,
+    version=30,
     settings=SfmSettings,
     needs=("import",),
     run=run,
