@@ -9,7 +9,7 @@ docs/results/regressors.md and .csv; there a case that isn't trained anew keeps 
 import csv
 import json
 import os
-import resource
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from benchmarks.results import circumstances, markdown_table
-from groundwalk.artefacts import DataRoot, UserError, execute
+from benchmarks.stages import measure
+from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.cli import new_app
 from groundwalk.artefacts.manifests import MANIFEST
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.stage import git_revision
 from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
-from groundwalk.training.stage import STAGE
 
 app = new_app(__doc__ or "")
 
@@ -130,12 +130,12 @@ def trained(work: Path, data: DataRoot, scene: str, profile: str, seed: int, set
     link(work / "captures" / scene, data.captures(scene))
     scores = work / f"{scene}.json"
     if not scores.exists():
-        before = processor_seconds()
-        folder = execute(STAGE, scene, profile, DataRoot(work), list(settings), seed)
-        seconds = processor_seconds() - before
-        predictions = read_table(folder / "predictions.parquet", schema("train", "predictions"))
+        sets = [word for setting in settings for word in ("--set", setting)]
+        options = ["--scene", scene, "--profile", profile, "--data", str(work), "--seed", str(seed), *sets]
+        cost = measure([sys.executable, "-m", "groundwalk.training", *options], run)
+        predictions = read_table(run / "predictions.parquet", schema("train", "predictions"))
         truth = read_table(run.parent / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
-        figures = errors_and_honesty(predictions, truth) | {"training": seconds}
+        figures = errors_and_honesty(predictions, truth) | {"training": cost.cpu_s}
         scores.write_text(json.dumps({"revision": git_revision(), "figures": figures}))
     content = json.loads(scores.read_text())
     return Training(seed, content["revision"], content["figures"])
@@ -149,12 +149,6 @@ def link(path: Path, target: Path) -> None:
         )
     if not path.is_symlink():
         path.symlink_to(target.resolve(), target_is_directory=True)
-
-
-def processor_seconds() -> float:
-    """Of this process and of its children that have ended."""
-    parts = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(part.ru_utime + part.ru_stime for part in parts)
 
 
 def ablation_settings(changes: Iterable[str]) -> list[str]:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import chdtri
 
 from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
@@ -14,7 +13,7 @@ from groundwalk.geometry.poses import Array, inverse, transform
 from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.compact import Calibration
 from groundwalk.localisation.query import MapLocaliser, with_lens
-from groundwalk.scoring.errors import normalised_squares, pose_error
+from groundwalk.scoring.errors import BOUND_95, normalised_squares, pose_error
 
 UNCALIBRATED = Calibration(min_inliers=6, covariance_factor=1.0, position_floor_m=0.0, rotation_floor_rad=0.0)
 # Queries have half as many features again as the frames that calibrate, and so more matches by chance.
@@ -92,6 +91,6 @@ def _fitted(errors: Array, covariances: Array, min_inliers: int) -> Calibration:
 
     best = minimize(cost, np.log([1.5, 1e-4, 1e-3]), method="Nelder-Mead", options={"maxiter": 400})
     squares = normalised_squares(errors, grown(best.x))
-    short = max(np.quantile(s, 0.95) for s in squares) / chdtri(3, 0.05)
+    short = max(np.quantile(s, 0.95) for s in squares) / BOUND_95
     factor, rotation, position = np.exp(best.x) * np.sqrt(max(short, 1.0))
     return Calibration(min_inliers, float(factor), float(position), float(rotation))

@@ -16,8 +16,8 @@ from groundwalk.artefacts.choices import CheckName, FailureCause, QualityClass
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import relative
 
-# Steps between certain frames that tell how far VIO drifts, and the share of them that is within it.
-_MIN_STEPS, _MOST = 20, 0.99
+# VIO's drift between certain frames is this quantile of its deviations, of at least so many steps.
+_DRIFT_QUANTILE, _MIN_STEPS = 0.99, 20
 
 
 class _UncertainRows(NamedTuple):
@@ -62,8 +62,8 @@ def _check(rows: _UncertainRows, subject: Subject, settings: AlignSettings) -> C
     fraction, limit = Quantity(len(excluded) / subject.frames), 1 - settings.min_consistent_fraction
     result = evaluate(CheckName.SESSION_UNCERTAIN, subject, fraction, limit, failure)
     reason = (
-        f"uncertain pose in SfM, inconsistent with VIO by more than {settings.max_uncertain_deviation:.1%} "
-        "and than certain ones"
+        "uncertain pose in SfM: its motion differs from VIO's by more than "
+        f"{settings.max_uncertain_deviation:.1%} of the path, and by more than that of frames with certain poses"
     )
     return replace(result, exclusions=(Exclusion(excluded, reason),))
 
@@ -88,17 +88,19 @@ def _inconsistent(part: Segment, metric_S_sfm: Sim3, is_certain: np.ndarray, set
 
     The worst frame is excluded first, until no step with an uncertain frame is contradicted.
     """
+    excluded = np.zeros(len(is_certain), dtype=bool)
+    if is_certain.all():
+        return excluded
     along, step_m = part.travelled_m, settings.uncertain_step_m
     first, last = np.nonzero((along[None] - along[:, None] >= step_m) & (along[None] - along[:, None] <= 3 * step_m))
     sfm, vio = metric_S_sfm.poses(part.sfm_T_cam), part.vio_T_cam
     difference = relative(sfm[first], sfm[last])[:, :3, 3] - relative(vio[first], vio[last])[:, :3, 3]
     deviation = np.linalg.norm(difference, axis=1) / (along[last] - along[first])
-    between_certain = deviation[is_certain[first] & is_certain[last]]
+    is_between_certain = is_certain[first] & is_certain[last]
     limit = settings.max_uncertain_deviation
-    if len(between_certain) >= _MIN_STEPS:
-        limit = max(limit, float(np.quantile(between_certain, _MOST)))
-    is_contradicted = (deviation > limit) & ~(is_certain[first] & is_certain[last])
-    excluded = np.zeros(len(along), dtype=bool)
+    if np.count_nonzero(is_between_certain) >= _MIN_STEPS:
+        limit = max(limit, float(np.quantile(deviation[is_between_certain], _DRIFT_QUANTILE)))
+    is_contradicted = (deviation > limit) & ~is_between_certain
     while is_contradicted.any():
         a, b, by = first[is_contradicted], last[is_contradicted], deviation[is_contradicted]
         contradictions = np.bincount(a, by, len(along)) + np.bincount(b, by, len(along))

@@ -4,7 +4,6 @@ import hashlib
 import json
 import multiprocessing
 import os
-import resource
 import shutil
 import sys
 import traceback
@@ -20,6 +19,7 @@ from benchmarks.faults.case import DONE, Case, Outcome
 from groundwalk.artefacts.cores import usable_cores
 from groundwalk.artefacts.files import partial_folder
 from groundwalk.artefacts.manifests import output_hashes
+from groundwalk.artefacts.memory import PeakMemory
 from groundwalk.artefacts.settings import STAGES, DataRoot
 from groundwalk.cli import all_commands, app
 
@@ -196,8 +196,10 @@ def _command(arguments: list[str], cwd: Path, output: Path, memory: Path, before
     if before is not None:
         before()
     status = 1
+    used = PeakMemory()
     try:
-        app(arguments)
+        with used:
+            app(arguments)
         status = 0
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else int(end.code is not None)
@@ -206,8 +208,7 @@ def _command(arguments: list[str], cwd: Path, output: Path, memory: Path, before
     finally:
         sys.stdout.flush()
         sys.stderr.flush()
-        used = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-        memory.write_text(json.dumps(used * 1024))
+        memory.write_text(json.dumps(used.peak_bytes))
         os._exit(status)
 
 

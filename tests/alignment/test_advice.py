@@ -6,12 +6,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from known import there
 from scipy.spatial.transform import Rotation
 from synthetic_walks import Scene, Walks
-from test_checks import NOISE, mirror, of_walk, shuffle, turn_otherwise
+from test_checks import NOISE, make_uncertain, mirror, of_walk, shuffle, stretch, turn_otherwise
 
 from groundwalk.alignment.checks.definitions import ANY_SCENE, DEFINITIONS
 from groundwalk.alignment.checks.results import CheckResult, with_status
@@ -83,13 +82,8 @@ def turn_one(scene: Scene) -> None:
     scene.set_sfm(sfm)
 
 
-def stretch_unsure(scene: Scene) -> None:
-    rows = of_walk(scene, 0)
-    sfm = poses_of(scene.images, "sfm_cam")
-    sfm[rows, :3, 3] = sfm[rows[0], :3, 3] + 1.03 * (sfm[rows, :3, 3] - sfm[rows[0], :3, 3])
-    scene.set_sfm(sfm)
-    unsure = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
-    scene.images.loc[rows, "covariance"] = pd.Series(unsure, dtype=object).iloc[rows]
+def stretch_uncertain(scene: Scene) -> None:
+    make_uncertain(scene, stretch(scene, 0))
 
 
 def cut_in_two(scene: Scene) -> None:
@@ -109,7 +103,7 @@ _BROKEN: dict[CheckName, Callable[[Scene], None]] = {
     CheckName.SESSION_VERTICAL: tilt,
     CheckName.WINDOW_POSITION: displace,
     CheckName.WINDOW_ROTATION: turn_one,
-    CheckName.SESSION_UNCERTAIN: stretch_unsure,
+    CheckName.SESSION_UNCERTAIN: stretch_uncertain,
     CheckName.COMPONENT_LINK: cut_in_two,
 }
 

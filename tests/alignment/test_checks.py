@@ -1,5 +1,6 @@
 """Which faults the checks find, by which cause, and what passes: synthetic walks, broken one way at a time."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -37,6 +38,21 @@ def error(scene: Scene, found: Examination) -> UserError | None:
 def of_walk(scene: Scene, number: int) -> np.ndarray:
     """Rows of one walk."""
     return np.flatnonzero(scene.frames["session_id"] == f"walk{number}")
+
+
+def stretch(scene: Scene, number: int) -> np.ndarray:
+    """Make the model of one walk 3 % too long; the walk's rows."""
+    rows = of_walk(scene, number)
+    sfm = poses_of(scene.images, "sfm_cam")
+    sfm[rows, :3, 3] = sfm[rows[0], :3, 3] + 1.03 * (sfm[rows, :3, 3] - sfm[rows[0], :3, 3])
+    scene.set_sfm(sfm)
+    return rows
+
+
+def make_uncertain(scene: Scene, rows: Sequence[int] | np.ndarray) -> None:
+    """Make the standard deviations of these rows' poses 30 times as large, which is class C."""
+    covariance = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
+    scene.images.loc[rows, "covariance"] = pd.Series(covariance, dtype=object).iloc[rows]
 
 
 def faults(found: Examination) -> set[tuple[FailureCause | None, str]]:
@@ -238,8 +254,7 @@ def test_what_a_vio_jump_cut_off_is_no_other_scene(walks: Walks, registered: boo
 def test_a_few_unsure_frames_are_no_fault_of_their_session(walks: Walks) -> None:
     scene = walks.make(frames=FRAMES, sfm_m=0.002, sfm_deg=0.02)
     unsure = [12, 14]
-    covariance = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
-    scene.images.loc[unsure, "covariance"] = pd.Series(covariance, dtype=object).iloc[unsure]
+    make_uncertain(scene, unsure)
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[unsure, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])
     scene.set_sfm(sfm)
@@ -262,14 +277,10 @@ def test_the_picture_is_drawn_for_a_refused_run_too(walks: Walks, tmp_path: Path
 def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks: Walks) -> None:
     """A stretch whose scale is off by 3 %: within what VIO may drift by, so that only its own uncertainty tells."""
     scene = walks.make(frames=60, sfm_m=0.003, sfm_deg=0.02)
-    rows = of_walk(scene, 0)
-    sfm = poses_of(scene.images, "sfm_cam")
-    sfm[rows, :3, 3] = sfm[rows[0], :3, 3] + 1.03 * (sfm[rows, :3, 3] - sfm[rows[0], :3, 3])
-    scene.set_sfm(sfm)
+    rows = stretch(scene, 0)
     assert run(scene).has_ground_truth.all()
 
-    unsure = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
-    scene.images.loc[rows, "covariance"] = pd.Series(unsure, dtype=object).iloc[rows]
+    make_uncertain(scene, rows)
     found = run(scene)
     assert found.has_ground_truth[60:].all() and not found.has_ground_truth[rows].any()
     assert "uncertain pose" in found.exclusion[rows[0]]
@@ -280,15 +291,12 @@ def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks: Walks) -> None:
 def test_an_uncertain_frame_may_differ_from_vio_as_certain_ones_do(walks: Walks) -> None:
     """VIO drifts by 3 %, which the certain frames around show."""
     scene = walks.make(frames=60, sfm_m=0.003, sfm_deg=0.02)
-    rows = of_walk(scene, 0)
-    sfm = poses_of(scene.images, "sfm_cam")
-    sfm[rows, :3, 3] = sfm[rows[0], :3, 3] + 1.03 * (sfm[rows, :3, 3] - sfm[rows[0], :3, 3])
-    scene.set_sfm(sfm)
-    unsure = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
+    rows = stretch(scene, 0)
     middle = [rows[30]]
-    scene.images.loc[middle, "covariance"] = pd.Series(unsure, dtype=object).iloc[middle]
+    make_uncertain(scene, middle)
     assert run(scene).has_ground_truth.all()
 
+    sfm = poses_of(scene.images, "sfm_cam")
     sfm[middle, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])
     scene.set_sfm(sfm)
     assert np.flatnonzero(~run(scene).has_ground_truth).tolist() == middle
@@ -296,7 +304,7 @@ def test_an_uncertain_frame_may_differ_from_vio_as_certain_ones_do(walks: Walks)
 
 def test_one_unsure_frame_that_is_off_goes_alone(walks: Walks) -> None:
     scene = walks.make(frames=30, sfm_m=0.002, sfm_deg=0.02)
-    scene.images["covariance"] = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
+    make_uncertain(scene, np.arange(len(scene.images)))
     assert run(scene).has_ground_truth.all()
     sfm = poses_of(scene.images, "sfm_cam")
     sfm[14, :3, 3] += walks.gauge.scale * np.array([0.15, 0.15, 0.0])

@@ -2,9 +2,10 @@
 exp(rotation) estimated rotation`, as in the tables of poses."""
 
 import torch
-from scipy.special import chdtri, fdtri
+from scipy.special import fdtri
 from torch import Tensor, nn
 
+from groundwalk.scoring.errors import BOUND_95
 from groundwalk.training.models.regressor import PoseBatch, SceneFrames
 from groundwalk.training.rotations import as_matrix, conjugate, exp_quaternion, log_quaternion, multiply
 
@@ -75,7 +76,7 @@ def widening(frames: int) -> float:
     """By what 95 % bounds of three numbers grow since their variances are known from so many frames only: those of
     Hotelling's distribution over those of chi square. Fewer than three frames count as three."""
     n = max(frames, _MIN_FRAMES)
-    return float(3 * n / (n - 2) * fdtri(3, n - 2, 0.95) / chdtri(3, 0.05))
+    return float(3 * n / (n - 2) * fdtri(3, n - 2, 0.95) / BOUND_95)
 
 
 class CovarianceScale(nn.Module):
