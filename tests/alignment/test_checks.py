@@ -1,6 +1,5 @@
 """Which faults the checks find, by which cause, and what passes: synthetic walks, broken one way at a time."""
 
-from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -49,7 +48,7 @@ def stretch(scene: Scene, number: int) -> np.ndarray:
     return rows
 
 
-def make_uncertain(scene: Scene, rows: Sequence[int] | np.ndarray) -> None:
+def make_uncertain(scene: Scene, rows: list[int] | np.ndarray) -> None:
     """Make the standard deviations of these rows' poses 30 times as large, which is class C."""
     covariance = [(900 * np.reshape(c, (6, 6))).ravel().tolist() for c in scene.images["covariance"]]
     scene.images.loc[rows, "covariance"] = pd.Series(covariance, dtype=object).iloc[rows]
