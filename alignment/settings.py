@@ -101,7 +101,8 @@ class AlignSettings(VioDriftSettings):
         0.018,
         gt=0,
         description="uncertain frames (class C) whose motion differs from VIO's by more, as a fraction of the path, "
-        "and by more than that of certain frames (class A or B), get no ground truth",
+        "and by more than that of certain frames (class A or B, or twice the sd of their motion within this), get no "
+        "ground truth",
     )
     vio_link_m: float = Field(
         10.0, ge=0, description="longest VIO path by which SfM models without a common view are linked, metres"

@@ -247,7 +247,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=13,
+    version=14,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

@@ -12,7 +12,12 @@ def sampson_px(a_T_b: Array, ray_a: Array, ray_b: Array, focal_a: Array, focal_b
     lengths (M, 2) or (2,) in pixels along x and y. First-order distance of a match from the epipolar constraint
     (Hartley and Zisserman, "Multiple View Geometry", 2nd ed., eq. 11.9), in the pixels of both images.
     """
-    return epipolar_px(np.swapaxes(skew(a_T_b[:, :3, 3]) @ a_T_b[:, :3, :3], 1, 2), ray_a, ray_b, focal_a, focal_b)
+    return epipolar_px(essential(a_T_b), ray_a, ray_b, focal_a, focal_b)
+
+
+def essential(a_T_b: Array) -> Array:
+    """The essential matrices (M, 3, 3) of relative poses (M, 4, 4), with ray_b^T essential ray_a = 0."""
+    return np.swapaxes(skew(a_T_b[:, :3, 3]) @ a_T_b[:, :3, :3], 1, 2)
 
 
 def epipolar_px(essential: Array, ray_a: Array, ray_b: Array, focal_a: Array, focal_b: Array) -> Array:

@@ -25,6 +25,7 @@ from groundwalk.sfm.cameras.motion import motion_by_vio
 from groundwalk.sfm.database import create_database, image_name, keypoint_counts
 from groundwalk.sfm.pairs.candidates import unique_pairs
 from groundwalk.sfm.pairs.features import extract_features, features_name
+from groundwalk.sfm.pairs.floor import FloorSource
 from groundwalk.sfm.pairs.matching import try_networks
 from groundwalk.sfm.pairs.networks import model_files, require_model_files
 from groundwalk.sfm.pairs.odometry import Odometry, odometry
@@ -56,6 +57,11 @@ class SceneInput:
     def features_file(self, settings: SfmSettings) -> Path:
         """The database with the features as extracted."""
         return self.scratch / f"features{features_name(settings)}.db"
+
+    def floor_source(self, settings: SfmSettings) -> FloorSource:
+        """What floor features are made from."""
+        calibration, motion = self.cameras.calibration, self.cameras.motion
+        return FloorSource(self.features_file(settings), self.images, self.names, self.frames, calibration, motion)
 
 
 def prepare_scene(r: StageRun[SfmSettings]) -> SceneInput:

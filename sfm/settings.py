@@ -68,6 +68,10 @@ class SfmSettings(VioDriftSettings):
     retrieval_words: int = Field(64, ge=2, description="visual words of retrieval, learned from the scene")
     transitive_pairs: int = Field(5, ge=0, description="pairs a frame gains where both match a third one; 0: none")
     min_inliers: int = Field(15, ge=8, description="verified matches that a pair needs")
+    floor_features: bool = Field(
+        True,
+        description="match the floor as seen from above in recordings of which neighbours have no verified pair",
+    )
     mapper: MapperName = Field("incremental", description="incremental, global, hierarchical, or vio: starts from VIO")
     min_component_frames: int = Field(
         10, ge=3, description="frames, in no larger model, that a model beside the largest needs to be selected"

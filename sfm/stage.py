@@ -19,6 +19,7 @@ from groundwalk.sfm.mapping.attempts import Attempt, run_attempts
 from groundwalk.sfm.mapping.build import BuiltModel
 from groundwalk.sfm.mapping.source import held_out_check, read_matches
 from groundwalk.sfm.model import blobs_of
+from groundwalk.sfm.pairs.odometry import Odometry, motions_over
 from groundwalk.sfm.quality.covariance import Covariances, covariances
 from groundwalk.sfm.quality.messages import report_cameras, report_models, report_patterns
 from groundwalk.sfm.quality.residuals import draw_residuals, residual_patterns
@@ -42,6 +43,7 @@ _SURFACE_PX = 0.07
 # factors are larger.
 _OF_CAMERAS = 1.5
 _MAX_COHERENCE = 4.0
+_MOTION_M = 5.0  # of the motions whose uncertainty is written
 AdjustedModels = list[tuple[Adjusted, NDArray[np.int64]]]
 
 
@@ -55,9 +57,12 @@ def run(r: StageRun[SfmSettings]) -> None:
         adjusted = [load_adjusted(made.folder / f"{entry.folder}.npz") for entry in selected]
         cameras = cameras_of_frames(scene.cameras, adjusted)
         shrinking = scene.frames[["width", "height"]].max(axis=1).to_numpy(float) / made.settings.max_image_size
-        covariance, estimates = _covariances(r, _SURFACE_PX * np.maximum(shrinking, 1.0), selected, adjusted)
+        covariance, motion_sd, estimates = _covariances(
+            r, _SURFACE_PX * np.maximum(shrinking, 1.0), scene.vio, selected, adjusted
+        )
         check = held_out_check(read_matches(made.mapping_input), cameras, model.sfm_T_cam, model.model)
         images = images_table(frame_ids, model, selected, made.keypoints, check, cameras, covariance)
+        images["motion_sd"] = motion_sd
         calibration = scene.cameras.calibration
         images["uses_vio"] = (made.settings.mapper == "vio") & model.registered
         images["camera_origin"] = [calibration.lenses[k].origin for k in calibration.lens]
@@ -118,20 +123,26 @@ def _residuals(scene: SceneInput, selected: list[BuiltModel], adjusted: Adjusted
 
 
 def _covariances(
-    r: StageRun[SfmSettings], surface_px_N: Array, selected: list[BuiltModel], adjusted: AdjustedModels
-) -> tuple[Array, list[Covariances | None]]:
-    """(N, 6, 6), NaN for frames without one, and each selected model's covariances of frames and cameras."""
-    covariance, estimates = np.full((len(surface_px_N), 6, 6), np.nan), []
+    r: StageRun[SfmSettings], surface_px_N: Array, vio: Odometry, selected: list[BuiltModel], adjusted: AdjustedModels
+) -> tuple[Array, Array, list[Covariances | None]]:
+    """(N, 6, 6) and the larger standard deviation of a frame's motions (N,), NaN for frames without; and each selected
+    model's covariances of frames and cameras."""
+    covariance, motion_sd = np.full((len(surface_px_N), 6, 6), np.nan), np.full(len(surface_px_N), np.nan)
+    estimates: list[Covariances | None] = []
     for entry, (one, rows) in zip(selected, adjusted, strict=True):
-        estimate = None
+        estimate, motions = None, motions_over(vio.session[rows], vio.travelled_m[rows], _MOTION_M)
         if entry.images > r.settings.covariance_max_images:
             limit = f"limit {r.settings.covariance_max_images} (sfm.covariance_max_images)"
             r.say(f"model {entry.model_id}: no covariances: {entry.images} frames, {limit}")
-        elif (estimate := covariances(one, blobs_of(one.bundle), float(np.median(surface_px_N[rows])))) is None:
+        elif (
+            estimate := covariances(one, blobs_of(one.bundle), float(np.median(surface_px_N[rows])), motions)
+        ) is None:
             r.say(f"model {entry.model_id}: no covariances: too few points")
         else:
             estimate = replace(estimate, shared=_OF_CAMERAS * estimate.shared)
             covariance[rows] = estimate.poses
+            for ends in motions.T:
+                np.fmax.at(motion_sd, rows[ends], estimate.motions)
             r.figure(f"coherence_rows_{entry.folder}", estimate.by_rows)
             r.figure(f"coherence_cells_{entry.folder}", estimate.by_cell)
             if estimate.by_rows > _MAX_COHERENCE:
@@ -141,12 +152,12 @@ def _covariances(
                     "video isn't modelled; standard deviations are larger by the root of that"
                 )
         estimates.append(estimate)
-    return covariance, estimates
+    return covariance, motion_sd, estimates
 
 
 STAGE = Stage(
     name="sfm",
-    version=30,
+    version=31,
     settings=SfmSettings,
     needs=("import",),
     run=run,

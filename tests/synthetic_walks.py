@@ -186,6 +186,7 @@ def _make(w: Walks) -> Scene:
             "registered": True,
             "model_id": "incremental/0",
             "uses_vio": False,
+            "motion_sd": np.nan,
             "observations": 500,
             "reprojection_px": 0.8,
             "covariance": [np.diag(sigma**2).ravel().tolist()] * len(table),

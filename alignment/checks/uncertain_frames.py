@@ -13,6 +13,7 @@ from groundwalk.alignment.segments import Segment
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.uncertainty import covariance_in_map
 from groundwalk.artefacts.choices import CheckName, FailureCause, QualityClass
+from groundwalk.consistency.decisions import SIGMAS
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import relative
 
@@ -34,15 +35,19 @@ def check_uncertain_frames(
     why a frame is of class C for another reason.
 
     A frame of class A or B needs no confirmation: its 95 % bounds of 0.3 degrees are 7 cm after 5 m, and VIO drifts as
-    far. One of class C must move as VIO does, within a tighter limit than elsewhere, or as the session's certain frames
-    do; where most of a session's don't, none of them gets ground truth. That is a fault of the session where it
-    excludes too many frames. The fraction is a count: it has no standard error.
+    far. Nor does one whose motion over 5 m keeps two standard deviations within that limit: far from the middle of a
+    long walk poses are uncertain, and motions aren't. Another one of class C must move as VIO does, within a tighter
+    limit than elsewhere, or as the session's certain frames do; where most of a session's don't, none of them gets
+    ground truth. That is a fault of the session where it excludes too many frames. The fraction is a count: it has no
+    standard error.
     """
     covariance, results = sfm_covariances(inputs.sfm.images["covariance"]), []
+    motion_sd = inputs.sfm.images["motion_sd"].to_numpy(float, na_value=np.nan)
+    has_certain_motion = (SIGMAS * motion_sd <= settings.max_uncertain_deviation) & (problem == "")
     for component in (c for c in components if c.scale.is_known):
         in_map = covariance_in_map(covariance, component.metric_S_sfm)
         grades = grade_frames(inputs.frames, inputs.sfm.images, in_map, problem, settings)
-        is_certain = np.array([grade.quality is not QualityClass.C for grade in grades])
+        is_certain = has_certain_motion | [grade.quality is not QualityClass.C for grade in grades]
         for session_id in dict.fromkeys(s.session_id for s in component.segments):
             segments = [s for s in component.segments if s.session_id == session_id]
             rows = _uncertain_rows(segments, component.metric_S_sfm, is_certain, used, settings)

@@ -62,8 +62,17 @@ TABLES = [
                 "sfm",
                 True,
             ),
+            Column(
+                "motion_sd",
+                "float64",
+                "standard deviation of the motion to the frame 5 m on, or from that 5 m back, by VIO's path, as a "
+                "fraction of its length: the larger",
+                "",
+                "",
+                True,
+            ),
         ],
-        version="3.1",
+        version="3.2",
         renamed=_HELD_OUT_RENAMED,
     ),
     TableSchema(

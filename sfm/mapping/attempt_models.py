@@ -17,7 +17,8 @@ from groundwalk.sfm.mapping.build import BuiltModel, build_models, read_built, s
 from groundwalk.sfm.mapping.mappers import MappingInput
 from groundwalk.sfm.mapping.source import VerifiedPairs
 from groundwalk.sfm.model import Model, load_models
-from groundwalk.sfm.pairs.candidates import first_origins
+from groundwalk.sfm.pairs.candidates import broken_links, first_origins
+from groundwalk.sfm.pairs.floor import tie_by_floor
 from groundwalk.sfm.pairs.matching import MatchedPairs, guide_pairs, match_pairs
 from groundwalk.sfm.pairs.networks import model_files
 from groundwalk.sfm.pairs.odometry import PairLimits, nothing_compared
@@ -63,6 +64,9 @@ def attempt_models(
         similar = pairs_across_sessions(settings, scene.vio.session, database, r.seed)
     with r.step("matching"):
         matched = _match(r.seed, settings, scene, database, [*proposals, (PairOrigin.RETRIEVAL, similar)])
+        if settings.floor_features:
+            matched = _tied_by_floor(r, settings, scene, database, matched)
+        matched = _guided(settings, scene, database, matched)
         matched = _compared_with_vio(settings, scene, database, matched)
     folder = scene.scratch / f"mapping_{number}"
     with r.step("mapping"):
@@ -97,7 +101,7 @@ def attempt_models(
 
 
 def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, proposals: Proposals) -> MatchedPairs:
-    """Match and verify the proposals, then pairs that both match a third frame; weak pairs a second time."""
+    """Match and verify the proposals, then pairs that both match a third frame."""
 
     def match(text: str) -> MatchedPairs:
         pairs, origin = first_origins(proposals, len(scene.names))
@@ -112,11 +116,43 @@ def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, 
         more = pairs_of_chains(settings, scene.vio, matched.pairs, matched.inliers)
         proposals = [*proposals, (PairOrigin.TRANSITIVE, more)]
         matched = match("matching pairs that share a partner")
-    weak = matched.pairs[matched.weak]
-    if len(weak) and not model_files(settings):
-        scene.in_child("matching weak pairs", Task(guide_pairs, (database, weak), len(weak)))
-        matched = replace(matched, inliers=read_pair_results(database, matched.pairs)[1])
     return matched
+
+
+def _tied_by_floor(
+    r: StageRun[SfmSettings], settings: SfmSettings, scene: SceneInput, database: Path, matched: MatchedPairs
+) -> MatchedPairs:
+    """Pairs with few inliers matched by the floor, too, in recordings of which neighbouring frames have no verified
+    pair: there a model would break."""
+    verified = _compared_with_vio(settings, scene, database, matched).verified
+    broken = broken_links(scene.recording_N, scene.frames["t_ns"], matched.pairs[verified])
+    can_be_drawn = np.isfinite(scene.vio.gravity_cam).all(axis=1) & np.isfinite(scene.vio.vio_T_cam[:, 0, 0])
+    can_be_drawn &= np.isin(scene.recording_N, scene.recording_N[broken[:, 0]])
+    a, b = matched.pairs.T
+    chosen = matched.has_few_inliers & matched.of_poor_frames & (can_be_drawn[a] & can_be_drawn[b])
+    chosen &= scene.vio.session[a] == scene.vio.session[b]
+    pairs = matched.pairs[chosen]
+    if not len(pairs):
+        return matched
+    task = Task(tie_by_floor, (database, scene.floor_source(settings), scene.vio, pairs, verified[chosen]), len(pairs))
+    scene.in_child("matching the floor", task)
+    tied = replace(matched, inliers=read_pair_results(database, matched.pairs)[1])
+    frames = scene.frames["frame_id"]
+    where = ", ".join(f"{frames[first]} and {frames[second]}" for first, second in broken.tolist())
+    r.say(
+        f"neighbouring frames without a verified pair: {where}; features of the floor as seen from above tie "
+        f"{np.count_nonzero(tied.inliers != matched.inliers)} of {len(pairs)} pairs there (sfm.floor_features)"
+    )
+    return tied
+
+
+def _guided(settings: SfmSettings, scene: SceneInput, database: Path, matched: MatchedPairs) -> MatchedPairs:
+    """Weak pairs matched a second time."""
+    weak = matched.pairs[matched.weak]
+    if not len(weak) or model_files(settings):
+        return matched
+    scene.in_child("matching weak pairs", Task(guide_pairs, (database, weak), len(weak)))
+    return replace(matched, inliers=read_pair_results(database, matched.pairs)[1])
 
 
 def _compared_with_vio(settings: SfmSettings, scene: SceneInput, database: Path, matched: MatchedPairs) -> MatchedPairs:

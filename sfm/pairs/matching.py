@@ -57,11 +57,20 @@ class MatchedPairs:
         return self.has_enough_inliers & self.compared.consistent
 
     @property
-    def weak(self) -> NDArray[np.bool_]:
-        """(P,) verified, but with few inliers, and one of its frames has few pairs with many matches."""
+    def of_poor_frames(self) -> NDArray[np.bool_]:
+        """(P,) one of its frames has few pairs with many matches."""
         good = np.bincount(self.pairs[self.matches >= _MANY_MATCHES].ravel(), minlength=self.pairs.max(initial=0) + 1)
-        few = (good < _GOOD_PAIRS)[self.pairs].any(axis=1)
-        return np.asarray(self.has_enough_inliers & (self.inliers < _FEW_INLIERS) & few)
+        return np.asarray((good < _GOOD_PAIRS)[self.pairs].any(axis=1))
+
+    @property
+    def has_few_inliers(self) -> NDArray[np.bool_]:
+        """(P,)"""
+        return self.inliers < _FEW_INLIERS
+
+    @property
+    def weak(self) -> NDArray[np.bool_]:
+        """(P,) of poor frames, with enough inliers, but few."""
+        return np.asarray(self.has_enough_inliers & self.has_few_inliers & self.of_poor_frames)
 
     @property
     def status(self) -> NDArray[np.object_]:
@@ -150,7 +159,8 @@ def _match_by_network(
 def guide_pairs(report: Report, database: Path, pairs: Pairs) -> None:
     """Match verified pairs of rows (P, 2) again, by SIFT along the epipolar lines of their essential matrices.
 
-    Of what is in the database only these pairs' inliers change, and to the same ones however often it is done.
+    Of what is in the database only these pairs' inliers change, and to the same ones however often it is done; those of
+    keypoints without descriptors, the floor's, stay.
     """
     for start in range(0, len(pairs), _CHUNK):
         _guide(database, pairs[start : start + _CHUNK])
@@ -179,7 +189,9 @@ def _guide(database: Path, pairs: Pairs) -> None:
         with ThreadPoolExecutor(usable_cores()) as pool:
             for (a, b), inliers in zip(certain, pool.map(guided, certain), strict=True):
                 geometry = geometries[a, b]
-                geometry.inlier_matches = inliers
+                described = [len(images[a].descriptors), len(images[b].descriptors)]
+                others = geometry.inlier_matches[(geometry.inlier_matches >= described).all(axis=1)]
+                geometry.inlier_matches = np.concatenate([inliers, others])
                 opened.update_two_view_geometry(image_id(a), image_id(b), geometry)
 
 

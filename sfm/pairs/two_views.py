@@ -49,7 +49,7 @@ def compare_pairs(database: Path, pairs: Pairs, vio: Odometry, limits: PairLimit
             camera_a, camera_b = cameras[image_id(a)], cameras[image_id(b)]
             ray_a = np.asarray(camera_a.cam_from_img(keypoints[a][matches[:, 0]]))
             ray_b = np.asarray(camera_b.cam_from_img(keypoints[b][matches[:, 1]]))
-            start = _start_by_vio(a_T_b[index], vio, a, b)
+            start = start_by_vio(a_T_b[index], vio, a, b)
             other = pose_near(start, ray_a, ray_b, camera_a.mean_focal_length(), camera_b.mean_focal_length())
             if other is not None:
                 one = slice(index, index + 1)
@@ -61,7 +61,13 @@ def compare_pairs(database: Path, pairs: Pairs, vio: Odometry, limits: PairLimit
 
 
 def pose_near(start: Array, ray_a: Array, ray_b: Array, focal_a: float, focal_b: float) -> Array | None:
-    """The pose a_T_b (4, 4) next to `start` that explains matches best, or None where it explains too few of them.
+    """As `fitted_near`, or None where that explains too few of the matches."""
+    pose, error_px = fitted_near(start, ray_a, ray_b, focal_a, focal_b)
+    return pose if np.mean(error_px < _MAX_ERROR_PX) >= _MIN_EXPLAINED_FRACTION else None
+
+
+def fitted_near(start: Array, ray_a: Array, ray_b: Array, focal_a: float, focal_b: float) -> tuple[Array, Array]:
+    """The pose a_T_b (4, 4) next to `start` that explains matches best, and their distances from it (M,), px.
 
     Rays (M, 2; z = 1) and focal lengths in pixels; Sampson's distance in Cauchy's loss, minimised from `start` on.
     """
@@ -77,10 +83,10 @@ def pose_near(start: Array, ray_a: Array, ray_b: Array, focal_a: float, focal_b:
         return np.nan_to_num(sampson_px(pose(change)[None], *rays, *focal))
 
     fit = least_squares(errors_px, np.zeros(6), loss="cauchy", f_scale=_LOSS_PX, max_nfev=_MAX_EVALUATIONS)
-    return pose(fit.x) if np.mean(errors_px(fit.x) < _MAX_ERROR_PX) >= _MIN_EXPLAINED_FRACTION else None
+    return pose(fit.x), errors_px(fit.x)
 
 
-def _start_by_vio(a_T_b: Array, vio: Odometry, a: int, b: int) -> Array:
+def start_by_vio(a_T_b: Array, vio: Odometry, a: int, b: int) -> Array:
     """A pair's pose with what VIO gives of it: the whole pose within a session, across sessions the tilt alone."""
     start = a_T_b.copy()
     by_vio = relative(vio.vio_T_cam[a], vio.vio_T_cam[b])

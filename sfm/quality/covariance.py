@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import LinAlgError
 from scipy.sparse import csr_array, vstack
 
-from groundwalk.geometry.poses import Array
+from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import cauchy_weights
 from groundwalk.geometry.shutter import readout_fraction
 from groundwalk.sfm.cameras.adjustment import (
@@ -40,18 +40,24 @@ _CHUNK = 64  # frames at once, for memory
 class Covariances:
     """Of an adjusted model's frames (N, 6, 6), in the order rotation (rad, 3), position (sfm units, 3): true rotation =
     exp(rotation) @ sfm_R_cam, true position = position of sfm_T_cam + position, both along the sfm axes; and of what
-    the frames share (G, G): k1, k2, k3 and readout of each lens, then each session's log focal factor; and the
-    coherence of residuals in rows of a frame and in parts of the image, by which they have grown."""
+    the frames share (G, G): k1, k2, k3 and readout of each lens, then each session's log focal factor; the largest
+    standard deviation of the motion from one frame to another (S,), in the first one's axes and as a fraction of its
+    length, the model's scale apart; and the coherence of residuals in rows of a frame and in parts of the image, by
+    which they have grown."""
 
     poses: Array
     shared: Array
+    motions: Array
     by_rows: float
     by_cell: float
 
 
-def covariances(adjusted: Adjusted, blob_P: Ints, surface_px: float = 0.0) -> Covariances | None:
+def covariances(
+    adjusted: Adjusted, blob_P: Ints, surface_px: float = 0.0, motion_S2: Ints | None = None
+) -> Covariances | None:
     """None where there are too few points to tell. `blob_P` numbers the blob of the images that each point is of.
-    `surface_px`: sd of the shifts that features of one part of the scene have in common (`_of_surfaces`).
+    `surface_px`: sd of the shifts that features of one part of the scene have in common (`_of_surfaces`). `motion_S2`:
+    the two frames of each motion.
 
     Nothing is assumed of the noise but that errors of two blobs have nothing to do with each other: those of one blob
     in the frames that see it hang together, as its features slide with the view, and points of one blob share them. So
@@ -91,8 +97,10 @@ def covariances(adjusted: Adjusted, blob_P: Ints, surface_px: float = 0.0) -> Co
     middle *= by_rows
     for first in range(0, len(middle), 10 * _CHUNK):
         middle[first : first + 10 * _CHUNK] += by_surface[first : first + 10 * _CHUNK] @ by_surface.T
-    poses = _gauge_free_sandwich(inverse, middle, bundle.sfm_T_cam[:, :3, 3])
-    return Covariances(poses, shared + by_surfaces.T @ by_surfaces, by_rows, by_cell)
+    position = bundle.sfm_T_cam[:, :3, 3]
+    poses = _gauge_free_sandwich(inverse, middle, position)
+    motions = np.empty(0) if motion_S2 is None else _sds_of_motions(inverse, middle, position, motion_S2)
+    return Covariances(poses, shared + by_surfaces.T @ by_surfaces, motions, by_rows, by_cell)
 
 
 def _dense(by_blob: csr_array, information: csr_array) -> Array:
@@ -230,3 +238,28 @@ def _gauge_free_sandwich(inverse: Array, middle: Array, position_N3: Array) -> A
     gauge_T = np.swapaxes(gauge_N67, 1, 2)
     cross = of_h @ gauge_T
     return blocks - cross - np.swapaxes(cross, 1, 2) + gauge_N67 @ (h_middle @ h_inverse.T) @ gauge_T
+
+
+def _sds_of_motions(inverse: Array, middle: Array, position_N3: Array, motion_S2: Ints) -> Array:
+    """(S,) the largest standard deviation of each motion, as a fraction of its length.
+
+    The motion R_a^T (p_b - p_a) is free of the gauge but for the model's scale, which the S-transformation takes away.
+    """
+    gauge, h = _gauge_of(position_N3)
+    index = local_unknowns(len(position_N3))[:, :6]
+    sds = np.empty(len(motion_S2))
+    for first in range(0, len(motion_S2), _CHUNK):
+        a, b = motion_S2[first : first + _CHUNK].T
+        offset = position_N3[b] - position_N3[a]
+        slope, row = np.zeros((len(a), 3, len(position_N3), 6)), np.arange(len(a))
+        slope[row, :, b, 3:] = np.eye(3)
+        slope[row, :, a, 3:] = -np.eye(3)
+        slope[row, :, a, :3] = skew(offset)
+        by_pose = slope.reshape(3 * len(a), -1)
+        by_unknown = np.zeros((3 * len(a), len(inverse)))
+        by_unknown[:, index.ravel()] = by_pose - (by_pose @ gauge) @ h
+        left = (by_unknown @ inverse).reshape(len(a), 3, -1)
+        covariance = (left.reshape(3 * len(a), -1) @ middle).reshape(left.shape) @ np.swapaxes(left, 1, 2)
+        largest = np.linalg.eigvalsh(covariance)[:, -1]
+        sds[first : first + _CHUNK] = np.sqrt(largest) / np.linalg.norm(offset, axis=1)
+    return sds

@@ -287,6 +287,17 @@ def test_frames_that_sfm_is_not_sure_of_need_vios_word(walks: Walks) -> None:
     assert check.subject.session_id == "walk0" and check.cause == FailureCause.VIO_INCONSISTENT
 
 
+def test_frames_with_certain_motions_need_no_confirmation(walks: Walks) -> None:
+    """Uncertain of where it is in the map, but not of how it moved: the end of a long walk."""
+    scene = walks.make(frames=60, sfm_m=0.003, sfm_deg=0.02)
+    rows = stretch(scene, 0)
+    make_uncertain(scene, rows)
+    scene.images["motion_sd"] = 0.0085
+    assert run(scene).has_ground_truth.all()
+    scene.images["motion_sd"] = 0.0095
+    assert not run(scene).has_ground_truth[rows].any()
+
+
 def test_an_uncertain_frame_may_differ_from_vio_as_certain_ones_do(walks: Walks) -> None:
     """VIO drifts by 3 %, which the certain frames around show."""
     scene = walks.make(frames=60, sfm_m=0.003, sfm_deg=0.02)

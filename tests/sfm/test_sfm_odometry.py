@@ -8,7 +8,14 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.poses import Array, make_pose, relative, yaw_rotation
-from groundwalk.sfm.pairs.odometry import Odometry, PairLimits, compare_with_vio, drift_between, odometry
+from groundwalk.sfm.pairs.odometry import (
+    Odometry,
+    PairLimits,
+    compare_with_vio,
+    drift_between,
+    motions_over,
+    odometry,
+)
 
 _LIMITS = PairLimits(
     VioDrift.in_degrees(0.1, 0.03, 3.0, 2.5), gravity_rad=float(np.radians(5.0)), direction_rad=float(np.radians(15.0))
@@ -97,3 +104,10 @@ def test_frames_without_vio_are_compared_with_nothing() -> None:
     found = compare_with_vio(pairs, np.tile(np.eye(4), (2, 1, 1)), np.full(2, _WIDE), vio, _LIMITS)
     assert found.consistent.all()
     assert np.isnan(found.rotation).all()
+
+
+def test_motions_reach_as_far_as_asked_on_and_back() -> None:
+    session = np.array(["a", "a", "b", "a", "a", "b"], object)
+    travelled_m = np.array([0.0, 2.0, 0.0, 6.0, 6.5, 4.9])
+    assert motions_over(session, travelled_m, 5.0).tolist() == [[0, 3], [0, 4]]
+    assert motions_over(session, travelled_m, 4.0).tolist() == [[0, 3], [1, 3], [1, 4], [2, 5]]

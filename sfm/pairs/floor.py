@@ -1,0 +1,177 @@
+"""Floor features: SIFT of the floor as seen from above, for frames that little else ties together.
+
+Where walls are bare, neighbouring frames of a walk share the floor, but at so shallow an angle that it turns and
+stretches from one to the next by more than SIFT bears. Gravity says how the floor lies, so each frame can be drawn as
+seen from above, in units of the camera's height over the floor; there two frames differ by a turn and a shift.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pycolmap
+from numpy.typing import NDArray
+
+from groundwalk.artefacts.child import Report
+from groundwalk.artefacts.images import read_grey_image
+from groundwalk.artefacts.parallel import in_parallel
+from groundwalk.features.sift import DESCRIPTOR_SIZE, even_sift
+from groundwalk.geometry.epipolar import essential
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.cameras.calibration import Calibration, lines_of, to_middle_row
+from groundwalk.sfm.cameras.motion import Motion
+from groundwalk.sfm.database import Ints, image_id
+from groundwalk.sfm.pairs.candidates import Pairs
+from groundwalk.sfm.pairs.nearest import mutual_matches
+from groundwalk.sfm.pairs.odometry import Odometry
+from groundwalk.sfm.pairs.two_views import fitted_near, start_by_vio
+
+# What is drawn, in heights of the camera over the floor: so far to either side, ahead from and to, a pixel's side.
+_ASIDE, _NEAR, _FAR, _PIXEL = 1.5, 0.2, 3.0, 0.004
+_MAX_FEATURES, _MIN_CONTRAST = 1000, 0.01
+_MARGIN = 8  # pixels of the drawing, of features from where the image ends
+_MIN_MATCHES = 12
+_MAX_ERROR = 0.008  # heights
+_TRIALS, _CONFIDENCE = 5000, 0.999
+# A hand's height over the floor stays much the same from frame to frame.
+_MAX_HEIGHT_RATIO = 1.1
+_MAX_ERROR_PX = 4.0  # from the relative pose, as COLMAP's
+
+
+@dataclass(frozen=True)
+class FloorFeatures:
+    """K features: where they are on the floor (K, 2), to the right and ahead of the camera in its heights over it; in
+    the image (K, 2), px; and their descriptors (K, 128)."""
+
+    on_floor: Array
+    px: Array
+    descriptors: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class FloorSource:
+    """The database with the features as extracted, the images, and their N frames with cameras and motion."""
+
+    features: Path
+    images: Path
+    names: Sequence[str]
+    frames: pd.DataFrame
+    calibration: Calibration
+    motion: Motion
+
+
+def floor_features(grey: NDArray[np.uint8], camera: pycolmap.Camera, gravity: Array) -> FloorFeatures:
+    """Features of the floor in a grey image (H, W); `gravity` (3,) is a unit vector in the camera's axes."""
+    ahead = np.array([0.0, 0.0, 1.0]) - gravity[2] * gravity
+    ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
+    axes = np.stack([np.cross(gravity, ahead), ahead])
+    right, forward = np.arange(-_ASIDE, _ASIDE, _PIXEL), np.arange(_FAR, _NEAR, -_PIXEL)
+    floor = np.stack(np.meshgrid(right, forward), axis=-1)
+    px, is_inside = _in_image(camera, floor.reshape(-1, 2) @ axes + gravity)
+    source = (px - 0.5).astype(np.float32).reshape(floor.shape)
+    drawn = cv2.remap(grey, source[..., 0], source[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    side = 2 * _MARGIN + 1
+    usable = cv2.erode(is_inside.reshape(drawn.shape).astype(np.uint8), np.ones((side, side), np.uint8), borderValue=0)
+    if not usable.any():
+        return FloorFeatures(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, DESCRIPTOR_SIZE), np.uint8))
+    features = even_sift(np.asarray(drawn, np.uint8), _MAX_FEATURES, max(drawn.shape), _MIN_CONTRAST)
+    column, row = features.px.T.astype(float) - 0.5
+    kept = usable[np.rint(row).astype(int), np.rint(column).astype(int)] > 0
+    on_floor = np.stack([right[0] + column * _PIXEL, forward[0] - row * _PIXEL], axis=1)[kept]
+    return FloorFeatures(on_floor, _in_image(camera, on_floor @ axes + gravity)[0], features.descriptors[kept])
+
+
+def match_floors(a: FloorFeatures, b: FloorFeatures) -> Ints:
+    """Rows (M, 2) of features that a turn and a shift on the floor explain; none where these are few."""
+    matches = mutual_matches(a.descriptors.astype(np.float32), b.descriptors.astype(np.float32)).astype(np.int64)
+    none = np.empty((0, 2), np.int64)
+    if len(matches) < _MIN_MATCHES:
+        return none
+    # OpenCV draws the same random numbers in each call.
+    a_T_b, fits = cv2.estimateAffinePartial2D(
+        b.on_floor[matches[:, 1]],
+        a.on_floor[matches[:, 0]],
+        ransacReprojThreshold=_MAX_ERROR,
+        maxIters=_TRIALS,
+        confidence=_CONFIDENCE,
+    )
+    if a_T_b is None or np.count_nonzero(fits) < _MIN_MATCHES:
+        return none
+    height_ratio = float(np.hypot(a_T_b[0, 0], a_T_b[1, 0]))
+    return matches[fits.ravel() > 0] if 1 / _MAX_HEIGHT_RATIO < height_ratio < _MAX_HEIGHT_RATIO else none
+
+
+def tie_by_floor(
+    report: Report, database: Path, source: FloorSource, vio: Odometry, pairs: Pairs, verified_P: NDArray[np.bool_]
+) -> None:
+    """Match the floor in pairs of rows (P, 2), of one session each and with poses and gravity by VIO.
+
+    Where enough of it matches, the pair's relative pose is fitted to that and to its inliers, or all its matches where
+    it isn't verified (P,), from VIO's on; what fits the pose are its inliers. The frames' keypoints, in `database` and
+    as extracted, get the floor's behind their own; the floor's have no descriptors there. Doing it again changes
+    nothing.
+    """
+    rows = np.unique(pairs).tolist()
+    with pycolmap.Database.open(database) as opened:
+        cameras = {row: opened.read_camera(image_id(row)) for row in rows}
+
+    def features_of(row: int) -> FloorFeatures:
+        return floor_features(read_grey_image(source.images / source.names[row]), cameras[row], vio.gravity_cam[row])
+
+    floors = dict(zip(rows, in_parallel(features_of, rows), strict=True))
+    _append_keypoints(source.features, {row: floor.px for row, floor in floors.items()})
+    readout, line = source.calibration.readout_s[source.calibration.lens], lines_of(source.frames)
+    at_middle_row = {
+        row: to_middle_row(floors[row].px, frame, line[row], float(readout[row]), source.motion.angular[row])
+        for row, frame in zip(rows, source.frames.iloc[rows].itertuples(index=False), strict=True)
+    }
+    _append_keypoints(database, at_middle_row)
+    with pycolmap.Database.open(database) as opened, pycolmap.DatabaseTransaction(opened):
+        described = {row: opened.num_descriptors_for_image(image_id(row)) for row in rows}
+        keypoints = {row: opened.read_keypoints(image_id(row))[:, :2].astype(float) for row in rows}
+        rays = {row: np.asarray(cameras[row].cam_from_img(keypoints[row])) for row in rows}
+        for number, (a, b) in enumerate(pairs.tolist()):
+            of_floor = match_floors(floors[a], floors[b])
+            if len(of_floor):
+                geometry = opened.read_two_view_geometry(image_id(a), image_id(b))
+                others = (
+                    geometry.inlier_matches if verified_P[number] else opened.read_matches(image_id(a), image_id(b))
+                )
+                others = np.asarray(others, np.int64)
+                first_of_floor = np.array([described[a], described[b]])
+                # Of another time that this was done, the floor's are there already.
+                others = others[(others < first_of_floor).all(axis=1)]
+                matches = np.concatenate([others, of_floor + first_of_floor])
+                ends = rays[a][matches[:, 0]], rays[b][matches[:, 1]]
+                focal = cameras[a].mean_focal_length(), cameras[b].mean_focal_length()
+                a_T_b, error_px = fitted_near(start_by_vio(np.eye(4), vio, a, b), *ends, *focal)
+                geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
+                geometry.E = essential(a_T_b[None])[0]
+                geometry.inlier_matches = matches[error_px < _MAX_ERROR_PX].astype(np.uint32)
+                opened.update_two_view_geometry(image_id(a), image_id(b), geometry)
+            report(number + 1)
+
+
+def _append_keypoints(database: Path, px_by_row: dict[int, Array]) -> None:
+    """Put keypoints (K, 2) behind those of the rows that have descriptors, in place of any that are there."""
+    with pycolmap.Database.open(database) as opened, pycolmap.DatabaseTransaction(opened):
+        for row, px in px_by_row.items():
+            described = opened.read_keypoints(image_id(row))[: opened.num_descriptors_for_image(image_id(row))]
+            more = np.zeros((len(px), described.shape[1]), np.float32)
+            more[:, :2] = px
+            opened.update_keypoints(image_id(row), np.concatenate([described, more]))
+
+
+def _in_image(camera: pycolmap.Camera, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Pixels (M, 2) of points (M, 3) in the camera's axes, -1 far off the image, and whether they are inside it."""
+    size = np.array([camera.width, camera.height], float)
+    corners = np.asarray(camera.cam_from_img(size * [[0, 0], [1, 0], [0, 1], [1, 1]]))
+    # A lens's polynomial folds what is far outside back into the image.
+    widest = float(np.linalg.norm(corners, axis=1).max())
+    ahead = (points[:, 2] > 0) & (np.linalg.norm(points[:, :2], axis=1) <= widest * points[:, 2])
+    px = np.full((len(points), 2), -1.0)
+    px[ahead] = camera.img_from_cam(points[ahead])
+    return px, ahead & (px > 0).all(axis=1) & (px < size).all(axis=1)
