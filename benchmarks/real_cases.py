@@ -8,7 +8,7 @@ import shutil
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from benchmarks.real_figures import (
     verdict_of,
 )
 from benchmarks.real_plots import draw_case
+from benchmarks.real_walls import wall_figures
 from benchmarks.stages import Cost, run_timed
 from benchmarks.stock import stock_command
 from groundwalk.artefacts import DataRoot, UserError
@@ -69,13 +70,14 @@ class Judged:
 
 @dataclass(frozen=True)
 class Case:
-    """A capture folder imported with these settings."""
+    """A capture folder imported with these settings; whether all walls are at right angles."""
 
     name: str
     folder: Path
     settings: tuple[str, ...] = ()
     targets: tuple[Target, ...] = ()
     resampled: bool = True
+    right_angles: bool = False
 
 
 @dataclass(frozen=True)
@@ -169,8 +171,8 @@ def standard_cases(captures: Path) -> list[Case]:
     both, share = captures / "charuco", Target("share of images registered", 98, "%", at_least=True)
     cases = [
         Case("chair", captures / "chair", (), chair),
-        Case("corridor", captures / "corridor", (), corridor),
-        Case("corridor_all", captures / "corridor", ('sampling="all"',), corridor_all, resampled=False),
+        Case("corridor", captures / "corridor", (), corridor, right_angles=True),
+        Case("corridor_all", captures / "corridor", ('sampling="all"',), corridor_all, False, right_angles=True),
         Case("charuco", both, (), (_ACCEPTED, share)),
         *(
             Case(f"charuco_{session.name}", session, (), (_ACCEPTED, share))
@@ -178,11 +180,7 @@ def standard_cases(captures: Path) -> list[Case]:
             if session.is_dir()
         ),
     ]
-    return [
-        Case(case.name, case.folder, case.settings, (*case.targets, *_AGAINST_STOCK), case.resampled)
-        for case in cases
-        if case.folder.is_dir()
-    ]
+    return [replace(case, targets=(*case.targets, *_AGAINST_STOCK)) for case in cases if case.folder.is_dir()]
 
 
 def named_case(folder: Path) -> Case:
@@ -255,6 +253,9 @@ def run_case(case: Case, out: Path, pictures: Path) -> Result:
         if status:
             raise UserError("stock COLMAP failed", where=folder / "stock.log", found=f"exit status {status}")
         draw_case(pictures / f"real_{case.name}.png", case.name, str(verdict), paths_of(run))
+    figures = figures_of(run)
+    if case.right_angles and run.has("align"):
+        figures += wall_figures(run, pictures / f"real_{case.name}_walls.png")
     return Result(
         case.name,
         case.folder.resolve().name,
@@ -266,7 +267,7 @@ def run_case(case: Case, out: Path, pictures: Path) -> Result:
         round(load, 1),
         verdict,
         [f"{cause} ({check}, {count})" for cause, check, count in failed_checks(run)],
-        figures_of(run),
+        figures,
         list(case.targets),
     )
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from benchmarks.real_cases import Result, judge
 from benchmarks.real_figures import OURS, RATIO, STOCK
 from benchmarks.real_stability import Tried, agreeing
+from benchmarks.real_walls import SPREAD, VIO_WAY
 from benchmarks.results import markdown_table
 
 _HEADER = """# Real captures
@@ -18,6 +19,8 @@ incremental mapper with its own options on the same images and as many SIFT feat
 every pair matched, one OPENCV camera a session that starts at the median of the logged intrinsics; of several models
 its largest.
 """
+
+_WALL_WAYS = (VIO_WAY, OURS, STOCK)
 
 _STABILITY_HEADER = """# Real captures, resampled
 
@@ -43,6 +46,10 @@ def write_report(folder: Path, results: Sequence[Result]) -> None:
         "rotations by a mean rotation; and all frames that either has. VIO isn't the truth: it drifts, and a model of "
         "fewer frames has less of that drift to explain. Steps, the motion from frame to frame, show little of it.\n\n"
         + markdown_table(_agreement_rows(results)),
+        "## Directions of walls\n\n"
+        "Where all walls are at right angles, each image shows how it is turned to them. How far their directions "
+        "spread over the walk by the poses of each: 5th to 95th percentile, degrees, of a running median over 9 "
+        "frames. This judges turns without VIO's or SfM's help.\n\n" + markdown_table(_wall_rows(results)),
         "## Cost\n\n"
         "Processor seconds of the whole process tree, wall minutes beside; peak memory of the largest process. Ours: "
         "import + sfm + align.\n\n" + markdown_table(_cost_rows(results)),
@@ -187,6 +194,13 @@ def _agreement_rows(results: Iterable[Result]) -> Iterable[list[str]]:
             ]
 
 
+def _wall_rows(results: Iterable[Result]) -> Iterable[list[str]]:
+    yield ["case", *_WALL_WAYS]
+    for r in results:
+        if r.value(SPREAD, VIO_WAY) is not None:
+            yield [r.case, *(_number(r.value(SPREAD, way)) for way in _WALL_WAYS)]
+
+
 def _cost_rows(results: Iterable[Result]) -> Iterable[list[str]]:
     yield [
         *("case", "import", "sfm", "align", "ours", "stock", "ours / stock: processor", "wall"),
@@ -214,9 +228,12 @@ def _run_rows(results: Iterable[Result]) -> Iterable[list[str]]:
 
 def _pictures(folder: Path, results: Iterable[Result]) -> Iterable[str]:
     for result in results:
-        name = f"real_{result.case}.png"
-        if (folder / name).is_file():
-            yield f"![{result.case}: plan and residuals to VIO of ours and stock COLMAP]({name})"
+        for name, what in (
+            (f"real_{result.case}.png", "plan and residuals to VIO of ours and stock COLMAP"),
+            (f"real_{result.case}_walls.png", "directions of walls by VIO, ours and stock COLMAP"),
+        ):
+            if (folder / name).is_file():
+                yield f"![{result.case}: {what}]({name})"
 
 
 def _number(value: float | None, unit: str = "") -> str:
