@@ -29,6 +29,7 @@ from groundwalk.sfm.scene_input import SceneInput, calibrated_features
 from groundwalk.sfm.settings import SfmSettings
 
 _MIN_COMPARED_PAIRS = 8
+_MOST_LINKS = 3  # in a message
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +139,8 @@ def _tied_by_floor(
     scene.in_child("matching the floor", task)
     tied = replace(matched, inliers=read_pair_results(database, matched.pairs)[1])
     frames = scene.frames["frame_id"]
-    where = ", ".join(f"{frames[first]} and {frames[second]}" for first, second in broken.tolist())
+    links = [f"{frames[first]} and {frames[second]}" for first, second in broken[:_MOST_LINKS].tolist()]
+    where = ", ".join(links) + (f" and {len(broken) - _MOST_LINKS} more" if len(broken) > _MOST_LINKS else "")
     r.say(
         f"neighbouring frames without a verified pair: {where}; features of the floor as seen from above tie "
         f"{np.count_nonzero(tied.inliers != matched.inliers)} of {len(pairs)} pairs there (sfm.floor_features)"

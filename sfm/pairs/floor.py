@@ -110,19 +110,24 @@ def tie_by_floor(
     """Match the floor in pairs of rows (P, 2), of one session each and with poses and gravity by VIO.
 
     Where enough of it matches, the pair's relative pose is fitted to that and to its inliers, or all its matches where
-    it isn't verified (P,), from VIO's on; what fits the pose are its inliers. The frames' keypoints, in `database` and
-    as extracted, get the floor's behind their own; the floor's have no descriptors there. Doing it again changes
+    it isn't verified (P,), from VIO's on; what fits the pose are its inliers. The frames of such pairs get the floor's
+    keypoints behind their own, in `database` and as extracted, without descriptors there. Doing it again changes
     nothing.
     """
-    rows = np.unique(pairs).tolist()
     with pycolmap.Database.open(database) as opened:
-        cameras = {row: opened.read_camera(image_id(row)) for row in rows}
+        cameras = {row: opened.read_camera(image_id(row)) for row in np.unique(pairs).tolist()}
 
     def features_of(row: int) -> FloorFeatures:
         return floor_features(read_grey_image(source.images / source.names[row]), cameras[row], vio.gravity_cam[row])
 
-    floors = dict(zip(rows, in_parallel(features_of, rows), strict=True))
-    _append_keypoints(source.features, {row: floor.px for row, floor in floors.items()})
+    floors = dict(zip(cameras, in_parallel(features_of, cameras), strict=True))
+    of_floor = []
+    for a, b in pairs.tolist():
+        of_floor.append(match_floors(floors[a], floors[b]))
+        report(len(of_floor))
+    tied = [number for number, matches in enumerate(of_floor) if len(matches)]
+    rows = np.unique(pairs[tied]).tolist()
+    _append_keypoints(source.features, {row: floors[row].px for row in rows})
     readout, line = source.calibration.readout_s[source.calibration.lens], lines_of(source.frames)
     at_middle_row = {
         row: to_middle_row(floors[row].px, frame, line[row], float(readout[row]), source.motion.angular[row])
@@ -133,26 +138,22 @@ def tie_by_floor(
         described = {row: opened.num_descriptors_for_image(image_id(row)) for row in rows}
         keypoints = {row: opened.read_keypoints(image_id(row))[:, :2].astype(float) for row in rows}
         rays = {row: np.asarray(cameras[row].cam_from_img(keypoints[row])) for row in rows}
-        for number, (a, b) in enumerate(pairs.tolist()):
-            of_floor = match_floors(floors[a], floors[b])
-            if len(of_floor):
-                geometry = opened.read_two_view_geometry(image_id(a), image_id(b))
-                others = (
-                    geometry.inlier_matches if verified_P[number] else opened.read_matches(image_id(a), image_id(b))
-                )
-                others = np.asarray(others, np.int64)
-                first_of_floor = np.array([described[a], described[b]])
-                # Of another time that this was done, the floor's are there already.
-                others = others[(others < first_of_floor).all(axis=1)]
-                matches = np.concatenate([others, of_floor + first_of_floor])
-                ends = rays[a][matches[:, 0]], rays[b][matches[:, 1]]
-                focal = cameras[a].mean_focal_length(), cameras[b].mean_focal_length()
-                a_T_b, error_px = fitted_near(start_by_vio(np.eye(4), vio, a, b), *ends, *focal)
-                geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
-                geometry.E = essential(a_T_b[None])[0]
-                geometry.inlier_matches = matches[error_px < _MAX_ERROR_PX].astype(np.uint32)
-                opened.update_two_view_geometry(image_id(a), image_id(b), geometry)
-            report(number + 1)
+        for number in tied:
+            a, b = pairs[number].tolist()
+            geometry = opened.read_two_view_geometry(image_id(a), image_id(b))
+            others = geometry.inlier_matches if verified_P[number] else opened.read_matches(image_id(a), image_id(b))
+            others = np.asarray(others, np.int64)
+            first_of_floor = np.array([described[a], described[b]])
+            # Where this was done before, the floor's are there already.
+            others = others[(others < first_of_floor).all(axis=1)]
+            matches = np.concatenate([others, of_floor[number] + first_of_floor])
+            ends = rays[a][matches[:, 0]], rays[b][matches[:, 1]]
+            focal = cameras[a].mean_focal_length(), cameras[b].mean_focal_length()
+            a_T_b, error_px = fitted_near(start_by_vio(np.eye(4), vio, a, b), *ends, *focal)
+            geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
+            geometry.E = essential(a_T_b[None])[0]
+            geometry.inlier_matches = matches[error_px < _MAX_ERROR_PX].astype(np.uint32)
+            opened.update_two_view_geometry(image_id(a), image_id(b), geometry)
 
 
 def _append_keypoints(database: Path, px_by_row: dict[int, Array]) -> None:
