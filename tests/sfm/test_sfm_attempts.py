@@ -1,11 +1,22 @@
-"""Which attempts are made, and which of them is selected."""
+"""Which attempts are made, which of them is selected, and what each matches by the floor."""
 
 from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
+import numpy as np
+import pandas as pd
 import pytest
 
+from groundwalk.artefacts import StageRun
+from groundwalk.artefacts.child import Task
 from groundwalk.artefacts.choices import AttemptName, AttemptOutcome
+from groundwalk.sfm.mapping import attempt_models
 from groundwalk.sfm.mapping.attempts import Attempt, outcome_of, run_attempts, steps_of
+from groundwalk.sfm.pairs.matching import MatchedPairs
+from groundwalk.sfm.pairs.odometry import nothing_compared, odometry
+from groundwalk.sfm.scene_input import SceneInput
 from groundwalk.sfm.settings import SfmSettings
 
 _FRAMES = 100
@@ -159,3 +170,33 @@ def test_without_retry_there_is_one_attempt() -> None:
 )
 def test_outcomes(model_frames: list[int], consistent: int, outcome: AttemptOutcome) -> None:
     assert outcome_of(model_frames, consistent, _FRAMES, SfmSettings()) is outcome
+
+
+def test_the_floor_is_asked_where_a_recording_would_break(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of recording r, whose frames b and c have no verified pair: few inliers, one session, and gravity."""
+    pairs = np.array([[0, 1], [0, 2], [1, 2], [2, 3], [2, 4], [5, 6]])
+    inliers = np.array([120, 20, 0, 30, 30, 30])
+    matched = MatchedPairs(pairs, np.full(6, ""), inliers, inliers, 15, nothing_compared(6))
+    gravity = np.tile([0.0, 1.0, 0.0], (7, 1))
+    gravity[4] = np.nan
+    session = np.array(["s", "s", "s", "other", "s", "q", "q"], object)
+    vio = odometry(session, np.arange(7), np.tile(np.eye(4), (7, 1, 1)), gravity, [])
+    asked: list[Task] = []
+    frames = pd.DataFrame({"frame_id": list("abcdefg"), "t_ns": np.arange(7)})
+    scene = SimpleNamespace(
+        recording_N=np.array(["r"] * 5 + ["q"] * 2),
+        frames=frames,
+        vio=vio,
+        floor_source=lambda settings: "source",
+        in_child=lambda text, task: asked.append(task),
+    )
+    said: list[str] = []
+    monkeypatch.setattr(attempt_models, "_compared_with_vio", lambda settings, scene, database, matched: matched)
+    after = inliers + 40 * (inliers < 21)
+    monkeypatch.setattr(attempt_models, "read_pair_results", lambda database, pairs: (inliers, after))
+    run = cast(StageRun[SfmSettings], SimpleNamespace(say=said.append))
+    tied = attempt_models._tied_by_floor(run, SfmSettings(), cast(SceneInput, scene), Path("database"), matched)
+    (task,) = asked
+    assert task.arguments[3].tolist() == [[0, 2], [1, 2]] and task.arguments[4].tolist() == [True, False]
+    assert tied.inliers.tolist() == [120, 60, 40, 30, 30, 30]
+    assert "b and c, d and e" in said[0] and "tie 2 of 2 pairs" in said[0]
