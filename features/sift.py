@@ -35,8 +35,23 @@ def sift(grey: NDArray[np.uint8], max_features: int, max_side: int) -> Features:
     """The strongest features of a grey image (H, W), which is first shrunk to at most `max_side` pixels a side; the
     strongest first, so that a prefix is what fewer features would have been."""
     small, scale = shrunk(grey, max_side)
-    detector = cv2.SIFT.create(nfeatures=max_features, enable_precise_upscale=True)
-    keypoints, rows = detector.detectAndCompute(small, None)
+    return _strongest(small, scale, max_features, cv2.SIFT.create(nfeatures=max_features, enable_precise_upscale=True))
+
+
+def masked_sift(grey: NDArray[np.uint8], mask: NDArray[np.uint8], max_features: int, contrast: float) -> Features:
+    """As `sift`, of at least this contrast (OpenCV's contrastThreshold), where the mask (H, W) isn't 0; not shrunk."""
+    detector = cv2.SIFT.create(nfeatures=max_features, contrastThreshold=contrast, enable_precise_upscale=True)
+    return _strongest(grey, np.ones(2), max_features, detector, mask)
+
+
+def _strongest(
+    small: NDArray[np.uint8],
+    scale: NDArray[np.float64],
+    max_features: int,
+    detector: cv2.SIFT,
+    mask: NDArray[np.uint8] | None = None,
+) -> Features:
+    keypoints, rows = detector.detectAndCompute(small, mask)
     order = np.argsort([-k.response for k in keypoints], kind="stable")[:max_features]
     return _features([keypoints[i] for i in order], scale, None if rows is None else np.asarray(rows)[order])
 

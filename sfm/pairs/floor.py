@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from groundwalk.artefacts.child import Report
 from groundwalk.artefacts.images import read_grey_image
 from groundwalk.artefacts.parallel import in_parallel
-from groundwalk.features.sift import DESCRIPTOR_SIZE, even_sift
+from groundwalk.features.sift import DESCRIPTOR_SIZE, masked_sift
 from groundwalk.geometry.epipolar import essential
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.calibration import Calibration, lines_of, to_middle_row
@@ -71,17 +71,19 @@ def floor_features(grey: NDArray[np.uint8], camera: pycolmap.Camera, gravity: Ar
     right, forward = np.arange(-_ASIDE, _ASIDE, _PIXEL), np.arange(_FAR, _NEAR, -_PIXEL)
     floor = np.stack(np.meshgrid(right, forward), axis=-1)
     px, is_inside = _in_image(camera, floor.reshape(-1, 2) @ axes + gravity)
-    source = (px - 0.5).astype(np.float32).reshape(floor.shape)
+    is_inside = is_inside.reshape(floor.shape[:2])
+    rows, columns = np.flatnonzero(is_inside.any(axis=1)), np.flatnonzero(is_inside.any(axis=0))
+    if not len(rows):
+        return FloorFeatures(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, DESCRIPTOR_SIZE), np.uint8))
+    part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    source = (px - 0.5).astype(np.float32).reshape(floor.shape)[part]
     drawn = cv2.remap(grey, source[..., 0], source[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     side = 2 * _MARGIN + 1
-    usable = cv2.erode(is_inside.reshape(drawn.shape).astype(np.uint8), np.ones((side, side), np.uint8), borderValue=0)
-    if not usable.any():
-        return FloorFeatures(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, DESCRIPTOR_SIZE), np.uint8))
-    features = even_sift(np.asarray(drawn, np.uint8), _MAX_FEATURES, max(drawn.shape), _MIN_CONTRAST)
+    usable = cv2.erode(is_inside[part].astype(np.uint8), np.ones((side, side), np.uint8), borderValue=0)
+    features = masked_sift(np.asarray(drawn, np.uint8), np.asarray(usable, np.uint8), _MAX_FEATURES, _MIN_CONTRAST)
     column, row = features.px.T.astype(float) - 0.5
-    kept = usable[np.rint(row).astype(int), np.rint(column).astype(int)] > 0
-    on_floor = np.stack([right[0] + column * _PIXEL, forward[0] - row * _PIXEL], axis=1)[kept]
-    return FloorFeatures(on_floor, _in_image(camera, on_floor @ axes + gravity)[0], features.descriptors[kept])
+    on_floor = np.stack([right[columns[0]] + column * _PIXEL, forward[rows[0]] - row * _PIXEL], axis=1)
+    return FloorFeatures(on_floor, _in_image(camera, on_floor @ axes + gravity)[0], features.descriptors)
 
 
 def match_floors(a: FloorFeatures, b: FloorFeatures) -> Ints:
@@ -172,7 +174,9 @@ def _in_image(camera: pycolmap.Camera, points: Array) -> tuple[Array, NDArray[np
     corners = np.asarray(camera.cam_from_img(size * [[0, 0], [1, 0], [0, 1], [1, 1]]))
     # A lens's polynomial folds what is far outside back into the image.
     widest = float(np.linalg.norm(corners, axis=1).max())
-    ahead = (points[:, 2] > 0) & (np.linalg.norm(points[:, :2], axis=1) <= widest * points[:, 2])
+    x, y, z = points.T
+    ahead = (z > 0) & (x * x + y * y <= (widest * z) ** 2)
     px = np.full((len(points), 2), -1.0)
     px[ahead] = camera.img_from_cam(points[ahead])
-    return px, ahead & (px > 0).all(axis=1) & (px < size).all(axis=1)
+    u, v = px.T
+    return px, ahead & (u > 0) & (v > 0) & (u < size[0]) & (v < size[1])
