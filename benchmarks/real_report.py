@@ -49,8 +49,8 @@ def write_report(folder: Path, results: Sequence[Result]) -> None:
         "## Directions of walls\n\n"
         "Where all walls are at right angles, each image shows how it is turned to them. How far their directions "
         "spread over the walk by the poses of each: 5th to 95th percentile, degrees, of a running median over 9 "
-        "frames. This judges turns without VIO's or SfM's help; a model that is folded by right angles, as stock's of the "
-        "corridor, shows no spread.\n\n" + markdown_table(_wall_rows(results)),
+        "frames. This judges turns without VIO's or SfM's help; a model that is folded by right angles, as stock's of "
+        "the corridor, shows no spread.\n\n" + markdown_table(_wall_rows(results)),
         "## Cost\n\n"
         "Processor seconds of the whole process tree, wall minutes beside; peak memory of the largest process. Ours: "
         "import + sfm + align.\n\n" + markdown_table(_cost_rows(results)),
