@@ -35,8 +35,8 @@ _COLOURS = {VIO_WAY: VIO, OURS: GROUND_TRUTH, STOCK: NEUTRAL}
 def direction_of_walls(grey: NDArray[np.uint8], intrinsics: Array, distortion: Array, upright_R_cam: Array) -> float:
     """The direction about y, degrees in 0 to 90, along or across which most of the image's edges lie.
 
-    `intrinsics` (4,) fx, fy, cx, cy; `upright_R_cam` (3, 3) into axes of which y is up. An edge and the camera are in
-    one plane; a horizontal edge's direction is where the plane is horizontal.
+    `intrinsics` (4,) fx, fy, cx, cy; `upright_R_cam` (3, 3) into axes of which y is up. An edge and the camera
+    span a plane, and a horizontal edge runs along that plane's horizontal line.
     """
     edges = np.asarray(cv2.createLineSegmentDetector().detect(grey)[0], float).reshape(-1, 2, 2)
     length = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)

@@ -65,10 +65,12 @@ def attempt_models(
         similar = pairs_across_sessions(settings, scene.vio.session, database, r.seed)
     with r.step("matching"):
         matched = _match(r.seed, settings, scene, database, [*proposals, (PairOrigin.RETRIEVAL, similar)])
+        matched = compared = _compared_with_vio(settings, scene, database, matched)
         if settings.floor_features:
             matched = _tied_by_floor(r, settings, scene, database, matched)
         matched = _guided(settings, scene, database, matched)
-        matched = _compared_with_vio(settings, scene, database, matched)
+        if matched is not compared:
+            matched = _compared_with_vio(settings, scene, database, matched)
     folder = scene.scratch / f"mapping_{number}"
     with r.step("mapping"):
         built = _map(r.seed, settings, scene, database, matched, folder)
@@ -123,10 +125,9 @@ def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, 
 def _tied_by_floor(
     r: StageRun[SfmSettings], settings: SfmSettings, scene: SceneInput, database: Path, matched: MatchedPairs
 ) -> MatchedPairs:
-    """Pairs with few inliers matched by the floor, too, in recordings of which neighbouring frames have no verified
-    pair: there a model would break."""
-    verified = _compared_with_vio(settings, scene, database, matched).verified
-    broken = broken_links(scene.recording_N, scene.frames["t_ns"], matched.pairs[verified])
+    """Of pairs that were compared with VIO, those with few inliers matched by the floor, too, in recordings of which
+    neighbouring frames have no verified pair: there a model would break."""
+    broken = broken_links(scene.recording_N, scene.frames["t_ns"], matched.pairs[matched.verified])
     can_be_drawn = np.isfinite(scene.vio.gravity_cam).all(axis=1) & np.isfinite(scene.vio.vio_T_cam[:, 0, 0])
     can_be_drawn &= np.isin(scene.recording_N, scene.recording_N[broken[:, 0]])
     a, b = matched.pairs.T
@@ -135,7 +136,9 @@ def _tied_by_floor(
     pairs = matched.pairs[chosen]
     if not len(pairs):
         return matched
-    task = Task(tie_by_floor, (database, scene.floor_source(settings), scene.vio, pairs, verified[chosen]), len(pairs))
+    task = Task(
+        tie_by_floor, (database, scene.floor_source(settings), scene.vio, pairs, matched.verified[chosen]), len(pairs)
+    )
     scene.in_child("matching the floor", task)
     tied = replace(matched, inliers=read_pair_results(database, matched.pairs)[1])
     frames = scene.frames["frame_id"]

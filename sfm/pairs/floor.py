@@ -1,8 +1,9 @@
-"""Floor features: SIFT of the floor as seen from above, for frames that little else ties together.
+"""Floor features: SIFT of the floor as seen from above (bird's-eye view), for frames that little else ties together.
 
 Where walls are bare, neighbouring frames of a walk share the floor, but at so shallow an angle that it turns and
 stretches from one to the next by more than SIFT bears. Gravity says how the floor lies, so each frame can be drawn as
-seen from above, in units of the camera's height over the floor; there two frames differ by a turn and a shift.
+seen from above (inverse perspective mapping), in units of the camera's height over the floor; there two frames differ
+by a turn and a shift.
 """
 
 from collections.abc import Sequence
@@ -27,7 +28,7 @@ from groundwalk.sfm.database import Ints, image_id
 from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.nearest import mutual_matches
 from groundwalk.sfm.pairs.odometry import Odometry
-from groundwalk.sfm.pairs.two_views import fitted_near, start_by_vio
+from groundwalk.sfm.pairs.two_views import MAX_ERROR_PX, fitted_near, start_by_vio
 
 # What is drawn, in heights of the camera over the floor: so far to either side, ahead from and to, a pixel's side.
 _ASIDE, _NEAR, _FAR, _PIXEL = 1.5, 0.2, 3.0, 0.004
@@ -38,7 +39,6 @@ _MAX_ERROR = 0.008  # heights
 _TRIALS, _CONFIDENCE = 5000, 0.999
 # A hand's height over the floor stays much the same from frame to frame.
 _MAX_HEIGHT_RATIO = 1.1
-_MAX_ERROR_PX = 4.0  # from the relative pose, as COLMAP's
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def tie_by_floor(
             a_T_b, error_px = fitted_near(start_by_vio(np.eye(4), vio, a, b), *ends, *focal)
             geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
             geometry.E = essential(a_T_b[None])[0]
-            geometry.inlier_matches = matches[error_px < _MAX_ERROR_PX].astype(np.uint32)
+            geometry.inlier_matches = matches[error_px < MAX_ERROR_PX].astype(np.uint32)
             opened.update_two_view_geometry(image_id(a), image_id(b), geometry)
 
 

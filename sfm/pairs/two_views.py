@@ -14,7 +14,7 @@ from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.odometry import Odometry, PairLimits, VioComparison, compare_with_vio
 
 # COLMAP's bound for a match that fits, px, and the fraction of a pair's matches that another pose has to explain.
-_MAX_ERROR_PX = 4.0
+MAX_ERROR_PX = 4.0
 _MIN_EXPLAINED_FRACTION = 0.8
 _LOSS_PX = 1.0
 _MAX_EVALUATIONS = 30
@@ -63,7 +63,7 @@ def compare_pairs(database: Path, pairs: Pairs, vio: Odometry, limits: PairLimit
 def pose_near(start: Array, ray_a: Array, ray_b: Array, focal_a: float, focal_b: float) -> Array | None:
     """As `fitted_near`, or None where that explains too few of the matches."""
     pose, error_px = fitted_near(start, ray_a, ray_b, focal_a, focal_b)
-    return pose if np.mean(error_px < _MAX_ERROR_PX) >= _MIN_EXPLAINED_FRACTION else None
+    return pose if np.mean(error_px < MAX_ERROR_PX) >= _MIN_EXPLAINED_FRACTION else None
 
 
 def fitted_near(start: Array, ray_a: Array, ray_b: Array, focal_a: float, focal_b: float) -> tuple[Array, Array]:

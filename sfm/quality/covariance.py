@@ -246,20 +246,18 @@ def _sds_of_motions(inverse: Array, middle: Array, position_N3: Array, motion_S2
     The motion R_a^T (p_b - p_a) is free of the gauge but for the model's scale, which the S-transformation takes away.
     """
     gauge, h = _gauge_of(position_N3)
+    gauge_N67 = gauge.reshape(-1, 6, 7)
     index = local_unknowns(len(position_N3))[:, :6]
+    h_inverse = h @ inverse[index.ravel()]
     sds = np.empty(len(motion_S2))
     for first in range(0, len(motion_S2), _CHUNK):
         a, b = motion_S2[first : first + _CHUNK].T
         offset = position_N3[b] - position_N3[a]
-        slope, row = np.zeros((len(a), 3, len(position_N3), 6)), np.arange(len(a))
-        slope[row, :, b, 3:] = np.eye(3)
-        slope[row, :, a, 3:] = -np.eye(3)
-        slope[row, :, a, :3] = skew(offset)
-        by_pose = slope.reshape(3 * len(a), -1)
-        by_unknown = np.zeros((3 * len(a), len(inverse)))
-        by_unknown[:, index.ravel()] = by_pose - (by_pose @ gauge) @ h
-        left = (by_unknown @ inverse).reshape(len(a), 3, -1)
-        covariance = (left.reshape(3 * len(a), -1) @ middle).reshape(left.shape) @ np.swapaxes(left, 1, 2)
+        turned = skew(offset)
+        by_inverse = inverse[index[b, 3:]] - inverse[index[a, 3:]] + turned @ inverse[index[a, :3]]
+        by_gauge = gauge_N67[b, 3:] - gauge_N67[a, 3:] + turned @ gauge_N67[a, :3]
+        left = by_inverse - by_gauge @ h_inverse
+        covariance = (left.reshape(-1, len(middle)) @ middle).reshape(left.shape) @ np.swapaxes(left, 1, 2)
         largest = np.linalg.eigvalsh(covariance)[:, -1]
         sds[first : first + _CHUNK] = np.sqrt(largest) / np.linalg.norm(offset, axis=1)
     return sds

@@ -191,7 +191,6 @@ def test_the_floor_is_asked_where_a_recording_would_break(monkeypatch: pytest.Mo
         in_child=lambda text, task: asked.append(task),
     )
     said: list[str] = []
-    monkeypatch.setattr(attempt_models, "_compared_with_vio", lambda settings, scene, database, matched: matched)
     after = inliers + 40 * (inliers < 21)
     monkeypatch.setattr(attempt_models, "read_pair_results", lambda database, pairs: (inliers, after))
     run = cast(StageRun[SfmSettings], SimpleNamespace(say=said.append))
