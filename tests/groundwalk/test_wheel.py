@@ -88,7 +88,9 @@ def test_an_installed_groundwalk_makes_a_scene_and_reads_it(run: Run) -> None:
     done = run("groundwalk", "run", "--scene", "Church", "--profile", "tiny")
     assert done.returncode == 0, done.stderr[-3000:]
     again = run("groundwalk", "run", "--scene", "Church", "--profile", "tiny")
-    assert again.stderr.count("up to date") == 7, again.stderr
+    stages = ("simulate", "import", "sfm", "align", "localise", "train", "fuse", "report")
+    assert [f"{stage} · Church · tiny: up to date" in again.stderr for stage in stages] == [True] * 8, again.stderr
+    assert again.stderr.count("up to date") == len(stages), again.stderr
     program = (
         "import groundwalk; run = groundwalk.open('Church', profile='tiny'); print(run.summary());"
         "print(run.image(run.frames['frame_id'][0]).shape, len(run.points) > 0, len(run.errors) > 0)"
