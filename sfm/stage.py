@@ -157,7 +157,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=31,
+    version=32,
     settings=SfmSettings,
     needs=("import",),
     run=run,

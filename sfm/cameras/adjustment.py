@@ -9,7 +9,7 @@ k2, k3 (`groundwalk.geometry.lens`), further coefficients stay as they are state
 Unknowns: poses and points; k1, k2, k3 and readout time of each lens; the logarithm of the factor of each session's
 focal lengths; and of each frame what its focal length deviates by from that and its angular velocity. All but poses and
 points have priors. Gauss-Newton with Levenberg's damping on Cauchy's loss, points eliminated (Triggs et al., "Bundle
-adjustment - a modern synthesis", 2000).
+adjustment - a modern synthesis", 2000). Each point's residuals count by their own size (`point_noise`).
 """
 
 from dataclasses import dataclass, replace
@@ -34,6 +34,11 @@ LENS_UNKNOWNS, _READOUT = 4, 3  # k1, k2, k3, readout of a lens; the last one's 
 _RADIAL = [0, 1, 4]  # k1, k2, k3 of OpenCV's coefficients
 _MIN_LOSS_PX = 0.05
 _MAX_STEPS = 15
+# While cameras may be far off: misfit in the corners is no outlier, so a wider loss lets it count.
+_ROUGH_MAX_STEPS, _ROUGH_LOSS_WIDENING = 8, 4.0
+# Variances of points' errors differ as inverse chi-squared numbers of so many degrees of freedom (three to five in
+# captures); residuals beyond so many sigmas count as that.
+_NOISE_FREEDOM, _MAX_NOISE_SIGMAS, _NOISE_STEPS = 4.0, 3.0, 5
 _MAX_DAMPINGS = 6
 _MIN_READOUT_S = 1e-6
 _MIN_COST_DECREASE = 1e-4  # relative change of the cost
@@ -103,15 +108,27 @@ class Linearization:
     by_camera: Array
     by_point: Array
 
+    def over(self, noise_M: Array) -> "Linearization":
+        """In units of each observation's noise."""
+        noise = noise_M[:, None]
+        return Linearization(self.residual / noise, self.by_camera / noise[:, None], self.by_point / noise[:, None])
+
 
 @dataclass(frozen=True)
 class Adjusted:
-    """An adjusted bundle, its cameras, and the width of the Cauchy loss in px."""
+    """An adjusted bundle, its cameras, the width of the Cauchy loss in px, and by what factor that is larger for the
+    observations of each point, (P,)."""
 
     bundle: Bundle
     cameras: Cameras
     priors: CameraPriors
     loss_px: float
+    noise: Array
+
+    @property
+    def noise_M(self) -> Array:
+        """`noise` of each observation."""
+        return np.asarray(self.noise[self.bundle.point], float)
 
 
 def project(bundle: Bundle, cameras: Cameras, *, shutter: bool = True) -> Array:
@@ -307,24 +324,27 @@ def with_step(bundle: Bundle, cameras: Cameras, step: Array, point_step: Array) 
     return replace(bundle, sfm_T_cam=sfm_T_cam, xyz=bundle.xyz + point_step), moved
 
 
-def adjust(
-    bundle: Bundle, cameras: Cameras, priors: CameraPriors, steps: int = _MAX_STEPS, loss_widening: float = 1.0
-) -> Adjusted:
+def adjust(bundle: Bundle, cameras: Cameras, priors: CameraPriors, *, rough: bool = False) -> Adjusted:
     """Adjust everything; raises LinAlgError where the scene is too small to tell.
 
-    Where a camera isn't near the right one yet, misfit in the corners is no outlier: a wider loss lets it count.
+    `rough` is for cameras that may be far off: fewer steps with a wider loss, in which all points count alike.
     """
     prior_mean, information = camera_unknowns(priors.mean), prior_information(cameras, priors)
     damping, solver = 1e-6, Solver()
-    loss_px = loss_widening * loss_of(project(bundle, cameras) - bundle.observed_px)
+    noise, widening = np.ones(len(bundle.xyz)), _ROUGH_LOSS_WIDENING if rough else 1.0
+    loss_px = loss_of(project(bundle, cameras) - bundle.observed_px)
     # It mostly takes fewer steps.
-    for _ in track(range(steps), "adjusting cameras"):
+    for _ in track(range(_ROUGH_MAX_STEPS if rough else _MAX_STEPS), "adjusting cameras"):
         linear = linearize(bundle, cameras)
-        loss_px = loss_widening * loss_of(linear.residual)
-        weight = cauchy_weights(linear.residual, loss_px)
-        variance = loss_variance(loss_px / loss_widening)
+        if not rough:
+            noise = point_noise(bundle, linear.residual)
+        noise_M = noise[bundle.point]
+        linear = linear.over(noise_M)
+        loss_px = loss_of(linear.residual)
+        wide_px, variance = widening * loss_px, loss_variance(loss_px)
+        weight = cauchy_weights(linear.residual, wide_px)
         deviation = camera_unknowns(cameras) - prior_mean
-        before = _cost(linear.residual, loss_px) + _prior_cost(deviation, information, variance)
+        before = _cost(linear.residual, wide_px) + _prior_cost(deviation, information, variance)
         system = regular_system(bundle, cameras, linear, weight, variance * information)
         gradient = system.gradient + variance * (information @ deviation)
         diagonal = system.diagonal()
@@ -332,7 +352,7 @@ def adjust(
             step = solver.solve(system, diagonal, damping, -gradient)
             point_step = _point_step(bundle, cameras, linear, weight, system, step)
             moved = with_step(bundle, cameras, step, point_step)
-            cost = _cost(project(*moved) - bundle.observed_px, loss_px)
+            cost = _cost((project(*moved) - bundle.observed_px) / noise_M[:, None], wide_px)
             cost += _prior_cost(camera_unknowns(moved[1]) - prior_mean, information, variance)
             if np.isfinite(cost) and cost <= before:
                 damping = max(damping / 10, 1e-9)
@@ -343,7 +363,26 @@ def adjust(
         bundle, cameras = moved
         if before - cost < _MIN_COST_DECREASE * before:
             break
-    return Adjusted(bundle, cameras, priors, loss_px / loss_widening)
+    return Adjusted(bundle, cameras, priors, loss_px, noise)
+
+
+def point_noise(bundle: Bundle, residual_M2: Array) -> Array:
+    """By what factor the errors of each point's features are larger than usual, (P,).
+
+    Features of some points are found much more precisely than those of others: a point's errors are nearly normal, and
+    from point to point their variance differs (docs/explanation/sfm.md). It is known by the point's residuals, three
+    numbers of which went into its position, and by how variances are distributed (conjugate prior, Gelman et al.,
+    Bayesian Data Analysis, 2013, 2.6).
+    """
+    count = np.bincount(bundle.point, minlength=len(bundle.xyz))
+    square = np.sum(residual_M2**2, axis=1)
+    usual = loss_variance(loss_of(residual_M2))
+    variance = np.full(len(count), usual)
+    for _ in range(_NOISE_STEPS):
+        bounded = np.minimum(square, 2 * _MAX_NOISE_SIGMAS**2 * variance[bundle.point])
+        total = _NOISE_FREEDOM * usual + np.bincount(bundle.point, bounded, len(count))
+        variance = total / (_NOISE_FREEDOM + np.maximum(2 * count - 3, 0))
+    return np.asarray(np.sqrt(variance / usual), float)
 
 
 def marginal_readout(adjusted: Adjusted) -> Adjusted:
@@ -385,7 +424,7 @@ def _of_frames(unknowns: Array, cameras: Cameras) -> tuple[Array, Array]:
 
 def _normal_equations(adjusted: Adjusted) -> tuple[Linearization, Array, System]:
     """At an adjusted model: linearization, weights (M,) and system."""
-    linear = linearize(adjusted.bundle, adjusted.cameras)
+    linear = linearize(adjusted.bundle, adjusted.cameras).over(adjusted.noise_M)
     weight = cauchy_weights(linear.residual, adjusted.loss_px)
     information = loss_variance(adjusted.loss_px) * prior_information(adjusted.cameras, adjusted.priors)
     return linear, weight, regular_system(adjusted.bundle, adjusted.cameras, linear, weight, information)

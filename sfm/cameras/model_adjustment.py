@@ -38,7 +38,6 @@ _MIN_STEP_M = 0.02
 _LOG_FOCAL_SD = 0.01
 _FOCUS_SD, _PRIOR_FRAMES = 0.0003, 5
 _VARIANCE_STEPS, _MAX_SIGMAS = 100, 3.0
-_FIRST_MAX_STEPS, _FIRST_LOSS_WIDENING = 8, 4.0
 _EXACT_SD = 1e-7
 _OUTLIER_SIGMAS = 4.0
 # A point that two frames see tells one number of their poses, which have six each.
@@ -97,7 +96,7 @@ def adjust_model(
         raise LinAlgError("hardly any frame has enough observations for a pose")
     rows, point_ids, bundle, features = _bundle_of(model, keypoints)
     cameras, priors = _cameras_of(rows, bundle, log, settings)
-    adjusted = adjust(bundle, cameras, priors, _FIRST_MAX_STEPS, _FIRST_LOSS_WIDENING)
+    adjusted = adjust(bundle, cameras, priors, rough=True)
     _write_back(model, rows, point_ids, adjusted, features)
     residual = project(adjusted.bundle, adjusted.cameras) - bundle.observed_px
     outliers = np.linalg.norm(residual, axis=1) > _OUTLIER_SIGMAS * np.sqrt(loss_variance(adjusted.loss_px))
@@ -116,7 +115,9 @@ def adjust_model(
     _write_back(model, rows, point_ids, adjusted, features)
     observations.filter_observations_with_negative_depth()
     model.update_point_3d_errors()
-    return replace(adjusted, bundle=_bundle_of(model, keypoints)[2], priors=learned), rows
+    _, left_ids, left, _ = _bundle_of(model, keypoints)
+    noise = adjusted.noise[np.searchsorted(point_ids, left_ids)]
+    return replace(adjusted, bundle=left, priors=learned, noise=noise), rows
 
 
 def _deregister_undetermined(model: pycolmap.Reconstruction) -> bool:
@@ -166,7 +167,7 @@ def cameras_of_frames(log: CameraLog, parts: list[tuple[Adjusted, Ints]]) -> Cam
 
 def save_adjusted(path: Path, adjusted: Adjusted, rows: Ints) -> None:
     """Write what `load_adjusted` reads."""
-    arrays: dict[str, Any] = {"rows": rows, "loss_px": adjusted.loss_px}
+    arrays: dict[str, Any] = {"rows": rows, "loss_px": adjusted.loss_px, "noise": adjusted.noise}
     for name, part in (("bundle", adjusted.bundle), ("cameras", adjusted.cameras), ("mean", adjusted.priors.mean)):
         arrays |= {f"{name}.{f.name}": getattr(part, f.name) for f in fields(part)}
     arrays |= {f"priors.{f.name}": getattr(adjusted.priors, f.name) for f in fields(CameraPriors) if f.name != "mean"}
@@ -181,8 +182,8 @@ def load_adjusted(path: Path) -> tuple[Adjusted, Ints]:
             return {key.partition(".")[2]: file[key] for key in file.files if key.startswith(name + ".")}
 
         priors = CameraPriors(mean=Cameras(**part("mean")), **part("priors"))
-        adjusted = Adjusted(Bundle(**part("bundle")), Cameras(**part("cameras")), priors, float(file["loss_px"]))
-        return adjusted, file["rows"]
+        bundle, cameras = Bundle(**part("bundle")), Cameras(**part("cameras"))
+        return Adjusted(bundle, cameras, priors, float(file["loss_px"]), file["noise"]), file["rows"]
 
 
 def _bundle_of(model: pycolmap.Reconstruction, keypoints: list[Array]) -> tuple[Ints, Ints, Bundle, Ints]:

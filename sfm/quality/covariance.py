@@ -74,7 +74,7 @@ def covariances(
     blobs = int(blob_P.max(initial=-1)) + 1
     if blobs < _POINTS_PER_UNKNOWN * 6 * frames or track_length.min() < 2:
         return None
-    linear = linearize(bundle, cameras)
+    linear = linearize(bundle, cameras).over(adjusted.noise_M)
     weight = cauchy_weights(linear.residual, adjusted.loss_px)
     variance = loss_variance(adjusted.loss_px)
     information = prior_information(cameras, adjusted.priors)
@@ -129,7 +129,9 @@ def _of_surfaces(adjusted: Adjusted, linear: Linearization, weight_M: Array, poi
     pulls = []
     for component_M in (direction - (summed(direction, part_M, parts) / np.bincount(part_M)[:, None])[part_M]).T:
         for axis in np.eye(2):
-            force = _forces(linear, weight_M, component_M[:, None] * axis, bundle.point, point_inverse)
+            force = _forces(
+                linear, weight_M, (component_M / adjusted.noise_M)[:, None] * axis, bundle.point, point_inverse
+            )
             pulls.append(_rows_of_unknowns(force, adjusted, part_M, parts).toarray())
     return np.hstack(pulls)
 
@@ -179,10 +181,10 @@ def _forces(linear: Linearization, weight_M: Array, residual_M2: Array, point_M:
 
 
 def coherence(adjusted: Adjusted, residual_M2: Array, blob_P: Ints) -> tuple[float, float]:
-    """How much more residuals (pixels) hang together in the rows of a frame that are read out together, and in a part
-    of the image over all frames, than independent ones would: the ratio of the variances of their sums (Kish's design
-    effect), at least 1, less what may be chance. A shutter or focus that isn't modelled shows in the first, a lens in
-    the second.
+    """How much more residuals (in units of their points' noise) hang together in the rows of a frame that are read out
+    together, and in a part of the image over all frames, than independent ones would: the ratio of the variances of
+    their sums (Kish's design effect), at least 1, less what may be chance. A shutter or focus that isn't modelled shows
+    in the first, a lens in the second.
     """
     bundle, cameras = adjusted.bundle, adjusted.cameras
     residual = residual_M2 / (1 + np.sum(residual_M2**2, axis=1, keepdims=True) / adjusted.loss_px**2)

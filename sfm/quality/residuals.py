@@ -29,7 +29,8 @@ def residual_patterns(model_id: str, lens_ids: list[str], adjusted: Adjusted) ->
     """Table sfm.residuals of a model, whose lenses have these names."""
     bundle, cameras = adjusted.bundle, adjusted.cameras
     residual = project(bundle, cameras) - bundle.observed_px
-    residual /= np.sqrt(1 + np.sum(residual**2, axis=1, keepdims=True) / adjusted.loss_px**2)
+    loss_px = adjusted.loss_px * adjusted.noise_M[:, None]
+    residual /= np.sqrt(1 + np.sum(residual**2, axis=1, keepdims=True) / loss_px**2)
     frame = bundle.frame
     offset = (bundle.observed_px - cameras.intrinsics[frame, 2:]) / cameras.focal[frame]
     radius = np.linalg.norm(offset, axis=1)

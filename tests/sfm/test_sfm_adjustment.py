@@ -15,6 +15,7 @@ from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse
 from groundwalk.geometry.robust import cauchy_weights
 from groundwalk.geometry.shutter import readout_lines
+from groundwalk.sfm.cameras import adjustment
 from groundwalk.sfm.cameras.adjustment import (
     Adjusted,
     Bundle,
@@ -90,8 +91,11 @@ def _adjusted(
     k3: float = 0.0,
     focus_sd: float = 0.001,
     angular_sd: float = _ANGULAR_SD,
+    noise_px: float | Array = _NOISE_PX,
+    rough: bool = False,
 ) -> tuple[Adjusted, Bundle, Cameras]:
-    """The walk adjusted from noisy observations and VIO's angular velocities; the lens as phones have it on average."""
+    """The walk adjusted from noisy observations and VIO's angular velocities; the lens as phones have it on average.
+    `noise_px` is the sd of all observations or of each point's."""
     truth, cameras = _walk(seed, first_row, k3)
     assumed = readout_lines([assumed_first_row or first_row] * _FRAMES, 640, 480)
     rng = np.random.default_rng(100 + seed)
@@ -117,9 +121,13 @@ def _adjusted(
         truth,
         sfm_T_cam=pose,
         xyz=truth.xyz + rng.normal(0, 0.02, truth.xyz.shape),
-        observed_px=truth.observed_px + rng.normal(0, _NOISE_PX, truth.observed_px.shape),
+        observed_px=truth.observed_px + rng.normal(0, _of_observations(noise_px, truth), truth.observed_px.shape),
     )
-    return adjust(noisy, mean, priors), truth, cameras
+    return adjust(noisy, mean, priors, rough=rough), truth, cameras
+
+
+def _of_observations(noise_px: float | Array, bundle: Bundle) -> float | Array:
+    return noise_px if isinstance(noise_px, float) else noise_px[bundle.point, None]
 
 
 def test_without_shutter_a_point_is_seen_where_colmaps_opencv_camera_has_it() -> None:
@@ -201,6 +209,22 @@ def test_lens_readout_and_poses_are_recovered() -> None:
     assert _position_error_m(adjusted.bundle, truth) < 0.008
 
 
+def test_points_that_are_found_precisely_count_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of points whose variances differ by chi-squared numbers of two degrees of freedom."""
+    seeds = range(4)
+    noise_px = [_NOISE_PX * np.sqrt(2 / np.random.default_rng(k).chisquare(2, len(_walk(k)[0].xyz))) for k in seeds]
+
+    def error_m() -> float:
+        trials = [_adjusted(k, noise_px=noise_px[k]) for k in seeds]
+        return float(np.mean([_position_error_m(adjusted.bundle, truth) for adjusted, truth, _ in trials]))
+
+    adjusted, _, _ = _adjusted(0, noise_px=noise_px[0])
+    assert np.corrcoef(np.log(adjusted.noise), np.log(noise_px[0]))[0, 1] > 0.7
+    by_points = error_m()
+    monkeypatch.setattr(adjustment, "point_noise", lambda bundle, residual_M2: np.ones(len(bundle.xyz)))
+    assert by_points < 0.95 * error_m()
+
+
 def test_a_lens_of_three_coefficients_is_recovered() -> None:
     adjusted, truth, _ = _adjusted(0, k3=0.3)
     estimate = covariances(adjusted, np.arange(len(truth.xyz)))
@@ -271,7 +295,7 @@ def test_sds_of_focus_and_of_vios_angular_velocities_are_learned_from_images() -
     """The walk's focus deviates by 0.001 and its angular velocities by _ANGULAR_SD, whatever the priors say."""
     focus, angular = [], []
     for seed in range(4):
-        adjusted, _, _ = _adjusted(seed, focus_sd=0.0003, angular_sd=_ANGULAR_SD / 4)
+        adjusted, _, _ = _adjusted(seed, focus_sd=0.0003, angular_sd=_ANGULAR_SD / 4, rough=True)
         learned = with_likeliest_sds(adjusted)
         focus.append(learned.focus_sd)
         angular.append(learned.angular_sd[[0, -1]])
@@ -279,7 +303,7 @@ def test_sds_of_focus_and_of_vios_angular_velocities_are_learned_from_images() -
         assert (shrunk.focus_sd < learned.focus_sd).all()
         assert (adjusted.priors.angular_sd <= shrunk.angular_sd).all()
         assert np.mean(shrunk.angular_sd) < np.mean(learned.angular_sd)
-    assert 0.0006 < np.sqrt(np.mean(np.square(focus))) < 0.0015
+    assert 0.0006 < np.sqrt(np.mean(np.square(focus))) < 0.0016
     assert 0.6 < np.sqrt(np.mean(np.square(angular))) / _ANGULAR_SD < 1.5
     adjusted, _, _ = _adjusted(0)
     assert 0.6 < np.sqrt(np.mean(with_likeliest_sds(adjusted).angular_sd ** 2)) / _ANGULAR_SD < 1.5

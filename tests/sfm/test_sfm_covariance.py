@@ -199,7 +199,7 @@ def _covariances(
     )
     one, rates = np.full(1, _EXACT), np.full((_FRAMES, 3), _EXACT)
     priors = CameraPriors(cameras, _EXACT**2 * np.eye(4)[None], one, one, rates)
-    adjusted = Adjusted(bundle, cameras, priors, _LOSS_PX)
+    adjusted = Adjusted(bundle, cameras, priors, _LOSS_PX, np.ones(len(bundle.xyz)))
     return covariances(adjusted, np.arange(len(bundle.xyz)) if blobs is None else blobs, surface_px, motions)
 
 
