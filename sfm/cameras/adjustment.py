@@ -9,7 +9,7 @@ k2, k3 (`groundwalk.geometry.lens`), further coefficients stay as they are state
 Unknowns: poses and points; k1, k2, k3 and readout time of each lens; the logarithm of the factor of each session's
 focal lengths; and of each frame what its focal length deviates by from that and its angular velocity. All but poses and
 points have priors. Gauss-Newton with Levenberg's damping on Cauchy's loss, points eliminated (Triggs et al., "Bundle
-adjustment - a modern synthesis", 2000). Each point's residuals count by their own size (`point_noise`).
+adjustment - a modern synthesis", 2000). Each point's residuals count by its own variance (`point_noise`).
 """
 
 from dataclasses import dataclass, replace
@@ -109,15 +109,15 @@ class Linearization:
     by_point: Array
 
     def over(self, noise_M: Array) -> "Linearization":
-        """In units of each observation's noise."""
+        """The same in units of each observation's noise (M,): residuals and derivatives divided by it."""
         noise = noise_M[:, None]
         return Linearization(self.residual / noise, self.by_camera / noise[:, None], self.by_point / noise[:, None])
 
 
 @dataclass(frozen=True)
 class Adjusted:
-    """An adjusted bundle, its cameras, the width of the Cauchy loss in px, and by what factor that is larger for the
-    observations of each point, (P,)."""
+    """An adjusted bundle, its cameras, the width of the Cauchy loss in px, and what that is multiplied by for the
+    observations of each point, (P,), as `point_noise` says."""
 
     bundle: Bundle
     cameras: Cameras
@@ -331,15 +331,14 @@ def adjust(bundle: Bundle, cameras: Cameras, priors: CameraPriors, *, rough: boo
     """
     prior_mean, information = camera_unknowns(priors.mean), prior_information(cameras, priors)
     damping, solver = 1e-6, Solver()
-    noise, widening = np.ones(len(bundle.xyz)), _ROUGH_LOSS_WIDENING if rough else 1.0
-    loss_px = loss_of(project(bundle, cameras) - bundle.observed_px)
+    noise, loss_px = np.ones(len(bundle.xyz)), _MIN_LOSS_PX
+    steps, widening = (_ROUGH_MAX_STEPS, _ROUGH_LOSS_WIDENING) if rough else (_MAX_STEPS, 1.0)
     # It mostly takes fewer steps.
-    for _ in track(range(_ROUGH_MAX_STEPS if rough else _MAX_STEPS), "adjusting cameras"):
+    for _ in track(range(steps), "adjusting cameras"):
         linear = linearize(bundle, cameras)
         if not rough:
             noise = point_noise(bundle, linear.residual)
-        noise_M = noise[bundle.point]
-        linear = linear.over(noise_M)
+            linear = linear.over(noise[bundle.point])
         loss_px = loss_of(linear.residual)
         wide_px, variance = widening * loss_px, loss_variance(loss_px)
         weight = cauchy_weights(linear.residual, wide_px)
@@ -352,7 +351,7 @@ def adjust(bundle: Bundle, cameras: Cameras, priors: CameraPriors, *, rough: boo
             step = solver.solve(system, diagonal, damping, -gradient)
             point_step = _point_step(bundle, cameras, linear, weight, system, step)
             moved = with_step(bundle, cameras, step, point_step)
-            cost = _cost((project(*moved) - bundle.observed_px) / noise_M[:, None], wide_px)
+            cost = _cost((project(*moved) - bundle.observed_px) / noise[bundle.point, None], wide_px)
             cost += _prior_cost(camera_unknowns(moved[1]) - prior_mean, information, variance)
             if np.isfinite(cost) and cost <= before:
                 damping = max(damping / 10, 1e-9)
@@ -367,7 +366,7 @@ def adjust(bundle: Bundle, cameras: Cameras, priors: CameraPriors, *, rough: boo
 
 
 def point_noise(bundle: Bundle, residual_M2: Array) -> Array:
-    """By what factor the errors of each point's features are larger than usual, (P,).
+    """The standard deviation of each point's features over the usual one, (P,), by their residuals (M, 2) in px.
 
     Features of some points are found much more precisely than those of others: a point's errors are nearly normal, and
     from point to point their variance differs (docs/explanation/sfm.md). It is known by the point's residuals, three

@@ -127,11 +127,10 @@ def _of_surfaces(adjusted: Adjusted, linear: Linearization, weight_M: Array, poi
     offset = bundle.xyz[bundle.point] - bundle.sfm_T_cam[bundle.frame, :3, 3]
     direction = offset / np.linalg.norm(offset, axis=1, keepdims=True)
     pulls = []
-    for component_M in (direction - (summed(direction, part_M, parts) / np.bincount(part_M)[:, None])[part_M]).T:
+    direction -= (summed(direction, part_M, parts) / np.bincount(part_M)[:, None])[part_M]
+    for component_M in (direction / adjusted.noise_M[:, None]).T:
         for axis in np.eye(2):
-            force = _forces(
-                linear, weight_M, (component_M / adjusted.noise_M)[:, None] * axis, bundle.point, point_inverse
-            )
+            force = _forces(linear, weight_M, component_M[:, None] * axis, bundle.point, point_inverse)
             pulls.append(_rows_of_unknowns(force, adjusted, part_M, parts).toarray())
     return np.hstack(pulls)
 
