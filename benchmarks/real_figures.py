@@ -27,6 +27,8 @@ OURS, STOCK, RATIO = "ours", "stock", "ours / stock"
 PASSED, REFUSED, CRASHED = "passed", "refused", "crashed"
 STAGES = {"import": "groundwalk.capture_import", "sfm": "groundwalk.sfm", "align": "groundwalk.alignment"}
 _FEWEST_COMPARED = 5
+_STRETCHES = 8  # of the walk, each left out once: errors of neighbours hang together
+POSITION = "common frames against VIO, position RMS"
 # A UserError ends a command with this.
 _REFUSAL = 2
 
@@ -130,7 +132,7 @@ def place(vio_T_cam: Array, sfm_T_cam: Array, group: NDArray[np.object_]) -> Pla
     """
     count = len(group)
     placed = Placed(np.full((count, 3), np.nan), *(np.full(count, np.nan) for _ in range(4)))
-    usable = np.isfinite(vio_T_cam[:, 0, 0]) & np.isfinite(sfm_T_cam[:, 0, 0])
+    usable = np.isfinite(vio_T_cam[:, 0, 0]) & np.isfinite(sfm_T_cam[:, 0, 0]) & ~pd.isna(group)
     for name in pd.unique(group[usable]):
         rows = np.flatnonzero(usable & (group == name))
         if len(rows) < _FEWEST_COMPARED:
@@ -317,6 +319,48 @@ def agreement_figures(run: Finished) -> list[Figure]:
     for a, b in zip(by_way[OURS], by_way[STOCK], strict=True):
         if a.unit:
             figures.append(Figure(a.name, a.value / b.value if b.value else np.nan, "", RATIO, a.subject))
+    return figures + three_way_figures(paths)
+
+
+def three_way_figures(paths: Paths) -> list[Figure]:
+    """Positions of ours, stock and VIO against each other: how far ours and stock are apart, what of their residuals is
+    VIO's where errors of the three are independent (a three-cornered hat: Gray and Allan, 28th Annual Symposium on
+    Frequency Control, 1974), and one sigma of the residuals and their ratio, by a jackknife over stretches of each
+    session (Künsch, Annals of Statistics 17, 1989)."""
+    both = paths.groups(ours=True, stock=True)
+    names = ["", *np.unique(paths.session.astype(str))]
+
+    def rms_mm(left_out: NDArray[np.bool_]) -> Array:
+        """Of each session: ours to VIO, stock to VIO, ours to stock (S, 3)."""
+        group = both.copy()
+        group[left_out] = None
+        ours, stock = (place(paths.vio_T_cam, poses, group) for poses in (paths.ours_T_cam, paths.stock_T_cam))
+        apart_m = np.linalg.norm(ours.xyz_vio - stock.xyz_vio, axis=1)
+        all_m = np.stack([ours.position_m, stock.position_m, apart_m], axis=1)
+        of = [np.isfinite(apart_m) & ((paths.session == name) | (name == "")) for name in names]
+        return np.array(
+            [1000 * np.sqrt(np.mean(all_m[rows] ** 2, axis=0)) if rows.any() else [np.nan] * 3 for rows in of]
+        )
+
+    whole = rms_mm(np.zeros(len(both), bool))
+    stretch = np.concatenate(
+        [np.arange(count) * _STRETCHES // count for count in pd.Series(paths.session).groupby(paths.session).size()]
+    )
+    resampled = np.array([rms_mm(stretch == k) for k in range(_STRETCHES)])
+    resampled = np.concatenate([resampled, resampled[..., :1] / resampled[..., 1:2]], axis=2)
+    sigma = np.sqrt((_STRETCHES - 1) * np.var(resampled, axis=0))
+    figures = []
+    for name, (ours, stock, apart), sd in zip(names, whole, sigma, strict=True):
+        if np.isfinite(apart):
+            figures += [
+                Figure(f"{POSITION}, one sigma", sd[0], "mm", OURS, name),
+                Figure(f"{POSITION}, one sigma", sd[1], "mm", STOCK, name),
+                Figure(f"{POSITION}, one sigma", sd[3], "", RATIO, name),
+                Figure("ours and stock apart, position RMS", apart, "mm", subject=name),
+            ]
+            if apart < min(ours, stock):
+                of_vio = np.sqrt((ours**2 + stock**2 - apart**2) / 2)
+                figures.append(Figure("VIO's part of the residuals, position RMS", of_vio, "mm", subject=name))
     return figures
 
 

@@ -12,7 +12,20 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.real import app
 from benchmarks.real_cases import Result, Target, judge, named_case, standard_cases
-from benchmarks.real_figures import CRASHED, PASSED, RATIO, REFUSED, STOCK, Figure, Verdict, place, verdict_of
+from benchmarks.real_figures import (
+    CRASHED,
+    OURS,
+    PASSED,
+    RATIO,
+    REFUSED,
+    STOCK,
+    Figure,
+    Paths,
+    Verdict,
+    place,
+    three_way_figures,
+    verdict_of,
+)
 from benchmarks.real_report import csv_text, write_report, write_stability
 from benchmarks.real_stability import RESAMPLINGS, Tried, agreeing, copy_without, left_out
 from benchmarks.stages import run_timed
@@ -69,11 +82,30 @@ def test_a_frame_that_is_off_shows_by_as_much() -> None:
     assert np.isnan(placed.step_m[0]) and np.nanmedian(placed.step_m) < 0.005
 
 
+def test_vios_part_of_the_residuals_is_its_own_error() -> None:
+    truth = poses(400)
+    rng = np.random.default_rng(4)
+    vio, ours, stock = (truth.copy() for _ in range(3))
+    for of, sd_m in ((vio, 0.005), (ours, 0.001), (stock, 0.002)):
+        of[:, :3, 3] += rng.normal(0, sd_m, (400, 3))
+    session = np.array(["a"] * 300 + ["b"] * 100, object)
+    # A model apart, which stock lacks, takes no part.
+    model = np.where(np.arange(400) < 390, 0, -1)
+    paths = Paths(session, np.arange(400), vio, moved(ours, 1), np.zeros(400, int), moved(stock, 2), model)
+    figures = {(f.name, f.way, f.subject): f.value for f in three_way_figures(paths)}
+    for name in ("", "a", "b"):
+        assert figures["VIO's part of the residuals, position RMS", OURS, name] == pytest.approx(8.66, rel=0.1)
+        assert figures["ours and stock apart, position RMS", OURS, name] == pytest.approx(3.87, rel=0.1)
+    # The sum of 1170 squares of independent errors has a relative deviation of sqrt(2 / 1170), their root half of it.
+    sigma = figures["common frames against VIO, position RMS, one sigma", OURS, ""]
+    assert sigma == pytest.approx(8.83 * np.sqrt(0.5 / 1170), rel=0.7)
+
+
 def test_frames_without_a_model_or_vio_and_groups_of_few_are_not_compared() -> None:
-    vio_T_cam = poses(20)
+    vio_T_cam = poses(25)
     sfm_T_cam = vio_T_cam.copy()
     sfm_T_cam[0], vio_T_cam[1] = np.nan, np.nan
-    group = np.array(["a"] * 16 + ["few"] * 3 + [None], object)
+    group = np.array(["a"] * 16 + ["few"] * 3 + [None] * 6, object)
     placed = place(vio_T_cam, sfm_T_cam, group)
     assert list(np.flatnonzero(np.isfinite(placed.position_m))) == list(range(2, 16))
 
