@@ -207,7 +207,7 @@ def execute(
         )
     settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, overrides or [])
     final = data.run(profile, scene_name, stage.name)
-    with locked(final), Inputs(stage, scene, profile, data, tuple(stage.files(settings))) as inputs:
+    with Inputs(stage, scene, profile, data, tuple(stage.files(settings))) as inputs, locked(final):
         finish_interrupted_swap(final, MANIFEST)
         inputs.refuse_outdated()
         key, parts = _key(stage, settings, seed, inputs)
@@ -257,7 +257,7 @@ def is_up_to_date(stage: Stage[Any], scene_name: str, profile: str, data: DataRo
     settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, [])
     final = data.run(profile, scene_name, stage.name)
     scene = data.scene(scene_name)[0]
-    with locked(final), Inputs(stage, scene, profile, data, tuple(stage.files(settings))) as inputs:
+    with Inputs(stage, scene, profile, data, tuple(stage.files(settings))) as inputs, locked(final):
         inputs.refuse_outdated()
         return is_whole(final, _key(stage, settings, 0, inputs)[0])
 

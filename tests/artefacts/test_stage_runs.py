@@ -164,7 +164,7 @@ def test_a_failing_stage_keeps_the_old_artefact(data: DataRoot) -> None:
     assert table_bytes(folder) == before
 
 
-def test_missing_inputs_are_named(data: DataRoot) -> None:
+def test_missing_inputs_are_named_and_leave_no_folder(data: DataRoot) -> None:
     with pytest.raises(UserError, match="make scene=elsewhere captures="):
         execute(STAGE, "elsewhere", "tiny", data)
     needs_sfm = Stage("align", 1, ExampleSettings, ("sfm",), run_example, "")
@@ -172,6 +172,7 @@ def test_missing_inputs_are_named(data: DataRoot) -> None:
         execute(needs_sfm, "place", "tiny", data)
     with pytest.raises(UserError, match="group of scenes"):
         execute(STAGE, "outdoor", "tiny", data)
+    assert not (data.root / "runs").exists()
 
 
 def test_two_runs_of_a_stage_keep_apart(data: DataRoot) -> None:
