@@ -157,7 +157,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=32,
+    version=33,
     settings=SfmSettings,
     needs=("import",),
     run=run,

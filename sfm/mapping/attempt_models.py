@@ -19,7 +19,7 @@ from groundwalk.sfm.mapping.source import VerifiedPairs
 from groundwalk.sfm.model import Model, load_models
 from groundwalk.sfm.pairs.candidates import broken_links, first_origins
 from groundwalk.sfm.pairs.floor import tie_by_floor
-from groundwalk.sfm.pairs.matching import MatchedPairs, guide_pairs, match_pairs
+from groundwalk.sfm.pairs.matching import LINK_INLIERS, MatchedPairs, guide_pairs, match_pairs
 from groundwalk.sfm.pairs.networks import model_files
 from groundwalk.sfm.pairs.odometry import PairLimits, nothing_compared
 from groundwalk.sfm.pairs.selection import Proposals, pairs_across_sessions, pairs_of_chains, pairs_within_sessions
@@ -126,8 +126,8 @@ def _tied_by_floor(
     r: StageRun[SfmSettings], settings: SfmSettings, scene: SceneInput, database: Path, matched: MatchedPairs
 ) -> MatchedPairs:
     """Of pairs that were compared with VIO, those with few inliers matched by the floor, too, in recordings of which
-    neighbouring frames have no verified pair: there a model would break."""
-    broken = broken_links(scene.recording_N, scene.frames["t_ns"], matched.pairs[matched.verified])
+    neighbouring frames have no verified pair that could link them: there a model would break."""
+    broken = broken_links(scene.recording_N, scene.frames["t_ns"], matched.pairs[matched.links])
     can_be_drawn = np.isfinite(scene.vio.gravity_cam).all(axis=1) & np.isfinite(scene.vio.vio_T_cam[:, 0, 0])
     can_be_drawn &= np.isin(scene.recording_N, scene.recording_N[broken[:, 0]])
     a, b = matched.pairs.T
@@ -145,8 +145,9 @@ def _tied_by_floor(
     links = [f"{frames[first]} and {frames[second]}" for first, second in broken[:_MOST_LINKS].tolist()]
     where = ", ".join(links) + (f" and {len(broken) - _MOST_LINKS} more" if len(broken) > _MOST_LINKS else "")
     r.say(
-        f"neighbouring frames without a verified pair: {where}; features of the floor as seen from above tie "
-        f"{np.count_nonzero(tied.inliers != matched.inliers)} of {len(pairs)} pairs there (sfm.floor_features)"
+        f"neighbouring frames without a verified pair of {LINK_INLIERS} inliers: {where}; features of the floor as "
+        f"seen from above tie {np.count_nonzero(tied.inliers != matched.inliers)} of {len(pairs)} pairs there "
+        "(sfm.floor_features)"
     )
     return tied
 

@@ -40,11 +40,11 @@ def sequence_pairs(recording_N: ArrayLike, t_ns_N: ArrayLike, overlap: int) -> P
     return unique_pairs(np.concatenate(proposed))
 
 
-def broken_links(recording_N: ArrayLike, t_ns_N: ArrayLike, verified: Pairs) -> Pairs:
-    """Pairs of neighbours in a recording, by time, that aren't among the verified pairs."""
+def broken_links(recording_N: ArrayLike, t_ns_N: ArrayLike, linked: Pairs) -> Pairs:
+    """Pairs of neighbours in a recording, by time, that aren't among the linked pairs."""
     count = len(np.asarray(recording_N))
     links = sequence_pairs(recording_N, t_ns_N, 1)
-    return links[~np.isin(_key(links, count), _key(verified, count))]
+    return links[~np.isin(_key(links, count), _key(linked, count))]
 
 
 def within_vio_limits(

@@ -32,6 +32,8 @@ _GUIDE = 0.002  # of an image's longer side: how far from its epipolar line a gu
 # Verified pairs with fewer inliers are matched again where one of their frames has fewer pairs of so many matches.
 _GOOD_PAIRS, _MANY_MATCHES = 3, 200
 _FEW_INLIERS = 100
+# As many as COLMAP's mapper needs to register an image: a pair of fewer doesn't hold a model together.
+LINK_INLIERS = 30
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,11 @@ class MatchedPairs:
         """(P,) one of its frames has few pairs with many matches."""
         good = np.bincount(self.pairs[self.matches >= _MANY_MATCHES].ravel(), minlength=self.pairs.max(initial=0) + 1)
         return np.asarray((good < _GOOD_PAIRS)[self.pairs].any(axis=1))
+
+    @property
+    def links(self) -> NDArray[np.bool_]:
+        """(P,) verified, with as many inliers as a model needs there to go on."""
+        return self.verified & (self.inliers >= LINK_INLIERS)
 
     @property
     def has_few_inliers(self) -> NDArray[np.bool_]:

@@ -1,6 +1,7 @@
 """Matching and verifying pairs side by side, against COLMAP's own verification of the same matches."""
 
 import shutil
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pycolmap
 from textured_room import Room
 
+from groundwalk.artefacts.choices import PairInconsistency
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import skew
 from groundwalk.sfm.database import create_database, has_results, image_id, image_name, read_pair_results
@@ -120,3 +122,14 @@ def test_only_pairs_of_frames_with_few_matches_are_weak() -> None:
     inliers = np.array([90, 240, 240, 240, 240, 240, 60, 10])
     matched = MatchedPairs(pairs, np.full(8, ""), matches, inliers, 15, nothing_compared(8))
     assert matched.weak.tolist() == [False] * 6 + [True, False]
+
+
+def test_a_verified_pair_of_few_inliers_links_nothing() -> None:
+    pairs = np.array([(0, 1), (1, 2), (2, 3), (3, 4)])
+    # Of a walk round a corner between bare walls: a pair that is verified by chance, and breaks the model all the same.
+    inliers = np.array([44, 22, 30, 90])
+    inconsistent = np.array(["", "", "", PairInconsistency.ROTATION], object)
+    compared = replace(nothing_compared(4), reason=inconsistent)
+    matched = MatchedPairs(pairs, np.full(4, ""), inliers, inliers, 15, compared)
+    assert matched.verified.tolist() == [True, True, True, False]
+    assert matched.links.tolist() == [True, False, True, False]
