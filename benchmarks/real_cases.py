@@ -27,6 +27,7 @@ from benchmarks.real_figures import (
     paths_of,
     verdict_of,
 )
+from benchmarks.real_floor import floor_figures
 from benchmarks.real_plots import draw_case
 from benchmarks.real_walls import wall_figures
 from benchmarks.stages import Cost, run_timed
@@ -70,14 +71,15 @@ class Judged:
 
 @dataclass(frozen=True)
 class Case:
-    """A capture folder imported with these settings; whether all walls are at right angles."""
+    """A capture folder imported with these settings; whether all walls are at right angles, and the floor's tiles in
+    rows of equal length."""
 
     name: str
     folder: Path
     settings: tuple[str, ...] = ()
     targets: tuple[Target, ...] = ()
     resampled: bool = True
-    right_angles: bool = False
+    is_tiled_corridor: bool = False
 
 
 @dataclass(frozen=True)
@@ -171,8 +173,8 @@ def standard_cases(captures: Path) -> list[Case]:
     both, share = captures / "charuco", Target("share of images registered", 98, "%", at_least=True)
     cases = [
         Case("chair", captures / "chair", (), chair),
-        Case("corridor", captures / "corridor", (), corridor, right_angles=True),
-        Case("corridor_all", captures / "corridor", ('sampling="all"',), corridor_all, False, right_angles=True),
+        Case("corridor", captures / "corridor", (), corridor, is_tiled_corridor=True),
+        Case("corridor_all", captures / "corridor", ('sampling="all"',), corridor_all, False, is_tiled_corridor=True),
         Case("charuco", both, (), (_ACCEPTED, share)),
         *(
             Case(f"charuco_{session.name}", session, (), (_ACCEPTED, share))
@@ -254,8 +256,8 @@ def run_case(case: Case, out: Path, pictures: Path) -> Result:
             raise UserError("stock COLMAP failed", where=folder / "stock.log", found=f"exit status {status}")
         draw_case(pictures / f"real_{case.name}.png", case.name, str(verdict), paths_of(run))
     figures = figures_of(run)
-    if case.right_angles and run.has("align"):
-        figures += wall_figures(run, pictures / f"real_{case.name}_walls.png")
+    if case.is_tiled_corridor and run.has("align"):
+        figures += wall_figures(run, pictures / f"real_{case.name}_walls.png") + floor_figures(run)
     return Result(
         case.name,
         case.folder.resolve().name,

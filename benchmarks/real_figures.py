@@ -23,7 +23,7 @@ from groundwalk.scoring.errors import relative_error
 from groundwalk.sfm.database import image_id
 from groundwalk.sfm.model import load_models
 
-OURS, STOCK, RATIO = "ours", "stock", "ours / stock"
+OURS, STOCK, RATIO, VIO_WAY = "ours", "stock", "ours / stock", "VIO"
 PASSED, REFUSED, CRASHED = "passed", "refused", "crashed"
 STAGES = {"import": "groundwalk.capture_import", "sfm": "groundwalk.sfm", "align": "groundwalk.alignment"}
 _FEWEST_COMPARED = 5

@@ -6,9 +6,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from benchmarks.real_cases import Result, judge
-from benchmarks.real_figures import OURS, POSITION, RATIO, STOCK
+from benchmarks.real_figures import OURS, POSITION, RATIO, STOCK, VIO_WAY
+from benchmarks.real_floor import SPACING
+from benchmarks.real_floor import SPREAD as SPACING_SPREAD
 from benchmarks.real_stability import Tried, agreeing
-from benchmarks.real_walls import SPREAD, VIO_WAY
+from benchmarks.real_walls import SPREAD
 from benchmarks.results import markdown_table
 
 _HEADER = """# Real captures
@@ -56,6 +58,11 @@ def write_report(folder: Path, results: Sequence[Result]) -> None:
         "spread over the walk by the poses of each: 5th to 95th percentile, degrees, of a running median over 9 "
         "frames. This judges turns without VIO's or SfM's help; a model that is folded by right angles, as stock's of "
         "the corridor, shows no spread.\n\n" + markdown_table(_wall_rows(results)),
+        "## Bands of the floor\n\n"
+        "Where tiles lie in rows of equal length, the bands across a floor are a ruler. Each image is drawn onto the "
+        "floor by its pose: distances of neighbouring bands, metres, median of each straight leg of the walk, and the "
+        "standard deviation of all about it. It judges how scale drifts along the walk without VIO's or SfM's help.\n\n"
+        + markdown_table(_floor_rows(results)),
         "## Cost\n\n"
         "Processor seconds of the whole process tree, wall minutes beside; peak memory of the largest process. Ours: "
         "import + sfm + align.\n\n" + markdown_table(_cost_rows(results)),
@@ -222,6 +229,17 @@ def _wall_rows(results: Iterable[Result]) -> Iterable[list[str]]:
     for r in results:
         if r.value(SPREAD, VIO_WAY) is not None:
             yield [r.case, *(_number(r.value(SPREAD, way)) for way in _WALL_WAYS)]
+
+
+def _floor_rows(results: Iterable[Result]) -> Iterable[list[str]]:
+    ways = (VIO_WAY, OURS)
+    yield ["case", "leg", "VIO", "ours", "distances", "standard deviation: VIO", "ours"]
+    for r in results:
+        for leg in r.subjects(SPACING, OURS):
+            yield [r.case, leg, *(_number(r.value(SPACING, way, leg)) for way in ways), "", "", ""]
+        if r.value(SPACING_SPREAD, OURS) is not None:
+            count = _number(r.value("spacings of floor bands", OURS))
+            yield [r.case, "all", "", "", count, *(_number(r.value(SPACING_SPREAD, way), "%") for way in ways)]
 
 
 def _cost_rows(results: Iterable[Result]) -> Iterable[list[str]]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
-from benchmarks.real_figures import OURS, STOCK, Figure, Finished
+from benchmarks.real_figures import OURS, STOCK, VIO_WAY, Figure, Finished
 from benchmarks.stock import largest_model
 from groundwalk.artefacts.images import read_grey_image
 from groundwalk.artefacts.parallel import in_parallel
@@ -23,7 +23,7 @@ from groundwalk.geometry.lens import undistort
 from groundwalk.geometry.poses import Array, path_length
 from groundwalk.sfm.model import load_models
 
-VIO_WAY, SPREAD = "VIO", "directions of walls, 5th to 95th percentile"
+SPREAD = "directions of walls, 5th to 95th percentile"
 _MIN_LENGTH = 0.03  # of an edge, in image widths
 _STEP_DEG, _SHARPNESS_DEG = 0.05, 0.25
 # Edges that are nearly upright say nothing of directions on the floor, nor do those seen nearly from below or above.
