@@ -233,11 +233,11 @@ def _grid_table(rows: list[dict[str, Any]]) -> Iterable[list[str]]:
     yield [
         *("case", "ground truth of", "A, B, C", "position cm: median, p95", "rotation deg"),
         *("inside 95 % bounds, position: SfM's part, whole", "rotation: SfM's part, whole", "missed", "k1", "k2"),
-        *("readout ms", "sfm s (processor)", "sfm MiB"),
+        *("readout ms", "sfm s (processor)", "sfm MiB", "revision"),
     ]
     for row in rows:
         if "refused" in row:
-            yield [row["case"], "refused", *[""] * 11]
+            yield [row["case"], "refused", *[""] * 12]
             continue
         inside = [
             [f"{row[f'{what} within 95 % bounds, {part}']:.1f}" for part in ("SfM's part", "whole")]
@@ -255,10 +255,11 @@ def _grid_table(rows: list[dict[str, Any]]) -> Iterable[list[str]]:
             *(_estimate(row, name) for name in ("k1", "k2", "readout_s")),
             f"{row['sfm_wall_s']:.0f} ({row['sfm_cpu_s']:.0f})",
             f"{row['sfm_mib']:.0f}",
+            row["revision"],
         ]
     finished = [row for row in rows if "refused" not in row]
     means = [f"{np.mean([row[name] for row in finished]):.1f}" for name in _LIMITS if "bounds" in name]
-    yield ["mean of the cases", *[""] * 4, ", ".join(means[:2]), ", ".join(means[2:]), *[""] * 6]
+    yield ["mean of the cases", *[""] * 4, ", ".join(means[:2]), ", ".join(means[2:]), *[""] * 7]
 
 
 def _missed(row: dict[str, Any]) -> list[str]:
