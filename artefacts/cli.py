@@ -109,8 +109,8 @@ def stage_command(name: str, load: "Callable[[], Stage[Any]]") -> Callable[..., 
                 "no scene was named",
                 do=f"add --scene <name>, for example --scene Church (stage {name})",
             )
-        # What libraries make while they are imported stays: to look through it, again and again and as the process
-        # ends, takes a third of the time of a small stage.
+        # What libraries make while they are imported stays in use: the garbage collector would look through it for
+        # nothing, again and again and as the process ends.
         gc.disable()
         from groundwalk.artefacts.stage import execute
 

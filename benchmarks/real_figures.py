@@ -85,6 +85,11 @@ class Finished:
         """Whether the stage wrote it: align also writes its checks where it refuses the model."""
         return (self.folder(stage) / f"{name}.parquet").is_file()
 
+    def map_T_cam(self) -> Array:
+        """Ground truth of import's frames (N, 4, 4), NaN where there is none."""
+        frames, truth = self.table("import", "frames"), self.table("align", "ground_truth")
+        return poses_of(truth.set_index("frame_id").reindex(frames["frame_id"]).reset_index(), "map_cam")
+
     def figures(self, stage: str) -> dict[str, float]:
         """The figures of the stage's manifest that are numbers; none where it didn't finish."""
         if not self.has(stage):
@@ -108,6 +113,12 @@ class Placed:
     """(N,) of the motion to the frame from the one before in its group: a drift of VIO hardly shows in it"""
     step_deg: Array
     """(N,)"""
+
+
+def rows_in_time(frames: pd.DataFrame, usable_N: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The usable rows of import's frames, in order of time."""
+    rows = np.flatnonzero(usable_N)
+    return rows[np.argsort(frames["t_ns"].to_numpy(np.int64)[rows], kind="stable")]
 
 
 def verdict_of(statuses: dict[str, int], logs: dict[str, str], causes: list[str]) -> Verdict:

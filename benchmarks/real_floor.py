@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from benchmarks.real_figures import OURS, VIO_WAY, Figure, Finished
+from benchmarks.real_figures import OURS, VIO_WAY, Figure, Finished, rows_in_time
 from groundwalk.artefacts.images import read_grey_image
 from groundwalk.artefacts.tables import points_in_map, poses_of
 from groundwalk.consistency.windows import POSE_SD, fit_rigid
@@ -94,18 +94,14 @@ def spacings(bands_B: Array) -> Array:
 def floor_figures(run: Finished) -> list[Figure]:
     """The median spacing of the floor's bands on each straight leg of a capture of one session, by VIO and by ground
     truth, and how far all spacings of each scatter about that (1.48 median deviations, as some are of a wrong band)."""
-    frames, images, truth, points = (
-        run.table(stage, name)
-        for stage, name in (("import", "frames"), ("sfm", "images"), ("align", "ground_truth"), ("sfm", "points"))
-    )
-    vio = poses_of(frames, "vio_cam")
-    map_T_cam = poses_of(truth.set_index("frame_id").reindex(frames["frame_id"]).reset_index(), "map_cam")
-    rows = np.flatnonzero(np.isfinite(map_T_cam[:, 0, 0]) & np.isfinite(vio[:, 0, 0]))
-    rows = rows[np.argsort(frames["t_ns"].to_numpy(np.int64)[rows], kind="stable")]
+    frames, images = run.table("import", "frames"), run.table("sfm", "images")
+    points = points_in_map(run.table("sfm", "points"), images, run.table("align", "ground_truth"))
+    vio, map_T_cam = poses_of(frames, "vio_cam"), run.map_T_cam()
+    rows = rows_in_time(frames, np.isfinite(map_T_cam[:, 0, 0]) & np.isfinite(vio[:, 0, 0]))
     vio, map_T_cam = vio[rows], map_T_cam[rows]
-    below = np.median(map_T_cam[:, 1, 3]) - points_in_map(points, images, truth)["y"].to_numpy(float)
-    count, edges = np.histogram(below, np.arange(*_HEIGHTS_M, 0.02))
-    floor_y = float(np.median(map_T_cam[:, 1, 3]) - edges[count.argmax()] - 0.01)
+    hand_y = float(np.median(map_T_cam[:, 1, 3]))
+    count, edges = np.histogram(hand_y - points["y"].to_numpy(float), np.arange(*_HEIGHTS_M, 0.02))
+    floor_y = hand_y - float(edges[count.argmax()] + 0.01)
     intrinsics = images[["fx", "fy", "cx", "cy"]].to_numpy(float)[rows]
     distortion = [np.asarray(images["distortion"].iloc[row], float) for row in rows]
     captures = run.root.captures(run.scene)

@@ -48,7 +48,7 @@ def write_report(folder: Path, results: Sequence[Result]) -> None:
         "rotations by a mean rotation; and all frames that either has. VIO isn't the truth: it drifts, and a model of "
         "fewer frames has less of that drift to explain. Steps, the motion from frame to frame, show little of it.\n\n"
         + markdown_table(_agreement_rows(results)),
-        "### What of it is VIO's\n\n"
+        "### VIO's part of the residuals\n\n"
         "Positions of the same frames, millimetres RMS; ± one sigma, by leaving out each eighth of every session once. "
         "Ours and stock have the same images. Where they are nearer to each other than to VIO, most of the residuals "
         "is VIO's, or an error that both share. VIO's part: what a model without any error would show, where errors of "

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
-from benchmarks.real_figures import OURS, STOCK, VIO_WAY, Figure, Finished
+from benchmarks.real_figures import OURS, STOCK, VIO_WAY, Figure, Finished, rows_in_time
 from benchmarks.stock import largest_model
 from groundwalk.artefacts.images import read_grey_image
 from groundwalk.artefacts.parallel import in_parallel
@@ -58,16 +58,13 @@ def direction_of_walls(grey: NDArray[np.uint8], intrinsics: Array, distortion: A
 def wall_figures(run: Finished, picture: Path) -> list[Figure]:
     """How far the directions of walls spread by VIO, by ground truth and by stock COLMAP's largest model, on the frames
     that each has, over a capture of one session; draws them."""
-    frames, images, truth = (
-        run.table(stage, name) for stage, name in (("import", "frames"), ("sfm", "images"), ("align", "ground_truth"))
-    )
+    frames, images = run.table("import", "frames"), run.table("sfm", "images")
     vio = poses_of(frames, "vio_cam")
-    map_T_cam = poses_of(truth.set_index("frame_id").reindex(frames["frame_id"]).reset_index(), "map_cam")
-    ways = {VIO_WAY: vio, OURS: map_T_cam}
+    ways = {VIO_WAY: vio, OURS: run.map_T_cam()}
     if (largest := largest_model(run.stock_folder)) is not None:
         ways[STOCK] = load_models([largest], len(frames)).sfm_T_cam
-    rows = np.flatnonzero(~frames["support"].to_numpy(bool) & images["registered"] & np.isfinite(vio[:, 0, 0]))
-    rows = rows[np.argsort(frames["t_ns"].to_numpy(np.int64)[rows], kind="stable")]
+    usable = ~frames["support"].to_numpy(bool) & images["registered"].to_numpy(bool) & np.isfinite(vio[:, 0, 0])
+    rows = rows_in_time(frames, usable)
     intrinsics = images[["fx", "fy", "cx", "cy"]].to_numpy(float)
 
     def direction(row: int) -> float:

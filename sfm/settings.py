@@ -70,7 +70,7 @@ class SfmSettings(VioDriftSettings):
     min_inliers: int = Field(15, ge=8, description="verified matches that a pair needs")
     floor_features: bool = Field(
         True,
-        description="match the floor as seen from above (bird's-eye view) where neighbours are hardly linked",
+        description="match the floor as seen from above (bird's-eye view) where neighbours have few verified matches",
     )
     mapper: MapperName = Field("incremental", description="incremental, global, hierarchical, or vio: starts from VIO")
     min_component_frames: int = Field(

@@ -170,7 +170,7 @@ def test_a_bomb_of_brackets_stays_within_a_gibibyte(tmp_path: Path) -> None:
         for _ in range(90):
             member.write(b"[]," * (1 << 18))
         member.write(b"[]]}")
-    # Of Linux the VmHWM, as its ru_maxrss begins at that of the process that started this one.
+    # On Linux ru_maxrss begins at the memory of the parent process; VmHWM is the child's own peak.
     program = (
         "import resource, sys; from pathlib import Path; from groundwalk.capture_import.capture import Limits\n"
         "from groundwalk.capture_import.discovery import find_recordings\n"
