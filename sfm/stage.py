@@ -157,7 +157,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=33,
+    version=34,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -20,7 +20,7 @@ from groundwalk.sfm.cameras.model_adjustment import (
 )
 from groundwalk.sfm.database import read_keypoints
 from groundwalk.sfm.extensions import MAPPERS
-from groundwalk.sfm.mapping.mappers import MIN_MODEL_FRAMES, MappingInput, continued, explained_px
+from groundwalk.sfm.mapping.mappers import MIN_MODEL_FRAMES, MappingInput, continued
 from groundwalk.sfm.mapping.misplaced import MatchCheck
 from groundwalk.sfm.mapping.source import VerifiedPairs, read_matches, write_mapping_input
 from groundwalk.sfm.settings import SfmSettings
@@ -106,7 +106,7 @@ def build_models(
 def _map(report: Report, source: MappingInput, log: CameraLog, settings: SfmSettings, work: Path) -> list[Built]:
     """All models of the mapper and, where the largest lacks images, of continuing from it; without misplaced frames."""
     images = len(log.t_s)
-    check = MatchCheck(read_matches(source.database), cameras_of_frames(log, []), explained_px(source.database))
+    check = MatchCheck(read_matches(source.database), cameras_of_frames(log, []))
     registered = 0
 
     def report_one() -> None:

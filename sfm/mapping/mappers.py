@@ -118,7 +118,7 @@ def pipeline_options(source: MappingInput) -> pycolmap.IncrementalPipelineOption
     options.ba_global_max_num_iterations = 2
     options.ba_local_max_refinements = 1
     options.ba_local_max_num_iterations = 10
-    options.mapper.init_max_error = explained_px(source.database)
+    options.mapper.init_max_error = _first_pair_px(source.database)
     # People walk forward. A first pair still needs rays that meet at a wide enough angle.
     options.mapper.init_max_forward_motion = 1.0
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
@@ -129,8 +129,8 @@ def pipeline_options(source: MappingInput) -> pycolmap.IncrementalPipelineOption
     return options
 
 
-def explained_px(database: Path) -> float:
-    """What a match may be off by, in pixels, that the poses of its frames explain; the first pair's, too.
+def _first_pair_px(database: Path) -> float:
+    """What a match of the first pair may be off by, in pixels, by its poses.
 
     Two poses explain the matches of a facade within COLMAP's 4 px, and of these RANSAC takes either: a model that
     begins with the wrong one folds, however good all other matches are. Within a pixel one of them remains.

@@ -2,8 +2,8 @@
 
 Incremental mapping can register a few frames that look at one spot by points that those frames triangulated wrongly
 among themselves. The reprojection error stays low: matches with other frames, which deny their poses, are left out as
-outliers. They are verified matches all the same, and here they count: a pair is violated where the poses explain less
-than half of its matches.
+outliers. They are verified matches all the same, and here they count: a pair is violated where the median error of its
+matches is far above that of the other pairs. In sound models hardly a pair is.
 """
 
 from dataclasses import dataclass
@@ -19,17 +19,16 @@ from groundwalk.sfm.mapping.source import Matches, held_out_check
 from groundwalk.sfm.model import pose_of
 
 _MAX_VIOLATED = 0.3  # of a frame's matches, those in violated pairs
-_TYPICAL_ERRORS = 4.0  # in medians of the pairs' errors
+# A violated pair's median error: in medians of all pairs, and at least, as exact matches have errors of nothing.
+_TYPICAL_ERRORS, _MIN_VIOLATION_PX = 3.0, 0.25
 
 
 @dataclass(frozen=True)
 class MatchCheck:
-    """What a model's frames are held against: matches of all N frames, their cameras, and the Sampson distance (px)
-    up to which poses explain a match."""
+    """What a model's frames are held against: matches of all N frames, and their cameras."""
 
     matches: Matches
     cameras: Cameras
-    explained_px: float
 
     def deregister_misplaced(self, model: pycolmap.Reconstruction) -> int:
         """Deregister the misplaced frames of a model; how many there were."""
@@ -38,7 +37,7 @@ class MatchCheck:
         for number in model.reg_image_ids():
             sfm_T_cam[number - 1], model_N[number - 1] = pose_of(model.image(number)), 0
         check = held_out_check(self.matches, self.cameras, sfm_T_cam, model_N)
-        rows = misplaced(check.frames, check.error_px, self.explained_px)
+        rows = misplaced(check.frames, check.error_px)
         for row in rows:
             frame = model.image(image_id(row)).frame
             assert frame is not None
@@ -46,7 +45,7 @@ class MatchCheck:
         return len(rows)
 
 
-def misplaced(frames_M2: Ints, error_px_M: Array, explained_px: float) -> list[int]:
+def misplaced(frames_M2: Ints, error_px_M: Array) -> list[int]:
     """Rows of frames of which too large a fraction of the matches are in violated pairs, from the frames (M, 2) and
     Sampson distances (M,; px, NaN for none) of matches. The worst goes first, as it violates the pairs of others.
 
@@ -56,8 +55,7 @@ def misplaced(frames_M2: Ints, error_px_M: Array, explained_px: float) -> list[i
     matches = pd.DataFrame({"a": frames_M2[known, 0], "b": frames_M2[known, 1], "error": error_px_M[known]})
     pairs = matches.groupby(["a", "b"])["error"].agg(["median", "count"]).reset_index()
     a, b, count = (pairs[name].to_numpy() for name in ("a", "b", "count"))
-    limit_px = max(explained_px, _TYPICAL_ERRORS * pairs["median"].median()) if len(pairs) else explained_px
-    violated = np.where(pairs["median"] > limit_px, count, 0)
+    violated = np.where(pairs["median"] > max(_MIN_VIOLATION_PX, _TYPICAL_ERRORS * pairs["median"].median()), count, 0)
     rows: list[int] = []
     kept = np.ones(len(pairs), bool)
     while kept.any():

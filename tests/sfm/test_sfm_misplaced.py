@@ -23,29 +23,34 @@ def errors_of(wrong: dict[tuple[int, int], float]) -> tuple[np.ndarray, np.ndarr
 
 def test_the_frame_that_the_others_deny_is_misplaced_alone() -> None:
     frames, error_px = errors_of({(a, b): 5.0 for a, b in PAIRS.tolist() if 2 in (a, b)})
-    assert misplaced(frames, error_px, 1.0) == [2]
+    assert misplaced(frames, error_px) == [2]
 
 
 def test_frames_that_only_agree_among_themselves_are_misplaced() -> None:
     frames, error_px = errors_of({(a, b): 5.0 for a, b in PAIRS.tolist() if (a in (4, 5)) != (b in (4, 5))})
-    assert sorted(misplaced(frames, error_px, 1.0)) == [4, 5]
+    assert sorted(misplaced(frames, error_px)) == [4, 5]
+
+
+def test_a_frame_off_by_less_than_a_pixel_is_misplaced_where_all_others_are_exact() -> None:
+    frames, error_px = errors_of({(a, b): 0.5 for a, b in PAIRS.tolist() if 2 in (a, b)})
+    assert misplaced(frames, error_px) == [2]
 
 
 def test_no_frame_is_misplaced_where_all_are_off() -> None:
     frames, error_px = errors_of({(a, b): 3.0 + a for a, b in PAIRS.tolist()})
-    assert misplaced(frames, error_px, 1.0) == []
+    assert misplaced(frames, error_px) == []
 
 
 def test_one_wrong_pair_of_many_and_errors_that_are_unknown_are_borne() -> None:
     frames, error_px = errors_of({(0, 1): 5.0, (2, 3): np.nan})
-    assert misplaced(frames, error_px, 1.0) == []
-    assert misplaced(frames, np.full(len(frames), np.nan), 1.0) == []
+    assert misplaced(frames, error_px) == []
+    assert misplaced(frames, np.full(len(frames), np.nan)) == []
 
 
 @pytest.mark.parametrize("moved", [None, 3])
 def test_a_moved_frame_is_deregistered_with_what_only_it_saw(moved: int | None) -> None:
     model = synthetic_model()
-    check = MatchCheck(matches_of(model), cameras_of_frames(log_of(model), []), 1.0)
+    check = MatchCheck(matches_of(model), cameras_of_frames(log_of(model), []))
     if moved is not None:
         image = model.image(moved + 1)
         cam_T_sfm = image.cam_from_world()
