@@ -157,7 +157,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=34,
+    version=35,
     settings=SfmSettings,
     needs=("import",),
     run=run,

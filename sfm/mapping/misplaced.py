@@ -20,7 +20,7 @@ from groundwalk.sfm.model import pose_of
 
 _MAX_VIOLATED = 0.3  # of a frame's matches, those in violated pairs
 # A violated pair's median error: in medians of all pairs, and at least, as exact matches have errors of nothing.
-_TYPICAL_ERRORS, _MIN_VIOLATION_PX = 3.0, 0.25
+_TYPICAL_ERRORS, _MIN_VIOLATION_PX = 4.0, 0.25
 
 
 @dataclass(frozen=True)
