@@ -19,7 +19,7 @@ from groundwalk.sfm.mapping.source import Matches, held_out_check
 from groundwalk.sfm.model import pose_of
 
 _MAX_VIOLATED = 0.3  # of a frame's matches, those in violated pairs
-# A violated pair's median error: in medians of all pairs, and at least, as exact matches have errors of nothing.
+# Above both limits a pair is violated: in medians of all pairs, and in pixels, as exact matches have errors of 0.
 _TYPICAL_ERRORS, _MIN_VIOLATION_PX = 4.0, 0.25
 
 

@@ -31,9 +31,10 @@ def test_frames_that_only_agree_among_themselves_are_misplaced() -> None:
     assert sorted(misplaced(frames, error_px)) == [4, 5]
 
 
-def test_a_frame_off_by_less_than_a_pixel_is_misplaced_where_all_others_are_exact() -> None:
-    frames, error_px = errors_of({(a, b): 0.5 for a, b in PAIRS.tolist() if 2 in (a, b)})
-    assert misplaced(frames, error_px) == [2]
+@pytest.mark.parametrize(("off_px", "rows"), [(0.5, [2]), (0.35, [])])
+def test_the_limit_follows_the_errors_of_the_other_pairs(off_px: float, rows: list[int]) -> None:
+    frames, error_px = errors_of({(a, b): off_px for a, b in PAIRS.tolist() if 2 in (a, b)})
+    assert misplaced(frames, error_px) == rows
 
 
 def test_no_frame_is_misplaced_where_all_are_off() -> None:
