@@ -157,7 +157,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=35,
+    version=36,
     settings=SfmSettings,
     needs=("import",),
     run=run,

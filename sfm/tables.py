@@ -119,7 +119,7 @@ def camera_tables(
                     "stated_k2": lens.stated[1],
                     "origin": lens.origin,
                     "stated_is_wrong": lens.stated_is_wrong,
-                    "held_out_stated_px": lens.held_out_stated_px,
+                    "held_out_prior_px": lens.held_out_prior_px,
                     "held_out_px": lens.held_out_px,
                 }
             )

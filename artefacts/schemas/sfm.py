@@ -101,9 +101,10 @@ TABLES = [
             Column("origin", "string", "where k1 and k2 are from", choices=CameraOrigin),
             Column("stated_is_wrong", "bool", "the images contradict the stated distortion (docs/explanation/sfm.md)"),
             Column(
-                "held_out_stated_px",
+                "held_out_prior_px",
                 "float64",
-                "median Sampson distance of held-out matches of pairs with the stated lens and no rolling shutter",
+                "median Sampson distance of held-out matches of pairs with the stated lens, where none is stated with "
+                "phones' usual one, and with no rolling shutter but a stated one",
                 "px",
                 "",
                 True,
@@ -117,8 +118,8 @@ TABLES = [
                 True,
             ),
         ],
-        version="2.2",
-        renamed={"heldout_stated_px": "held_out_stated_px", "heldout_px": "held_out_px"},
+        version="3.0",
+        renamed={"held_out_stated_px": "held_out_prior_px", "heldout_px": "held_out_px"},
     ),
     TableSchema(
         "sfm",

@@ -59,9 +59,9 @@ _MIN_WRONG_SIGMAS, _MIN_WRONG_PX, _MIN_WRONG_GAIN = 5.0, 1.0, 0.02
 class Lens:
     """A lens: its frames' device, size and coefficients (OpenCV's order, 8), readout time, covariance (3, 3) of k1, k2
     and readout, where they are from, the stated lens (8), and the median Sampson distance of held-out matches, px, with
-    the stated lens and with this one; None where nothing was estimated. `stamp_offset_s` is the estimate of time stamps
-    minus times of the middle rows, with its standard error, `time_offset_s` the same where held-out matches accept it,
-    else 0."""
+    the prior's lens and with the estimated one; None where nothing was estimated. `stamp_offset_s` is the estimate of
+    time stamps minus times of the middle rows, with its standard error, `time_offset_s` the same where held-out matches
+    accept it, else 0."""
 
     lens_id: str
     frames: int
@@ -74,7 +74,7 @@ class Lens:
     prior_readout_s: float
     prior_covariance: list[list[float]]
     prior_k3_sd: float = _K3_SD
-    held_out_stated_px: float | None = None
+    held_out_prior_px: float | None = None
     held_out_px: float | None = None
     stated_is_wrong: bool = False
     stamp_offset_s: float | None = None
@@ -224,7 +224,7 @@ def calibrate(
     for before, lens_pairs in zip(prior.lenses, of_lens, strict=True):
         matches = read_pair_matches(images, lens_pairs, np.array(before.coefficients[2:]), seed)
         if len(matches.a_T_b) >= _MIN_PAIRS:
-            before = _estimated(before, matches, images.frames, lens_pairs, seed)
+            before = estimated_lens(before, matches, images.frames, lens_pairs, seed)
         lenses.append(before)
     replace(prior, lenses=lenses).save(output)
 
@@ -281,39 +281,44 @@ def read_pair_matches(images: CalibrationImages, pairs: Pairs, stated_6: Array, 
     return PairMatches(**joined, a_T_b=np.stack(poses), **twists, frames=ends_P2, stated_6=stated_6)
 
 
-def _estimated(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: Pairs, seed: int) -> Lens:
-    """The lens by its matches; the prior's where held-out matches fit the stated one better."""
+def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: Pairs, seed: int) -> Lens:
+    """The lens by its matches; the prior's where held-out matches fit that one better."""
     held_out = np.random.default_rng(seed).random(len(matches.pair)) < _HELD_OUT_FRACTION
     fitted, checked = matches.selected(~held_out), matches.selected(held_out)
-    stated = np.array([*prior.stated[:2], 0.0])
     start = np.array([*prior.coefficients[:2], prior.readout_s])
     information = np.linalg.inv(np.array(prior.covariance))
-    as_stated = estimate_lens(fitted, stated, _EXACT_INFORMATION * np.eye(3))
+    as_before = estimate_lens(fitted, start, _EXACT_INFORMATION * np.eye(3))
     estimate = estimate_lens(fitted, start, information)
-    stated_px, estimated_px = (_median_px(checked, e) for e in (as_stated, estimate))
-    wrong = False
-    if prior.origin == CameraOrigin.STATED and np.diag(information)[0] < _EXACT_INFORMATION / 2:
+    prior_px, estimated_px = (_median_px(checked, e) for e in (as_before, estimate))
+    wrong, is_held = False, bool(np.diag(information)[0] > _EXACT_INFORMATION / 2)
+    if prior.origin == CameraOrigin.STATED:
         weak = estimate_lens(fitted, start, np.linalg.inv(_WEAK_PRIOR))
         row = frames.iloc[int(pairs[0, 0])]
         extent = (0.5 * row.width / row.fx, 0.5 * row.height / row.fy)
         by_images = [*weak.parameters[:2], *matches.stated_6]
         shift_px = max_shift(by_images, prior.stated, extent) * row.fx
-        error = weak.parameters[:2] - stated[:2]
+        error = weak.parameters[:2] - start[:2]
         sigmas = np.sqrt(error @ np.linalg.solve(weak.covariance[:2, :2], error))
         weak_px = _median_px(checked, weak)
         wrong = bool(
-            sigmas > _MIN_WRONG_SIGMAS and shift_px > _MIN_WRONG_PX and weak_px < (1 - _MIN_WRONG_GAIN) * stated_px
+            sigmas > _MIN_WRONG_SIGMAS and shift_px > _MIN_WRONG_PX and weak_px < (1 - _MIN_WRONG_GAIN) * prior_px
         )
         if wrong:
-            estimate, estimated_px = weak, weak_px
+            estimated_px = weak_px
+        if wrong and not is_held:
+            estimate = weak
             prior = replace(prior, prior_covariance=_WEAK_PRIOR.tolist(), prior_k3_sd=_K3_SD)
-    check: dict[str, Any] = {"held_out_stated_px": stated_px, "held_out_px": estimated_px}
-    chosen = as_stated if estimated_px > stated_px else estimate
+    check: dict[str, Any] = {
+        "held_out_prior_px": prior_px,
+        "held_out_px": estimated_px,
+        "stated_is_wrong": wrong,
+    }
+    chosen = as_before if estimated_px > prior_px else estimate
     offset = estimate_time_offset(chosen, fitted, checked, _rotations_by_vio(matches.frames, frames))
     if offset is not None:
         check |= {"stamp_offset_s": offset.offset_s, "stamp_offset_sd_s": offset.sd_s}
         check["time_offset_s"] = offset.offset_s if offset.accepted else 0.0
-    if estimated_px > stated_px:
+    if estimated_px > prior_px:
         return replace(prior, **check)
     coefficients = [*estimate.parameters[:2].tolist(), *prior.coefficients[2:]]
     return replace(
@@ -322,8 +327,7 @@ def _estimated(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: P
         coefficients=coefficients,
         readout_s=float(estimate.parameters[2]),
         covariance=estimate.covariance.tolist(),
-        origin=CameraOrigin.ESTIMATED,
-        stated_is_wrong=wrong,
+        origin=CameraOrigin.STATED if is_held else CameraOrigin.ESTIMATED,
     )
 
 

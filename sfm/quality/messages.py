@@ -82,7 +82,7 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
         if lens["stated_is_wrong"]:
             r.say(
                 f"lens of {lens['lens_id']}: the STATED DISTORTION IS LIKELY WRONG (k1 {lens['stated_k1']:.4f}, k2 "
-                f"{lens['stated_k2']:.4f}): median error of held-out matches {lens['held_out_stated_px']:.2f} px, "
+                f"{lens['stated_k2']:.4f}): median error of held-out matches {lens['held_out_prior_px']:.2f} px, "
                 f"{lens['held_out_px']:.2f} px with the estimated lens, which is used"
             )
     limit = r.settings.max_focal_error

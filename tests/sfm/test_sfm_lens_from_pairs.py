@@ -1,12 +1,16 @@
 """Lens and readout time from pairs of images: matches of made-up cameras through known lenses."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from groundwalk.artefacts.choices import CameraOrigin
 from groundwalk.geometry.lens import distort, rational_of_fisheye
 from groundwalk.geometry.poses import Array, make_pose, relative
+from groundwalk.sfm.cameras.calibration import Lens, estimated_lens, lenses_of, prior_lenses
 from groundwalk.sfm.cameras.lens_from_pairs import PairMatches, estimate_lens, sampson_of
+from groundwalk.sfm.settings import SfmSettings
 
 _PAIRS, _POINTS = 40, 120
 _FOCAL_PX, _NOISE_PX = 480.0, 0.3
@@ -54,3 +58,64 @@ def test_a_stated_lens_that_folds_back_within_the_image_leaves_finite_residuals(
     assert np.allclose(estimate.parameters[:2], stated, atol=1e-3)
     residual = sampson_of(matches, estimate.a_T_b, estimate.parameters)
     assert np.isfinite(residual).all() and np.median(np.abs(residual)) > 5 * _NOISE_PX
+
+
+@pytest.mark.parametrize(("lens", "seed"), [((0.0, 0.0), 0), ((0.0, 0.0), 2), ((0.0, 0.0), 5), ((0.09, -0.12), 0)])
+def test_where_nothing_is_stated_images_say_whether_there_is_distortion(lens: tuple[float, float], seed: int) -> None:
+    """With no distortion, a stated pinhole fits held-out matches as well as the estimate: which one does better is
+    chance, and must not decide for what phones usually have."""
+    estimated = _estimated((0.0, 0.0), lens, seed)
+    sd = np.sqrt(np.diag(estimated.covariance))[:2]
+    assert estimated.origin == CameraOrigin.ESTIMATED and (sd < 0.02).all()
+    assert (np.abs(np.array(estimated.coefficients[:2]) - lens) < 4 * sd).all()
+    assert np.allclose(estimated.coefficients[2:], 0) and not estimated.stated_is_wrong
+
+
+def test_a_stated_lens_is_kept_or_named_wrong() -> None:
+    true = (0.09, -0.12)
+    right = _estimated(true, true, 0)
+    assert np.allclose(right.coefficients[:2], true, atol=0.02) and not right.stated_is_wrong
+    # The inverse convention, and a lens of another phone.
+    for stated in ((-0.09, 0.12), (0.2, -0.4)):
+        wrong = _estimated(stated, true, 0)
+        assert wrong.stated_is_wrong and wrong.origin == CameraOrigin.ESTIMATED
+        assert np.allclose(wrong.coefficients[:2], true, atol=0.02)
+        assert wrong.held_out_px is not None and wrong.held_out_prior_px is not None
+        assert wrong.held_out_px < 0.98 * wrong.held_out_prior_px
+
+
+@pytest.mark.parametrize(("true", "is_wrong"), [((0.09, -0.12), True), ((0.0, 0.0), False)])
+def test_a_pinhole_that_settings_hold_stays_and_is_named_where_images_have_a_lens(
+    true: tuple[float, float], is_wrong: bool
+) -> None:
+    held = _estimated((0.0, 0.0), true, 0, SfmSettings(lens="stated"))
+    assert held.origin == CameraOrigin.STATED and np.allclose(held.coefficients, 0, atol=1e-6)
+    assert held.stated_is_wrong == is_wrong
+
+
+def test_frames_share_a_lens_where_device_size_stated_lens_and_focal_length_are_the_same() -> None:
+    frames = _frames((0.0, 0.0), 6)
+    frames["session_id"] = ["a", "a", "b", "b", "c", "c"]
+    frames.loc[[1, 3], "fx"] = 240.0  # the ultra-wide camera, in the middle of a session
+    lens, names = lenses_of(frames, {"a": "phone", "b": "phone", "c": "another phone"})
+    assert len(names) == 3 and lens[0] == lens[2] and lens[1] == lens[3] and lens[4] == lens[5]
+    assert len(set(lens[[0, 1, 4]])) == 3
+    assert "phone, 640x480, focal length 0.38 widths" in names
+
+
+def _estimated(
+    stated: tuple[float, float], true: tuple[float, float], seed: int, settings: SfmSettings | None = None
+) -> Lens:
+    matches = _matches(np.array([*true, 0, 0, 0, 0, 0, 0]), seed, 0.6)
+    frames = _frames(stated, 2 * _PAIRS)
+    prior = prior_lenses(frames, {"walk": "phone"}, settings or SfmSettings()).lenses[0]
+    return estimated_lens(prior, matches, frames, matches.frames, seed)
+
+
+def _frames(stated: tuple[float, float], count: int) -> pd.DataFrame:
+    row = {"session_id": "walk", "width": 640, "height": 480, "fx": _FOCAL_PX, "fy": _FOCAL_PX, "cx": 320.0}
+    row |= {"cy": 240.0} | {f"vio_cam_{name}": np.nan for name in ("tx", "ty", "tz")}
+    row |= {f"vio_cam_q{name}": float(name == "w") for name in "xyzw"}
+    frames = pd.DataFrame([row] * count)
+    frames["distortion"] = pd.Series([[*stated, 0.0, 0.0]] * count)
+    return frames
