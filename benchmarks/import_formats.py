@@ -157,7 +157,8 @@ def mistakes_detected(session: ImportedSession, roots: list[Path]) -> tuple[floa
             camera, pose = image.frame.intrinsics, image.frame.vio_T_cam
             assert camera is not None and pose is not None
             pose, k = change((pose, np.array([camera.fx, camera.fy, camera.cx, camera.cy])))
-            frame = replace(image.frame, vio_T_cam=pose, intrinsics=Intrinsics.of(k.tolist()))
+            mistaken = replace(Intrinsics.of(k.tolist()), distortion=camera.distortion)
+            frame = replace(image.frame, vio_T_cam=pose, intrinsics=mistaken)
             images.append(replace(image, frame=frame))
         count += check_convention(replace(session, images=images), views.load).contradicted is not None
     return right.declared, right.other_explained, count, len(CONVENTIONS) - 1

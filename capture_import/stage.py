@@ -380,7 +380,7 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
 
 STAGE = Stage(
     name="import",
-    version=9,
+    version=10,
     settings=ImportSettings,
     needs=(),
     run=run,

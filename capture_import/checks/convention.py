@@ -17,6 +17,7 @@ from groundwalk.capture_import.capture import RawFrame
 from groundwalk.capture_import.checks.scan import LoadGray
 from groundwalk.capture_import.intake import Image, ImportedSession
 from groundwalk.geometry.epipolar import sampson_px
+from groundwalk.geometry.lens import undistort
 from groundwalk.geometry.poses import (
     ARKIT_CAM_T_CAM,
     Array,
@@ -51,6 +52,9 @@ MIN_EXPLAINED = 0.5
 
 # A camera for the check: its pose (4, 4) and fx, fy, cx, cy of the working image.
 Camera = tuple[Array, Array]
+# OpenCV's coefficients; empty where none are stated: a phone's main lens moves points by a pixel or two of the working
+# image, and much alike in both.
+Distortion = tuple[float, ...]
 Change = Callable[[Camera], Camera]
 # SIFT positions (N, 2) with (0, 0) the image's corner, and descriptors (N, 128).
 Features = tuple[Array, NDArray[np.float32]]
@@ -73,10 +77,12 @@ class ConventionCheck:
 
 @dataclass(frozen=True)
 class MatchedPair:
-    """Matched points of two images (N, 2) in pixels of the working size, (0, 0) the image's corner, and the cameras."""
+    """Matched points of two images (N, 2) in pixels of the working size, (0, 0) the image's corner, the cameras, and
+    the distortion that is stated of each."""
 
     points: tuple[Array, Array]
     cameras: tuple[Camera, Camera]
+    distortion: tuple[Distortion, Distortion] = ((), ())
 
 
 def check_convention(session: ImportedSession, load: LoadGray) -> ConventionCheck:
@@ -97,7 +103,8 @@ def matched_pairs(session: ImportedSession, load: LoadGray) -> list[MatchedPair]
         matches = _match(features_a[1], features_b[1])
         if len(matches) >= _MIN_MATCHES:
             points = features_a[0][matches[:, 0]], features_b[0][matches[:, 1]]
-            matched.append(MatchedPair(points, (_camera(session.images[a]), _camera(session.images[b]))))
+            (camera_a, lens_a), (camera_b, lens_b) = (_camera(session.images[i]) for i in (a, b))
+            matched.append(MatchedPair(points, (camera_a, camera_b), (lens_a, lens_b)))
     return matched
 
 
@@ -105,7 +112,7 @@ def best_convention(pairs: Sequence[MatchedPair]) -> ConventionCheck:
     """The convention in which the cameras of the pairs fit best."""
     if not pairs:
         return ConventionCheck(0, np.nan, "", np.nan, None)
-    table = np.array([[_explained(p.points, *map(change, p.cameras)) for _, change in CONVENTIONS] for p in pairs])
+    table = np.array([[_explained(pair, change) for _, change in CONVENTIONS] for pair in pairs])
     mean = table.mean(axis=0)
     best = 1 + int(np.argmax(mean[1:]))
     wins = np.mean(table[:, best] > table[:, 0])
@@ -164,18 +171,21 @@ def _match(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]:
     return np.array([(m.queryIdx, m.trainIdx) for m in good], dtype=np.int64).reshape(-1, 2)
 
 
-def _camera(image: Image) -> Camera:
+def _camera(image: Image) -> tuple[Camera, Distortion]:
     pose, intrinsics = image.frame.vio_T_cam, image.frame.intrinsics
     assert pose is not None and intrinsics is not None  # intake drops images without
     scale = min(1.0, CONVENTION_LONG_SIDE / max(image.check.width, image.check.height))
-    return pose, scale * np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
+    k = scale * np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
+    return (pose, k), intrinsics.distortion[:8]
 
 
-def _explained(points: tuple[Array, Array], camera_a: Camera, camera_b: Camera) -> float:
-    """Fraction of matches near to their epipolar lines (Sampson's distance) and in front of both cameras."""
-    (world_T_a, k_a), (world_T_b, k_b) = camera_a, camera_b
+def _explained(pair: MatchedPair, change: Change) -> float:
+    """Fraction of matches near to their epipolar lines (Sampson's distance) and in front of both cameras, changed."""
+    (world_T_a, k_a), (world_T_b, k_b) = map(change, pair.cameras)
     b_T_a = relative(world_T_b, world_T_a)
-    rays_a, rays_b = _rays(points[0], k_a), _rays(points[1], k_b)
+    rays_a, rays_b = (
+        _rays(points, k, lens) for points, k, lens in zip(pair.points, (k_a, k_b), pair.distortion, strict=True)
+    )
     rotation, t = b_T_a[:3, :3], b_T_a[:3, 3]
     near = sampson_px(np.tile(b_T_a, (len(rays_a), 1, 1)), rays_b, rays_a, k_b[:2], k_a[:2]) < _NEAR_PX
     # Depths along both rays where they come nearest: depth_b * ray_b = depth_a * R ray_a + t.
@@ -187,8 +197,9 @@ def _explained(points: tuple[Array, Array], camera_a: Camera, camera_b: Camera) 
     return float(np.mean(near & (depth_a > 0) & (depth_b > 0)))
 
 
-def _rays(points: Array, k: Array) -> Array:
-    return np.column_stack([(points - k[2:]) / k[:2], np.ones(len(points))])
+def _rays(points: Array, k: Array, distortion: Distortion) -> Array:
+    """Rays (N, 3) with z = 1, NaN where the lens has none."""
+    return np.column_stack([undistort((points - k[2:]) / k[:2], distortion), np.ones(len(points))])
 
 
 def _on_arkit(change: Callable[[Array], Array]) -> Change:

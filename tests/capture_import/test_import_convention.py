@@ -20,6 +20,7 @@ from groundwalk.capture_import.intake import Image, ImportedSession, take_in
 from groundwalk.capture_import.media.images import check_image
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.stage import STAGE
+from groundwalk.geometry.lens import rational_of_fisheye, undistort
 from groundwalk.geometry.poses import Array, interpolate, make_pose
 
 # What undoes a mistake, where it isn't the mistake itself.
@@ -30,12 +31,19 @@ UNDONE_BY = {
 }
 
 
-def room(tmp_path: Path, count: int = 10, step_m: float = 0.12, pace: float = 1.0) -> ImportedSession:
+def room(
+    tmp_path: Path,
+    count: int = 10,
+    step_m: float = 0.12,
+    pace: float = 1.0,
+    focal: float = 300.0,
+    lens: tuple[float, ...] = (),
+) -> ImportedSession:
     """A walk along two textured walls at different depths, seen by a camera that looks around."""
     rng = np.random.default_rng(3)
     coarse = cv2.resize(rng.integers(0, 255, (150, 150), dtype=np.uint8), (1200, 1200), interpolation=cv2.INTER_CUBIC)
     texture = cv2.addWeighted(coarse, 0.5, rng.integers(0, 255, (1200, 1200), dtype=np.uint8), 0.5, 0)
-    k = np.array([[300.0, 0, 165], [0, 300.0, 118], [0, 0, 1]])
+    camera = Intrinsics(focal, focal, 165.0, 118.0, distortion=lens)
     images = []
     for i in range(count):
         at = pace * i
@@ -44,26 +52,32 @@ def room(tmp_path: Path, count: int = 10, step_m: float = 0.12, pace: float = 1.
         pose = make_pose(rotation, [step_m * i, 1.5 + step_m / 2 * np.sin(i), -step_m / 2 * i])
         picture = np.zeros((240, 320), np.uint8)
         for depth, left, right in ((-4.0, -3.0, 0.6), (-2.6, 0.6, 3.0)):
-            picture = np.maximum(picture, _wall(texture, k, pose, depth, left, right))
+            picture = np.maximum(picture, _wall(texture, camera, pose, depth, left, right))
         path = tmp_path / f"{i}.png"
         cv2.imwrite(str(path), picture)
-        camera = Intrinsics(k[0, 0], k[1, 1], k[0, 2], k[1, 2])
         frame = RawFrame(i, path.name, i * 10**8, pose, ImageFile(path), camera)
         images.append(Image(frame, check_image(path.read_bytes(), 1.0)[0]))
     raw = RawSession("room", "test", "phone", Clock.BOOT, tmp_path, [i.frame for i in images])
     return ImportedSession("room", raw, [i.frame for i in images], images, [])
 
 
-def _wall(texture: np.ndarray, k: Array, world_T_cam: Array, depth: float, left: float, right: float) -> np.ndarray:
+def _wall(
+    texture: np.ndarray, camera: Intrinsics, world_T_cam: Array, depth: float, left: float, right: float
+) -> np.ndarray:
     """A wall in the plane z = depth between two x, as the camera sees it."""
     cam_R_world, centre = world_T_cam[:3, :3].T, world_T_cam[:3, 3]
     per_px = 0.006
-    # Texture pixels to the world, then to the image.
+    # Texture pixels to the world, then to the camera.
     plane = np.array([[per_px, 0, -3.0], [0, -per_px, 4.5], [0, 0, 1]])
     world = np.array([[1, 0, 0], [0, 1, 0], [0, 0, depth]]) - np.outer(centre, [0, 0, 1])
     columns = np.arange(texture.shape[1]) * per_px - 3.0
     strip = np.where((columns >= left) & (columns < right), texture, 0).astype(np.uint8)
-    return cv2.warpPerspective(strip, k @ cam_R_world @ world @ plane, (320, 240), flags=cv2.INTER_AREA)
+    x, y = np.meshgrid(np.arange(320.0), np.arange(240.0))
+    px = np.stack([x.ravel() - camera.cx, y.ravel() - camera.cy], axis=1)
+    ray = np.column_stack([undistort(px / [camera.fx, camera.fy], camera.distortion), np.ones(len(px))])
+    at = np.linalg.solve(cam_R_world @ world @ plane, ray.T)
+    at = (at[:2] / at[2]).astype(np.float32).reshape(2, 240, 320)
+    return cv2.remap(strip, at[0], at[1], cv2.INTER_LINEAR)
 
 
 def with_mistake(session: ImportedSession, name: str) -> ImportedSession:
@@ -73,13 +87,18 @@ def with_mistake(session: ImportedSession, name: str) -> ImportedSession:
         camera = image.frame.intrinsics
         assert camera is not None and image.frame.vio_T_cam is not None
         pose, k = change((image.frame.vio_T_cam, np.array([camera.fx, camera.fy, camera.cx, camera.cy])))
-        frame = replace(image.frame, vio_T_cam=pose, intrinsics=Intrinsics.of(k.tolist()))
+        mistaken = replace(Intrinsics.of(k.tolist()), distortion=camera.distortion)
+        frame = replace(image.frame, vio_T_cam=pose, intrinsics=mistaken)
         images.append(replace(image, frame=frame))
     return replace(session, images=images)
 
 
-def test_right_poses_pass_and_mistakes_are_named(tmp_path: Path) -> None:
-    session = room(tmp_path)
+FISHEYE = tuple(rational_of_fisheye([0.0] * 4, 1.1, 1e-3).tolist())
+
+
+@pytest.mark.parametrize(("focal", "lens"), [(300.0, ()), (190.0, FISHEYE)], ids=["pinhole", "fisheye"])
+def test_right_poses_pass_and_mistakes_are_named(tmp_path: Path, focal: float, lens: tuple[float, ...]) -> None:
+    session = room(tmp_path, focal=focal, lens=lens)
     right = check_convention(session, Views([tmp_path], Limits()).load)
     assert right.pairs >= 4 and right.declared > 0.9 and right.contradicted is None
     for name in (
