@@ -112,7 +112,8 @@ def with_cameras(frames: pd.DataFrame, images: pd.DataFrame) -> pd.DataFrame:
 def camera_of(frame: Any) -> Camera:
     """The camera of a row of import.frames."""
     fx, fy, cx, cy = (float(value) for value in (frame.fx, frame.fy, frame.cx, frame.cy))
-    return Camera(int(frame.width), int(frame.height), fx, fy, cx, cy, tuple(map(float, frame.distortion))[:8])
+    distortion = tuple(map(float, frame.distortion))[:8]
+    return Camera(int(frame.width), int(frame.height), fx, fy, cx, cy, distortion, frame.first_row)
 
 
 def poses_of(frame: pd.DataFrame, prefix: str) -> Array:

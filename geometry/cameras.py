@@ -16,7 +16,8 @@ _RELATIVE, _ROUNDING_PX = 1e-6, 1e-6
 
 @dataclass(frozen=True)
 class Camera:
-    """Image size, focal lengths and principal point in pixels; OpenCV's k1, k2, p1, p2, k3, ..., empty for a pinhole"""
+    """Image size, focal lengths and principal point in pixels; OpenCV's k1, k2, p1, p2, k3, ..., empty for a pinhole;
+    the side of the image that the sensor reads out first, None for that of phones (`usual_first_row`)."""
 
     width: int
     height: int
@@ -25,6 +26,7 @@ class Camera:
     cx: float
     cy: float
     distortion: tuple[float, ...] = ()
+    first_row: str | None = None
 
     @property
     def matrix(self) -> Array:

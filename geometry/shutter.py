@@ -17,6 +17,12 @@ from groundwalk.geometry.poses import Array, make_pose
 _SHARE = {"top": (0, 1, -0.5), "right": (-1, 0, 0.5), "bottom": (0, -1, 0.5), "left": (1, 0, -0.5)}
 
 
+def usual_first_row(width: int, height: int) -> str:
+    """The side of a phone's image that is read out first where nothing says so: sensors read the rows of wide images
+    from the top, and apps turn these clockwise to make high ones."""
+    return "right" if height > width else "top"
+
+
 def readout_lines(first_row: Iterable[str], width_N: ArrayLike, height_N: ArrayLike) -> Array:
     """(N, 3) a, b, c of each image, for `readout_fraction`.
 

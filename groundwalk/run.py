@@ -127,9 +127,10 @@ class Run:
         pose, but with a `refusal` and its `reason`.
 
         image: RGB (H, W, 3) or grey (H, W), uint8, or a file, as the sensor delivers it. intrinsics: in pixels of that
-        image, a geometry.cameras.Camera, a mapping with fx, fy, cx, cy (and width, height), K (3, 3) or the four
-        numbers; the lens is known to the map. gravity: (3,), down, in camera axes (x right, y down, z forward). prior:
-        about where the camera is, map_T_cam (4, 4). model: the localiser's id, the first with a file unless given.
+        image, a geometry.cameras.Camera, a mapping with fx, fy, cx, cy (and width, height, first_row), K (3, 3) or
+        the four numbers; the lens is known to the map. gravity: (3,), down, in camera axes (x right, y down, z
+        forward). prior: about where the camera is, map_T_cam (4, 4). model: the localiser's id, the first with a file
+        unless given.
 
         UserError where the stage isn't finished, or intrinsics and the rest can't be what they should.
         """

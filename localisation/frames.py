@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
+from groundwalk.geometry.shutter import readout_fraction, readout_lines, usual_first_row
 
 
 @dataclass(frozen=True)
@@ -24,16 +25,18 @@ class Views:
         return len(self.cameras)
 
 
-def row_times(px_M2: Array, height: int, readout_s: float) -> Array:
-    """When the rows of pixels (M, 2) were exposed after the middle one, (M,), s."""
-    return (np.asarray(px_M2, float)[:, 1] / height - 0.5) * readout_s
+def row_times(px_M2: Array, camera: Camera, readout_s: float) -> Array:
+    """When pixels (M, 2) were exposed after the middle row, (M,), s."""
+    first_row = camera.first_row or usual_first_row(camera.width, camera.height)
+    (line,) = readout_lines([first_row], camera.width, camera.height)
+    return readout_s * readout_fraction(line, px_M2)
 
 
 def rays(views: Views, view: int, px_M2: Array) -> tuple[Array, Array]:
     """Where pixels (M, 2) of a frame were seen from and in which direction, both (M, 3) in the map; the directions are
     of unit depth, NaN where the lens has none."""
     camera, map_T_cam = views.cameras[view], views.map_T_cam[view]
-    time_s = row_times(px_M2, camera.height, float(views.readout_s[view]))[:, None]
+    time_s = row_times(px_M2, camera, float(views.readout_s[view]))[:, None]
     ideal = camera.unproject(px_M2)
     cam = np.concatenate([ideal, np.ones((len(ideal), 1))], axis=1)
     # Rows are read out within 30 ms: a turn of some milliradians, to first order.

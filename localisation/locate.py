@@ -42,8 +42,9 @@ def locate(
     """Say where images were taken: a pose in the map with its covariance, or a refusal with its reason.
 
     An image's intrinsics are in `<image>.json` or `intrinsics.json` beside it, or in --intrinsics: an object with fx,
-    fy, cx, cy and, where they are known, width, height, gravity and prior (map_T_cam, 4x4), or 3D Scanner App's file of
-    the frame. An image whose own file has other intrinsics is asked with these. An image of a folder that can't be
+    fy, cx, cy and, where they are known, width, height, first_row (the side of the image that the sensor reads out
+    first: top, right, bottom or left), gravity and prior (map_T_cam, 4x4), or 3D Scanner App's file of the frame. An
+    image whose own file has other intrinsics is asked with these. An image of a folder that can't be
     asked is refused as bad_input; it's an error where that is so of all.
     """
     ask = _asked(map_, bundle, scene, network, verify)

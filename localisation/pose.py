@@ -188,7 +188,7 @@ def refine(
     angular velocity, velocity, log of the focal length's factor.
     """
     focal = (camera.fx + camera.fy) / 2
-    time_s = row_times(seen.px, camera.height, readout_s)
+    time_s = row_times(seen.px, camera, readout_s)
     information = np.zeros(_UNKNOWNS)
     information[6:9], information[9:12] = priors.angular_sd**-2, priors.velocity_sd**-2
     information[12] = priors.focal_sd**-2

@@ -303,7 +303,7 @@ def _predicted(fit: Fit, xyz: Array, camera: Camera, readout_s: float) -> Array:
     ahead, at = ahead[(np.abs(at) < wide).all(axis=1)], at[(np.abs(at) < wide).all(axis=1)]
     image_px = camera.project(at * fit.focal_factor)
     # The row says when a point was exposed; where it was then differs by some pixels, not by many rows.
-    time_s = row_times(image_px, camera.height, readout_s)[:, None]
+    time_s = row_times(image_px, camera, readout_s)[:, None]
     cam = still[ahead] - time_s * (fit.velocity + still[ahead] @ skew(fit.angular).T)
     image_px = camera.project(cam[:, :2] / cam[:, 2:] * fit.focal_factor)
     inside = ((image_px >= 0) & (image_px <= [camera.width, camera.height])).all(axis=1)

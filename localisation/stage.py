@@ -274,7 +274,7 @@ def prediction_rows(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFr
 
 STAGE = Stage(
     name="localise",
-    version=2,
+    version=3,
     settings=LocaliseSettings,
     needs=("import", "sfm", "align"),
     run=run,

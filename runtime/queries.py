@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundwalk.artefacts.choices import ImageSide
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.images import read_image
 from groundwalk.geometry import Array
@@ -17,6 +18,7 @@ from groundwalk.geometry.cameras import Camera
 _IMAGES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 _INTRINSICS_FILE = "intrinsics.json"
 _INTRINSICS = ("fx", "fy", "cx", "cy")
+_CAMERA = ("width", "height", *_INTRINSICS, "first_row")
 _ARKIT_POSE = "cameraPoseARFrame"
 _MIN_FOCAL, _MAX_FOCAL = 0.2, 20.0  # by the longer side: from 136 degrees to 3 degrees of view
 _MAX_OFF_CENTRE = 0.1  # of the longer side; phones' are within a hundredth or two
@@ -37,8 +39,10 @@ class Query:
 def query_of(image: Path | NDArray[Any], known: Mapping[str, Any], where: object) -> Query:
     """A query of an image: a file, or RGB (H, W, 3) or grey (H, W), uint8.
 
-    known: fx, fy, cx, cy in pixels; width and height that these are for, those of the image unless given; gravity (3,);
-    prior (4, 4). UserError where intrinsics lack or anything can't be what it should; `where` says where they belong.
+    known: fx, fy, cx, cy in pixels; width and height that these are for, those of the image unless given; first_row,
+    the side of the image that the sensor reads out first (top, right, bottom, left), that of phones unless given;
+    gravity (3,); prior (4, 4). UserError where intrinsics lack or anything can't be what it should; `where` says where
+    they belong.
     """
     pixels = _pixels(image)
     missing = [name for name in _INTRINSICS if known.get(name) is None]
@@ -66,23 +70,25 @@ def query_of(image: Path | NDArray[Any], known: Mapping[str, Any], where: object
             found=f"({cx:g}, {cy:g}) px for an image {width} x {height} px",
             do="give the intrinsics of this image; where it's cut out of a larger one, say width and height, too",
         )
-    camera = Camera(width, height, fx, fy, cx, cy)
+    first_row = known.get("first_row")
+    if first_row not in (None, *ImageSide):
+        raise UserError("first_row is no side of an image", where=where, expected=", ".join(ImageSide), found=first_row)
+    camera = Camera(width, height, fx, fy, cx, cy, first_row=first_row)
     return Query(pixels, camera, _down(known.get("gravity"), where), _prior(known.get("prior"), where))
 
 
 def known_of(
     intrinsics: Camera | Mapping[str, Any] | ArrayLike | None, gravity: ArrayLike | None, prior: ArrayLike | None
 ) -> dict[str, Any]:
-    """What `query_of` takes of an image: intrinsics as a Camera, a mapping with fx, fy, cx, cy (and width, height), K
-    (3, 3), or the four numbers. UserError for something else."""
+    """What `query_of` takes of an image: intrinsics as a Camera, a mapping with fx, fy, cx, cy (and width, height,
+    first_row), K (3, 3), or the four numbers. UserError for something else."""
     known: dict[str, Any] = {"gravity": gravity, "prior": prior}
     if intrinsics is None:
         return known
     if isinstance(intrinsics, Camera):
-        names = ("width", "height", *_INTRINSICS)
-        return known | {name: getattr(intrinsics, name) for name in names}
+        return known | {name: getattr(intrinsics, name) for name in _CAMERA}
     if isinstance(intrinsics, Mapping):
-        return known | {name: intrinsics[name] for name in ("width", "height", *_INTRINSICS) if name in intrinsics}
+        return known | {name: intrinsics[name] for name in _CAMERA if name in intrinsics}
     try:
         numbers = np.asarray(intrinsics, float)
     except (TypeError, ValueError):

@@ -10,6 +10,7 @@ from groundwalk.capture_import.capture import Intrinsics, RawFrame
 from groundwalk.capture_import.checks.health import gravity_of
 from groundwalk.capture_import.intake import Image, ImportedSession
 from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.geometry.shutter import usual_first_row
 
 # A quarter turn clockwise: what was right is down, what was down is left.
 _CLOCKWISE: Array = make_pose([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0, 0, 0])
@@ -47,13 +48,11 @@ def turned(session: ImportedSession, quarters: int) -> ImportedSession:
 def first_row(width: int, height: int, stated: str | None, quarters: int) -> ImageSide:
     """The side of an image that is read out first, after quarter turns clockwise; of `width` and `height` then.
 
-    `stated` is the side before turning. Where it's None: phones' sensors read the rows of wide images from the top, and
-    apps turn these clockwise to make high ones.
+    `stated` is the side before turning, None where the capture doesn't say.
     """
     clockwise = list(ImageSide)
     if stated is None:
-        was_high = (height > width) == (quarters % 2 == 0) and height != width
-        stated = ImageSide.RIGHT if was_high else ImageSide.TOP
+        stated = usual_first_row(*((height, width) if quarters % 2 else (width, height)))
     return clockwise[(clockwise.index(ImageSide(stated)) + quarters) % 4]
 
 

@@ -1,6 +1,6 @@
 """A made-up place for tests: points with descriptors on the walls of a room, and cameras that walk along them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,7 +13,8 @@ from groundwalk.localisation.prepared import Training
 
 LENS = (0.09, -0.12, 0.0, 0.0)
 LOGGED = Camera(640, 480, 480.0, 480.0, 321.0, 239.0)
-SEEN_BY = Camera(640, 480, 480.0, 480.0, 321.0, 239.0, LENS)
+SEEN_BY = Camera(640, 480, 480.0, 480.0, 321.0, 239.0, LENS, "top")
+HIGH = Camera(480, 640, 480.0, 480.0, 239.0, 321.0, LENS, "right")
 READOUT_S = 0.02
 DOWN = np.array([0, -1.0, 0])
 
@@ -32,7 +33,15 @@ def place(seed: int = 0, points: int = 1500) -> Place:
     return Place(xyz, _descriptors(rng, points))
 
 
-def walk(count: int, seed: int = 1, *, moving: bool = True, focal_sd: float = 0.0, reach_m: float = 4) -> Views:
+def walk(
+    count: int,
+    seed: int = 1,
+    *,
+    moving: bool = True,
+    focal_sd: float = 0.0,
+    reach_m: float = 4,
+    camera: Camera = SEEN_BY,
+) -> Views:
     """Cameras (count) that look at the wall from different places, upright but for some degrees."""
     rng = np.random.default_rng(seed)
     turn = np.radians([8, 15, 5]) * rng.standard_normal((count, 3))
@@ -40,8 +49,7 @@ def walk(count: int, seed: int = 1, *, moving: bool = True, focal_sd: float = 0.
     rotation = Rotation.from_rotvec(turn).as_matrix() @ upright
     position = np.stack([np.linspace(-reach_m, reach_m, count), *(0.3 * rng.standard_normal((2, count)))], axis=1)
     cameras = tuple(
-        Camera(640, 480, 480.0 * f, 480.0 * f, 321.0, 239.0, LENS)
-        for f in np.exp(focal_sd * rng.standard_normal(count))
+        replace(camera, fx=camera.fx * f, fy=camera.fy * f) for f in np.exp(focal_sd * rng.standard_normal(count))
     )
     angular, velocity = ((sd if moving else 0) * rng.standard_normal((count, 3)) for sd in (0.2, 0.5))
     return Views(make_pose(rotation, position), cameras, np.full(count, READOUT_S), angular, velocity)
@@ -54,7 +62,9 @@ def projected(views: Views, view: int, xyz: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         px = np.where(still[:, 2:] > 0.1, camera.project(still[:, :2] / still[:, 2:]), np.nan)
         for _ in range(5):
-            time_s = (px[:, 1:] / camera.height - 0.5) * READOUT_S
+            x, y = px[:, :1] / camera.width, px[:, 1:] / camera.height
+            row = {"top": y, "right": 1 - x, "bottom": 1 - y, "left": x}[camera.first_row or ""]
+            time_s = (row - 0.5) * READOUT_S
             cam = still - time_s * (views.velocity[view] + np.cross(views.angular[view], still))
             px = np.where(cam[:, 2:] > 0.1, camera.project(cam[:, :2] / cam[:, 2:]), np.nan)
     # Far outside the image the lens' polynomial turns back into it.
@@ -69,7 +79,8 @@ def features(scene: Place, views: Views, view: int, seed: int = 3, noise_px: flo
     seen = rng.permutation(np.flatnonzero(np.isfinite(px).all(axis=1)))
     clutter = len(seen) // 3
     noise = noise_px * rng.standard_normal((len(seen), 2))
-    at = np.concatenate([px[seen] + noise, rng.uniform([0, 0], [640, 480], (clutter, 2))])
+    size = views.cameras[view].width, views.cameras[view].height
+    at = np.concatenate([px[seen] + noise, rng.uniform([0, 0], size, (clutter, 2))])
     descriptors = scene.descriptors[seen].astype(float) + rng.normal(0, 5, (len(seen), 128))
     both = np.concatenate([np.clip(np.rint(descriptors), 0, 255).astype(np.uint8), _descriptors(rng, clutter)])
     order = rng.permutation(len(at))

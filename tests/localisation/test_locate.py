@@ -21,7 +21,7 @@ from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import make_pose, pose_from_tq, yaw_rotation
 from groundwalk.localisation.locate import app
 from groundwalk.localisation.stage import STAGE
-from groundwalk.runtime.queries import file_query
+from groundwalk.runtime.queries import file_query, known_of, query_of
 from groundwalk.scoring.errors import position_error
 
 SMALL = ["max_features=300", "pairs_per_frame=5", "localisers.Map.max_points=400"]
@@ -168,6 +168,16 @@ def test_a_frame_of_the_scanner_app_brings_intrinsics_and_gravity(boards: Boards
     image.with_suffix(".json").write_text(json.dumps(frame | {"intrinsics": K_9[:4]}))
     with pytest.raises(UserError, match="intrinsics isn't"):
         file_query(image, {})
+
+
+def test_a_query_says_which_side_is_read_out_first(boards: Boards, tmp_path: Path) -> None:
+    image = tmp_path / "a.png"
+    image.write_bytes(boards.image(ROW).read_bytes())
+    stated = Camera(WIDTH, HEIGHT, *FOUR, first_row="left")
+    assert file_query(image, {**CAMERA, "first_row": "left"}).camera == stated
+    assert query_of(image, known_of(stated, None, None), "").camera == stated
+    with pytest.raises(UserError, match="first_row is no side"):
+        file_query(image, {**CAMERA, "first_row": "down"})
 
 
 def test_a_folder_of_which_nothing_can_be_asked_is_an_error(map_file: Path, boards: Boards, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from known import there
-from scenes import LOGGED, Place, features, place, training, walk
+from scenes import HIGH, LOGGED, Place, features, place, training, walk
 
 from groundwalk.artefacts import UserError
 from groundwalk.features.sift import Features
@@ -57,6 +57,15 @@ def test_queries_are_localised(built: Built, file: Path) -> None:
             # Those that joined because the pose predicts them there are seen, but no evidence.
             assert 0.5 * answer.candidates < answer.inliers <= min(answer.candidates, answer.seen.inlier.sum())
             assert np.linalg.eigvalsh(there(answer.covariance)).min() > 0
+
+
+def test_a_high_image_is_localised_in_a_map_of_wide_ones(built: Built, file: Path) -> None:
+    localiser, views = MapLocaliser(read_map(file)), walk(6, seed=9, camera=HIGH)
+    for view in range(6):
+        seen, truth = features(built[0], views, view, seed=5), views.map_T_cam[view]
+        answer = localiser.localise_features(seen, replace(HIGH, distortion=()), gravity_of(truth))
+        pose = there(answer.map_T_cam)
+        assert position_error(pose, truth) < 0.012 and rotation_error_deg(pose, truth) < 0.08
 
 
 def test_hloc_localises_the_same(built: Built) -> None:

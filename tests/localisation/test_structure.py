@@ -1,10 +1,14 @@
 """Tracks and points of frames with known poses: against true points and OpenCV's triangulation."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
-from scenes import place, projected, training, walk
+import pytest
+from scenes import HIGH, SEEN_BY, place, projected, training, walk
 from scipy.spatial import cKDTree
 
+from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse
 from groundwalk.localisation.frames import Views, rays
 from groundwalk.localisation.matching import covisible_pairs, mutual_matches
@@ -13,8 +17,10 @@ from groundwalk.localisation.structure import matched_features, matches_of, stru
 from groundwalk.localisation.tracks import Rays, epipolar_error_px, tracks, triangulate
 
 
-def test_rays_of_a_rolling_shutter_go_through_the_points() -> None:
-    views, xyz = walk(4), place().xyz
+@pytest.mark.parametrize("first_row", ["top", "right", "bottom", "left"])
+@pytest.mark.parametrize("camera", [SEEN_BY, HIGH], ids=["wide", "high"])
+def test_rays_of_a_rolling_shutter_go_through_the_points(camera: Camera, first_row: str) -> None:
+    views, xyz = walk(4, camera=replace(camera, first_row=first_row)), place().xyz
     px = projected(views, 2, xyz)
     seen = np.isfinite(px).all(axis=1)
     origin, direction = rays(views, 2, px[seen])
