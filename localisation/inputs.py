@@ -9,7 +9,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.images import image_file, read_grey_image
-from groundwalk.artefacts.motion import rates_by_vio
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import camera_of, dataset_frames, poses_of, read_table
@@ -40,23 +39,37 @@ def read_inputs(run: Path) -> Inputs:
     frames = read_table(run / "import" / "frames.parquet", schema("import", "frames"))
     truth = read_table(run / "align" / "ground_truth.parquet", schema("align", "ground_truth"))
     images = read_table(run / "sfm" / "images.parquet", schema("sfm", "images"))
-    log = read_table(run / "import" / "vio.parquet", schema("import", "vio"))
     truth = truth[(truth["quality"] != "none").to_numpy()]
     truth = truth[truth["frame_id"].isin(dataset_frames(frames)["frame_id"])]
     frames = frames.set_index("frame_id", drop=False).loc[truth["frame_id"]].reset_index(drop=True)
     placed = frames.assign(**{name: truth[name].to_numpy() for name in ("fx", "fy", "cx", "cy", "distortion")})
-    readout = images.set_index("frame_id").loc[truth["frame_id"], "readout_s"].to_numpy(float, na_value=0.0)
-    rates = rates_by_vio(frames, log)
+    images = images.set_index("frame_id").loc[truth["frame_id"]]
+    # Pose, lens, readout time and motion go together: sfm took the motion at the time offset, where it uses one.
+    map_T_cam = poses_of(truth, "map_cam")
+    angular, velocity = (images[[f"{name}_{a}" for a in "xyz"]].to_numpy(float) for name in ("angular", "velocity"))
+    units = _map_units(map_T_cam, poses_of(images, "sfm_cam"), truth["component"].to_numpy(int))
     views = Views(
-        poses_of(truth, "map_cam"),
+        map_T_cam,
         tuple(map(camera_of, placed.itertuples())),
-        np.nan_to_num(readout),
-        np.nan_to_num(rates.angular),
-        np.nan_to_num(rates.velocity),
+        images["readout_s"].to_numpy(float),
+        angular,
+        units[:, None] * velocity,
     )
     covariance = np.stack([np.full(36, np.nan) if c is None else np.asarray(c, float) for c in truth["covariance"]])
     gravity = frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
     return Inputs(frames, tuple(map(camera_of, frames.itertuples())), views, covariance.reshape(-1, 6, 6), gravity)
+
+
+def _map_units(map_T_cam: Array, sfm_T_cam: Array, component_N: NDArray[np.int64]) -> Array:
+    """The length of a frame's sfm unit in the map (N,): align places each model as a whole, so that positions spread as
+    far, but for its scale."""
+    units = np.zeros(len(component_N))
+    for component in np.unique(component_N):
+        rows = component_N == component
+        xyz = map_T_cam[rows, :3, 3], sfm_T_cam[rows, :3, 3]
+        in_map, in_sfm = (np.linalg.norm(part - part.mean(axis=0)) for part in xyz)
+        units[rows] = in_map / in_sfm if in_sfm else 0.0
+    return units
 
 
 def read_features(

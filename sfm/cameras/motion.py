@@ -5,11 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts.motion import rates_by_vio
+from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rates import Rates, rates_at
 
 _UNKNOWN_ANGULAR_SD = 0.3
 _MIN_ANGULAR_SD = 0.005
+# A rate over a longer time says little of some milliseconds in it.
+_MAX_GAP_S = 0.3
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame, time_offset_s: Array 
     the motion of a hand between two logged poses isn't known better.
     """
     offset_ns = np.round(1e9 * np.asarray(time_offset_s)).astype(np.int64)
-    rates = rates_by_vio(frames.assign(t_ns=frames["t_ns"] - offset_ns), log)
+    rates = _rates(frames.assign(t_ns=frames["t_ns"] - offset_ns), log)
     has_rate = ~np.isnan(rates.angular[:, 0])
     has_difference = ~np.isnan(rates.angular_difference[:, 0])
     sd = np.full(len(frames), _UNKNOWN_ANGULAR_SD)
@@ -42,3 +45,15 @@ def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame, time_offset_s: Array 
         sd[members & ~has_difference] *= 2
     angular, velocity = (np.where(has_rate[:, None], rate, 0.0) for rate in (rates.angular, rates.velocity))
     return Motion(angular, sd, velocity)
+
+
+def _rates(frames: pd.DataFrame, log: pd.DataFrame) -> Rates:
+    """Rates of N frames from all poses of the log (table import.vio), NaN where none is near enough."""
+    rates = Rates(*(np.full((len(frames), 3), np.nan) for _ in range(3)))
+    session_N, t_ns = frames["session_id"].to_numpy(str), frames["t_ns"].to_numpy(np.int64)
+    for session, poses in log.groupby("session_id"):
+        rows, poses = np.flatnonzero(session_N == session), poses.sort_values("t_ns")
+        of_session = rates_at(t_ns[rows], poses["t_ns"].to_numpy(np.int64), poses_of(poses, "vio_cam"), _MAX_GAP_S)
+        rates.angular[rows], rates.velocity[rows] = of_session.angular, of_session.velocity
+        rates.angular_difference[rows] = of_session.angular_difference
+    return rates

@@ -73,10 +73,12 @@ def _boards(root: Path, frames: int) -> Boards:
     down = {"gravity_x": 0.0, "gravity_y": 1.0, "gravity_z": 0.0}
     images = [f"{row}.png" for row in range(frames)]
     known = {name: CAMERA[name] for name in ("fx", "fy", "cx", "cy")}
-    truth = filled("align", "ground_truth", frames, **keys, **pose_frame("map_cam", poses), **known, quality="A")
+    truth = filled(
+        "align", "ground_truth", frames, **keys, **pose_frame("map_cam", poses), **known, quality="A", component=0
+    )
     tables = {
         "import": {"frames": filled("import", "frames", frames, **keys, image=images, **CAMERA, **down)},
-        "sfm": {"images": filled("sfm", "images", frames, frame_id=ids, readout_s=0.0)},
+        "sfm": {"images": filled("sfm", "images", frames, frame_id=ids, **pose_frame("sfm_cam", poses))},
         "align": {"ground_truth": truth},
     }
     for stage, of_stage in tables.items():

@@ -14,8 +14,9 @@ from known import read_picture
 from groundwalk.artefacts import UserError, execute
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import poses_of
+from groundwalk.artefacts.tables import pose_frame, poses_of, read_table, write_table
 from groundwalk.localisation.answers import Answer
+from groundwalk.localisation.inputs import read_inputs
 from groundwalk.localisation.localisers import LOCALISERS
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.localisation.stage import STAGE
@@ -35,6 +36,24 @@ def of_frame(predictions: pd.DataFrame, row: int, model: str = "Map") -> pd.Seri
     mine = predictions[(predictions["frame_id"] == f"walk/{row:06d}") & (predictions["model"] == model)]
     assert len(mine) == 1
     return mine.iloc[0]
+
+
+def test_training_frames_move_as_sfm_says(make_boards: MakeBoards) -> None:
+    """Where it takes motion at a time offset, too, which its table of images has no other trace of."""
+    made = make_boards()
+    folder, sfm_T_cam = made.data.run("tiny", "Boards"), made.map_T_cam.copy()
+    sfm_T_cam[:, :3, 3] /= 2
+    moving = {"readout_s": 0.02, "angular_x": 0.1, "velocity_z": 0.3}
+    for stage, name, columns in (
+        ("import", "frames", {"first_row": "left"}),
+        ("sfm", "images", {**pose_frame("sfm_cam", sfm_T_cam), **moving}),
+    ):
+        path, of = folder / stage / f"{name}.parquet", schema(stage, name)
+        write_table(path, read_table(path, of).assign(**columns), of)
+    inputs = read_inputs(folder)
+    np.testing.assert_allclose(inputs.views.angular, [[0.1, 0, 0]] * COUNT)
+    np.testing.assert_allclose(inputs.views.velocity, [[0, 0, 0.6]] * COUNT)
+    assert {camera.first_row for camera in (*inputs.logged, *inputs.views.cameras)} == {"left"}
 
 
 def test_every_query_is_localised_and_what_it_cost_is_said(boards: Boards) -> None:
