@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.alignment.checks.components import check_links, check_standard_errors, missing_scale, missing_vertical
-from groundwalk.alignment.checks.definitions import setting_of
 from groundwalk.alignment.checks.registration import check_registration
 from groundwalk.alignment.checks.results import (
     CheckResult,
@@ -32,6 +31,7 @@ from groundwalk.alignment.uncertainty import covariance_in_map, largest_sd
 from groundwalk.alignment.vio_links import place_components
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import FailureCause
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array
@@ -267,7 +267,7 @@ def refusal(examination: Examination, frames: pd.DataFrame, settings: AlignSetti
         expected=f"ground truth for at least {settings.min_consistent_fraction:.0%} of the registered frames",
         found=f"{passed.sum()} of {registered.sum()} ({fraction:.0%}); {failed} of {len(examination.checks)} checks "
         f"failed; {main.reason}",
-        do=f"{main.advice}; or lower {setting_of('min_consistent_fraction')}" if passed.any() else main.advice,
+        do=f"{main.advice}; or lower {setting_of('align', 'min_consistent_fraction')}" if passed.any() else main.advice,
     )
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from groundwalk.alignment.checks.definitions import ANY_SCENE
 from groundwalk.alignment.checks.depth import check_depth
 from groundwalk.alignment.checks.results import CheckResult
 from groundwalk.alignment.checks.summary import checks_table, describe
@@ -67,7 +66,7 @@ def run(r: StageRun[AlignSettings]) -> None:
     frames = dataset_frames(frames)
     _write_figures(r, frames, result)
     for line in _summary(r.settings, result, examination.checks):
-        r.say(line.replace(ANY_SCENE, r.scene.name))
+        r.say(line)
     clouds = {}
     if len(depth) and result.main.component.scale.is_known:
         clouds = depth_clouds(frames, result.map_T_cam, dataset.has_ground_truth, r.image_path)
@@ -104,8 +103,7 @@ def _stop_if_refused(r: StageRun[AlignSettings], examination: Examination, frame
     error = refusal(examination, frames, r.settings)
     if error is not None:
         r.write("checks", checks_table(examination.checks))
-        advice = str(error.details["do"]).replace(ANY_SCENE, r.scene.name)
-        error.details["do"] = f"look at {r.work / CHECKS_PLOT}; {advice}"
+        error.details["do"] = f"look at {r.work / CHECKS_PLOT}; {error.details['do']}"
         raise error
 
 

@@ -1,6 +1,9 @@
-"""The command that makes an artefact, as the user would type it."""
+"""What a user types: commands, and where a setting goes."""
 
 from groundwalk import CHECKOUT
+
+ANY_SCENE = "<scene>"
+"""Stands in advice for the scene's name, which a stage puts there as it says the advice."""
 
 
 def run_command(scene: str, profile: str, stage: str) -> str:
@@ -22,3 +25,8 @@ def link_command(scene: str) -> str:
     if CHECKOUT is not None:
         return f"make scene={scene} captures=<your folder> all"
     return f"groundwalk run --scene {scene} --captures <your folder>"
+
+
+def setting_of(section: str, setting: str, scene: str = ANY_SCENE) -> str:
+    """Where a user sets a setting, perhaps with its value, for a scene alone."""
+    return f"[{section}] {setting} in data/scenes/{scene}.toml"

@@ -29,6 +29,7 @@ from groundwalk.artefacts.files import (
     swap_in,
     write_json,
 )
+from groundwalk.artefacts.hints import ANY_SCENE
 from groundwalk.artefacts.images import image_file, verify_images
 from groundwalk.artefacts.inputs import Inputs, missing_input
 from groundwalk.artefacts.locks import locked
@@ -102,7 +103,12 @@ class StageRun(Generic[S]):
         """Run the stage; figures and times of a failed attempt before are forgotten."""
         self.figures.clear()
         self.seconds.clear()
-        self.stage.run(self)
+        try:
+            self.stage.run(self)
+        except UserError as error:
+            if do := error.details["do"]:
+                error.details["do"] = self._of_scene(str(do))
+            raise
 
     @property
     def captures(self) -> Path:
@@ -163,7 +169,11 @@ class StageRun(Generic[S]):
 
     def say(self, text: str) -> None:
         """One line for the user."""
-        progress.console.print(f"  {printable(text)}", markup=False)
+        progress.console.print(f"  {self._of_scene(printable(text))}", markup=False)
+
+    def _of_scene(self, text: str) -> str:
+        """Advice that `setting_of` gave, for this scene."""
+        return text.replace(ANY_SCENE, self.scene.name)
 
     def leave_out(self, faults: Iterable[PluginError]) -> None:
         """Name each plug-in that takes no part, also in the manifest."""

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from groundwalk.artefacts import UserError, progress
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.text import printable
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
@@ -125,7 +126,7 @@ class _Search:
                 "a recording fits more than one format",
                 where=path,
                 found=", ".join(f.id for f in fits),
-                do="name one with the import setting `format`, or with --format of `inspect`",
+                do=f"name one with {setting_of('import', 'format')}, or with --format of `inspect`",
             )
         if fits:
             _refuse_odd_name(self.root, path)

@@ -8,6 +8,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.settings import SplitRules
 
 # Frames of one walk this close in time show the same place from the same side: testing on one after training on the
@@ -57,7 +58,7 @@ def split_frames(frames: pd.DataFrame, rules: SplitRules, by_time: bool) -> Spli
             where="[split] of the scene's config",
             expected=f"at least {LEAK_S:g} s",
             found=f"{leak:.2f} s",
-            do="put whole recordings on one side, or set allow_leak = true in [split]",
+            do=f"put whole recordings on one side, or set {setting_of('split', 'allow_leak = true')}",
         )
     return SplitResult(split, how, leak)
 

@@ -10,6 +10,7 @@ import pandas as pd
 from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.choices import ImageSide
 from groundwalk.artefacts.files import write_json
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.simulated import appearances_of
 from groundwalk.artefacts.tables import dataset_frames
 from groundwalk.capture_import.capture import RawFrame, Reject
@@ -235,7 +236,8 @@ def _check_poses(r: StageRun[ImportSettings], intake: Intake, views: Views) -> t
             where=session.recording.folder,
             expected=f"most matched points to fit ({check.declared:.0%} do in {check.pairs} pairs of images)",
             found=f"{check.other_explained:.0%} fit where {check.contradicted}",
-            do="check which app and version wrote the capture; check_convention = false in [import] skips this check",
+            do="check which app and version wrote the capture; or skip this check: "
+            f"{setting_of('import', 'check_convention = false')}",
         )
     if check.pairs and check.declared < MIN_EXPLAINED:
         r.say(
@@ -269,7 +271,7 @@ def _select_images(r: StageRun[ImportSettings], sessions: Sequence[ImportedSessi
         images = sum(len(s.images) for s in sessions)
         r.say(
             f"sampling by its settings selects {by_settings} of {images} images, fewer than {r.settings.min_frames} "
-            "(import.min_frames): "
+            f"({setting_of('import', 'min_frames')}): "
             + ("all are used" if count == images else f"sampled {density:.2f} times as densely, {count} are used")
         )
     return used

@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.hints import run_command
+from groundwalk.artefacts.hints import run_command, setting_of
 from groundwalk.artefacts.images import image_file
 from groundwalk.artefacts.inputs import missing_input
 from groundwalk.artefacts.manifests import MANIFEST, load_verified
@@ -64,7 +64,7 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
             f"scene {scene} has no regressor {model!r}",
             where=folder,
             expected=f"one of {', '.join(cards['model'])}",
-            do="add it to [train] models and run the stage train again",
+            do=f"add it to {setting_of('train', 'models', scene)} and run the stage train again",
         )
     card = {str(name): value for name, value in cards[cards["model"] == model].iloc[0].items()}
     if not card["file"]:

@@ -3,6 +3,7 @@
 import pandas as pd
 
 from groundwalk.artefacts import Stage, StageRun, UserError
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate, report_lines, stacked
 from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.recording import blueprint, record
@@ -46,7 +47,8 @@ def _predictions(r: StageRun[FuseSettings], leaf: str) -> pd.DataFrame:
     if twice := trained.intersection(localised["model"]):
         raise UserError(
             f"scene {leaf}: a regressor and a structure localiser are called {min(twice)!r}",
-            do="give the regressor's predictions another name, or leave the localiser out of [localise] models",
+            do="give the regressor's predictions another name, or leave the localiser out of "
+            f"{setting_of('localise', 'models')}",
         )
     return stacked([*parts, localised])
 

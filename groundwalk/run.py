@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import partial_folder, read_json, sha256_of
-from groundwalk.artefacts.hints import run_command
+from groundwalk.artefacts.hints import run_command, setting_of
 from groundwalk.artefacts.images import Image, image_file, read_image
 from groundwalk.artefacts.manifests import MANIFEST
 from groundwalk.artefacts.reference import column_lines
@@ -231,7 +231,7 @@ class Run:
                 if model
                 else f"scene {self.scene} has no structure localiser that is kept in a file",
                 expected=f"one of {', '.join(files)}" if files else None,
-                do="name one that is, in [localise] models",
+                do=f"name one that is, in {setting_of('localise', 'models', self.scene)}",
             )
         if name not in self._localisers:
             from groundwalk.localisation.locate import read_localiser

@@ -13,6 +13,7 @@ import pandas as pd
 from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.cores import usable_cores
 from groundwalk.artefacts.files import written_aside
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.images import read_grey_image
 from groundwalk.artefacts.parallel import in_parallel, one_thread
 from groundwalk.artefacts.registry import PluginError
@@ -32,6 +33,7 @@ from groundwalk.localisation.settings import LocaliseSettings
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 
 _MIN_FRAMES = 5
+_NO_LOCALISERS = setting_of("localise", "models = []")
 _WRONG_M, _WRONG_DEG = 1.0, 5.0
 
 
@@ -83,7 +85,7 @@ def prepare(r: StageRun[LocaliseSettings], kind: FeatureKind) -> Prepared:
             expected=f"{_MIN_FRAMES} frames of split train with ground truth",
             found=f"{len(rows)} of {int((r.dataset_frames()['split'] == 'train').sum())}",
             do="check the scene's split rules, and what align says about its ground truth; or leave structure "
-            "localisers out: [localise] models = []",
+            f"localisers out: {_NO_LOCALISERS}",
         )
     training = training_of(inputs, rows, features_of(r, inputs.frames["image"].iloc[rows], kind))
     file = r.scratch / f"matches-{kind.id}.npy"
@@ -103,7 +105,7 @@ def prepare(r: StageRun[LocaliseSettings], kind: FeatureKind) -> Prepared:
             f"scene {r.scene.name} has too few points to localise by",
             expected=f"{MIN_POINTS} points that two training frames see",
             found=f"{points} by {len(rows)} frames",
-            do="capture with more overlap and texture; or leave structure localisers out: [localise] models = []",
+            do=f"capture with more overlap and texture; or leave structure localisers out: {_NO_LOCALISERS}",
         )
     return prepared
 

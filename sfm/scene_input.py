@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from groundwalk.artefacts import StageRun, UserError
 from groundwalk.artefacts.child import Task, in_child, preload
 from groundwalk.artefacts.choices import Tracking
-from groundwalk.artefacts.hints import run_command
+from groundwalk.artefacts.hints import run_command, setting_of
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.sfm.cameras.calibration import (
     Calibration,
@@ -34,7 +34,7 @@ from groundwalk.sfm.settings import SfmSettings
 
 MIN_FRAMES = 3
 _OF_TASKS = ("groundwalk.sfm.cameras.calibration", "groundwalk.sfm.mapping.build", "groundwalk.sfm.pairs.features")
-MEMORY_HINT = "too little memory needs a smaller sfm.max_image_size or sfm.max_features"
+MEMORY_HINT = f"too little memory needs a smaller max_features or {setting_of('sfm', 'max_image_size')}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.choices import AttemptName, AttemptOutcome
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.tables import with_cameras
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.adjustment import Adjusted
@@ -96,18 +97,19 @@ def _select_attempt(r: StageRun[SfmSettings], scene: SceneInput) -> tuple[list[A
     if done.selected is None or done.result is None:
         raise UserError(
             "too few frames registered",
-            expected=f"at least {r.settings.min_registered_fraction:.0%} of {len(scene.names)} frames "
-            "(sfm.min_registered_fraction)",
+            expected=f"at least {r.settings.min_registered_fraction:.0%} of {len(scene.names)} frames",
             found="".join(f"\n{attempt}" for attempt in done.attempts),
-            do="look at the images: neighbours need to overlap by half and to be sharp; a larger sfm.max_features or "
-            "sfm.max_image_size gives more features in hard images",
+            do="look at the images: neighbours need to overlap by half and to be sharp; a larger "
+            f"{setting_of('sfm', 'max_features')} gives more features in hard images, and so may max_image_size there; "
+            f"or lower {setting_of('sfm', 'min_registered_fraction')}",
         )
     best = done.attempts[done.selected]
     if best.outcome is AttemptOutcome.INCONSISTENT_WITH_VIO:
         why = f"further attempts wouldn't help: {best.input_fault}; " if best.input_fault else ""
         r.say(
             f"the motion of {best.consistent / best.registered:.0%} of registered frames is consistent with VIO, limit "
-            f"{r.settings.min_consistent_fraction:.0%} (sfm.min_consistent_fraction); {why}selected: {best}"
+            f"{r.settings.min_consistent_fraction:.0%} ({setting_of('sfm', 'min_consistent_fraction')}); {why}"
+            f"selected: {best}"
         )
     return done.attempts, done.selected, done.result
 
@@ -132,7 +134,7 @@ def _covariances(
     for entry, (one, rows) in zip(selected, adjusted, strict=True):
         estimate, motions = None, motions_over(vio.session[rows], vio.travelled_m[rows], _MOTION_M)
         if entry.images > r.settings.covariance_max_images:
-            limit = f"limit {r.settings.covariance_max_images} (sfm.covariance_max_images)"
+            limit = f"limit {r.settings.covariance_max_images} ({setting_of('sfm', 'covariance_max_images')})"
             r.say(f"model {entry.model_id}: no covariances: {entry.images} frames, {limit}")
         elif (
             estimate := covariances(one, blobs_of(one.bundle), float(np.median(surface_px_N[rows])), motions)

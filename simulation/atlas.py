@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.hints import setting_of
 
 LEVELS = 6
 _GUTTER = 1 << (LEVELS - 1)  # one texel of the coarsest level: neighbours never bleed into a picture
@@ -37,7 +38,7 @@ def pack(sizes_N2: Sequence[tuple[int, int]]) -> tuple[NDArray[np.int64], tuple[
             "the pictures of this place don't fit into one image",
             expected=f"at most {_MAX_SIDE} texels a side",
             found=f"{width * 3 // 2} x {height}",
-            do="make the setting texel_m larger",
+            do=f"raise {setting_of('simulate', 'texel_m')}",
         )
     return origins, (height, width)
 

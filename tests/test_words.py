@@ -2,6 +2,7 @@
 
 import ast
 import re
+import tomllib
 from collections.abc import Iterator
 from enum import EnumType
 from importlib import import_module
@@ -13,7 +14,10 @@ from pydantic import BaseModel
 
 from groundwalk.artefacts import Settings, choices
 from groundwalk.artefacts.schemas import all_tables
-from groundwalk.cli import all_commands
+from groundwalk.artefacts.settings import SplitRules
+from groundwalk.cli import all_commands, stages
+from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.training.regressors import REGRESSORS
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = [path.parent for path in ROOT.glob("*/__init__.py") if path.parent.name not in ("tests", "benchmarks")]
@@ -165,3 +169,64 @@ def test_names_in_code_are_nouns(package: Path) -> None:
         if RETIRED_IN_CODE.search(name)
     }
     assert wrong <= ALLOWED_IN_CODE
+
+
+# A scene's sections, and what each may hold.
+SECTIONS: dict[str, type[Settings]] = {
+    "split": SplitRules,
+    "simulate": SimulateSettings,
+    **{stage.name: stage.settings for stage in stages()},
+    **{f"train.regressors.{name}": entry.settings for name, entry in REGRESSORS.items()},
+}
+
+
+def texts_in_code() -> Iterator[str]:
+    """All strings of the packages but docstrings and descriptions of settings."""
+    for path in (path for package in PACKAGES for path in package.rglob("*.py")):
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        unsaid = [n.value for n in nodes if isinstance(n, ast.Expr)]
+        unsaid = [value for value in unsaid if isinstance(value, ast.Constant)]
+        descriptions = [n.value for n in nodes if isinstance(n, ast.keyword) and n.arg == "description"]
+        left_out = {id(part) for value in (*unsaid, *descriptions) for part in ast.walk(value)}
+        yield from (
+            n.value for n in nodes if isinstance(n, ast.Constant) and type(n.value) is str and id(n) not in left_out
+        )
+
+
+def settings_without_a_file(text: str) -> list[str]:
+    """Settings as `sfm.max_features` or `[sfm] max_features`: neither says in which file. A text that is nothing but a
+    name is a key; tables are named `import.frames`, too."""
+    tables = {f"{table.stage}.{table.name}" for table in all_tables()}
+    dotted = [".".join(pair) for pair in re.findall(r"(?<![\w./])(\w+)\.(\w+)(?!\.)\b", text)]
+    names = {f"{section}.{name}" for section, settings in SECTIONS.items() for name in settings.model_fields}
+    bracketed = re.findall(rf"\[(?:{'|'.join(stage.name for stage in stages())})\b[\w.-]*\](?!\()", text)
+    return bracketed + [name for name in dotted if name in names - tables and name != text]
+
+
+def test_a_setting_is_named_with_its_file() -> None:
+    """`setting_of` makes the text, and knows where."""
+    read = list(texts_in_code())
+    assert len(read) > 5000
+    assert not [(name, text) for text in read for name in settings_without_a_file(text)]
+
+
+@pytest.mark.parametrize("text", ["a larger sfm.max_features", " (import.min_frames): ", "set it in [import]"])
+def test_a_setting_without_a_file_is_seen(text: str) -> None:
+    assert settings_without_a_file(text)
+
+
+def test_settings_that_advice_names_are_there() -> None:
+    """With the value that it advises, too."""
+    calls = [
+        [argument.value for argument in node.args if isinstance(argument, ast.Constant)]
+        for path in (path for package in PACKAGES for path in package.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setting_of"
+    ]
+    advised = [(str(call[0]), str(call[1])) for call in calls if len(call) == 2]
+    assert len(advised) > 35
+    for section, setting in advised:
+        settings = SECTIONS[section.replace("<model>", "PN")]
+        content = tomllib.loads(setting) if "=" in setting else {}
+        assert setting.split(" = ")[0] in settings.model_fields
+        settings.model_validate(content)

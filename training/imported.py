@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 
 from groundwalk.artefacts import StageRun, UserError
 from groundwalk.artefacts.files import sha256_of
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.registry import AN_ID, is_id
 from groundwalk.training.settings import TrainSettings
 
@@ -37,7 +38,7 @@ def read_imported(r: StageRun[TrainSettings], frames: pd.DataFrame) -> Iterator[
             other = (
                 f"another file, {names[name]}"
                 if name in names
-                else "[train] models"
+                else "the models that are trained here"
                 if name in r.settings.models
                 else ""
             )
@@ -71,7 +72,9 @@ def _read(path: Path) -> pd.DataFrame:
     try:
         table: pd.DataFrame = pq.read_table(path).to_pandas(ignore_metadata=True)
     except FileNotFoundError:
-        raise UserError("a file of predictions isn't there", where=path, do="correct [train] predictions") from None
+        raise UserError(
+            "a file of predictions isn't there", where=path, do=f"correct {setting_of('train', 'predictions')}"
+        ) from None
     except (pa.ArrowException, OSError, ValueError) as error:
         raise UserError(
             "a file of predictions can't be read", where=path, expected="a Parquet table", found=error

@@ -15,6 +15,7 @@ from torch import Tensor
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.child import Report
 from groundwalk.artefacts.files import written_aside
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.training.data import Frames, Jitter, Turns, View, normalised
 from groundwalk.training.evaluation import errors, pose_errors
 from groundwalk.training.features import feature_cache
@@ -219,7 +220,7 @@ def refuse_divergence(train_loss: float, rate: float, history: list[dict[str, An
         f"training {run.title} diverges: the loss {'grows' if finite else 'is not finite'}",
         where=f"last checkpoint before it: {checkpoint}" if checkpoint.exists() else None,
         found=f"{train_loss:.4g} in epoch {len(history) + 1} ({first:.4g} in the first), learning rate {rate:.2g}",
-        do="lower learning_rate, or set clip_gradient",
+        do=f"lower {setting_of(f'train.regressors.{run.title}', 'learning_rate')}, or set clip_gradient there",
     )
 
 

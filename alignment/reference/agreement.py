@@ -5,6 +5,7 @@ import pandas as pd
 
 from groundwalk.alignment.reference.poses import Reference
 from groundwalk.artefacts.choices import LengthUnit, ReferenceAlignment, ScaleSource, VerticalSource
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.schemas import schema
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import pose_residuals
@@ -52,7 +53,7 @@ def describe_agreement(agreement: pd.DataFrame, ground_truth: pd.DataFrame) -> l
     if (ground_truth["scale_source"] == ScaleSource.REFERENCE_UNIT_UNKNOWN).any():
         lines.append(
             "warning: the reference poses have no stated unit: lengths in m are in their unit, and no frame is better "
-            "than class C; if it's the metre, set [import] reference_is_metric = true"
+            f"than class C; if it's the metre, set {setting_of('import', 'reference_is_metric = true')}"
         )
     if (ground_truth["vertical_source"] == VerticalSource.REFERENCE_UP_UNKNOWN).any():
         lines.append(

@@ -16,6 +16,7 @@ from typing import Any
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import Clock
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
@@ -51,7 +52,8 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             where=path,
             expected="frames with a timestamp each",
             found="no timestamps" if rows else "no frames",
-            do="poses from SfM aren't VIO: import the phone's own recording, or set import.format to nerfstudio",
+            do="poses from SfM aren't VIO: import the phone's own recording, or set "
+            + setting_of("import", 'format = "nerfstudio"'),
         )
 
     def read_row(source: str, row: Any) -> RawFrame:

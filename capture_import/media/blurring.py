@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.capture_import.media.images import shrunk
 from groundwalk.capture_import.media.upright import turned_pixels
 
@@ -64,7 +65,7 @@ class CascadeDetector:
                 expected="OpenCV 4, whose package has them",
                 found=f"OpenCV {cv2.__version__}",
                 where=folder,
-                do="make install, which has it, or set blur = false in [import]",
+                do=f"make install, which has it, or set {setting_of('import', 'blur = false')}",
             )
         self._of_thread = threading.local()
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.capture_import.capture import Reject
 from groundwalk.capture_import.intake import Image
@@ -143,7 +144,7 @@ def _placed(
                 "a depth image can't be hard-linked",
                 where=file,
                 found=error.strerror,
-                do='set images = "copy" or "reference" in [import]',
+                do="set " + setting_of("import", 'images = "copy"'),
             ) from None
     elif where.quarters or not is_png:
         turned = np.ascontiguousarray(np.rot90(pixels, -where.quarters))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.capture_import.capture import ImageFile, Limits, VideoFrame
 from groundwalk.capture_import.intake import Image
@@ -126,7 +127,7 @@ def _linked(source: Path, image: Image, folder: Path, where: Placement) -> str:
             "an image can't be hard-linked",
             where=source,
             found=error.strerror,
-            do='set images = "copy" or "reference" in [import]',
+            do="set " + setting_of("import", 'images = "copy"'),
         ) from None
     return _entry(target, where.work)
 

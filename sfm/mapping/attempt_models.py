@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from groundwalk.artefacts import StageRun, UserError
 from groundwalk.artefacts.child import Task
 from groundwalk.artefacts.choices import AttemptName, PairOrigin
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.consistency.motions import MISTAKE_ADVICE, MISTAKE_REASONS, compare_motions
 from groundwalk.geometry.poses import relative
 from groundwalk.sfm.database import has_results, keypoint_counts, read_pair_results
@@ -147,7 +148,7 @@ def _tied_by_floor(
     r.say(
         f"neighbouring frames without a verified pair of {LINK_INLIERS} inliers: {where}; features of the floor as "
         f"seen from above tie {np.count_nonzero(tied.inliers != matched.inliers)} of {len(pairs)} pairs there "
-        "(sfm.floor_features)"
+        f"({setting_of('sfm', 'floor_features')})"
     )
     return tied
 

@@ -6,9 +6,11 @@ from typing import Any
 import pycolmap
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.sfm.settings import SfmSettings
 
 _DO = "install a pycolmap that was built with ONNX (COLMAP's ONNX_ENABLED), or set {setting}"
+_SIFT, _NEAREST = (setting_of("sfm", setting) for setting in ('features = "sift"', 'sift_matcher = "nearest"'))
 
 
 def model_files(settings: SfmSettings) -> dict[str, str]:
@@ -27,11 +29,11 @@ def require_model_files(settings: SfmSettings) -> None:
     for name, file in model_files(settings).items():
         if not Path(file).is_file():
             raise UserError(
-                f"the model file of sfm.{name} is missing",
+                f"the model file that {name} names is missing",
                 where=Path(file).absolute(),
                 expected="the ONNX file that COLMAP publishes with its releases",
                 found="no such file",
-                do=f"put it there, name it in sfm.{name}, or set {_without(settings)}",
+                do=f"put it there, name it in {setting_of('sfm', name)}, or set {_without(settings)}",
             )
 
 
@@ -43,7 +45,7 @@ def options_of_network(options: Any, name: str) -> Any:
             where=pycolmap.__file__,
             expected="COLMAP built with ONNX",
             found=f"its {type(options).__name__} has no {name}",
-            do=_DO.format(setting="sfm.features=sift and sfm.sift_matcher=nearest"),
+            do=_DO.format(setting=f"{_SIFT} and {_NEAREST}"),
         )
     return getattr(options, name)
 
@@ -60,4 +62,4 @@ def cannot_run(settings: SfmSettings, error: Exception) -> UserError:
 
 
 def _without(settings: SfmSettings) -> str:
-    return "sfm.features=sift" if settings.features == "aliked" else "sfm.sift_matcher=nearest"
+    return _SIFT if settings.features == "aliked" else _NEAREST

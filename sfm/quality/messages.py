@@ -5,6 +5,7 @@ import pandas as pd
 
 from groundwalk.artefacts import StageRun
 from groundwalk.artefacts.choices import PairStatus
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.sfm.mapping.attempt_models import AttemptModels
 from groundwalk.sfm.mapping.attempts import Attempt
 from groundwalk.sfm.mapping.source import HeldOutCheck
@@ -91,5 +92,6 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
         if abs(error) >= limit:
             r.say(
                 f"session {session['session_id']}: logged focal lengths are likely wrong: {100 * error:+.2f} % ± "
-                f"{100 * session['focal_scale_sd']:.2f} % by the images, limit {100 * limit:g} % (sfm.max_focal_error)"
+                f"{100 * session['focal_scale_sd']:.2f} % by the images, limit {100 * limit:g} % "
+                f"({setting_of('sfm', 'max_focal_error')})"
             )

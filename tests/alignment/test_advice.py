@@ -12,11 +12,12 @@ from scipy.spatial.transform import Rotation
 from synthetic_walks import Scene, Walks
 from test_checks import NOISE, make_uncertain, mirror, of_walk, shuffle, stretch, turn_otherwise
 
-from groundwalk.alignment.checks.definitions import ANY_SCENE, DEFINITIONS
+from groundwalk.alignment.checks.definitions import DEFINITIONS
 from groundwalk.alignment.checks.results import CheckResult, with_status
 from groundwalk.alignment.examination import Examination, examine, refusal
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.choices import CheckName
+from groundwalk.artefacts.hints import ANY_SCENE
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.poses import make_pose

@@ -1,6 +1,7 @@
 """A stage run is atomic, resumable, and repeated only when something that it depends on changed."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import pandas as pd
 import pytest
 
 from groundwalk.artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import make_pose
@@ -182,3 +184,22 @@ def test_two_runs_of_a_stage_keep_apart(data: DataRoot) -> None:
         run_example(r)
 
     execute(Stage("simulate", 1, ExampleSettings, (), run_inside, "", reads_captures=True), "place", "tiny", data)
+
+
+def test_a_setting_goes_where_an_error_says(data: DataRoot, capsys: pytest.CaptureFixture[str]) -> None:
+    """The scene is named, in what a stage says as in what it raises."""
+
+    def refuse_many(r: StageRun[ExampleSettings]) -> None:
+        r.say(f"limit 2 ({setting_of('simulate', 'rows')})")
+        if r.settings.rows > 2:
+            raise UserError("too many rows", do=f"set {setting_of('simulate', 'rows = 2')}")
+        run_example(r)
+
+    stage = Stage("simulate", 1, ExampleSettings, (), refuse_many, "An example.", reads_captures=True)
+    with pytest.raises(UserError, match="too many rows") as caught:
+        execute(stage, "place", "tiny", data)
+    assert "limit 2 ([simulate] rows in data/scenes/place.toml)" in capsys.readouterr().err
+    (advice,) = re.findall(r"set (\[.*\]) (.*) in data/(scenes/place.toml)$", str(caught.value))
+    (data.root / "scenes").mkdir()
+    (data.root / advice[2]).write_text("\n".join(advice[:2]))
+    execute(stage, "place", "tiny", data)

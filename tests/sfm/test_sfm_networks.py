@@ -1,5 +1,7 @@
 """ALIKED and LightGlue: what is asked of COLMAP, what is said where they can't be run, and how descriptors are read."""
 
+import re
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -34,9 +36,10 @@ def test_a_missing_model_file_is_named(
     for name in missing:
         with pytest.raises(UserError) as caught:
             require_model_files(settings)
-        assert f"sfm.{name}" in str(caught.value)
+        assert f"name it in [sfm] {name} in data/scenes/" in str(caught.value)
         assert str(tmp_path / _MODELS[name]) in str(caught.value)
-        assert "sfm.features=sift" in str(caught.value) or "sfm.sift_matcher=nearest" in str(caught.value)
+        (value,) = re.findall(r'set \[sfm\] (\w+ = "\w+") in data/scenes/', str(caught.value))
+        require_model_files(settings.model_copy(update=tomllib.loads(value)))
         (tmp_path / _MODELS[name]).write_bytes(b"")
     require_model_files(settings)
 
@@ -46,7 +49,7 @@ def test_sift_needs_no_model_file() -> None:
 
 
 def test_the_stage_says_so_before_any_work(room: Room, tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"model file of sfm\.aliked_model is missing"):
+    with pytest.raises(UserError, match=r"model file that aliked_model names is missing"):
         execute(STAGE, "room", "tiny", room.data, ["features=aliked", f"aliked_model={tmp_path / 'a.onnx'}"])
     # Whatever this pycolmap was built with, it can't run these files.
     files = []

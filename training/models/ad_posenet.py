@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.files import sha256_of
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.images import read_image
 from groundwalk.training.models.posenet import PoseNet, single_scene
 from groundwalk.training.models.regressor import PoseBatch
@@ -102,7 +103,8 @@ def _read_prior(path: Path) -> Tensor:
             where=path,
             expected=expected,
             found=error.details["found"],
-            do="correct prior_image, or leave it out: then [train.regressors.AD-PoseNet] prior holds everywhere",
+            do=f"correct {setting_of('train.regressors.AD-PoseNet', 'prior_image')}, or leave it out: then prior there "
+            "holds everywhere",
         ) from None
     return nn.functional.adaptive_avg_pool2d(grey[None], _SIDE)[0]
 
