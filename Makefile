@@ -12,6 +12,8 @@ nerfstudio ?=
 official ?=
 predictions ?=
 tables ?=
+roots ?=
+stability ?=
 device ?=
 python ?= python3
 
@@ -27,8 +29,10 @@ override nerfstudio := $(value nerfstudio)
 override official := $(value official)
 override predictions := $(value predictions)
 override tables := $(value tables)
+override roots := $(value roots)
+override stability := $(value stability)
 override device := $(value device)
-export scene profile captures seconds nerfstudio official predictions tables device
+export scene profile captures seconds nerfstudio official predictions tables roots device
 
 py := .venv/bin/python
 installed := .venv/.installed
@@ -158,7 +162,7 @@ bench-groundtruth: $(installed) ## Ground truth: accuracy, honesty, speed beside
 	@$(py) -m benchmarks.gates
 
 bench-real: $(installed) ## Real captures beside stock COLMAP (docs/results); captures=<folder>: yours, too; stability=1: resampled
-	@$(py) -m benchmarks.real $(if $(captures),--capture "$(captures)") $(if $(stability),--stability)
+	@$(py) -m benchmarks.real $(if $(captures),--capture "$$captures") $(if $(stability),--stability)
 
 bench-cameras: $(installed) ## Simulated phones whose lens, shutter and focus are unknown (docs/results); hours
 	@$(py) -m benchmarks.phone_cameras

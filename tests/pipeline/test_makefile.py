@@ -111,10 +111,17 @@ def test_other_values_and_folders_are_no_commands(folder: Path, name: str) -> No
     if "/" not in name:
         (folder / "data" / "captures" / name).mkdir()
     assert make(folder, "help").returncode == 0
-    for goal, variable in (("fuzz-import", "seconds"), ("bench-import", "nerfstudio"), ("view", "web")):
-        make(folder, "scene=place", f"{variable}={name}", goal)
+    for goal, variable in (
+        ("fuzz-import", "seconds"),
+        ("bench-import", "nerfstudio"),
+        ("bench-real", "captures"),
+        ("bench-phone", "roots"),
+    ):
+        assert make(folder, f"{variable}={name}", goal).returncode == 0
+        assert arguments_of(folder)[-1] == name
+    for goal, variable in (("view", "web"), ("bench-real", "stability")):
+        assert make(folder, "scene=place", f"{variable}={name}", goal).returncode == 0
     assert not (folder / "f").exists()
-    assert name in arguments_of(folder)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
