@@ -159,8 +159,8 @@ class AlignSettings(VioDriftSettings):
     max_ruler_size_error: float = Field(
         0.03,
         gt=0,
-        description="a ruler fails, and doesn't set the scale, if its size differs by more from that in the map, as a "
-        "fraction: a print of another size",
+        description="a ruler fails if its size differs by more from that in the map, as a fraction: a print of another "
+        "size; it may set the scale within this, or within the 95 % bounds of its difference from VIO's scale",
     )
     ruler_max_sd: float = Field(
         0.01, gt=0, description="a ruler whose scale has a larger standard error, as a fraction, decides nothing"

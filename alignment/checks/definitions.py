@@ -6,6 +6,10 @@ from groundwalk.artefacts.choices import CheckName, CheckUnit, FailureCause
 from groundwalk.artefacts.hints import ANY_SCENE, setting_of
 
 _EXCLUDE_SESSION = "take the session out of the captures' folder"
+_MEASURED_PRINT = (
+    f"correct its size in [[ruler]] of data/scenes/{ANY_SCENE}.toml; or, where it is right, let it set the scale: "
+    f"use_for_scale = true there, and if it still doesn't, raise {setting_of('max_ruler_size_error')}"
+)
 ADVICE_BY_CAUSE = {
     FailureCause.MIRRORED_IMAGES: f"write the images as the camera sees them, not mirrored; or {_EXCLUDE_SESSION}",
     FailureCause.MISMATCHED_IMAGES: f"give each image the time and pose that it was taken at; or {_EXCLUDE_SESSION}",
@@ -105,9 +109,9 @@ DEFINITIONS = {
     CheckName.RULER_SCALE: CheckDefinition(
         estimate="the map's scale against the ruler",
         unit=CheckUnit.FRACTION,
-        remedy=f"measure the print and correct its size in [[ruler]] of data/scenes/{ANY_SCENE}.toml",
-        evidence="views of the whole ruler from several directions, a longer walk, or use_for_scale = true in its "
-        "[[ruler]]",
+        remedy=f"measure the print: {_MEASURED_PRINT}",
+        evidence="views of the whole ruler from several directions, a longer walk, by which VIO's scale is better "
+        f"known, or the print's measured size ({_MEASURED_PRINT})",
     ),
     CheckName.WINDOW_POSITION: CheckDefinition(
         estimate="largest distance between SfM and VIO in a window",

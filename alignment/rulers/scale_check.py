@@ -1,7 +1,7 @@
 """Rulers against the map's scale, and against each other; the scale by a ruler where the settings ask for it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,7 @@ from groundwalk.alignment.rulers.measurement import RulerMeasurement
 from groundwalk.alignment.rulers.settings import DistanceRuler
 from groundwalk.artefacts.choices import CheckName, FailureCause, RulerPart
 from groundwalk.artefacts.schemas import schema
-from groundwalk.consistency.decisions import Status, decide
+from groundwalk.consistency.decisions import SIGMAS, Status, decide, within
 
 # Bounds of 95 %.
 _SIGMAS = 1.96
@@ -52,8 +52,9 @@ class RulerCheck:
 def scale_by_rulers(vio: MapScale, rulers: Sequence[RulerMeasurement], max_size_error: float) -> MapScale | None:
     """The scale of a model by the rulers that are to set it, weighted by their standard errors; None where none may.
 
-    A ruler takes no part that is seen too poorly, mirrored, contradicted by another one, or certainly further from
-    VIO's scale than `max_size_error` (fraction): it may be printed at another size.
+    A ruler takes no part that is seen too poorly, mirrored, contradicted by another one, or beyond the 95 % bounds of
+    its difference from VIO's scale, unless that is certainly within `max_size_error` (fraction): it may be printed at
+    another size.
     """
     fit = [r for r in rulers if r.ruler.use_for_scale and _is_fit_for_scale(vio, r, rulers, max_size_error)]
     if not fit:
@@ -128,21 +129,24 @@ def _check(
         problem = "it sets the scale, and no corners are left to check it by"
     if not problem and not scale.is_known:
         problem = "the map is in the reference's unknown unit" if scale.reference else "the map has no metric scale"
+    remark = _remark_on_size(component, measurement, limit)
     if problem:
-        return _undecided(measurement, component.index, problem)
+        return _undecided(measurement, component.index, "; ".join(filter(None, [problem, remark])))
     # Corners held out share their board's stated size with those that set the scale.
     sd = float(np.hypot(scale.sd, measurement.fits[part].sd if is_held_out else measurement.sd(part)))
     error = float(np.expm1(scale.log - measurement.log_metres(part)))
     fault = _fault(scale, measurement, rulers)
-    reason = f"{name}: {fault or _size_fault(scale, measurement, part, error, sd)}"
-    return evaluate(
+    reason = fault or "; ".join(filter(None, [_size_fault(scale, measurement, part, error, sd), remark]))
+    result = evaluate(
         CheckName.RULER_SCALE,
         Subject(len(measurement.fits[part].frames), component=component.index),
         Quantity(None if fault else abs(error), sd),
         limit,
-        Failure(cause=FailureCause.RULER_INCONSISTENT, reason=reason),
+        Failure(cause=FailureCause.RULER_INCONSISTENT, reason=f"{name}: {reason}"),
         Status.FAILED if fault else decide(abs(error), sd, limit),
     )
+    # Held-out corners of a print of another size agree with those that set the scale.
+    return replace(result, reason=f"{name}: {remark}") if remark and result.status is Status.PASSED else result
 
 
 def _undecided(measurement: RulerMeasurement, component: int | None, problem: str) -> CheckResult:
@@ -158,8 +162,37 @@ def _is_fit_for_scale(
         return False
     if not vio.is_known:
         return True
-    error = abs(float(np.expm1(vio.log - measurement.log_metres())))
-    return decide(error, float(np.hypot(vio.sd, measurement.sd())), max_size_error) is not Status.FAILED
+    error, sd = _against_vio(vio, measurement)
+    return abs(error) <= _SIGMAS * sd or bool(within(abs(error), sd, max_size_error))
+
+
+def _against_vio(vio: MapScale, measurement: RulerMeasurement) -> tuple[float, float]:
+    """How much larger the scale by VIO is than the ruler's, as a fraction, and the standard error of both."""
+    return float(np.expm1(vio.log - measurement.log_metres())), float(np.hypot(vio.sd, measurement.sd()))
+
+
+def _remark_on_size(component: Component, measurement: RulerMeasurement, limit: float) -> str:
+    """Of a ruler that is to set the scale: how wrong its stated size may be without VIO telling, or why it doesn't set
+    the scale; empty where VIO's scale is certainly within the limit of it."""
+    vio, scale = component.vio_scale, component.scale
+    if not measurement.ruler.use_for_scale or measurement.problem or scale.reference:
+        return ""
+    sets_scale = measurement.ruler.name in scale.rulers
+    if not vio.is_known:
+        return "VIO gives no scale: nothing tells a stated size that is wrong" if sets_scale else ""
+    error, sd = _against_vio(vio, measurement)
+    if within(abs(error), sd, limit):
+        return ""
+    if sets_scale:
+        return (
+            f"VIO's scale, 95 % bounds ± {_SIGMAS * vio.sd:.1%}, can't tell a stated size that is wrong by up to "
+            f"{abs(error) + _SIGMAS * sd:.1%}"
+        )
+    enough = np.ceil(100 * (abs(error) + SIGMAS * sd)) / 100
+    return (
+        f"{abs(error):.1%} from VIO's scale, beyond the 95 % bounds of ± {_SIGMAS * sd:.1%}: it doesn't set the scale; "
+        f"if it measures what is stated, [align] max_ruler_size_error = {enough:.2f} lets it"
+    )
 
 
 def _contradicting(measurement: RulerMeasurement, rulers: Sequence[RulerMeasurement]) -> RulerMeasurement | None:

@@ -191,10 +191,15 @@ TABLES = [
                 nullable=True,
                 choices=FailureCause,
             ),
-            Column("reason", "string", "the cause in words, with figures; empty where it passed"),
+            Column(
+                "reason",
+                "string",
+                "the cause in words, with figures; where it passed empty, or of a ruler that sets the scale what VIO "
+                "can't tell of its size",
+            ),
             Column("advice", "string", "what to do where it failed; what would decide it where it is undecided"),
         ],
-        version="2.0",
+        version="3.0",
     ),
     TableSchema(
         "align",

@@ -1,5 +1,6 @@
 """Rulers from pixels to a check: boards that judge the map's scale, set it, or are wrong themselves."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from groundwalk.alignment.rulers.measurement import (
     measure_rulers,
     undistorted,
 )
-from groundwalk.alignment.rulers.scale_check import describe, rulers_table
+from groundwalk.alignment.rulers.scale_check import RulerCheck, describe, rulers_table
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, rulers_of
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.stage import STAGE
@@ -162,6 +163,70 @@ def test_a_print_of_another_size_sets_no_scale(scene: Scene) -> None:
     assert set(aligned.ground_truth["scale_source"]) == {"vio"} and abs(scale_error(scene, aligned)) < 0.01
 
 
+def examined(scene: Scene, readings: list[RulerMeasurement], **settings: Any) -> RulerCheck:
+    (check,) = examine(scene.inputs(rulers=readings), AlignSettings(**settings)).rulers
+    return check
+
+
+@pytest.mark.parametrize(
+    ("printed", "expected"),
+    [
+        (0.92, [(False, "failed"), (False, "undecided"), (True, "passed")]),
+        # Certainly within the limit, perhaps beyond it, and within what VIO knows.
+        (0.98, [(True, "passed"), (False, "undecided"), (True, "passed")]),
+    ],
+)
+def test_a_wider_sigma_of_vio_never_lets_a_print_of_another_size_set_the_scale_without_a_word(
+    scene: Scene, printed: float, expected: list[tuple[bool, str]]
+) -> None:
+    readings = read(scene, sighted(scene, ruler(use_for_scale=True), printed=printed))
+    outcomes = []
+    for phone_scale_sd in (0.002, 0.01, 0.05, 0.08, 0.2):
+        check = examined(scene, readings, phone_scale_sd=phone_scale_sd)
+        reason = check.result.reason
+        outcomes.append((check.sets_scale, str(check.result.status)))
+        assert reason in describe(check) and (rulers_table([check])["reason"] == reason).all()
+        if not check.sets_scale:
+            assert "doesn't set the scale" in reason
+        elif reason or printed == 0.92:
+            (largest,) = re.findall(r"can't tell a stated size that is wrong by up to ([\d.]+)%", reason)
+            assert float(largest) / 100 > max(1 - printed, 0.03)
+        else:
+            assert phone_scale_sd == 0.002
+    assert [a for a, b in zip(outcomes, [None, *outcomes], strict=False) if a != b] == expected
+
+
+def walk_of(walks: Walks, path_m: float) -> Scene:
+    made = walks.make(sessions=1, speed_m=path_m / 60, sfm_m=0.001, sfm_deg=0.05, drift_m=0.01, jitter_m=0.001)
+    made.frames = made.frames.assign(fy=1400.0, cx=960.0, cy=720.0, distortion=cells([LENS] * len(made.frames)))
+    return made
+
+
+def test_what_is_advised_of_a_print_that_differs_from_a_short_walk(walks: Walks) -> None:
+    """The print is 8 % too small, VIO's scale known to ± 4.9 %; each advice is followed to the letter."""
+    short, stated = walk_of(walks, 2.3), ruler(use_for_scale=True)
+    readings = read(short, sighted(short, stated, printed=0.92))
+    check = examined(short, readings)
+    assert not check.sets_scale and check.result.status == "undecided"
+    assert "its squares measure 18" in check.result.reason and "200 mm stated (-7." in check.result.reason
+    # It was measured: its stated size is corrected.
+    corrected = sighted(short, ruler(use_for_scale=True, square_mm=184.0, marker_mm=138.0))
+    by_corrected = examined(short, read(short, corrected))
+    assert by_corrected.sets_scale and by_corrected.result.status == "passed"
+    assert abs(scale_error(short, align(short.inputs(rulers=[by_corrected.measurement]), AlignSettings()))) < 0.015
+    # It was measured, and is as stated: the setting that is named, with the figure that is named.
+    assert "raise [align] max_ruler_size_error in data/scenes/<scene>.toml" in check.result.advice
+    assert "use_for_scale = true there" in check.result.advice
+    (enough,) = map(float, re.findall(r"\[align\] max_ruler_size_error = ([\d.]+)", check.result.reason))
+    insisted = examined(short, readings, max_ruler_size_error=enough)
+    assert insisted.sets_scale and insisted.result.status == "passed"
+    assert not examined(short, readings, max_ruler_size_error=enough - 0.011).sets_scale
+    # A longer walk.
+    assert "a longer walk" in check.result.advice
+    longer = walk_of(walks, 9.0)
+    assert examined(longer, read(longer, sighted(longer, stated, printed=0.92))).result.status == "failed"
+
+
 def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(scene: Scene) -> None:
     # VIO that may be off by so much tells no scale.
     still = AlignSettings(step_scale_sd=1e3)
@@ -173,6 +238,8 @@ def test_a_board_stands_in_where_vio_moves_too_little_for_a_scale(scene: Scene) 
     assert abs(scale_error(scene, aligned)) < 0.003
     assert set(aligned.ground_truth["scale_source"]) == {"ruler: charuco"}
     assert aligned.sessions["scale"].isna().all()
+    (row,) = aligned.checks[aligned.checks["check"] == "ruler_scale"].to_dict("records")
+    assert row["status"] == "passed" and "nothing tells a stated size that is wrong" in row["reason"]
 
 
 def test_a_mirrored_board_judges_nothing(scene: Scene) -> None:
