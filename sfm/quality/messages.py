@@ -81,10 +81,12 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
                 f"{'before' if offset_s > 0 else 'after'} their time stamps, by VIO's rotations"
             )
         if lens["stated_is_wrong"]:
+            is_held = r.settings.lens == "stated"
+            do = f'; it\'s kept: set {setting_of("sfm", "lens")} to "auto"' if is_held else ", which is used"
             r.say(
                 f"lens of {lens['lens_id']}: the STATED DISTORTION IS LIKELY WRONG (k1 {lens['stated_k1']:.4f}, k2 "
                 f"{lens['stated_k2']:.4f}): median error of held-out matches {lens['held_out_prior_px']:.2f} px, "
-                f"{lens['held_out_px']:.2f} px with the estimated lens, which is used"
+                f"{lens['held_out_px']:.2f} px with the estimated lens{do}"
             )
     limit = r.settings.max_focal_error
     for session in intrinsics.to_dict("records"):
