@@ -11,6 +11,7 @@ import pandas as pd
 from benchmarks.stages import Cost, measure
 from groundwalk.alignment.check_truth import TruthTarget, truth_targets
 from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.choices import QualityClass
 from groundwalk.artefacts.files import hash_files
 from groundwalk.artefacts.manifests import MANIFEST, load_manifest
 from groundwalk.artefacts.schemas import schema
@@ -81,9 +82,21 @@ def ground_truth_targets(
     about."""
     folder = root.run(profile, scene, "align")
     gt = read_table(folder / "ground_truth.parquet", schema("align", "ground_truth"))
+    return gt, *truth_targets(gt, _true_poses_of_dataset(scene, root, profile), load_manifest(folder)["figures"])
+
+
+def ground_truth_errors(scene: str, root: DataRoot, profile: str = PROFILE) -> Array:
+    """Position errors of a simulated scene's ground truth, metres."""
+    gt = read_table(root.run(profile, scene, "align") / "ground_truth.parquet", schema("align", "ground_truth"))
+    has_pose = (gt["quality"] != QualityClass.NONE).to_numpy()
+    one_map = np.zeros(np.count_nonzero(has_pose), np.int64)
+    true_T_cam = _true_poses_of_dataset(scene, root, profile)[has_pose]
+    return errors_after_sim3(poses_of(gt, "map_cam")[has_pose], one_map, true_T_cam)[0]
+
+
+def _true_poses_of_dataset(scene: str, root: DataRoot, profile: str) -> Array:
     frames = read_table(root.run(profile, scene, "import") / "frames.parquet", schema("import", "frames"))
-    true_T_cam = true_poses(scene, root, profile)[~frames["support"].to_numpy(bool)]
-    return gt, *truth_targets(gt, true_T_cam, load_manifest(folder)["figures"])
+    return true_poses(scene, root, profile)[~frames["support"].to_numpy(bool)]
 
 
 def errors_after_sim3(sfm_T_cam: Array, model_N: np.ndarray, true_T_cam: Array) -> tuple[Array, Array]:
