@@ -8,7 +8,7 @@ from groundwalk.artefacts.hints import ANY_SCENE, setting_of
 _EXCLUDE_SESSION = "take the session out of the captures' folder"
 _MEASURED_PRINT = (
     f"correct its size in [[ruler]] of data/scenes/{ANY_SCENE}.toml; or, where it is right, let it set the scale: "
-    f"use_for_scale = true there, and if it still doesn't, raise {setting_of('max_ruler_size_error')}"
+    f"use_for_scale = true there, and if it still doesn't, raise {setting_of('align', 'max_ruler_size_error')}"
 )
 ADVICE_BY_CAUSE = {
     FailureCause.MIRRORED_IMAGES: f"write the images as the camera sees them, not mirrored; or {_EXCLUDE_SESSION}",
