@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from benchmarks.real_figures import (
     CRASHED,
@@ -30,6 +31,7 @@ from benchmarks.real_figures import (
 )
 from benchmarks.real_floor import floor_figures
 from benchmarks.real_plots import draw_case
+from benchmarks.real_scale import HELD_OUT, HELD_OUT_RMS, WITHIN_BOUNDS, board_figures, depth_figures
 from benchmarks.real_walls import wall_figures
 from benchmarks.stages import Cost, run_timed
 from benchmarks.stock import stock_command
@@ -73,7 +75,7 @@ class Judged:
 @dataclass(frozen=True)
 class Case:
     """A capture folder imported with these settings; whether all walls are at right angles, and the floor's tiles in
-    rows of equal length."""
+    rows of equal length; and the `[[ruler]]` table (TOML) of a printed board in view."""
 
     name: str
     folder: Path
@@ -81,6 +83,7 @@ class Case:
     targets: tuple[Target, ...] = ()
     resampled: bool = True
     is_tiled_corridor: bool = False
+    board: str = ""
 
 
 @dataclass(frozen=True)
@@ -147,6 +150,17 @@ _AGAINST_STOCK = (
     Target("processor", 0.5, "", way=RATIO),
 )
 _ACCEPTED = Target("accepted", 1, at_least=True)
+_SCALE = (Target(WITHIN_BOUNDS, 1), Target(HELD_OUT, 0.3, "%"), Target(HELD_OUT_RMS, 1, "mm"))
+# What the captures' authors say of the board: "8x11, checker 22 mm, marker 17 mm".
+_CHARUCO_BOARD = """[[ruler]]
+kind = "charuco"
+squares_x = 11
+squares_y = 8
+square_mm = 22.0
+marker_mm = 17.0
+dictionary = "DICT_6X6_250"
+legacy = true
+"""
 _WINDOWS = Target("largest residual to VIO in a window", 0.15, "m")
 
 
@@ -176,9 +190,9 @@ def standard_cases(captures: Path) -> list[Case]:
         Case("chair", captures / "chair", (), chair),
         Case("corridor", captures / "corridor", (), corridor, is_tiled_corridor=True),
         Case("corridor_all", captures / "corridor", ('sampling="all"',), corridor_all, False, is_tiled_corridor=True),
-        Case("charuco", both, (), (_ACCEPTED, share)),
+        Case("charuco", both, (), (_ACCEPTED, share, *_SCALE), board=_CHARUCO_BOARD),
         *(
-            Case(f"charuco_{session.name}", session, (), (_ACCEPTED, share))
+            Case(f"charuco_{session.name}", session, (), (_ACCEPTED, share, *_SCALE), board=_CHARUCO_BOARD)
             for session in sorted(both.glob("*/"))
             if session.is_dir()
         ),
@@ -207,26 +221,23 @@ def run_stages(
     captures.symlink_to(case.folder.resolve(), target_is_directory=True)
     costs, statuses, logs = dict[str, Cost](), dict[str, int](), dict[str, str]()
     for stage in only:
-        sets = [word for setting in (*case.settings, *import_settings) for word in ("--set", setting)]
-        command = [
-            sys.executable,
-            "-m",
-            STAGES[stage],
-            "--scene",
-            case.name,
-            "--profile",
-            PROFILE,
-            "--data",
-            str(root.root),
-        ]
-        command += ["--seed", str(seed), *(sets if stage == "import" else [])]
+        sets = (*case.settings, *import_settings) if stage == "import" else ()
         log = root.root / f"{stage}.log"
-        statuses[stage], costs[stage] = run_timed(command, root.run(PROFILE, case.name, stage), log)
+        statuses[stage], costs[stage] = _run_stage(case.name, root, stage, log, seed, sets)
         logs[stage] = log.read_text(encoding="utf-8", errors="replace")
         if statuses[stage]:
             break
     run = Finished(case.name, PROFILE, root, Path(), costs, Verdict(CRASHED))
     return costs, verdict_of(statuses, logs, [cause for cause, _, _ in failed_checks(run)])
+
+
+def _run_stage(
+    scene: str, root: DataRoot, stage: str, log: Path, seed: int = 0, settings: Sequence[str] = ()
+) -> tuple[int, Cost]:
+    """Exit status and cost of a stage."""
+    command = [sys.executable, "-m", STAGES[stage], "--scene", scene, "--profile", PROFILE, "--data", str(root.root)]
+    command += ["--seed", str(seed), *(word for setting in settings for word in ("--set", setting))]
+    return run_timed(command, root.run(PROFILE, scene, stage), log)
 
 
 def failed_checks(run: Finished) -> list[tuple[str, str, int]]:
@@ -259,6 +270,11 @@ def run_case(case: Case, out: Path, pictures: Path) -> Result:
     figures = figures_of(run)
     if case.is_tiled_corridor and run.has("align"):
         figures += wall_figures(run, pictures / f"real_{case.name}_walls.png") + floor_figures(run)
+    if run.has("align"):
+        figures += depth_figures(run.table("align", "depth_agreement"))
+    failed = [f"{cause} ({check}, {count})" for cause, check, count in failed_checks(run)]
+    if case.board and run.has("align"):
+        figures += board_figures(*(_align_with(case, run, use_for_scale=use) for use in (False, True)))
     return Result(
         case.name,
         case.folder.resolve().name,
@@ -269,10 +285,23 @@ def run_case(case: Case, out: Path, pictures: Path) -> Result:
         f"{processor_name()}, {os.cpu_count()} cores, {platform.system()}",
         round(load, 1),
         verdict,
-        [f"{cause} ({check}, {count})" for cause, check, count in failed_checks(run)],
+        failed,
         figures,
         list(case.targets),
     )
+
+
+def _align_with(case: Case, run: Finished, *, use_for_scale: bool) -> pd.DataFrame:
+    """The rulers' table after align once more with the case's board, in place: costs and checks of the case are those
+    without it."""
+    scene = run.root.root / "scenes" / f"{case.name}.toml"
+    scene.parent.mkdir(exist_ok=True)
+    scene.write_text(f"{case.board}use_for_scale = {str(use_for_scale).lower()}\n", encoding="utf-8")
+    log = run.root.root / "align_board.log"
+    status, _ = _run_stage(case.name, run.root, "align", log)
+    if status:
+        raise UserError("align failed with the board", where=log, found=f"exit status {status}")
+    return run.table("align", "rulers")
 
 
 def _provenance(run: Finished) -> tuple[str, str]:

@@ -286,15 +286,16 @@ def camera_figures(run: Finished) -> list[Figure]:
             for lens in lenses[lenses["model_id"] == model_id].to_dict("records"):
                 subject = lens["lens_id"] + of_model
                 for name in ("k1", "k2", "k3"):
-                    figures += _with_sigma(name, lens[name], lens[f"{name}_sd"], "", subject)
-                figures += _with_sigma("readout", 1000 * lens["readout_s"], 1000 * lens["readout_sd_s"], "ms", subject)
+                    figures += with_sigma(name, lens[name], lens[f"{name}_sd"], "", subject)
+                figures += with_sigma("readout", 1000 * lens["readout_s"], 1000 * lens["readout_sd_s"], "ms", subject)
             for session in sessions[sessions["model_id"] == model_id].to_dict("records"):
                 subject = session["session_id"] + of_model
-                figures += _with_sigma("focal scale", session["focal_scale"], session["focal_scale_sd"], "", subject)
+                figures += with_sigma("focal scale", session["focal_scale"], session["focal_scale_sd"], "", subject)
     return figures + _stock_camera_figures(run)
 
 
-def _with_sigma(name: str, value: float, sigma: float, unit: str, subject: str) -> list[Figure]:
+def with_sigma(name: str, value: float, sigma: float, unit: str, subject: str) -> list[Figure]:
+    """An estimate and its standard error."""
     return [Figure(name, value, unit, subject=subject), Figure(f"{name}, one sigma", sigma, unit, subject=subject)]
 
 

@@ -9,6 +9,7 @@ from benchmarks.real_cases import Result, judge
 from benchmarks.real_figures import OURS, POSITION, RATIO, STOCK, VIO_WAY
 from benchmarks.real_floor import SPACING
 from benchmarks.real_floor import SPREAD as SPACING_SPREAD
+from benchmarks.real_scale import BOARD, BOUNDS, CONFIDENCES, DEPTH, HELD_OUT, HELD_OUT_RMS
 from benchmarks.real_stability import Tried, agreeing
 from benchmarks.real_walls import SPREAD
 from benchmarks.results import markdown_table
@@ -19,7 +20,7 @@ Written by `make bench-real` (`python -m benchmarks.real`), with pictures and `r
 be edited. Profile demo. Images beyond the dataset's frames are support frames, which SfM alone uses. Stock: COLMAP's
 incremental mapper with its own options on the same images and as many SIFT features at most, all of `max_image_size`,
 every pair matched, one OPENCV camera a session that starts at the median of the logged intrinsics; of several models
-its largest.
+its largest. Recordings of VIO alone, without images, aren't among the cases.
 """
 
 _WALL_WAYS = (VIO_WAY, OURS, STOCK)
@@ -63,6 +64,15 @@ def write_report(folder: Path, results: Sequence[Result]) -> None:
         "floor by its pose: distances of neighbouring bands, metres, median of each straight leg of the walk, and the "
         "standard deviation of all about it. It judges how scale drifts along the walk without VIO's or SfM's help.\n\n"
         + markdown_table(_floor_rows(results)),
+        "## Ruler\n\n"
+        "A printed board in view, at its stated size. First it judges the map scaled by VIO: the error of its scale, "
+        "beside that scale's own 95 % bounds. Then it sets the scale, in align alone; every second corner is held out "
+        "and judges it, seen by the same frames: an error of the print or of the poses around it doesn't show.\n\n"
+        + markdown_table(_board_rows(results)),
+        "## Depth\n\n"
+        "Depth by the phone's sensor over the map's, which takes nothing from it, at the points of SfM, by distance "
+        "from the camera and by the sensor's confidence: median ± one sigma.\n\n"
+        + markdown_table(_depth_rows(results)),
         "## Cost\n\n"
         "Processor seconds of the whole process tree, wall minutes beside; peak memory of the largest process. Ours: "
         "import + sfm + align.\n\n" + markdown_table(_cost_rows(results)),
@@ -240,6 +250,30 @@ def _floor_rows(results: Iterable[Result]) -> Iterable[list[str]]:
         if r.value(SPACING_SPREAD, OURS) is not None:
             count = _number(r.value("spacings of floor bands", OURS))
             yield [r.case, "all", "", "", count, *(_number(r.value(SPACING_SPREAD, way), "%") for way in ways)]
+
+
+def _board_rows(results: Iterable[Result]) -> Iterable[list[str]]:
+    yield [
+        *("case", "frames", "error by VIO", "95 % bounds", "corners: px RMS", "mm RMS", "flat to mm"),
+        *("held out: error", "mm RMS"),
+    ]
+    names = ("board's corners, reprojection RMS", "board's corners, RMS", "board, flat to")
+    for r in results:
+        if r.value(BOARD) is not None:
+            yield [
+                *(r.case, _number(r.value("board, frames")), _number(r.value(BOARD), "%")),
+                *(f"± {_number(r.value(BOUNDS), '%')}", *(_number(r.value(name)) for name in names)),
+                *(_number(r.value(HELD_OUT), "%"), _number(r.value(HELD_OUT_RMS))),
+            ]
+
+
+def _depth_rows(results: Iterable[Result]) -> Iterable[list[str]]:
+    names = [f"{DEPTH}, {confidence} confidence" for confidence in CONFIDENCES]
+    yield ["case", "session, distance", "points", *(f"{confidence} confidence" for confidence in CONFIDENCES)]
+    for r in results:
+        for subject in r.subjects(names[0]):
+            points = _number(r.value(f"{names[0]}, points", OURS, subject))
+            yield [r.case, subject, points, *(_with_sigma(r, name, subject) for name in names)]
 
 
 def _cost_rows(results: Iterable[Result]) -> Iterable[list[str]]:

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -25,11 +26,23 @@ from benchmarks.real_figures import (
     place,
     three_way_figures,
     verdict_of,
+    with_sigma,
 )
 from benchmarks.real_report import csv_text, write_report, write_stability
+from benchmarks.real_scale import (
+    BOARD,
+    BOUNDS,
+    DEPTH,
+    HELD_OUT,
+    HELD_OUT_RMS,
+    WITHIN_BOUNDS,
+    board_figures,
+    depth_figures,
+)
 from benchmarks.real_stability import RESAMPLINGS, Tried, agreeing, copy_without, left_out
 from benchmarks.stages import run_timed
 from benchmarks.stock import create_shared_database, session_cameras
+from groundwalk.alignment.rulers.settings import CharucoRuler, rulers_of
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import make_pose
 
@@ -177,12 +190,52 @@ def test_a_resampled_copy_has_all_but_the_left_out_files_and_the_capture_stays(t
     assert {path: path.stat().st_mtime_ns for path in source.rglob("*.*")} == before
 
 
+def ruler_rows(**rows: dict[str, object]) -> pd.DataFrame:
+    """An align.rulers table of a part a row."""
+    common = {"frames": 20, "vio_scale_error_percent": -1.2, "vio_scale_sd_percent": 1.0, "corner_rms_mm": 0.4}
+    common |= {"reprojection_px": 0.5, "flatness_mm": 0.3, "scale_error_percent": -1.2, "used_for_scale": False}
+    return pd.DataFrame([common | {"part": part} | values for part, values in rows.items()])
+
+
+def test_a_board_judges_vios_scale_and_its_held_out_corners_the_scale_by_it() -> None:
+    judging = ruler_rows(all={})
+    setting = ruler_rows(all={}, for_scale={}, held_out={"scale_error_percent": -0.1, "corner_rms_mm": 0.7})
+    values = {f.name: f.value for f in board_figures(judging, setting.assign(used_for_scale=True))}
+    assert values[BOARD] == -1.2 and values[WITHIN_BOUNDS] == pytest.approx(1.2 / 1.96)
+    assert (values[HELD_OUT], values[HELD_OUT_RMS]) == (0.1, 0.7)
+    # A board that wasn't let set the scale, or that isn't seen beside VIO's scale, reaches nothing.
+    assert HELD_OUT not in {f.name for f in board_figures(judging, setting)}
+    assert board_figures(judging.assign(vio_scale_error_percent=np.nan), setting) == []
+
+
+def test_a_case_with_a_board_is_a_scene_with_that_ruler(tmp_path: Path) -> None:
+    (tmp_path / "captures" / "charuco" / "walk").mkdir(parents=True)
+    for case in standard_cases(tmp_path / "captures"):
+        (board,) = rulers_of(tomllib.loads(case.board)["ruler"])
+        assert isinstance(board, CharucoRuler) and board.size_mm == 22 and not board.use_for_scale
+        assert HELD_OUT in {target.name for target in case.targets}
+
+
+def test_depth_over_the_maps_by_distance_and_confidence() -> None:
+    row = {"session_id": "walk", "component": 0, "near_m": 3.0, "far_m": 5.0, "confidence": None, "samples": 40}
+    row |= {"median_ratio": 1.01, "median_ratio_se": 0.002}
+    far = row | {"near_m": 5.0, "far_m": np.nan, "confidence": 2, "component": 1}
+    figures = depth_figures(pd.DataFrame([row, far]).astype({"confidence": "Int64"}))
+    assert [(f.subject, f.name, f.value) for f in figures[::3]] == [
+        ("walk, 3 to 5 m", f"{DEPTH}, any confidence", 1.01),
+        ("walk, 5 m or more, model 2", f"{DEPTH}, high confidence", 1.01),
+    ]
+    assert figures[2].value == 40
+
+
 def result() -> Result:
     figures = [
         *(Figure("accepted", 1.0), Figure("images", 30), Figure("checks", 7), Figure("checks failed", 1)),
         *(Figure("k1", 0.08, subject="phone, 1920x1440"), Figure("k1, one sigma", 0.002, subject="phone, 1920x1440")),
         *(Figure("k1", 0.09, way=STOCK, subject="walk"), Figure("focal scale", 0.998, subject="walk")),
         *(Figure("all frames against VIO", 20), Figure("all frames against VIO, position RMS", 4.25, "mm")),
+        *(Figure(BOARD, -1.2, "%"), Figure(BOUNDS, 1.96, "%"), Figure(HELD_OUT, 0.1, "%")),
+        *with_sigma(f"{DEPTH}, any confidence", 1.01, 0.002, "", "walk, 0 to 5 m"),
         *(Figure("processor", 30.0, "s"), Figure("wall", 60.0, "s"), Figure("processor", 0.7, "", RATIO)),
     ]
     targets = [Target("accepted", 1, at_least=True), Target("processor", 0.5, way=RATIO), Target("models", 1)]
@@ -207,6 +260,8 @@ def test_the_report_says_met_and_missed_and_its_tables_are_whole(tmp_path: Path)
     assert "| chair | processor, ours / stock | 0.7 | ≤ 0.5 | **missed** |" in text
     assert "| chair | models | none | ≤ 1 | **missed** |" in text
     assert "0.0800 ± 0.0020" in text and "0 of 1 resamplings (0 %)" in text
+    assert "| chair | none | -1.2 % | ± 1.96 % |" in text and "| 0.1 % | none |" in text
+    assert "| chair | walk, 0 to 5 m | none | 1.0100 ± 0.0020 |  |  |  |" in text
     for table in text.split("\n\n"):
         widths = {line.count("|") for line in table.splitlines() if line.startswith("|")}
         assert len(widths) <= 1
