@@ -152,6 +152,19 @@ class ScaleSource(StrEnum):
     NONE = "none"
 
 
+class MapUnit(StrEnum):
+    """What a map's lengths are in: metres, unless nothing gave it metric scale."""
+
+    METRE = "metres"
+    SFM = "SfM's unit"
+    REFERENCE = "a reference's unknown unit"
+
+    @property
+    def symbol(self) -> str:
+        """As it stands behind a number or in a heading."""
+        return "m" if self is MapUnit.METRE else "map units"
+
+
 class VerticalSource(StrEnum):
     """What gives a map its +y."""
 

@@ -12,6 +12,9 @@ A table's version is `major.minor`; a reader refuses another major.
 A pose group is seven columns: `map_cam_*` stands for `map_cam_tx, _ty, _tz` (metres) and `map_cam_qx, _qy, _qz, _qw`
 (unit quaternion, w ≥ 0), the pose map_T_cam. [conventions.md](conventions.md) says what the frames are.
 
+Where nothing gave a map metric scale (`scale_source` of align.ground_truth: none, or reference, unit unknown), what is
+in m in its frame is in the map's own unit.
+
 This page is written by `make docs`.
 """
 

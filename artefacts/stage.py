@@ -20,6 +20,7 @@ import rerun as rr
 
 from groundwalk import CHECKOUT
 from groundwalk.artefacts import progress, recording
+from groundwalk.artefacts.choices import MapUnit
 from groundwalk.artefacts.damage import free_bytes
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import (
@@ -39,7 +40,7 @@ from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.resuming import run_resumable
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import DataRoot, SceneConfig, Settings, resolve_settings
-from groundwalk.artefacts.tables import dataset_frames, read_table, write_table
+from groundwalk.artefacts.tables import dataset_frames, map_unit, read_table, scale_warning, write_table
 from groundwalk.artefacts.text import printable
 
 S = TypeVar("S", bound=Settings)
@@ -142,6 +143,10 @@ class StageRun(Generic[S]):
         """import.frames without support frames: what every stage reads but sfm and align."""
         return dataset_frames(self.read("import", "frames", scene))
 
+    def map_unit(self, scene: str | None = None) -> MapUnit:
+        """The unit of the map that align made of this scene (or of a group's member)."""
+        return map_unit(self.read("align", "ground_truth", scene))
+
     def manifest(self, stage: str, scene: str | None = None) -> dict[str, Any]:
         """The manifest of a finished stage."""
         return load_manifest(self.folder(stage, scene))
@@ -174,6 +179,12 @@ class StageRun(Generic[S]):
     def _of_scene(self, text: str) -> str:
         """Advice that `setting_of` gave, for this scene."""
         return text.replace(ANY_SCENE, self.scene.name)
+
+    def warn_of_scale(self) -> None:
+        """A line for each scene whose map isn't metric."""
+        for leaf in self.leaves:
+            if warning := scale_warning(self.map_unit(leaf)):
+                self.say(f"warning: {leaf}: {warning}")
 
     def leave_out(self, faults: Iterable[PluginError]) -> None:
         """Name each plug-in that takes no part, also in the manifest."""

@@ -8,6 +8,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from groundwalk.artefacts.choices import MapUnit, ScaleSource
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.schemas import TableSchema
@@ -137,6 +138,19 @@ def pose_frame(prefix: str, poses: Array) -> pd.DataFrame:
         values[has_pose] = np.hstack([t, q])
     names = [f"{prefix}_t{a}" for a in "xyz"] + [f"{prefix}_q{a}" for a in "xyzw"]
     return pd.DataFrame(values, columns=names)
+
+
+def map_unit(truth: pd.DataFrame) -> MapUnit:
+    """The unit of the map, by the frames of its ground truth; metres where a table from elsewhere doesn't say."""
+    sources = set(truth["scale_source"]) if "scale_source" in truth else set()
+    if ScaleSource.NONE in sources:
+        return MapUnit.SFM
+    return MapUnit.REFERENCE if ScaleSource.REFERENCE_UNIT_UNKNOWN in sources else MapUnit.METRE
+
+
+def scale_warning(unit: MapUnit) -> str:
+    """What stands by the positions of a map without metric scale; empty for a metric one."""
+    return "" if unit is MapUnit.METRE else f"NO METRIC SCALE: positions are in {unit}, not in metres"
 
 
 def points_in_map(points: pd.DataFrame, images: pd.DataFrame, truth: pd.DataFrame) -> pd.DataFrame:

@@ -10,12 +10,20 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.choices import QualityClass, ScaleSource, VerticalSource
+from groundwalk.artefacts.choices import MapUnit, QualityClass, VerticalSource
 from groundwalk.artefacts.hints import run_command
 from groundwalk.artefacts.images import image_file
 from groundwalk.artefacts.manifests import MANIFEST, load_verified
 from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import CAMERA_COLUMNS, camera_of, dataset_frames, poses_of, read_table, with_cameras
+from groundwalk.artefacts.tables import (
+    CAMERA_COLUMNS,
+    camera_of,
+    dataset_frames,
+    map_unit,
+    poses_of,
+    read_table,
+    with_cameras,
+)
 from groundwalk.artefacts.undistortion import undistorted_image
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.cameras import Camera, pinhole_within
@@ -100,8 +108,7 @@ class Dataset:
     @property
     def world(self) -> str:
         """Unit and axes of the map, in words."""
-        scale, vertical = (str(self.frames[f"{name}_source"].iloc[0]) for name in ("scale", "vertical"))
-        return world_of(scale, vertical)
+        return world_of(self.frames)
 
     @property
     def in_test(self) -> np.ndarray:
@@ -141,14 +148,13 @@ class Dataset:
         return replace(self, frames=self.frames.assign(**columns), images=images)
 
 
-def world_of(scale_source: str, vertical_source: str) -> str:
-    """Unit and axes of a map, in words."""
-    if scale_source == ScaleSource.NONE:
-        unit = "SfM's unit, without a metric scale"
-    else:
-        unit = "a reference's unknown unit" if scale_source == ScaleSource.REFERENCE_UNIT_UNKNOWN else "metres"
-    axes = "a reference's axes, up unknown" if vertical_source == VerticalSource.REFERENCE_UP_UNKNOWN else "+y up"
-    return f"{unit}, {axes}"
+def world_of(truth: pd.DataFrame) -> str:
+    """Unit and axes of a map in words, by the sources of its ground truth's scale and vertical."""
+    unit = map_unit(truth)
+    scale = "" if unit is MapUnit.METRE else ", without a metric scale"
+    up_unknown = (truth["vertical_source"] == VerticalSource.REFERENCE_UP_UNKNOWN).any()
+    axes = "a reference's axes, up unknown" if up_unknown else "+y up"
+    return f"{unit}{scale}, {axes}"
 
 
 def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:

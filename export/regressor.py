@@ -115,9 +115,7 @@ def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> 
     frames = with_cameras(frames, truth).merge(truth[["frame_id", *poses]], on="frame_id", validate="1:1")
     captures = data.captures(scene)
     files = [image_file(image, captures, folders["import"]) for image in frames["image"]]
-    first = truth[truth["map_cam_tx"].notna()].iloc[0]
-    world = world_of(str(first["scale_source"]), str(first["vertical_source"]))
-    return frames.assign(scene=scene, file=pd.Series(files, dtype=object), stated_fx=stated), world
+    return frames.assign(scene=scene, file=pd.Series(files, dtype=object), stated_fx=stated), world_of(truth)
 
 
 def _finished(data: DataRoot, profile: str, scene: str, stage: str) -> Path:

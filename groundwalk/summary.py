@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from groundwalk.artefacts.choices import MapUnit
 from groundwalk.artefacts.settings import STAGES
 from groundwalk.run import Run
 
@@ -61,7 +62,9 @@ def _errors(table: pd.DataFrame) -> Iterator[tuple[str, str]]:
     several = len(table["scene"].unique()) > 1
     rows: Any = table[(table["subset"] == "all") & (table["scored"] == "method")].itertuples(index=False)
     for row in rows:
-        medians = [(float(row.position_median_m), "{:.2f} m"), (float(row.rotation_median_deg), "{:.1f} deg")]
+        # Tables of older runs say nothing of it.
+        unit = MapUnit(row.map_unit).symbol if isinstance(row.map_unit, str) else "m"
+        medians = [(float(row.position_median_m), f"{{:.2f}} {unit}"), (float(row.rotation_median_deg), "{:.1f} deg")]
         figures = ", ".join("infinite" if np.isnan(value) else pattern.format(value) for value, pattern in medians)
         subject = f"{row.method}, {row.model}" + (f", {row.scene}" if several else "")
         yield subject, f"median {figures}; {row.answered} of {row.frames} test frames have a pose"

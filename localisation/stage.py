@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.artefacts import Stage, StageRun, UserError
+from groundwalk.artefacts.choices import MapUnit
 from groundwalk.artefacts.cores import usable_cores
 from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.hints import setting_of
@@ -55,6 +56,7 @@ def run(r: StageRun[LocaliseSettings]) -> None:
 
 def localise(r: StageRun[LocaliseSettings]) -> None:
     """Build the localisers, and write what they say of each query."""
+    r.warn_of_scale()
     queries = r.dataset_frames()
     queries = queries[queries["split"].isin(r.settings.splits)].sort_values(["session_id", "t_ns"])
     queries = queries.reset_index(drop=True)
@@ -197,19 +199,24 @@ def report_accuracy(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFr
     if not len(tested):
         return
     position, rotation = errors_of([answers[row] for row in tested], true[tested])
-    given = np.isfinite(position)
-    wrong = int((given & ((position > _WRONG_M) | (rotation > _WRONG_DEG))).sum())
-    within = 100 * float(((position <= 0.25) & (rotation <= 2)).mean())
+    given, unit = np.isfinite(position), r.map_unit()
     median = float(np.percentile(position, 50, method="lower"))
     r.figure(f"{name} test frames", len(tested))
     r.figure(f"{name} test refused", int((~given).sum()))
+    r.figure(f"{name} test median position_m", median if np.isfinite(median) else None)
+    length = f"{100 * median:.2g} cm" if unit is MapUnit.METRE else f"{median:.2g} {unit.symbol}"
+    median_text = f"median {length}" if np.isfinite(median) else "no median, as most are refused"
+    refused = f"{int((~given).sum())} of {len(tested)} test frames refused"
+    if unit is not MapUnit.METRE:  # levels are in metres
+        r.say(f"{name}: {median_text}; {refused}")
+        return
+    wrong = int((given & ((position > _WRONG_M) | (rotation > _WRONG_DEG))).sum())
+    within = 100 * float(((position <= 0.25) & (rotation <= 2)).mean())
     r.figure(f"{name} test wrong", wrong)
     r.figure(f"{name} test within 0.25 m and 2 deg, %", within)
-    r.figure(f"{name} test median position_m", median if np.isfinite(median) else None)
-    median_text = f"median {100 * median:.2g} cm" if np.isfinite(median) else "no median, as most are refused"
     r.say(
-        f"{name}: {median_text}, {within:.1f} % within 0.25 m and 2 deg of {len(tested)} test frames; "
-        f"{int((~given).sum())} refused, {wrong} off by more than {_WRONG_M:g} m or {_WRONG_DEG:g} deg"
+        f"{name}: {median_text}, {within:.1f} % within 0.25 m and 2 deg; {refused}, "
+        f"{wrong} off by more than {_WRONG_M:g} m or {_WRONG_DEG:g} deg"
     )
 
 

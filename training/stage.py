@@ -53,6 +53,7 @@ _TOO_LITTLE = (
 
 def run(r: StageRun[TrainSettings]) -> None:
     settings = r.settings
+    r.warn_of_scale()
     frames = read_frames(r)
     torch.set_num_threads(settings.threads)
     device = choose_device(settings.device)
@@ -364,7 +365,7 @@ def report_mean_pose(r: StageRun[TrainSettings], frames: pd.DataFrame, data: Fra
         here = (frames["scene"] == scene).to_numpy()
         training, tested = (data.select(rows_with_truth(frames[here], s) + np.argmax(here)) for s in ("train", "test"))
         if len(tested):
-            keep_figures(r, f"mean-pose {scene}", *mean_pose_errors(training, tested))
+            keep_figures(r, "mean-pose", scene, *mean_pose_errors(training, tested))
 
 
 def report_accuracy(
@@ -380,17 +381,20 @@ def report_accuracy(
         rows = np.intersect1d(rows_with_truth(frames, "test"), np.flatnonzero(frames["scene"] == scene))
         rows = np.intersect1d(rows, answered)
         if len(rows):
-            keep_figures(r, f"{name} {scene}", *errors(position[rows], quaternion[rows], data.select(rows)))
+            keep_figures(r, name, scene, *errors(position[rows], quaternion[rows], data.select(rows)))
             uncertain = int((~sure_enough(frames["quality"].iloc[rows])).sum())
             if uncertain:
                 r.say(f"{scene}: the ground truth of {uncertain} of these {len(rows)} test frames is of class C")
 
 
-def keep_figures(r: StageRun[TrainSettings], title: str, position_m: np.ndarray, rotation_deg: np.ndarray) -> None:
-    medians = float(np.median(position_m)), float(np.median(rotation_deg))
+def keep_figures(
+    r: StageRun[TrainSettings], name: str, scene: str, position: np.ndarray, rotation_deg: np.ndarray
+) -> None:
+    title, unit = f"{name} {scene}", r.map_unit(scene).symbol
+    medians = float(np.median(position)), float(np.median(rotation_deg))
     r.figure(f"{title} test median position_m", medians[0])
     r.figure(f"{title} test median rotation_deg", medians[1])
-    r.say(f"{title}: median {medians[0]:.2f} m, {medians[1]:.1f} deg over {len(position_m)} test frames")
+    r.say(f"{title}: median {medians[0]:.2f} {unit}, {medians[1]:.1f} deg over {len(position)} test frames")
 
 
 def choose_device(wanted: str) -> torch.device:

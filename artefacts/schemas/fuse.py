@@ -1,6 +1,6 @@
 """What the fuse stage writes: what each method said about each frame, how wrong it was, and the figures."""
 
-from groundwalk.artefacts.choices import Split
+from groundwalk.artefacts.choices import MapUnit, Split
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _METHOD = Column("method", "string", "fusion method's id, as in fuse.methods")
@@ -125,8 +125,9 @@ TABLES = [
             ),
             Column("scored", "string", "whose poses: method, or apr: the regressor's own, of the same frames"),
             *_SUMMARY_FIGURES,
+            Column("map_unit", "string", "what position errors are in", choices=MapUnit),
         ],
-        version="2.0",
+        version="2.1",
         renamed={"share_pct": "frames_pct"},
     ),
     TableSchema(

@@ -10,8 +10,10 @@ import pandas as pd
 from pydantic import Field
 
 from groundwalk.artefacts import Settings
+from groundwalk.artefacts.choices import MapUnit
 from groundwalk.artefacts.progress import track
 from groundwalk.artefacts.registry import PluginError
+from groundwalk.artefacts.tables import map_unit, scale_warning
 from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_rows, signal_rows
 from groundwalk.fusion.evaluation.intervals import intervals
 from groundwalk.fusion.evaluation.summary import session_figures, summarise
@@ -126,11 +128,12 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
     if not options:
         raise next(iter(left_out.values()))
     errors = stacked(error_rows(f) for f in fused)
+    units = {scene.scene: map_unit(scene.truth) for scene in inputs}
     tables = {
         "poses": stacked(pose_rows(f) for f in fused),
         "errors": errors,
         "signals": stacked(signal_rows(f) for f in fused),
-        "summary": summarise(errors),
+        "summary": summarise(errors).assign(map_unit=lambda rows: rows["scene"].map(units)),
         "intervals": intervals(errors),
         "sessions": pd.DataFrame([session_figures(f) for f in fused]),
         "methods": _method_rows(options),
@@ -230,9 +233,14 @@ def report_lines(results: Results) -> list[str]:
     """The means over all frames, and the input rows that weren't as they should be, a line each."""
     summary = results.tables["summary"]
     lines = [f"warning: {error}" for error in results.left_out]
+    units = {scene: MapUnit(unit) for scene, unit in zip(summary["scene"], summary["map_unit"], strict=True)}
+    for scene, unit in units.items():
+        if warning := scale_warning(unit):
+            lines.append(f"warning: {scene}: {warning}; odometry, in metres, takes no part")
     lines += [f"warning: {n} {meaning}" for name, meaning in _WARNINGS.items() if (n := results.counts[name])]
     for row in summary[(summary["subset"] == "all") & (summary["scored"] == "method")].to_dict("records"):
-        error = f"{row['position_mean_m']:.2f} m, {row['rotation_mean_deg']:.2f} deg" if row["answered"] else "no pose"
+        position = f"{row['position_mean_m']:.2f} {units[row['scene']].symbol}"
+        error = f"{position}, {row['rotation_mean_deg']:.2f} deg" if row["answered"] else "no pose"
         coverage = f"{row['coverage_pct']:.0f} % of {row['total']} frames"
         lines.append(f"{row['scene']} · {row['model']} · {row['method']}: mean error {error} over {coverage}")
     all_frames = summary[summary["subset"] == "all"]

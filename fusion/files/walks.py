@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 
 from groundwalk.artefacts import UserError
-from groundwalk.artefacts.tables import poses_of
+from groundwalk.artefacts.choices import MapUnit
+from groundwalk.artefacts.tables import map_unit, poses_of
 from groundwalk.fusion.methods.localiser import is_covariance
 from groundwalk.fusion.walk import Flags, Walk, known
 from groundwalk.geometry.poses import Array
@@ -72,7 +73,8 @@ def evaluated(
 ) -> Evaluated:
     """The walks of one scene and one model's `predictions`, over frames of the named splits.
 
-    A walk ends where the session or the split changes. Frames are taken in order of time. Counted, not refused: rows
+    A walk ends where the session or the split changes. Frames are taken in order of time. In a map without metric
+    scale they are without odometry. Counted, not refused: rows
     out of that order, frames without odometry, without a prediction or without ground truth, ground truth too
     uncertain for the accuracy levels or of no stated quality, predictions that aren't finite and predictions for
     unknown frames, quaternions that aren't of unit length. Raises UserError where no evaluated frame has ground truth,
@@ -83,6 +85,8 @@ def evaluated(
     apr_T = poses_for(ordered, predictions, "map_cam")
     covariance, unsound = _covariances(ordered, predictions)
     vio_T, true_T = _poses(ordered, "vio_cam"), poses_for(ordered, truth, "map_cam")
+    if map_unit(truth) is not MapUnit.METRE:
+        vio_T[:] = np.nan  # metres can't be fused with poses in another unit
     quality = _qualities(ordered, truth)
     true_T[quality == _NO_TRUTH] = np.nan
     true = known(true_T)

@@ -16,6 +16,7 @@ from tables import Tables, tables
 from typer.testing import CliRunner
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import MapUnit
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.fusion.__main__ import app
@@ -222,6 +223,24 @@ def test_covariances_that_predictions_bring_reach_the_walk_and_wrong_ones_are_co
     assert found.prediction_counts["prediction_covariances_not_positive_definite"] == 2
     (plain,) = evaluated("Hall", frames, truth, predictions.assign(covariance=None), ["test"]).walks
     assert plain.apr_covariance is None
+
+
+@pytest.mark.parametrize(
+    ("scale_source", "unit"), [("none", MapUnit.SFM), ("reference, unit unknown", MapUnit.REFERENCE)]
+)
+def test_odometry_takes_no_part_in_a_map_without_metric_scale(scale_source: str, unit: MapUnit) -> None:
+    frames, truth, predictions = tables([1])
+    results = run(frames, truth.assign(scale_source=scale_source), predictions)
+    lost = frames.assign(**{c: np.nan for c in frames.columns if c.startswith("vio_cam")})
+    pd.testing.assert_frame_equal(results.tables["poses"], run(lost, truth, predictions).tables["poses"])
+    assert set(results.tables["summary"]["map_unit"]) == {unit}
+    lines = report_lines(results)
+    warning = f"warning: Place: NO METRIC SCALE: positions are in {unit}, not in metres; odometry, in metres, "
+    warning += "takes no part"
+    errors = [line for line in lines if "mean error" in line and "no pose" not in line]
+    assert warning in lines and errors and all(" map units, " in line for line in errors)
+    metric = run(frames, truth.assign(scale_source="vio"), predictions)
+    assert set(metric.tables["summary"]["map_unit"]) == {"metres"} and "METRIC" not in "".join(report_lines(metric))
 
 
 def test_frames_without_odometry_are_counted() -> None:

@@ -17,7 +17,9 @@ from made_up_run import FRAMES, LOST, MadeUpRun
 
 import groundwalk
 from groundwalk import UserError
+from groundwalk.artefacts.choices import MapUnit
 from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import read_table, write_table
 
 ROOT = Path(__file__).resolve().parents[2]
 Make = Callable[..., MadeUpRun]
@@ -160,6 +162,13 @@ def test_a_summary_says_what_there_is(make_run: Make) -> None:
     for stage in made.folder.glob("*/manifest.json"):
         stage.write_text(stage.read_text().replace('"simulated": false', '"simulated": true'))
     assert "SIMULATED captures" in open_place(made).summary()
+
+
+def test_a_summary_of_a_map_without_metric_scale_names_no_metres(make_run: Make) -> None:
+    made = make_run()
+    path, of = made.folder / "fuse" / "summary.parquet", schema("fuse", "summary")
+    write_table(path, read_table(path, of).assign(map_unit=MapUnit.SFM), of)
+    assert "median 0.50 map units, 2.0 deg" in open_place(made).summary()
 
 
 def test_a_run_is_opened_by_its_folder(make_run: Make, tmp_path: Path) -> None:

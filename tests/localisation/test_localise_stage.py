@@ -1,6 +1,7 @@
 """The stage: maps of training frames alone, an answer or a refusal for each query, runs that resume."""
 
 import json
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -153,6 +154,19 @@ def test_a_killed_run_resumes_and_ends_in_the_same_tables(
     for name in ("predictions", "storage"):
         resumed, whole = (b.table(name).drop(columns=TIMED, errors="ignore") for b in (made, boards))
         pd.testing.assert_frame_equal(resumed, whole)
+
+
+def test_errors_in_a_map_without_metric_scale_are_not_given_in_metres(
+    make_boards: MakeBoards, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = make_boards()
+    path, of = made.data.run("tiny", "Boards", "align") / "ground_truth.parquet", schema("align", "ground_truth")
+    write_table(path, read_table(path, of).assign(scale_source="none"), of)
+    figures = run(made, 'models=["Map"]')["figures"]
+    assert "Map test median position_m" in figures and not [name for name in figures if "within" in name]
+    said = capsys.readouterr().err
+    assert "warning: Boards: NO METRIC SCALE: positions are in SfM's unit, not in metres" in said
+    assert re.search(r"Map: median [\d.e-]+ map units; 0 of \d+ test frames refused", said)
 
 
 def test_no_localisers_give_empty_tables(make_boards: MakeBoards) -> None:

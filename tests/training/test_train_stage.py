@@ -1,4 +1,5 @@
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,10 +9,12 @@ import pytest
 import torch
 
 from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.files import write_json
 from groundwalk.artefacts.images import read_image
-from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.artefacts.manifests import load_manifest, output_hashes
 from groundwalk.artefacts.resizing import pinhole_image
-from groundwalk.artefacts.tables import camera_of, dataset_frames
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import camera_of, dataset_frames, read_table, write_table
 from groundwalk.fusion.methods.localiser import is_covariance
 from groundwalk.training.build import load_trained
 from groundwalk.training.data import normalised, to_tensor
@@ -69,6 +72,20 @@ def test_the_stage_predicts_every_frame_and_says_what_it_trained(make_scene: Mak
     with torch.no_grad():
         poses = trained.model(normalised(image))
     assert poses.position_B3.numpy() == pytest.approx(position, abs=1e-5)
+
+
+def test_errors_in_a_map_without_metric_scale_are_not_given_in_metres(
+    make_scene: MakeScene, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = make_scene()
+    path, of = data / "runs/tiny/Wall/align/ground_truth.parquet", schema("align", "ground_truth")
+    write_table(path, read_table(path, of).assign(scale_source="none"), of)
+    manifest = path.parent / "manifest.json"
+    write_json(manifest, load_manifest(path.parent) | {"outputs": output_hashes(path.parent)})
+    execute(STAGE, "Wall", "tiny", DataRoot(data), [*SMALL, 'models=["PN"]'])
+    said = capsys.readouterr().err
+    assert "warning: Wall: NO METRIC SCALE: positions are in SfM's unit, not in metres" in said
+    assert re.search(r"mean-pose Wall: median [\d.]+ map units, ", said) and re.search(r"PN Wall: .* map units, ", said)
 
 
 def test_held_out_frames_give_the_paper_s_regressors_covariances(make_scene: MakeScene) -> None:
