@@ -60,8 +60,10 @@ def _cell(
     source: tuple[int, str],
     **more: str,
 ) -> dict[str, object]:
-    """A row of `cells`; figure: the value, its digits and its unit; source: rows and table that it is from."""
+    """A row of `cells`; figure: the value, its digits and its unit; source: rows and table that it is from.
+    Metres are the map's unit, whatever that is."""
     value, digits, unit = figure
+    unit = scene.unit.symbol if unit == "m" else unit
     base = {"source": OURS, "table": table, "environment": scene.environment, "scene": scene.name, "row": row}
     empty = dict.fromkeys(("model", "method", "options", "over", "statistic", "quantity"), "")
     text = more.pop("text", number(value, digits))
@@ -119,8 +121,10 @@ def _averages(rows: list[dict[str, object]]) -> list[dict[str, object]]:
     averages = []
     for _, scenes in errors.groupby(keys, sort=False):
         if len(scenes) > 1:
-            # A scene without a figure leaves none for the average either: it would be one over other scenes.
-            value = float(scenes["value"].mean(skipna=False))
+            # A scene without a figure leaves none for the average either: it would be one over other scenes. Nor is
+            # there one over units.
+            of_one_unit = scenes["unit"].isin(ERRORS.values()).all()
+            value = float(scenes["value"].mean(skipna=False)) if of_one_unit else math.nan
             row: dict[str, object] = {str(name): cell for name, cell in scenes.iloc[0].items()}
             row |= {"scene": AVERAGE, "options": "", "value": value, "text": number(value, digits_of(value))}
             averages.append(row | {"source_rows": int(scenes["source_rows"].sum())})

@@ -78,9 +78,10 @@ def _ahead_fact(medians: pd.DataFrame, label: str, method: str, scene: SceneInpu
 def _median_pair(medians: pd.DataFrame, method: str, row: str, over: str) -> str:
     """A method's median errors as the tables print them."""
     rows = medians[(medians["method"] == method) & (medians["row"] == row) & (medians["over"] == over)]
-    text = rows.drop_duplicates("quantity").set_index("quantity")["text"]
+    rows = rows.drop_duplicates("quantity").set_index("quantity")
+    text, unit = rows["text"], str(rows.loc["translation", "unit"])
     there = EMPTY not in (text["translation"], text["rotation"])
-    return f"{text['translation']} m, {text['rotation']}°" if there else "no pose"
+    return f"{text['translation']} {unit}, {text['rotation']}°" if there else "no pose"
 
 
 def sessions(scene: SceneInputs) -> Grid:
@@ -129,7 +130,7 @@ def alignment(scene: SceneInputs) -> Grid:
 
 def quality(scene: SceneInputs) -> Grid:
     """How sure the ground truth is by itself, a line a quality class."""
-    columns = ["class", "frames", "test frames", "position (m)", "rotation (°)", "accuracy levels"]
+    columns = ["class", "frames", "test frames", f"position ({scene.unit.symbol})", "rotation (°)", "accuracy levels"]
     rows = []
     for name, of_class in scene.ground_truth.groupby("quality"):
         sigmas = [of_class[c].median() for c in ("position_sd_m", "rotation_sd_deg")]
@@ -153,7 +154,15 @@ def quality(scene: SceneInputs) -> Grid:
 
 def users(scene: SceneInputs) -> Grid:
     """What a user of each method sees on the test walks."""
-    columns = ["model", "method", "first pose (s)", "longest outage (s)", "jitter (m)", "jitter (°)", "recovery (s)"]
+    columns = [
+        "model",
+        "method",
+        "first pose (s)",
+        "longest outage (s)",
+        f"jitter ({scene.unit.symbol})",
+        "jitter (°)",
+        "recovery (s)",
+    ]
     test = scene.fused_sessions[scene.fused_sessions["split"] == "test"]
     rows = []
     for offline in (False, True):
@@ -179,7 +188,15 @@ def users(scene: SceneInputs) -> Grid:
 def walks(scene: SceneInputs) -> Grid:
     """What each model alone is worth on each test walk, or in each appearance of a simulated scene."""
     by, scores = by_walk(scene)
-    columns = ["model", by, "frames", "answered", "median (m)", "median (°)", *(f"{level} (%)" for level in LEVELS)]
+    columns = [
+        "model",
+        by,
+        "frames",
+        "answered",
+        f"median ({scene.unit.symbol})",
+        "median (°)",
+        *(f"{level} (%)" for level in LEVELS),
+    ]
     rows = []
     for (model, walk), s in scores.items():
         errors = [number(error, digits_of(error)) for error in (s.median_m, s.median_deg)]

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from groundwalk.artefacts.choices import MapUnit
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.poses import Array
 from groundwalk.reports import style
@@ -108,9 +109,9 @@ def trajectories(scene: SceneInputs, model: str) -> NamedFigure:
         ax.set_title(title if not counts else f"{title}\n{', '.join(counts)}", fontsize=8.5)
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
         ax.spines[:].set_visible(False)
-        _scale_bar(ax)
+        _scale_bar(ax, scene.unit)
     axes[0].legend(loc="lower left", borderaxespad=0, fontsize=7.5)
-    bar = figure.colorbar(points, ax=axes, aspect=30, extend="max", label="position error (m)")
+    bar = figure.colorbar(points, ax=axes, aspect=30, extend="max", label=f"position error ({scene.unit.symbol})")
     bar.ax.grid(False)
     return NamedFigure(f"trajectory-{_file(model)}", caption, figure)
 
@@ -148,12 +149,12 @@ def _limits(xy_N2: Array) -> tuple[Array, Array]:
     return low - margin, high + margin
 
 
-def _scale_bar(ax: Axes) -> None:
+def _scale_bar(ax: Axes, unit: MapUnit) -> None:
     low, high = ax.get_xlim()
     length = _round_length((high - low) / 5)
     y = ax.get_ylim()[0] + 0.03 * np.ptp(ax.get_ylim())
     ax.plot([high - length, high], [y, y], color=ax.xaxis.label.get_color(), lw=1.5)
-    ax.text(high - length / 2, y, f"{length:g} m", ha="center", va="bottom", fontsize=7.5)
+    ax.text(high - length / 2, y, f"{length:g} {unit.symbol}", ha="center", va="bottom", fontsize=7.5)
 
 
 def _round_length(length: float) -> float:
@@ -177,7 +178,7 @@ def error_distributions(scene: SceneInputs) -> NamedFigure:
             raw = errors[f"apr_{quantity}_{unit}"].to_numpy(float)
             fused = errors[f"{quantity}_{unit}"].to_numpy(float)
             in_time = errors[f"live_{quantity}_{unit}"].to_numpy(float)
-            for level in levels:
+            for level in levels if scene.unit is MapUnit.METRE else ():
                 ax.axvline(level, color=style.NEUTRAL, lw=0.8, ls=(0, (1, 2)))
             _cumulative(ax, raw, len(raw), style.APR, "-", "alone, all frames")
             if fused_label := _fused_label(scene):
@@ -186,7 +187,7 @@ def error_distributions(scene: SceneInputs) -> NamedFigure:
                 _cumulative(ax, fused[scored], count, style.FUSED, "--", f"{fused_label}, the frames that it answers")
                 _cumulative(ax, in_time, len(in_time), style.FUSED, "-", every)
             ax.set(xscale="log", ylim=(0, 102), title=f"{scene.label(model)}: {quantity}")
-            ax.set_xlabel(f"{quantity} error ({'m' if unit == 'm' else '°'})")
+            ax.set_xlabel(f"{quantity} error ({scene.unit.symbol if unit == 'm' else '°'})")
             style.log_axis(ax.xaxis)
         axes[2 * row].set_ylabel("frames within (%)")
     handles, labels = axes[0].get_legend_handles_labels()
@@ -203,9 +204,15 @@ def _cumulative(ax: Axes, errors: Array, frames: int, colour: str, dashes: str, 
         ax.step(np.maximum(known, 1e-3), share, where="post", color=colour, ls=dashes, label=label)
 
 
+def _small(unit: MapUnit) -> tuple[float, str]:
+    """How many of what small errors are drawn in there are to the map's unit: centimetres of metres."""
+    return (100.0, "cm") if unit is MapUnit.METRE else (1.0, unit.symbol)
+
+
 def costs(scene: SceneInputs) -> NamedFigure:
     """What accuracy costs: median position error of every model alone against its bytes and a query's time."""
     figure, axes = style.new_figure(1, 2, 2.4, sharey=True)
+    per_unit, small = _small(scene.unit)
     kept = pd.concat([table[["model", "bytes"]] for table in (scene.cards, scene.localisers)])
     size = kept.dropna().drop_duplicates("model").set_index("model")["bytes"]
     for model in scene.models:
@@ -216,15 +223,15 @@ def costs(scene: SceneInputs) -> NamedFigure:
         mib = float(size.get(model, np.nan)) / 2**20
         for ax, cost in zip(axes, (mib, scene.runtime_ms(model)), strict=True):
             if cost > 0 and np.isfinite([cost, median]).all():
-                ax.plot(cost, 100 * max(median, 1e-5), "o", color=style.APR, ms=5)
+                ax.plot(cost, per_unit * max(median, 1e-5), "o", color=style.APR, ms=5)
                 place: Any = {"xytext": (5, 3), "textcoords": "offset points", "fontsize": 7.5}
-                ax.annotate(scene.label(model), (cost, 100 * max(median, 1e-5)), **place)
+                ax.annotate(scene.label(model), (cost, per_unit * max(median, 1e-5)), **place)
     for ax, label in zip(axes, ("what a query needs (MiB)", "a query (ms)"), strict=True):
         ax.set(xscale="log", yscale="log", xlabel=label)
         ax.margins(0.25)
         style.log_axis(ax.xaxis)
     style.log_axis(axes[0].yaxis)
-    axes[0].set_ylabel("median position error (cm)")
+    axes[0].set_ylabel(f"median position error ({small})")
     caption = (
         f"{scene.name}: accuracy against bytes and against time, of every model alone over all test frames; a frame "
         "without a pose counts as failed. Times are the clock's, on the machine that made the predictions."
@@ -237,13 +244,14 @@ def walks(scene: SceneInputs) -> NamedFigure:
     by, scores = by_walk(scene)
     groups = list(dict.fromkeys(walk for _, walk in scores))
     figure, axes = style.new_figure(1, 2, 2.4)
+    per_unit, small = _small(scene.unit)
     for model, marker in zip(scene.models, cycle("osD^vP"), strict=False):
         of_model = [scores[model, walk] for walk in groups]
         drawn: Any = {"marker": marker, "ms": 4.5, "lw": 1, "color": style.APR, "label": scene.label(model)}
         drawn |= {"ls": "-" if model in set(scene.localisers["model"]) else "--"}
-        axes[0].plot(groups, [100 * s.median_m for s in of_model], **drawn)
+        axes[0].plot(groups, [per_unit * s.median_m for s in of_model], **drawn)
         axes[1].plot(groups, [s.high for s in of_model], **drawn)
-    axes[0].set(yscale="log", ylabel="median position error (cm)")
+    axes[0].set(yscale="log", ylabel=f"median position error ({small})")
     style.log_axis(axes[0].yaxis)
     axes[1].set(ylim=(-3, 103), ylabel="within 0.25 m and 2° (%)")
     for ax in axes:
@@ -277,7 +285,7 @@ def timeline(scene: SceneInputs, model: str) -> NamedFigure:
     if with_fused:
         fused: Any = {"color": style.FUSED, "marker": "o", "ms": 2.5, "lw": 1.2, "label": label + with_fused}
         ax.plot(seconds, errors["live_position_m"], **fused)
-    ax.set(ylabel="position error (m)", yscale="log")
+    ax.set(ylabel=f"position error ({scene.unit.symbol})", yscale="log")
     style.log_axis(ax.yaxis)
     ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, fontsize=7.5)
     for status, colour in statuses.items():
@@ -299,7 +307,7 @@ _THRESHOLDS = {"n": "N", "d_th_m": "$d_{th}$ (m)", "o_th_deg": "$o_{th}$ (°)", 
 def sensitivity(scene: SceneInputs, table: pd.DataFrame) -> NamedFigure:
     """How errors and coverage of the paper's rule move with each of its thresholds, a line style a model."""
     quantities = (
-        ("position_mean_m", "position (m)"),
+        ("position_mean_m", f"position ({scene.unit.symbol})"),
         ("rotation_mean_deg", "rotation (°)"),
         ("answered_pct", "answered (%)"),
     )
@@ -328,7 +336,9 @@ def confidence(scene: SceneInputs) -> NamedFigure:
     rows = rows.assign(offline=rows["method"].isin(scene.offline)).sort_values("offline", kind="stable")
     names = list(dict.fromkeys(zip(rows["model"], rows["method"], strict=True)))
     figure, axes = style.new_figure(1, 2, 0.17 * len(names) + 0.7, sharey=True)
-    for ax, (quantity, label) in zip(axes, (("position_mean_m", "m"), ("rotation_mean_deg", "°")), strict=True):
+    for ax, (quantity, label) in zip(
+        axes, (("position_mean_m", scene.unit.symbol), ("rotation_mean_deg", "°")), strict=True
+    ):
         of_quantity = rows[rows["figure"] == quantity].set_index(["model", "method"])
         for y, name in enumerate(names):
             interval: Any = of_quantity.loc[name]
@@ -421,7 +431,7 @@ def learning_curves(scene: SceneInputs) -> NamedFigure:
     figure, axes = style.new_figure(1, 3, 2.3)
     panels = (
         ("train_loss", "Training loss", ""),
-        ("val_position_m", "Held-out position", "median error (m)"),
+        ("val_position_m", "Held-out position", f"median error ({scene.unit.symbol})"),
         ("val_rotation_deg", "Held-out rotation", "median error (°)"),
     )
     dashes = ("-", "--", ":", "-.")

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.artefacts import StageRun
-from groundwalk.artefacts.choices import Appearance
-from groundwalk.artefacts.tables import poses_of
+from groundwalk.artefacts.choices import Appearance, MapUnit
+from groundwalk.artefacts.tables import map_unit, poses_of, scale_warning
 from groundwalk.reports.published import PAPER_METHOD
 from groundwalk.scoring.errors import sure_enough
 
@@ -138,11 +138,17 @@ class SceneInputs:
         """The fusion methods that see whole walks before they answer."""
         return set(self.methods.loc[~self.methods["causal"], "method"])
 
+    @property
+    def unit(self) -> MapUnit:
+        """What positions in the map are in."""
+        return map_unit(self.ground_truth)
+
     def marker(self) -> str:
         """What must stand by every number of this scene."""
         light = ", ".join(_APPEARANCES[appearance] for appearance in self.test_appearances)
         kind = f"simulated, test walks {light}" if self.simulated else "real capture"
-        return f"{kind}, {self.profile} profile, seed {self.seed}, {len(self.frames)} frames"
+        facts = [kind, f"{self.profile} profile", f"seed {self.seed}", f"{len(self.frames)} frames"]
+        return ", ".join([*facts, *filter(None, [scale_warning(self.unit)])])
 
     def extent_m(self) -> tuple[float, float, float]:
         """Length, width and height of the camera positions with ground truth; length and width are the sides of the

@@ -11,6 +11,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.tables import scale_warning
 from groundwalk.reports.grids import Grid, html_table
 from groundwalk.reports.inputs import SceneInputs
 
@@ -87,6 +88,7 @@ def render(
         profile=profile,
         sections=sections,
         simulated=[scene.name for scene in scenes if scene.simulated],
+        without_scale={scene.name: warning for scene in scenes if (warning := scale_warning(scene.unit))},
         meaningless={scene.name: why for scene in scenes if (why := scene.why_meaningless())},
         tables={grid.key: Markup(html_table(grid)) for grid in grids},
         checked=checked,

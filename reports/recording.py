@@ -16,7 +16,7 @@ def blueprint(scenes: list[SceneInputs], grids: list[Grid]) -> rrb.Blueprint:
     walks = [
         rrb.Vertical(
             rrb.Spatial3DView(origin=f"{scene.name}/map", name="test walks"),
-            rrb.TimeSeriesView(origin=f"{scene.name}/error/position", name="position error (m)"),
+            rrb.TimeSeriesView(origin=f"{scene.name}/error/position", name=f"position error ({scene.unit.symbol})"),
             rrb.TimeSeriesView(origin=f"{scene.name}/error/rotation", name="rotation error (°)"),
             row_shares=[3, 1, 1],
             name=scene.name,

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from groundwalk.artefacts.choices import MapUnit
 from groundwalk.reports.checks import AGREES, CAUTION, DISAGREES, Finding
 from groundwalk.reports.inputs import LEAK_S, SceneInputs
 
@@ -38,7 +39,9 @@ def run_findings(scene: SceneInputs) -> Iterator[Finding]:
 
 
 def _localiser_findings(scene: SceneInputs) -> Iterator[Finding]:
-    """Whether structure localisers refused what they couldn't localise."""
+    """Whether structure localisers refused what they couldn't localise, where metres say that."""
+    if scene.unit is not MapUnit.METRE:
+        return
     test = scene.errors[(scene.errors["split"] == "test") & scene.errors["method"].isin(scene.raw_methods)]
     for model in scene.localisers["model"]:
         errors = test[test["model"] == model].drop_duplicates("frame_id")

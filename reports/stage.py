@@ -24,6 +24,7 @@ class ReportSettings(Settings):
 
 
 def run(r: StageRun[ReportSettings]) -> None:
+    r.warn_of_scale()
     scenes = [read_scene(r, leaf) for leaf in r.leaves]
     files = r.data.files("published")
     published = load_published(files)
@@ -114,7 +115,7 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
 
 STAGE = Stage(
     name="report",
-    version=9,
+    version=10,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import", "sfm", "align", "localise", "train", "fuse"),

@@ -46,6 +46,8 @@ class Tables:
         # Table IV tells methods apart by their options too; the others by their column alone.
         self.methods_cells = cells[cells["table"] == TABLE_IV]
         printed = cells[cells["table"] != TABLE_IV]
+        # Published numbers are in metres whatever ours are in.
+        self.unit = " or ".join(cells.loc[cells["quantity"] == "translation", "unit"].unique())
         keys = ["table", "source", "environment", "scene", "row", "column"]
         self.text = dict(zip(printed[keys].itertuples(index=False, name=None), printed["text"], strict=True))
 
@@ -55,7 +57,13 @@ class Tables:
     def dataset(self) -> Grid:
         """Table I: frames, extent, storage and time."""
         models = list(dict.fromkeys([*PUBLISHED_MODELS.values(), *self.models]))
-        columns = [("", "scene"), ("", "numbers"), ("images", "train"), ("images", "test"), ("", "extent (m)")]
+        columns = [
+            ("", "scene"),
+            ("", "numbers"),
+            ("images", "train"),
+            ("images", "test"),
+            ("", f"extent ({self.unit})"),
+        ]
         heads = [self.labels.get(m, m) for m in models]
         columns += [("storage (MB)", m) for m in heads] + [("time an image (ms)", m) for m in heads]
         names = ["train images", "test images", "extent"]
@@ -92,7 +100,7 @@ class Tables:
         columns, names = [("", "scene"), ("", "numbers")], []
         for statistic in ("mean", "median"):
             for model in self.models:
-                columns += [(f"{statistic} (m/°)", column_name(self.labels[model], *way)) for way in _WAYS]
+                columns += [(f"{statistic} ({self.unit}/°)", column_name(self.labels[model], *way)) for way in _WAYS]
                 names += [column_name(model, *way, statistic) for way in _WAYS]
 
         def cell(look: Look, name: str) -> str:
@@ -100,7 +108,7 @@ class Tables:
             return EMPTY if EMPTY in pair else "/".join(pair)
 
         blocks = [b for row, title in SUBSET_TITLES.items() for b in self._blocks(TABLE_II, row, title, names, cell)]
-        caption = "Mean and median error of position (m) and rotation (°) on test walks"
+        caption = f"Mean and median error of position ({self.unit}) and rotation (°) on test walks"
         return self._grid("table2", "Table II", caption, columns, blocks, self._coverage_notes())
 
     def levels(self) -> Grid:
@@ -128,11 +136,11 @@ class Tables:
         """Table IV: every method over all test frames, and over the frames that all causal ones answer; those that see
         the whole walk before they answer stand apart."""
         missing_fails = "all test frames, a missing pose is a failure"
-        heads = ("coverage (%)", "median (m/°)", "high/medium/low (%)")
+        heads = ("coverage (%)", f"median ({self.unit}/°)", "high/medium/low (%)")
         columns = [("", "scene"), ("", "method"), *((missing_fails, head) for head in heads)]
-        columns += [("answered frames", "mean (m/°)")]
+        columns += [("answered frames", f"mean ({self.unit}/°)")]
         common = "frames that all causal ones answer"
-        columns += [(common, head) for head in ("share (%)", "mean (m/°)", "median (m/°)")]
+        columns += [(common, head) for head in ("share (%)", f"mean ({self.unit}/°)", f"median ({self.unit}/°)")]
         blocks = []
         for scene in self.scenes.values():
             of_scene = self.methods_cells[self.methods_cells["scene"] == scene.name]

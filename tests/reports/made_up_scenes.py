@@ -34,8 +34,9 @@ class MadeUpScene:
     def __init__(
         self, name: str, seed: int, train: int = 60, test: int = 30, mixed: bool = False, uncertain: float = 0.0,
         localisers: tuple[str, ...] = (), appearances: tuple[str, str] = ("same", "same"),
+        scale_source: str = "vio",
     ) -> None:  # fmt: skip
-        self.name, self.localisers = name, localisers
+        self.name, self.localisers, self.scale_source = name, localisers, scale_source
         self.appearances = dict(zip(("walk_3", "walk_4"), appearances, strict=True))
         self.models = (*MODELS, *localisers)
         self.rng = np.random.default_rng(seed)
@@ -85,7 +86,7 @@ class MadeUpScene:
             quality=self.quality,
             reason="",
             gt_uses_vio=False,
-            scale_source="vio",
+            scale_source=self.scale_source,
             vertical_source="gravity",
             component=0,
             fx=50.0, fy=50.0, cx=32.0, cy=24.0, distortion=cells([[0.09, -0.12, 0.0, 0.0]] * len(frames)),

@@ -4,12 +4,14 @@ import re
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from known import there
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.files import write_json
@@ -153,6 +155,43 @@ def test_without_sure_ground_truth_no_level_is_scored(chair: tuple[DataRoot, Pat
     assert [rows[1][i] for i in (0, 3, 4, 5)] == ["C", "0.0050", "0.020", "left out"]
     assert rows[2][0] == "none" and rows[2][5] == "not scored"
     assert int(rows[1][1]) + int(rows[2][1]) == 24 and "no level can be scored" in page
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_a_map_without_metric_scale_is_marked_everywhere(
+    make_run: MakeRun, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drawn: list[str] = []
+
+    def texts_of(figure: Figure, folder: Path, name: str) -> str:
+        drawn.extend(text.get_text() for text in figure.findobj(Text) if isinstance(text, Text) and "vio" not in name)
+        return _save_blank(figure, folder, name)
+
+    monkeypatch.setattr(style, "save", texts_of)
+    plain: dict[str, Any] = {"train": 30, "test": 24, "uncertain": 1.0, "localisers": ("Map",)}
+    data = make_run(group="both", Yard=plain | {"scale_source": "none"}, Lane={"train": 30, "test": 24})
+    folder = execute(STAGE, "Yard", "tiny", data)
+    mark = "NO METRIC SCALE: positions are in SfM's unit, not in metres"
+    assert f"warning: Yard: {mark}" in capsys.readouterr().err
+    for number in range(1, 5):
+        table = (folder / "tables" / f"table{number}.md").read_text()
+        assert mark in table and not re.search(r"\(m[/)]", table)
+    assert not [text for text in drawn if re.search(r"error.*\(c?m\)|^position \(m\)|\d m$", text)] and mark in "".join(
+        drawn
+    )
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    head, summary = page[: page.index("<main>")], page[page.index('id="summary"') : page.index('id="capture"')]
+    assert 'id="without-scale"' in head and "[import] reference_is_metric = true in data/scenes/Yard.toml" in head
+    assert re.search(r"<b>\d.* map units, \d.*°</b>", summary) and not re.search(r"<b>.* m, ", summary)
+    assert "(m)" not in page[page.index('id="walks-Yard"') : page.index('id="all-checks"')]
+    lengths = cells_of(folder, source="ours", quantity="translation")
+    assert len(lengths) and set(lengths["unit"]) == {"map units"}
+    assert "no_wrong_answer" not in set(read_table(folder / "checks.parquet", schema("report", "checks"))["check"])
+    # Beside a metric scene there is no average over both.
+    folder = execute(STAGE, "both", "tiny", data)
+    assert "(map units or m/°)" in (folder / "tables" / "table2.md").read_text()
+    averages = cells_of(folder, source="ours", scene="average", table="II").groupby("quantity")["value"]
+    assert averages.count()["translation"] == 0 < averages.count()["rotation"]
 
 
 @pytest.mark.usefixtures("blank_figures")
