@@ -62,12 +62,13 @@ def grade_frames(
 
 def grade(measures: FrameMeasures, a: QualitySettings, b: QualitySettings) -> Grade:
     """The class of a frame with ground truth by the limits of A and B, all of which it must keep; C has none. The limit
-    that is exceeded most, as a ratio, is named."""
+    that is exceeded most, as a ratio, is named. A frame of unknown uncertainty is no better than an uncertain one."""
     if (exceeded := _exceeded(measures, b)) is not None:
         return Grade(QualityClass.C, *exceeded)
-    if (exceeded := _exceeded(measures, a)) is not None:
-        return Grade(QualityClass.B, *exceeded)
-    return Grade(QualityClass.B, "uncertainty unknown") if np.isnan(measures.position_sd_m) else Grade(QualityClass.A)
+    if np.isnan(measures.position_sd_m):
+        return Grade(QualityClass.C, "uncertainty unknown")
+    exceeded = _exceeded(measures, a)
+    return Grade(QualityClass.A) if exceeded is None else Grade(QualityClass.B, *exceeded)
 
 
 def _exceeded(measures: FrameMeasures, limits: QualitySettings) -> tuple[str, float, float, str] | None:

@@ -3,9 +3,9 @@
 Each of SfM's models without a common view with the others has a separate folder: `sparse/1`, ...
 
 Format: https://colmap.github.io/format.html (world-to-camera poses, quaternions w first in text; pixel centres at 0.5,
-as ours). The world is the map: metric, +y up. Cameras are SfM's, one a frame, with its lens (OPENCV). Observations
-of points are without the effect of a rolling shutter, so they may lie pixels from the images' features;
-the images are as the phone took them.
+as ours). The world is the map: metric, +y up. Cameras are SfM's, one a frame, with its lens (OPENCV, or FULL_OPENCV
+where it has k3). Observations of points are without the effect of a rolling shutter, so they may lie pixels from the
+images' features; the images are as the phone took them.
 """
 
 from pathlib import Path

@@ -103,6 +103,6 @@ class SfmSettings(VioDriftSettings):
         0.8, ge=0, le=1, description="fraction of registered frames whose motion must be consistent with VIO's"
     )
     covariance_max_images: int = Field(
-        2500, ge=0, description="larger models get no covariances (memory: 36 n² numbers)"
+        2500, ge=0, description="larger models get no covariances, and their frames class C (memory: 36 n² numbers)"
     )
     threads: int = Field(-1, ge=-1, description="threads for features; -1: all cores. Mapping has one, to repeat")

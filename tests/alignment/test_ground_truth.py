@@ -181,7 +181,7 @@ def test_unregistered_frames_have_a_row_and_no_pose(walks: Walks) -> None:
     assert len(gt) == len(scene.frames)
     assert (gt["quality"].iloc[10:15] == "none").all() and gt["map_cam_tx"].iloc[10:15].isna().all()
     assert (gt["reason"].iloc[10:15] == "SfM didn't register it").all()
-    assert gt["covariance"].iloc[20:25].isna().all() and (gt["quality"].iloc[20:25] == "B").all()
+    assert gt["covariance"].iloc[20:25].isna().all() and (gt["quality"].iloc[20:25] == "C").all()
 
 
 def test_support_frames_help_to_judge_the_model_and_are_in_no_table(walks: Walks) -> None:

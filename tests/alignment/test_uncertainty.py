@@ -66,7 +66,7 @@ def test_a_class_needs_all_of_its_limits_and_says_which_it_lacks() -> None:
         ({"observations": 70}, "B", "class B: few points seen 70 (limit 100)"),
         ({"observations": 0}, "C", "class C: few points seen 0 (limit 50)"),
         ({"reprojection_deg": 0.2}, "B", "class B: reprojection 0.2 deg (limit 0.15)"),
-        ({"position_sd_m": np.nan, "rotation_sd_deg": np.nan}, "B", "class B: uncertainty unknown"),
+        ({"position_sd_m": np.nan, "rotation_sd_deg": np.nan}, "C", "class C: uncertainty unknown"),
         ({"reprojection_deg": np.nan}, "C", "class C: reprojection nan deg (limit 0.3)"),
     ]
     settings = AlignSettings()
