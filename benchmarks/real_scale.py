@@ -13,6 +13,8 @@ HELD_OUT_RMS = "held-out corners, RMS"
 DEPTH = "depth by the sensor over the map's"
 CONFIDENCES = ("any", "low", "medium", "high")
 _SIGMAS = 1.96
+# The standard error of a few points isn't known.
+_MIN_POINTS = 100
 
 
 def board_figures(judging: pd.DataFrame, setting: pd.DataFrame) -> list[Figure]:
@@ -43,7 +45,8 @@ def board_figures(judging: pd.DataFrame, setting: pd.DataFrame) -> list[Figure]:
 def depth_figures(agreement: pd.DataFrame) -> list[Figure]:
     """Median ratios of align.depth_agreement by session, distance from the camera and the sensor's confidence."""
     figures = list[Figure]()
-    for row in agreement.astype({"confidence": object}).to_dict("records"):
+    agreement = agreement[agreement["samples"] >= _MIN_POINTS].astype({"confidence": object})
+    for row in agreement.to_dict("records"):
         distance = (
             f"{row['near_m']:g} m or more" if pd.isna(row["far_m"]) else f"{row['near_m']:g} to {row['far_m']:g} m"
         )

@@ -217,15 +217,17 @@ def test_a_case_with_a_board_is_a_scene_with_that_ruler(tmp_path: Path) -> None:
 
 
 def test_depth_over_the_maps_by_distance_and_confidence() -> None:
-    row = {"session_id": "walk", "component": 0, "near_m": 3.0, "far_m": 5.0, "confidence": None, "samples": 40}
+    row = {"session_id": "walk", "component": 0, "near_m": 3.0, "far_m": 5.0, "confidence": None, "samples": 140}
     row |= {"median_ratio": 1.01, "median_ratio_se": 0.002}
     far = row | {"near_m": 5.0, "far_m": np.nan, "confidence": 2, "component": 1}
-    figures = depth_figures(pd.DataFrame([row, far]).astype({"confidence": "Int64"}))
+    figures = depth_figures(
+        pd.DataFrame([row, far, row | {"near_m": 0.0, "samples": 3}]).astype({"confidence": "Int64"})
+    )
     assert [(f.subject, f.name, f.value) for f in figures[::3]] == [
         ("walk, 3 to 5 m", f"{DEPTH}, any confidence", 1.01),
         ("walk, 5 m or more, model 2", f"{DEPTH}, high confidence", 1.01),
     ]
-    assert figures[2].value == 40
+    assert len(figures) == 6 and figures[2].value == 140
 
 
 def result() -> Result:
