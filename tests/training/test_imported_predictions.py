@@ -116,7 +116,7 @@ def test_names_must_differ(make_scene: MakeScene) -> None:
         run(data)
     rows = written(data).query("model == 'ours'")
     rows.assign(model="PN").to_parquet(data / "mine.parquet")
-    with pytest.raises(UserError, match=r"two regressors are called 'PN'[\s\S]*\[train\] models"):
+    with pytest.raises(UserError, match=r"two regressors are called 'PN'[\s\S]*models that are trained here"):
         run(data, 'models=["PN"]')
 
 

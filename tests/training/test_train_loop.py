@@ -173,7 +173,8 @@ def test_a_lucky_first_epoch_is_not_the_best(tmp_path: Path, monkeypatch: pytest
 def test_a_diverging_run_says_so(tmp_path: Path) -> None:
     frames = random_frames(tmp_path / "images", 4)
     settings = PoseNetSettings(epochs=20, batch=4, learning_rate=1e30)
-    with pytest.raises(UserError, match=r"loss is not finite[\s\S]*lower learning_rate"):
+    advice = r"lower \[train\.regressors\.test\] learning_rate in data/scenes/"
+    with pytest.raises(UserError, match=rf"loss is not finite[\s\S]*{advice}"):
         train(silent, SmallRegressor(), frames, frames, settings, Run("test", CPU, "fp32", View(32, 32), 0, tmp_path))
 
 
