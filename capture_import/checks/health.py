@@ -17,6 +17,8 @@ from groundwalk.geometry.poses import Array, interpolate, inverse, nearest_rotat
 _RIGID_TOLERANCE = 5e-3
 # An hour-long walk drifts metres; a position beyond this is a broken number.
 _MAX_POSITION_M = 1e5
+# OpenCV's k1, k2, p1, p2, k3 to k6; those of the widest fisheye lenses are some tens.
+_MAX_COEFFICIENTS, _MAX_COEFFICIENT = 8, 1e4
 
 # A jump is motion that no hand does: beyond what an acceleration of 4 m/s^2 or 600 deg/s^2 changes between two poses,
 # beyond the noise of a pose, and far beyond what the same hand does around that moment.
@@ -139,6 +141,10 @@ def _intrinsics_fault(frame: RawFrame) -> str | None:
         return "intrinsics have a value that isn't finite"
     if camera.fx <= 0 or camera.fy <= 0:
         return f"focal length {camera.fx:g}, {camera.fy:g} isn't positive"
+    if len(camera.distortion) > _MAX_COEFFICIENTS:
+        return f"distortion has {len(camera.distortion)} coefficients, expected k1, k2, p1, p2, k3 to k6 at most"
+    if np.abs(numbers[4:]).max(initial=0.0) > _MAX_COEFFICIENT:
+        return f"distortion isn't plausible: a coefficient of {np.abs(numbers[4:]).max():g}"
     return None
 
 

@@ -1,6 +1,7 @@
 """Rows, times, jumps, gravity and sharpness, without files."""
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.choices import Clock
-from groundwalk.capture_import.capture import RawFrame, RawSession
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, RawSession
 from groundwalk.capture_import.checks.health import check_session, find_jumps, gravity_of
 from groundwalk.capture_import.media.images import BadImage, check_image, sharpness
 from groundwalk.geometry.poses import Array, make_pose, nearest_rotation, rotation_angle, yaw_rotation
@@ -49,6 +50,24 @@ def test_poses_between_poses_are_interpolated_and_gaps_are_not_bridged() -> None
         assert frame.vio_T_cam is not None
         off = np.linalg.inv(frame.vio_T_cam) @ walk.vio_T_cam[frame.number]
         assert np.linalg.norm(off[:3, 3]) < 5e-3 and rotation_angle(off[:3, :3]) < 5e-3
+
+
+@pytest.mark.parametrize(
+    ("distortion", "fault"),
+    [
+        ((0.1, -0.2, 0.0, 0.0, 0.3, 0.4, 0.1, 0.02), None),
+        ((0.1,) * 12, "distortion has 12 coefficients"),
+        ((1e200, 0.0), "distortion isn't plausible: a coefficient of 1e+200"),
+    ],
+)
+def test_an_image_whose_lens_has_no_place_in_the_tables_is_left_out(
+    distortion: tuple[float, ...], fault: str | None
+) -> None:
+    session = session_of(np.arange(3) * 10**8, [np.eye(4)] * 3)
+    camera = Intrinsics(480.0, 480.0, 320.0, 240.0, 640, 480, distortion)
+    frames = [replace(frame, image=ImageFile(Path("a.jpg")), intrinsics=camera) for frame in session.frames]
+    reasons = [reject.reason for reject in check_session(replace(session, frames=frames), 0.5).rejects]
+    assert len(reasons) == (0 if fault is None else 3) and all(str(fault) in reason for reason in reasons)
 
 
 @given(st.floats(0.15, 50.0), st.integers(8, 80), st.floats(-np.pi, np.pi))
