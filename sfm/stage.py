@@ -159,7 +159,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=36,
+    version=37,
     settings=SfmSettings,
     needs=("import",),
     run=run,

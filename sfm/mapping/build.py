@@ -14,7 +14,6 @@ from groundwalk.artefacts.child import Report
 from groundwalk.sfm.cameras.model_adjustment import (
     CameraLog,
     adjust_model,
-    cameras_of_frames,
     save_adjusted,
     with_lenses_of,
 )
@@ -73,8 +72,9 @@ def build_models(
     write_mapping_input(verified, source.database, settings.held_out_fraction, source.seed)
     work = output.with_name(output.name + ".partial")
     shutil.rmtree(work, ignore_errors=True)
-    built = _map(report, source, log, settings, work)
     keypoints = read_keypoints(verified.features, len(verified.frames))
+    check = MatchCheck(read_matches(source.database), keypoints, log, settings)
+    built = _map(report, source, check, settings.mapper, work)
     assigned: set[int] = set()
     names = _folder_names()
     for index in sorted(range(len(built)), key=lambda i: _size(built[i]), reverse=True):
@@ -103,10 +103,9 @@ def build_models(
     work.rename(output)
 
 
-def _map(report: Report, source: MappingInput, log: CameraLog, settings: SfmSettings, work: Path) -> list[Built]:
+def _map(report: Report, source: MappingInput, check: MatchCheck, mapper: str, work: Path) -> list[Built]:
     """All models of the mapper and, where the largest lacks images, of continuing from it; without misplaced frames."""
-    images = len(log.t_s)
-    check = MatchCheck(read_matches(source.database), cameras_of_frames(log, []))
+    images = len(check.log.t_s)
     registered = 0
 
     def report_one() -> None:
@@ -114,7 +113,6 @@ def _map(report: Report, source: MappingInput, log: CameraLog, settings: SfmSett
         registered += 1
         report(min(registered, images))
 
-    mapper = settings.mapper
     with MAPPERS.guard(mapper):
         models = MAPPERS.find(mapper).run(source, _new_folder(work / mapper), report_one)
     built = _described(mapper, models, check)

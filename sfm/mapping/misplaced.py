@@ -11,12 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import pycolmap
+from scipy.linalg import LinAlgError
 
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.adjustment import Cameras
+from groundwalk.sfm.cameras.model_adjustment import CameraLog, adjust_model, cameras_of_frames
 from groundwalk.sfm.database import Ints, image_id
 from groundwalk.sfm.mapping.source import Matches, held_out_check
 from groundwalk.sfm.model import pose_of
+from groundwalk.sfm.settings import SfmSettings
 
 _MAX_VIOLATED = 0.3  # of a frame's matches, those in violated pairs
 # Above both limits a pair is violated: in medians of all pairs, and in pixels, as exact matches have errors of 0.
@@ -25,24 +28,41 @@ _TYPICAL_ERRORS, _MIN_VIOLATION_PX = 4.0, 0.25
 
 @dataclass(frozen=True)
 class MatchCheck:
-    """What a model's frames are held against: matches of all N frames, and their cameras."""
+    """What a model's frames are held against: matches of all N frames, keypoints of each as extracted, and the log of
+    their cameras."""
 
     matches: Matches
-    cameras: Cameras
+    keypoints: list[Array]
+    log: CameraLog
+    settings: SfmSettings
 
     def deregister_misplaced(self, model: pycolmap.Reconstruction) -> int:
-        """Deregister the misplaced frames of a model; how many there were."""
-        frames = len(self.cameras.t_s)
-        sfm_T_cam, model_N = np.full((frames, 4, 4), np.nan), np.full(frames, -1)
-        for number in model.reg_image_ids():
-            sfm_T_cam[number - 1], model_N[number - 1] = pose_of(model.image(number)), 0
-        check = held_out_check(self.matches, self.cameras, sfm_T_cam, model_N)
-        rows = misplaced(check.frames, check.error_px)
+        """Deregister the misplaced frames of a model; how many there were.
+
+        Before the model is adjusted, a frame that turns quickly may be denied, too: VIO's angular velocity isn't known
+        better than rows are off by then. So where a frame is denied, an adjusted copy decides.
+        """
+        rows = self._denied(model, cameras_of_frames(self.log, []))
+        if rows:
+            copy = pycolmap.Reconstruction(model)
+            try:
+                adjusted = adjust_model(copy, self.keypoints, self.log, self.settings)
+                rows = self._denied(copy, cameras_of_frames(self.log, [adjusted]))
+            except LinAlgError as error:
+                print(f"misplaced frames by the model as it was mapped: {error}")  # into the log
         for row in rows:
             frame = model.image(image_id(row)).frame
             assert frame is not None
             model.deregister_frame(frame.frame_id)
         return len(rows)
+
+    def _denied(self, model: pycolmap.Reconstruction, cameras: Cameras) -> list[int]:
+        frames = len(self.log.t_s)
+        sfm_T_cam, model_N = np.full((frames, 4, 4), np.nan), np.full(frames, -1)
+        for number in model.reg_image_ids():
+            sfm_T_cam[number - 1], model_N[number - 1] = pose_of(model.image(number)), 0
+        check = held_out_check(self.matches, cameras, sfm_T_cam, model_N)
+        return misplaced(check.frames, check.error_px)
 
 
 def misplaced(frames_M2: Ints, error_px_M: Array) -> list[int]:

@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from synthetic_model import log_of, synthetic_model
 
-from groundwalk.sfm.cameras.model_adjustment import cameras_of_frames
 from groundwalk.sfm.mapping.misplaced import MatchCheck, misplaced
 from groundwalk.sfm.mapping.source import Matches
+from groundwalk.sfm.settings import SfmSettings
 
 PAIRS = np.array(list(combinations(range(9), 2)))
 
@@ -48,18 +48,51 @@ def test_one_wrong_pair_of_many_and_errors_that_are_unknown_are_borne() -> None:
     assert misplaced(frames, np.full(len(frames), np.nan)) == []
 
 
-@pytest.mark.parametrize("moved", [None, 3])
-def test_a_moved_frame_is_deregistered_with_what_only_it_saw(moved: int | None) -> None:
+def test_no_frame_of_a_right_model_is_deregistered() -> None:
     model = synthetic_model()
-    check = MatchCheck(matches_of(model), cameras_of_frames(log_of(model), []))
-    if moved is not None:
-        image = model.image(moved + 1)
-        cam_T_sfm = image.cam_from_world()
-        assert image.frame is not None
-        turned = pycolmap.Rotation3d(Rotation.from_rotvec([0, 0.1, 0]).as_quat()) * cam_T_sfm.rotation
-        image.frame.set_cam_from_world(image.camera_id, pycolmap.Rigid3d(turned, cam_T_sfm.translation))
-    assert check.deregister_misplaced(model) == (0 if moved is None else 1)
-    assert sorted(i - 1 for i in model.reg_image_ids()) == [row for row in range(6) if row != moved]
+    assert check_of(model).deregister_misplaced(model) == 0 and model.num_reg_images() == 6
+
+
+def test_a_frame_that_adjustment_brings_back_stays_as_it_is() -> None:
+    """Its matches deny its pose as it was mapped; its observations are those of points that others see."""
+    model = synthetic_model()
+    check = check_of(model)
+    frame = model.image(4).frame
+    assert frame is not None
+    turned = pycolmap.Rotation3d(Rotation.from_rotvec([0, 0.1, 0]).as_quat()) * model.image(4).cam_from_world().rotation
+    moved = pycolmap.Rigid3d(turned, model.image(4).cam_from_world().translation)
+    frame.set_cam_from_world(model.image(4).camera_id, moved)
+    assert check.deregister_misplaced(model) == 0 and model.num_reg_images() == 6
+    assert np.allclose(model.image(4).cam_from_world().matrix(), moved.matrix())
+
+
+def test_a_frame_that_sees_points_of_its_own_is_deregistered() -> None:
+    """It agrees with one other frame on points that only both see, all scaled about that one's camera; its observations
+    of the others' points aren't in the model any more, as outliers."""
+    model = synthetic_model()
+    check = check_of(model)
+    centre = model.image(5).projection_center()
+    own = list(model.points3D)[:30]
+    for point_id in list(model.points3D):
+        track = {e.image_id: e.point2D_idx for e in model.point3D(point_id).track.elements}
+        model.delete_observation(4, track[4])
+        if point_id in own:
+            model.delete_observation(5, track[5])
+            seen = pycolmap.Track([pycolmap.TrackElement(number, track[number]) for number in (4, 5)])
+            model.add_point3D(centre + 1.5 * (model.point3D(point_id).xyz - centre), seen)
+    cam_T_sfm = model.image(4).cam_from_world()
+    position = centre + 1.5 * (model.image(4).projection_center() - centre)
+    frame = model.image(4).frame
+    assert frame is not None
+    frame.set_cam_from_world(4, pycolmap.Rigid3d(cam_T_sfm.rotation, -(cam_T_sfm.rotation * position)))
+    assert check.deregister_misplaced(model) == 1
+    assert sorted(i - 1 for i in model.reg_image_ids()) == [0, 1, 2, 4, 5]
+
+
+def check_of(model: pycolmap.Reconstruction) -> MatchCheck:
+    keypoints = [np.array([p.xy for p in model.image(row + 1).points2D]) for row in range(6)]
+    settings = SfmSettings(lens="stated")
+    return MatchCheck(matches_of(model), keypoints, log_of(model, settings), settings)
 
 
 def matches_of(model: pycolmap.Reconstruction) -> Matches:
