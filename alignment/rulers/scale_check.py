@@ -12,6 +12,7 @@ from groundwalk.alignment.map_frame import MapScale
 from groundwalk.alignment.rulers.measurement import RulerMeasurement
 from groundwalk.alignment.rulers.settings import DistanceRuler
 from groundwalk.artefacts.choices import CheckName, FailureCause, RulerPart
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.schemas import schema
 from groundwalk.consistency.decisions import SIGMAS, Status, decide, within
 
@@ -191,7 +192,7 @@ def _remark_on_size(component: Component, measurement: RulerMeasurement, limit: 
     enough = np.ceil(100 * (abs(error) + SIGMAS * sd)) / 100
     return (
         f"{abs(error):.1%} from VIO's scale, beyond the 95 % bounds of ± {_SIGMAS * sd:.1%}: it doesn't set the scale; "
-        f"if it measures what is stated, [align] max_ruler_size_error = {enough:.2f} lets it"
+        f"if it measures what is stated, {setting_of('align', f'max_ruler_size_error = {enough:.2f}')} lets it"
     )
 
 

@@ -10,6 +10,7 @@ from known import there
 from made_up_scenes import MODELS, MadeUpScene
 from matplotlib.lines import Line2D
 
+from groundwalk.artefacts.choices import MapUnit
 from groundwalk.reports.figures import confidence, costs, sensitivity
 from groundwalk.reports.inputs import SceneInputs
 
@@ -18,6 +19,7 @@ from groundwalk.reports.inputs import SceneInputs
 def scene() -> SceneInputs:
     tables = MadeUpScene("Church", 0, train=60).tables()["fuse"]
     made = SimpleNamespace(
+        unit=MapUnit.METRE,
         name="Church",
         models=list(MODELS),
         sweep=tables["sweep"],
@@ -68,6 +70,7 @@ def test_intervals_stand_about_each_methods_mean(scene: SceneInputs) -> None:
 def test_costs_stand_where_bytes_time_and_the_median_error_say() -> None:
     errors = {"small": [0.01, 0.02, 0.03, np.nan, np.nan], "large": [1.0, 2.0, 3.0, 4.0, 5.0], "lost": [np.nan] * 5}
     scene = SimpleNamespace(
+        unit=MapUnit.METRE,
         name="Church",
         models=list(errors),
         cards=pd.DataFrame({"model": ["large", "elsewhere"], "bytes": [2**24, None]}),
