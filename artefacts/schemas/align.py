@@ -90,7 +90,9 @@ TABLES = [
             Column("cx", "float64", "principal point, x; the first pixel's outer corner is 0", "px"),
             Column("cy", "float64", "principal point, y; the first pixel's outer corner is 0", "px"),
             Column("distortion", "list<float64>", "OpenCV's k1, k2, p1, p2, k3, ... that go with the pose"),
-            Column("camera_origin", "string", "where the lens is from", choices=CameraOrigin),
+            Column(
+                "camera_origin", "string", "where the lens is from, before the model adjusts it", choices=CameraOrigin
+            ),
         ],
         version="2.0",
     ),

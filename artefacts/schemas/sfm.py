@@ -45,7 +45,9 @@ TABLES = [
                 Column(f"velocity_{a}", "float64", f"velocity by VIO, {a}; 0: unknown", "sfm units/s", "cam")
                 for a in "xyz"
             ),
-            Column("camera_origin", "string", "where the lens is from", choices=CameraOrigin),
+            Column(
+                "camera_origin", "string", "where the lens is from, before the model adjusts it", choices=CameraOrigin
+            ),
             Column("uses_vio", "bool", "VIO positions were the start of this pose (mapper vio)"),
             Column("keypoints", "int64", "features found in the image"),
             Column("observations", "int64", "features that see a point of the model"),
@@ -98,7 +100,7 @@ TABLES = [
             Column("time_offset_used", "bool", "held-out matches accept the time offset: motion is taken there"),
             Column("stated_k1", "float64", "k1 that the capture states; 0: none"),
             Column("stated_k2", "float64", "k2 that the capture states; 0: none"),
-            Column("origin", "string", "where k1 and k2 are from", choices=CameraOrigin),
+            Column("origin", "string", "where k1 and k2 are from, before the model adjusts them", choices=CameraOrigin),
             Column("stated_is_wrong", "bool", "the images contradict the stated distortion (docs/explanation/sfm.md)"),
             Column(
                 "held_out_prior_px",
