@@ -85,9 +85,8 @@ def ground_truth_targets(
     return gt, *truth_targets(gt, _true_poses_of_dataset(scene, root, profile), load_manifest(folder)["figures"])
 
 
-def ground_truth_errors(scene: str, root: DataRoot, profile: str = PROFILE) -> Array:
+def ground_truth_errors(gt: pd.DataFrame, scene: str, root: DataRoot, profile: str) -> Array:
     """Position errors of a simulated scene's ground truth, metres."""
-    gt = read_table(root.run(profile, scene, "align") / "ground_truth.parquet", schema("align", "ground_truth"))
     has_pose = (gt["quality"] != QualityClass.NONE).to_numpy()
     one_map = np.zeros(np.count_nonzero(has_pose), np.int64)
     true_T_cam = _true_poses_of_dataset(scene, root, profile)[has_pose]

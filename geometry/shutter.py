@@ -18,8 +18,8 @@ _SHARE = {"top": (0, 1, -0.5), "right": (-1, 0, 0.5), "bottom": (0, -1, 0.5), "l
 
 
 def usual_first_row(width: int, height: int) -> str:
-    """The side of a phone's image that is read out first where nothing says so: sensors read the rows of wide images
-    from the top, and apps turn these clockwise to make high ones."""
+    """The side of a phone's image that is read out first where nothing says so: sensors read the rows of landscape
+    images from the top, and apps turn these clockwise to make portrait ones."""
     return "right" if height > width else "top"
 
 

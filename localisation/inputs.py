@@ -1,6 +1,7 @@
 """What the localisers read of a scene's run: frames with ground truth, their cameras and motion."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,9 @@ from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import camera_of, dataset_frames, poses_of, read_table
 from groundwalk.features.sift import Features
+from groundwalk.geometry import GeometryError
 from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.fits import sim3_between
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
 from groundwalk.localisation.frames import Views, subset
@@ -61,14 +64,12 @@ def read_inputs(run: Path) -> Inputs:
 
 
 def _map_units(map_T_cam: Array, sfm_T_cam: Array, component_N: NDArray[np.int64]) -> Array:
-    """The length of a frame's sfm unit in the map (N,): align places each model as a whole, so that positions spread as
-    far, but for its scale."""
+    """The length of a frame's sfm unit in the map (N,), as align placed its model; 0 for a model with one place."""
     units = np.zeros(len(component_N))
     for component in np.unique(component_N):
         rows = component_N == component
-        xyz = map_T_cam[rows, :3, 3], sfm_T_cam[rows, :3, 3]
-        in_map, in_sfm = (np.linalg.norm(part - part.mean(axis=0)) for part in xyz)
-        units[rows] = in_map / in_sfm if in_sfm else 0.0
+        with suppress(GeometryError):
+            units[rows] = sim3_between(map_T_cam[rows], sfm_T_cam[rows]).scale
     return units
 
 

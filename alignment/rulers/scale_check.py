@@ -17,7 +17,7 @@ from groundwalk.artefacts.schemas import schema
 from groundwalk.consistency.decisions import SIGMAS, Status, decide, within
 
 # Bounds of 95 %.
-_SIGMAS = 1.96
+_BOUND_SIGMAS = 1.96
 
 
 @dataclass(frozen=True)
@@ -106,13 +106,13 @@ def describe(check: RulerCheck) -> str:
 
 
 def _by_vio(check: RulerCheck, scale: MapScale) -> str:
-    ruler_percent, vio = 100 * _SIGMAS * check.measurement.sd(), check.vio_scale
+    ruler_percent, vio = 100 * _BOUND_SIGMAS * check.measurement.sd(), check.vio_scale
     if vio is None:
         why = "the map's scale is the reference's" if scale.reference else "VIO moves too little to give a scale"
         return f"95 % bounds ± {ruler_percent:.2f} %; {why}"
     error_percent = 100 * np.expm1(vio.log - check.measurement.log_metres())
     return (
-        f"VIO's scale {error_percent:+.2f} % (95 % bounds: VIO's ± {100 * _SIGMAS * vio.sd:.2f} %, the ruler's "
+        f"VIO's scale {error_percent:+.2f} % (95 % bounds: VIO's ± {100 * _BOUND_SIGMAS * vio.sd:.2f} %, the ruler's "
         f"± {ruler_percent:.2f} %)"
     )
 
@@ -164,7 +164,7 @@ def _is_fit_for_scale(
     if not vio.is_known:
         return True
     error, sd = _against_vio(vio, measurement)
-    return abs(error) <= _SIGMAS * sd or bool(within(abs(error), sd, max_size_error))
+    return abs(error) <= _BOUND_SIGMAS * sd or bool(within(abs(error), sd, max_size_error))
 
 
 def _against_vio(vio: MapScale, measurement: RulerMeasurement) -> tuple[float, float]:
@@ -186,13 +186,13 @@ def _remark_on_size(component: Component, measurement: RulerMeasurement, limit: 
         return ""
     if sets_scale:
         return (
-            f"VIO's scale, 95 % bounds ± {_SIGMAS * vio.sd:.1%}, can't tell a stated size that is wrong by up to "
-            f"{abs(error) + _SIGMAS * sd:.1%}"
+            f"VIO's scale, 95 % bounds ± {_BOUND_SIGMAS * vio.sd:.1%}, can't tell a stated size that is wrong by up to "
+            f"{abs(error) + _BOUND_SIGMAS * sd:.1%}"
         )
     enough = np.ceil(100 * (abs(error) + SIGMAS * sd)) / 100
     return (
-        f"{abs(error):.1%} from VIO's scale, beyond the 95 % bounds of ± {_SIGMAS * sd:.1%}: it doesn't set the scale; "
-        f"if it measures what is stated, {setting_of('align', f'max_ruler_size_error = {enough:.2f}')} lets it"
+        f"{abs(error):.1%} from VIO's scale, beyond the 95 % bounds of ± {_BOUND_SIGMAS * sd:.1%}: it doesn't set the "
+        f"scale; if it measures what is stated, {setting_of('align', f'max_ruler_size_error = {enough:.2f}')} lets it"
     )
 
 
@@ -201,7 +201,7 @@ def _contradicting(measurement: RulerMeasurement, rulers: Sequence[RulerMeasurem
     for other in rulers:
         if other is measurement or other.problem or other.fits[RulerPart.ALL].mirrored:
             continue
-        if abs(measurement.log_metres() - other.log_metres()) > _SIGMAS * np.hypot(measurement.sd(), other.sd()):
+        if abs(measurement.log_metres() - other.log_metres()) > _BOUND_SIGMAS * np.hypot(measurement.sd(), other.sd()):
             return other
     return None
 
@@ -214,7 +214,7 @@ def _fault(scale: MapScale, measurement: RulerMeasurement, rulers: Sequence[Rule
     if other is None:
         return ""
     apart = abs(float(np.expm1(measurement.log_metres() - other.log_metres())))
-    limit = _SIGMAS * float(np.hypot(measurement.sd(), other.sd()))
+    limit = _BOUND_SIGMAS * float(np.hypot(measurement.sd(), other.sd()))
     this, that = _measured("its", scale, measurement), _measured(f"{other.ruler.name}'s", scale, other)
     return (
         f"inconsistent with ruler {other.ruler.name} by {apart:.1%}, 95 % bounds {limit:.1%}: in the map {this}, "

@@ -176,7 +176,7 @@ def _camera(image: Image) -> tuple[Camera, Distortion]:
     assert pose is not None and intrinsics is not None  # intake drops images without
     scale = min(1.0, CONVENTION_LONG_SIDE / max(image.check.width, image.check.height))
     k = scale * np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
-    return (pose, k), intrinsics.distortion[:8]
+    return (pose, k), intrinsics.distortion
 
 
 def _explained(pair: MatchedPair, change: Change) -> float:

@@ -287,9 +287,9 @@ def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pair
     fitted, checked = matches.selected(~held_out), matches.selected(held_out)
     start = np.array([*prior.coefficients[:2], prior.readout_s])
     information = np.linalg.inv(np.array(prior.covariance))
-    as_before = estimate_lens(fitted, start, _EXACT_INFORMATION * np.eye(3))
+    at_prior = estimate_lens(fitted, start, _EXACT_INFORMATION * np.eye(3))
     estimate = estimate_lens(fitted, start, information)
-    prior_px, estimated_px = (_median_px(checked, e) for e in (as_before, estimate))
+    prior_px, estimated_px = (_median_px(checked, e) for e in (at_prior, estimate))
     wrong, is_held = False, bool(np.diag(information)[0] > _EXACT_INFORMATION / 2)
     if prior.origin == CameraOrigin.STATED:
         weak = estimate_lens(fitted, start, np.linalg.inv(_WEAK_PRIOR))
@@ -305,15 +305,11 @@ def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pair
         )
         if wrong:
             estimated_px = weak_px
-        if wrong and not is_held:
-            estimate = weak
-            prior = replace(prior, prior_covariance=_WEAK_PRIOR.tolist(), prior_k3_sd=_K3_SD)
-    check: dict[str, Any] = {
-        "held_out_prior_px": prior_px,
-        "held_out_px": estimated_px,
-        "stated_is_wrong": wrong,
-    }
-    chosen = as_before if estimated_px > prior_px else estimate
+            if not is_held:
+                estimate = weak
+                prior = replace(prior, prior_covariance=_WEAK_PRIOR.tolist(), prior_k3_sd=_K3_SD)
+    check: dict[str, Any] = {"held_out_prior_px": prior_px, "held_out_px": estimated_px, "stated_is_wrong": wrong}
+    chosen = at_prior if estimated_px > prior_px else estimate
     offset = estimate_time_offset(chosen, fitted, checked, _rotations_by_vio(matches.frames, frames))
     if offset is not None:
         check |= {"stamp_offset_s": offset.offset_s, "stamp_offset_sd_s": offset.sd_s}

@@ -39,15 +39,15 @@ class MatchCheck:
     def deregister_misplaced(self, model: pycolmap.Reconstruction) -> int:
         """Deregister the misplaced frames of a model; how many there were.
 
-        Before the model is adjusted, a frame that turns quickly may be denied, too: VIO's angular velocity isn't known
-        better than rows are off by then. So where a frame is denied, an adjusted copy decides.
+        Before the model is adjusted, matches may also contradict a frame that turns quickly, as VIO's angular velocity
+        says only about where its rows were seen from. So where frames are contradicted, an adjusted copy decides.
         """
-        rows = self._denied(model, cameras_of_frames(self.log, []))
+        rows = self._misplaced_rows(model, cameras_of_frames(self.log, []))
         if rows:
             copy = pycolmap.Reconstruction(model)
             try:
                 adjusted = adjust_model(copy, self.keypoints, self.log, self.settings)
-                rows = self._denied(copy, cameras_of_frames(self.log, [adjusted]))
+                rows = self._misplaced_rows(copy, cameras_of_frames(self.log, [adjusted]))
             except LinAlgError as error:
                 print(f"misplaced frames by the model as it was mapped: {error}")  # into the log
         for row in rows:
@@ -56,7 +56,7 @@ class MatchCheck:
             model.deregister_frame(frame.frame_id)
         return len(rows)
 
-    def _denied(self, model: pycolmap.Reconstruction, cameras: Cameras) -> list[int]:
+    def _misplaced_rows(self, model: pycolmap.Reconstruction, cameras: Cameras) -> list[int]:
         frames = len(self.log.t_s)
         sfm_T_cam, model_N = np.full((frames, 4, 4), np.nan), np.full(frames, -1)
         for number in model.reg_image_ids():
