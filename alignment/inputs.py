@@ -32,6 +32,13 @@ class AlignInputs:
         """(N,) frames that SfM has a pose for."""
         return self.sfm.images["registered"].to_numpy(bool)
 
+    @property
+    def not_registered(self) -> np.ndarray:
+        """(N,) why SfM has no pose for a frame, empty where it has."""
+        why = self.sfm.images["not_registered"]
+        reasons = np.where(why.isna(), "SfM didn't register it", "SfM didn't register it: " + why.fillna(""))
+        return np.where(self.registered, "", reasons).astype(object)
+
     def models(self, settings: AlignSettings) -> list[ModelSegments]:
         """SfM's models, largest first: cut at the VIO jumps of the settings, and in pieces at all VIO jumps, as scale
         and motion are compared between these."""

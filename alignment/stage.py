@@ -245,7 +245,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=15,
+    version=16,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

@@ -135,6 +135,14 @@ class AttemptOutcome(StrEnum):
     INCONSISTENT_WITH_VIO = "inconsistent_with_vio"
 
 
+class NotRegistered(StrEnum):
+    """Why SfM has no pose for a frame."""
+
+    NO_VERIFIED_PAIRS = "no verified pairs"
+    MISPLACED = "its verified matches contradict the pose that mapping gave it"
+    NOT_MAPPED = "mapping found too few points of the model in it"
+
+
 class ResidualPattern(StrEnum):
     """What residuals are averaged over."""
 

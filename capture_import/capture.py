@@ -120,8 +120,8 @@ class RawSession:
 
     `pose_source`: the phone's odometry, or a reference from elsewhere, as in public data sets, which must never pass
     for VIO. `is_gravity_aligned` is False where the world's +y may not be up, `is_metric` where a reference states no
-    unit. `split` is what a public data set states that the recording is for, `first_row` the side of the images that
-    the sensor reads out first, where the capture states it.
+    unit. `split` is what a public data set states that the recording is for. `first_row` is the side of the images that
+    the sensor reads out first, `readout_s` the time from there to the last row, where the capture states them.
     """
 
     session_id: str
@@ -136,4 +136,5 @@ class RawSession:
     is_metric: bool = True
     split: SessionSplit | None = None
     first_row: ImageSide | None = None
+    readout_s: float | None = None
     notes: Sequence[str] = field(default_factory=tuple)

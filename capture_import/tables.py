@@ -51,6 +51,7 @@ def frames_table(
                 "cy": camera.cy,
                 "distortion": list(camera.distortion),
                 "first_row": first_row_of(image.check.width, image.check.height),
+                "stated_readout_s": math.nan if raw.readout_s is None else raw.readout_s,
                 "tracking": image.frame.tracking,
                 "sharpness": image.check.sharpness,
                 "exposure_s": math.nan if exposure is None else exposure,

@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import AfterValidator, Field
 
 from groundwalk.artefacts.vio_drift_settings import VioDriftSettings
+from groundwalk.geometry.shutter import MAX_READOUT_S
 from groundwalk.sfm.extensions import MAPPERS, RETRIEVALS
 
 MapperName = Annotated[str, AfterValidator(MAPPERS.known)]
@@ -84,7 +85,10 @@ class SfmSettings(VioDriftSettings):
         "auto", description="distortion k1, k2: auto estimates it from the images; stated takes what the capture states"
     )
     readout_s: float | None = Field(
-        None, ge=-0.1, le=0.1, description="rolling shutter, first to last row in seconds; null estimates it"
+        None,
+        ge=-MAX_READOUT_S,
+        le=MAX_READOUT_S,
+        description="rolling shutter, first to last row in seconds; null estimates it, from what the capture states",
     )
     refine_cameras: RefineCameras = Field(
         "auto",

@@ -22,7 +22,8 @@ from groundwalk.sfm.mapping.source import held_out_check, read_matches
 from groundwalk.sfm.model import blobs_of
 from groundwalk.sfm.pairs.odometry import Odometry, motions_over
 from groundwalk.sfm.quality.covariance import Covariances, covariances
-from groundwalk.sfm.quality.messages import report_cameras, report_models, report_patterns
+from groundwalk.sfm.quality.focal_steps import with_focal_steps
+from groundwalk.sfm.quality.messages import report_cameras, report_models, report_motion, report_patterns
 from groundwalk.sfm.quality.residuals import draw_residuals, residual_patterns
 from groundwalk.sfm.recording import write_recording
 from groundwalk.sfm.scene_input import SceneInput, prepare_scene
@@ -32,6 +33,7 @@ from groundwalk.sfm.tables import (
     camera_tables,
     images_table,
     models_table,
+    not_registered,
     pairs_table,
     points_table,
 )
@@ -63,6 +65,7 @@ def run(r: StageRun[SfmSettings]) -> None:
         )
         check = held_out_check(read_matches(made.mapping_input), cameras, model.sfm_T_cam, model.model)
         images = images_table(frame_ids, model, selected, made.keypoints, check, cameras, covariance)
+        images["not_registered"] = not_registered(model.registered, made.built, made.matched)
         images["motion_sd"] = motion_sd
         calibration = scene.cameras.calibration
         images["uses_vio"] = (made.settings.mapper == "vio") & model.registered
@@ -70,6 +73,7 @@ def run(r: StageRun[SfmSettings]) -> None:
     r.write("images", images)
     r.write("models", models_table(made.built, check))
     lenses, intrinsics = camera_tables(scene.cameras, selected, adjusted, estimates)
+    intrinsics = with_focal_steps(intrinsics, scene.frames, images, r.settings.max_focal_error)
     r.write("lenses", lenses)
     r.write("intrinsics", intrinsics)
     residuals = _residuals(scene, selected, adjusted)
@@ -83,8 +87,9 @@ def run(r: StageRun[SfmSettings]) -> None:
         shutil.copytree(made.folder / entry.folder, r.work / entry.folder, dirs_exist_ok=True)
     with r.step("recording"):
         write_recording(r, with_cameras(scene.frames, images), model, made.matched)
-    report_models(r, made, model, check, attempts, best)
+    report_models(r, made, model, images["not_registered"], check, attempts, best)
     report_cameras(r, lenses, intrinsics)
+    report_motion(r, scene.frames, scene.cameras.motion)
 
 
 def _select_attempt(r: StageRun[SfmSettings], scene: SceneInput) -> tuple[list[Attempt], int, AttemptModels]:
@@ -159,7 +164,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=37,
+    version=38,
     settings=SfmSettings,
     needs=("import",),
     run=run,

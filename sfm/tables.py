@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from groundwalk.artefacts.choices import NotRegistered
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import Array
@@ -53,6 +54,15 @@ def images_table(
         [list(row) if np.isfinite(row).all() else None for row in covariance_N66.reshape(-1, 36)], dtype=object
     )
     return table
+
+
+def not_registered(registered_N: NDArray[np.bool_], built: Sequence[BuiltModel], matched: MatchedPairs) -> pd.Series:
+    """Why frames (N,) have no pose, None where they have one."""
+    reasons = np.full(len(registered_N), NotRegistered.NO_VERIFIED_PAIRS, object)
+    reasons[np.unique(matched.pairs[matched.verified])] = NotRegistered.NOT_MAPPED
+    reasons[[row for entry in built for row in entry.misplaced]] = NotRegistered.MISPLACED
+    reasons[registered_N] = None
+    return pd.Series(reasons, dtype=object)
 
 
 def models_table(built: Sequence[BuiltModel], check: HeldOutCheck) -> pd.DataFrame:
@@ -119,6 +129,8 @@ def camera_tables(
                     "stated_k2": lens.stated[1],
                     "origin": lens.origin,
                     "stated_is_wrong": lens.stated_is_wrong,
+                    "stated_readout_s": lens.stated_readout_s,
+                    "stated_readout_is_wrong": lens.stated_readout_is_wrong,
                     "held_out_prior_px": lens.held_out_prior_px,
                     "held_out_px": lens.held_out_px,
                 }

@@ -109,9 +109,8 @@ def write_scene(data: Path, name: str, train: int, test: int, seed: int) -> Path
     frames = pd.concat([keys, unknown], axis=1).assign(
         clock="boot", image=images, image_sha256=hashes, width=WIDTH, height=HEIGHT, fx=FOCAL, fy=FOCAL
     )
-    frames = frames.assign(
-        cx=WIDTH / 2, cy=HEIGHT / 2, distortion=cells([[]] * len(keys)), first_row="top", tracking="normal"
-    )
+    frames = frames.assign(cx=WIDTH / 2, cy=HEIGHT / 2, distortion=cells([[]] * len(keys)), first_row="top")
+    frames = frames.assign(stated_readout_s=np.nan, tracking="normal")
     frames = frames.assign(gravity_x=0.0, gravity_y=1.0, gravity_z=0.0, sharpness=1.0, exposure_s=0.01)
     frames = frames.assign(blurred_faces=None, blurred_plates=None, support=False, depth=None, depth_confidence=None)
     truth_T = map_T_cam.copy()

@@ -104,7 +104,7 @@ class Scene:
     def set_focal(self, session_id: str, scale: float, sd: float) -> None:
         """What the images of the first model say of a session's focal length: its factor and standard error."""
         row = {"model_id": "incremental/0", "session_id": session_id, "frames": 1, "focal_scale": scale}
-        row |= {"focal_scale_sd": sd, "focus_sd": 0.001, "angular_sd": 0.02}
+        row |= {"focal_scale_sd": sd, "focus_sd": 0.001, "angular_sd": 0.02, "focal_step": np.nan}
         self.intrinsics = pd.DataFrame([*self.intrinsics.to_dict("records"), row])
 
     def set_vio(self, vio_T_cam: np.ndarray) -> None:
@@ -184,6 +184,7 @@ def _make(w: Walks) -> Scene:
         {
             "frame_id": table["frame_id"],
             "registered": True,
+            "not_registered": None,
             "model_id": "incremental/0",
             "uses_vio": False,
             "motion_sd": np.nan,

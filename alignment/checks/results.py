@@ -119,10 +119,10 @@ def with_status(results: Sequence[CheckResult], status: Status) -> list[CheckRes
     return [result for result in results if result.status is status]
 
 
-def exclusion_reasons(results: Sequence[CheckResult], registered: np.ndarray) -> np.ndarray:
-    """Why frames (N,) get no ground truth, empty where they do: SfM has no pose, or a check of their own excludes them,
-    or one of their model; of several the first."""
-    reasons = np.where(registered, "", "SfM didn't register it").astype(object)
+def exclusion_reasons(results: Sequence[CheckResult], not_registered: np.ndarray) -> np.ndarray:
+    """Why frames (N,) get no ground truth, empty where they do: SfM has no pose, as `not_registered` (N,) says, or a
+    check of their own excludes them, or one of their model; of several the first."""
+    reasons = not_registered.copy()
     exclusions = [exclusion for result in results for exclusion in result.exclusions]
     for rows, reason, _ in sorted(exclusions, key=lambda exclusion: exclusion.is_of_model):
         reasons[rows[reasons[rows] == ""]] = reason

@@ -115,9 +115,12 @@ def focal_length_result(subject: Subject, rows: np.ndarray, focal: FocalEstimate
     """The check of a focal length by the images. Undecided it lowers no frame's class: SfM used the estimated one, and
     its standard error is in the frames' covariances."""
     error = focal.scale - 1
+    reason = f"focal length by the images is {abs(error):.1%} {'longer' if error > 0 else 'shorter'} than captured"
+    if focal.step is not None:
+        reason += f", {focal.step:.3f} times as long from {focal.step_frame_id} on: digital zoom or another lens"
     failure = Failure(
         cause=FailureCause.WRONG_INTRINSICS,
-        reason=f"focal length by the images is {abs(error):.1%} {'longer' if error > 0 else 'shorter'} than captured",
+        reason=reason,
         rows=rows,
         lowers_class=False,
     )

@@ -43,6 +43,13 @@ TABLES = [
                 "below 0 where it is the opposite one",
                 choices=ImageSide,
             ),
+            Column(
+                "stated_readout_s",
+                "float64",
+                "rolling shutter: time from the first to the last row that the capture states; null: none",
+                "s",
+                nullable=True,
+            ),
             *pose_columns("vio_cam", "vio_T_cam by the phone's odometry", nullable=True),
             Column("gravity_x", "float64", "unit vector of gravity, x", "", "cam", nullable=True),
             Column("gravity_y", "float64", "unit vector of gravity, y", "", "cam", nullable=True),
@@ -74,7 +81,7 @@ TABLES = [
                 nullable=True,
             ),
         ],
-        version="2.2",
+        version="2.3",
     ),
     TableSchema(
         "import",

@@ -4,6 +4,7 @@ from groundwalk.artefacts.choices import (
     AttemptName,
     AttemptOutcome,
     CameraOrigin,
+    NotRegistered,
     PairInconsistency,
     PairOrigin,
     PairStatus,
@@ -29,6 +30,7 @@ TABLES = [
         [
             Column("frame_id", "string", "<session>/<six digits>"),
             Column("registered", "bool", "the frame is in one of the selected models"),
+            Column("not_registered", "string", "why it isn't", nullable=True, choices=NotRegistered),
             Column("model_id", "string", "the model that the pose is from: models.model_id", nullable=True),
             *pose_columns("sfm_cam", "adjusted sfm_T_cam", nullable=True),
             Column("fx", "float64", "focal length, x, adjusted with the pose", "px"),
@@ -103,6 +105,15 @@ TABLES = [
             Column("origin", "string", "where k1 and k2 are from, before the model adjusts them", choices=CameraOrigin),
             Column("stated_is_wrong", "bool", "the images contradict the stated distortion (docs/explanation/sfm.md)"),
             Column(
+                "stated_readout_s",
+                "float64",
+                "readout time that the capture states; null: none, or a setting holds one",
+                "s",
+                "",
+                True,
+            ),
+            Column("stated_readout_is_wrong", "bool", "the images contradict the stated readout time"),
+            Column(
                 "held_out_prior_px",
                 "float64",
                 "median Sampson distance of held-out matches of pairs with the stated lens, where none is stated with "
@@ -135,8 +146,16 @@ TABLES = [
             Column("focal_scale_sd", "float64", "standard deviation of focal_scale", "", "", True),
             Column("focus_sd", "float64", "standard deviation of a frame's focal length about it, as a fraction"),
             Column("angular_sd", "float64", "standard deviation of a frame's angular velocity by VIO", "rad/s"),
+            Column(
+                "focal_step",
+                "float64",
+                "factor by which the images' focal lengths step within the session where the logged ones don't "
+                "(digital zoom, another lens); null: no such step",
+                nullable=True,
+            ),
+            Column("focal_step_frame_id", "string", "first frame after the step", nullable=True),
         ],
-        version="2.0",
+        version="2.1",
     ),
     TableSchema(
         "sfm",

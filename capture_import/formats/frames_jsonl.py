@@ -36,6 +36,7 @@ from groundwalk.capture_import.parsing import (
     to_number,
     whole,
 )
+from groundwalk.geometry.shutter import MAX_READOUT_S
 
 _VERSION = 1
 
@@ -74,8 +75,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     rows = [(source, (i, line)) for i, (source, line) in enumerate(lines[1:])]
     frames, rejects = collect(rows, session_id, read_row)
     refuse_unreadable(path, frames, rejects, "rows with t_ns, vio_T_cam, image and intrinsics")
-    clock, first_row = Clock(header["clock"]), header["first_row"]
-    return RawSession(session_id, FORMAT.id, header["device"], clock, path, frames, rejects, first_row=first_row)
+    return RawSession(session_id, FORMAT.id, folder=path, frames=frames, rejects=rejects, **header)
 
 
 def _header(path: Path, line: str) -> dict[str, Any]:
@@ -84,22 +84,25 @@ def _header(path: Path, line: str) -> dict[str, Any]:
     except BadRow:
         header = {}
     device, clock = header.get("device", "unknown"), header.get("clock", Clock.BOOT)
-    first_row = header.get("first_row")
+    first_row, readout_s = header.get("first_row"), header.get("readout_s")
     if (
         header.get("groundwalk") != "frames"
         or header.get("version") != _VERSION
         or not isinstance(device, str)
         or clock not in [*Clock]
         or first_row not in [None, *ImageSide]
+        or not (readout_s is None or (type(readout_s) in (int, float) and 0 <= readout_s <= MAX_READOUT_S))
     ):
         raise UserError(
             "the first line of frames.jsonl isn't its header",
             where=path / "frames.jsonl",
             expected=f'{{"groundwalk": "frames", "version": {_VERSION}, "device": "...", "clock": "boot"}}, '
-            f"clock one of {', '.join(Clock)}; if there is a first_row, one of {', '.join(ImageSide)}",
+            f"clock one of {', '.join(Clock)}; if there is a first_row, one of {', '.join(ImageSide)}; if there is a "
+            f"readout_s, seconds, 0 to {MAX_READOUT_S:g}",
             found=line[:120] or "an empty file",
         )
-    return {"device": device, "clock": clock, "first_row": first_row and ImageSide(first_row)}
+    first_row = first_row and ImageSide(first_row)
+    return {"device": device, "clock": Clock(clock), "first_row": first_row, "readout_s": readout_s}
 
 
 def _depth(path: Path, row: dict[str, Any]) -> DepthFile:

@@ -37,6 +37,7 @@ _PHONE = np.array([0.08, -0.12])
 _PHONE_COVARIANCE = np.array([[0.05**2, -0.8 * 0.05 * 0.08], [-0.8 * 0.05 * 0.08, 0.08**2]])
 # What a capture states is meant to be right.
 _STATED_SD = np.array([0.005, 0.01])
+_STATED_READOUT_SD_S = 0.001
 _SAME_LENS_SD = np.array([*_STATED_SD, 0.002])
 # k3, which pairs hardly tell, is left to the adjustment of the model: of a lens that nothing is known of, and others.
 _K3_SD, _KNOWN_K3_SD = 0.4, 0.02
@@ -51,17 +52,18 @@ _MIN_DISTANCE_M = 0.02
 _MAX_FOCAL_STEP = 0.08
 _EXACT_INFORMATION = 1e12
 # A stated lens is wrong where the estimate is so many sigmas and pixels away from it, and the errors of held-out
-# matches are smaller by this fraction.
+# matches are smaller by this fraction; a stated readout time where it is so many sigmas and seconds away.
 _MIN_WRONG_SIGMAS, _MIN_WRONG_PX, _MIN_WRONG_GAIN = 5.0, 1.0, 0.02
+_MIN_WRONG_READOUT_S = 0.004
 
 
 @dataclass(frozen=True)
 class Lens:
     """A lens: its frames' device, size and coefficients (OpenCV's order, 8), readout time, covariance (3, 3) of k1, k2
-    and readout, where they are from, the stated lens (8), and the median Sampson distance of held-out matches, px, with
-    the prior's lens and with the estimated one; None where nothing was estimated. `stamp_offset_s` is the estimate of
-    time stamps minus times of the middle rows, with its standard error, `time_offset_s` the same where held-out matches
-    accept it, else 0."""
+    and readout, where they are from, the stated lens (8) and readout time, and the median Sampson distance of held-out
+    matches, px, with the prior's lens and with the estimated one; None where nothing was estimated. `stamp_offset_s` is
+    the estimate of time stamps minus times of the middle rows, with its standard error, `time_offset_s` the same where
+    held-out matches accept it, else 0."""
 
     lens_id: str
     frames: int
@@ -74,9 +76,11 @@ class Lens:
     prior_readout_s: float
     prior_covariance: list[list[float]]
     prior_k3_sd: float = _K3_SD
+    stated_readout_s: float | None = None
     held_out_prior_px: float | None = None
     held_out_px: float | None = None
     stated_is_wrong: bool = False
+    stated_readout_is_wrong: bool = False
     stamp_offset_s: float | None = None
     stamp_offset_sd_s: float | None = None
     time_offset_s: float = 0.0
@@ -133,13 +137,14 @@ class Calibration:
 def lenses_of(frames: pd.DataFrame, device_of_session: dict[str, str]) -> tuple[Ints, list[str]]:
     """Which lens each of N frames was taken with (N,), and the lenses' names.
 
-    Frames share a lens where their device, image size, stated distortion and, about, focal length are the same; an
-    ultra-wide camera's focal length is half of the main one's.
+    Frames share a lens where their device, image size, stated distortion and readout time and, about, focal length are
+    the same; an ultra-wide camera's focal length is half of the main one's.
     """
     device = frames["session_id"].map(device_of_session).fillna("").to_numpy(str)
     size = [f"{w}x{h}" for w, h in zip(frames["width"], frames["height"], strict=True)]
     stated = [",".join(f"{k:.6g}" for k in row) for row in frames["distortion"]]
-    group = pd.Series(["|".join(key) for key in zip(device, size, stated, strict=True)])
+    readout = frames["stated_readout_s"].to_numpy(str)
+    group = pd.Series(["|".join(key) for key in zip(device, size, stated, readout, strict=True)])
     focal = np.log(frames["fx"].to_numpy(float) / frames["width"].to_numpy(float))
     lens = np.zeros(len(frames), np.int64)
     names: list[str] = []
@@ -172,11 +177,14 @@ def prior_lenses(frames: pd.DataFrame, device_of_session: dict[str, str], settin
         elif not distortion.any():
             coefficients[:2], origin, k3_sd = _PHONE, CameraOrigin.PRIOR, _K3_SD
             covariance[:2, :2] = _PHONE_COVARIANCE
-        readout_s = 0.0
+        readout_s, stated_readout_s = 0.0, None
         if settings.readout_s is not None:
             readout_s, covariance[2, 2] = settings.readout_s, 1 / _EXACT_INFORMATION
+        elif not np.isnan(frames["stated_readout_s"].iloc[members[0]]):
+            readout_s = stated_readout_s = float(frames["stated_readout_s"].iloc[members[0]])
+            covariance[2, 2] = _STATED_READOUT_SD_S**2
         prior = (coefficients.tolist(), readout_s, covariance.tolist())
-        lenses.append(Lens(name, len(members), *prior, origin, stated.tolist(), *prior, float(k3_sd)))
+        lenses.append(Lens(name, len(members), *prior, origin, stated.tolist(), *prior, float(k3_sd), stated_readout_s))
     return Calibration(lenses, lens_N)
 
 
@@ -290,25 +298,36 @@ def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pair
     at_prior = estimate_lens(fitted, start, _EXACT_INFORMATION * np.eye(3))
     estimate = estimate_lens(fitted, start, information)
     prior_px, estimated_px = (_median_px(checked, e) for e in (at_prior, estimate))
-    wrong, is_held = False, bool(np.diag(information)[0] > _EXACT_INFORMATION / 2)
+    wrong, readout_is_wrong, is_held = False, False, bool(np.diag(information)[0] > _EXACT_INFORMATION / 2)
+    loosened = np.array(prior.prior_covariance)
+    weak = estimate_lens(fitted, start, np.linalg.inv(_WEAK_PRIOR))
+    weak_px = _median_px(checked, weak)
     if prior.origin == CameraOrigin.STATED:
-        weak = estimate_lens(fitted, start, np.linalg.inv(_WEAK_PRIOR))
         row = frames.iloc[int(pairs[0, 0])]
         extent = (0.5 * row.width / row.fx, 0.5 * row.height / row.fy)
         by_images = [*weak.parameters[:2], *matches.stated_6]
         shift_px = max_shift(by_images, prior.stated, extent) * row.fx
         error = weak.parameters[:2] - start[:2]
         sigmas = np.sqrt(error @ np.linalg.solve(weak.covariance[:2, :2], error))
-        weak_px = _median_px(checked, weak)
         wrong = bool(
             sigmas > _MIN_WRONG_SIGMAS and shift_px > _MIN_WRONG_PX and weak_px < (1 - _MIN_WRONG_GAIN) * prior_px
         )
         if wrong:
             estimated_px = weak_px
             if not is_held:
-                estimate = weak
-                prior = replace(prior, prior_covariance=_WEAK_PRIOR.tolist(), prior_k3_sd=_K3_SD)
+                loosened[:2, :2] = _WEAK_PRIOR[:2, :2]
+                prior = replace(prior, prior_k3_sd=_K3_SD)
+    if prior.stated_readout_s is not None:
+        limit_s = max(_MIN_WRONG_SIGMAS * np.sqrt(weak.covariance[2, 2]), _MIN_WRONG_READOUT_S)
+        error_s = abs(weak.parameters[2] - prior.stated_readout_s)
+        if readout_is_wrong := bool(error_s > limit_s and weak_px < prior_px):
+            loosened[2, 2] = _READOUT_SD_S**2
+    if (loosened != prior.prior_covariance).any():
+        prior = replace(prior, prior_covariance=loosened.tolist())
+        estimate = estimate_lens(fitted, start, np.linalg.inv(loosened))
+        estimated_px = _median_px(checked, estimate)
     check: dict[str, Any] = {"held_out_prior_px": prior_px, "held_out_px": estimated_px, "stated_is_wrong": wrong}
+    check["stated_readout_is_wrong"] = readout_is_wrong
     chosen = at_prior if estimated_px > prior_px else estimate
     offset = estimate_time_offset(chosen, fitted, checked, _rotations_by_vio(matches.frames, frames))
     if offset is not None:

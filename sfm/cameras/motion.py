@@ -4,25 +4,27 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rates import Rates, rates_at
 
-_UNKNOWN_ANGULAR_SD = 0.3
+UNKNOWN_ANGULAR_SD = 0.3
 _MIN_ANGULAR_SD = 0.005
 # A rate over a longer time says little of some milliseconds in it.
-_MAX_GAP_S = 0.3
+MAX_GAP_S = 0.3
 
 
 @dataclass(frozen=True)
 class Motion:
     """Of N frames, in the camera's axes: angular velocity (N, 3) in rad/s with its sd (N,), velocity (N, 3) in m/s,
-    0 where VIO has no pose near enough before and after the frame."""
+    0 where VIO has no pose near enough before and after the frame: where it isn't `known` (N,)."""
 
     angular: Array
     angular_sd: Array
     velocity: Array
+    known: NDArray[np.bool_]
 
 
 def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame, time_offset_s: Array | float = 0.0) -> Motion:
@@ -36,7 +38,7 @@ def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame, time_offset_s: Array 
     rates = _rates(frames.assign(t_ns=frames["t_ns"] - offset_ns), log)
     has_rate = ~np.isnan(rates.angular[:, 0])
     has_difference = ~np.isnan(rates.angular_difference[:, 0])
-    sd = np.full(len(frames), _UNKNOWN_ANGULAR_SD)
+    sd = np.full(len(frames), UNKNOWN_ANGULAR_SD)
     session_N = frames["session_id"].to_numpy(str)
     for session in np.unique(session_N[has_difference]):
         members = (session_N == session) & has_rate
@@ -44,7 +46,7 @@ def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame, time_offset_s: Array 
         sd[members] = max(scatter / 2, _MIN_ANGULAR_SD)
         sd[members & ~has_difference] *= 2
     angular, velocity = (np.where(has_rate[:, None], rate, 0.0) for rate in (rates.angular, rates.velocity))
-    return Motion(angular, sd, velocity)
+    return Motion(angular, sd, velocity, has_rate)
 
 
 def _rates(frames: pd.DataFrame, log: pd.DataFrame) -> Rates:
@@ -53,7 +55,7 @@ def _rates(frames: pd.DataFrame, log: pd.DataFrame) -> Rates:
     session_N, t_ns = frames["session_id"].to_numpy(str), frames["t_ns"].to_numpy(np.int64)
     for session, poses in log.groupby("session_id"):
         rows, poses = np.flatnonzero(session_N == session), poses.sort_values("t_ns")
-        of_session = rates_at(t_ns[rows], poses["t_ns"].to_numpy(np.int64), poses_of(poses, "vio_cam"), _MAX_GAP_S)
+        of_session = rates_at(t_ns[rows], poses["t_ns"].to_numpy(np.int64), poses_of(poses, "vio_cam"), MAX_GAP_S)
         rates.angular[rows], rates.velocity[rows] = of_session.angular, of_session.velocity
         rates.angular_difference[rows] = of_session.angular_difference
     return rates

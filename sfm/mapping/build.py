@@ -31,8 +31,9 @@ _BUILT = "built.json"
 
 @dataclass(frozen=True)
 class BuiltModel:
-    """A model that mapping built: by which mapping, its number there, its size, and, where it was selected, its folder;
-    beside that `<folder>.npz` has what `groundwalk.sfm.cameras.model_adjustment.load_adjusted` reads."""
+    """A model that mapping built: by which mapping, its number there, its size, the rows of frames that were taken out
+    as misplaced, and, where it was selected, its folder; beside that `<folder>.npz` has what
+    `groundwalk.sfm.cameras.model_adjustment.load_adjusted` reads."""
 
     mapping: str
     number: int
@@ -41,6 +42,7 @@ class BuiltModel:
     observations: int
     mean_track_length: float
     mean_reprojection_px: float
+    misplaced: Sequence[int] = ()
     folder: str = ""
 
     @property
@@ -97,7 +99,7 @@ def build_models(
         save_adjusted(work / f"{name}.npz", adjusted, rows)
         model.extract_colors_for_all_images(source.images)
         model.write_binary(_new_folder(work / name))
-        built[index] = (replace(_describe(entry.mapping, entry.number, model), folder=name), model)
+        built[index] = (replace(_describe(entry.mapping, entry.number, model, entry.misplaced), folder=name), model)
     (work / _BUILT).write_text(json.dumps([asdict(entry) for entry, _ in built]), encoding="utf-8")
     shutil.rmtree(output, ignore_errors=True)
     work.rename(output)
@@ -159,14 +161,13 @@ def _described(
     """The models, without misplaced frames, that still have frames enough."""
     described = []
     for number, model in enumerate(models, first_number):
-        if misplaced := check.deregister_misplaced(model):  # into the log
-            print(f"{mapping}/{number}: {misplaced} frames deregistered, as their verified matches deny their poses")
+        misplaced = check.deregister_misplaced(model)
         if model.num_reg_images() >= MIN_MODEL_FRAMES:
-            described.append((_describe(mapping, number, model), model))
+            described.append((_describe(mapping, number, model, misplaced), model))
     return described
 
 
-def _describe(mapping: str, number: int, model: pycolmap.Reconstruction) -> BuiltModel:
+def _describe(mapping: str, number: int, model: pycolmap.Reconstruction, misplaced: Sequence[int]) -> BuiltModel:
     return BuiltModel(
         mapping,
         number,
@@ -175,4 +176,5 @@ def _describe(mapping: str, number: int, model: pycolmap.Reconstruction) -> Buil
         model.compute_num_observations(),
         model.compute_mean_track_length(),
         model.compute_mean_reprojection_error(),
+        misplaced,
     )

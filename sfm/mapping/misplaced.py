@@ -36,8 +36,8 @@ class MatchCheck:
     log: CameraLog
     settings: SfmSettings
 
-    def deregister_misplaced(self, model: pycolmap.Reconstruction) -> int:
-        """Deregister the misplaced frames of a model; how many there were.
+    def deregister_misplaced(self, model: pycolmap.Reconstruction) -> list[int]:
+        """Deregister the misplaced frames of a model, and return their rows.
 
         Before the model is adjusted, matches may also contradict a frame that turns quickly, as VIO's angular velocity
         says only about where its rows were seen from. So where frames are contradicted, an adjusted copy decides.
@@ -54,7 +54,7 @@ class MatchCheck:
             frame = model.image(image_id(row)).frame
             assert frame is not None
             model.deregister_frame(frame.frame_id)
-        return len(rows)
+        return rows
 
     def _misplaced_rows(self, model: pycolmap.Reconstruction, cameras: Cameras) -> list[int]:
         frames = len(self.log.t_s)

@@ -6,6 +6,7 @@ import pandas as pd
 from groundwalk.artefacts import StageRun
 from groundwalk.artefacts.choices import PairStatus
 from groundwalk.artefacts.hints import setting_of
+from groundwalk.sfm.cameras.motion import MAX_GAP_S, UNKNOWN_ANGULAR_SD, Motion
 from groundwalk.sfm.mapping.attempt_models import AttemptModels
 from groundwalk.sfm.mapping.attempts import Attempt
 from groundwalk.sfm.mapping.source import HeldOutCheck
@@ -13,14 +14,22 @@ from groundwalk.sfm.model import Model
 from groundwalk.sfm.quality.residuals import pattern_of
 from groundwalk.sfm.settings import SfmSettings
 
+# No phone's sensor takes as long to read its rows, and so many sigmas are clear.
+_MAX_READOUT_S, _READOUT_SIGMAS = 0.045, 3.0
 # A time offset is worth a line where it is so large and so clear.
 _MIN_OFFSET_S, _OFFSET_SIGMAS = 0.002, 3.0
 
 
 def report_models(
-    r: StageRun[SfmSettings], made: AttemptModels, model: Model, check: HeldOutCheck, attempts: list[Attempt], best: int
+    r: StageRun[SfmSettings],
+    made: AttemptModels,
+    model: Model,
+    not_registered: pd.Series,
+    check: HeldOutCheck,
+    attempts: list[Attempt],
+    best: int,
 ) -> None:
-    """Figures of the selected attempt, and two lines about it."""
+    """Figures of the selected attempt, and its lines; `not_registered` (N,) says why frames have no pose."""
     selected = made.selected
     registered = int(model.registered.sum())
     inconsistent = int((made.matched.status == PairStatus.INCONSISTENT_WITH_VIO).sum())
@@ -49,6 +58,8 @@ def report_models(
         f"{registered} of {len(model.registered)} frames in {where}, {len(model.xyz)} points, "
         f"{error_px:.2f} px mean reprojection error"
     )
+    if missing := [f"{count} {why}" for why, count in not_registered.value_counts().items()]:
+        r.say(f"not registered: {', '.join(missing)} (images.parquet, not_registered)")
     if inconsistent:
         r.say(
             f"{inconsistent} verified pairs excluded: relative pose inconsistent with VIO (pairs.parquet, status "
@@ -66,6 +77,20 @@ def report_patterns(r: StageRun[SfmSettings], residuals: pd.DataFrame, plot: str
             )
 
 
+def report_motion(r: StageRun[SfmSettings], frames: pd.DataFrame, motion: Motion) -> None:
+    """A line where VIO doesn't say how cameras turned while rows were read out."""
+    unknown = ~motion.known
+    r.figure("frames_without_angular_velocity", int(unknown.sum()))
+    if unknown.any():
+        sessions = frames["session_id"][unknown].value_counts(sort=False)
+        r.say(
+            f"no VIO poses within {MAX_GAP_S:g} s before and after {unknown.sum()} of {len(frames)} images ("
+            + ", ".join(f"{count} of {session}" for session, count in sessions.items())
+            + f"): their angular velocity, which rolling shutter needs, is taken as 0 ± {UNKNOWN_ANGULAR_SD:g} rad/s, "
+            "and their poses are less certain. Log the poses between images, too"
+        )
+
+
 def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: pd.DataFrame) -> None:
     """A line for each lens, and for each session whose logged focal lengths are likely wrong."""
     for lens in lenses.to_dict("records"):
@@ -74,6 +99,12 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
             + "".join(f"{name} {lens[name]:.4f} ± {lens[f'{name}_sd']:.4f}, " for name in ("k1", "k2", "k3"))
             + f"readout {1000 * lens['readout_s']:.1f} ± {1000 * lens['readout_sd_s']:.1f} ms ({lens['origin']})"
         )
+        if abs(lens["readout_s"]) - _READOUT_SIGMAS * lens["readout_sd_s"] > _MAX_READOUT_S:
+            r.say(
+                f"lens of {lens['lens_id']}: no sensor takes {1000 * abs(lens['readout_s']):.0f} ms to read its rows "
+                "(phones' take 5 to 35 ms): images of STABILISED VIDEO, which are shifted and turned one by one, look "
+                "like this. Capture with stabilisation off"
+            )
         offset_s, sd_s = lens["time_offset_s"], lens["time_offset_sd_s"]
         if lens["time_offset_used"] and abs(offset_s) > max(_MIN_OFFSET_S, _OFFSET_SIGMAS * sd_s):
             r.say(
@@ -88,8 +119,20 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
                 f"{lens['stated_k2']:.4f}): median error of held-out matches {lens['held_out_prior_px']:.2f} px, "
                 f"{lens['held_out_px']:.2f} px with the estimated lens{do}"
             )
+        if lens["stated_readout_is_wrong"]:
+            r.say(
+                f"lens of {lens['lens_id']}: the STATED READOUT TIME IS LIKELY WRONG: "
+                f"{1000 * lens['stated_readout_s']:.1f} ms, {1000 * lens['readout_s']:.1f} ± "
+                f"{1000 * lens['readout_sd_s']:.1f} ms by the images, which is used"
+            )
     limit = r.settings.max_focal_error
     for session in intrinsics.to_dict("records"):
+        if session["focal_step_frame_id"] is not None:
+            r.say(
+                f"session {session['session_id']}: the images' focal lengths step to {session['focal_step']:.3f} times "
+                f"at frame {session['focal_step_frame_id']}, the logged ones don't: digital zoom or another lens. Log "
+                "the focal length of each image, or capture again without it"
+            )
         error = session["focal_scale"] - 1
         if abs(error) >= limit:
             r.say(

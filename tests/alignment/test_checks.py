@@ -205,6 +205,14 @@ def test_focal_lengths_that_the_images_deny_are_named_where_motion_hides_them(wa
     )
 
 
+def test_a_zoom_is_in_the_reason(walks: Walks) -> None:
+    scene = walks.make(**NOISE)
+    scene.set_focal("walk0", 1.16, 0.005)
+    scene.intrinsics[["focal_step", "focal_step_frame_id"]] = 1.3, "walk0/000012"
+    (failed,) = [c for c in run(scene).checks if c.name == "session_focal_length" and c.status is Status.FAILED]
+    assert "1.300 times as long from walk0/000012 on: digital zoom or another lens" in failed.reason
+
+
 def test_a_focal_length_that_is_near_passes_and_one_hardly_known_is_undecided(walks: Walks) -> None:
     scene = walks.make(**NOISE)
     scene.set_focal("walk0", 1.025, 0.001)

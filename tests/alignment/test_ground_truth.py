@@ -11,6 +11,7 @@ from synthetic_walks import Scene, Walks, align
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import NotRegistered
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.fits import Sim3, fit_sim3
 from groundwalk.geometry.poses import make_pose
@@ -176,11 +177,12 @@ def test_unregistered_frames_have_a_row_and_no_pose(walks: Walks) -> None:
     sfm[10:15] = np.nan
     scene.set_sfm(sfm)
     scene.images.loc[10:14, "registered"] = False
+    scene.images.loc[10:14, "not_registered"] = NotRegistered.NO_VERIFIED_PAIRS
     scene.images.loc[20:24, "covariance"] = None
     gt = run(scene).ground_truth
     assert len(gt) == len(scene.frames)
     assert (gt["quality"].iloc[10:15] == "none").all() and gt["map_cam_tx"].iloc[10:15].isna().all()
-    assert (gt["reason"].iloc[10:15] == "SfM didn't register it").all()
+    assert (gt["reason"].iloc[10:15] == "SfM didn't register it: no verified pairs").all()
     assert gt["covariance"].iloc[20:25].isna().all() and (gt["quality"].iloc[20:25] == "C").all()
 
 

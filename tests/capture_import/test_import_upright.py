@@ -75,7 +75,21 @@ def test_the_setting_goes_before_what_the_capture_states(tmp_path: Path) -> None
     log.write_text(log.read_text().replace('"groundwalk"', '"first_row": "bottom", "groundwalk"', 1))
     for settings, side in (([], "bottom"), (["first_row='left'"], "left"), (["upright=true"], "bottom")):
         frames = pd.read_parquet(execute(STAGE, "place", "tiny", DataRoot(tmp_path), settings) / "frames.parquet")
-        assert set(frames["first_row"]) == {side}
+        assert set(frames["first_row"]) == {side} and frames["stated_readout_s"].isna().all()
     log.write_text(log.read_text().replace('"bottom"', '"down"', 1))
     with pytest.raises(UserError, match="first_row"):
         execute(STAGE, "place", "tiny", DataRoot(tmp_path))
+
+
+def test_a_stated_readout_time_is_in_frames_and_an_absurd_one_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "captures" / "place" / "walk"
+    write_frames_jsonl(folder, make_walk(8))
+    log = folder / "frames.jsonl"
+    as_written = log.read_text()
+    log.write_text(as_written.replace('"groundwalk"', '"readout_s": 0.0187, "groundwalk"', 1))
+    frames = pd.read_parquet(execute(STAGE, "place", "tiny", DataRoot(tmp_path)) / "frames.parquet")
+    assert set(frames["stated_readout_s"]) == {0.0187}
+    for wrong in ("18.7", "-0.01", "true", '"20 ms"'):
+        log.write_text(as_written.replace('"groundwalk"', f'"readout_s": {wrong}, "groundwalk"', 1))
+        with pytest.raises(UserError, match="readout_s, seconds, 0 to 0"):
+            execute(STAGE, "place", "tiny", DataRoot(tmp_path))

@@ -344,7 +344,7 @@ def test_tables_of_cameras_have_a_row_each_and_no_sigma_where_none_was_estimated
         cameras.t_s,
         adjusted.bundle.sfm_T_cam,
         Calibration(known, of_frame),
-        Motion(still, still, np.ones(_FRAMES)),
+        Motion(still, np.ones(_FRAMES), still, np.ones(_FRAMES, bool)),
     )
     model = cast(BuiltModel, SimpleNamespace(model_id="incremental/0"))
     part = (replace(adjusted, cameras=cameras), np.arange(_FRAMES))

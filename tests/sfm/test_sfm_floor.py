@@ -155,6 +155,7 @@ def scene(folder: Path) -> tuple[FloorSource, Path, Array]:
             "width": SIZE[0],
             "height": SIZE[1],
             "first_row": "top",
+            "stated_readout_s": np.nan,
             "fx": FOCAL_PX,
             "fy": FOCAL_PX,
             "cx": SIZE[0] / 2,
@@ -173,7 +174,7 @@ def scene(folder: Path) -> tuple[FloorSource, Path, Array]:
                 opened.write_descriptors(image_id(row), pycolmap.FeatureDescriptors(data=found.descriptors, type=sift))
         match_pairs(quiet, path, names, PAIRS, SETTINGS, 0)
     calibration = prior_lenses(frames, {"s": "phone"}, SfmSettings(lens="stated", readout_s=0.0))
-    motion = Motion(np.zeros((2, 3)), np.zeros(2), np.zeros((2, 3)))
+    motion = Motion(np.zeros((2, 3)), np.zeros(2), np.zeros((2, 3)), np.ones(2, bool))
     turned = make_pose(Rotation.from_rotvec([0, np.radians(1.0), 0]).as_matrix(), [0.01, 0, 0])
     vio_T_cam = np.stack([TURN[0], turned @ TURN[1]])
     source = FloorSource(features, folder, names, frames, calibration, motion)

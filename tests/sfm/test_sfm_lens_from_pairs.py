@@ -21,7 +21,7 @@ _LENSES = {
 }
 
 
-def _matches(lens: Array, seed: int, extent: float) -> PairMatches:
+def _matches(lens: Array, seed: int, extent: float, readout_s: float = 0.0) -> PairMatches:
     rng = np.random.default_rng(seed)
     turn = Rotation.from_rotvec(rng.normal(0, 0.15, (2 * _PAIRS, 3))).as_matrix()
     pose = make_pose(turn, rng.normal(0, 0.6, (2 * _PAIRS, 3)))
@@ -33,11 +33,20 @@ def _matches(lens: Array, seed: int, extent: float) -> PairMatches:
     ideal_b = xyz_b[..., :2] / xyz_b[..., 2:]
     there = ((np.abs(ideal_b) < extent).all(axis=2) & (xyz_b[..., 2] > 1)).ravel()
     ideal = [at.reshape(-1, 2)[there] for at in (xyz_a[..., :2] / xyz_a[..., 2:], ideal_b)]
-    xy = [distort(at, lens) + rng.normal(0, _NOISE_PX / _FOCAL_PX, at.shape) for at in ideal]
     pair = np.repeat(np.arange(_PAIRS), _POINTS)[there]
-    row, focal, still = np.zeros(len(pair)), np.full(len(pair), _FOCAL_PX), np.zeros((_PAIRS, 6))
-    ends = np.arange(2 * _PAIRS).reshape(-1, 2)
-    return PairMatches(pair, xy[0], xy[1], row, row, focal, focal, a_T_b, still, still, ends, lens[2:])
+    rows, twists = np.zeros((2, len(pair))), np.zeros((2, _PAIRS, 6))
+    if readout_s:
+        twists[..., :3] = rng.normal(0, 0.4, (2, _PAIRS, 3))
+        rows = np.clip([at[:, 1] / (2 * extent) for at in ideal], -0.5, 0.5)
+    seen = []
+    for at, row, twist in zip(ideal, rows, twists, strict=True):
+        turn = Rotation.from_rotvec(-readout_s * row[:, None] * twist[pair, :3])
+        ray = turn.apply(np.column_stack([at, np.ones(len(at))]))
+        seen.append(distort(ray[:, :2] / ray[:, 2:], lens) + rng.normal(0, _NOISE_PX / _FOCAL_PX, at.shape))
+    focal, ends = np.full(len(pair), _FOCAL_PX), np.arange(2 * _PAIRS).reshape(-1, 2)
+    return PairMatches(
+        pair, seen[0], seen[1], rows[0], rows[1], focal, focal, a_T_b, twists[0], twists[1], ends, lens[2:]
+    )
 
 
 @pytest.mark.parametrize("name", _LENSES)
@@ -93,28 +102,60 @@ def test_a_pinhole_that_settings_hold_stays_and_is_named_where_images_have_a_len
     assert held.stated_is_wrong == is_wrong
 
 
+@pytest.mark.parametrize(("stated_s", "is_wrong"), [(0.02, False), (0.033, True), (0.0, True)])
+def test_a_stated_readout_time_is_kept_or_named_wrong(stated_s: float, is_wrong: bool) -> None:
+    lens = (0.09, -0.12)
+    estimated = _estimated((0.0, 0.0), lens, 0, readout_s=0.02, stated_readout_s=stated_s)
+    assert estimated.stated_readout_s == stated_s and estimated.stated_readout_is_wrong == is_wrong
+    assert estimated.readout_s == pytest.approx(0.02, abs=0.003)
+    prior_sd_s = np.sqrt(estimated.prior_covariance[2][2])
+    assert prior_sd_s > 0.01 if is_wrong else prior_sd_s < 0.002
+    assert np.allclose(estimated.coefficients[:2], lens, atol=0.02) and estimated.origin == CameraOrigin.ESTIMATED
+
+
+def test_a_readout_time_by_the_settings_goes_before_the_stated_one() -> None:
+    settings = SfmSettings(readout_s=0.01)
+    held = _estimated((0.0, 0.0), (0.09, -0.12), 0, settings, readout_s=0.02, stated_readout_s=0.033)
+    assert held.readout_s == pytest.approx(0.01, abs=1e-5)
+    assert held.stated_readout_s is None and not held.stated_readout_is_wrong
+
+
 def test_frames_share_a_lens_where_device_size_stated_lens_and_focal_length_are_the_same() -> None:
     frames = _frames((0.0, 0.0), 6)
     frames["session_id"] = ["a", "a", "b", "b", "c", "c"]
     frames.loc[[1, 3], "fx"] = 240.0  # the ultra-wide camera, in the middle of a session
     lens, names = lenses_of(frames, {"a": "phone", "b": "phone", "c": "another phone"})
+    assert (
+        len(
+            lenses_of(
+                frames.assign(stated_readout_s=[0.01, 0.01, 0.02, 0.02, 0.01, 0.01]),
+                {"a": "phone", "b": "phone", "c": "another"},
+            )[1]
+        )
+        == 5
+    )
     assert len(names) == 3 and lens[0] == lens[2] and lens[1] == lens[3] and lens[4] == lens[5]
     assert len(set(lens[[0, 1, 4]])) == 3
     assert "phone, 640x480, focal length 0.38 widths" in names
 
 
 def _estimated(
-    stated: tuple[float, float], true: tuple[float, float], seed: int, settings: SfmSettings | None = None
+    stated: tuple[float, float],
+    true: tuple[float, float],
+    seed: int,
+    settings: SfmSettings | None = None,
+    readout_s: float = 0.0,
+    stated_readout_s: float = np.nan,
 ) -> Lens:
-    matches = _matches(np.array([*true, 0, 0, 0, 0, 0, 0]), seed, 0.6)
-    frames = _frames(stated, 2 * _PAIRS)
+    matches = _matches(np.array([*true, 0, 0, 0, 0, 0, 0]), seed, 0.6, readout_s)
+    frames = _frames(stated, 2 * _PAIRS).assign(stated_readout_s=stated_readout_s)
     prior = prior_lenses(frames, {"walk": "phone"}, settings or SfmSettings()).lenses[0]
     return estimated_lens(prior, matches, frames, matches.frames, seed)
 
 
 def _frames(stated: tuple[float, float], count: int) -> pd.DataFrame:
     row = {"session_id": "walk", "width": 640, "height": 480, "fx": _FOCAL_PX, "fy": _FOCAL_PX, "cx": 320.0}
-    row |= {"cy": 240.0} | {f"vio_cam_{name}": np.nan for name in ("tx", "ty", "tz")}
+    row |= {"cy": 240.0, "stated_readout_s": np.nan} | {f"vio_cam_{name}": np.nan for name in ("tx", "ty", "tz")}
     row |= {f"vio_cam_q{name}": float(name == "w") for name in "xyzw"}
     frames = pd.DataFrame([row] * count)
     frames["distortion"] = pd.Series([[*stated, 0.0, 0.0]] * count)

@@ -18,6 +18,7 @@ from known import read_picture
 from textured_room import Room, make_look_alike_rooms, make_room
 
 from groundwalk.artefacts import UserError, execute
+from groundwalk.artefacts.choices import NotRegistered
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import rotation_angle
@@ -80,6 +81,30 @@ def test_a_room_of_two_walks_becomes_one_right_model(room: Room) -> None:
     lenses = pd.read_parquet(folder / "lenses.parquet").iloc[0]
     assert abs(lenses["k1"]) < 4 * lenses["k1_sd"] + 0.005 and abs(lenses["k2"]) < 4 * lenses["k2_sd"] + 0.005
     assert not (folder / "scratch").exists()
+
+
+def test_a_zoom_a_frame_without_features_and_a_log_without_poses_between_images_are_named(
+    room: Room, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A blank last frame in one walk; in the other the last frames show the middle of what the lens sees."""
+    pictures = room.data.captures("room")
+    cv2.imwrite(str(pictures / "two/6.jpg"), np.full((240, 320), 128, np.uint8))
+    for number in (4, 5, 6):
+        path = str(pictures / f"one/{number}.jpg")
+        cv2.imwrite(
+            path, cv2.resize(read_picture(Path(path))[18:222, 24:296], (320, 240), interpolation=cv2.INTER_CUBIC)
+        )
+    room.note_images()
+    folder = _run(room)
+    said = " ".join(capsys.readouterr().err.split())
+    images = pd.read_parquet(folder / "images.parquet").set_index("frame_id")
+    assert images["not_registered"].dropna().to_dict() == {"two/000006": NotRegistered.NO_VERIFIED_PAIRS}
+    assert not images.loc["two/000006", "registered"] and "not registered: 1 no verified pairs" in said
+    steps = pd.read_parquet(folder / "intrinsics.parquet").set_index("session_id")
+    assert steps["focal_step_frame_id"].dropna().to_dict() == {"one": "one/000004"}
+    assert 1.1 < steps["focal_step"].max() < 320 / 272  # the prior of focus holds it back
+    assert "session one: the images' focal lengths step to 1.1" in said and "at frame one/000004" in said
+    assert "no VIO poses within 0.3 s before and after 14 of 14 images (7 of one, 7 of two)" in said
 
 
 def test_walks_that_nothing_visual_ties_together_become_components(tmp_path: Path) -> None:
