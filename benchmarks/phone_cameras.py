@@ -3,8 +3,9 @@
 Grid: scenes of the demo's size with lenses, readout times and focus breathing as measured on phones, against the truth;
 one of each scene, and one with fewer frames, beside stock COLMAP on the same images (every pair matched, one OPENCV
 camera a session). Walks: small captures (320x240, three walks; capture n has seed 100 + n), a lens and readout time
-drawn for each, to count how often the stated uncertainties hold. Each case is kept as `<work>/<part>/<case>.json` when it is done, and the same command
-goes on with the rest; its captures and runs are deleted. Writes docs/results/phone-cameras.md and .csv.
+drawn for each, to count how often the stated uncertainties hold. Each case is kept as `<work>/<part>/<case>.json` when
+it is done, and the same command goes on with the rest; its captures and runs are deleted. Writes
+docs/results/phone-cameras.md and .csv.
 """
 
 import csv

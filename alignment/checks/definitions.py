@@ -55,7 +55,7 @@ DEFINITIONS = {
         evidence="a longer walk, a second session or a ruler",
     ),
     CheckName.MAP_VERTICAL: CheckDefinition(
-        estimate="standard error of the vertical", unit=CheckUnit.DEGREES, evidence="a second session"
+        estimate="standard error of the vertical", unit=CheckUnit.DEGREES, evidence="a further session"
     ),
     CheckName.REFERENCE_SCALE: CheckDefinition(
         estimate="standard error of the metric scale by the reference poses",

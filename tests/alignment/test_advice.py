@@ -134,6 +134,37 @@ def test_without_the_session_that_is_named_all_passes(walks: Walks, name: CheckN
     assert not failures(run(without(scene, check.subject.session_id)))
 
 
+# A walk whose check is undecided, and the same one as its evidence says.
+_SHORT = {"frames": 8, "speed_m": 0.5, "sessions": 2}
+_ODOMETRY_DRIFTS = {"drift_m": 0.04, "drift_yaw_deg": 1.0}
+_ROUGH_SFM = {"frames": 12, "speed_m": 0.3, "sessions": 2, "sfm_deg": 2.0}
+_UNDECIDED: dict[CheckName, tuple[str, dict[str, float], dict[str, float]]] = {
+    CheckName.MAP_VERTICAL: ("a further session", {"frames": 30, "sessions": 2, "phone_tilt_deg": 2}, {"sessions": 4}),
+    CheckName.SESSION_MOTION: ("a longer walk with turns", _ROUGH_SFM | {"sfm_deg": 1.5}, {"frames": 120}),
+    CheckName.SESSION_TURNS: ("a walk with more turns", _SHORT | _ODOMETRY_DRIFTS, {"frames": 40}),
+    CheckName.SESSION_SCALE: ("a longer walk in this session", _SHORT, {"frames": 20, "speed_m": 1.2}),
+    CheckName.SESSION_VERTICAL: ("a longer walk in this session", _ROUGH_SFM, {"frames": 60}),
+    # More images make SfM's poses surer.
+    CheckName.WINDOW_POSITION: (
+        "more images there", {"frames": 8, "speed_m": 0.15, "sessions": 1} | _ODOMETRY_DRIFTS, {"sfm_m": 0.003}
+    ),
+    CheckName.WINDOW_ROTATION: ("more images there", _ROUGH_SFM, {"sfm_deg": 0.3}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", _UNDECIDED)
+def test_evidence_that_is_advised_decides(walks: Walks, name: CheckName) -> None:
+    advice, start, follow = _UNDECIDED[name]
+
+    def undecided(**changes: float) -> list[CheckResult]:
+        checks = run(walks.make(**NOISE | {"seed": 1} | start | changes)).checks
+        return [c for c in with_status(checks, Status.UNDECIDED) if c.name == name]
+
+    before = undecided()
+    assert before and all(c.advice == advice for c in before)
+    assert not undecided(**follow)
+
+
 def test_a_mirrored_session_is_to_be_written_unmirrored(walks: Walks) -> None:
     scene = walks.make(**NOISE)
     mirror(scene, of_walk(scene, 1), 0)

@@ -148,7 +148,12 @@ def test_too_little_depth_judges_nothing(scene: Placed, tmp_path: Path) -> None:
     samples = samples_of((frames, images, placed), tmp_path, 1.3)
     (result,), (line,) = check_depth(agreement_table(samples, seed=0), AlignSettings())
     assert (result.name, result.subject.session_id, result.status) == ("session_depth_scale", "walk", "undecided")
-    assert "too little depth" in line and result.value is None
+    assert "too little depth" in line and result.value is None and result.advice.startswith("more frames with depth")
+    frames["depth"] = [f"depth{i}.png" for i in range(COUNT)]
+    (decided, *_), _ = check_depth(
+        agreement_table(samples_of((frames, images, placed), tmp_path, 1.3), seed=0), AlignSettings()
+    )
+    assert decided.status == "failed"
     frames["depth"] = None
     assert not has_depth(frames)
     assert not len(agreement_table(samples_of((frames, images, placed), tmp_path), seed=0))

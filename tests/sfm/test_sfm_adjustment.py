@@ -8,6 +8,7 @@ from typing import cast
 import numpy as np
 import pycolmap
 import pytest
+from known import there
 from scipy.spatial.transform import Rotation
 
 from groundwalk.artefacts.choices import CameraOrigin
@@ -45,16 +46,20 @@ _LENS, _READOUT_S = (0.092, -0.125), 0.02
 _ANGULAR_SD, _FOCUS_SD = 0.02, 0.003
 
 
-def _walk(seed: int, first_row: str = "top", k3: float = 0.0) -> tuple[Bundle, Cameras]:
-    """A camera in the middle of points all around, turning and walking; what it really sees."""
+def _walk(seed: int, first_row: str = "top", k3: float = 0.0, straight: bool = False) -> tuple[Bundle, Cameras]:
+    """A camera in the middle of points all around, turning, or going straight ahead; what it sees."""
     rng = np.random.default_rng(seed)
     angle = np.linspace(0, 2.0, _FRAMES)
     pose = np.tile(np.eye(4), (_FRAMES, 1, 1))
     pose[:, :3, 3] = np.column_stack([4 * np.sin(angle), 0.3 * rng.normal(size=_FRAMES), 4 * np.cos(angle)])
     turn = np.column_stack([angle, 0.1 * rng.normal(size=_FRAMES), 0.1 * rng.normal(size=_FRAMES)])
+    if straight:
+        pose[:, :3, 3] = np.column_stack([np.zeros((_FRAMES, 2)), 4 * np.sin(angle / 2)])
+        turn[:] = 0
     pose[:, :3, :3] = Rotation.from_euler("yxz", turn).as_matrix()
-    direction = rng.normal(size=(_POINTS, 3)) * [1, 0.5, 1]
-    xyz = direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(7, 13, (_POINTS, 1))
+    points = 2 * _POINTS if straight else _POINTS
+    direction = rng.normal(size=(points, 3)) * [1, 0.5, 1]
+    xyz = direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(7, 13, (points, 1))
     cameras = Cameras(
         np.tile([483.0, 483.0, 320.0, 236.0], (_FRAMES, 1)),
         readout_lines([first_row] * _FRAMES, 640, 480),
@@ -75,7 +80,7 @@ def _walk(seed: int, first_row: str = "top", k3: float = 0.0) -> tuple[Bundle, C
         point.append(np.flatnonzero(ahead))
         frame.append(np.full(len(point[-1]), row))
     frame_M, point_M = np.concatenate(frame), np.concatenate(point)
-    often = (np.bincount(point_M, minlength=_POINTS) >= 3)[point_M]
+    often = (np.bincount(point_M, minlength=points) >= 3)[point_M]
     kept, point_M = np.unique(point_M[often], return_inverse=True)
     bundle = Bundle(pose, xyz[kept], frame_M[often], point_M, np.full((len(point_M), 2), 240.0))
     for _ in range(6):
@@ -92,10 +97,11 @@ def _adjusted(
     focus_sd: float = 0.001,
     angular_sd: float = _ANGULAR_SD,
     noise_px: float | Array = _NOISE_PX,
+    straight: bool = False,
 ) -> tuple[Adjusted, Bundle, Cameras]:
     """The walk adjusted from noisy observations and VIO's angular velocities; the lens as phones have it on average.
     `noise_px` is the sd of all observations or of each point's."""
-    truth, cameras = _walk(seed, first_row, k3)
+    truth, cameras = _walk(seed, first_row, k3, straight)
     assumed = readout_lines([assumed_first_row or first_row] * _FRAMES, 640, 480)
     rng = np.random.default_rng(100 + seed)
     mean = replace(
@@ -252,6 +258,16 @@ def test_points_beside_the_image_that_the_lens_folds_into_it_are_known() -> None
     x, _ = project(seen, cameras)[-1]
     assert 0 < x < 640
     assert np.flatnonzero(folded(seen, cameras)).tolist() == [len(bundle.point)]
+
+
+def test_turns_and_sideways_steps_tell_the_focal_length() -> None:
+    """What the check of focal lengths advises where it's undecided."""
+    sd = []
+    for straight in (True, False):
+        adjusted, truth, _ = _adjusted(0, straight=straight)
+        estimate = there(covariances(adjusted, np.arange(len(truth.xyz))))
+        sd.append(np.sqrt(np.diag(estimate.shared)[-2:]).max())
+    assert sd[1] < sd[0] / 2
 
 
 @pytest.mark.parametrize("first_row", ["right", "bottom", "left"])
