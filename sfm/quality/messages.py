@@ -16,6 +16,7 @@ from groundwalk.sfm.settings import SfmSettings
 
 # No phone's sensor takes as long to read its rows, and so many sigmas are clear.
 _MAX_READOUT_S, _READOUT_SIGMAS = 0.045, 3.0
+_FRAMES_AT_ENDS = 2  # of a session
 # A time offset is worth a line where it is so large and so clear.
 _MIN_OFFSET_S, _OFFSET_SIGMAS = 0.002, 3.0
 
@@ -78,14 +79,15 @@ def report_patterns(r: StageRun[SfmSettings], residuals: pd.DataFrame, plot: str
 
 
 def report_motion(r: StageRun[SfmSettings], frames: pd.DataFrame, motion: Motion) -> None:
-    """A line where VIO doesn't say how cameras turned while rows were read out."""
-    unknown = ~motion.known
-    r.figure("frames_without_angular_velocity", int(unknown.sum()))
-    if unknown.any():
-        sessions = frames["session_id"][unknown].value_counts(sort=False)
+    """A line where VIO doesn't say how cameras turned while rows were read out, but for a session's first and last
+    image, before and after which there needn't be any pose."""
+    count = frames["session_id"][~motion.known].value_counts(sort=False)
+    r.figure("frames_without_angular_velocity", int(count.sum()))
+    count = count[count > _FRAMES_AT_ENDS]
+    if len(count):
         r.say(
-            f"no VIO poses within {MAX_GAP_S:g} s before and after {unknown.sum()} of {len(frames)} images ("
-            + ", ".join(f"{count} of {session}" for session, count in sessions.items())
+            f"no VIO poses within {MAX_GAP_S:g} s before and after {count.sum()} of {len(frames)} images ("
+            + ", ".join(f"{images} of {session}" for session, images in count.items())
             + f"): their angular velocity, which rolling shutter needs, is taken as 0 ± {UNKNOWN_ANGULAR_SD:g} rad/s, "
             "and their poses are less certain. Log the poses between images, too"
         )
