@@ -79,9 +79,10 @@ def report_patterns(r: StageRun[SfmSettings], residuals: pd.DataFrame, plot: str
 
 
 def report_motion(r: StageRun[SfmSettings], frames: pd.DataFrame, motion: Motion) -> None:
-    """A line where VIO doesn't say how cameras turned while rows were read out, but for a session's first and last
+    """A line where a session's VIO doesn't say how cameras turned while rows were read out, but for its first and last
     image, before and after which there needn't be any pose."""
-    count = frames["session_id"][~motion.known].value_counts(sort=False)
+    has_vio = frames["vio_cam_tx"].notna().groupby(frames["session_id"]).transform("any")
+    count = frames["session_id"][~motion.known & has_vio].value_counts(sort=False)
     r.figure("frames_without_angular_velocity", int(count.sum()))
     count = count[count > _FRAMES_AT_ENDS]
     if len(count):
