@@ -76,7 +76,7 @@ TABLES = [
                 True,
             ),
         ],
-        version="3.2",
+        version="3.3",
         renamed=_HELD_OUT_RENAMED,
     ),
     TableSchema(
@@ -131,7 +131,7 @@ TABLES = [
                 True,
             ),
         ],
-        version="3.0",
+        version="3.1",
         renamed={"held_out_stated_px": "held_out_prior_px", "heldout_px": "held_out_px"},
     ),
     TableSchema(

@@ -300,8 +300,9 @@ def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pair
     prior_px, estimated_px = (_median_px(checked, e) for e in (at_prior, estimate))
     wrong, readout_is_wrong, is_held = False, False, bool(np.diag(information)[0] > _EXACT_INFORMATION / 2)
     loosened = np.array(prior.prior_covariance)
-    weak = estimate_lens(fitted, start, np.linalg.inv(_WEAK_PRIOR))
-    weak_px = _median_px(checked, weak)
+    if prior.origin == CameraOrigin.STATED or prior.stated_readout_s is not None:
+        weak = estimate_lens(fitted, start, np.linalg.inv(_WEAK_PRIOR))
+        weak_px = _median_px(checked, weak)
     if prior.origin == CameraOrigin.STATED:
         row = frames.iloc[int(pairs[0, 0])]
         extent = (0.5 * row.width / row.fx, 0.5 * row.height / row.fy)

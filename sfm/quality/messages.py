@@ -59,8 +59,8 @@ def report_models(
         f"{registered} of {len(model.registered)} frames in {where}, {len(model.xyz)} points, "
         f"{error_px:.2f} px mean reprojection error"
     )
-    if missing := [f"{count} {why}" for why, count in not_registered.value_counts().items()]:
-        r.say(f"not registered: {', '.join(missing)} (images.parquet, not_registered)")
+    for why, count in not_registered.value_counts().items():
+        r.say(f"{count} of {len(not_registered)} frames not registered: {why} (images.parquet, not_registered)")
     if inconsistent:
         r.say(
             f"{inconsistent} verified pairs excluded: relative pose inconsistent with VIO (pairs.parquet, status "
