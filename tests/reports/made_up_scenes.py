@@ -12,6 +12,7 @@ import pytest
 from known import cells
 from scipy.spatial.transform import Rotation
 
+from groundwalk.artefacts.choices import NotRegistered
 from groundwalk.artefacts.files import hash_files, write_json
 from groundwalk.artefacts.schemas import schema, stage_tables
 from groundwalk.artefacts.settings import DataRoot
@@ -280,7 +281,8 @@ class MadeUpScene:
         poses[lost] = np.nan
         registered = np.arange(count) != lost
         images = pd.concat([self.frames[["frame_id"]], pose_frame("sfm_cam", poses)], axis=1).assign(
-            registered=registered, model_id="incremental/0", keypoints=900, covariance=None, motion_sd=np.nan,
+            registered=registered, not_registered=cells(None if r else NotRegistered.NOT_MAPPED for r in registered),
+            model_id="incremental/0", keypoints=900, covariance=None, motion_sd=np.nan,
             observations=self.rng.integers(150, 700, count) * registered,
             reprojection_px=np.where(registered, self.rng.gamma(20, 0.04, count), np.nan), uses_vio=False,
             track_length=np.where(registered, 6.5, np.nan), triangulation_deg=np.where(registered, 12.0, np.nan),
