@@ -104,6 +104,7 @@ def examine(inputs: AlignInputs, settings: AlignSettings) -> Examination:
 
 def _examine_by_vio(inputs: AlignInputs, models: Sequence[ModelSegments], settings: AlignSettings) -> Examination:
     registered, count = inputs.registered, len(inputs.frames)
+    not_registered = inputs.not_registered
     checks = check_registration(inputs.frames, registered, inputs.recordings, settings)
     of_model: dict[str, Component | None] = {}
     for index, model in enumerate(models):
@@ -118,9 +119,9 @@ def _examine_by_vio(inputs: AlignInputs, models: Sequence[ModelSegments], settin
     residual_m, residual_rad = max_residuals(count, windows)
     not_compared = np.where(np.isfinite(residual_m), "", "not compared with VIO").astype(object)
     # Uncertain frames and links are judged by the frames that the checks before leave.
-    used = exclusion_reasons(checks, inputs.not_registered) == ""
+    used = exclusion_reasons(checks, not_registered) == ""
     checks += check_uncertain_frames(components, inputs, used, not_compared, settings)
-    used = exclusion_reasons(checks, inputs.not_registered) == ""
+    used = exclusion_reasons(checks, not_registered) == ""
     placed, results = _place(components, used, settings)
     checks += results
     return Examination(
@@ -130,7 +131,7 @@ def _examine_by_vio(inputs: AlignInputs, models: Sequence[ModelSegments], settin
         checks=checks,
         rulers=rulers,
         registered=registered,
-        exclusion=exclusion_reasons(checks, inputs.not_registered),
+        exclusion=exclusion_reasons(checks, not_registered),
         problem=_problems(not_compared, checks, components),
         residual_m=residual_m,
         residual_rad=residual_rad,

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.poses import Array, make_pose
 
-# Phones' sensors take 10 to 30 ms; what is stated beyond this is no readout time.
+# Phones' sensors take up to 35 ms; what is stated beyond this is no readout time.
 MAX_READOUT_S = 0.1
 # By the side of the image that is read out first: factors of x / width and y / height, and the constant, of the share
 # of the readout.

@@ -299,34 +299,18 @@ def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pair
     estimate = estimate_lens(fitted, start, information)
     prior_px, estimated_px = (_median_px(checked, e) for e in (at_prior, estimate))
     wrong, readout_is_wrong, is_held = False, False, bool(np.diag(information)[0] > _EXACT_INFORMATION / 2)
-    loosened = np.array(prior.prior_covariance)
     if prior.origin == CameraOrigin.STATED or prior.stated_readout_s is not None:
         weak = estimate_lens(fitted, start, np.linalg.inv(_WEAK_PRIOR))
         weak_px = _median_px(checked, weak)
-    if prior.origin == CameraOrigin.STATED:
-        row = frames.iloc[int(pairs[0, 0])]
-        extent = (0.5 * row.width / row.fx, 0.5 * row.height / row.fy)
-        by_images = [*weak.parameters[:2], *matches.stated_6]
-        shift_px = max_shift(by_images, prior.stated, extent) * row.fx
-        error = weak.parameters[:2] - start[:2]
-        sigmas = np.sqrt(error @ np.linalg.solve(weak.covariance[:2, :2], error))
-        wrong = bool(
-            sigmas > _MIN_WRONG_SIGMAS and shift_px > _MIN_WRONG_PX and weak_px < (1 - _MIN_WRONG_GAIN) * prior_px
-        )
-        if wrong:
+        denied = _distortion_is_denied(prior, weak, matches.stated_6, frames.iloc[int(pairs[0, 0])])
+        wrong = denied and weak_px < (1 - _MIN_WRONG_GAIN) * prior_px
+        readout_is_wrong = _readout_is_denied(prior, weak) and weak_px < prior_px
+        if readout_is_wrong or (wrong and not is_held):
+            prior = _loosened(prior, distortion=wrong and not is_held, readout=readout_is_wrong)
+            estimate = estimate_lens(fitted, start, np.linalg.inv(np.array(prior.prior_covariance)))
+            estimated_px = _median_px(checked, estimate)
+        if wrong and is_held:
             estimated_px = weak_px
-            if not is_held:
-                loosened[:2, :2] = _WEAK_PRIOR[:2, :2]
-                prior = replace(prior, prior_k3_sd=_K3_SD)
-    if prior.stated_readout_s is not None:
-        limit_s = max(_MIN_WRONG_SIGMAS * np.sqrt(weak.covariance[2, 2]), _MIN_WRONG_READOUT_S)
-        error_s = abs(weak.parameters[2] - prior.stated_readout_s)
-        if readout_is_wrong := bool(error_s > limit_s and weak_px < prior_px):
-            loosened[2, 2] = _READOUT_SD_S**2
-    if (loosened != prior.prior_covariance).any():
-        prior = replace(prior, prior_covariance=loosened.tolist())
-        estimate = estimate_lens(fitted, start, np.linalg.inv(loosened))
-        estimated_px = _median_px(checked, estimate)
     check: dict[str, Any] = {"held_out_prior_px": prior_px, "held_out_px": estimated_px, "stated_is_wrong": wrong}
     check["stated_readout_is_wrong"] = readout_is_wrong
     chosen = at_prior if estimated_px > prior_px else estimate
@@ -345,6 +329,37 @@ def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pair
         covariance=estimate.covariance.tolist(),
         origin=CameraOrigin.STATED if is_held else CameraOrigin.ESTIMATED,
     )
+
+
+def _distortion_is_denied(prior: Lens, weak: LensEstimate, stated_6: Array, frame: pd.Series) -> bool:
+    """Images of a stated lens, by which `weak` is estimated almost without a prior, show another one; `frame` is one of
+    them."""
+    if prior.origin != CameraOrigin.STATED:
+        return False
+    extent = (0.5 * frame.width / frame.fx, 0.5 * frame.height / frame.fy)
+    shift_px = max_shift([*weak.parameters[:2], *stated_6], prior.stated, extent) * frame.fx
+    error = weak.parameters[:2] - prior.coefficients[:2]
+    sigmas = np.sqrt(error @ np.linalg.solve(weak.covariance[:2, :2], error))
+    return bool(sigmas > _MIN_WRONG_SIGMAS and shift_px > _MIN_WRONG_PX)
+
+
+def _readout_is_denied(prior: Lens, weak: LensEstimate) -> bool:
+    """The same of a stated readout time."""
+    if prior.stated_readout_s is None:
+        return False
+    limit_s = max(_MIN_WRONG_SIGMAS * np.sqrt(weak.covariance[2, 2]), _MIN_WRONG_READOUT_S)
+    return bool(abs(weak.parameters[2] - prior.stated_readout_s) > limit_s)
+
+
+def _loosened(prior: Lens, *, distortion: bool, readout: bool) -> Lens:
+    """A lens whose stated distortion, or readout time, is hardly a prior any more."""
+    covariance = np.array(prior.prior_covariance)
+    if distortion:
+        covariance[:2, :2] = _WEAK_PRIOR[:2, :2]
+        prior = replace(prior, prior_k3_sd=_K3_SD)
+    if readout:
+        covariance[2, 2] = _WEAK_PRIOR[2, 2]
+    return replace(prior, prior_covariance=covariance.tolist())
 
 
 def _rotations_by_vio(pairs: Pairs, frames: pd.DataFrame) -> Array:

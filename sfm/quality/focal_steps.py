@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.geometry.poses import Array
+from groundwalk.geometry.robust import SIGMA_OF_MEDIAN
 
 # A step is judged by so many frames, at most and at least, before and after it.
 _FRAMES, _MIN_FRAMES = 5, 3
@@ -13,7 +14,6 @@ _FRAMES, _MIN_FRAMES = 5, 3
 _MIN_SCATTERS = 8.0
 # The scatter of estimates that happen to be nearly the same.
 _MIN_SCATTER = 0.002
-_SD_OF_MAD = 1.4826
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,13 @@ def focal_step(focal_scale_N: Array, limit: float) -> FocalStep | None:
     """The largest step in N frames' factors from logged focal lengths to adjusted ones, in the order of time, that is
     larger than the fraction `limit`. None where there is no such step."""
     log_scale = np.log(focal_scale_N)
+    to_next = np.abs(np.diff(log_scale))
     steps = []
     for first in range(_MIN_FRAMES, len(log_scale) - _MIN_FRAMES + 1):
         sides = (log_scale[max(first - _FRAMES, 0) : first], log_scale[first : first + _FRAMES])
         before, after = (float(np.median(side)) for side in sides)
-        scatter = _SD_OF_MAD * np.median(np.abs(np.concatenate([sides[0] - before, sides[1] - after])))
+        scatter = SIGMA_OF_MEDIAN * np.median(np.abs(np.concatenate([sides[0] - before, sides[1] - after])))
         if abs(after - before) > max(_MIN_SCATTERS * max(float(scatter), _MIN_SCATTER), np.log1p(limit)):
             steps.append(FocalStep(first, float(np.exp(after - before))))
     # Splits beside the step look like it, too: it's between the two frames that differ most.
-    return max(steps, key=lambda step: abs(np.diff(log_scale)[step.first - 1]), default=None)
+    return max(steps, key=lambda step: to_next[step.first - 1], default=None)

@@ -15,7 +15,7 @@ from groundwalk.sfm.quality.residuals import pattern_of
 from groundwalk.sfm.settings import SfmSettings
 
 # No phone's sensor takes as long to read its rows, and so many sigmas are clear.
-_MAX_READOUT_S, _READOUT_SIGMAS = 0.045, 3.0
+_SENSORS_READOUT_S, _READOUT_SIGMAS = 0.045, 3.0
 _FRAMES_AT_ENDS = 2  # of a session
 # A time offset is worth a line where it is so large and so clear.
 _MIN_OFFSET_S, _OFFSET_SIGMAS = 0.002, 3.0
@@ -102,10 +102,10 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
             + "".join(f"{name} {lens[name]:.4f} ± {lens[f'{name}_sd']:.4f}, " for name in ("k1", "k2", "k3"))
             + f"readout {1000 * lens['readout_s']:.1f} ± {1000 * lens['readout_sd_s']:.1f} ms ({lens['origin']})"
         )
-        if abs(lens["readout_s"]) - _READOUT_SIGMAS * lens["readout_sd_s"] > _MAX_READOUT_S:
+        if abs(lens["readout_s"]) - _READOUT_SIGMAS * lens["readout_sd_s"] > _SENSORS_READOUT_S:
             r.say(
                 f"lens of {lens['lens_id']}: no sensor takes {1000 * abs(lens['readout_s']):.0f} ms to read its rows "
-                "(phones' take 5 to 35 ms): images of STABILISED VIDEO, which are shifted and turned one by one, look "
+                "(phones' take up to 35 ms): images of STABILISED VIDEO, which are shifted and turned one by one, look "
                 "like this. Capture with stabilisation off"
             )
         offset_s, sd_s = lens["time_offset_s"], lens["time_offset_sd_s"]
@@ -132,9 +132,9 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
     for session in intrinsics.to_dict("records"):
         if session["focal_step_frame_id"] is not None:
             r.say(
-                f"session {session['session_id']}: the images' focal lengths step to {session['focal_step']:.3f} times "
-                f"at frame {session['focal_step_frame_id']}, the logged ones don't: digital zoom or another lens. Log "
-                "the focal length of each image, or capture again without it"
+                f"session {session['session_id']}: the focal length of the images changes by a factor of "
+                f"{session['focal_step']:.3f} at frame {session['focal_step_frame_id']}, the logged one doesn't: "
+                "digital zoom or another lens. Log the focal length of each image, or capture again without a change"
             )
         error = session["focal_scale"] - 1
         if abs(error) >= limit:
