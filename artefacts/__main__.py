@@ -44,7 +44,7 @@ def link_captures(
     data: DataOption = Path("data"),
 ) -> None:
     """Make data/captures/<scene> a link to a folder of captures, which stays as it is."""
-    link = DataRoot(data).captures(scene)
+    link, folder = DataRoot(data).captures(scene), folder.expanduser()
     if not folder.is_dir():
         raise UserError("the captures folder isn't there", where=folder, expected="a folder of phone captures")
     if link.resolve() == folder.resolve():

@@ -353,8 +353,8 @@ def _write(work: Path, out: Path) -> bool:
         limits = "; ".join(f"{name} {low:g} to {high:g} {unit}" for name, (unit, low, high) in _LIMITS.items())
         sections += [
             "## Grid",
-            "Named by scene, k1, k2, readout and focus breathing (share of the focal length); profile demo (0.18 of "
-            "the paper's frames where no other fraction is named), seed 0. "
+            "Named by scene, k1, k2, readout and focus breathing (share of the focal length); profile demo (its "
+            "fraction of the paper's frames where no other is named), seed 0. "
             f"Estimates ± one sigma (true). To reach: {limits}. Errors of one capture's frames hang together, so the "
             "share inside differs from case to case where bounds are right, too: their mean says whether they are. "
             f"Load as each case ended: {', '.join(loads)}.",

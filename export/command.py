@@ -63,7 +63,7 @@ def export(
 ) -> None:
     """Write ground truth as another tool reads it, or a regressor as a phone runs it.
 
-    docs/explanation/ground-truth.md says what each format of ground truth can't hold. Frames without are excluded;
+    docs/how-to/export.md says what each format of ground truth can't hold. Frames without ground truth are left out;
     `frames.csv` lists every frame with its split, quality, image and camera; `export.json` says what the export is.
     docs/how-to/phone.md says what format phone writes.
     """

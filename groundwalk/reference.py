@@ -39,8 +39,9 @@ the key. The resolved settings of a run are in each stage's `manifest.json`.
 _COMMANDS_HEAD = f"""# Commands
 
 `groundwalk <command> --help` prints the same. A command exits with 0 when it did what it says, with 2 after an error
-that a user can correct, with 130 after Ctrl-C and 143 after SIGTERM; a stage that was stopped resumes when the same
-command is run again. `make help` lists the targets of the Makefile, which call these commands.
+that a user can correct (`check-truth` with 1 where a target is missed), with 130 after Ctrl-C and 143 after SIGTERM; a
+stage that was stopped resumes when the same command is run again. `make help` lists the targets of the Makefile, which
+call these commands.
 
 {WRITTEN_BY}
 """
@@ -234,7 +235,8 @@ def _value_text(value: Any) -> str:
 
 def _command(command: Command) -> str:
     loaded = command.load()
-    text = command.stage().help if command.is_stage else (loaded.help or command.help)
+    is_group = hasattr(loaded, "commands")
+    text = command.stage().help if command.is_stage else (not is_group and loaded.help) or command.help
     lines = [f"\n### groundwalk {command.name}\n\n{_cell(text)}\n"]
     if command.is_stage:
         section = command.name

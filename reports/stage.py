@@ -120,5 +120,5 @@ STAGE = Stage(
     reads_shipped=("published",),
     needs=("import", "sfm", "align", "localise", "train", "fuse"),
     run=run,
-    help="Report: Tables I to III beside the paper's numbers, all methods over all frames, figures, checks, a page.",
+    help="Report: Tables I to IV beside the paper's numbers, all methods over all frames, figures, checks, a page.",
 )

@@ -43,7 +43,11 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     rows = [(files[index].name, (index, files[index])) for index in sorted(files)]
     frames, rejects = collect(rows, session_id, _read_row)
     refuse_unreadable(path, frames, rejects, "frame-000000.pose.txt with 16 numbers")
-    nominal = any(frame.intrinsics is _CAMERA for frame in frames)
+    split, notes = _split(path), []
+    if split is None:
+        notes.append("neither TrainSplit.txt nor TestSplit.txt beside its folder lists it (unzip sequences there)")
+    if any(frame.intrinsics is _CAMERA for frame in frames):
+        notes.append("nominal intrinsics: the colour camera wasn't calibrated")
     return RawSession(
         session_id,
         FORMAT.id,
@@ -54,8 +58,8 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         rejects,
         pose_source=PoseSource.REFERENCE,
         is_gravity_aligned=False,
-        split=_split(path),
-        notes=["nominal intrinsics: the colour camera wasn't calibrated"] if nominal else [],
+        split=split,
+        notes=notes,
     )
 
 

@@ -66,11 +66,14 @@ class LensEstimate:
 def sampson_of(matches: PairMatches, a_T_b: Array, parameters: Array) -> Array:
     """Signed Sampson distances (M,) in pixels with a lens and readout time, poses (P, 4, 4); far away where the lens
     can't see the image point."""
-    rays_a, rays_b = (_rays(xy, parameters, matches.stated_6) for xy in (matches.xy_a, matches.xy_b))
+    return _sampson(matches, a_T_b, _rays(matches, parameters), float(parameters[2]))
+
+
+def _sampson(matches: PairMatches, a_T_b: Array, rays: tuple[Array, Array], readout: float) -> Array:
+    rays_a, rays_b = rays
     T = a_T_b[matches.pair]
     rotation, translation = T[:, :3, :3], T[:, :3, 3]
-    if parameters[2]:
-        readout = parameters[2]
+    if readout:
         turn_a, shift_a = _motion(matches.twist_a[matches.pair], readout * matches.row_a)
         turn_b, shift_b = _motion(matches.twist_b[matches.pair], readout * matches.row_b)
         translation = np.einsum(
@@ -135,10 +138,11 @@ def _without_poses(
     return np.asarray(solved, float), bread, pull, force
 
 
-def _rays(xy_M2: Array, parameters: Array, stated_6: Array) -> Array:
-    rays = np.ones((len(xy_M2), 3))
-    rays[:, :2] = undistort(xy_M2, [*parameters[:2], *stated_6])
-    return rays
+def _rays(matches: PairMatches, parameters: Array) -> tuple[Array, Array]:
+    """Rays (M, 3) with z = 1 of both images' points."""
+    lens = [*parameters[:2], *matches.stated_6]
+    a, b = (np.insert(undistort(xy, lens), 2, 1.0, axis=1) for xy in (matches.xy_a, matches.xy_b))
+    return a, b
 
 
 def _motion(twist_M6: Array, time_M: Array) -> tuple[Array, Array]:
@@ -148,15 +152,16 @@ def _motion(twist_M6: Array, time_M: Array) -> tuple[Array, Array]:
 
 def _derivatives(matches: PairMatches, a_T_b: Array, theta: Array, residual: Array) -> tuple[Array, Array]:
     """Of the residuals by each pair's pose (M, 5) and by the lens (M, 3), numerically."""
+    rays = _rays(matches, theta)
 
-    def slope(a_T_b_moved: Array, theta_moved: Array) -> Array:
-        moved = sampson_of(matches, a_T_b_moved, theta_moved)
+    def slope(moved: Array) -> Array:
         # A match beyond what the lens can see tells nothing of it.
         return np.where((residual < _NO_RAY_PX) & (moved < _NO_RAY_PX), (moved - residual) / _DIFFERENCE, 0.0)
 
     pose_steps, lens_steps = _DIFFERENCE * np.eye(5), _DIFFERENCE * np.eye(3)
-    by_pose = np.column_stack([slope(_moved(a_T_b, np.tile(step, (len(a_T_b), 1))), theta) for step in pose_steps])
-    by_lens = np.column_stack([slope(a_T_b, theta + step) for step in lens_steps])
+    moved_poses = [_moved(a_T_b, np.tile(step, (len(a_T_b), 1))) for step in pose_steps]
+    by_pose = np.column_stack([slope(_sampson(matches, moved, rays, float(theta[2]))) for moved in moved_poses])
+    by_lens = np.column_stack([slope(sampson_of(matches, a_T_b, theta + step)) for step in lens_steps])
     return by_pose, by_lens
 
 

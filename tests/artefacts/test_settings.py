@@ -99,3 +99,11 @@ def test_user_errors_are_short(tmp_path: Path) -> None:
     assert refused.stderr.startswith("error: the captures folder isn't there")
     assert "Traceback" not in refused.stderr
     assert "no recording" in artefacts("view", "--scene", "x", cwd=tmp_path).stderr
+
+
+def test_a_home_folder_that_no_shell_expanded_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "captures").mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path))
+    done = artefacts("link-captures", "--scene", "x", "--folder", "~/captures", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "data" / "captures" / "x").resolve() == (tmp_path / "captures").resolve()

@@ -154,6 +154,10 @@ def test_public_data_sets_keep_their_split_and_have_no_vio(tmp_path: Path) -> No
         ("train", "reference", False),
         ("test", "reference", False),
     ]
+    (place / "TestSplit.txt").unlink()
+    unlisted = find_recordings(place, tmp_path / "unpacked", Limits())[1].read(Limits())
+    assert unlisted.split is None
+    assert "TestSplit.txt" in unlisted.notes[0]
     write_cambridge(tmp_path / "church" / "seq1", make_walk(8))
     assert find_one(tmp_path / "church").read(Limits()).split == "train"
 
