@@ -135,7 +135,7 @@ def check_truth(
             do="simulate longer walks",
         )
     try:
-        targets, _ = truth_targets(gt, _true_poses(gt, scene, profile, root), figures)
+        targets, _ = truth_targets(gt, _all_true_poses(gt, scene, profile, root), figures)
     except GeometryError as error:
         raise UserError("too little ground truth to compare", where=scene, found=error) from None
     count = int((gt["quality"] != QualityClass.NONE).sum())
@@ -150,8 +150,9 @@ def check_truth(
         raise typer.Exit(1)
 
 
-def _true_poses(gt: pd.DataFrame, scene: str, profile: str, root: DataRoot) -> Array:
-    """map_T_cam (N, 4, 4) of the frames, by the simulator."""
+def true_poses_of(frames: pd.DataFrame, scene: str, profile: str, root: DataRoot) -> Array:
+    """map_T_cam (N, 4, 4) of a simulated scene's frames (columns session_id, t_ns), by the simulator; NaN where it has
+    none."""
     path = root.captures(scene) / "true_poses.parquet"
     if not path.is_file():
         raise UserError(
@@ -162,16 +163,22 @@ def _true_poses(gt: pd.DataFrame, scene: str, profile: str, root: DataRoot) -> A
         )
     sessions = read_table(root.run(profile, scene, "import") / "sessions.parquet", schema("import", "sessions"))
     recording = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
-    keys = pd.DataFrame({"session_id": gt["session_id"].map(recording), "t_ns": gt["t_ns"]})
+    keys = pd.DataFrame({"session_id": frames["session_id"].map(recording), "t_ns": frames["t_ns"]})
     truth = read_table(path, schema("simulate", "true_poses"))
-    true = keys.merge(truth, on=["session_id", "t_ns"], how="left", validate="many_to_one")
-    missing = int(true["map_cam_qw"].isna()[(gt["quality"] != QualityClass.NONE).to_numpy()].sum())
+    return poses_of(keys.merge(truth, on=["session_id", "t_ns"], how="left", validate="many_to_one"), "map_cam")
+
+
+def _all_true_poses(gt: pd.DataFrame, scene: str, profile: str, root: DataRoot) -> Array:
+    """The same of ground truth, which has a pose for no frame that the simulator has none for."""
+    true_T_cam = true_poses_of(gt, scene, profile, root)
+    has_pose = (gt["quality"] != QualityClass.NONE).to_numpy()
+    missing = int(np.isnan(true_T_cam[has_pose, 0, 0]).sum())
     if missing:
         raise UserError(
             "some frames have no true pose",
-            where=path,
+            where=root.captures(scene) / "true_poses.parquet",
             expected="a row for each frame's session and time",
-            found=f"{missing} of {len(keys)} frames without one",
+            found=f"{missing} of {len(gt)} frames without one",
             do="import and align the captures that these true poses belong to",
         )
-    return poses_of(true, "map_cam")
+    return true_T_cam

@@ -1,7 +1,5 @@
 """Manifests of finished artefacts: what they have to say, and whether the artefact is still as it was written."""
 
-import contextlib
-import os
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,6 @@ def load_manifest(folder: Path) -> dict[str, Any]:
     """The manifest of a finished artefact; UserError where it can't be read or isn't one."""
     content = read_json(folder / MANIFEST)
     if not is_manifest(content):
-        make_again(folder)
         raise UserError(
             f"the manifest of artefact {folder.name} is damaged",
             where=folder / MANIFEST,
@@ -60,7 +57,6 @@ def load_verified(folder: Path) -> dict[str, Any]:
     except OSError as error:
         raise UserError("an artefact can't be read", where=error.filename, found=error.strerror) from None
     if damaged:
-        make_again(folder)
         gone = sum(not (folder / name).is_file() for name in damaged)
         raise UserError(
             f"artefact {folder.name} isn't as its stage wrote it: {len(damaged)} of {len(manifest['outputs'])} files "
@@ -86,9 +82,3 @@ def is_whole(folder: Path, key: str) -> bool:
 def _again(folder: Path) -> str:
     profile, scene, stage = folder.parts[-3:]
     return f"{run_command(scene, profile, stage)}, which makes it anew"
-
-
-def make_again(folder: Path) -> None:
-    """Date a damaged artefact's manifest back, so that make runs its stage, which then finds the damage itself."""
-    with contextlib.suppress(OSError):
-        os.utime(folder / MANIFEST, (0, 0))

@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import pandas as pd
 import typer
 
 from benchmarks.gates_breaking import (
@@ -42,6 +41,7 @@ from benchmarks.gates_breaking import (
 )
 from benchmarks.gates_captures import CORRIDOR, Capture, write_capture
 from benchmarks.results import circumstances_of, markdown_table
+from groundwalk.alignment.check_truth import true_poses_of
 from groundwalk.alignment.stage import STAGE as ALIGN
 from groundwalk.artefacts import DataRoot, Stage, UserError, execute
 from groundwalk.artefacts.choices import FailureCause
@@ -229,13 +229,9 @@ def _labels(data: DataRoot, scene: str) -> Labels:
     if not path.is_file():
         return Labels()
     gt = read_table(path, schema("align", "ground_truth"))
-    truth = read_table(data.captures(scene) / "true_poses.parquet", schema("simulate", "true_poses"))
-    sessions = read_table(data.run(PROFILE, scene, "import") / "sessions.parquet", schema("import", "sessions"))
     images = read_table(data.run(PROFILE, scene, "sfm") / "images.parquet", schema("sfm", "images"))
     images = gt[["frame_id"]].merge(images, on="frame_id", how="left")
-    recording = dict(zip(sessions["session_id"], sessions["recording"], strict=True))
-    keys = pd.DataFrame({"session_id": gt["session_id"].map(recording), "t_ns": gt["t_ns"]})
-    true_T_cam = poses_of(keys.merge(truth, on=["session_id", "t_ns"], how="left"), "map_cam")
+    true_T_cam = true_poses_of(gt, scene, PROFILE, data)
     given, registered = (gt["quality"] != "none").to_numpy(), images["registered"].to_numpy(bool)
     sure = gt["quality"].isin(["A", "B"]).to_numpy()
     metres, wrong = np.full(len(gt), np.inf), np.ones(len(gt), dtype=bool)

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.stages import Cost, measure
-from groundwalk.alignment.check_truth import TruthTarget, truth_targets
+from groundwalk.alignment.check_truth import TruthTarget, true_poses_of, truth_targets
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.choices import QualityClass
 from groundwalk.artefacts.files import hash_files
@@ -65,14 +65,10 @@ def part_of(scene: str, whole: DataRoot, part: DataRoot, frames: int) -> None:
     (target / MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
 
 
-def true_poses(scene: str, root: DataRoot, profile: str = PROFILE) -> Array:
+def true_poses(scene: str, root: DataRoot) -> Array:
     """The true map_T_cam (N, 4, 4) of the frames of an imported simulated scene."""
-    folder = root.run(profile, scene, "import")
-    frames = read_table(folder / "frames.parquet", schema("import", "frames"))
-    sessions = read_table(folder / "sessions.parquet", schema("import", "sessions")).set_index("session_id")
-    truth = read_table(root.captures(scene) / "true_poses.parquet", schema("simulate", "true_poses"))
-    keys = pd.DataFrame({"session_id": frames["session_id"].map(sessions["recording"]), "t_ns": frames["t_ns"]})
-    return poses_of(keys.merge(truth, on=["session_id", "t_ns"], how="left", validate="many_to_one"), "map_cam")
+    frames = read_table(root.run(PROFILE, scene, "import") / "frames.parquet", schema("import", "frames"))
+    return true_poses_of(frames, scene, PROFILE, root)
 
 
 def ground_truth_targets(
@@ -82,20 +78,15 @@ def ground_truth_targets(
     about."""
     folder = root.run(profile, scene, "align")
     gt = read_table(folder / "ground_truth.parquet", schema("align", "ground_truth"))
-    return gt, *truth_targets(gt, _true_poses_of_dataset(scene, root, profile), load_manifest(folder)["figures"])
+    return gt, *truth_targets(gt, true_poses_of(gt, scene, profile, root), load_manifest(folder)["figures"])
 
 
 def ground_truth_errors(gt: pd.DataFrame, scene: str, root: DataRoot, profile: str) -> Array:
     """Position errors of a simulated scene's ground truth, metres."""
     has_pose = (gt["quality"] != QualityClass.NONE).to_numpy()
     one_map = np.zeros(np.count_nonzero(has_pose), np.int64)
-    true_T_cam = _true_poses_of_dataset(scene, root, profile)[has_pose]
+    true_T_cam = true_poses_of(gt, scene, profile, root)[has_pose]
     return errors_after_sim3(poses_of(gt, "map_cam")[has_pose], one_map, true_T_cam)[0]
-
-
-def _true_poses_of_dataset(scene: str, root: DataRoot, profile: str) -> Array:
-    frames = read_table(root.run(profile, scene, "import") / "frames.parquet", schema("import", "frames"))
-    return true_poses(scene, root, profile)[~frames["support"].to_numpy(bool)]
 
 
 def errors_after_sim3(sfm_T_cam: Array, model_N: np.ndarray, true_T_cam: Array) -> tuple[Array, Array]:

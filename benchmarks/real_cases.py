@@ -81,7 +81,6 @@ class Case:
     folder: Path
     settings: tuple[str, ...] = ()
     targets: tuple[Target, ...] = ()
-    resampled: bool = True
     is_tiled_corridor: bool = False
     board: str = ""
 
@@ -189,7 +188,7 @@ def standard_cases(captures: Path) -> list[Case]:
     cases = [
         Case("chair", captures / "chair", (), chair),
         Case("corridor", captures / "corridor", (), corridor, is_tiled_corridor=True),
-        Case("corridor_all", captures / "corridor", ('sampling="all"',), corridor_all, False, is_tiled_corridor=True),
+        Case("corridor_all", captures / "corridor", ('sampling="all"',), corridor_all, is_tiled_corridor=True),
         Case("charuco", both, (), (_ACCEPTED, share, *_SCALE), board=_CHARUCO_BOARD),
         *(
             Case(f"charuco_{session.name}", session, (), (_ACCEPTED, share, *_SCALE), board=_CHARUCO_BOARD)

@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from groundwalk.artefacts.choices import PoseSource, Tracking
 from groundwalk.artefacts.parallel import in_parallel
@@ -21,6 +20,7 @@ from groundwalk.capture_import.media.spool import thumbnail_path
 from groundwalk.capture_import.media.thumbnails import MAX_THUMBNAILS, spread, thumbnail_of
 from groundwalk.capture_import.tables import printable
 from groundwalk.geometry.poses import Array, transform
+from groundwalk.geometry.rows import evenly
 
 _TRACKING_COLOURS = {
     Tracking.NORMAL: VIO,
@@ -66,7 +66,7 @@ def log_session(
     numbers, cameras = _numbers(frames), _cameras(session, frames)
     size = float(np.clip(np.ptp(poses[:, :3, 3], axis=0).max() / 15, 0.05, 1.5))
     for name, rows, depth_m in (("frames", frames, size / 4), ("support_frames", support, size / 8)):
-        outlined = rows.iloc[_spread(np.arange(len(rows)), _MAX_FRUSTA)]
+        outlined = rows.iloc[evenly(len(rows), _MAX_FRUSTA)]
         _log_frusta(stream, f"{at}/{name}", outlined, _cameras(session, outlined), depth_m)
     thumbnails = [thumbnail_path(spooled, number) for number in numbers]
     ready = [i for i, thumbnail in enumerate(thumbnails) if thumbnail.is_file()]
@@ -102,11 +102,6 @@ def _session_view(session_id: str) -> rrb.Container:
         column_shares=[3, 2],
         name=session_id,
     )
-
-
-def _spread(indices: NDArray[np.int64], max_count: int) -> NDArray[np.int64]:
-    """At most so many of the indices, evenly spread."""
-    return indices[np.linspace(0, len(indices) - 1, min(len(indices), max_count)).astype(int)]
 
 
 def _log_frusta(stream: rr.RecordingStream, at: str, frames: pd.DataFrame, cameras: Array, depth_m: float) -> None:

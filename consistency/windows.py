@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.consistency.decisions import beyond, within
+from groundwalk.consistency.decisions import beyond
 from groundwalk.consistency.trajectories import path_windows
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.fits import ROBUST_TOLERANCE, fit_poses, fit_robust, pose_residuals
@@ -52,12 +52,6 @@ class WindowResiduals:
         """(n,) frames that are beyond a limit."""
         in_position = beyond(self.position_m, self.position_sd_m, self.limit_m)
         return in_position | beyond(self.rotation, self.rotation_sd, self.limit_rotation)
-
-    @property
-    def undecided(self) -> NDArray[np.bool_]:
-        """(n,) frames that may be on either side of a limit."""
-        in_position = within(self.position_m, self.position_sd_m, self.limit_m)
-        return ~self.wrong & ~(in_position & within(self.rotation, self.rotation_sd, self.limit_rotation))
 
 
 def fit_rigid(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import Sim3, fit_robust, fit_sim3
 from groundwalk.geometry.poses import Array, skew
+from groundwalk.geometry.rows import summed
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -324,9 +325,7 @@ def _is_plane(xyz: Array) -> bool:
 
 def _sums(values: Array, index: Indices, count: int, weights: Array) -> Array:
     """Weighted sums (count, ...) of values (M, ...) with the same index (M,)."""
-    total = np.zeros((count, *values.shape[1:]))
-    np.add.at(total, index, weights.reshape(-1, *[1] * (values.ndim - 1)) * values)
-    return total
+    return summed(weights.reshape(-1, *[1] * (values.ndim - 1)) * values, index, count)
 
 
 def _solve(matrices: Array, vectors: Array) -> Array:

@@ -21,11 +21,6 @@ def load_features(path: Path) -> Features:
         return Features(kept["px"], kept["size_px"], kept["descriptors"])
 
 
-def strongest(features: Features, count: int) -> Features:
-    """The `count` strongest of features in order of strength."""
-    return Features(features.px[:count], features.size_px[:count], features.descriptors[:count])
-
-
 def unit(descriptors: NDArray[np.generic]) -> NDArray[np.float32]:
     """Descriptors (..., D) at unit length."""
     floats = np.asarray(descriptors, np.float32)

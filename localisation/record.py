@@ -21,6 +21,7 @@ from groundwalk.artefacts.recording import (
 )
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rows import evenly
 from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.localisers import LOCALISERS
 
@@ -71,8 +72,7 @@ def record(
         stream.log(f"/{model}/map", rr.Points3D(xyz, colors=NEUTRAL, radii=rr.Radius.ui_points(1)), static=True)
         stream.log(f"/{model}/inliers", rr.SeriesLines(colors=LOCALISERS[model].colour, names="inliers"), static=True)
     true = poses_of(truth.set_index("frame_id").reindex(queries["frame_id"]), "map_cam")
-    chosen = np.unique(np.linspace(0, len(queries) - 1, min(_MOST_QUERIES, len(queries))).round().astype(int))
-    for row in chosen.tolist() if answers else []:
+    for row in evenly(len(queries), _MOST_QUERIES).tolist() if answers else []:
         frame = queries.iloc[row]
         stream.set_time(_FRAMES, sequence=row)
         set_time(stream, int(frame["t_ns"]))

@@ -8,6 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rows import summed
 
 Ints = NDArray[np.int64]
 _ROUNDS = 8
@@ -104,8 +105,8 @@ def _adjusted(seen: Rays, point: Ints, max_px: float) -> tuple[Array, Array, Arr
     information = np.zeros((count, 3, 3))
     for _ in range(10):
         weighted = across * weight[:, None, None]
-        information = _sums(point, weighted, count)
-        right = _sums(point, np.einsum("oij,oj->oi", weighted, seen.origin), count)
+        information = summed(weighted, point, count)
+        right = summed(np.einsum("oij,oj->oi", weighted, seen.origin), point, count)
         ridge = 1e-9 * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-30 * np.eye(3)
         xyz = np.linalg.solve(information + ridge, right[:, :, None])[:, :, 0]
         offset = xyz[point] - seen.origin
@@ -114,13 +115,6 @@ def _adjusted(seen: Rays, point: Ints, max_px: float) -> tuple[Array, Array, Arr
         residual = np.where(depth > 0, seen.focal_px * miss / np.maximum(depth, 1e-9), np.inf)
         weight = (seen.focal_px / np.maximum(np.abs(depth), 0.05)) ** 2 / (1 + np.minimum(residual / max_px, 1e3) ** 2)
     return xyz, information, residual
-
-
-def _sums(point: Ints, values: Array, count: int) -> Array:
-    """Sums (count, ...) of values (O, ...) by sorted point."""
-    flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
-    out = np.stack([np.bincount(point, column, count) for column in flat.T], axis=1)
-    return np.asarray(out.reshape(count, *values.shape[1:]), float)
 
 
 def _worst(point: Ints, residual: Array, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -151,7 +145,7 @@ def _widest_angle(seen: Rays, point: Ints, xyz: Array) -> Array:
     """About the widest angle (P,) between the rays of a point: twice the widest one to their mean, rad."""
     direction = seen.origin - xyz[point]
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    mean = _sums(point, direction, len(xyz))
+    mean = summed(direction, point, len(xyz))
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
     off = np.linalg.norm(direction - mean[point], axis=1)
     widest = np.zeros(len(xyz))

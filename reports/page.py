@@ -10,8 +10,9 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from groundwalk.artefacts import UserError
+from groundwalk.artefacts.images import read_image
 from groundwalk.artefacts.tables import scale_warning
+from groundwalk.geometry.rows import evenly
 from groundwalk.reports.grids import Grid, html_table
 from groundwalk.reports.inputs import SceneInputs
 
@@ -102,18 +103,10 @@ def thumbnails(scene: SceneInputs, image_path: Callable[[str], Path], folder: Pa
     `image_path` turns an entry of frames.image into a path. UserError where an image can't be read any more.
     """
     frames = scene.frames.sort_values(["session_id", "t_ns"])
-    rows = np.unique(np.linspace(0, len(frames) - 1, min(_THUMBNAILS, len(frames))).round().astype(int))
     (folder / "frames").mkdir(parents=True, exist_ok=True)
     sheet = []
-    for number, (_, frame) in enumerate(frames.iloc[rows].iterrows()):
-        path = image_path(frame["image"])
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        if image is None:
-            raise UserError(
-                "an image of the capture can't be read any more",
-                where=path,
-                do="put the capture back, or run import again",
-            )
+    for number, (_, frame) in enumerate(frames.iloc[evenly(len(frames), _THUMBNAILS)].iterrows()):
+        image = cv2.cvtColor(read_image(image_path(frame["image"])), cv2.COLOR_RGB2BGR)
         scale = _THUMBNAIL_PX / max(image.shape[:2])
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         file = folder / "frames" / f"{scene.name}-{number:02d}.jpg"

@@ -94,13 +94,10 @@ def sure_enough(quality: ArrayLike) -> NDArray[np.bool_]:
     return np.array([c is None or c != c or c in SURE_CLASSES for c in stated], dtype=bool)
 
 
-def accuracy_shares(position_m: ArrayLike, rotation_deg: ArrayLike, frames: int | None = None) -> dict[str, float]:
-    """The share (0..1) of frames within each accuracy level.
-
-    `frames` counts frames without an estimate too: missing is failed. NaN errors reach no level. NaN for no frames.
-    """
+def accuracy_shares(position_m: ArrayLike, rotation_deg: ArrayLike) -> dict[str, float]:
+    """The share (0..1) of frames within each accuracy level. NaN errors reach no level. NaN for no frames."""
     position_m, rotation_deg = np.asarray(position_m, dtype=float), np.asarray(rotation_deg, dtype=float)
-    total = len(position_m) if frames is None else frames
+    total = len(position_m)
     return {
         name: float(np.sum((position_m <= metres) & (rotation_deg <= degrees)) / total) if total else float("nan")
         for name, (metres, degrees) in ACCURACY_LEVELS.items()

@@ -26,7 +26,9 @@ from groundwalk.artefacts.recording import (
 from groundwalk.artefacts.tables import camera_of, poses_of
 from groundwalk.artefacts.undistortion import undistorted_image
 from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.fits import rotation_to_up
 from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rows import evenly
 from groundwalk.sfm.model import Model
 from groundwalk.sfm.pairs.matching import MatchedPairs
 from groundwalk.sfm.settings import SfmSettings
@@ -54,13 +56,13 @@ def write_recording(r: StageRun[SfmSettings], frames: pd.DataFrame, model: Model
         stream.log("sfm/points", rr.Points3D(model.xyz, colors=model.rgb, radii=rr.Radius.ui_points(1.5)), static=True)
         for session, rows in frames.groupby("session_id", sort=True).indices.items():
             log_path(stream, f"sfm/paths/{session}", centres[np.sort(rows)], GROUND_TRUTH)
-        for row in _spread(registered, _MAX_FRUSTA):
+        for row in registered[evenly(len(registered), _MAX_FRUSTA)]:
             frame = frames.iloc[row]
             path = f"sfm/cameras/{frame.frame_id}"
             log_camera(stream, path, model.sfm_T_cam[row], frame, NEUTRAL, frustum, static=True)
         _log_pairs(stream, centres, model, matched)
         _log_quality(stream, model, registered)
-        rows = _spread(registered, _MAX_IMAGES)
+        rows = registered[evenly(len(registered), _MAX_IMAGES)]
         cameras = [camera_of(frames.iloc[row]) for row in rows]
         paths = [r.image_path(image) for image in frames["image"].iloc[rows]]
         images = in_parallel(lambda item: _undistorted(*item), zip(paths, cameras, strict=True))
@@ -115,14 +117,7 @@ def _upright(model: Model, vio_T_cam: Array) -> Array:
         return np.eye(3)
     # vio's +y in camera axes is the second row of vio_R_cam.
     up = np.einsum("nij,nj->ni", model.sfm_T_cam[has_pose, :3, :3], vio_T_cam[has_pose, 1, :3]).mean(axis=0)
-    up /= np.linalg.norm(up)
-    side = np.cross(np.eye(3)[np.argmin(np.abs(up))], up)
-    side /= np.linalg.norm(side)
-    return np.stack([side, up, np.cross(side, up)])
-
-
-def _spread(rows: np.ndarray, count: int) -> np.ndarray:
-    return rows[np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(int))]
+    return rotation_to_up(up)
 
 
 def _log_pairs(stream: rr.RecordingStream, centres: Array, model: Model, matched: MatchedPairs) -> None:

@@ -12,7 +12,6 @@ from groundwalk.geometry.poses import make_pose
 from groundwalk.simulation.camera import wander
 from groundwalk.simulation.place import UP, Place, Vec
 
-SPEED_LIMIT_MPS = 1.4
 MARGIN_M = 0.35  # kept from everything solid
 EYE_M = 1.5
 _STEP_M = 0.05
@@ -56,10 +55,6 @@ class PlannedWalk:
         c, s = np.cos(roll)[:, None], np.sin(roll)[:, None]
         right = c * level + s * down
         return make_pose(np.stack([right, np.cross(forward, right), forward], axis=2), self.position(t_s))
-
-    def velocity_mps(self, t_s: Vec) -> Vec:
-        """World velocity (N, 3)."""
-        return np.asarray(self.position(t_s, 1))
 
 
 def plan_walk(

@@ -35,11 +35,10 @@ _REFINE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
 
 @dataclass(frozen=True)
 class Detection:
-    """Corners in one image: indices (K,) into the ruler's nominal corners, pixels (K, 2), and how many markers."""
+    """Corners in one image: indices (K,) into the ruler's nominal corners, pixels (K, 2)."""
 
     corner: NDArray[np.int64]
     xy: Array
-    markers: int
 
 
 def nominal_corners(ruler: BoardRuler) -> Corners:
@@ -64,18 +63,17 @@ def held_out_corners(ruler: BoardRuler, corners: Corners) -> NDArray[np.bool_]:
 def detect(ruler: BoardRuler, image: Grey) -> Detection:
     """A ruler's corners in a grey image, refined to fractions of a pixel; none where it isn't seen."""
     if isinstance(ruler, CharucoRuler):
-        xy, ids, _, markers = cv2.aruco.CharucoDetector(_board(ruler)).detectBoard(image)
-        count = 0 if markers is None else len(markers)
+        xy, ids, _, _ = cv2.aruco.CharucoDetector(_board(ruler)).detectBoard(image)
         if ids is None or not len(ids):
-            return Detection(np.empty(0, dtype=np.int64), np.empty((0, 2)), count)
+            return Detection(np.empty(0, dtype=np.int64), np.empty((0, 2)))
         at = _refined(ruler, image, np.asarray(xy, dtype=np.float32).reshape(-1, 2)) + _CENTRE_OF_FIRST_PIXEL
-        return Detection(ids.ravel().astype(np.int64), at, count)
+        return Detection(ids.ravel().astype(np.int64), at)
     tags = _markers(ruler.dictionary, image)
     seen = [tag for tag, _ in tags]
     # An id that is seen twice is ambiguous.
     tags = [(tag, xy) for tag, xy in tags if seen.count(tag) == 1 and (not ruler.ids or tag in ruler.ids)]
     corner = np.array([4 * tag + k for tag, _ in tags for k in range(4)], dtype=np.int64)
-    return Detection(corner, np.array([xy for _, xy in tags]).reshape(-1, 2) + _CENTRE_OF_FIRST_PIXEL, len(tags))
+    return Detection(corner, np.array([xy for _, xy in tags]).reshape(-1, 2) + _CENTRE_OF_FIRST_PIXEL)
 
 
 def detect_all(rulers: Sequence[BoardRuler], paths: Sequence[Path]) -> list[list[Detection]]:

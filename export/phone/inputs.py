@@ -14,6 +14,7 @@ from groundwalk.export.regressor import TrainedRegressor
 from groundwalk.geometry import Array
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.gravity import upright_rotation
+from groundwalk.geometry.rows import evenly
 from groundwalk.runtime.preprocessing import Preprocessing
 from groundwalk.runtime.queries import Query
 from groundwalk.training.build import Trained
@@ -80,7 +81,7 @@ class PhoneInputs:
         rows = self.regressor.rows(split)
         if self.preprocessing.is_upright:
             rows = rows[self.regressor.frames["gravity_x"].iloc[rows].notna()]
-        return rows[np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(int))].tolist()
+        return rows[evenly(len(rows), count)].tolist()
 
     @cached_property
     def input_size(self) -> tuple[int, int]:

@@ -28,6 +28,7 @@ from scipy.optimize import minimize
 from scipy.special import polygamma, psi
 
 from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rows import evenly
 
 LEAST_FRAMES = 60
 """With fewer held-out frames there is no map: a few walks' worst views would stand for the whole place."""
@@ -118,7 +119,7 @@ class ErrorMap:
         there = np.flatnonzero(np.isfinite(apr).all(axis=(1, 2)) & np.isfinite(true).all(axis=(1, 2)))
         if len(there) < LEAST_FRAMES:
             return None
-        kept = _evenly(there, _MOST_FRAMES)
+        kept = there[evenly(len(there), _MOST_FRAMES)]
         where = np.hstack([apr[kept, :3, 3], apr[kept, :3, 2]])
         return cls(where, *errors_of(apr[kept], true[kept]), np.asarray(walk, dtype=object)[kept])
 
@@ -222,10 +223,6 @@ def _variance(errors: Array) -> float:
     return float(np.median(np.abs(errors)) / 0.6745) ** 2 + 1e-12
 
 
-def _evenly(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    return rows if len(rows) <= most else rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
-
-
 def _kernel(where: Array, reach: Reach) -> Array:
     scaled = where / np.repeat([reach.length_m, reach.length_look], 3)
     square = (scaled**2).sum(axis=1)
@@ -262,7 +259,7 @@ def _repeatability(K: Array, noise: float, error: Array, walk: NDArray[np.object
 
 def _fitted(where: Array, error: Array, logs: Array, yaw_per_m: float) -> Reach:
     """The numbers of greatest posterior probability for errors (N, 4) in units of their usual size."""
-    rows = _evenly(np.arange(len(where)), _FITTED_FRAMES)
+    rows = evenly(len(where), _FITTED_FRAMES)
     where, error, logs = where[rows], error[rows], logs[rows]
     extent = float(np.linalg.norm(np.ptp(where[:, :3], axis=0)))
     start = np.array([np.log(0.1 * extent + 0.1), 0.0, np.log(2.0), -2.0, -2.0])

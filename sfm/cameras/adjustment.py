@@ -23,8 +23,9 @@ from groundwalk.artefacts.progress import track
 from groundwalk.geometry.lens import distort_with_slope, fold_radius, slope_by_numerator
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN, cauchy_weights
+from groundwalk.geometry.rows import summed
 from groundwalk.geometry.shutter import readout_fraction
-from groundwalk.sfm.cameras.normal_equations import Solver, System, block_rows, inverse_of, similarities, summed
+from groundwalk.sfm.cameras.normal_equations import Solver, System, block_rows, inverse_of, similarities
 
 Ints = NDArray[np.int64]
 

@@ -23,6 +23,7 @@ from groundwalk.artefacts.parallel import one_thread
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.lens import distort, max_shift, undistort
 from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.geometry.rows import evenly
 from groundwalk.geometry.shutter import readout_fraction, readout_lines
 from groundwalk.sfm.cameras.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
 from groundwalk.sfm.cameras.motion import Motion
@@ -225,7 +226,8 @@ def calibrate(
     `Calibration`."""
     lens = prior.lens
     pairs = pairs[lens[pairs[:, 0]] == lens[pairs[:, 1]]]
-    of_lens = [_spread(pairs[lens[pairs[:, 0]] == k], _MAX_PAIRS) for k in range(len(prior.lenses))]
+    all_of_lens = [pairs[lens[pairs[:, 0]] == k] for k in range(len(prior.lenses))]
+    of_lens = [of_one[evenly(len(of_one), _MAX_PAIRS)] for of_one in all_of_lens]
     sample = np.concatenate([np.empty((0, 2), np.int64), *of_lens])
     match_pairs(report, images.database, images.names, sample, settings, seed)
     lenses = []
@@ -373,13 +375,6 @@ def _rotations_by_vio(pairs: Pairs, frames: pd.DataFrame) -> Array:
 
 def _median_px(matches: PairMatches, estimate: LensEstimate) -> float:
     return float(np.median(np.abs(sampson_of(matches, estimate.a_T_b, estimate.parameters))))
-
-
-def _spread(pairs: Pairs, count: int) -> Pairs:
-    """At most `count` of the pairs, evenly over them."""
-    if len(pairs) <= count:
-        return pairs
-    return pairs[np.unique(np.linspace(0, len(pairs) - 1, count).round().astype(int))]
 
 
 def lines_of(frames: pd.DataFrame) -> Array:

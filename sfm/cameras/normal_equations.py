@@ -14,6 +14,7 @@ from scipy.sparse import bsr_array, csr_array
 from scipy.sparse.linalg import LinearOperator, cg
 
 from groundwalk.geometry.poses import Array, skew
+from groundwalk.geometry.rows import summed
 
 # A step is solved to this fraction of its right side, in units of each unknown's own information.
 _TOLERANCE, _MAX_ITERATIONS = 1e-4, 40
@@ -166,13 +167,6 @@ def block_rows(
     starts = np.concatenate([[0], np.cumsum(np.bincount(frame_M, minlength=frames))])
     shape = (blocks.shape[1] * frames, blocks.shape[2] * points)
     return bsr_array((blocks[order], point_M[order], starts), shape=shape)
-
-
-def summed(values: Array, group: NDArray[np.int64], groups: int) -> Array:
-    """Sums of values (M, ...) by group (groups, ...)."""
-    flat = values.reshape(len(values), -1)
-    total: Array = np.stack([np.bincount(group, column, minlength=groups) for column in flat.T], axis=1)
-    return total.reshape(groups, *values.shape[1:])
 
 
 def similarities(position_N3: Array) -> Array:

@@ -14,6 +14,7 @@ from scipy.sparse import csr_array, vstack
 
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import cauchy_weights
+from groundwalk.geometry.rows import summed
 from groundwalk.geometry.shutter import readout_fraction
 from groundwalk.sfm.cameras.adjustment import (
     Adjusted,
@@ -26,7 +27,7 @@ from groundwalk.sfm.cameras.adjustment import (
     regular_system,
     shared_columns,
 )
-from groundwalk.sfm.cameras.normal_equations import block_rows, inverse_of, similarities, summed
+from groundwalk.sfm.cameras.normal_equations import block_rows, inverse_of, similarities
 
 # The scatter of blobs tells that of the poses where there are some more of them than unknowns.
 _POINTS_PER_UNKNOWN = 2

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from groundwalk.artefacts.choices import ResidualPattern
 from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rows import summed
 from groundwalk.geometry.shutter import readout_fraction
 from groundwalk.sfm.cameras.adjustment import Adjusted, Ints, project
-from groundwalk.sfm.cameras.normal_equations import summed
 
 LENS, SHUTTER = "lens", "rolling shutter or stabilised video"
 _CAUSE = {ResidualPattern.RADIUS: LENS, ResidualPattern.ROW: SHUTTER}

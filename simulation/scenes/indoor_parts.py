@@ -7,7 +7,6 @@ from groundwalk.simulation.canvas import Bgr, Canvas
 from groundwalk.simulation.materials import Material
 from groundwalk.simulation.place import Builder, Xz
 
-PARQUET = materials.masonry(0.09, 0.6, [(70, 112, 156), (84, 128, 172), (58, 96, 138)], (40, 60, 84), 0.006, 12)
 CEILING = materials.tiles(0.6, [(216, 220, 222), (208, 213, 216)], (150, 152, 154), 4)
 
 

@@ -130,8 +130,6 @@ def test_a_damaged_artefact_is_refused_as_input_and_made_again(data: DataRoot, d
     with pytest.raises(UserError, match=r"isn't as its stage wrote it|manifest of artefact import is damaged") as told:
         run(data, SFM)
     assert len(str(told.value).splitlines()) < 8
-    # make compares times: the damaged artefact has to look older than whatever it depends on.
-    assert (folder / "manifest.json").stat().st_mtime == 0
     run(data, IMPORT)
     assert content(folder) == whole
     run(data, SFM)
