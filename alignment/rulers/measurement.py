@@ -21,9 +21,8 @@ from groundwalk.alignment.rulers.detection import (
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler, Ruler
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import RulerPart
-from groundwalk.artefacts.tables import poses_of
+from groundwalk.artefacts.tables import camera_of, poses_of
 from groundwalk.geometry import GeometryError
-from groundwalk.geometry.lens import distort, undistort
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rulers import Corners, Observations, RulerFit, measure
 from groundwalk.geometry.shutter import readout_fraction, readout_lines, rows_in_camera
@@ -33,10 +32,6 @@ Mask = NDArray[np.bool_]
 
 # Smallest standard error of an observation, pixels in an image axis: detected, and read off by a person.
 _DETECTION_SD_PX, _READ_OFF_SD_PX = 0.1, 1.0
-# OpenCV takes so many distortion coefficients.
-_LENGTHS = (0, 4, 5, 8, 12, 14)
-# Where a lens model has no inverse, iterations end elsewhere: such corners are left out.
-_UNDISTORTED_PX = 0.05
 
 
 @dataclass(frozen=True)
@@ -173,22 +168,10 @@ def undistorted(frames: pd.DataFrame, rows: Indices, xy_px: Array) -> tuple[Arra
     xy, focal_px = np.full((len(rows), 2), np.nan), np.empty(len(rows))
     for row in np.unique(rows):
         same = rows == row
-        matrix, distortion = camera_of(frames, int(row))
-        focal_px[same] = np.sqrt(matrix[0, 0] * matrix[1, 1])
-        distorted = (xy_px[same] - matrix[:2, 2]) / matrix.diagonal()[:2]
-        ideal = undistort(distorted, distortion)
-        good = np.linalg.norm(distort(ideal, distortion) - distorted, axis=1) * focal_px[same] < _UNDISTORTED_PX
-        xy[same] = np.where(good[:, None], ideal, np.nan)
+        camera = camera_of(frames.iloc[int(row)])
+        focal_px[same] = np.sqrt(camera.fx * camera.fy)
+        xy[same] = camera.unproject(xy_px[same])
     return xy, focal_px
-
-
-def camera_of(frames: pd.DataFrame, row: int) -> tuple[Array, Array]:
-    """OpenCV's camera matrix (3, 3) and distortion of a frame, for pixels whose first centre is (0.5, 0.5)."""
-    fx, fy, cx, cy = frames[["fx", "fy", "cx", "cy"]].iloc[row].to_numpy(float)
-    coefficients = [float(k) for k in frames["distortion"].iloc[row]]
-    length = next(n for n in _LENGTHS if n >= len(coefficients))
-    padded = np.array(coefficients + [0.0] * (length - len(coefficients)))
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), padded
 
 
 def _read_off(ruler: DistanceRuler, frames: pd.DataFrame) -> RulerDetections:

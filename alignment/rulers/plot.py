@@ -4,17 +4,16 @@ import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from groundwalk.alignment.rulers.detection import read_grey
-from groundwalk.alignment.rulers.measurement import RulerMeasurement, camera_of, kind_of
+from groundwalk.alignment.rulers.measurement import RulerMeasurement, kind_of
 from groundwalk.alignment.rulers.scale_check import RulerCheck, describe
 from groundwalk.artefacts.choices import RulerKind, RulerPart
-from groundwalk.artefacts.tables import poses_of
+from groundwalk.artefacts.tables import camera_of, poses_of
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse, transform
 from groundwalk.geometry.rulers import RulerFit
@@ -98,10 +97,9 @@ def _draw_image(
     rows, corner, xy_px, cam_T_row = (a[measurement.in_model] for a in observed)
     row = int(np.bincount(rows[fit.inlier]).argmax())
     in_image = rows == row
-    matrix, distortion = camera_of(frames, row)
     inlier = in_image & fit.inlier
     in_cam = transform(inverse(sfm_T_cam[row] @ cam_T_row[inlier]), fit.fitted[corner[inlier]])
-    reprojected, _ = cv2.projectPoints(in_cam, np.zeros(3), np.zeros(3), matrix, distortion)
+    reprojected = camera_of(frames.iloc[row]).project(in_cam[:, :2] / in_cam[:, 2:])
     axes.imshow(
         read_grey(image_path(str(frames["image"].iloc[row]))),
         cmap="gray",
@@ -115,7 +113,7 @@ def _draw_image(
         color=_DETECTED,
         label="stated" if measurement.ruler.kind == RulerKind.DISTANCE else "detected",
     )
-    axes.plot(*reprojected.reshape(-1, 2).T, "x", ms=4, color=_REPROJECTED, label="reprojected")
+    axes.plot(*reprojected.T, "x", ms=4, color=_REPROJECTED, label="reprojected")
     low, high = xy_px[in_image].min(axis=0), xy_px[in_image].max(axis=0)
     margin = _MARGIN * max(float((high - low).max()), 40.0)
     axes.set_xlim(low[0] - margin, high[0] + margin)

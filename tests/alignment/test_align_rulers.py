@@ -20,7 +20,6 @@ from groundwalk.alignment.rulers.detection import detect, explain_absence, held_
 from groundwalk.alignment.rulers.measurement import (
     RulerDetections,
     RulerMeasurement,
-    camera_of,
     find_rulers,
     measure_rulers,
     undistorted,
@@ -35,7 +34,7 @@ from groundwalk.artefacts.files import sha256_of
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import resolve_settings
 from groundwalk.artefacts.stage import load_manifest
-from groundwalk.artefacts.tables import poses_of, read_table, write_table
+from groundwalk.artefacts.tables import camera_of, poses_of, read_table, write_table
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
 from groundwalk.geometry.shutter import readout_fraction, readout_lines
 
@@ -49,6 +48,12 @@ BOARD = {
 }
 LENS = [0.09, -0.12]
 SIZE = (1920, 1440)
+
+
+def opencv_camera(frames: pd.DataFrame, row: int) -> tuple[Array, Array]:
+    """Matrix (3, 3) and distortion (8,) of a frame, as cv2.projectPoints takes them."""
+    camera = camera_of(frames.iloc[row])
+    return camera.matrix, np.array([*camera.distortion, *[0.0] * 8][:8])
 
 
 @pytest.fixture
@@ -83,7 +88,7 @@ def sighted(
         seen = transform(inverse(scene.true_T_cam[row]), xyz)
         if (seen[:, 2] < 1).any():
             continue
-        xy, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), *camera_of(scene.frames, row))
+        xy, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), *opencv_camera(scene.frames, row))
         xy = xy.reshape(-1, 2)
         # Beyond the image a lens model may turn back.
         if (np.abs(seen[:, :2]) > 0.75 * seen[:, 2:]).any() or (xy < 0).any() or (xy > SIZE).any():
@@ -329,9 +334,8 @@ def test_a_rolling_shutter_is_undone_in_corners(scene: Scene, first_row: str) ->
             tau = readout_s * readout_fraction(line, pixels[i][None])[0]
             row_T_cam = inverse(make_pose(Rotation.from_rotvec(turn * tau).as_matrix(), velocity * tau))
             in_row = transform(row_T_cam @ inverse(scene.true_T_cam[row]), xyz[corner])
-            seen: np.ndarray = cv2.projectPoints(in_row[None], np.zeros(3), np.zeros(3), *camera_of(scene.frames, row))[
-                0
-            ]
+            camera = opencv_camera(scene.frames, row)
+            seen: np.ndarray = cv2.projectPoints(in_row[None], np.zeros(3), np.zeros(3), *camera)[0]
             pixels[i] = seen.ravel()
     pixels += rng.normal(0, 0.2, pixels.shape)
     scene.frames["first_row"] = first_row
@@ -355,7 +359,7 @@ def test_a_rolling_shutter_is_undone_in_corners(scene: Scene, first_row: str) ->
 def test_undistortion_inverts_the_lens(scene: Scene) -> None:
     rng = np.random.default_rng(0)
     xy = rng.uniform(-0.5, 0.5, (100, 2))
-    matrix, distortion = camera_of(scene.frames, 3)
+    matrix, distortion = opencv_camera(scene.frames, 3)
     seen = np.column_stack([xy, np.ones(100)])
     pixels: np.ndarray = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), matrix, distortion)[0]
     found, focal_px = undistorted(scene.frames, np.full(100, 3), pixels.reshape(-1, 2))
