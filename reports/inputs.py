@@ -165,26 +165,19 @@ class SceneInputs:
         times = self.predictions.loc[self.predictions["model"] == model, "inference_ms"].dropna()
         return float(times.median()) if len(times) else float("nan")
 
+    @property
     def leak_s(self) -> float | None:
-        """Seconds between the closest test and training frame of one session, or None where no session has both."""
-        gaps = []
-        for _, session in self.frames.groupby("session_id"):
-            test = session.loc[session["split"] == "test", "t_ns"].to_numpy()
-            train = np.sort(session.loc[session["split"].isin(["train", "val"]), "t_ns"].to_numpy())
-            if len(test) and len(train):
-                after = np.searchsorted(train, test)
-                before = np.abs(test - train[np.maximum(after - 1, 0)])
-                gaps.append(np.minimum(before, np.abs(train[np.minimum(after, len(train) - 1)] - test)).min())
-        return float(min(gaps)) * 1e-9 if gaps else None
+        """Seconds between the closest test and training frame of one recording, or None where none has both."""
+        leak_s: float | None = self.manifests["import"]["figures"]["leak_s"]
+        return leak_s
 
     def why_meaningless(self) -> list[str]:
         """Reasons why this scene's accuracy means nothing; none where it may mean something."""
         reasons = []
         if self.training_frames < ENOUGH_TRAINING_FRAMES:
             reasons.append(f"there are only {self.training_frames} training frames")
-        leak = self.leak_s()
-        if leak is not None and leak < LEAK_S:
-            reasons.append(f"training and test frames are of one walk, as little as {leak:.1f} s apart")
+        if self.leak_s is not None and self.leak_s < LEAK_S:
+            reasons.append(f"training and test frames are of one walk, as little as {self.leak_s:.1f} s apart")
         return reasons
 
 

@@ -29,7 +29,7 @@ def run_findings(scene: SceneInputs) -> Iterator[Finding]:
         *("0 frames", f"{uses_vio} frames", CAUTION if uses_vio else AGREES),
         "ground truth that leans on VIO flatters methods that use VIO",
     )
-    leak = scene.leak_s()
+    leak = scene.leak_s
     apart = "in different walks" if leak is None else f"{leak:.1f} s apart in one walk"
     yield Finding(
         *("no_leak", "import.frames", scene.name, "all", "split"),

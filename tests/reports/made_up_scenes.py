@@ -17,6 +17,7 @@ from groundwalk.artefacts.files import hash_files, write_json
 from groundwalk.artefacts.schemas import schema, stage_tables
 from groundwalk.artefacts.settings import DataRoot
 from groundwalk.artefacts.tables import pose_frame, read_table, write_table
+from groundwalk.capture_import.splits import leak_seconds
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg
 
@@ -430,10 +431,14 @@ def write_stage(data: DataRoot, scene: str, stage: str, tables: dict[str, pd.Dat
     for table in stage_tables(stage):
         if table.name in tables:
             write_table(folder / f"{table.name}.parquet", tables[table.name], table)
+    figures = {}
+    if stage == "import":
+        frames = tables["frames"].assign(recording=tables["frames"]["session_id"])
+        figures["leak_s"] = leak_seconds(frames, frames["split"].to_numpy(object))
     write_json(
         folder / "manifest.json",
         {
-            "stage": stage, "seed": 0, "simulated": simulated, "settings": {"made": "up"}, "figures": {},
+            "stage": stage, "seed": 0, "simulated": simulated, "settings": {"made": "up"}, "figures": figures,
             "seconds": {"step": 1.5}, "total_seconds": 2.0, "finished": "2026-01-01T00:00:00+00:00",
             "peak_memory_mib": 100.0, "versions": {"numpy": "2"}, "git_revision": "abc", "machine": "made up",
             "outputs": hash_files(folder, folder.glob("*.parquet")),
