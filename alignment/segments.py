@@ -21,6 +21,8 @@ class Segment:
     `rows` (N,) are their positions in the frames table. Poses (N, 4, 4) are NaN where SfM or VIO has none; `up_cam`
     (N, 3) is the unit vector against gravity in camera axes, or NaN. `recording` is the same for all parts of one
     recording, which share the phone's scale and gravity errors. `component` is the SfM model that the poses are from.
+    `travelled_m` (N,) is the length of VIO's path since the session's first frame, in which all its frames count; a
+    frame without VIO stays where the last one was.
     """
 
     session_id: str
@@ -32,6 +34,7 @@ class Segment:
     sfm_T_cam: Array
     vio_T_cam: Array
     up_cam: Array
+    travelled_m: Array
 
     @property
     def registered(self) -> np.ndarray:
@@ -49,15 +52,15 @@ class Segment:
         return self.registered & self.has_vio
 
     @property
-    def travelled_m(self) -> Array:
-        """(N,) length of the VIO path since the first frame; a frame without VIO stays where the last one was."""
-        xyz = pd.DataFrame(self.vio_T_cam[:, :3, 3]).ffill().bfill().to_numpy()
-        return np.zeros(len(xyz)) if np.isnan(xyz).any() else path_length(xyz)
+    def path_m(self) -> float:
+        """Length of VIO's path from the first frame to the last."""
+        return float(self.travelled_m[-1] - self.travelled_m[0])
 
     @property
     def trajectory_pair(self) -> TrajectoryPair:
         """The poses of the frames that both SfM and VIO have."""
-        return TrajectoryPair(self.sfm_T_cam[self.has_both], self.vio_T_cam[self.has_both])
+        both = self.has_both
+        return TrajectoryPair(self.sfm_T_cam[both], self.vio_T_cam[both], self.travelled_m[both])
 
     def renumbered(self, row_of: np.ndarray) -> "Segment":
         """The segment with its rows' new positions: row_of (M,) of those in the whole frames table."""
@@ -65,7 +68,7 @@ class Segment:
 
     def where(self, mask: np.ndarray) -> "Segment":
         """The segment's frames for which `mask` (N,) holds."""
-        arrays = ("rows", "t_ns", "sfm_T_cam", "vio_T_cam", "up_cam")
+        arrays = ("rows", "t_ns", "sfm_T_cam", "vio_T_cam", "up_cam", "travelled_m")
         return replace(self, **{name: getattr(self, name)[mask] for name in arrays})
 
 
@@ -113,12 +116,14 @@ def cut_segments(
     for session_id in sorted(set(session)):
         rows = np.flatnonzero(session == session_id)
         rows = rows[np.argsort(t_ns[rows], kind="stable")]
+        travelled_m = _travelled_m(vio_T_cam[rows, :3, 3])
         # The frame at the jump's time is the first one after it.
         jumps_ns = np.sort(large.loc[large["session_id"] == session_id, "t_ns"].to_numpy(np.int64))
-        parts = [p for p in np.split(rows, np.searchsorted(t_ns[rows], jumps_ns)) if len(p)]
+        parts = [p for p in np.split(np.arange(len(rows)), np.searchsorted(t_ns[rows], jumps_ns)) if len(p)]
         for index, part in enumerate(parts):
-            for number in np.unique(component[part]):
-                of_model = part[component[part] == number]
+            for number in np.unique(component[rows[part]]):
+                of_part = part[component[rows[part]] == number]
+                of_model = rows[of_part]
                 segments.append(
                     Segment(
                         session_id=session_id,
@@ -130,6 +135,12 @@ def cut_segments(
                         sfm_T_cam=sfm_T_cam[of_model],
                         vio_T_cam=vio_T_cam[of_model],
                         up_cam=up_cam[of_model],
+                        travelled_m=travelled_m[of_part],
                     )
                 )
     return segments
+
+
+def _travelled_m(xyz_N3: Array) -> Array:
+    placed = pd.DataFrame(xyz_N3).ffill().bfill().to_numpy()
+    return np.zeros(len(placed)) if np.isnan(placed).any() else path_length(placed)

@@ -64,8 +64,9 @@ def run(r: StageRun[AlignSettings]) -> None:
     for table in _TABLES:
         r.write(table, getattr(result, table))
     frames = dataset_frames(frames)
-    _write_figures(r, frames, result)
-    for line in _summary(r.settings, result, examination.checks):
+    registered = int(dataset.registered.sum())
+    _write_figures(r, frames, result, registered)
+    for line in _summary(r.settings, result, examination.checks, registered):
         r.say(line)
     clouds = {}
     if len(depth) and result.main.component.scale.is_known:
@@ -125,13 +126,13 @@ def _check_by_depth(
     return agreement, checks
 
 
-def _write_figures(r: StageRun[AlignSettings], frames: pd.DataFrame, result: AlignResult) -> None:
+def _write_figures(r: StageRun[AlignSettings], frames: pd.DataFrame, result: AlignResult, registered: int) -> None:
     gt, sessions, main = result.ground_truth, result.sessions, result.main
     scale, vertical, status = main.component.scale, main.component.vertical, result.checks["status"]
     reference = result.reference_agreement
     figures = {
         "frames": len(gt),
-        "registered": int(sessions["registered"].sum()),
+        "registered": registered,
         "with_ground_truth": int((gt["quality"] != QualityClass.NONE).sum()),
         **{f"quality_{name}": int((gt["quality"] == name).sum()) for name in QualityClass},
         "components": len(result.placed),
@@ -159,13 +160,13 @@ def _write_figures(r: StageRun[AlignSettings], frames: pd.DataFrame, result: Ali
         r.figure(name, value)
 
 
-def _summary(settings: AlignSettings, result: AlignResult, checks: Sequence[CheckResult]) -> list[str]:
+def _summary(settings: AlignSettings, result: AlignResult, checks: Sequence[CheckResult], registered: int) -> list[str]:
     """Lines for the user."""
     quality = result.ground_truth["quality"]
     counts = {name: int((quality == name).sum()) for name in QualityClass}
     with_pose = len(quality) - counts.pop(QualityClass.NONE)
     classes = ", ".join(f"{name} {count}" for name, count in counts.items())
-    registered, scale = int(result.sessions["registered"].sum()), result.main.component.scale
+    scale = result.main.component.scale
     return [
         f"{registered} of {len(quality)} frames registered, {with_pose} with ground truth ({classes})",
         *(f"  {line}" for line in result.class_counts),
@@ -210,7 +211,7 @@ def _describe_fit(fit: SessionFit) -> str:
         return f"{name}: too few frames with ground truth and VIO to align"
     text = (
         f"{name}: VIO off by {_rms(fit.rigid.position_m):.3f} m RMS, rotation median "
-        f"{np.median(fit.rigid.rotation_deg):.2f}° over {fit.segment.travelled_m[-1]:.1f} m"
+        f"{np.median(fit.rigid.rotation_deg):.2f}° over {fit.segment.path_m:.1f} m"
     )
     if not len(fit.sim3.position_m):
         return text
@@ -245,7 +246,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=16,
+    version=17,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

@@ -10,7 +10,7 @@ from groundwalk.alignment.segments import Segment
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.windows import PoseSd, fit_rigid
 from groundwalk.geometry.fits import Sim3
-from groundwalk.geometry.poses import Array, heading, inverse, path_length, transform
+from groundwalk.geometry.poses import Array, heading, inverse, transform
 
 _MIN_FRAMES = 3
 
@@ -114,7 +114,7 @@ def _candidate(
     window_m, drift = settings.window_m / 2, settings.vio_link_sd
     # Drift bends the path within a window more than it turns the camera: rotations determine the heading.
     bending = PoseSd(drift.position_m * np.sqrt(window_m), drift.rotation * np.sqrt(window_m))
-    along_a, along_b = _along(a, b)
+    along_a, along_b = a.travelled_m, b.travelled_m
     nearest = np.unravel_index(np.argmin(np.abs(along_a[:, None] - along_b)), (len(along_a), len(along_b)))
     gap_m = float(abs(along_a[nearest[0]] - along_b[nearest[1]]))
     middle = (along_a[nearest[0]] + along_b[nearest[1]]) / 2
@@ -152,16 +152,6 @@ def _contradiction(candidates: list[_Candidate], settings: AlignSettings) -> str
             apart = f"{shift_m:.2f} m and {np.degrees(turn):.1f} degrees apart"
             return f"{link.session_id} and {other.session_id} put it {apart}"
     return None
-
-
-def _along(a: Segment, b: Segment) -> tuple[Array, Array]:
-    """How far along the VIO path through the frames of both each frame lies, in metres."""
-    t_ns = np.concatenate([a.t_ns, b.t_ns])
-    xyz = np.concatenate([a.vio_T_cam, b.vio_T_cam])[:, :3, 3]
-    order = np.argsort(t_ns, kind="stable")
-    along = np.empty(len(t_ns))
-    along[order] = path_length(xyz[order])
-    return along[: len(a.rows)], along[len(a.rows) :]
 
 
 def _near(along: Array, middle: float, reach_m: float) -> np.ndarray:

@@ -19,7 +19,7 @@ from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts.cli import new_app
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.fits import Sim3, direction_angles
-from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.geometry.poses import Array, make_pose, path_length
 from groundwalk.simulation.vio import FITTED, simulate_vio
 
 _UP = np.array([0.0, 1.0, 0.0])
@@ -40,7 +40,7 @@ def main(
     walks = [*pose_walks(scene, "train"), *pose_walks(scene, "test")][:5]
     settings = AlignSettings()
     scenes = [_segments(walks, seed) for seed in range(draws)]
-    paths = [s.travelled_m[-1] for s in scenes[0]]
+    paths = [s.path_m for s in scenes[0]]
     print(f"Simulated: {len(walks)} walks through {scene} of {min(paths):.0f} to {max(paths):.0f} m, {draws} draws\n")
     print("| step, m | scale off, RMS | largest | RMS of error / stated sigma |")
     print("|---|---|---|---|")
@@ -85,6 +85,7 @@ def _segments(walks: list[PoseWalk], seed: int) -> list[Segment]:
                 sfm_T_cam=sfm,
                 vio_T_cam=vio.vio_T_cam,
                 up_cam=up_cam,
+                travelled_m=path_length(vio.vio_T_cam[:, :3, 3]),
             )
         )
     return segments

@@ -8,7 +8,7 @@ import numpy as np
 from groundwalk.consistency.motions import MIN_STEP_M, MIN_TURN, MotionAgreement, compare_motions
 from groundwalk.consistency.trajectories import TrajectoryPair
 from groundwalk.consistency.vio_drift import VioDrift
-from groundwalk.geometry.poses import Array, path_length, relative, rotation_angle
+from groundwalk.geometry.poses import Array, relative, rotation_angle
 
 MAX_TURN_GAIN_ERROR = 0.03
 """Fraction by which a model may turn more or less than VIO; a wrong focal length makes it do so."""
@@ -51,7 +51,7 @@ def diagnose(parts: Sequence[TrajectoryPair], drift: VioDrift) -> Diagnosis:
         is_right = ~np.isin(np.arange(len(part.vio_T_cam)), np.concatenate([a, b]))
         is_right[a[agree]] = is_right[b[agree]] = True
         if np.isfinite(scale) and is_right.any():
-            right = TrajectoryPair(part.sfm_T_cam[is_right], part.vio_T_cam[is_right])
+            right = TrajectoryPair(*(each[is_right] for each in part))
             count, distance_m = _aliased(right, scale, drift)
             aliased, max_distance_m = aliased + count, max(max_distance_m, distance_m)
     return Diagnosis(frames, motions, aliased / max(frames, 1), max_distance_m)
@@ -91,7 +91,7 @@ def _aliased(part: TrajectoryPair, scale: float, drift: VioDrift) -> tuple[int, 
     the integral of the path over the heading's error, at most that error times half of the distance reached.
     """
     sfm, vio = scale * part.sfm_T_cam[:, :3, 3], part.vio_T_cam[:, :3, 3]
-    travelled = path_length(vio)
+    travelled = part.travelled_m
     aliased, max_distance_m, index = np.zeros(len(vio), dtype=bool), 0.0, np.arange(len(vio))
     for start in range(0, len(vio), _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)

@@ -93,7 +93,7 @@ def _steps(parts: Sequence[TrajectoryPair], step_m: float) -> tuple[Array, Array
     steps = [np.empty((2, 0, 3))]
     for part in parts:
         a, b = path_steps(path_length(part.vio_T_cam[:, :3, 3]), step_m)
-        steps.append(np.stack([relative(T[a], T[b])[:, :3, 3] for T in part]))
+        steps.append(np.stack([relative(T[a], T[b])[:, :3, 3] for T in (part.sfm_T_cam, part.vio_T_cam)]))
     sfm, vio = np.concatenate(steps, axis=1)
     return sfm, vio
 

@@ -13,10 +13,12 @@ MIN_WINDOW_FRAMES = 6
 
 class TrajectoryPair(NamedTuple):
     """The poses of n frames that SfM and VIO both have, in order of time, without VIO jumps between them: `sfm_T_cam`
-    (n, 4, 4) in a model's arbitrary scale, `vio_T_cam` (n, 4, 4) in metres."""
+    (n, 4, 4) in a model's arbitrary scale, `vio_T_cam` (n, 4, 4) in metres; `travelled_m` (n,) along VIO's path, in
+    which frames that SfM lacks count, too."""
 
     sfm_T_cam: Array
     vio_T_cam: Array
+    travelled_m: Array
 
 
 def path_windows(travelled_m: Array, length_m: float, min_frames: int = MIN_WINDOW_FRAMES) -> list[NDArray[np.intp]]:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.consistency.decisions import beyond
-from groundwalk.consistency.trajectories import path_windows
+from groundwalk.consistency.trajectories import TrajectoryPair, path_windows
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.fits import ROBUST_TOLERANCE, fit_poses, fit_robust, pose_residuals
-from groundwalk.geometry.poses import Array, path_length
+from groundwalk.geometry.poses import Array
 
 WINDOW_M = 10.0
 """Short windows suffer from noise of single positions, long ones from bending by VIO's drift."""
@@ -81,27 +81,26 @@ def fit_rigid(
 
 
 def compare_windows(
-    metric_T_cam: Array,
-    vio_T_cam: Array,
+    metric: TrajectoryPair,
     window_m: float,
     drift: VioDrift,
     sd: PoseSd,
     tolerance: float = ROBUST_TOLERANCE,
     frame_sd: tuple[Array, Array] | None = None,
 ) -> list[WindowResiduals]:
-    """The windows of a trajectory at metric scale, each with VIO rigidly fitted to it.
+    """The windows of a trajectory whose poses by SfM are at metric scale, each with VIO rigidly fitted to it.
 
     The fit follows the majority of a window's frames, so that single wrong poses stand out. A window needs 3 frames.
     `frame_sd`: the frames' standard errors in the model, metres and radians (n,).
     """
+    metric_T_cam, vio_T_cam, travelled_m = metric
     if len(vio_T_cam) < _MIN_FRAMES:
         return []
     position_sd_m, rotation_sd = np.zeros((2, len(vio_T_cam))) if frame_sd is None else frame_sd
-    travelled = path_length(vio_T_cam[:, :3, 3])
     compared = []
-    for inside in path_windows(travelled, window_m):
+    for inside in path_windows(travelled_m, window_m):
         _, metres, radians = fit_rigid(metric_T_cam[inside], vio_T_cam[inside], sd, tolerance=tolerance)
-        length_m = travelled[inside[-1]] - travelled[inside[0]]
+        length_m = travelled_m[inside[-1]] - travelled_m[inside[0]]
         limits = _window_limit_m(drift, length_m), float(drift.radians(length_m))
         compared.append(WindowResiduals(inside, metres, radians, *limits, position_sd_m[inside], rotation_sd[inside]))
     return compared

@@ -164,7 +164,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=38,
+    version=39,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -12,7 +12,7 @@ from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.adjustment import LENS_UNKNOWNS, Adjusted, Cameras, Ints
 from groundwalk.sfm.cameras.calibration import distortion_lists
-from groundwalk.sfm.cameras.model_adjustment import CameraLog
+from groundwalk.sfm.cameras.model_adjustment import EXACT_SD, CameraLog
 from groundwalk.sfm.mapping.attempts import Attempt
 from groundwalk.sfm.mapping.build import BuiltModel, selected_models
 from groundwalk.sfm.mapping.source import HeldOutCheck
@@ -135,6 +135,9 @@ def camera_tables(
                     "held_out_px": lens.held_out_px,
                 }
             )
+        # A focal length that settings hold isn't confirmed by the images.
+        is_held = adjusted.priors.log_focal_sd <= EXACT_SD
+        focal_sd = np.where(is_held, np.nan, sd[first_focal : first_focal + len(is_held)])
         for number, session in enumerate(np.unique(log.session[rows])):
             session_rows.append(
                 {
@@ -142,7 +145,7 @@ def camera_tables(
                     "session_id": session,
                     "frames": int(np.count_nonzero(cameras.session == number)),
                     "focal_scale": float(np.exp(cameras.log_focal[number])),
-                    "focal_scale_sd": sd[first_focal + number],
+                    "focal_scale_sd": focal_sd[number],
                     "focus_sd": adjusted.priors.focus_sd[number],
                     "angular_sd": float(np.sqrt(np.mean(adjusted.priors.angular_sd[cameras.session == number] ** 2))),
                 }

@@ -50,7 +50,8 @@ def check_uncertain_frames(
         is_certain = has_certain_motion | [grade.quality is not QualityClass.C for grade in grades]
         for session_id in dict.fromkeys(s.session_id for s in component.segments):
             segments = [s for s in component.segments if s.session_id == session_id]
-            rows = _uncertain_rows(segments, component.metric_S_sfm, is_certain, used, settings)
+            pieces = [p for p in component.pieces if p.session_id == session_id]
+            rows = _uncertain_rows(pieces, component.metric_S_sfm, is_certain, used, settings)
             if len(rows.uncertain):
                 registered = sum(int(s.registered.sum()) for s in segments)
                 results.append(_check(rows, Subject(registered, session_id, component.index), settings))

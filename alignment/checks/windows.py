@@ -34,9 +34,10 @@ def segment_windows(
 ) -> list[SegmentWindow]:
     """The windows of a segment, each with VIO rigidly fitted to SfM at the common metric scale; `frame_sd`: standard
     errors of its frames in SfM, metres and radians (N,), NaN where unknown."""
-    compared, (sfm_T_cam, vio_T_cam) = np.flatnonzero(segment.has_both), segment.trajectory_pair
+    compared, pair = np.flatnonzero(segment.has_both), segment.trajectory_pair
     sds = None if frame_sd is None else (np.nan_to_num(frame_sd[0][compared]), np.nan_to_num(frame_sd[1][compared]))
-    windows = compare_windows(metric_S_sfm.poses(sfm_T_cam), vio_T_cam, window_m, drift, sd, frame_sd=sds)
+    metric = pair._replace(sfm_T_cam=metric_S_sfm.poses(pair.sfm_T_cam))
+    windows = compare_windows(metric, window_m, drift, sd, frame_sd=sds)
     return [SegmentWindow(**{**vars(w), "inside": compared[w.inside]}, segment=segment) for w in windows]
 
 

@@ -50,14 +50,15 @@ def nominal_corners(ruler: BoardRuler) -> Corners:
     return Corners(np.tile(1e-3 * ruler.tag_mm * _TAG_CORNERS, (count, 1)), np.repeat(np.arange(count), 4))
 
 
-def held_out_corners(ruler: BoardRuler, corners: Corners) -> NDArray[np.bool_]:
-    """(K,) every second corner, as the black squares of a chessboard lie; of tags every second id."""
+def held_out_corners(ruler: BoardRuler, corners: Corners, seen: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(K,) every second corner, as the black squares of a chessboard lie; of tags every second id of the ruler's, or
+    else of those that are seen: `seen` are corners."""
     index = np.arange(len(corners.xyz_m))
     if isinstance(ruler, CharucoRuler):
         columns = ruler.squares_x - 1
         return np.asarray((index // columns + index % columns) % 2 == 1)
-    ids = sorted(set(ruler.ids)) or range(len(index) // 4)
-    return np.isin(corners.part, list(ids)[1::2])
+    ids = sorted(set(ruler.ids or corners.part[seen].tolist()))
+    return np.isin(corners.part, ids[1::2])
 
 
 def detect(ruler: BoardRuler, image: Grey) -> Detection:

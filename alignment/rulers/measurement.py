@@ -106,12 +106,13 @@ def _detections(ruler: BoardRuler, by_image: Sequence[Detection], paths: Sequenc
     """A board's detections, one an image of these paths, together."""
     seen = [(row, d) for row, d in enumerate(by_image) if len(d.corner)]
     corners = nominal_corners(ruler)
+    corner = np.concatenate([np.empty(0, dtype=np.int64), *(d.corner for _, d in seen)])
     return RulerDetections(
         ruler,
         corners,
-        held_out_corners(ruler, corners),
+        held_out_corners(ruler, corners, corner),
         np.repeat([row for row, _ in seen], [len(d.corner) for _, d in seen]).astype(np.int64),
-        np.concatenate([np.empty(0, dtype=np.int64), *(d.corner for _, d in seen)]),
+        corner,
         np.concatenate([np.empty((0, 2)), *(d.xy for _, d in seen)]),
         "" if seen else explain_absence(ruler, paths),
     )

@@ -38,7 +38,7 @@ _MIN_STEP_M = 0.02
 _LOG_FOCAL_SD = 0.01
 _FOCUS_SD, _PRIOR_FRAMES = 0.0003, 5
 _VARIANCE_STEPS, _MAX_SIGMAS = 100, 3.0
-_EXACT_SD = 1e-7
+EXACT_SD = 1e-7
 _OUTLIER_SIGMAS = 4.0
 # A point that two frames see tells one number of their poses, which have six each.
 _MIN_OBSERVATIONS, _MIN_FRAMES = 8, 2
@@ -232,12 +232,12 @@ def _cameras_of(rows: Ints, bundle: Bundle, log: CameraLog, settings: SfmSetting
     priors = CameraPriors(
         mean,
         np.array([_lens_covariance(one, radius) for one in prior]),
-        np.full(len(sessions), _EXACT_SD if is_fixed else _LOG_FOCAL_SD),
-        np.full(len(sessions), _EXACT_SD if is_fixed else _FOCUS_SD),
+        np.full(len(sessions), EXACT_SD if is_fixed else _LOG_FOCAL_SD),
+        np.full(len(sessions), EXACT_SD if is_fixed else _FOCUS_SD),
         np.tile(log.motion.angular_sd[rows, None], 3),
     )
     if is_fixed:
-        priors = replace(priors, mean=cameras, lens_covariance=np.tile(_EXACT_SD**2 * np.eye(4), (len(lenses), 1, 1)))
+        priors = replace(priors, mean=cameras, lens_covariance=np.tile(EXACT_SD**2 * np.eye(4), (len(lenses), 1, 1)))
     return cameras, priors
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from groundwalk.artefacts.choices import AttemptName, AttemptOutcome
+from groundwalk.artefacts.errors import UserError
 from groundwalk.sfm.settings import SfmSettings
 
 Result = TypeVar("Result")
@@ -113,7 +114,8 @@ def run_attempts(
     report: Callable[[str], None],
 ) -> Attempts[Result]:
     """Attempt until the outcome is good enough; the first accepted one is selected, or else, of those with enough
-    frames, the first of those with the most frames consistent with VIO.
+    frames, one that is consistent with VIO, and of several the first of those with the most consistent frames. An error
+    ends it where one can be selected already, and is raised where none can.
 
     `attempt` gets the number, the name and the settings of each. A step keeps what the ones before it changed, but not
     where that cost it frames. `report` gets a line for each further attempt.
@@ -127,10 +129,16 @@ def run_attempts(
                 continue
             report(f"{attempts[-1]}; trying again: {step.name}")
         changed = settings.model_copy(update=step.changes)
-        current, made = attempt(len(attempts), step.name, changed)
+        try:
+            current, made = attempt(len(attempts), step.name, changed)
+        except UserError as error:
+            if selected is None:
+                raise
+            report(f"{step.name} ended with an error, an earlier attempt is used: {error.what}")
+            break
         cost_frames = bool(attempts) and attempts[-1].outcome in _USABLE and current.outcome in _TOO_SMALL
         attempts.append(current)
-        is_better = selected is None or current.consistent > attempts[selected].consistent
+        is_better = selected is None or _merit(current) > _merit(attempts[selected])
         if current.outcome in _USABLE and is_better:
             selected, result = len(attempts) - 1, made
         if _is_last(attempts):
@@ -138,6 +146,12 @@ def run_attempts(
         if not cost_frames:
             settings = changed
     return Attempts(attempts, selected, result)
+
+
+def _merit(attempt: Attempt) -> tuple[bool, bool, int]:
+    """By which of two usable attempts the larger one is selected."""
+    outcome = attempt.outcome
+    return outcome is AttemptOutcome.ACCEPTED, outcome is not AttemptOutcome.INCONSISTENT_WITH_VIO, attempt.consistent
 
 
 def _is_last(attempts: list[Attempt]) -> bool:

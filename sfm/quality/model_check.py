@@ -75,7 +75,7 @@ def check_models(
 
 
 def _pairs_of(parts: list[NDArray[np.intp]], sfm_T_cam: Array, vio: Odometry) -> list[TrajectoryPair]:
-    return [TrajectoryPair(sfm_T_cam[rows], vio.vio_T_cam[rows]) for rows in parts]
+    return [TrajectoryPair(sfm_T_cam[rows], vio.vio_T_cam[rows], vio.travelled_m[rows]) for rows in parts]
 
 
 def _parts_of(is_member: NDArray[np.bool_], vio: Odometry, t_ns_N: NDArray[np.int64]) -> list[NDArray[np.intp]]:
@@ -106,8 +106,8 @@ def _inconsistent(
     if scale is None:
         return beyond
     metric_S_sfm = Sim3(float(np.exp(scale.log)), np.eye(3), np.zeros(3))
-    for rows in parts:
-        metric_T_cam = metric_S_sfm.poses(sfm_T_cam[rows])
-        for window in compare_windows(metric_T_cam, vio.vio_T_cam[rows], WINDOW_M, drift, POSE_SD, _TOLERANCE):
+    for rows, pair in zip(parts, _pairs_of(parts, sfm_T_cam, vio), strict=True):
+        metric = pair._replace(sfm_T_cam=metric_S_sfm.poses(pair.sfm_T_cam))
+        for window in compare_windows(metric, WINDOW_M, drift, POSE_SD, _TOLERANCE):
             beyond[rows[window.inside[window.wrong]]] = True
     return beyond

@@ -103,7 +103,7 @@ def _means(value_M: Array, band_M: Ints) -> tuple[Array, Array]:
 def _of_frames(value_M2: Array, frame_M: Ints, band_M: Ints) -> tuple[Array, Array]:
     """How far the observations of a frame in each band are shifted together, beyond what chance shifts them by: root
     mean square over frames and its standard error."""
-    bands = int(band_M.max(initial=0)) + 1
+    bands = _BANDS
     frames = int(frame_M.max(initial=0)) + 1
     group = frame_M * bands + band_M
     count = np.bincount(group, minlength=frames * bands)

@@ -98,7 +98,12 @@ def sighted(
         pixels.append(xy + rng.normal(0, 0.2, xy.shape))
     assert len(pixels) >= min(frames, 3)
     return RulerDetections(
-        of, nominal, held_out_corners(of, nominal), np.array(rows), np.array(corner), np.concatenate(pixels)
+        of,
+        nominal,
+        held_out_corners(of, nominal, np.array(corner)),
+        np.array(rows),
+        np.array(corner),
+        np.concatenate(pixels),
     )
 
 

@@ -14,7 +14,7 @@ from groundwalk.alignment.vio_links import link_covariance
 from groundwalk.artefacts.choices import FailureCause
 from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.fits import Sim3, fit_sim3
-from groundwalk.geometry.poses import make_pose, yaw_rotation
+from groundwalk.geometry.poses import make_pose, path_length, yaw_rotation
 from groundwalk.scoring.errors import position_error
 
 NOISE = {"sfm_m": 0.005, "sfm_deg": 0.03, "drift_m": 0.01, "drift_yaw_deg": 0.1}
@@ -36,6 +36,18 @@ def drop(scene: Scene, rows: np.ndarray) -> None:
 
 def run(scene: Scene, **settings: Any) -> AlignResult:
     return align(scene.inputs(), AlignSettings(**settings))
+
+
+def walk_along(walks: Walks, xyz: np.ndarray) -> Scene:
+    """One session along positions (N, 3), without noise, its cameras turning to and fro."""
+    scene = walks.make(sessions=1, frames=len(xyz))
+    turned = yaw_rotation(0.5 * np.sin(np.arange(len(xyz)) / 5)) @ np.diag([1.0, -1.0, -1.0])
+    scene.true_T_cam = make_pose(turned, xyz + np.outer(0.05 * np.sin(np.arange(len(xyz))), [0, 1, 0]))
+    scene.set_vio(scene.true_T_cam)
+    for axis, values in zip("xyz", -scene.true_T_cam[:, 1, :3].T, strict=True):
+        scene.frames[f"gravity_{axis}"] = values
+    scene.set_sfm(walks.gauge.poses(scene.true_T_cam))
+    return scene
 
 
 def errors(aligned: AlignResult, scene: Scene) -> np.ndarray:
@@ -123,3 +135,37 @@ def test_a_model_without_motion_is_left_out(walks: Walks) -> None:
     split(scene, np.arange(50, 60))
     gt = run(scene).ground_truth
     assert (gt["quality"].iloc[50:] == "none").all() and "no metric scale" in gt["reason"].iloc[55]
+
+
+def test_the_path_of_a_link_is_what_vio_walked_between_not_how_far_it_came(walks: Walks) -> None:
+    # 15 m into a side way and back, of which SfM has no frame.
+    there = [[20.0, 1.6, z] for z in range(15)]
+    way = [[x, 1.6, 0.0] for x in range(20)] + there + there[::-1] + [[x, 1.6, 0.0] for x in range(22, 42)]
+    scene = walk_along(walks, np.array(way, float))
+    split(scene, np.arange(50, 70))
+    drop(scene, np.arange(20, 50))
+    aligned = run(scene)
+    assert aligned.ground_truth["component"].isna()[20:].all()
+    (link,) = aligned.checks[aligned.checks["check"] == "component_link"].to_dict("records")
+    assert link["status"] == "failed" and "31." in link["reason"]
+    # SfM's count is of frames that have no place in the map, too.
+    assert aligned.sessions["registered"].sum() == 20
+
+
+@pytest.mark.parametrize("registered", [True, False])
+def test_a_place_seen_again_after_a_long_way_is_right_within_what_vio_drifts_on_that_way(
+    walks: Walks, registered: bool
+) -> None:
+    straight = np.column_stack([np.linspace(0, 15, 30), np.full(30, 1.6), np.zeros(30)])
+    angle = np.linspace(0, 2 * np.pi, 60)[1:-1]
+    loop = straight[-1] + 60 / (2 * np.pi) * np.column_stack([np.sin(angle), 0 * angle, 1 - np.cos(angle)])
+    xyz = np.concatenate([straight, loop, straight[::-1] + np.array([0, 0, 0.05])])
+    scene = walk_along(walks, xyz)
+    strayed = scene.true_T_cam.copy()
+    strayed[:, 2, 3] += 1.5 * np.clip(path_length(xyz) - 15, 0, 60) / 60  # 2.5 % of the loop
+    scene.set_vio(strayed)
+    if not registered:
+        drop(scene, np.arange(30, 88))
+    aligned = run(scene, min_registered_fraction=0.1)
+    has_truth = aligned.ground_truth["quality"] != "none"
+    assert has_truth.sum() == (118 if registered else 60)

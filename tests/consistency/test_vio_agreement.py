@@ -30,6 +30,10 @@ def test_drift_grows_with_the_path_and_turns_with_its_root() -> None:
     assert np.degrees(_DRIFT.radians([0.0, 4.0])) == pytest.approx([3.0, 8.0])
 
 
+def _pair(sfm_T_cam: Array, vio_T_cam: Array) -> TrajectoryPair:
+    return TrajectoryPair(sfm_T_cam, vio_T_cam, path_length(vio_T_cam[:, :3, 3]))
+
+
 @settings(max_examples=50)
 @given(seed=st.integers(0, 1000), frames=st.integers(1, 80), length_m=st.floats(0.5, 30.0))
 def test_windows_overlap_and_have_the_whole_path(seed: int, frames: int, length_m: float) -> None:
@@ -50,22 +54,22 @@ def test_scale_is_found_in_any_gauge_in_spite_of_wrong_frames(seed: int, scale: 
     vio = _walk(seed)
     sfm = Sim3(1 / scale, Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)).poses(vio)
     sfm[[7, 31], :3, 3] += 3.0 / scale
-    found = recording_scale([TrajectoryPair(sfm[:25], vio[:25]), TrajectoryPair(sfm[25:], vio[25:])], **_SCALE)
+    found = recording_scale([_pair(sfm[:25], vio[:25]), _pair(sfm[25:], vio[25:])], **_SCALE)
     assert found is not None
     assert np.exp(found.log) == pytest.approx(scale, rel=1e-4)
     metric_T_cam = Sim3(float(np.exp(found.log)), np.eye(3), np.zeros(3)).poses(sfm)
-    windows = compare_windows(metric_T_cam, vio, 10.0, _DRIFT, POSE_SD)
+    windows = compare_windows(_pair(metric_T_cam, vio), 10.0, _DRIFT, POSE_SD)
     assert {int(row) for w in windows for row in w.inside[w.wrong]} == {7, 31}
     # A coarser fit tells the same frames.
-    coarse = compare_windows(metric_T_cam, vio, 10.0, _DRIFT, POSE_SD, tolerance=0.05)
+    coarse = compare_windows(_pair(metric_T_cam, vio), 10.0, _DRIFT, POSE_SD, tolerance=0.05)
     assert [w.wrong.tolist() for w in coarse] == [w.wrong.tolist() for w in windows]
 
 
 def test_what_doesnt_move_has_no_scale_and_what_is_collapsed_is_an_error() -> None:
     vio = _walk(1)
     still = np.tile(np.eye(4), (60, 1, 1))
-    assert recording_scale([TrajectoryPair(vio, still)], **_SCALE) is None
-    assert recording_scale([TrajectoryPair(vio[:2], vio[:2])], **_SCALE) is None
-    assert compare_windows(vio[:2], vio[:2], 10.0, _DRIFT, POSE_SD) == []
+    assert recording_scale([_pair(vio, still)], **_SCALE) is None
+    assert recording_scale([_pair(vio[:2], vio[:2])], **_SCALE) is None
+    assert compare_windows(_pair(vio[:2], vio[:2]), 10.0, _DRIFT, POSE_SD) == []
     with pytest.raises(GeometryError):
-        recording_scale([TrajectoryPair(still, vio)], **_SCALE)
+        recording_scale([_pair(still, vio)], **_SCALE)

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.artefacts import StageRun
+from groundwalk.artefacts import StageRun, UserError
 from groundwalk.artefacts.child import Task
 from groundwalk.artefacts.choices import AttemptName, AttemptOutcome
 from groundwalk.sfm.mapping import attempt_models
@@ -199,3 +199,26 @@ def test_the_floor_is_asked_where_a_recording_would_break(monkeypatch: pytest.Mo
     assert task.arguments[3].tolist() == [[0, 2], [1, 2]] and task.arguments[4].tolist() == [True, False]
     assert tied.inliers.tolist() == [120, 60, 40, 30, 30, 30]
     assert "b and c, d and e" in said[0] and "tie 2 of 2 pairs" in said[0]
+
+
+@pytest.mark.parametrize("second", [(90, 78), (85, 78)])
+def test_a_consistent_attempt_goes_before_a_larger_one_that_is_not(second: tuple[int, int]) -> None:
+    attempts, selected, _, _ = _run([(100, 79), second])
+    assert attempts[0].outcome is _INCONSISTENT and selected == 1
+    attempts, selected, _, _ = _run([(70, 70), (99, 75)])
+    assert [a.outcome for a in attempts[:2]] == [_MISSING, _INCONSISTENT] and selected == 0
+
+
+def test_an_error_of_a_further_attempt_leaves_the_one_before_and_the_first_ones_is_raised() -> None:
+    def attempt(number: int, name: AttemptName, tried: SfmSettings) -> tuple[Attempt, int]:
+        if number == ends_at:
+            raise UserError("mapping: its process died (SIGKILL)")
+        return _attempt(tried, name, 85, 85), number
+
+    lines: list[str] = []
+    ends_at = 1
+    done = run_attempts(SfmSettings(), attempt, lines.append)
+    assert (done.selected, done.result) == (0, 0) and "SIGKILL" in lines[-1]
+    ends_at = 0
+    with pytest.raises(UserError):
+        run_attempts(SfmSettings(), attempt, lines.append)
