@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from groundwalk.artefacts.choices import SessionSplit
+from groundwalk.capture_import.capture import Reject
 from groundwalk.capture_import.parsing import BadRow, parse_json, read_text
 
 _SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -39,6 +40,14 @@ def lost_rows(names: list[tuple[str, Path]]) -> list[str]:
     """A note about rows of a data set whose image folders are missing."""
     lost = [source for source, image in names if not image.parent.is_dir()]
     return [f"{len(lost)} rows name images in missing folders, such as {lost[0]}"] if lost else []
+
+
+def unnamed_images(session_id: str, images: list[Path]) -> list[Reject]:
+    """The image files beside a recording's named `images` that no row names."""
+    named = set(images)
+    beside = {p for folder in {i.parent for i in images if i.parent.is_dir()} for p in folder.iterdir()}
+    unnamed = sorted(p for p in beside - named if p.suffix.lower() in _SUFFIXES)
+    return [Reject(session_id, p.name, None, "image isn't among those with poses") for p in unnamed]
 
 
 def split_of(images: list[Path], test: set[Path]) -> SessionSplit | None:

@@ -382,7 +382,7 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
 
 STAGE = Stage(
     name="import",
-    version=11,
+    version=12,
     settings=ImportSettings,
     needs=(),
     run=run,

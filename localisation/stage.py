@@ -31,7 +31,8 @@ from groundwalk.localisation.localisers import LOCALISERS, Localiser
 from groundwalk.localisation.prepared import Prepared, match, prepared_from
 from groundwalk.localisation.record import blueprint, record
 from groundwalk.localisation.settings import LocaliseSettings
-from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.scoring.errors import position_error, rotation_error_deg, sure_enough
+from groundwalk.scoring.scores import score
 
 _MIN_FRAMES = 5
 _NO_LOCALISERS = setting_of("localise", "models = []")
@@ -199,23 +200,23 @@ def report_accuracy(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFr
     if not len(tested):
         return
     position, rotation = errors_of([answers[row] for row in tested], true[tested])
-    given, unit = np.isfinite(position), r.map_unit()
-    median = float(np.percentile(position, 50, method="lower"))
+    sure = sure_enough(truth["quality"].to_numpy(object)[tested])
+    given, unit, measured = np.isfinite(position), r.map_unit(), score(position, rotation, sure)
+    median = measured.median_m
     r.figure(f"{name} test frames", len(tested))
     r.figure(f"{name} test refused", int((~given).sum()))
     r.figure(f"{name} test median position_m", median if np.isfinite(median) else None)
     length = f"{100 * median:.2g} cm" if unit is MapUnit.METRE else f"{median:.2g} {unit.symbol}"
     median_text = f"median {length}" if np.isfinite(median) else "no median, as most are refused"
     refused = f"{int((~given).sum())} of {len(tested)} test frames refused"
-    if unit is not MapUnit.METRE:  # levels are in metres
+    if unit is not MapUnit.METRE or not measured.certain:  # levels are in metres, and of what ground truth can tell
         r.say(f"{name}: {median_text}; {refused}")
         return
     wrong = int((given & ((position > _WRONG_M) | (rotation > _WRONG_DEG))).sum())
-    within = 100 * float(((position <= 0.25) & (rotation <= 2)).mean())
     r.figure(f"{name} test wrong", wrong)
-    r.figure(f"{name} test within 0.25 m and 2 deg, %", within)
+    r.figure(f"{name} test within 0.25 m and 2 deg, %", measured.high)
     r.say(
-        f"{name}: {median_text}, {within:.1f} % within 0.25 m and 2 deg; {refused}, "
+        f"{name}: {median_text}, {measured.high:.1f} % within 0.25 m and 2 deg; {refused}, "
         f"{wrong} off by more than {_WRONG_M:g} m or {_WRONG_DEG:g} deg"
     )
 
@@ -283,7 +284,7 @@ def prediction_rows(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFr
 
 STAGE = Stage(
     name="localise",
-    version=3,
+    version=4,
     settings=LocaliseSettings,
     needs=("import", "sfm", "align"),
     run=run,

@@ -119,12 +119,13 @@ def _averages(rows: list[dict[str, object]]) -> list[dict[str, object]]:
     errors = pd.DataFrame([r for r in rows if r["table"] == TABLE_II])
     keys = ["environment", "row", "column"]
     averages = []
-    for _, scenes in errors.groupby(keys, sort=False):
+    for (environment, _, _), scenes in errors.groupby(keys, sort=False):
         if len(scenes) > 1:
             # A scene without a figure leaves none for the average either: it would be one over other scenes. Nor is
             # there one over units.
+            of_all = scenes["scene"].nunique() == errors.loc[errors["environment"] == environment, "scene"].nunique()
             of_one_unit = scenes["unit"].isin(ERRORS.values()).all()
-            value = float(scenes["value"].mean(skipna=False)) if of_one_unit else math.nan
+            value = float(scenes["value"].mean(skipna=False)) if of_all and of_one_unit else math.nan
             row: dict[str, object] = {str(name): cell for name, cell in scenes.iloc[0].items()}
             row |= {"scene": AVERAGE, "options": "", "value": value, "text": number(value, digits_of(value))}
             averages.append(row | {"source_rows": int(scenes["source_rows"].sum())})

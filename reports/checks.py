@@ -6,6 +6,7 @@ number stands for the interval of numbers that print like it, so that rounding a
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -165,7 +166,9 @@ class _SceneModel:
             because = f"a share is a whole number of the {self.frames} test frames; {count} is the nearest that fits"
             yield self._finding("share_whole", "III", subset, "share", ok, expected, f"{share:g} %", because)
             if parts:
-                ok = summed or count in whole(share, self.frames)
+                shares = [p["share"] for p in parts if p is not None]
+                possible = product(*(whole(s, self.frames) for s in shares))
+                ok = summed or any(sum(counts) in whole(share, self.frames) for counts in possible)
                 because = (
                     f"reliable and optimised are {self.counts['rp']} + {self.counts['opt']} of {self.frames} frames"
                 )

@@ -17,7 +17,7 @@ from groundwalk.reports import style
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD
 from groundwalk.reports.statistics import by_walk
-from groundwalk.scoring.scores import SUBSETS
+from groundwalk.scoring.scores import SUBSETS, score
 
 _NS = 1e-9
 
@@ -218,8 +218,7 @@ def costs(scene: SceneInputs) -> NamedFigure:
     for model in scene.models:
         errors = scene.frame_errors(model)
         raw = errors.loc[errors["split"] == "test", "apr_position_m"].to_numpy(float)
-        # A frame without a pose counts as failed.
-        median = float(np.percentile(np.where(np.isnan(raw), np.inf, raw), 50, method="lower")) if len(raw) else np.inf
+        median = score(raw, raw).median_m
         mib = float(size.get(model, np.nan)) / 2**20
         for ax, cost in zip(axes, (mib, scene.runtime_ms(model)), strict=True):
             if cost > 0 and np.isfinite([cost, median]).all():

@@ -102,8 +102,10 @@ def view_of(settings: TrainSettings, model: str, training: Frames) -> View:
         return View(side, side, mine.upright)
     # No image's border is left out of the commonest shape; of a longer image the ends are.
     shapes, counts = np.unique(training.cache.shapes[training.index_N], axis=0, return_counts=True)
-    height, width = (int(side) for side in shapes[counts.argmax()])
-    return View(height, width, mine.upright)
+    commonest = shapes[counts.argmax()]
+    # One that isn't turned upright is cut out of every image, the smallest, too.
+    window = commonest if mine.upright else np.minimum(commonest, training.cache.shapes.min(axis=0))
+    return View(int(window[0]), int(window[1]), mine.upright)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from groundwalk.capture_import.capture import Limits, RawFrame
 from groundwalk.capture_import.checks.clock import CLOCK_LONG_SIDE, dense_part
 from groundwalk.capture_import.checks.convention import CONVENTION_LONG_SIDE, parallax_pairs
 from groundwalk.capture_import.checks.scan import ImageScan, load_gray, scan_images
-from groundwalk.capture_import.media.images import Gray, shrunk
+from groundwalk.capture_import.media.images import WORKING_LONG_SIDE, Gray, shrunk
 
 
 class Views:
@@ -41,5 +41,7 @@ class Views:
         stored = [frame for frame in frames if (frame.number, long_side) in self._stored]
         missing = [frame for frame in frames if (frame.number, long_side) not in self._stored]
         ready = ((frame, self._stored[frame.number, long_side]) for frame in stored)
-        again = load_gray(missing, long_side, self._roots, self._limits)
+        # By way of the same size as in the scan, so that a run that goes on after a kill sees the same pixels.
+        whole = load_gray(missing, WORKING_LONG_SIDE, self._roots, self._limits)
+        again = ((frame, shrunk(gray, long_side)) for frame, gray in whole)
         return heapq.merge(ready, again, key=lambda view: view[0].t_ns)

@@ -28,7 +28,14 @@ from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import Clock, PoseSource
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_folders import data_set_of, is_metric_export, lost_rows, rows_of, split_of
+from groundwalk.capture_import.image_folders import (
+    data_set_of,
+    is_metric_export,
+    lost_rows,
+    rows_of,
+    split_of,
+    unnamed_images,
+)
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -151,7 +158,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         Clock.FRAME_INDEX,
         path,
         frames,
-        rejects,
+        [*rejects, *unnamed_images(session_id, [file for _, file in rows])],
         pose_source=PoseSource.REFERENCE,
         is_gravity_aligned=ours,
         is_metric=ours,

@@ -22,9 +22,16 @@ import numpy as np
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import Clock, PoseSource
-from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
+from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_folders import data_set_of, is_metric_export, lost_rows, rows_of, split_of
+from groundwalk.capture_import.image_folders import (
+    data_set_of,
+    is_metric_export,
+    lost_rows,
+    rows_of,
+    split_of,
+    unnamed_images,
+)
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -68,12 +75,12 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         raise UserError("transforms.json has no frames", where=data_set / _FILE, expected="frames: a list")
     world_T_file = _undo(content, data_set / _FILE)
     by_source = {f"frame {i}": row for i, row in enumerate(listed)}
-    images, rejects = [], []
+    images, nameless = [], []
     for source, row in by_source.items():
         try:
             images.append((source, _image(data_set, row)))
         except BadRow as error:
-            rejects.append((source, str(error)))
+            nameless.append(Reject(session_id, source, None, f"names no image: {error}"))
     rows = rows_of(data_set, path, images)
 
     def read_row(source: str, row: tuple[int, Path]) -> RawFrame:
@@ -91,6 +98,9 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     frames, unread = collect([(s, (i, image)) for i, (s, image) in enumerate(rows)], session_id, read_row)
     refuse_unreadable(path, frames, unread, "file_path, transform_matrix, fl_x, fl_y, cx, cy, w, h")
     ours = is_metric_export(data_set)
+    # Rows without an image are of no folder: they are listed once, with the first image's recording.
+    unread += nameless if images and images[0] in rows else []
+    unread += unnamed_images(session_id, [image for _, image in rows])
     return RawSession(
         session_id,
         FORMAT.id,
@@ -103,7 +113,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         is_gravity_aligned=ours,
         is_metric=ours,
         split=split_of([image for _, image in rows], _tested(data_set, content)),
-        notes=[*lost_rows(images), *(f"{source} names no image: {reason}" for source, reason in rejects[:1])],
+        notes=lost_rows(images),
     )
 
 

@@ -182,7 +182,7 @@ def _decode_jpeg(data: bytes, colours: str, width: int, height: int, long_side: 
 def decoded(data: bytes, flags: int) -> Any:
     """Pixels by OpenCV; None where it can't decode them."""
     try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        return cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error:
         return None
 

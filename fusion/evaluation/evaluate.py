@@ -186,7 +186,7 @@ def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator
         return
     for scene in inputs:
         held = scene.frames[scene.frames["split"] == settings.learn_from]
-        true = held["frame_id"].isin(scene.truth["frame_id"])
+        true = held["frame_id"].isin(scene.truth.loc[scene.truth["map_cam_tx"].notna(), "frame_id"])
         for model, predictions in scene.predictions.groupby("model", sort=False):
             both = true & held["frame_id"].isin(predictions["frame_id"])
             if len(held) and both.mean() >= 0.5:

@@ -169,15 +169,16 @@ def _row(case: Case, entrant: Entrant) -> dict[str, Any]:
     position, rotation = (
         np.concatenate([e[i][there] for e, there in zip(errors, judged, strict=True)]) for i in (0, 1)
     )
+    sure = np.concatenate([f.walk.sure[there] for f, there in zip(fused, judged, strict=True)])
     row: dict[str, Any] = {"group": case.group, "scene": case.scene, "model": case.model, "method": entrant.name}
     row |= {"causal": method(entrant.method).causal, "walks": len(case.walks), "frames": len(position)}
     row["coverage_pct"] = 100 * float(np.isfinite(position).mean())
     for name, values in (("position_{}_m", position), ("rotation_{}_deg", rotation)):
         failed = np.sort(np.where(np.isfinite(values), values, np.inf))
         row[name.format("mean")] = float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
-        row[name.format("median")] = float(failed[len(failed) // 2])
+        row[name.format("median")] = float(np.median(failed))
         row[name.format("p95")] = float(failed[int(0.95 * len(failed))])
-    row |= {f"{level}_pct": 100 * share for level, share in accuracy_shares(position, rotation).items()}
+    row |= {f"{level}_pct": 100 * share for level, share in accuracy_shares(position[sure], rotation[sure]).items()}
     inside = np.concatenate([within_bounds(f) for f in fused])
     for i, name in enumerate(("position", "rotation")):
         row[f"{name}_within_pct"] = 100 * float(inside[:, i].mean()) if len(inside) else np.nan

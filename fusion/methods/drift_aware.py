@@ -466,9 +466,13 @@ class DriftAware(Localiser):
             expected = self._error_map.expected(pose[:3, 3], pose[:3, 2])
             size = sizes_expected(expected)
             pose = make_pose(yaw_rotation(-expected.error[0]) @ pose[:3, :3], pose[:3, 3] - expected.error[1:])
-        sd = size * np.sqrt(self._covariance.diagonal())
-        turn = np.kron(np.eye(2), pose[:3, :3])
-        return Estimate(pose, Status.PREDICTED, turn @ np.diag(sd**2) @ turn.T, reasons=("no_odometry",))
+        if self._apr_covariance is not None and self.options.covariances:
+            covariance = float(self._covariance.trace()) / DIMENSIONS * self._apr_covariance
+        else:
+            sd = size * np.sqrt(self._covariance.diagonal())
+            turn = np.kron(np.eye(2), pose[:3, :3])
+            covariance = turn @ np.diag(sd**2) @ turn.T
+        return Estimate(pose, Status.PREDICTED, covariance, reasons=("no_odometry",))
 
     # ------------------------------------------------------------ the state as plain data
 

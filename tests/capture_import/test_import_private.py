@@ -199,3 +199,10 @@ def test_a_drawn_plate_is_found() -> None:
     cv2.putText(rgb, "M AB 1234", (510, 432), cv2.FONT_HERSHEY_SIMPLEX, 0.95, (15, 15, 15), 3, cv2.LINE_AA)
     plates = [r for r in CascadeDetector()(rgb) if r.kind == "plate"]
     assert any(r.x < 593 < r.x + r.width and r.y < 420 < r.y + r.height for r in plates)
+
+
+def test_a_turn_in_a_pngs_exif_is_left_out() -> None:
+    data = cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
+    turned = b"MM\0*" + struct.pack(">IHHHIHHI", 8, 1, 0x0112, 3, 1, 6, 0, 0)
+    chunk = struct.pack(">I", len(turned)) + b"eXIf" + turned + struct.pack(">I", zlib.crc32(b"eXIf" + turned))
+    assert decode_rgb(data[:33] + chunk + data[33:], 1000).shape == (48, 64, 3)

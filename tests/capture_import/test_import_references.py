@@ -255,3 +255,22 @@ def test_a_models_pose_is_world_to_camera(tmp_path: Path) -> None:
         assert frame.image is not None
         expected = np.vstack([by_name[frame.image.path.name].cam_from_world().matrix(), [0, 0, 0, 1]])
         np.testing.assert_allclose(inverse(there(frame.vio_T_cam)), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("write", [write_colmap, write_nerfstudio])
+def test_images_that_have_no_pose_are_rejects(tmp_path: Path, write: Callable[[Path, Walk], None]) -> None:
+    write(tmp_path / "place", make_walk(6))
+    image = next((tmp_path / "place" / "images").iterdir())
+    (image.parent / "unregistered.jpg").write_bytes(image.read_bytes())
+    (raw,) = read_all(tmp_path / "place")
+    assert [(r.source, r.reason) for r in raw.rejects] == [("unregistered.jpg", "image isn't among those with poses")]
+
+
+def test_rows_of_nerfstudio_without_an_image_are_rejects(tmp_path: Path) -> None:
+    write_nerfstudio(tmp_path / "place", make_walk(6))
+    file = tmp_path / "place" / "transforms.json"
+    content = json.loads(file.read_text())
+    content["frames"] += [{"transform_matrix": np.eye(4).tolist()}, 7]
+    file.write_text(json.dumps(content))
+    (raw,) = read_all(tmp_path / "place")
+    assert [r.reason.split(":")[0] for r in raw.rejects] == ["names no image"] * 2

@@ -534,3 +534,19 @@ def test_hopeless_walks_and_switched_off_ingredients_run() -> None:
         for options in (DriftAwareOptions(), switched_off):
             for estimate in answers(DriftAware(options), walk.t_ns, walk.vio, walk.apr):
                 assert estimate.map_T_cam is None or np.isfinite(estimate.map_T_cam).all()
+
+
+def test_without_odometry_a_predictions_own_covariance_is_what_is_known_of_it() -> None:
+    stated = np.diag(np.square([*[np.radians(0.05)] * 3, *[0.01] * 3]))
+    localiser = DriftAware()
+    rng = np.random.default_rng(0)
+    pose = np.eye(4)
+    for second in range(40):
+        pose = make_pose(yaw_rotation(0.02 * second), [0.5 * second, 1.5, 0.1 * second])
+        error = rng.multivariate_normal(np.zeros(6), stated)
+        pose_apr = make_pose(Rotation.from_rotvec(error[:3]).as_matrix() @ pose[:3, :3], pose[:3, 3] + error[3:])
+        localiser.step(second * 10**9, pose, pose_apr, None, stated)
+    for second, factor in ((41, 1.0), (42, 1e4)):
+        estimate = localiser.step(second * 10**9, None, pose, None, factor * stated)
+        ratio = np.sqrt(there(estimate.covariance).diagonal() / (factor * stated.diagonal()))
+        assert estimate.status is Status.PREDICTED and (ratio > 0.5).all() and (ratio < 2).all()

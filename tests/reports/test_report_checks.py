@@ -160,3 +160,16 @@ def test_printed_numbers_stand_for_intervals() -> None:
     assert rounded(0.25) == pytest.approx((0.245, 0.255))
     assert percent(0.4) == pytest.approx((0.35, 0.5))
     assert meets((0, 1), (1, 2)) and not meets((0, 1), (1.1, 2))
+
+
+def test_shares_of_many_frames_add_up_where_some_of_the_counts_that_they_stand_for_do() -> None:
+    # 667 + 667 of 2000: each 33.4 % is 667, 668 or 669 of them, and 66.7 % not twice the middle one.
+    keys = {"environment": "indoor", "scene": "Hall", "model": "PN", "method": "mobilearloc", "over": "subset"}
+    row = keys | dict.fromkeys(("high", "medium", "low"), 0.0)
+    levels = pd.DataFrame(
+        [row | {"subset": s, "share": share} for s, share in (("rp", 33.4), ("opt", 33.4), ("rp+opt", 66.7))]
+    )
+    dataset = pd.DataFrame([{"environment": "indoor", "scene": "Hall", "test_images": 2000}])
+    errors = pd.DataFrame(columns=[*keys, "subset", "statistic", "translation_m", "rotation_deg"])
+    findings = check_tables(PrintedTables("ours", dataset, errors, levels))
+    assert set(findings.loc[findings["check"] == "share_sum", "status"]) == {AGREES}
