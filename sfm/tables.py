@@ -102,7 +102,7 @@ def camera_tables(
         first_focal = LENS_UNKNOWNS * len(cameras.readout_s)
         unknowns = first_focal + len(cameras.log_focal)
         covariance = np.full((unknowns, unknowns), np.nan) if estimate is None else estimate.shared
-        sd = np.sqrt(np.diag(covariance))
+        sd = _sds(covariance, adjusted.priors.log_focal_sd)
         for number, index in enumerate(np.unique(log.calibration.lens[rows])):
             lens = log.calibration.lenses[index]
             k = LENS_UNKNOWNS * number
@@ -135,9 +135,6 @@ def camera_tables(
                     "held_out_px": lens.held_out_px,
                 }
             )
-        # A focal length that settings hold isn't confirmed by the images.
-        is_held = adjusted.priors.log_focal_sd <= EXACT_SD
-        focal_sd = np.where(is_held, np.nan, sd[first_focal : first_focal + len(is_held)])
         for number, session in enumerate(np.unique(log.session[rows])):
             session_rows.append(
                 {
@@ -145,13 +142,21 @@ def camera_tables(
                     "session_id": session,
                     "frames": int(np.count_nonzero(cameras.session == number)),
                     "focal_scale": float(np.exp(cameras.log_focal[number])),
-                    "focal_scale_sd": focal_sd[number],
+                    "focal_scale_sd": sd[first_focal + number],
                     "focus_sd": adjusted.priors.focus_sd[number],
                     "angular_sd": float(np.sqrt(np.mean(adjusted.priors.angular_sd[cameras.session == number] ** 2))),
                 }
             )
     lenses = pd.DataFrame(lens_rows, columns=schema("sfm", "lenses").column_names)
     return lenses, pd.DataFrame(session_rows, columns=schema("sfm", "intrinsics").column_names)
+
+
+def _sds(covariance: Array, prior_log_focal_sd_S: Array) -> Array:
+    """Standard deviations of what cameras share, the sessions' focal factors last; NaN of those that settings hold, as
+    they aren't confirmed by the images."""
+    sd = np.sqrt(np.diag(covariance))
+    sd[-len(prior_log_focal_sd_S) :][prior_log_focal_sd_S <= EXACT_SD] = np.nan
+    return sd
 
 
 def attempts_table(attempts: Sequence[Attempt], selected: int) -> pd.DataFrame:
