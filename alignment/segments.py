@@ -112,18 +112,17 @@ def cut_segments(
     up_cam = -frames[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float, na_value=np.nan)
     t_ns, session = frames["t_ns"].to_numpy(np.int64), frames["session_id"].to_numpy(str)
     large = jumps[(jumps["jump_m"] >= jump_m) | (jumps["jump_deg"] >= jump_deg)]
-    segments = []
+    segments, travelled_m = [], np.zeros(len(frames))
     for session_id in sorted(set(session)):
         rows = np.flatnonzero(session == session_id)
         rows = rows[np.argsort(t_ns[rows], kind="stable")]
-        travelled_m = _travelled_m(vio_T_cam[rows, :3, 3])
+        travelled_m[rows] = _path_length(vio_T_cam[rows, :3, 3])
         # The frame at the jump's time is the first one after it.
         jumps_ns = np.sort(large.loc[large["session_id"] == session_id, "t_ns"].to_numpy(np.int64))
-        parts = [p for p in np.split(np.arange(len(rows)), np.searchsorted(t_ns[rows], jumps_ns)) if len(p)]
+        parts = [p for p in np.split(rows, np.searchsorted(t_ns[rows], jumps_ns)) if len(p)]
         for index, part in enumerate(parts):
-            for number in np.unique(component[rows[part]]):
-                of_part = part[component[rows[part]] == number]
-                of_model = rows[of_part]
+            for number in np.unique(component[part]):
+                of_model = part[component[part] == number]
                 segments.append(
                     Segment(
                         session_id=session_id,
@@ -135,12 +134,13 @@ def cut_segments(
                         sfm_T_cam=sfm_T_cam[of_model],
                         vio_T_cam=vio_T_cam[of_model],
                         up_cam=up_cam[of_model],
-                        travelled_m=travelled_m[of_part],
+                        travelled_m=travelled_m[of_model],
                     )
                 )
     return segments
 
 
-def _travelled_m(xyz_N3: Array) -> Array:
+def _path_length(xyz_N3: Array) -> Array:
+    """`path_length` of positions that may be NaN: there it stays where the last one was."""
     placed = pd.DataFrame(xyz_N3).ffill().bfill().to_numpy()
     return np.zeros(len(placed)) if np.isnan(placed).any() else path_length(placed)

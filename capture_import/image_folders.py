@@ -43,7 +43,7 @@ def lost_rows(names: list[tuple[str, Path]]) -> list[str]:
 
 
 def unnamed_images(session_id: str, images: list[Path]) -> list[Reject]:
-    """The image files beside a recording's named `images` that no row names."""
+    """The image files beside the `images` that a recording's rows name which none of them names, as rejects."""
     named = set(images)
     beside = {p for folder in {i.parent for i in images if i.parent.is_dir()} for p in folder.iterdir()}
     unnamed = sorted(p for p in beside - named if p.suffix.lower() in _SUFFIXES)

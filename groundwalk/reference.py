@@ -235,8 +235,9 @@ def _value_text(value: Any) -> str:
 
 def _command(command: Command) -> str:
     loaded = command.load()
+    # The help of a group is its stage's, with all settings.
     is_group = hasattr(loaded, "commands")
-    text = command.stage().help if command.is_stage else (not is_group and loaded.help) or command.help
+    text = command.stage().help if command.is_stage else command.help if is_group else loaded.help or command.help
     lines = [f"\n### groundwalk {command.name}\n\n{_cell(text)}\n"]
     if command.is_stage:
         section = command.name

@@ -207,7 +207,7 @@ def report_accuracy(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFr
     r.figure(f"{name} test refused", int((~given).sum()))
     r.figure(f"{name} test median position_m", median if np.isfinite(median) else None)
     length = f"{100 * median:.2g} cm" if unit is MapUnit.METRE else f"{median:.2g} {unit.symbol}"
-    median_text = f"median {length}" if np.isfinite(median) else "no median, as most are refused"
+    median_text = f"median {length}" if np.isfinite(median) else "no median, as half or more are refused"
     refused = f"{int((~given).sum())} of {len(tested)} test frames refused"
     if unit is not MapUnit.METRE or not measured.certain:  # levels are in metres, and of what ground truth can tell
         r.say(f"{name}: {median_text}; {refused}")

@@ -118,12 +118,13 @@ def _averages(rows: list[dict[str, object]]) -> list[dict[str, object]]:
     """Table II's averages: the mean over scenes of each scene's figure, where an environment has several scenes."""
     errors = pd.DataFrame([r for r in rows if r["table"] == TABLE_II])
     keys = ["environment", "row", "column"]
+    all_scenes = errors.groupby("environment")["scene"].nunique().to_dict()
     averages = []
     for (environment, _, _), scenes in errors.groupby(keys, sort=False):
         if len(scenes) > 1:
             # A scene without a figure leaves none for the average either: it would be one over other scenes. Nor is
             # there one over units.
-            of_all = scenes["scene"].nunique() == errors.loc[errors["environment"] == environment, "scene"].nunique()
+            of_all = scenes["scene"].nunique() == all_scenes[environment]
             of_one_unit = scenes["unit"].isin(ERRORS.values()).all()
             value = float(scenes["value"].mean(skipna=False)) if of_all and of_one_unit else math.nan
             row: dict[str, object] = {str(name): cell for name, cell in scenes.iloc[0].items()}

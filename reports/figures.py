@@ -17,7 +17,7 @@ from groundwalk.reports import style
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD
 from groundwalk.reports.statistics import by_walk
-from groundwalk.scoring.scores import SUBSETS, score
+from groundwalk.scoring.scores import SUBSETS, median_error
 
 _NS = 1e-9
 
@@ -218,7 +218,7 @@ def costs(scene: SceneInputs) -> NamedFigure:
     for model in scene.models:
         errors = scene.frame_errors(model)
         raw = errors.loc[errors["split"] == "test", "apr_position_m"].to_numpy(float)
-        median = score(raw, raw).median_m
+        median = median_error(raw)
         mib = float(size.get(model, np.nan)) / 2**20
         for ax, cost in zip(axes, (mib, scene.runtime_ms(model)), strict=True):
             if cost > 0 and np.isfinite([cost, median]).all():

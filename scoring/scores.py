@@ -43,9 +43,9 @@ def score(position_m: ArrayLike, rotation_deg: ArrayLike, certain: NDArray[np.bo
         answered=int((np.isfinite(metres) & np.isfinite(degrees)).sum()),
         certain=int(certain.sum()),
         mean_m=_mean(metres),
-        median_m=_median(metres),
+        median_m=median_error(metres),
         mean_deg=_mean(degrees),
-        median_deg=_median(degrees),
+        median_deg=median_error(degrees),
         **{level: 100 * fraction for level, fraction in levels.items()},
     )
 
@@ -55,6 +55,7 @@ def _mean(errors: NDArray[np.float64]) -> float:
     return float(answered.mean()) if len(answered) else float("nan")
 
 
-def _median(errors: NDArray[np.float64]) -> float:
+def median_error(errors: NDArray[np.float64]) -> float:
+    """The median over frames (N,), a missing pose being infinitely wrong; NaN where that is infinite or of no frame."""
     median = float(np.median(np.where(np.isfinite(errors), errors, np.inf))) if len(errors) else float("nan")
     return median if np.isfinite(median) else float("nan")

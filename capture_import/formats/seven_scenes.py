@@ -45,7 +45,9 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     refuse_unreadable(path, frames, rejects, "frame-000000.pose.txt with 16 numbers")
     split, notes = _split(path), []
     if split is None:
-        notes.append("neither TrainSplit.txt nor TestSplit.txt beside its folder lists it (unzip sequences there)")
+        notes.append(
+            "no split: TrainSplit.txt and TestSplit.txt beside its folder don't list it; if it's zipped, unpack it"
+        )
     if any(frame.intrinsics is _CAMERA for frame in frames):
         notes.append("nominal intrinsics: the colour camera wasn't calibrated")
     return RawSession(

@@ -450,11 +450,15 @@ class DriftAware(Localiser):
         map's x and z, (2,), and what variance that leaves of odometry's."""
         assert self._apr_covariance is not None and self._last is not None
         weight = min(float(self._last.weights[-1, ROTATION]), 1.0)
-        factor = float(self._covariance.trace()) / (DIMENSIONS * weight)
-        of_prediction = factor * self._apr_covariance[:3:2, :3:2]
+        of_prediction = self._common_factor / weight * self._apr_covariance[:3:2, :3:2]
         gain = of_odometry * np.linalg.inv(of_odometry * np.eye(2) + of_prediction)
         _, (x, z) = yaw_and_lean(rotation)
         return gain @ np.array([x, z]), float((gain @ of_prediction).trace()) / 2
+
+    @property
+    def _common_factor(self) -> float:
+        """What predictions' own covariances are to be multiplied by."""
+        return float(self._covariance.trace()) / DIMENSIONS
 
     def _without_odometry(self, map_T_cam_apr: Array | None) -> Estimate:
         """The prediction by itself."""
@@ -467,7 +471,7 @@ class DriftAware(Localiser):
             size = sizes_expected(expected)
             pose = make_pose(yaw_rotation(-expected.error[0]) @ pose[:3, :3], pose[:3, 3] - expected.error[1:])
         if self._apr_covariance is not None and self.options.covariances:
-            covariance = float(self._covariance.trace()) / DIMENSIONS * self._apr_covariance
+            covariance = self._common_factor * self._apr_covariance
         else:
             sd = size * np.sqrt(self._covariance.diagonal())
             turn = np.kron(np.eye(2), pose[:3, :3])

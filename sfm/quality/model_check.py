@@ -93,11 +93,9 @@ def _inconsistent(
     parts: list[NDArray[np.intp]], sfm_T_cam: Array, vio: Odometry, drift: VioDrift, frames: int
 ) -> NDArray[np.bool_]:
     """(N,) frames of a recording's parts in one model that are beyond a limit in some window."""
-    beyond = np.zeros(frames, bool)
+    beyond, pairs = np.zeros(frames, bool), _pairs_of(parts, sfm_T_cam, vio)
     try:
-        scale = recording_scale(
-            _pairs_of(parts, sfm_T_cam, vio), step_m=STEP_M, step_sd=STEP_SCALE_SD, tolerance=_TOLERANCE
-        )
+        scale = recording_scale(pairs, step_m=STEP_M, step_sd=STEP_SCALE_SD, tolerance=_TOLERANCE)
     except GeometryError:
         # The model merges frames that are apart in VIO.
         for rows in parts:
@@ -106,7 +104,7 @@ def _inconsistent(
     if scale is None:
         return beyond
     metric_S_sfm = Sim3(float(np.exp(scale.log)), np.eye(3), np.zeros(3))
-    for rows, pair in zip(parts, _pairs_of(parts, sfm_T_cam, vio), strict=True):
+    for rows, pair in zip(parts, pairs, strict=True):
         metric = pair._replace(sfm_T_cam=metric_S_sfm.poses(pair.sfm_T_cam))
         for window in compare_windows(metric, WINDOW_M, drift, POSE_SD, _TOLERANCE):
             beyond[rows[window.inside[window.wrong]]] = True

@@ -46,9 +46,8 @@ def residual_patterns(model_id: str, lens_ids: list[str], adjusted: Adjusted) ->
             (ResidualPattern.RADIUS, reach, by_radius, _means(outward[observations], by_radius)),
             (ResidualPattern.ROW, 1.0, by_row, _of_frames(residual[observations], frame[observations], by_row)),
         ):
-            count = np.bincount(band, minlength=len(value))
+            count, span = np.bincount(band, minlength=_BANDS), extent / _BANDS
             for k in np.flatnonzero(count >= _MIN_OBSERVATIONS):
-                span = extent / len(value)
                 limits = {"band_from": k * span, "band_to": (k + 1) * span}
                 values = {"observations": int(count[k]), "residual_px": value[k], "residual_sd_px": sd[k]}
                 rows.append({"model_id": model_id, "lens_id": lens_id, "pattern": pattern} | limits | values)
@@ -103,17 +102,16 @@ def _means(value_M: Array, band_M: Ints) -> tuple[Array, Array]:
 def _of_frames(value_M2: Array, frame_M: Ints, band_M: Ints) -> tuple[Array, Array]:
     """How far the observations of a frame in each band are shifted together, beyond what chance shifts them by: root
     mean square over frames and its standard error."""
-    bands = _BANDS
     frames = int(frame_M.max(initial=0)) + 1
-    group = frame_M * bands + band_M
-    count = np.bincount(group, minlength=frames * bands)
-    total = summed(value_M2, group, frames * bands)
-    square = np.bincount(group, np.sum(value_M2**2, axis=1), minlength=frames * bands)
+    group, groups = frame_M * _BANDS + band_M, frames * _BANDS
+    count = np.bincount(group, minlength=groups)
+    total = summed(value_M2, group, groups)
+    square = np.bincount(group, np.sum(value_M2**2, axis=1), minlength=groups)
     several = count > 1
     # The products of all pairs of a frame's observations: 0 on average where they have nothing to do with each other.
     pairs = np.where(several, count * (count - 1), 1)
-    product = ((np.sum(total**2, axis=1) - square) / pairs).reshape(frames, bands)
-    weight = np.where(several, count, 0).reshape(frames, bands).astype(float)
+    product = ((np.sum(total**2, axis=1) - square) / pairs).reshape(frames, _BANDS)
+    weight = np.where(several, count, 0).reshape(frames, _BANDS).astype(float)
     sums = np.maximum(weight.sum(axis=0), 1)
     mean = (weight * product).sum(axis=0) / sums
     spread = np.sqrt(((weight * (product - mean)) ** 2).sum(axis=0)) / sums
