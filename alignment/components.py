@@ -70,8 +70,13 @@ class VioLink:
 
 @dataclass(frozen=True)
 class PlacedComponent:
-    """A component in the map; the first one needs no link."""
+    """A component in the map, tied to the first one by a chain of links, which ends with its own."""
 
     component: Component
     map_S_sfm: Sim3
-    link: VioLink | None = None
+    links: tuple[VioLink, ...] = ()
+
+    @property
+    def link(self) -> VioLink | None:
+        """Its own link; None for the first component."""
+        return self.links[-1] if self.links else None

@@ -49,11 +49,11 @@ def build(frames: pd.DataFrame, images: pd.DataFrame, examination: Examination, 
     dataset = ~frames["support"].to_numpy(bool)
     examination, frames = examination.where(dataset), dataset_frames(frames)
     images = images[dataset].reset_index(drop=True)
-    map_T_cam, component = np.full((len(frames), 4, 4), np.nan), np.full(len(frames), -1)
+    map_T_cam = np.full((len(frames), 4, 4), np.nan)
     sfm_T_cam = poses_of(images, "sfm_cam")
     for placed in examination.placed:
         rows = placed.component.registered_rows
-        map_T_cam[rows], component[rows] = placed.map_S_sfm.poses(sfm_T_cam[rows]), placed.component.index
+        map_T_cam[rows] = placed.map_S_sfm.poses(sfm_T_cam[rows])
     # By session, for whoever reads the table; models of one session one after the other.
     segments = sorted(
         ((s, p) for p in examination.placed for s in p.component.segments),
@@ -72,7 +72,7 @@ def build(frames: pd.DataFrame, images: pd.DataFrame, examination: Examination, 
         drift=_drift(fits),
         checks=checks_table(examination.checks),
         residuals=residuals_table(fits, frames["frame_id"].to_numpy(str), *residuals),
-        reference_agreement=agreement_table(frames, map_T_cam, component, examination.reference),
+        reference_agreement=agreement_table(frames, map_T_cam, examination.placed, examination.reference),
         class_counts=class_counts,
         placed=examination.placed,
         map_T_cam=map_T_cam,
@@ -123,7 +123,7 @@ def _frame_truth(
         anchor = xyz.mean(axis=0)
         if placed.link is not None:
             truth.is_linked[rows] = True
-            covariance = covariance + link_covariance(xyz, placed.link)
+            covariance = covariance + link_covariance(xyz, placed.links)
             anchor = placed.link.anchor
         # Where the unit is SfM's, it has no error.
         scale_sd = component.scale.sd if np.isfinite(component.scale.sd) else 0.0

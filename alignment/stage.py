@@ -246,7 +246,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=17,
+    version=18,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

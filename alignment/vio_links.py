@@ -1,5 +1,6 @@
 """All SfM models in one map: what no view ties to the first is linked to it by VIO over a short path."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,10 +26,14 @@ class UnlinkedComponent:
 
 
 class _Candidate(NamedTuple):
-    """A possible link of a component and its place by it."""
+    """A possible link of a component, behind those of the component that it leads to, and its place by it."""
 
-    link: VioLink
+    links: tuple[VioLink, ...]
     map_S_metric: Sim3
+
+    @property
+    def link(self) -> VioLink:
+        return self.links[-1]
 
 
 def place_components(
@@ -52,21 +57,25 @@ def place_components(
         if not near:
             break
         nearest = min(near, key=lambda c: candidates[c.index][0].link.gap_m)
-        link, map_S_metric = candidates[nearest.index][0]
-        placed.append(PlacedComponent(nearest, map_S_metric @ nearest.metric_S_sfm, link))
+        links, map_S_metric = candidates[nearest.index][0]
+        placed.append(PlacedComponent(nearest, map_S_metric @ nearest.metric_S_sfm, links))
         waiting.remove(nearest)
     return placed, [_unlinked(c, candidates[c.index], settings) for c in waiting]
 
 
-def link_covariance(map_xyz: Array, link: VioLink) -> Array:
-    """Covariances (N, 6, 6) at positions (N, 3) of a linked component: by its link's heading and position."""
-    arm = np.asarray(map_xyz, dtype=float) - link.anchor
-    jacobian = np.zeros((len(arm), 6, 4))
-    jacobian[:, 1, 0] = 1.0
-    jacobian[:, 3:, 0] = np.cross([0.0, 1.0, 0.0], arm)
-    jacobian[:, 3:, 1:] = np.eye(3)
-    variance = np.array([link.heading_sd, *[link.position_sd_m] * 3]) ** 2
-    return np.einsum("nij,j,nkj->nik", jacobian, variance, jacobian)
+def link_covariance(map_xyz: Array, links: Sequence[VioLink]) -> Array:
+    """Covariances (N, 6, 6) at positions (N, 3) of a component at the end of these links: each turns and shifts all
+    that is behind it."""
+    total = np.zeros((len(map_xyz), 6, 6))
+    for link in links:
+        arm = np.asarray(map_xyz, dtype=float) - link.anchor
+        jacobian = np.zeros((len(arm), 6, 4))
+        jacobian[:, 1, 0] = 1.0
+        jacobian[:, 3:, 0] = np.cross([0.0, 1.0, 0.0], arm)
+        jacobian[:, 3:, 1:] = np.eye(3)
+        variance = np.array([link.heading_sd, *[link.position_sd_m] * 3]) ** 2
+        total += np.einsum("nij,j,nkj->nik", jacobian, variance, jacobian)
+    return total
 
 
 def _is_linked(candidates: list[_Candidate], settings: AlignSettings) -> bool:
@@ -133,15 +142,15 @@ def _candidate(
         float(np.hypot(settings.fit_sd.position_m, drift.position_m * np.sqrt(path_m))),
         float(drift.rotation * np.sqrt(path_m)),
     )
-    return _Candidate(link, Sim3(1.0, map_T_metric[:3, :3], map_T_metric[:3, 3]))
+    return _Candidate((*placed.links, link), Sim3(1.0, map_T_metric[:3, :3], map_T_metric[:3, 3]))
 
 
 def _contradiction(candidates: list[_Candidate], settings: AlignSettings) -> str | None:
     """Where another link that isn't too long puts the component elsewhere than the first one does; None if none
     does."""
-    link, map_S_metric = candidates[0]
+    link, map_S_metric = candidates[0].link, candidates[0].map_S_metric
     anchor, drift = map_S_metric.inverse().points(link.anchor), settings.vio_drift
-    for other, other_S_metric in candidates[1:]:
+    for other, other_S_metric in ((each.link, each.map_S_metric) for each in candidates[1:]):
         if other.gap_m > settings.vio_link_m:
             continue
         limit_m, limit_rad = (float(law(link.path_m + other.path_m)) for law in (drift.metres, drift.radians))

@@ -124,7 +124,8 @@ def mapped(part: Part, database: Path, settings: SfmSettings, folder: Path) -> N
     pairs = unique_pairs(np.array(enough) - 1)
     verified = VerifiedPairs(frames=frames, pairs=pairs, matched=database, features=database)
     source = MappingInput(target, part.images, poses_of(frames, "vio_cam"), part.session.astype(object), 0)
-    cameras = camera_log(frames, {}, pd.DataFrame({"session_id": []}), settings)
+    none = pd.DataFrame({"session_id": []})
+    cameras = camera_log(frames, {}, none, none, settings)
     build_models(quiet, verified, source, cameras, settings, folder)
 
 

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from groundwalk.geometry.poses import Array
 
 _SAME_TIME_NS = 1_000_000
+NO_JUMPS = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -23,18 +24,25 @@ class Rates:
     angular_difference: Array
 
 
-def rates_at(t_ns_N: NDArray[np.int64], log_t_ns_K: NDArray[np.int64], log_world_T_cam_K: Array, gap_s: float) -> Rates:
+def rates_at(
+    t_ns_N: NDArray[np.int64],
+    log_t_ns_K: NDArray[np.int64],
+    log_world_T_cam_K: Array,
+    gap_s: float,
+    jump_t_ns: NDArray[np.int64] = NO_JUMPS,
+) -> Rates:
     """Rates at times (N,) from a log's poses (K, 4, 4) at rising times (K,), NaN where the log has none.
 
     Derivatives of cubic splines through the poses (rotations: Kang and Park, "Cubic spline algorithms for orientation
     interpolation", 1999). At 10 poses a second, differences of neighbours take a quarter off motion at 2 Hz, as that of
-    steps, and splines a fiftieth. Where poses are more than `gap_s` apart there is no rate between them.
+    steps, and splines a fiftieth. There is no rate between poses that are more than `gap_s` apart, or that the log
+    jumps between (`jump_t_ns` are the times of the first poses after jumps).
     """
     rates = Rates(*(np.full((len(t_ns_N), 3), np.nan) for _ in range(3)))
     has_pose = np.isfinite(log_world_T_cam_K[:, 0, 0])
     log_t_ns, poses = log_t_ns_K[has_pose], log_world_T_cam_K[has_pose]
-    runs = np.flatnonzero(np.diff(log_t_ns) > gap_s * 1e9) + 1
-    for run in np.split(np.arange(len(log_t_ns)), runs):
+    gaps = np.flatnonzero(np.diff(log_t_ns) > gap_s * 1e9) + 1
+    for run in np.split(np.arange(len(log_t_ns)), np.union1d(gaps, np.searchsorted(log_t_ns, jump_t_ns))):
         if len(run) < 2:
             continue
         start = log_t_ns[run[0]]

@@ -81,12 +81,13 @@ def prepare_scene(r: StageRun[SfmSettings]) -> SceneInput:
         require_model_files(r.settings)
         in_child("trying the networks", log, MEMORY_HINT, Task(try_networks, (r.settings,)))
     devices = dict(zip(sessions.index, sessions["device"], strict=True))
-    cameras = camera_log(frames, devices, r.read("import", "vio"), r.settings)
+    jumps = r.read("import", "jumps")
+    cameras = camera_log(frames, devices, r.read("import", "vio"), jumps, r.settings)
     scene = SceneInput(
         frames=with_lenses(frames, cameras.calibration),
         cameras=cameras,
         recording_N=frames["session_id"].map(sessions["recording"]).to_numpy(),
-        vio=_odometry(frames, r.read("import", "jumps")),
+        vio=_odometry(frames, jumps),
         names=_link_images(r, frames),
         images=r.scratch / "images",
         scratch=r.scratch,
@@ -174,5 +175,6 @@ def _calibrated(r: StageRun[SfmSettings], scene: SceneInput) -> SceneInput:
             scene.in_child("calibrating lenses", Task(calibrate, arguments, None))
     calibration = Calibration.load(path)
     frames = with_lenses(scene.frames, calibration)
-    motion = motion_by_vio(frames, r.read("import", "vio"), calibration.time_offset_s[calibration.lens])
+    log, jumps = r.read("import", "vio"), r.read("import", "jumps")
+    motion = motion_by_vio(frames, log, jumps, calibration.time_offset_s[calibration.lens])
     return replace(scene, frames=frames, cameras=replace(scene.cameras, calibration=calibration, motion=motion))

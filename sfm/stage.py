@@ -164,7 +164,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=39,
+    version=40,
     settings=SfmSettings,
     needs=("import",),
     run=run,

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 
+from groundwalk.alignment.components import PlacedComponent
 from groundwalk.alignment.reference.poses import Reference
 from groundwalk.artefacts.choices import LengthUnit, ReferenceAlignment, ScaleSource, VerticalSource
 from groundwalk.artefacts.hints import setting_of
@@ -17,34 +18,35 @@ _NOTICEABLE_DEG = 0.5
 
 
 def agreement_table(
-    frames: pd.DataFrame, map_T_cam: Array, component: np.ndarray, reference: Reference | None
+    frames: pd.DataFrame, map_T_cam: Array, placed: list[PlacedComponent], reference: Reference | None
 ) -> pd.DataFrame:
-    """The align.reference_agreement table: poses map_T_cam (N, 4, 4) of all frames that SfM placed, in the models
-    `component` (N,), against the reference.
+    """The align.reference_agreement table: poses map_T_cam (N, 4, 4) of all frames that SfM placed, model by model,
+    against the reference.
 
     Where the reference gives the map, both are in one frame and compared as they are; `scale` is of a fit of the
-    session alone. Where VIO gives it, each session's reference is fitted to the map first: rigidly if it's metric, so
-    that a wrong scale shows.
+    session alone. Where VIO gives it, each session's reference is fitted to the map first: rigidly if both are metric,
+    so that a wrong scale shows.
     """
     columns = schema("align", "reference_agreement").column_names
     rows: list[dict[str, object]] = []
     if reference is not None:
-        both = np.isfinite(map_T_cam[:, 0, 0]) & np.isfinite(reference.map_T_cam[:, 0, 0])
         sessions = frames["session_id"].to_numpy(str)
-        keys = sorted(set(zip(sessions[both], component[both].tolist(), strict=True)))
-        for session_id, index in keys:
-            compared = np.flatnonzero(both & (sessions == session_id) & (component == index))
-            rows.append(
-                {
-                    "session_id": session_id,
-                    "component": index,
-                    "frames": int((sessions == session_id).sum()),
-                    "compared_frames": len(compared),
-                    "unit": reference.unit,
-                    **_agreement(map_T_cam[compared], reference, compared),
-                }
-            )
-    return pd.DataFrame(rows, columns=columns)
+        for component in (each.component for each in placed):
+            registered = component.registered_rows
+            both = registered[np.isfinite(reference.map_T_cam[registered, 0, 0])]
+            for session_id in np.unique(sessions[both]):
+                compared = both[sessions[both] == session_id]
+                rows.append(
+                    {
+                        "session_id": session_id,
+                        "component": component.index,
+                        "frames": int((sessions == session_id).sum()),
+                        "compared_frames": len(compared),
+                        "unit": reference.unit,
+                        **_agreement(map_T_cam[compared], component.scale.is_known, reference, compared),
+                    }
+                )
+    return pd.DataFrame(rows, columns=columns).sort_values(["session_id", "component"], ignore_index=True)
 
 
 def describe_agreement(agreement: pd.DataFrame, ground_truth: pd.DataFrame) -> list[str]:
@@ -79,7 +81,7 @@ def describe_agreement(agreement: pd.DataFrame, ground_truth: pd.DataFrame) -> l
     return lines
 
 
-def _agreement(map_T_cam: Array, reference: Reference, rows: np.ndarray) -> dict[str, object]:
+def _agreement(map_T_cam: Array, is_scale_known: bool, reference: Reference, rows: np.ndarray) -> dict[str, object]:
     stated = reference.map_T_cam[rows]
     try:
         similarity: PoseSimilarity | None = fit_similar_poses(stated, map_T_cam)
@@ -89,7 +91,7 @@ def _agreement(map_T_cam: Array, reference: Reference, rows: np.ndarray) -> dict
         kind, (position, rotation) = ReferenceAlignment.MODEL_SIM3, pose_residuals(stated, map_T_cam, np.eye(4))
     elif similarity is None:
         kind, position, rotation = ReferenceAlignment.NONE, np.empty(0), np.empty(0)
-    elif reference.is_metric:
+    elif reference.is_metric and is_scale_known:
         rigid = fit_similar_poses(stated, map_T_cam, with_scale=False)
         kind, position, rotation = ReferenceAlignment.SE3, rigid.position, rigid.rotation
     else:

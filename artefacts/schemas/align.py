@@ -250,7 +250,8 @@ TABLES = [
                 "fit",
                 "string",
                 "alignment before: the model's to the reference that gives the map (model_sim3), or the session's "
-                "reference's to the map: se3, sim3 where its unit is unknown, none where there are too few poses",
+                "reference's to the map: se3, sim3 where its unit or the map's scale is unknown, none where there are "
+                "too few poses",
                 choices=ReferenceAlignment,
             ),
             Column("unit", "string", "unit of the positions: m, or the reference's unknown one", choices=LengthUnit),

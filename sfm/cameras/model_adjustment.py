@@ -62,9 +62,14 @@ class CameraLog:
 
 
 def camera_log(
-    frames: pd.DataFrame, device_of_session: dict[str, str], log: pd.DataFrame, settings: SfmSettings
+    frames: pd.DataFrame,
+    device_of_session: dict[str, str],
+    log: pd.DataFrame,
+    jumps: pd.DataFrame,
+    settings: SfmSettings,
 ) -> CameraLog:
-    """From import's frames, the sessions' devices, and all poses of the log (table import.vio)."""
+    """From import's frames, the sessions' devices, and all poses of the log and its jumps (tables import.vio and
+    import.jumps)."""
     return CameraLog(
         frames[["fx", "fy", "cx", "cy"]].to_numpy(float),
         lines_of(frames),
@@ -72,7 +77,7 @@ def camera_log(
         frames["t_ns"].to_numpy(np.int64) * 1e-9,
         poses_of(frames, "vio_cam"),
         prior_lenses(frames, device_of_session, settings),
-        motion_by_vio(frames, log),
+        motion_by_vio(frames, log, jumps),
     )
 
 

@@ -27,15 +27,17 @@ class Motion:
     known: NDArray[np.bool_]
 
 
-def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame, time_offset_s: Array | float = 0.0) -> Motion:
-    """From the frames' poses and all poses of the log (table import.vio), `time_offset_s` (N,) before the frames' time
-    stamps.
+def motion_by_vio(
+    frames: pd.DataFrame, log: pd.DataFrame, jumps: pd.DataFrame, time_offset_s: Array | float = 0.0
+) -> Motion:
+    """From all poses of the log and its jumps (tables import.vio and import.jumps), `time_offset_s` (N,) before the
+    frames' time stamps.
 
     The sd is half of what the rates of splines and of neighbouring poses differ by, root mean square over the session:
     the motion of a hand between two logged poses isn't known better.
     """
     offset_ns = np.round(1e9 * np.asarray(time_offset_s)).astype(np.int64)
-    rates = _rates(frames.assign(t_ns=frames["t_ns"] - offset_ns), log)
+    rates = _rates(frames.assign(t_ns=frames["t_ns"] - offset_ns), log, jumps)
     has_rate = ~np.isnan(rates.angular[:, 0])
     has_difference = ~np.isnan(rates.angular_difference[:, 0])
     sd = np.full(len(frames), UNKNOWN_ANGULAR_SD)
@@ -49,13 +51,14 @@ def motion_by_vio(frames: pd.DataFrame, log: pd.DataFrame, time_offset_s: Array 
     return Motion(angular, sd, velocity, has_rate)
 
 
-def _rates(frames: pd.DataFrame, log: pd.DataFrame) -> Rates:
-    """Rates of N frames from all poses of the log (table import.vio), NaN where none is near enough."""
+def _rates(frames: pd.DataFrame, log: pd.DataFrame, jumps: pd.DataFrame) -> Rates:
+    """Rates of N frames from all poses of the log, NaN where none is near enough."""
     rates = Rates(*(np.full((len(frames), 3), np.nan) for _ in range(3)))
     session_N, t_ns = frames["session_id"].to_numpy(str), frames["t_ns"].to_numpy(np.int64)
     for session, poses in log.groupby("session_id"):
         rows, poses = np.flatnonzero(session_N == session), poses.sort_values("t_ns")
-        of_session = rates_at(t_ns[rows], poses["t_ns"].to_numpy(np.int64), poses_of(poses, "vio_cam"), MAX_GAP_S)
+        log_t_ns, jump_t_ns = (t["t_ns"].to_numpy(np.int64) for t in (poses, jumps[jumps["session_id"] == session]))
+        of_session = rates_at(t_ns[rows], log_t_ns, poses_of(poses, "vio_cam"), MAX_GAP_S, jump_t_ns)
         rates.angular[rows], rates.velocity[rows] = of_session.angular, of_session.velocity
         rates.angular_difference[rows] = of_session.angular_difference
     return rates

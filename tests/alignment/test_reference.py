@@ -139,6 +139,17 @@ def test_beside_vio_a_reference_is_compared_and_gives_nothing(walks: Walks, metr
     assert (table["position_rms_m"].astype(float) > 0.05).all() == metric
 
 
+def test_a_map_without_scale_is_compared_with_a_metric_reference_up_to_scale(walks: Walks) -> None:
+    scene = walks.make(sessions=1)
+    still = poses_of(scene.frames, "vio_cam")
+    still[:, :3, 3] = 0.0
+    scene.frames[pose_frame("vio_cam", still).columns] = pose_frame("vio_cam", still).to_numpy()
+    aligned = run(scene, stated(scene, scene.true_T_cam, gives_map=False))
+    assert set(aligned.ground_truth["scale_source"]) == {"none"}
+    (row,) = aligned.reference_agreement.to_dict("records")
+    assert row["fit"] == "sim3" and row["position_rms_m"] < 1e-3
+
+
 def test_the_stage_says_what_gave_scale_and_vertical(data: DataRoot) -> None:
     folder = data.run("tiny", "Place", "import")
     frames = read_table(folder / "frames.parquet", schema("import", "frames"))

@@ -64,3 +64,15 @@ def test_there_are_no_rates_in_gaps_and_no_difference_at_the_ends() -> None:
     assert np.isfinite(rates.angular_difference[:, 0]).tolist() == [False, True, False, True, False, False, False]
     # From 0 to 0.1 s the camera turns by 0.032 rad.
     assert np.allclose(rates.angular[0], [0.0, 0.6 * 0.32, 0.8 * 0.32], atol=0.02)
+
+
+def test_a_jump_of_the_log_is_no_motion() -> None:
+    log_ns = np.arange(20) * _STEP_NS
+    poses = _turning(log_ns * 1e-9)
+    expected = rates_at(log_ns, log_ns, poses, 0.3)
+    jumped = poses.copy()
+    jumped[10:, :3, 3] += [0.3, 0.0, 0.0]
+    rates = rates_at(log_ns, log_ns, jumped, 0.3, log_ns[10:11])
+    assert np.abs(rates.velocity - expected.velocity).max() < 0.01
+    assert np.flatnonzero(np.isnan(rates.angular_difference[:, 0])).tolist() == [0, 9, 10, 19]
+    assert np.isnan(rates_at(log_ns[9:10] + _STEP_NS // 2, log_ns, jumped, 0.3, log_ns[10:11]).velocity).all()

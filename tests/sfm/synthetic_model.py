@@ -28,4 +28,4 @@ def log_of(model: pycolmap.Reconstruction, settings: SfmSettings | None = None) 
         width=cameras[0].width, height=cameras[0].height, distortion=cells([[0.0] * 4] * 6), stated_readout_s=np.nan
     )
     log = frames[["session_id", "t_ns", *pose_frame("vio_cam", poses).columns]]
-    return camera_log(frames, {"walk": "phone"}, log, settings or SfmSettings(lens="stated"))
+    return camera_log(frames, {"walk": "phone"}, log, log[:0], settings or SfmSettings(lens="stated"))
