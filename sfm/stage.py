@@ -73,7 +73,7 @@ def run(r: StageRun[SfmSettings]) -> None:
     r.write("images", images)
     r.write("models", models_table(made.built, check))
     lenses, intrinsics = camera_tables(scene.cameras, selected, adjusted, estimates)
-    intrinsics = with_focal_steps(intrinsics, scene.frames, images, r.settings.max_focal_error)
+    intrinsics = with_focal_steps(intrinsics, scene.frames, images, r.settings.max_focal_error, made.zooms)
     r.write("lenses", lenses)
     r.write("intrinsics", intrinsics)
     residuals = _residuals(scene, selected, adjusted)

@@ -113,18 +113,22 @@ def check_focal_length(evidence: SessionEvidence) -> CheckResult | None:
 
 def focal_length_result(subject: Subject, rows: np.ndarray, focal: FocalEstimate, limit: float) -> CheckResult:
     """The check of a focal length by the images. Undecided it lowers no frame's class: SfM used the estimated one, and
-    its standard error is in the frames' covariances."""
+    its standard error is in the frames' covariances. Where it steps, some frames are off by half of the step."""
     error = focal.scale - 1
     reason = f"focal length by the images is {abs(error):.1%} {'longer' if error > 0 else 'shorter'} than captured"
+    estimate = Quantity(abs(error), focal.sd)
     if focal.step is not None:
         reason += f", {focal.step:.3f} times as long from {focal.step_frame_id} on: digital zoom or another lens"
+        if abs(focal.step - 1) / 2 > abs(error):
+            # A step is one by being beyond all scatter.
+            estimate = Quantity(abs(focal.step - 1) / 2, 0.0)
     failure = Failure(
         cause=FailureCause.WRONG_INTRINSICS,
         reason=reason,
         rows=rows,
         lowers_class=False,
     )
-    return evaluate(CheckName.SESSION_FOCAL_LENGTH, subject, Quantity(abs(error), focal.sd), limit, failure)
+    return evaluate(CheckName.SESSION_FOCAL_LENGTH, subject, estimate, limit, failure)
 
 
 def check_motion(evidence: SessionEvidence) -> CheckResult:

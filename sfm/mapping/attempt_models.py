@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from groundwalk.artefacts import StageRun, UserError
 from groundwalk.artefacts.child import Task
-from groundwalk.artefacts.choices import AttemptName, PairOrigin
+from groundwalk.artefacts.choices import AttemptName, AttemptOutcome, PairOrigin
 from groundwalk.artefacts.hints import setting_of
 from groundwalk.consistency.motions import MISTAKE_ADVICE, MISTAKE_REASONS, compare_motions
 from groundwalk.geometry.poses import relative
@@ -25,7 +25,9 @@ from groundwalk.sfm.pairs.networks import model_files
 from groundwalk.sfm.pairs.odometry import PairLimits, nothing_compared
 from groundwalk.sfm.pairs.selection import Proposals, pairs_across_sessions, pairs_of_chains, pairs_within_sessions
 from groundwalk.sfm.pairs.two_views import compare_pairs
+from groundwalk.sfm.quality.focal_steps import FocalStep
 from groundwalk.sfm.quality.model_check import check_models
+from groundwalk.sfm.quality.zoom import zoom_of_session
 from groundwalk.sfm.scene_input import SceneInput, calibrated_features
 from groundwalk.sfm.settings import SfmSettings
 
@@ -36,7 +38,7 @@ _MOST_LINKS = 3  # in a message
 @dataclass(frozen=True, kw_only=True)
 class AttemptModels:
     """What an attempt made: its settings, its pairs, its keypoint counts (N,), and all models in `folder`; `model` are
-    the selected ones, None where there is none."""
+    the selected ones, None where there is none. `zooms`, by session, are what makes them inconsistent with VIO."""
 
     settings: SfmSettings
     matched: MatchedPairs
@@ -44,6 +46,7 @@ class AttemptModels:
     built: list[BuiltModel]
     folder: Path
     model: Model | None
+    zooms: dict[str, FocalStep]
 
     @property
     def mapping_input(self) -> Path:
@@ -76,31 +79,35 @@ def attempt_models(
     with r.step("mapping"):
         built = _map(r.seed, settings, scene, database, matched, folder)
     selected = selected_models(built)
-    model, consistent, fault = None, 0, ""
+    model, consistent, faults = None, np.zeros(len(scene.names), bool), []
     with r.step("check"):
         if selected:
             model = load_models([folder / entry.folder for entry in selected], len(scene.names))
             t_ns = scene.frames["t_ns"].to_numpy(np.int64)
             check = check_models(model.sfm_T_cam, model.model, scene.vio, scene.recording_N, t_ns, settings.vio_drift)
-            consistent = int(check.consistent.sum())
-            fault = ", ".join(
+            consistent = check.consistent
+            faults = [
                 f"the images of session {session} turn {gain:.2f} times as far as its VIO, so its focal length is wrong"
                 for session, gain in check.turn_gains.items()
-            )
-    sizes = [entry.images for entry in selected]
+            ]
+        sizes = [entry.images for entry in selected]
+        outcome = outcome_of(sizes, int(consistent.sum()), len(scene.names), settings)
+        zooms: dict[str, FocalStep] = {}
+        if model is not None and outcome is AttemptOutcome.INCONSISTENT_WITH_VIO:
+            zooms = _zooms(settings, scene, database, scene.vio.session[model.registered & ~consistent])
     attempt = Attempt(
         name=name,
         mapper=settings.mapper,
         pairs=len(matched.pairs),
         verified=int(matched.verified.sum()),
         model_frames=sizes,
-        consistent=consistent,
-        outcome=outcome_of(sizes, consistent, len(scene.names), settings),
-        input_fault=fault,
+        consistent=int(consistent.sum()),
+        outcome=outcome,
+        input_fault=", ".join([*faults, *(f"the focal length of session {session} changes" for session in zooms)]),
     )
     keypoints = keypoint_counts(database, len(scene.names))
     return attempt, AttemptModels(
-        settings=settings, matched=matched, keypoints=keypoints, built=built, folder=folder, model=model
+        settings=settings, matched=matched, keypoints=keypoints, built=built, folder=folder, model=model, zooms=zooms
     )
 
 
@@ -190,6 +197,20 @@ def _compared_with_vio(settings: SfmSettings, scene: SceneInput, database: Path,
                 do=MISTAKE_ADVICE[mistake] if mistake else look,
             )
     return replace(matched, compared=compared.scattered(rows, len(matched.pairs)))
+
+
+def _zooms(
+    settings: SfmSettings, scene: SceneInput, database: Path, sessions: NDArray[np.object_]
+) -> dict[str, FocalStep]:
+    """Of these sessions, those whose focal length changes, and where."""
+    zooms = {}
+    for session in sorted(set(sessions.tolist())):
+        rows = np.flatnonzero(scene.vio.session == session)
+        rows = rows[np.argsort(scene.frames["t_ns"].to_numpy(np.int64)[rows], kind="stable")]
+        zoom = zoom_of_session(database, rows, scene.vio, settings.max_focal_error)
+        if zoom is not None:
+            zooms[str(session)] = zoom
+    return zooms
 
 
 def _map(

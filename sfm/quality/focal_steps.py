@@ -8,9 +8,10 @@ import pandas as pd
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.robust import SIGMA_OF_MEDIAN
 
-# A step is judged by so many frames, at most and at least, before and after it.
+# A step is judged by so many frames of a model, at most and at least, before and after it.
 _FRAMES, _MIN_FRAMES = 5, 3
-# It is one where it exceeds the scatter of these frames so many times; a drift, as of focus, doesn't.
+# It is one where it exceeds the scatter of these frames so many times, of more frames less often; a drift, as of focus,
+# doesn't.
 _MIN_SCATTERS = 8.0
 # The scatter of estimates that happen to be nearly the same.
 _MIN_SCATTER = 0.002
@@ -25,10 +26,11 @@ class FocalStep:
 
 
 def with_focal_steps(
-    intrinsics: pd.DataFrame, frames: pd.DataFrame, images: pd.DataFrame, limit: float
+    intrinsics: pd.DataFrame, frames: pd.DataFrame, images: pd.DataFrame, limit: float, of_pairs: dict[str, FocalStep]
 ) -> pd.DataFrame:
     """Table sfm.intrinsics with the step of each session's focal lengths in each model, from import's frames and the
-    rows of sfm.images in the same order. Steps up to the fraction `limit` aren't named."""
+    rows of sfm.images in the same order; or that `of_pairs`, by session, whose `first` is a row of frames. Steps up to
+    the fraction `limit` aren't named."""
     adjusted = frames[["frame_id", "session_id", "t_ns"]].assign(
         model_id=images["model_id"].to_numpy(object), scale=images["fx"].to_numpy(float) / frames["fx"].to_numpy(float)
     )
@@ -36,25 +38,29 @@ def with_focal_steps(
     factors, first_ids = [], []
     for row in intrinsics.itertuples(index=False):
         of_row = adjusted[(adjusted["model_id"] == row.model_id) & (adjusted["session_id"] == row.session_id)]
-        step = focal_step(of_row["scale"].to_numpy(float), limit)
+        step, frame_ids = of_pairs.get(str(row.session_id)), frames["frame_id"]
+        if step is None:
+            step, frame_ids = focal_step(of_row["scale"].to_numpy(float), limit), of_row["frame_id"]
         factors.append(None if step is None else step.factor)
-        first_ids.append(None if step is None else of_row["frame_id"].iloc[step.first])
+        first_ids.append(None if step is None else frame_ids.iloc[step.first])
     return intrinsics.assign(
         focal_step=pd.Series(factors, dtype=float), focal_step_frame_id=pd.Series(first_ids, dtype=object)
     )
 
 
-def focal_step(focal_scale_N: Array, limit: float) -> FocalStep | None:
-    """The largest step in N frames' factors from logged focal lengths to adjusted ones, in the order of time, that is
-    larger than the fraction `limit`. None where there is no such step."""
+def focal_step(focal_scale_N: Array, limit: float, frames: int = _FRAMES) -> FocalStep | None:
+    """The clearest step in N frames' factors from logged focal lengths to those by images, in the order of time, by the
+    medians of up to `frames` before and after it. None where there is none that is larger than the fraction `limit`."""
     log_scale = np.log(focal_scale_N)
-    to_next = np.abs(np.diff(log_scale))
-    steps = []
+    min_scatters = _MIN_SCATTERS * np.sqrt(_FRAMES / frames)
+    steps: list[tuple[float, FocalStep]] = []
     for first in range(_MIN_FRAMES, len(log_scale) - _MIN_FRAMES + 1):
-        sides = (log_scale[max(first - _FRAMES, 0) : first], log_scale[first : first + _FRAMES])
+        sides = (log_scale[max(first - frames, 0) : first], log_scale[first : first + frames])
         before, after = (float(np.median(side)) for side in sides)
-        scatter = SIGMA_OF_MEDIAN * np.median(np.abs(np.concatenate([sides[0] - before, sides[1] - after])))
-        if abs(after - before) > max(_MIN_SCATTERS * max(float(scatter), _MIN_SCATTER), np.log1p(limit)):
-            steps.append(FocalStep(first, float(np.exp(after - before))))
-    # Splits beside the step look like it, too: it's between the two frames that differ most.
-    return max(steps, key=lambda step: to_next[step.first - 1], default=None)
+        deviation = np.abs(np.concatenate([sides[0] - before, sides[1] - after]))
+        scatter = max(SIGMA_OF_MEDIAN * float(np.median(deviation)), _MIN_SCATTER)
+        if abs(after - before) > max(min_scatters * scatter, np.log1p(limit)):
+            # Splits beside the step look like it, too, but for the frames that are on the wrong side.
+            unexplained = float(np.minimum(deviation, abs(after - before)).mean())
+            steps.append((unexplained / abs(after - before), FocalStep(first, float(np.exp(after - before)))))
+    return min(steps, key=lambda step: step[0])[1] if steps else None

@@ -205,9 +205,10 @@ def test_focal_lengths_that_the_images_deny_are_named_where_motion_hides_them(wa
     )
 
 
-def test_a_zoom_is_in_the_reason(walks: Walks) -> None:
+@pytest.mark.parametrize(("scale", "sd"), [(1.16, 0.005), (1.05, 0.03)])
+def test_a_zoom_is_a_fault_and_in_the_reason(walks: Walks, scale: float, sd: float) -> None:
     scene = walks.make(**NOISE)
-    scene.set_focal("walk0", 1.16, 0.005)
+    scene.set_focal("walk0", scale, sd)
     scene.intrinsics[["focal_step", "focal_step_frame_id"]] = 1.3, "walk0/000012"
     (failed,) = [c for c in run(scene).checks if c.name == "session_focal_length" and c.status is Status.FAILED]
     assert "1.300 times as long from walk0/000012 on: digital zoom or another lens" in failed.reason
