@@ -2,19 +2,22 @@
 
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from groundwalk.artefacts.choices import PoseSource
 from groundwalk.artefacts.progress import track
+from groundwalk.artefacts.text import reason_counts
+from groundwalk.capture_import.capture import RawSession
 from groundwalk.capture_import.checks.clock import check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
+from groundwalk.capture_import.checks.plausibility import Doubt, doubts
 from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
-from groundwalk.capture_import.intake import Intake, measures, path_length, take_in
-from groundwalk.capture_import.selection import select
+from groundwalk.capture_import.intake import ImportedSession, Intake, measures, path_length, take_in
+from groundwalk.capture_import.selection import select, select_enough
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.tables import printable
 
@@ -26,13 +29,18 @@ def inspect_capture(path: Path, format_name: str = "auto") -> Iterator[str]:
     """
     settings = ImportSettings()
     root = path.resolve()
+    sessions: list[ImportedSession] = []
     with tempfile.TemporaryDirectory() as unpacked:
         roots = [root if root.is_dir() else root.parent, Path(unpacked).resolve()]
         for source in find_recordings(path, Path(unpacked), settings.limits, format_name):
-            yield from _inspect(source, Views(roots, settings.limits), settings)
+            intake = yield from _inspect(source, Views(roots, settings.limits), settings)
+            sessions += intake.sessions
+    _, denser = select_enough(sessions, settings)
+    if denser is not None:
+        yield f"all recordings: {denser}"
 
 
-def _inspect(source: RecordingSource, views: Views, settings: ImportSettings) -> Iterator[str]:
+def _inspect(source: RecordingSource, views: Views, settings: ImportSettings) -> Generator[str, None, Intake]:
     raw = source.read(settings.limits)
     count = sum(f.image is not None for f in raw.frames)
     intake = take_in(raw, settings, lambda f: track(measures(views.scan(f)), "checking images", len(f)))
@@ -51,7 +59,11 @@ def _inspect(source: RecordingSource, views: Views, settings: ImportSettings) ->
     clock = check_clock(longest, views.load)
     if clock.offset_s is not None:
         yield f"  clock      images fit the poses at {clock.offset_s:+.3f} s (correlation {clock.correlation:.2f})"
-    yield f"  status     {_status(intake, raw.pose_source, check)}"
+    implausible = doubts(intake)
+    for doubt in implausible:
+        yield f"  warning    {doubt.text}"
+    yield f"  status     {_status(intake, raw, check, implausible)}"
+    return intake
 
 
 def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:
@@ -88,23 +100,27 @@ def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:
             at = (jump.t_ns - int(t_ns[0])) * 1e-9
             effect = ", splits the session" if splits else ""
             yield f"  jump       at {at:.1f} s: {jump.jump_m:.2f} m, {jump.jump_deg:.1f} deg{effect}"
-    for reason, n in Counter(reject.reason for reject in intake.rejects).most_common(8):
+    for reason, n in reason_counts(reject.reason for reject in intake.rejects).most_common(8):
         yield f"  rejected   {n} x {printable(reason)}"
 
 
-def _status(intake: Intake, pose_source: PoseSource, check: ConventionCheck) -> str:
+def _status(intake: Intake, raw: RawSession, check: ConventionCheck, implausible: Sequence[Doubt]) -> str:
     images = sum(len(s.images) for s in intake.sessions)
     poses = sum(len(s.frames) for s in intake.sessions)
     if not poses:
         return "unusable: no sound pose"
+    if any(doubt.is_unusable for doubt in implausible):
+        return "unusable: not plausible, by the warning above"
+    if not images and any(frame.image is not None for frame in raw.frames):
+        return "unusable: no sound image"
     if not images:
         return "poses only: of use to study odometry, not as a data set"
     if check.contradicted:
         return f"wrong convention: {check.contradicted}"
-    faults = []
+    faults = [f"{len(implausible)} warning{'s' * (len(implausible) > 1)} above"] if implausible else []
     if check.pairs and check.declared < MIN_EXPLAINED:
         faults.append("its poses fit its images badly")
-    if pose_source == PoseSource.REFERENCE:
+    if raw.pose_source == PoseSource.REFERENCE:
         faults.append("its poses are a reference, not VIO")
     if len(intake.sessions) > 1:
         faults.append(f"VIO jumps split it into {len(intake.sessions)} sessions")

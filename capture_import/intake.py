@@ -9,7 +9,7 @@ import numpy as np
 
 from groundwalk.artefacts.choices import PoseSource, Tracking
 from groundwalk.capture_import.capture import RawFrame, RawSession, Reject
-from groundwalk.capture_import.checks.health import Jump, check_session, find_jumps, size_fault
+from groundwalk.capture_import.checks.health import Jump, check_session, content_fault, find_jumps, size_fault
 from groundwalk.capture_import.checks.scan import ImageScan
 from groundwalk.capture_import.media.images import ImageCheck
 from groundwalk.capture_import.settings import ImportSettings
@@ -90,7 +90,10 @@ def _sound_images(
     images, rejects = [], []
     for frame, result in zip(with_image, scan(with_image), strict=True):
         assert frame.intrinsics is not None  # health rejects images without
-        fault = result if isinstance(result, str) else size_fault(frame.intrinsics, result.width, result.height)
+        if isinstance(result, str):
+            fault: str | None = result
+        else:
+            fault = size_fault(frame.intrinsics, result.width, result.height) or content_fault(result.contrast)
         if fault:
             rejects.append(Reject(session_id, frame.source, frame.t_ns, fault))
         else:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.capture_import.capture import RawFrame
 from groundwalk.capture_import.intake import Image, ImportedSession
 from groundwalk.capture_import.sampling import (
@@ -39,6 +40,27 @@ class Selection:
 def select(sessions: Sequence[ImportedSession], settings: ImportSettings, density: float = 1.0) -> dict[str, Selection]:
     """The selection of each session, by its id; sampled so many times more densely than by the settings."""
     return {session.session_id: _select(session, settings, density) for session in sessions}
+
+
+def select_enough(
+    sessions: Sequence[ImportedSession], settings: ImportSettings
+) -> tuple[dict[str, Selection], str | None]:
+    """The selection of each session of a capture, by its id, and a line for the user where it's sampled more densely
+    than by its settings."""
+    by_settings = select(sessions, settings)
+    density = density_for(sessions, settings)
+    if density == 1:
+        return by_settings, None
+    used = select(sessions, settings, density)
+    fewer, count = _dataset_size(by_settings), _dataset_size(used)
+    if fewer == count:
+        return used, None
+    images = sum(len(session.images) for session in sessions)
+    return used, (
+        f"sampling by its settings selects {fewer} of {images} images, fewer than {settings.min_frames} "
+        f"({setting_of('import', 'min_frames')}): "
+        + ("all are used" if count == images else f"sampled {density:.2f} times as densely, {count} are used")
+    )
 
 
 def density_for(sessions: Sequence[ImportedSession], settings: ImportSettings) -> float:
@@ -116,6 +138,10 @@ def _sampled(session: ImportedSession, settings: ImportSettings, density: float)
     # Steps from one frame to the next come in whole images, twice as many all at once; ticks don't.
     travelled = travelled_steps(poses, settings.step_m, settings.step_deg)
     return sample_rate((1e9 * travelled).astype(np.int64), sharpness, density)
+
+
+def _dataset_size(used: dict[str, Selection]) -> int:
+    return sum(int((~selection.support).sum()) for selection in used.values())
 
 
 def _poses(frames: Sequence[RawFrame]) -> Array:

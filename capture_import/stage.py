@@ -13,9 +13,11 @@ from groundwalk.artefacts.files import write_json
 from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.simulated import appearances_of
 from groundwalk.artefacts.tables import dataset_frames
+from groundwalk.artefacts.text import reason_counts
 from groundwalk.capture_import.capture import RawFrame, Reject
 from groundwalk.capture_import.checks.clock import MAX_OFFSET_S, ClockCheck, check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
+from groundwalk.capture_import.checks.plausibility import MAX_SPEED_M_S, doubts
 from groundwalk.capture_import.checks.scan import ImageScan
 from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
@@ -28,7 +30,7 @@ from groundwalk.capture_import.media.placing import Placement, place_images
 from groundwalk.capture_import.media.spool import Spool
 from groundwalk.capture_import.media.upright import first_row, quarters_to_upright, turned
 from groundwalk.capture_import.recording import blueprint, log_session
-from groundwalk.capture_import.selection import Selection, density_for, select
+from groundwalk.capture_import.selection import Selection, select_enough
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.splits import LEAK_S, SplitResult, nearest_split, split_frames
 from groundwalk.capture_import.tables import (
@@ -100,7 +102,9 @@ def _all_frames(
 ) -> tuple[pd.DataFrame, list[Reject]]:
     """The rows of `frames` of all sessions, their images in place, and what was rejected of them. quarters: by session,
     by how many an image was turned, and by how many it would have to be."""
-    used = _select_images(r, sessions)
+    used, denser = select_enough(sessions, r.settings)
+    if denser is not None:
+        r.say(denser)
     parts, rejects = [], []
     for session in sessions:
         selection = used[session.session_id]
@@ -202,7 +206,18 @@ def _take_in(r: StageRun[ImportSettings], source: RecordingSource, views: Views)
                 yield result
         spool.flush()
 
-    return take_in(raw, r.settings, _cached(r, source.session_id, scan))
+    intake = take_in(raw, r.settings, _cached(r, source.session_id, scan))
+    for doubt in doubts(intake):
+        if doubt.is_unusable:
+            raise UserError(
+                f"{raw.session_id} isn't plausible",
+                where=raw.folder,
+                found=doubt.text,
+                expected=f"at most {MAX_SPEED_M_S:g} m/s",
+                do="correct the log: docs/reference/capture-formats.md says the units of each format",
+            )
+        r.say(f"warning: {raw.session_id}: {doubt.text}")
+    return intake
 
 
 def _spooled(r: StageRun[ImportSettings], recording: str) -> Path:
@@ -260,27 +275,6 @@ def _report_fits(r: StageRun[ImportSettings], fits: Sequence[tuple[ConventionChe
     r.figure("clock_offset_s", max(offsets, key=abs, default=None))
 
 
-def _select_images(r: StageRun[ImportSettings], sessions: Sequence[ImportedSession]) -> dict[str, Selection]:
-    """The selection of each session; a line for the user where sampling is denser than by its settings."""
-    density = density_for(sessions, r.settings)
-    used = select(sessions, r.settings, density)
-    if density == 1:
-        return used
-    by_settings, count = (_dataset_size(selected) for selected in (select(sessions, r.settings), used))
-    if by_settings < count:
-        images = sum(len(s.images) for s in sessions)
-        r.say(
-            f"sampling by its settings selects {by_settings} of {images} images, fewer than {r.settings.min_frames} "
-            f"({setting_of('import', 'min_frames')}): "
-            + ("all are used" if count == images else f"sampled {density:.2f} times as densely, {count} are used")
-        )
-    return used
-
-
-def _dataset_size(used: dict[str, Selection]) -> int:
-    return sum(int((~selection.support).sum()) for selection in used.values())
-
-
 def _refuse_same_ids(sessions: Sequence[ImportedSession], root: Path) -> None:
     ids = [session.session_id for session in sessions]
     if same := sorted({i for i in ids if ids.count(i) > 1}):
@@ -301,9 +295,8 @@ def _refuse_empty(sessions: Sequence[ImportedSession], rejects: Sequence[Reject]
     )
 
 
-def _most_common(rejects: Sequence[Reject]) -> Iterator[tuple[str, int]]:
-    counts = pd.Series([reject.reason for reject in rejects], dtype=object).value_counts()
-    yield from counts.head(3).items()  # type: ignore[misc]
+def _most_common(rejects: Sequence[Reject]) -> list[tuple[str, int]]:
+    return reason_counts(reject.reason for reject in rejects).most_common(3)
 
 
 def _report(

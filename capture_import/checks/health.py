@@ -20,6 +20,9 @@ _MAX_POSITION_M = 1e5
 # OpenCV's k1, k2, p1, p2, k3 to k6; those of the widest fisheye lenses are some tens.
 _MAX_COEFFICIENTS, _MAX_COEFFICIENT = 8, 1e4
 
+# Grey levels, of 255: a covered lens with a sensor's noise has 0 to 1, a dim or dull view 30 and more.
+_MIN_CONTRAST = 2.0
+
 # A jump is motion that no hand does: beyond what an acceleration of 4 m/s^2 or 600 deg/s^2 changes between two poses,
 # beyond the noise of a pose, and far beyond what the same hand does around that moment.
 _ACCELERATION_M_S2 = 4.0
@@ -156,6 +159,13 @@ def size_fault(camera: Intrinsics, width: int, height: int) -> str | None:
         return f"principal point {camera.cx:.1f}, {camera.cy:.1f} is outside the image of {width}x{height}"
     if not 0.1 < camera.fx / max(width, height) < 20 or not 0.5 < camera.fx / camera.fy < 2:
         return f"focal length {camera.fx:.1f}, {camera.fy:.1f} isn't plausible for an image of {width}x{height}"
+    return None
+
+
+def content_fault(contrast: float) -> str | None:
+    """What is wrong with an image whose grey levels have this standard deviation, of 255; or None."""
+    if contrast < _MIN_CONTRAST:
+        return f"image is empty: its grey levels vary by {contrast:.1f} of 255 (at least {_MIN_CONTRAST:g})"
     return None
 
 

@@ -18,7 +18,6 @@ from groundwalk.capture_import.media.images import (
     ImageCheck,
     check_image,
     decode_gray,
-    sharpness,
 )
 from groundwalk.capture_import.media.video import decode, gray_pixels
 
@@ -107,7 +106,7 @@ def _scan_video(frames: Sequence[RawFrame], limits: Limits) -> Iterator[ImageSca
             at, image = decoded
             gray = gray_pixels(image, WORKING_LONG_SIDE)
             # A frame has no file to hash until it's written.
-            scan = ImageScan(ImageCheck(image.width, image.height, sharpness(gray), sha256=""), gray, image)
+            scan = ImageScan(ImageCheck.of(gray, image.width, image.height, sha256=""), gray, image)
         if scan is not None and at == ref.index:
             yield scan
         else:

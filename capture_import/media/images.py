@@ -28,12 +28,18 @@ class BadImage(ValueError):
 
 @dataclass(frozen=True)
 class ImageCheck:
-    """Size, sharpness and hash of an image."""
+    """Size, sharpness, contrast (standard deviation of grey levels, of 255) and hash of an image."""
 
     width: int
     height: int
     sharpness: float
+    contrast: float
     sha256: str
+
+    @classmethod
+    def of(cls, gray: Gray, width: int, height: int, sha256: str) -> "ImageCheck":
+        """Of an image of this size, by its grey levels (H, W) in the working size."""
+        return cls(width, height, sharpness(gray), float(cv2.meanStdDev(gray)[1][0, 0]), sha256)
 
 
 def check_image(
@@ -52,7 +58,7 @@ def check_image(
         gray = decode_gray(data, WORKING_LONG_SIDE)
     else:
         gray = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
-    return ImageCheck(width, height, sharpness(gray), hashlib.sha256(data).hexdigest()), gray, rgb
+    return ImageCheck.of(gray, width, height, hashlib.sha256(data).hexdigest()), gray, rgb
 
 
 def image_size(data: bytes) -> tuple[int, int]:

@@ -168,7 +168,9 @@ def session_of(seconds: np.ndarray, speed_m_s: float = 1.0) -> ImportedSession:
         for number, (s, pose) in enumerate(zip(seconds, poses, strict=True))
     ]
     raw = RawSession("walk", "none", "", Clock.BOOT, Path(), frames)
-    return ImportedSession("walk", raw, frames, [Image(frame, ImageCheck(96, 72, 0.5, "")) for frame in frames], [])
+    return ImportedSession(
+        "walk", raw, frames, [Image(frame, ImageCheck(96, 72, 0.5, 50.0, "")) for frame in frames], []
+    )
 
 
 def test_a_single_walk_is_split_in_time_with_validation_between() -> None:

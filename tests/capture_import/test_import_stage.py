@@ -3,13 +3,14 @@
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from capture_writers import HEIGHT, WIDTH, make_walk, write_frames_jsonl, write_scanner_app
+from capture_writers import HEIGHT, WIDTH, Walk, make_walk, write_frames_jsonl, write_scanner_app
 from known import read_picture, rows
 
 from groundwalk.artefacts import DataRoot, UserError, execute
@@ -238,6 +239,64 @@ def test_user_mistakes_are_told_in_a_few_lines(tmp_path: Path) -> None:
     (captures / "bytes" / "walk").rename(os.fsdecode(os.fsencode(captures / "bytes") + b"/w\xff"))
     with pytest.raises(UserError, match="isn't UTF-8"):
         run_import(tmp_path, "bytes")
+
+
+def _with(walk: Walk, fault: str) -> Walk:
+    """The walk with a fault that no single row shows."""
+    if fault in ("tenths of a metre", "centimetres"):
+        poses = walk.vio_T_cam.copy()
+        poses[:, :3, 3] *= 10 if fault == "tenths of a metre" else 100
+        return replace(walk, vio_T_cam=poses)
+    if fault == "frozen":
+        return replace(walk, vio_T_cam=np.repeat(walk.vio_T_cam[:1], len(walk.t_ns), axis=0))
+    if fault == "one image":
+        return replace(walk, has_image=np.arange(len(walk.t_ns)) == 4)
+    if fault == "black":
+        return replace(walk, pictures=np.zeros((len(walk.t_ns), HEIGHT, WIDTH, 3), np.uint8))
+    return replace(walk, t_ns=walk.t_ns * 1000 if fault == "milliseconds" else walk.t_ns // 1000)
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ("tenths of a metre", "VIO moves at 12.34 m/s (median; 95th percentile 13.45 m/s), a walk is below 3 m/s"),
+        ("milliseconds", "poses come at 0.01 Hz (median interval 100 s), expected 0.1 to 1000 Hz"),
+        ("frozen", "all 24 poses lie within 0 mm over 2.3 s while 12 images differ: did odometry run?"),
+        ("one image", "it has one image: a model needs many that overlap"),
+    ],
+)
+def test_what_is_not_plausible_is_told_by_inspect_and_import(
+    tmp_path: Path, fault: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", _with(make_walk(), fault))
+    lines = list(inspect_capture(tmp_path / "captures" / "place"))
+    assert any(line.startswith(f"  warning    {said}") for line in lines)
+    assert any(line.startswith("  status     usable: 1 warning above") for line in lines)
+    run_import(tmp_path, "place")
+    assert f"warning: walk: {said}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("fault", "refusal", "status"),
+    [
+        ("centimetres", r"(?s)walk isn't plausible.*at most 100 m/s.*m/s \(median", "unusable: not plausible"),
+        ("microseconds", r"(?s)walk isn't plausible.*at most 100 m/s", "unusable: not plausible"),
+        ("black", r"(?s)no usable image.*12 x image is empty: its grey levels vary by 0.0", "unusable: no sound image"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(tmp_path: Path, fault: str, refusal: str, status: str) -> None:
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", _with(make_walk(), fault))
+    assert any(line.startswith(f"  status     {status}") for line in inspect_capture(tmp_path / "captures" / "place"))
+    with pytest.raises(UserError, match=refusal):
+        run_import(tmp_path, "place")
+
+
+def test_inspect_samples_as_import_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(48))
+    last = list(inspect_capture(tmp_path / "captures" / "place"))[-1].removeprefix("all recordings: ")
+    assert last.endswith("all are used")
+    run_import(tmp_path, "place")
+    assert last.replace("<scene>", "place") in capsys.readouterr().err
 
 
 def test_what_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
