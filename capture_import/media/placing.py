@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.parallel import in_parallel
+from groundwalk.artefacts.progress import track
 from groundwalk.capture_import.capture import ImageFile, Limits, VideoFrame
 from groundwalk.capture_import.intake import Image
 from groundwalk.capture_import.media.blurring import Detector, Kind, blur_people
@@ -60,17 +61,20 @@ def place_images(images: Sequence[Image], session_id: str, where: Placement) -> 
     """
     folder = where.work / "images" / session_id
     folder.mkdir(parents=True, exist_ok=True)
+    text = f"{session_id}: {'placing images' if where.detect is None else 'blurring faces and plates'}"
     if any(isinstance(image.frame.image, VideoFrame) for image in images):
-        placed = _place_video(images, folder, where)
+        placed = _place_video(images, folder, where, text)
     else:
-        placed = list(in_parallel(lambda image: _place_file(image, folder, where), images))
+        files = in_parallel(lambda image: _place_file(image, folder, where), images)
+        placed = list(track(files, text, len(images)))
     with contextlib.suppress(OSError):  # not empty
         folder.rmdir()
         folder.parent.rmdir()
     return placed
 
 
-def _place_video(images: Sequence[Image], folder: Path, where: Placement) -> list[PlacedImage]:
+def _place_video(images: Sequence[Image], folder: Path, where: Placement, text: str) -> list[PlacedImage]:
+    """`text` names the work in its progress."""
     placed: dict[int, PlacedImage] = {}
     missing: dict[int, Image] = {}
     for image in images:
@@ -85,7 +89,7 @@ def _place_video(images: Sequence[Image], folder: Path, where: Placement) -> lis
         video = next(ref.path for image in images if isinstance(ref := image.frame.image, VideoFrame))
         frames = decode(video, set(missing), where.limits)
         rendered = in_parallel(lambda frame: (frame[0], _rendered(rgb_pixels(frame[1]), where)), frames)
-        for index, (rgb, blurred) in rendered:
+        for index, (rgb, blurred) in track(rendered, text, len(missing)):
             placed[index] = _write(missing[index], encode_jpeg(rgb), folder, where, blurred)
     return [placed[i.frame.image.index] for i in images if isinstance(i.frame.image, VideoFrame)]
 

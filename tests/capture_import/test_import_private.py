@@ -1,5 +1,6 @@
 """What may tell who was there doesn't get into artefacts: metadata, and faces and plates where that is asked for."""
 
+import re
 import struct
 import zlib
 from collections.abc import Callable
@@ -14,7 +15,7 @@ import pytest
 from capture_writers import HEIGHT, WIDTH, Walk, image, jpeg, make_walk, write_scanner_app, write_stray_scanner
 from known import rows
 
-from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts import DataRoot, UserError, execute, progress
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.capture_import import stage as import_stage
 from groundwalk.capture_import.media.blurring import CascadeDetector, Region, blur_people
@@ -111,8 +112,12 @@ def test_what_a_detector_finds_is_erased_where_it_is(quarters: int) -> None:
 
 @pytest.mark.parametrize("write", [write_scanner_app, write_stray_scanner])
 def test_blurred_images_are_written_and_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Callable[[Path, Walk], object]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    write: Callable[[Path, Walk], object],
 ) -> None:
+    monkeypatch.setattr(progress, "_LOG_EVERY_S", 0.0)
     write(tmp_path / "captures" / "place" / "walk", make_walk())
 
     def detect(rgb: np.ndarray) -> list[Region]:
@@ -121,6 +126,7 @@ def test_blurred_images_are_written_and_counted(
 
     monkeypatch.setattr(import_stage, "CascadeDetector", lambda: detect)
     artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["blur=true"])
+    assert re.search(r"walk: blurring faces and plates: \d+/\d+ .*left", capsys.readouterr().err)
     figures = load_manifest(artefact)["figures"]
     frames = pd.read_parquet(artefact / "frames.parquet")
     bright = 0
