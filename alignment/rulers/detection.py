@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.alignment.rulers.settings import DICTIONARIES, AprilTagRuler, CharucoRuler, dictionary
-from groundwalk.artefacts import UserError
+from groundwalk.artefacts.images import read_grey_image
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rulers import Corners
@@ -81,7 +81,7 @@ def detect_all(rulers: Sequence[BoardRuler], paths: Sequence[Path]) -> list[list
     """Each image's detections, one for each ruler, on all cores. UserError for an image that can't be read."""
 
     def detect_in(path: Path) -> list[Detection]:
-        image = read_grey(path)
+        image = read_grey_image(path)
         return [detect(ruler, image) for ruler in rulers]
 
     return list(in_parallel(detect_in, paths)) if rulers else [[] for _ in paths]
@@ -90,7 +90,7 @@ def detect_all(rulers: Sequence[BoardRuler], paths: Sequence[Path]) -> list[list
 def explain_absence(ruler: BoardRuler, paths: Sequence[Path]) -> str:
     """Why a ruler isn't detected in any of these images, by searching a few of them for other boards, in words."""
     step = max(1, len(paths) // _SEARCHED)
-    images = [read_grey(path) for path in paths[::step][:_SEARCHED]]
+    images = [read_grey_image(path) for path in paths[::step][:_SEARCHED]]
 
     if count := _count_images(ruler, [np.ascontiguousarray(image[:, ::-1]) for image in images]):
         return (
@@ -118,14 +118,6 @@ def explain_absence(ruler: BoardRuler, paths: Sequence[Path]) -> str:
 
 def _count_images(ruler: BoardRuler, images: Sequence[Grey]) -> int:
     return sum(len(detect(ruler, image).corner) > 0 for image in images)
-
-
-def read_grey(path: Path) -> Grey:
-    """An image as it is stored, whatever its EXIF orientation says. UserError where it can't be read."""
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
-        raise UserError("an image can't be read", where=path, do="run the import stage again")
-    return np.asarray(image, dtype=np.uint8)
 
 
 def _board(ruler: CharucoRuler) -> cv2.aruco.CharucoBoard:

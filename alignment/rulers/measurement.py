@@ -89,7 +89,7 @@ def find_rulers(
 ) -> list[RulerDetections]:
     """Look for rulers in all images of import's table `frames`; distances are where the settings say.
 
-    Raises UserError for an image that can't be read, or a distance's frame that doesn't exist.
+    Raises UserError for an image that can't be read, a distance's frame that doesn't exist, or a pixel outside of it.
     """
     boards = [ruler for ruler in rulers if not isinstance(ruler, DistanceRuler)]
     paths = [image_path(image) for image in frames["image"]] if boards else []
@@ -188,7 +188,18 @@ def _read_off(ruler: DistanceRuler, frames: pd.DataFrame) -> RulerDetections:
                     expected=f"a frame_id of import.frames, such as {frames['frame_id'].iloc[0]}",
                     do="name a frame of import.frames; sampling drops images",
                 )
-            rows.append(row_of[observation.frame])
+            row = row_of[observation.frame]
+            width, height = (int(frames[side].iloc[row]) for side in ("width", "height"))
+            x, y = observation.xy
+            if not (0 <= x <= width and 0 <= y <= height):
+                raise UserError(
+                    f"ruler {ruler.name!r}: point {point.name!r} is outside of its image",
+                    where=f"[[ruler]] of the scene's file, frame {observation.frame}",
+                    found=f"xy = [{x:g}, {y:g}]",
+                    expected=f"pixels of the image as stored, [0, 0] to [{width}, {height}]",
+                    do="read the pixel off the image at its full size, as import.frames has it",
+                )
+            rows.append(row)
             corner.append(index)
             xy.append(observation.xy)
     corners = Corners(np.array([[0.0, 0.0, 0.0], [ruler.length_m, 0.0, 0.0]]), np.zeros(2, dtype=np.int64))
@@ -224,10 +235,29 @@ def _judged(measurement: RulerMeasurement, frames: pd.DataFrame, min_angle: floa
 
 
 def _too_few(measurement: RulerMeasurement, frames: pd.DataFrame) -> str:
-    ids = frames["frame_id"].to_numpy(str)[np.unique(measurement.detections.row[measurement.in_model])]
+    """Why no two points of a ruler could be triangulated."""
+    detections, in_model = measurement.detections, measurement.in_model
+    if RulerPart.ALL in measurement.fits:
+        in_model = in_model & ~detections.held_out[detections.corner]
+    seen = np.unique(np.column_stack([detections.corner, detections.row])[in_model], axis=0)
+    frames_of = np.bincount(seen[:, 0], minlength=len(detections.corners.xyz_m))
+    ids = frames["frame_id"].to_numpy(str)[np.unique(seen[:, 1])]
     names = ", ".join(ids[:3]) + (", ..." if len(ids) > 3 else "")
-    what = "its points" if isinstance(measurement.ruler, DistanceRuler) else "its corners"
-    return f"seen in {len(ids)} frame{'s' * (len(ids) != 1)} ({names}); two of {what} must be seen in 2 or more frames"
+    where = f"in {len(ids)} frame{'s' * (len(ids) != 1)} ({names})"
+    is_distance = isinstance(detections.ruler, DistanceRuler)
+    points = "points" if is_distance else "corners"
+    if np.count_nonzero(frames_of >= 2) >= 2:
+        do = "check the pixels" if is_distance else "was it moved between them?"
+        return (
+            f"its {points} {where} don't fit the frames' poses: without outliers, no two of them are seen in 2 or more "
+            f"frames; {do}"
+        )
+    if isinstance(detections.ruler, DistanceRuler):
+        each = " and ".join(
+            f"{point.name!r} in {count}" for point, count in zip(detections.ruler.points, frames_of, strict=True)
+        )
+        return f"{each} of the model's frames ({names}); each of its points must be seen in 2 or more"
+    return f"seen {where}; two of its corners must be seen in 2 or more frames"
 
 
 def _weakness(measurement: RulerMeasurement, min_angle: float, max_sd: float) -> str:

@@ -9,10 +9,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from groundwalk.alignment.rulers.detection import read_grey
 from groundwalk.alignment.rulers.measurement import RulerMeasurement, kind_of
 from groundwalk.alignment.rulers.scale_check import RulerCheck, describe
 from groundwalk.artefacts.choices import RulerKind, RulerPart
+from groundwalk.artefacts.images import read_grey_image
 from groundwalk.artefacts.tables import camera_of, poses_of
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse, transform
@@ -101,7 +101,7 @@ def _draw_image(
     in_cam = transform(inverse(sfm_T_cam[row] @ cam_T_row[inlier]), fit.fitted[corner[inlier]])
     reprojected = camera_of(frames.iloc[row]).project(in_cam[:, :2] / in_cam[:, 2:])
     axes.imshow(
-        read_grey(image_path(str(frames["image"].iloc[row]))),
+        read_grey_image(image_path(str(frames["image"].iloc[row]))),
         cmap="gray",
         extent=(0, float(frames["width"].iloc[row]), float(frames["height"].iloc[row]), 0),
     )

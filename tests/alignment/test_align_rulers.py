@@ -524,6 +524,36 @@ def test_a_distances_frame_must_be_there(scene: Scene) -> None:
         find_rulers([distance], renamed, Path)
 
 
+@pytest.mark.parametrize("xy", [[-1.0, 20.0], [1921.0, 20.0], [10.0, 1441.0], [float("nan"), 20.0]])
+def test_a_distances_pixels_lie_in_the_image(scene: Scene, xy: list[float]) -> None:
+    (distance,) = rulers_of([DISTANCE])
+    point = DISTANCE["points"][1]
+    moved = {**point, "observations": [point["observations"][0], {"frame": "walk0/000001", "xy": xy}]}
+    (outside,) = rulers_of([{**DISTANCE, "points": [DISTANCE["points"][0], moved]}])
+    frames = scene.frames.assign(width=SIZE[0], height=SIZE[1])
+    find_rulers([distance], frames, Path)
+    with pytest.raises(UserError, match=r"(?s)'right' is outside of its image.*walk0/000001.*1920, 1440"):
+        find_rulers([outside], frames, Path)
+
+
+def test_why_a_distance_is_not_measured_is_told_by_point(scene: Scene) -> None:
+    def problem_of(left: list[tuple[int, float, float]], right: list[tuple[int, float, float]]) -> str:
+        points = [
+            {"name": name, "observations": [{"frame": f"walk0/{i:06d}", "xy": [x, y]} for i, x, y in seen]}
+            for name, seen in (("left", left), ("right", right))
+        ]
+        (reading,) = read(scene, *find_rulers(rulers_of([{**DISTANCE, "points": points}]), scene.frames, Path))
+        return reading.problem
+
+    scene.images.loc[scene.images["frame_id"] == "walk0/000030", "registered"] = False
+    ahead = [(i, 960.0, 720.0) for i in (0, 1)]
+    words = "'left' in 2 and 'right' in 1 of the model's frames (walk0/000000, walk0/000001); each of its points must"
+    assert words in problem_of(ahead, [ahead[0], (30, 960.0, 720.0)])
+    # The rays of both points part behind the cameras, or nowhere near.
+    scattered = [(0, 20.0, 20.0), (1, 1900.0, 1400.0)]
+    assert "don't fit the frames' poses" in problem_of(scattered, scattered)
+
+
 # ------------------------------------------------------------------ stage
 
 
