@@ -23,7 +23,13 @@ from groundwalk.sfm.model import blobs_of
 from groundwalk.sfm.pairs.odometry import Odometry, motions_over
 from groundwalk.sfm.quality.covariance import Covariances, covariances
 from groundwalk.sfm.quality.focal_steps import with_focal_steps
-from groundwalk.sfm.quality.messages import report_cameras, report_models, report_motion, report_patterns
+from groundwalk.sfm.quality.messages import (
+    excluded_pairs,
+    report_cameras,
+    report_models,
+    report_motion,
+    report_patterns,
+)
 from groundwalk.sfm.quality.residuals import draw_residuals, residual_patterns
 from groundwalk.sfm.recording import write_recording
 from groundwalk.sfm.scene_input import SceneInput, prepare_scene
@@ -88,6 +94,8 @@ def run(r: StageRun[SfmSettings]) -> None:
     with r.step("recording"):
         write_recording(r, with_cameras(scene.frames, images), model, made.matched)
     report_models(r, made, model, images["not_registered"], check, attempts, best)
+    for line in excluded_pairs(made.matched, scene.vio.posed):
+        r.say(line)
     report_cameras(r, lenses, intrinsics)
     report_motion(r, scene.frames, scene.cameras.motion)
 

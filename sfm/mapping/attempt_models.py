@@ -104,6 +104,7 @@ def attempt_models(
         consistent=int(consistent.sum()),
         outcome=outcome,
         input_fault=", ".join([*faults, *(f"the focal length of session {session} changes" for session in zooms)]),
+        has_vio=bool(scene.vio.posed.any()),
     )
     keypoints = keypoint_counts(database, len(scene.names))
     return attempt, AttemptModels(

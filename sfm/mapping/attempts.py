@@ -19,7 +19,8 @@ class Attempt:
     """One attempt and its outcome.
 
     `model_frames` are the frames of each selected model, the largest first, and `consistent` how many of them move as
-    VIO does. `input_fault` says what is wrong with the input where no further attempt would mend that.
+    VIO does; all where no frame `has_vio`. `input_fault` says what is wrong with the input where no
+    further attempt would mend that.
     """
 
     name: AttemptName
@@ -30,6 +31,7 @@ class Attempt:
     consistent: int
     outcome: AttemptOutcome
     input_fault: str = ""
+    has_vio: bool = True
 
     @property
     def registered(self) -> int:
@@ -38,7 +40,11 @@ class Attempt:
 
     def __str__(self) -> str:
         sizes = " + ".join(map(str, self.model_frames)) or "no"
-        motion = f", {self.consistent / self.registered:.0%} of them consistent with VIO" if self.model_frames else ""
+        motion = (
+            f", {self.consistent / self.registered:.0%} of them consistent with VIO"
+            if self.model_frames and self.has_vio
+            else ""
+        )
         return (
             f"{self.name} ({self.mapper}): {self.verified} of {self.pairs} pairs verified, "
             f"models of {sizes} frames{motion}"

@@ -33,6 +33,11 @@ class Odometry:
     jumped_m: Array
     jumped_rad: Array
 
+    @property
+    def posed(self) -> NDArray[np.bool_]:
+        """(N,) which frames have a pose by VIO; none of a public data set's has."""
+        return np.asarray(np.isfinite(self.vio_T_cam[:, 0, 0]), bool)
+
 
 @dataclass(frozen=True)
 class PairLimits:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from groundwalk.artefacts import StageRun
 from groundwalk.artefacts.choices import PairStatus
@@ -11,6 +12,7 @@ from groundwalk.sfm.mapping.attempt_models import AttemptModels
 from groundwalk.sfm.mapping.attempts import Attempt
 from groundwalk.sfm.mapping.source import HeldOutCheck
 from groundwalk.sfm.model import Model
+from groundwalk.sfm.pairs.matching import MatchedPairs
 from groundwalk.sfm.quality.residuals import pattern_of
 from groundwalk.sfm.settings import SfmSettings
 
@@ -61,11 +63,20 @@ def report_models(
     )
     for why, count in not_registered.value_counts().items():
         r.say(f"{count} of {len(not_registered)} frames not registered: {why} (images.parquet, not_registered)")
-    if inconsistent:
-        r.say(
-            f"{inconsistent} verified pairs excluded: relative pose inconsistent with VIO (pairs.parquet, status "
-            f"{PairStatus.INCONSISTENT_WITH_VIO})"
-        )
+
+
+def excluded_pairs(matched: MatchedPairs, has_vio: NDArray[np.bool_]) -> list[str]:
+    """A line on the pairs that VIO excludes; and one on those of frames without VIO (N,), whose reference poses say
+    where gravity is."""
+    excluded = matched.status == PairStatus.INCONSISTENT_WITH_VIO
+    by_vio = has_vio[matched.pairs].any(axis=1)
+    counts = {"VIO": excluded & by_vio, "gravity by the reference poses": excluded & ~by_vio}
+    return [
+        f"{np.count_nonzero(rows)} verified pairs excluded: relative pose inconsistent with {what} (pairs.parquet, "
+        f"status {PairStatus.INCONSISTENT_WITH_VIO})"
+        for what, rows in counts.items()
+        if rows.any()
+    ]
 
 
 def report_patterns(r: StageRun[SfmSettings], residuals: pd.DataFrame, plot: str) -> None:

@@ -16,6 +16,7 @@ from groundwalk.sfm.database import create_database, has_results, image_id, imag
 from groundwalk.sfm.pairs.features import extract_features
 from groundwalk.sfm.pairs.matching import MatchedPairs, guide_pairs, match_pairs, verification_options
 from groundwalk.sfm.pairs.odometry import nothing_compared
+from groundwalk.sfm.quality.messages import excluded_pairs
 from groundwalk.sfm.settings import SfmSettings
 
 SETTINGS = SfmSettings(max_features=400)
@@ -133,3 +134,14 @@ def test_a_verified_pair_of_few_inliers_links_nothing() -> None:
     matched = MatchedPairs(pairs, np.full(4, ""), inliers, inliers, 15, compared)
     assert matched.verified.tolist() == [True, True, True, False]
     assert matched.links.tolist() == [True, False, True, False]
+
+
+def test_pairs_without_vio_are_not_said_to_be_inconsistent_with_it() -> None:
+    pairs, many = np.array([(0, 1), (1, 2), (2, 3)]), np.full(3, 90)
+    reason = np.array([PairInconsistency.ROTATION, PairInconsistency.GRAVITY, PairInconsistency.GRAVITY], object)
+    matched = MatchedPairs(pairs, np.full(3, ""), many, many, 15, replace(nothing_compared(3), reason=reason))
+    with_vio, without = excluded_pairs(matched, np.array([True, True, False, False]))
+    assert "2 verified pairs excluded: relative pose inconsistent with VIO" in with_vio
+    assert "1 verified pairs excluded: relative pose inconsistent with gravity by the reference poses" in without
+    (line,) = excluded_pairs(matched, np.zeros(4, bool))
+    assert "inconsistent with VIO" not in line
