@@ -20,6 +20,14 @@ class SessionSplit(StrEnum):
     UNUSED = "unused"
 
 
+class Rejected(StrEnum):
+    """What of a capture was rejected."""
+
+    IMAGE = "image"
+    POSE = "pose"
+    DEPTH = "depth"
+
+
 class Tracking(StrEnum):
     """The odometry's state, as the app says."""
 

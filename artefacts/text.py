@@ -1,7 +1,7 @@
 """Text from captures and files, made fit for a terminal."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
 def printable(text: str) -> str:
@@ -10,12 +10,13 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c in "\n\u00a0\u202f" else c.encode("unicode_escape").decode() for c in text)
 
 
-def reason_counts(reasons: Iterable[str]) -> Counter[str]:
-    """How often each reason occurs. Reasons that differ behind their first colon, by their figures, count as one."""
-    counts = Counter(reasons)
-    kinds = Counter(reason.partition(":")[0] for reason in counts)
-    together: Counter[str] = Counter()
-    for reason, count in counts.items():
-        kind = reason.partition(":")[0]
-        together[kind if kinds[kind] > 1 else reason] += count
-    return together
+def grouped_reasons(reasons: Sequence[str]) -> list[str]:
+    """Each reason, cut at its first colon where others differ from it behind that alone, by their figures."""
+    kinds = Counter(reason.partition(":")[0] for reason in set(reasons))
+    return [kind if kinds[kind := reason.partition(":")[0]] > 1 else reason for reason in reasons]
+
+
+def in_words(names: Iterable[str]) -> str:
+    """`train`, `train and test`, `train, val and test`."""
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock, ImageSide, PoseSource, SessionSplit, Tracking
+from groundwalk.artefacts.choices import Clock, ImageSide, PoseSource, Rejected, SessionSplit, Tracking
 from groundwalk.geometry.poses import Array
 
 
@@ -103,15 +103,21 @@ class RawFrame:
     exposure_s: float | None = None
     depth: DepthFile | None = None
 
+    @property
+    def content(self) -> Rejected:
+        """What is lost where the row is rejected."""
+        return Rejected.POSE if self.image is None else Rejected.IMAGE
+
 
 @dataclass(frozen=True)
 class Reject:
-    """A row or file that is excluded, and why."""
+    """A row or file that is excluded, and why; `rejected` is what is lost by it, None for a row that can't be read."""
 
     session_id: str
     source: str
     t_ns: int | None
     reason: str
+    rejected: Rejected | None = None
 
 
 @dataclass(frozen=True)

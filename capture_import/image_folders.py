@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from groundwalk.artefacts.choices import SessionSplit
+from groundwalk.artefacts.choices import Rejected, SessionSplit
 from groundwalk.capture_import.capture import Reject
 from groundwalk.capture_import.parsing import BadRow, parse_json, read_text
 
@@ -47,7 +47,7 @@ def unnamed_images(session_id: str, images: list[Path]) -> list[Reject]:
     named = set(images)
     beside = {p for folder in {i.parent for i in images if i.parent.is_dir()} for p in folder.iterdir()}
     unnamed = sorted(p for p in beside - named if p.suffix.lower() in _SUFFIXES)
-    return [Reject(session_id, p.name, None, "image isn't among those with poses") for p in unnamed]
+    return [Reject(session_id, p.name, None, "image isn't among those with poses", Rejected.IMAGE) for p in unnamed]
 
 
 def split_of(images: list[Path], test: set[Path]) -> SessionSplit | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from groundwalk.artefacts.choices import PoseSource
 from groundwalk.artefacts.progress import track
-from groundwalk.artefacts.text import reason_counts
+from groundwalk.artefacts.text import grouped_reasons
 from groundwalk.capture_import.capture import RawSession
 from groundwalk.capture_import.checks.clock import check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
@@ -100,7 +100,7 @@ def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:
             at = (jump.t_ns - int(t_ns[0])) * 1e-9
             effect = ", splits the session" if splits else ""
             yield f"  jump       at {at:.1f} s: {jump.jump_m:.2f} m, {jump.jump_deg:.1f} deg{effect}"
-    for reason, n in reason_counts(reject.reason for reject in intake.rejects).most_common(8):
+    for reason, n in Counter(grouped_reasons([reject.reason for reject in intake.rejects])).most_common(8):
         yield f"  rejected   {n} x {printable(reason)}"
 
 

@@ -1,13 +1,14 @@
 """From a recording as the phone wrote it to sessions of sound rows, cut at large VIO jumps."""
 
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from groundwalk.artefacts.choices import PoseSource, Tracking
+from groundwalk.artefacts.choices import PoseSource, Rejected, Tracking
 from groundwalk.capture_import.capture import RawFrame, RawSession, Reject
 from groundwalk.capture_import.checks.health import Jump, check_session, content_fault, find_jumps, size_fault
 from groundwalk.capture_import.checks.scan import ImageScan
@@ -66,11 +67,12 @@ def take_in(raw: RawSession, settings: ImportSettings, scan: Scan) -> Intake:
     tracked = []
     for frame in checked.frames:
         if frame.tracking == Tracking.LOST:
-            rejects.append(Reject(raw.session_id, frame.source, frame.t_ns, "not tracking"))
+            rejects.append(Reject(raw.session_id, frame.source, frame.t_ns, "not tracking", frame.content))
         else:
             tracked.append(frame)
     images, bad = _sound_images(raw.session_id, tracked, settings, scan)
-    return Intake(list(_cut_at_jumps(raw, tracked, images, settings)), rejects + bad)
+    sessions = list(_cut_at_jumps(raw, tracked, images, settings))
+    return Intake(sessions, _of_parts(rejects + bad, sessions))
 
 
 def measures(scans: Iterable[ImageScan | str]) -> Iterator[ImageCheck | str]:
@@ -95,7 +97,7 @@ def _sound_images(
         else:
             fault = size_fault(frame.intrinsics, result.width, result.height) or content_fault(result.contrast)
         if fault:
-            rejects.append(Reject(session_id, frame.source, frame.t_ns, fault))
+            rejects.append(Reject(session_id, frame.source, frame.t_ns, fault, Rejected.IMAGE))
         else:
             assert isinstance(result, ImageCheck)
             images.append(Image(frame, result))
@@ -106,10 +108,19 @@ def _sound_images(
     for image in images:
         if image.check.sharpness < settings.min_relative_sharpness * median:
             reason = f"too blurred: sharpness {image.check.sharpness:.2f}, median of the session {median:.2f}"
-            rejects.append(Reject(session_id, image.frame.source, image.frame.t_ns, reason))
+            rejects.append(Reject(session_id, image.frame.source, image.frame.t_ns, reason, Rejected.IMAGE))
         else:
             sharp.append(image)
     return sharp, rejects
+
+
+def _of_parts(rejects: list[Reject], sessions: list[ImportedSession]) -> list[Reject]:
+    """The rejects of a recording, each of the part of it that it lies in by its time; of the first without one."""
+    starts = [session.frames[0].t_ns for session in sessions[1:]]
+    return [
+        replace(reject, session_id=sessions[0 if reject.t_ns is None else bisect_right(starts, reject.t_ns)].session_id)
+        for reject in rejects
+    ]
 
 
 def _cut_at_jumps(

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from groundwalk.artefacts.files import write_json
 from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.simulated import appearances_of
 from groundwalk.artefacts.tables import dataset_frames
-from groundwalk.artefacts.text import reason_counts
+from groundwalk.artefacts.text import grouped_reasons
 from groundwalk.capture_import.capture import RawFrame, Reject
 from groundwalk.capture_import.checks.clock import MAX_OFFSET_S, ClockCheck, check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
@@ -89,7 +90,7 @@ def run(r: StageRun[ImportSettings]) -> None:
 
     with r.step("recording"), r.recording(blueprint([s.session_id for s in sessions])) as stream:
         for session in r.track(sessions, "writing the recording"):
-            rejected = _rejects_of(session, sessions, rejects)
+            rejected = [reject for reject in rejects if reject.session_id == session.session_id]
             spooled = _spooled(r, session.recording.session_id)
             log_session(stream, session, by_session[session.session_id], rejected, _image_path(r.work, root), spooled)
 
@@ -163,24 +164,6 @@ def _placed_frames(
         return first_row(width, height, stated, quarters)
 
     return frames_table(session, selection, places, depths, first_row_of), rejects
-
-
-def _rejects_of(
-    session: ImportedSession, sessions: Sequence[ImportedSession], rejects: Sequence[Reject]
-) -> list[Reject]:
-    """The rejects of a session: of its recording, from its first pose to that of the recording's next part."""
-    starts = [s.frames[0].t_ns for s in sessions if s.recording is session.recording and s.frames]
-    if not session.frames:
-        return []
-    start = session.frames[0].t_ns
-    later = [t for t in starts if t > start]
-
-    def is_here(t_ns: int | None) -> bool:
-        if start == starts[0] and (t_ns is None or t_ns < start):
-            return True
-        return t_ns is not None and start <= t_ns and (not later or t_ns < later[0])
-
-    return [r for r in rejects if r.session_id == session.recording.session_id and is_here(r.t_ns)]
 
 
 def _image_path(work: Path, root: Path) -> Callable[[str], Path]:
@@ -296,7 +279,7 @@ def _refuse_empty(sessions: Sequence[ImportedSession], rejects: Sequence[Reject]
 
 
 def _most_common(rejects: Sequence[Reject]) -> list[tuple[str, int]]:
-    return reason_counts(reject.reason for reject in rejects).most_common(3)
+    return Counter(grouped_reasons([reject.reason for reject in rejects])).most_common(3)
 
 
 def _report(

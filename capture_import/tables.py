@@ -136,6 +136,7 @@ def rejects_table(rejects: Sequence[Reject]) -> pd.DataFrame:
             "source": [printable(r.source) for r in rejects],
             "t_ns": pd.array([r.t_ns for r in rejects], dtype="Int64"),
             "reason": [printable(r.reason) for r in rejects],
+            "rejected": pd.array([r.rejected for r in rejects], dtype=object),
         }
     )
 

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from groundwalk.artefacts.choices import Rejected
 from groundwalk.artefacts.progress import format_seconds
+from groundwalk.artefacts.text import grouped_reasons
 from groundwalk.reports.cells import LEVELS, digits_of, number
 from groundwalk.reports.checks import AGREES
 from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row
@@ -86,24 +88,30 @@ def _median_pair(medians: pd.DataFrame, method: str, row: str, over: str) -> str
 
 def sessions(scene: SceneInputs) -> Grid:
     """What was captured, and what import made of it."""
-    columns = ["session", "format", "device", "split", "time (s)", "path (m)", "poses", "images", "frames", "left out"]
-    rejected = scene.rejects["session_id"].value_counts()
+    columns = ["session", "format", "device", "split", "time (s)", "path (m)", "poses", "images", "frames"]
+    columns += ["images left out"]
+    left_out = scene.rejects.loc[scene.rejects["rejected"] == Rejected.IMAGE, "session_id"].value_counts()
     rows = []
     for s in _records(scene.sessions.sort_values("session_id")):
-        numbers = [f"{s.duration_s:.0f}", f"{s.path_m:.1f}", s.poses, s.images, s.frames, rejected.get(s.session_id, 0)]
+        numbers = [f"{s.duration_s:.0f}", f"{s.path_m:.1f}", s.poses, s.images, s.frames, left_out.get(s.session_id, 0)]
         rows.append([s.session_id, s.format, s.device, s.split, *numbers])
     return _grid(f"sessions-{scene.name}", "Sessions", "As recorded by the phone.", columns, rows, 4)
 
 
 def rejects(scene: SceneInputs) -> Grid | None:
-    """Why frames were left out; None where none was."""
-    counts = scene.rejects["reason"].value_counts(sort=False).sort_index()
-    rows = [[reason, frames] for reason, frames in counts.items()]
-    return (
-        _grid(f"rejects-{scene.name}", "Left out", "Frames that import left out.", ["reason", "frames"], rows)
-        if rows
-        else None
+    """How many images were left out, by reason; and depth images and other rows. None where nothing was."""
+    if scene.rejects.empty:
+        return None
+    reason = pd.Series(grouped_reasons(list(scene.rejects["reason"])), index=scene.rejects.index)
+    kinds = {"images": Rejected.IMAGE, "depth images": Rejected.DEPTH}
+    counts = pd.DataFrame({name: scene.rejects["rejected"] == kind for name, kind in kinds.items()})
+    counts["other rows"] = ~counts.any(axis=1)
+    rows = [[why, *numbers] for why, *numbers in counts.groupby(reason).sum().itertuples()]
+    caption = (
+        "What import left out of the captures. A frame whose depth image is left out stays; other rows are poses "
+        "without an image, and rows that can't be read. Images that sampling doesn't select aren't counted."
     )
+    return _grid(f"rejects-{scene.name}", "Left out", caption, ["reason", *counts.columns], rows)
 
 
 def alignment(scene: SceneInputs) -> Grid:
@@ -195,16 +203,18 @@ def walks(scene: SceneInputs) -> Grid:
         "answered",
         f"median ({scene.unit.symbol})",
         "median (°)",
+        "frames of levels",
         *(f"{level} (%)" for level in LEVELS),
     ]
     rows = []
     for (model, walk), s in scores.items():
         errors = [number(error, digits_of(error)) for error in (s.median_m, s.median_deg)]
         levels = [number(value, 1) for value in (s.high, s.medium, s.low)]
-        rows.append([scene.label(model), walk, s.frames, s.answered, *errors, *levels])
+        rows.append([scene.label(model), walk, s.frames, s.answered, *errors, s.certain, *levels])
     caption = (
         "Every model alone, without VIO, over the test frames with ground truth; a frame without a pose counts as "
-        "failed. Levels: within 0.25 m and 2°, 0.5 m and 5°, 5 m and 10°."
+        "failed. Levels: within 0.25 m and 2°, 0.5 m and 5°, 5 m and 10°, of the frames whose ground truth is of "
+        "quality class A or B."
     )
     if by == "appearance":
         caption += " The walks are the same in each appearance, pose by pose; training frames are of appearance same."

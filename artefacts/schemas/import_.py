@@ -6,6 +6,7 @@ from groundwalk.artefacts.choices import (
     ImageSide,
     LengthUnit,
     PoseSource,
+    Rejected,
     SessionSplit,
     Split,
     Tracking,
@@ -135,7 +136,16 @@ TABLES = [
             Column("source", "string", "file or row in the capture"),
             Column("t_ns", "int64", "time on the session's clock, where it could be read", "ns", nullable=True),
             Column("reason", "string", "why"),
+            Column(
+                "rejected",
+                "string",
+                "what is left out by it: an image with its pose, a pose without an image, or the depth image of a "
+                "frame that stays; null for a row that can't be read",
+                nullable=True,
+                choices=Rejected,
+            ),
         ],
+        version="1.1",
     ),
     TableSchema(
         "import",

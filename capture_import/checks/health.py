@@ -62,7 +62,7 @@ def check_session(session: RawSession, max_gap_s: float) -> SoundRows:
     rejects = list(session.rejects)
 
     def reject(frame: RawFrame, reason: str) -> None:
-        rejects.append(Reject(session.session_id, frame.source, frame.t_ns, reason))
+        rejects.append(Reject(session.session_id, frame.source, frame.t_ns, reason, frame.content))
 
     readable = []
     for frame in session.frames:
@@ -165,7 +165,7 @@ def size_fault(camera: Intrinsics, width: int, height: int) -> str | None:
 def content_fault(contrast: float) -> str | None:
     """What is wrong with an image whose grey levels have this standard deviation, of 255; or None."""
     if contrast < _MIN_CONTRAST:
-        return f"image is empty: its grey levels vary by {contrast:.1f} of 255 (at least {_MIN_CONTRAST:g})"
+        return f"image shows nothing: its grey levels vary by {contrast:.1f} of 255 (at least {_MIN_CONTRAST:g})"
     return None
 
 

@@ -12,7 +12,7 @@ Documented at https://github.com/PolyCam/polyform (README, "Polycam's data forma
 
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock
+from groundwalk.artefacts.choices import Clock, Rejected
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -45,7 +45,9 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     refuse_unreadable(path, frames, rejects, "keyframes/cameras/<microseconds>.json with t_00 .. t_23, fx, fy, cx, cy")
     known = {file.stem for file in files}
     orphans = sorted(p.name for p in images.glob("*.jpg") if p.stem not in known)
-    rejects += [Reject(session_id, f"images/{name}", None, "image has no camera file") for name in orphans]
+    rejects += [
+        Reject(session_id, f"images/{name}", None, "image has no camera file", Rejected.IMAGE) for name in orphans
+    ]
     return RawSession(session_id, FORMAT.id, "iOS, Polycam", Clock.BOOT, path, frames, rejects)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock
+from groundwalk.artefacts.choices import Clock, Rejected
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.media.float_depth import missing_decoder
@@ -67,7 +67,11 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
 
     frames, rejects = collect([(f"pose {i}", i) for i in range(len(poses))], session_id, read_row)
     refuse_unreadable(path, frames, rejects, "poses of 7 numbers, K, w, h, and frameTimestamps or fps")
-    rejects += [Reject(session_id, files[i].name, None, "image has no pose") for i in sorted(files) if i >= len(poses)]
+    rejects += [
+        Reject(session_id, files[i].name, None, "image has no pose", Rejected.IMAGE)
+        for i in sorted(files)
+        if i >= len(poses)
+    ]
     notes = [f"its depth isn't read: {missing}"] if missing else []
     if len(files) != len(poses):
         notes.append(f"{len(files)} images and {len(poses)} poses: joined by number")

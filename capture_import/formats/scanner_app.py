@@ -17,7 +17,7 @@ Latitude and longitude may be in `info.json` and the frames; they're never read.
 import re
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock
+from groundwalk.artefacts.choices import Clock, Rejected
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -50,7 +50,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     frames, rejects = collect(rows, session_id, _read_frame)
     refuse_unreadable(path, frames, rejects, "frame_XXXXX.json with time, cameraPoseARFrame and intrinsics")
     orphans = sorted(p for p in path.glob("frame_*.jpg") if not p.with_suffix(".json").exists())
-    rejects += [Reject(session_id, p.name, None, "image has no JSON file") for p in orphans]
+    rejects += [Reject(session_id, p.name, None, "image has no JSON file", Rejected.IMAGE) for p in orphans]
     return RawSession(
         session_id=session_id,
         format=FORMAT.id,

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.choices import Rejected
 from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.capture_import.capture import Reject
@@ -53,7 +54,8 @@ def place_depths(images: Sequence[Image], session_id: str, where: Placement) -> 
             placed.append(result)
             continue
         placed.append(PlacedDepth())
-        rejects.append(Reject(session_id, result[0], image.frame.t_ns, f"{result[1]}; its image is used without"))
+        reason = f"{result[1]}; its image is used without"
+        rejects.append(Reject(session_id, result[0], image.frame.t_ns, reason, Rejected.DEPTH))
     return placed, rejects
 
 

@@ -218,6 +218,27 @@ def test_a_large_jump_splits_the_session_and_a_small_one_is_told(tmp_path: Path)
     assert tables["sessions"]["path_m"].sum() < 11
 
 
+def test_rejects_name_the_part_of_the_session_and_what_is_left_out(tmp_path: Path) -> None:
+    walk, folder = make_walk(90), tmp_path / "captures" / "place" / "walk"
+    walk.vio_T_cam[60:, :3, 3] += [3.0, 0.0, 0.0]
+    write_scanner_app(folder, walk)
+    (folder / "frame_00010.jpg").write_bytes(b"")
+    (folder / "frame_00070.jpg").write_bytes(b"")
+    for number in (21, 81):
+        (folder / f"frame_{number:05d}.json").write_text(
+            (folder / f"frame_{number - 1:05d}.json").read_text()  # its time, too
+        )
+    (folder / "frame_00030.json").write_text("[]")
+    rejects = run_import(tmp_path, "place", "sampling='all'")["rejects"].sort_values(["session_id", "source"])
+    assert list(zip(rejects["session_id"], rejects["source"], rejects["rejected"].fillna(""), strict=True)) == [
+        ("walk", "frame_00010.json", "image"),
+        ("walk", "frame_00021.json", "pose"),
+        ("walk", "frame_00030.json", ""),
+        ("walk.part2", "frame_00070.json", "image"),
+        ("walk.part2", "frame_00081.json", "pose"),
+    ]
+
+
 def test_user_mistakes_are_told_in_a_few_lines(tmp_path: Path) -> None:
     captures = tmp_path / "captures"
     (captures / "empty").mkdir(parents=True)
@@ -281,7 +302,11 @@ def test_what_is_not_plausible_is_told_by_inspect_and_import(
     [
         ("centimetres", r"(?s)walk isn't plausible.*at most 100 m/s.*m/s \(median", "unusable: not plausible"),
         ("microseconds", r"(?s)walk isn't plausible.*at most 100 m/s", "unusable: not plausible"),
-        ("black", r"(?s)no usable image.*12 x image is empty: its grey levels vary by 0.0", "unusable: no sound image"),
+        (
+            "black",
+            r"(?s)no usable image.*12 x image shows nothing: its grey levels vary by 0.0",
+            "unusable: no sound image",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_refused(tmp_path: Path, fault: str, refusal: str, status: str) -> None:

@@ -273,8 +273,15 @@ class MadeUpScene:
         return pd.DataFrame(rows)
 
     def _rejects(self) -> pd.DataFrame:
-        row = {"session_id": "walk_1", "source": "frame_00007.json", "t_ns": None, "reason": "truncated image"}
-        return pd.DataFrame([row]).astype({"t_ns": "Int64"})
+        rows = [
+            ("walk_1", "frame_00007.json", "image is broken: truncated", "image"),
+            ("walk_1", "frame_00008.json", "image is broken: no end", "image"),
+            ("walk_1", "frame_00009.json", "not tracking", "pose"),
+            ("walk_2", "depth_00003.png", "depth image is broken; its image is used without", "depth"),
+            ("walk_2", "frame_00004.json", "no number", None),
+        ]
+        table = pd.DataFrame(rows, columns=["session_id", "source", "reason", "rejected"])
+        return table.assign(t_ns=pd.array([None] * len(rows), dtype="Int64"))
 
     def _images(self, lost: int) -> pd.DataFrame:
         count = len(self.frames)

@@ -250,6 +250,24 @@ def test_errors_by_walk_or_by_appearance(appearances: tuple[str, str], make_run:
     assert (folder / "figures" / "Yard-walks.png").is_file()
 
 
+def test_the_page_counts_images_left_out_by_reason(church: tuple[DataRoot, Path]) -> None:
+    page = (church[1] / "page.html").read_text(encoding="utf-8")
+
+    def rows_of(name: str) -> list[list[str]]:
+        table = page[page.index(f'id="{name}-Church"') :]
+        table = table[: table.index("</table>")]
+        rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr.*?</tr>", table)]
+        return [row for row in rows if row]
+
+    assert rows_of("rejects") == [
+        ["depth image is broken; its image is used without", "0", "1", "0"],
+        ["image is broken", "2", "0", "0"],
+        ["no number", "0", "0", "1"],
+        ["not tracking", "0", "0", "1"],
+    ]
+    assert [row[-1] for row in rows_of("sessions")] == ["2", "0", "0", "0"]
+
+
 def test_the_page_shows_what_a_user_sees(church: tuple[DataRoot, Path]) -> None:
     _, folder = church
     page = (folder / "page.html").read_text(encoding="utf-8")
