@@ -8,6 +8,7 @@ import pandas as pd
 
 from groundwalk.artefacts.choices import MapUnit
 from groundwalk.artefacts.settings import STAGES
+from groundwalk.artefacts.text import in_words
 from groundwalk.run import Run
 
 
@@ -21,7 +22,7 @@ def summary(run: Run) -> str:
     if "align" in usable:
         rows += _ground_truth(run.ground_truth)
     if "fuse" in usable:
-        rows += _errors(run.table("fuse", "summary"))
+        rows += _errors(run.table("fuse", "summary"), in_words(dict.fromkeys(run.table("fuse", "errors")["split"])))
     width = max(len(subject) for subject, _ in rows) + 2
     return "\n".join(f"{subject:<{width}}{text}" for subject, text in rows)
 
@@ -56,9 +57,9 @@ def _ground_truth(truth: pd.DataFrame) -> Iterator[tuple[str, str]]:
     yield "ground truth", text
 
 
-def _errors(table: pd.DataFrame) -> Iterator[tuple[str, str]]:
-    """One line a method, model and scene: medians over all test frames, where a frame without a pose is infinitely
-    wrong."""
+def _errors(table: pd.DataFrame, splits: str) -> Iterator[tuple[str, str]]:
+    """One line a method, model and scene: medians over all frames of the evaluated splits, where a frame without a pose
+    is infinitely wrong."""
     several = len(table["scene"].unique()) > 1
     rows: Any = table[(table["subset"] == "all") & (table["scored"] == "method")].itertuples(index=False)
     for row in rows:
@@ -67,4 +68,4 @@ def _errors(table: pd.DataFrame) -> Iterator[tuple[str, str]]:
         medians = [(float(row.position_median_m), f"{{:.2f}} {unit}"), (float(row.rotation_median_deg), "{:.1f} deg")]
         figures = ", ".join("infinite" if np.isnan(value) else pattern.format(value) for value, pattern in medians)
         subject = f"{row.method}, {row.model}" + (f", {row.scene}" if several else "")
-        yield subject, f"median {figures}; {row.answered} of {row.frames} test frames have a pose"
+        yield subject, f"median {figures}; {row.answered} of {row.frames} {splits} frames have a pose"

@@ -324,13 +324,14 @@ def sensitivity(scene: SceneInputs, table: pd.DataFrame) -> NamedFigure:
             ax.set_xlabel(_THRESHOLDS[threshold])
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7.5)
     caption = (
-        f"{scene.name}: the paper's rule with one threshold changed at a time: mean errors and share of test frames."
+        f"{scene.name}: the paper's rule with one threshold changed at a time: mean errors and share of "
+        f"{scene.evaluated_splits} frames."
     )
     return NamedFigure("sensitivity", caption, figure)
 
 
 def confidence(scene: SceneInputs) -> NamedFigure:
-    """Mean errors of every method over all test frames in time, with their 95 % intervals over sessions."""
+    """Mean errors of every method over all evaluated frames in time, with their 95 % intervals over sessions."""
     rows = scene.intervals[scene.intervals["subset"] == "all"]
     rows = rows.assign(offline=rows["method"].isin(scene.offline)).sort_values("offline", kind="stable")
     names = list(dict.fromkeys(zip(rows["model"], rows["method"], strict=True)))
@@ -357,8 +358,8 @@ def confidence(scene: SceneInputs) -> NamedFigure:
     axes[0].invert_yaxis()
     sessions, draws = (int(rows[column].max()) for column in ("sessions", "draws"))
     caption = (
-        f"{scene.name}: every method over all test frames, and 95 % intervals by drawing the {sessions} test sessions "
-        f"again, which can be done in {draws} ways: with few sessions an interval says little."
+        f"{scene.name}: every method over all {scene.evaluated_splits} frames, and 95 % intervals by drawing their "
+        f"{sessions} sessions again, which can be done in {draws} ways: with few sessions an interval says little."
     )
     return NamedFigure("intervals", caption, figure)
 

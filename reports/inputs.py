@@ -10,6 +10,7 @@ import pandas as pd
 from groundwalk.artefacts import StageRun
 from groundwalk.artefacts.choices import Appearance, MapUnit
 from groundwalk.artefacts.tables import map_unit, poses_of, scale_warning
+from groundwalk.artefacts.text import in_words
 from groundwalk.reports.published import PAPER_METHOD
 from groundwalk.scoring.errors import sure_enough
 
@@ -80,6 +81,11 @@ class SceneInputs:
     def scored_frames(self) -> int:
         """Test frames with ground truth: what every share and level is a share of."""
         return int(self.errors.loc[self.errors["split"] == "test", "frame_id"].nunique())
+
+    @property
+    def evaluated_splits(self) -> str:
+        """What frames the tables sweep and intervals of fuse are over, in words."""
+        return in_words(dict.fromkeys(self.errors["split"]))
 
     @property
     def test_appearances(self) -> list[Appearance]:

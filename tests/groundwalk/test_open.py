@@ -171,6 +171,14 @@ def test_a_summary_of_a_map_without_metric_scale_names_no_metres(make_run: Make)
     assert "median 0.50 map units, 2.0 deg" in open_place(made).summary()
 
 
+def test_a_summary_names_the_splits_that_were_evaluated(make_run: Make) -> None:
+    made = make_run()
+    path, of = made.folder / "fuse" / "errors.parquet", schema("fuse", "errors")
+    errors = read_table(path, of)
+    write_table(path, pd.concat([errors.assign(split="val"), errors]), of)
+    assert "6 of 6 val and test frames have a pose" in open_place(made).summary()
+
+
 def test_a_run_is_opened_by_its_folder(make_run: Make, tmp_path: Path) -> None:
     made = make_run("import")
     assert groundwalk.open(made.folder).image("walk-0/000001").shape == (24, 32, 3)

@@ -21,6 +21,7 @@ def scene() -> SceneInputs:
     made = SimpleNamespace(
         unit=MapUnit.METRE,
         name="Church",
+        evaluated_splits="val and test",
         models=list(MODELS),
         sweep=tables["sweep"],
         intervals=tables["intervals"].astype({"high": float}),
@@ -40,7 +41,9 @@ def along_y(line: Line2D) -> list[float]:
 
 def test_sensitivity_has_a_line_a_model_in_each_panel(scene: SceneInputs) -> None:
     sweep = there(scene.sweep)
-    axes = sensitivity(scene, sweep).figure.axes
+    named = sensitivity(scene, sweep)
+    axes = named.figure.axes
+    assert "share of val and test frames" in named.caption
     assert len(axes) == 12 and all([line.get_label() for line in ax.lines] == scene.models for ax in axes)
     rows = sweep[(sweep["subset"] == "all") & (sweep["model"] == MODELS[1])]
     thresholds = ("n", "d_th_m", "o_th_deg", "gamma")
@@ -62,7 +65,8 @@ def test_intervals_stand_about_each_methods_mean(scene: SceneInputs) -> None:
     ]
     span, middle = positions.lines[2:4]
     assert along_x(span) == pytest.approx([1.2, 1.95]) and along_x(middle) == [1.5]
-    assert "2 test sessions" in named.caption and "3 ways" in named.caption
+    assert "all val and test frames" in named.caption and "their 2 sessions" in named.caption
+    assert "3 ways" in named.caption
     # A bound that is infinite has no end to draw to, but its mean is there.
     assert np.isnan(along_x(positions.lines[0])[1]) and along_x(positions.lines[1]) == [2.0]
 
