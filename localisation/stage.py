@@ -215,8 +215,11 @@ def report_accuracy(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFr
     wrong = int((given & ((position > _WRONG_M) | (rotation > _WRONG_DEG))).sum())
     r.figure(f"{name} test wrong", wrong)
     r.figure(f"{name} test within 0.25 m and 2 deg, %", measured.high)
+    left_out = len(tested) - measured.certain
+    r.figure(f"{name} test frames of quality class C", left_out)
+    of_frames = f" of {measured.certain} ({left_out} of quality class C left out)" if left_out else ""
     r.say(
-        f"{name}: {median_text}, {measured.high:.1f} % within 0.25 m and 2 deg; {refused}, "
+        f"{name}: {median_text}, {measured.high:.1f} % within 0.25 m and 2 deg{of_frames}; {refused}, "
         f"{wrong} off by more than {_WRONG_M:g} m or {_WRONG_DEG:g} deg"
     )
 

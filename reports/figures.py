@@ -258,6 +258,8 @@ def walks(scene: SceneInputs) -> NamedFigure:
         ax.set_xticks(range(len(groups)), [_short(walk) for walk in groups])
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7.5)
     caption = f"{scene.name}: every model alone by {by}, over all test frames; a frame without a pose counts as failed."
+    if scene.uncertain_frames:
+        caption += f" The right picture leaves out {scene.uncertain_frames} frames of quality class C."
     return NamedFigure("walks", caption, figure)
 
 

@@ -120,6 +120,19 @@ def test_bad_images_are_refused_as_rows(make_boards: MakeBoards) -> None:
         assert figures[f"{model} test refused"] == 3 and figures[f"{model} test wrong"] == 0
 
 
+def test_frames_that_levels_leave_out_are_counted(make_boards: MakeBoards, capsys: pytest.CaptureFixture[str]) -> None:
+    made = make_boards()
+    path, of = made.data.run("tiny", "Boards", "align") / "ground_truth.parquet", schema("align", "ground_truth")
+    truth = read_table(path, of)
+    tested = np.flatnonzero(TEST)
+    truth.loc[tested[:2], "quality"] = "C"
+    write_table(path, truth, of)
+    figures = run(made, 'models=["Map"]')["figures"]
+    assert figures["Map test frames of quality class C"] == 2
+    words = f"100.0 % within 0.25 m and 2 deg of {len(tested) - 2} (2 of quality class C left out)"
+    assert words in capsys.readouterr().err
+
+
 def test_a_killed_run_resumes_and_ends_in_the_same_tables(
     make_boards: MakeBoards, boards: Boards, monkeypatch: pytest.MonkeyPatch
 ) -> None:
