@@ -167,7 +167,7 @@ class SceneInputs:
         return max(sides), min(sides), float(np.ptp(xyz_N3[:, 1]))
 
     def runtime_ms(self, model: str) -> float:
-        """Median time of one inference over the test frames."""
+        """Median time of one inference over all frames with a prediction."""
         times = self.predictions.loc[self.predictions["model"] == model, "inference_ms"].dropna()
         return float(times.median()) if len(times) else float("nan")
 

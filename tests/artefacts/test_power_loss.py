@@ -74,7 +74,10 @@ class NoSettings(Settings):
 def some_files(r: StageRun[NoSettings]) -> None:
     (r.work / "models" / "a").mkdir(parents=True)
     (r.work / "models" / "a" / "points.bin").write_bytes(b"x" * 5000)
-    r.write("rejects", pd.DataFrame({"session_id": ["s"], "source": ["f"], "t_ns": [1], "reason": ["none"]}))
+    r.write(
+        "rejects",
+        pd.DataFrame({"session_id": ["s"], "source": ["f"], "t_ns": [1], "reason": ["none"], "rejected": None}),
+    )
     (r.scratch / "log").write_text("x")
 
 
@@ -93,7 +96,7 @@ def test_an_artefact_is_synced_before_it_is_in_its_place(tmp_path: Path, disk: D
 
 
 def test_tables_json_and_folders_are_synced_before_they_are_in_their_place(tmp_path: Path, disk: Disk) -> None:
-    rejects = pd.DataFrame({"session_id": ["s"], "source": ["f"], "t_ns": [1], "reason": ["none"]})
+    rejects = pd.DataFrame({"session_id": ["s"], "source": ["f"], "t_ns": [1], "reason": ["none"], "rejected": None})
     write_table(tmp_path / "t.parquet", rejects, schema("import", "rejects"))
     write_json(tmp_path / "a.json", {})
     with fresh_folder(tmp_path / "out") as folder:
