@@ -110,8 +110,8 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
     for lens in lenses.to_dict("records"):
         r.say(
             f"lens of {lens['lens_id']}: "
-            + "".join(f"{name} {lens[name]:.4f} ± {lens[f'{name}_sd']:.4f}, " for name in ("k1", "k2", "k3"))
-            + f"readout {1000 * lens['readout_s']:.1f} ± {1000 * lens['readout_sd_s']:.1f} ms ({lens['origin']})"
+            + "".join(f"{name} {_with_sd(lens[name], lens[f'{name}_sd'], '.4f')}, " for name in ("k1", "k2", "k3"))
+            + f"readout {_with_sd(1000 * lens['readout_s'], 1000 * lens['readout_sd_s'], '.1f')} ms ({lens['origin']})"
         )
         if abs(lens["readout_s"]) - _READOUT_SIGMAS * lens["readout_sd_s"] > _SENSORS_READOUT_S:
             r.say(
@@ -136,8 +136,9 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
         if lens["stated_readout_is_wrong"]:
             r.say(
                 f"lens of {lens['lens_id']}: the STATED READOUT TIME IS LIKELY WRONG: "
-                f"{1000 * lens['stated_readout_s']:.1f} ms, {1000 * lens['readout_s']:.1f} ± "
-                f"{1000 * lens['readout_sd_s']:.1f} ms by the images, which is used"
+                f"{1000 * lens['stated_readout_s']:.1f} ms, "
+                f"{_with_sd(1000 * lens['readout_s'], 1000 * lens['readout_sd_s'], '.1f')} ms by the images, which is "
+                "used"
             )
     limit = r.settings.max_focal_error
     for session in intrinsics.to_dict("records"):
@@ -150,7 +151,13 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
         error = session["focal_scale"] - 1
         if abs(error) >= limit:
             r.say(
-                f"session {session['session_id']}: logged focal lengths are likely wrong: {100 * error:+.2f} % ± "
-                f"{100 * session['focal_scale_sd']:.2f} % by the images, limit {100 * limit:g} % "
+                f"session {session['session_id']}: logged focal lengths are likely wrong: "
+                f"{_with_sd(100 * error, 100 * session['focal_scale_sd'], '.2f', '+')} % by the images, limit "
+                f"{100 * limit:g} % "
                 f"({setting_of('sfm', 'max_focal_error')})"
             )
+
+
+def _with_sd(value: float, sd: float, pattern: str, sign: str = "") -> str:
+    """A number and its standard deviation, where that is known."""
+    return f"{value:{sign}{pattern}}" + ("" if np.isnan(sd) else f" ± {sd:{pattern}}")
