@@ -44,6 +44,8 @@ ProfileOption = Annotated[
     ),
 ]
 DataOption = Annotated[Path, typer.Option(help="The data folder, with captures/ and runs/.")]
+# The limits are those of the libraries that take it.
+SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=2**31 - 1)]
 SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", help="One setting, key=value as in TOML; may be given several times."),
@@ -98,7 +100,7 @@ def stage_command(name: str, load: "Callable[[], Stage[Any]]") -> Callable[..., 
         scene: SceneOption = "",
         profile: ProfileOption = "demo",
         set_: SetOption = None,
-        seed: Annotated[int, typer.Option(help="Seed of everything random in this stage.")] = 0,
+        seed: SeedOption = 0,
         force: Annotated[bool, typer.Option("--force", help="Run even if the artefact is up to date.")] = False,
         data: DataOption = Path("data"),
     ) -> None:

@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeVar
 
@@ -19,9 +20,9 @@ _TABLES = {"ruler": ("align", "rulers")}
 
 
 class Settings(BaseModel):
-    """Base of every stage's settings: frozen, and an unknown key is an error."""
+    """Base of every stage's settings: frozen; an unknown key is an error, and so is a number that isn't finite."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     renamed: ClassVar[dict[str, str]] = {}
     """Retired names of settings, and what each is called now."""
@@ -43,6 +44,15 @@ class SplitRules(Settings):
     test_fraction: float = Field(0.25, gt=0, lt=1, description="fraction of a single session's time to test on")
     val_fraction: float = Field(0.1, ge=0, lt=0.5, description="fraction of the training walks held out for validation")
     allow_leak: bool = Field(False, description="allow test frames within 5 s of training frames of a session")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "SplitRules":
+        for side, names in (("test", self.test), ("train", self.train)):
+            if names == []:
+                raise ValueError(f"{side} lists no session; leave it out where it's to list none")
+        if both := sorted({*(self.test or [])} & {*(self.train or [])}):
+            raise ValueError(f"session {both[0]!r} is listed for training and testing")
+        return self
 
 
 class SceneConfig(Settings):
@@ -123,24 +133,34 @@ class DataRoot:
             names = ", ".join(self.names("profiles"))
             raise UserError(f"there is no profile {name!r}", where=self.root / "profiles", expected=f"one of {names}")
         content = _read_toml(path)
-        _refuse_unknown_sections(content, ("description",), path)
+        _refuse_wrong_sections(content, ("description",), path)
         return content
 
     def scene(self, name: str) -> tuple[SceneConfig, dict[str, Any]]:
         """A scene's config and its stage sections; a scene without a file has the defaults."""
         path = self.config_file("scenes", checked_name("scene", name))
         content = _read_toml(path) if path else {}
+        _refuse_wrong_sections(content, (*SceneConfig.model_fields, *_TABLES), path)
         sections = {key: content.pop(key) for key in _SECTIONS if key in content}
         for table, (section, setting) in _TABLES.items():
             if table in content:
                 sections.setdefault(section, {})[setting] = _list_of_tables(content.pop(table), table, path)
         return validated(SceneConfig, {**content, "name": name}, path or f"scene {name!r}"), sections
 
-    def leaves(self, scene: SceneConfig) -> list[str]:
-        """The scenes under a group, in order; a plain scene is its own only leaf."""
+    def leaves(self, scene: SceneConfig, groups: tuple[str, ...] = ()) -> list[str]:
+        """The scenes under a group, in order, each once; a plain scene is its own only leaf. UserError where a group is
+        a member of itself, `groups` being those around the scene."""
         if not scene.is_group:
             return [scene.name]
-        return [leaf for member in scene.members for leaf in self.leaves(self.scene(member)[0])]
+        above = (*groups, scene.name)
+        if scene.name in groups:
+            raise UserError(
+                f"the group of scenes {scene.name} is a member of itself",
+                where=self.config_file("scenes", scene.name),
+                found=" has the member ".join(above),
+                do="take one of these members out",
+            )
+        return list(dict.fromkeys(leaf for m in scene.members for leaf in self.leaves(self.scene(m)[0], above)))
 
 
 def resolve_settings(model: type[T], section: str, data: DataRoot, profile: str, scene: str, overrides: list[str]) -> T:
@@ -148,29 +168,34 @@ def resolve_settings(model: type[T], section: str, data: DataRoot, profile: str,
 
     UserError for an unknown key, a wrong type or a value out of range.
     """
+    stated = [
+        (f"[{section}] of {data.config_file('profiles', profile)}", data.profile(profile).get(section, {})),
+        (f"[{section}] of {data.config_file('scenes', scene)}", data.scene(scene)[1].get(section, {})),
+        *((f"--set {override}", _nested(override)) for override in overrides),
+    ]
     merged: dict[str, Any] = {}
-    _merge(merged, data.profile(profile).get(section, {}))
-    _merge(merged, data.scene(scene)[1].get(section, {}))
-    for override in overrides:
-        key, eq, value = override.partition("=")
-        if not eq:
-            raise UserError("a setting needs a value", found=override, expected="key=value", where="--set")
-        nested: dict[str, Any] = {}
-        inner = nested
-        *parents, leaf = key.strip().split(".")
-        for parent in parents:
-            inner = inner.setdefault(parent, {})
-        inner[leaf] = _parse_value(value.strip())
-        _merge(merged, nested)
-    return validated(model, merged, f"[{section}] of profile {profile}, scene {scene} and --set")
+    for _, content in stated:
+        _merge(merged, content)
+
+    def where(key: Sequence[Any]) -> str:
+        """The last source that states a key, or each one that states any where none does."""
+        sources = [source for source, content in stated if content]
+        return next((s for s, content in reversed(stated) if key and key[0] in content), ", ".join(sources))
+
+    return _validated(model, merged, where)
 
 
 def validated(model: type[T], content: dict[str, Any], where: object) -> T:
     """`content` as a settings model; UserError naming each key that doesn't fit."""
+    return _validated(model, content, lambda _: str(where))
+
+
+def _validated(model: type[T], content: dict[str, Any], where: Callable[[Sequence[Any]], str]) -> T:
+    """`validated`, with where the user finds a key (its path)."""
     try:
         return model.model_validate(content)
     except UserError as error:  # a retired name, or a value that names no entry of a registry
-        error.details["where"] = error.details["where"] or where
+        error.details["where"] = ", ".join(filter(None, [str(error.details["where"] or ""), where(())])) or None
         raise
     except ValidationError as error:
         # A key that there isn't says most: its right name may be what is missing.
@@ -178,11 +203,23 @@ def validated(model: type[T], content: dict[str, Any], where: object) -> T:
         key = ".".join(str(part) for part in first["loc"])
         raise UserError(
             f"setting {key!r}: {first['msg']}",
-            where=where,
+            where=where(first["loc"]),
             found=None if first["type"] == "missing" else repr(first.get("input")),
             expected="one of " + ", ".join(model.model_fields) if first["type"] == "extra_forbidden" else None,
             do="correct it; `groundwalk <stage> --help` lists the settings",
         ) from None
+
+
+def _nested(override: str) -> dict[str, Any]:
+    """`a.b=value` as the tables that it stands for."""
+    key, eq, value = override.partition("=")
+    if not eq:
+        raise UserError("a setting needs a value", found=override, expected="key=value", where="--set")
+    *parents, leaf = key.strip().split(".")
+    nested: dict[str, Any] = {leaf: _parse_value(value.strip())}
+    for parent in reversed(parents):
+        nested = {parent: nested}
+    return nested
 
 
 def _parse_value(text: str) -> Any:
@@ -213,9 +250,12 @@ def _list_of_tables(content: Any, name: str, path: object) -> Any:
     return content
 
 
-def _refuse_unknown_sections(content: dict[str, Any], more: tuple[str, ...], path: Path) -> None:
+def _refuse_wrong_sections(content: dict[str, Any], more: tuple[str, ...], path: Path | None) -> None:
     unknown = [key for key in content if key not in _SECTIONS and key not in more]
     if unknown:
         raise UserError(
             f"unknown section {unknown[0]!r}", where=path, expected="one of " + ", ".join((*_SECTIONS, *more))
         )
+    for key in content.keys() & set(_SECTIONS):
+        if not isinstance(content[key], dict):
+            raise UserError(f"{key} is a section of settings", where=path, found=content[key], expected=f"[{key}]")

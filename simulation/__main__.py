@@ -6,7 +6,15 @@ from typing import Annotated
 
 import typer
 
-from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, SetOption, new_app, settings_help
+from groundwalk.artefacts.cli import (
+    DataOption,
+    ProfileOption,
+    SceneOption,
+    SeedOption,
+    SetOption,
+    new_app,
+    settings_help,
+)
 from groundwalk.artefacts.settings import DataRoot
 from groundwalk.simulation.scenes import NAMES
 from groundwalk.simulation.settings import SimulateSettings
@@ -24,7 +32,7 @@ def main(
     scene: SceneOption,
     profile: ProfileOption = "demo",
     set_: SetOption = None,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    seed: SeedOption = 0,
     force: Annotated[bool, typer.Option("--force", help="Simulate even if it's up to date.")] = False,
     processes: Annotated[
         int, typer.Option(help="Processes that render.", min=1, show_default="one a core")

@@ -143,7 +143,7 @@ def dictionary(name: str) -> cv2.aruco.Dictionary:
 def rulers_of(tables: Any) -> list[Ruler]:
     """The `[[ruler]]` tables as settings, each with a name; UserError says which one is wrong and how."""
     if not isinstance(tables, list) or not all(isinstance(table, dict | Ruler) for table in tables):
-        raise UserError("rulers are a list of tables", where="the scene's file", found=tables, expected="[[ruler]] ...")
+        raise UserError("rulers are a list of tables", found=tables, expected="[[ruler]] ...")
     rulers = [_ruler(table, index) for index, table in enumerate(tables, start=1)]
     names = [ruler.name for ruler in rulers]
     for index, ruler in enumerate(rulers):
@@ -180,7 +180,7 @@ def _ruler(table: dict[str, Any] | Ruler, number: int) -> Ruler:
 
 
 def _where(number: int) -> str:
-    return f"[[ruler]] number {number} of the scene's file (data/scenes/<scene>.toml)"
+    return f"[[ruler]] number {number}"
 
 
 def _family(name: str) -> str:

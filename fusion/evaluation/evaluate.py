@@ -1,16 +1,16 @@
 """The batch evaluation of every method on every scene and model, for the stage and for tables from anywhere."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import pandas as pd
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from groundwalk.artefacts import Settings
-from groundwalk.artefacts.choices import MapUnit
+from groundwalk.artefacts.choices import MapUnit, Split
 from groundwalk.artefacts.progress import track
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.tables import map_unit, scale_warning
@@ -33,12 +33,19 @@ class FuseSettings(Settings):
         default_factory=lambda: list(METHODS.builtin), min_length=1, description="fusion methods to run, by id"
     )
     options: dict[str, dict[str, Any]] = Field(
-        {}, description="a method's options that differ from its defaults: options.window30.frames=20"
+        {}, description="a method's options that differ from its defaults: options.window30.pairs=20"
     )
-    splits: list[str] = Field(["test"], min_length=1, description="frames to evaluate: test, val, train")
+    splits: list[Literal["train", "val", "test"]] = Field(["test"], min_length=1, description="frames to evaluate")
     learn_from: str = Field(
         "val", description="frames held out of training, that methods learn the regressor's errors from; none if empty"
     )
+
+    @model_validator(mode="after")
+    def _known(self) -> "FuseSettings":
+        if self.learn_from not in ("", *Split):
+            raise ValueError(f"learn_from {self.learn_from!r} is none of {', '.join(Split)}, and not empty")
+        resolved(self)
+        return self
 
 
 @dataclass(frozen=True)
@@ -194,7 +201,7 @@ def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator
                 yield str(model), evaluated(scene.scene, held, scene.truth, table, [settings.learn_from]).walks
 
 
-def joined_walks(inputs: Inputs, splits: list[str]) -> Iterator[tuple[str, Evaluated]]:
+def joined_walks(inputs: Inputs, splits: Sequence[str]) -> Iterator[tuple[str, Evaluated]]:
     """Each model's name and walks. UserError for inputs that can't be evaluated."""
     check_frames(inputs.frames, inputs.truth, f"of {inputs.scene}")
     check_predictions(inputs.frames, inputs.predictions, f"of {inputs.scene}")

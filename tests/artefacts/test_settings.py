@@ -58,6 +58,44 @@ def test_a_wrong_file_is_named(data: DataRoot) -> None:
         data.profile("none")
 
 
+@pytest.mark.parametrize("value", ["inf", "-inf", "nan"])
+def test_a_number_that_is_not_finite_is_refused_with_its_file_section_and_key(data: DataRoot, value: str) -> None:
+    (data.root / "scenes" / "place.toml").write_text(f"[sfm]\nratio = {value}\n")
+    with pytest.raises(UserError, match=r"(?s)'ratio': .*finite number.*\[sfm\] of \S+place\.toml"):
+        resolve_settings(Example, "sfm", data, "own", "place", [])
+    (data.root / "profiles" / "own.toml").write_text(f"[sfm]\nratio = {value}\n")
+    with pytest.raises(UserError, match=r"(?s)finite number.*\[sfm\] of \S+own\.toml"):
+        resolve_settings(Example, "sfm", data, "own", "other", [])
+    with pytest.raises(UserError, match=rf"(?s)finite number.*--set ratio={value}"):
+        resolve_settings(Example, "sfm", data, "own", "place", [f"ratio={value}"])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("import = 3", r"import is a section of settings\n  where: .*place\.toml\n.*\[import\]"),
+        ("align = 3\n[[ruler]]\nkind = 'distance'", "align is a section of settings"),
+        ("[sfmm]", "unknown section 'sfmm'"),
+        ("[split]\ntest = []", "test lists no session"),
+        ("[split]\ntest = ['a', 'b']\ntrain = ['c', 'a']", "'a' is listed for training and testing"),
+    ],
+)
+def test_a_scene_s_file_is_checked_as_it_is_read(data: DataRoot, text: str, message: str) -> None:
+    (data.root / "scenes" / "place.toml").write_text(text)
+    with pytest.raises(UserError, match=message):
+        data.scene("place")
+
+
+def test_a_group_that_is_its_own_member_is_refused(data: DataRoot) -> None:
+    for name, members in {"a": ["b"], "b": ["c", "a"], "alone": ["alone"], "twice": ["c", "c"]}.items():
+        (data.root / "scenes" / f"{name}.toml").write_text(f"members = {members}\n")
+    with pytest.raises(UserError, match="a has the member b has the member a"):
+        data.leaves(data.scene("a")[0])
+    with pytest.raises(UserError, match="alone is a member of itself"):
+        data.leaves(data.scene("alone")[0])
+    assert data.leaves(data.scene("twice")[0]) == ["c"]
+
+
 @pytest.mark.parametrize("name", ["../up", "a/b", ".hidden", ""])
 def test_a_scene_name_cannot_lead_out_of_the_data_folder(data: DataRoot, name: str) -> None:
     with pytest.raises(UserError, match="name"):

@@ -14,7 +14,8 @@ import pytest
 from pages import COMMAND, NOT_RUN, ROOT, Block, Page, pages
 
 from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.settings import resolve_settings
+from groundwalk.artefacts.cli import settings_help
+from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
 from groundwalk.cli import all_commands
 
 PAGES = pages()
@@ -84,6 +85,16 @@ def test_settings_that_pages_show_are_valid(tmp_path: Path) -> None:
         assert sections, page.name
         for stage, model in models.items():
             resolve_settings(model, stage, DataRoot(folder), "tiny", "Shown", [])
+
+
+def test_examples_that_help_prints_are_settings() -> None:
+    models = {command.name: command.stage().settings for command in COMMANDS.values() if command.is_stage}
+    example = re.compile(r"(?<![\w.<>])[a-z]\w*(?:\.[\w<>-]+)+=[^\s`)]+")
+    helps = {name: settings_help(name, model) for name, model in models.items()}
+    shown = {(name, text) for name, printed in helps.items() for text in example.findall(printed)}
+    assert ("fuse", "options.window30.pairs=20") in shown
+    for stage, text in shown:
+        resolve_settings(models[stage], stage, DataRoot(SHIPPED_DATA), "tiny", "Church", [text])
 
 
 @pytest.fixture(scope="session")
