@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import json
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -16,7 +17,7 @@ from groundwalk.artefacts.hints import link_command, run_command
 from groundwalk.artefacts.locks import locked
 from groundwalk.artefacts.manifests import MANIFEST, load_manifest, load_verified
 from groundwalk.artefacts.settings import STAGES, DataRoot, SceneConfig
-from groundwalk.artefacts.simulated import SIMULATED_MARKER, TRUTH_FILES
+from groundwalk.artefacts.simulated import TRUTH_FILES, are_simulated
 
 
 class Reader(Protocol):
@@ -82,9 +83,9 @@ class Inputs:
         return sum(pq.read_metadata(file).num_rows for file in files if file.is_file())
 
     def simulated(self) -> bool:
-        """Whether any capture behind this run is simulated, as import saw it."""
+        """Whether any capture behind this run is simulated, or exported from a simulated scene, as import saw it."""
         if self.stage.reads_captures:
-            return (self.data.captures(self.scene.name) / SIMULATED_MARKER).is_file()
+            return are_simulated(capture_files(self.data.captures(self.scene.name)))
         leaves = self.data.leaves(self.scene)
         return any(load_manifest(self.data.run(self.profile, leaf, "import"))["simulated"] for leaf in leaves)
 
@@ -99,19 +100,7 @@ class Inputs:
         for name in self.stage.reads_shipped:
             self.hashes[f"data/{name}"] = {file: sha256_of(path) for file, path in self.data.files(name).items()}
         if self.files:
-            self.hashes["files"] = {name: self._hash(name) for name in self.files}
-
-    def _hash(self, name: str) -> str:
-        path = self.data.root / name
-        try:
-            return sha256_of(path)
-        except OSError as error:
-            raise UserError(
-                f"a file that the settings of scene {self.scene.name} name can't be read",
-                where=path,
-                found=error.strerror,
-                do="put it there, or correct its path, which is relative to the data folder",
-            ) from None
+            self.hashes["files"] = hashes_of_named(self.files, self.scene.name, self.data)
 
     def _read_captures(self) -> None:
         captures = self.data.captures(self.scene.name)
@@ -119,13 +108,7 @@ class Inputs:
             self._locks.enter_context(locked(captures, shared=True))
             self._captures = _capture_state(captures)
         if not self._captures:
-            raise UserError(
-                f"scene {self.scene.name} has no captures",
-                where=captures,
-                expected="a folder of phone captures",
-                found="nothing",
-                do=link_command(self.scene.name),
-            )
+            raise no_captures(self.scene.name, captures)
         hashes = hash_files(captures, [captures / name for name in self._captures])
         digest = hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
         self.hashes["captures"] = {"files": len(hashes), "sha256": digest}
@@ -158,6 +141,37 @@ class Inputs:
                     do=run_command(scene, self.profile, stage),
                 )
             self._refuse_outdated(its_scene, its_stage, made_from)
+
+
+def hashes_of_named(files: Iterable[str], scene: str, data: DataRoot) -> dict[str, str]:
+    """sha256 of the files that a scene's settings name, relative to the data folder; UserError where one can't be
+    read."""
+    hashes = {}
+    for name in files:
+        try:
+            hashes[name] = sha256_of(data.root / name)
+        except OSError as error:
+            raise UserError(
+                f"a file that the settings of scene {scene} name can't be read",
+                where=data.root / name,
+                found=error.strerror,
+                do="put it there, or correct its path, which is relative to the data folder",
+            ) from None
+    return hashes
+
+
+def no_captures(scene: str, captures: Path) -> UserError:
+    """The error for a scene without a file that import may read."""
+    links = sorted(path.name for path in captures.glob("*") if path.is_symlink() and path.is_dir())
+    return UserError(
+        f"scene {scene} has no captures",
+        where=captures,
+        expected="a folder of phone captures",
+        found=f"links to folders, which import doesn't follow: {', '.join(links)}" if links else "nothing",
+        do=f"copy what they point to there; or move this folder away and link one that holds it: {link_command(scene)}"
+        if links
+        else link_command(scene),
+    )
 
 
 def missing_input(stage: str, folder: Path, scene: str, profile: str) -> UserError:

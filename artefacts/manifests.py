@@ -6,6 +6,7 @@ from typing import Any
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import KEY_FILE, RECORDING, hash_files, read_json
 from groundwalk.artefacts.hints import run_command
+from groundwalk.artefacts.settings import STAGES
 
 MANIFEST = "manifest.json"
 # Not among the hashed outputs: a recording is a view of the tables and never the same twice.
@@ -77,6 +78,24 @@ def is_whole(folder: Path, key: str) -> bool:
     except UserError:
         return False
     return not manifest.get("recorded") or (folder / RECORDING).is_file()
+
+
+def outdated_stages(folder: Path, manifests: dict[str, dict[str, Any]]) -> dict[str, str]:
+    """Stage -> the first input that isn't any more what the stage, or one that it was made from, read. `folder` is that
+    of a scene's run, with the manifests of its stages in order."""
+    outdated: dict[str, str] = {}
+    for stage, manifest in manifests.items():
+        for source, hashes in manifest.get("inputs", {}).items():
+            scene, _, needed = source.partition("/")
+            if needed not in STAGES:
+                continue
+            same_scene = scene == manifest["scene"].get("name")
+            now = manifests.get(needed) if same_scene else read_json(folder.parent / scene / needed / MANIFEST)
+            if same_scene and needed in outdated:
+                outdated.setdefault(stage, outdated[needed])
+            elif now and now.get("outputs") != hashes:
+                outdated.setdefault(stage, f"{needed} of scene {scene}")
+    return outdated
 
 
 def _again(folder: Path) -> str:

@@ -1,5 +1,6 @@
 """Which files of a capture folder the simulator wrote, and what it made, by the marker that it left."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,19 @@ from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import read_json
 
 SIMULATED_MARKER = "SIMULATED.json"
+EXPORT_NOTE = "export.json"
 TRUE_POSES = "true_poses.parquet"
 TRUE_CAMERAS = "true_cameras.parquet"
 TRUTH_FILES = (TRUE_POSES, TRUE_CAMERAS)
 FRAME = "frame_{:05d}"
+
+
+def are_simulated(files: Iterable[Path]) -> bool:
+    """Whether a capture's files say that it is simulated, or an export of a simulated scene."""
+    return any(
+        file.name == SIMULATED_MARKER or (file.name == EXPORT_NOTE and read_json(file).get("simulated") is True)
+        for file in files
+    )
 
 
 def appearances_of(captures: Path) -> dict[str, Appearance]:

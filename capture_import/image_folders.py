@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Rejected, SessionSplit
+from groundwalk.artefacts.choices import SessionSplit
+from groundwalk.artefacts.simulated import EXPORT_NOTE
 from groundwalk.capture_import.capture import Reject
+from groundwalk.capture_import.image_files import images_in, is_image, unused
 from groundwalk.capture_import.parsing import BadRow, parse_json, read_text
 
-_SUFFIXES = (".jpg", ".jpeg", ".png")
 # How far below images/ a recording's folder may lie.
 _MAX_DEPTH = 3
-_EXPORT_NOTE = "export.json"
 
 
 def data_set_of(path: Path, is_data_set: Callable[[Path], bool]) -> Path | None:
@@ -45,9 +45,9 @@ def lost_rows(names: list[tuple[str, Path]]) -> list[str]:
 def unnamed_images(session_id: str, images: list[Path]) -> list[Reject]:
     """The image files beside the `images` that a recording's rows name which none of them names, as rejects."""
     named = set(images)
-    beside = {p for folder in {i.parent for i in images if i.parent.is_dir()} for p in folder.iterdir()}
-    unnamed = sorted(p for p in beside - named if p.suffix.lower() in _SUFFIXES)
-    return [Reject(session_id, p.name, None, "image isn't among those with poses", Rejected.IMAGE) for p in unnamed]
+    folders = sorted({image.parent for image in images if image.parent.is_dir()})
+    beside = [image for folder in folders for image in images_in(folder)]
+    return unused(session_id, beside, named, "image isn't among those with poses")
 
 
 def split_of(images: list[Path], test: set[Path]) -> SessionSplit | None:
@@ -62,7 +62,7 @@ def is_metric_export(data_set: Path) -> bool:
     """Whether it's an export of groundwalk, whose world is metric with +y up; other files of these kinds state no
     unit."""
     try:
-        note = parse_json(read_text(data_set / _EXPORT_NOTE, 1 << 20))
+        note = parse_json(read_text(data_set / EXPORT_NOTE, 1 << 20))
     except BadRow:
         return False
     return str(note.get("map", "")).startswith("metres, +y up")
@@ -73,4 +73,4 @@ def _nested(images: Path) -> bool:
 
 
 def _has_images(folder: Path) -> bool:
-    return any(p.suffix.lower() in _SUFFIXES for p in folder.iterdir())
+    return any(is_image(p) for p in folder.iterdir())

@@ -1,5 +1,6 @@
 """The commands that aren't one package's: `run`, `scenes` and `docs`."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -10,12 +11,14 @@ from rich.table import Table
 from groundwalk.artefacts import progress
 from groundwalk.artefacts.__main__ import link_captures
 from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
+from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import read_json
 from groundwalk.artefacts.hints import view_command
 from groundwalk.artefacts.inputs import capture_files
-from groundwalk.artefacts.manifests import MANIFEST
+from groundwalk.artefacts.manifests import MANIFEST, is_manifest, outdated_stages
 from groundwalk.artefacts.settings import STAGES, DataRoot
-from groundwalk.artefacts.simulated import SIMULATED_MARKER
+from groundwalk.artefacts.simulated import SIMULATED_MARKER, are_simulated
+from groundwalk.artefacts.text import printable
 from groundwalk.pipeline import run_steps, steps
 
 app = new_app("Whole scenes.")
@@ -49,19 +52,32 @@ def run(
 
 @app.command()
 def scenes(data: DataOption = Path("data")) -> None:
-    """List profiles, and scenes with their captures and the stages that are finished."""
+    """List profiles, and scenes with their captures and the stages that are finished.
+
+    A stage is outdated where one that it was made from was run again since.
+    """
     root = DataRoot(data)
     console = Console(highlight=False)
-    profiles = root.names("profiles")
+    faults: list[UserError] = []
+
+    def of(name: str, tell: Callable[[DataRoot, str], str]) -> str:
+        try:
+            return tell(root, name)
+        except UserError as error:
+            faults.append(error)
+            return f"its file can't be used, see below ({len(faults)})"
+
     table = Table("profile", "", box=None, pad_edge=False)
-    for name in profiles:
-        table.add_row(name, str(root.profile(name).get("description", "")))
+    for name in root.names("profiles"):
+        table.add_row(name, of(name, lambda data, name: str(data.profile(name).get("description", ""))))
     console.print(table)
     console.print()
     table = Table("scene", "captures", "finished stages", box=None, pad_edge=False)
     for name in root.scenes():
-        table.add_row(name, _captures(root, name), "; ".join(_finished(root, name)))
+        table.add_row(name, of(name, _captures), "; ".join(_finished(root, name)))
     console.print(table)
+    for number, fault in enumerate(faults, start=1):
+        console.print(f"\n({number}) {printable(str(fault))}", markup=False, soft_wrap=True)
 
 
 @app.command()
@@ -76,12 +92,13 @@ def docs(out: Annotated[Path, typer.Option(help="The folder of the docs.")] = Pa
 def _captures(data: DataRoot, scene: str) -> str:
     config = data.scene(scene)[0]
     if config.is_group:
+        data.leaves(config)
         return f"those of {', '.join(config.members)}"
     folder = data.captures(scene)
     if marker := read_json(folder / SIMULATED_MARKER):
         return f"simulated, profile {marker.get('profile', 'unknown')}"
-    if capture_files(folder):
-        return "real"
+    if files := capture_files(folder):
+        return "simulated" if are_simulated(files) else "real"
     return "none, can be simulated" if config.can_simulate else "none"
 
 
@@ -90,6 +107,9 @@ def _finished(data: DataRoot, scene: str) -> list[str]:
     runs = []
     for folder in sorted((data.root / "runs").glob(f"*/{scene}")):
         stages = [stage for stage in STAGES if (folder / stage / MANIFEST).is_file()]
+        manifests = {stage: read_json(folder / stage / MANIFEST) for stage in stages}
+        outdated = outdated_stages(folder, {stage: m for stage, m in manifests.items() if is_manifest(m)})
         if stages:
-            runs.append(f"{folder.parent.name}: {', '.join(stages)}")
+            named = (f"{stage} (outdated)" if stage in outdated else stage for stage in stages)
+            runs.append(f"{folder.parent.name}: {', '.join(named)}")
     return runs

@@ -7,7 +7,7 @@ from typing import Any
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import read_json
 from groundwalk.artefacts.hints import run_command
-from groundwalk.artefacts.manifests import MANIFEST, is_manifest
+from groundwalk.artefacts.manifests import MANIFEST, is_manifest, outdated_stages
 from groundwalk.artefacts.settings import STAGES, DataRoot, is_name
 from groundwalk.run import Run, not_finished
 
@@ -34,7 +34,7 @@ def _run(folder: Path, data: DataRoot) -> Run:
         raise _foreign(folder)
     scene = str(next(iter(manifests.values()))["scene"].get("name"))
     captures = data.captures(scene)
-    return Run(folder, captures if captures.is_dir() else None, manifests, _outdated(folder, manifests))
+    return Run(folder, captures if captures.is_dir() else None, manifests, outdated_stages(folder, manifests))
 
 
 def _manifests(folder: Path) -> dict[str, dict[str, Any]]:
@@ -60,23 +60,6 @@ def _is_of(content: dict[str, Any], stage: str) -> bool:
     types = {"profile": str, "scene": dict, "inputs": dict}
     has_types = all(isinstance(content.get(name), type_) for name, type_ in types.items())
     return is_manifest(content) and has_types and content.get("stage") == stage
-
-
-def _outdated(folder: Path, manifests: dict[str, dict[str, Any]]) -> dict[str, str]:
-    """Stage -> the first input that isn't any more what the stage, or one that it was made from, read."""
-    outdated: dict[str, str] = {}
-    for stage, manifest in manifests.items():
-        for source, hashes in manifest.get("inputs", {}).items():
-            scene, _, needed = source.partition("/")
-            if needed not in STAGES:
-                continue
-            same_scene = scene == manifest["scene"].get("name")
-            now = manifests.get(needed) if same_scene else read_json(folder.parent / scene / needed / MANIFEST)
-            if same_scene and needed in outdated:
-                outdated.setdefault(stage, outdated[needed])
-            elif now and now.get("outputs") != hashes:
-                outdated.setdefault(stage, f"{needed} of scene {scene}")
-    return outdated
 
 
 def _no_run(data: DataRoot, profile: str, scene: str) -> UserError:

@@ -11,10 +11,10 @@ from pathlib import Path
 from groundwalk.artefacts.child import Report, Task, in_child
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import read_json
-from groundwalk.artefacts.inputs import capture_files
+from groundwalk.artefacts.inputs import capture_files, hashes_of_named, no_captures
 from groundwalk.artefacts.manifests import MANIFEST
 from groundwalk.artefacts.progress import console
-from groundwalk.artefacts.settings import STAGES, DataRoot
+from groundwalk.artefacts.settings import STAGES, DataRoot, resolve_settings
 from groundwalk.artefacts.signals import Stopped, signals_held
 from groundwalk.artefacts.simulated import SIMULATED_MARKER
 
@@ -30,7 +30,8 @@ class Step:
 def steps(data: DataRoot, profile: str, scene: str, until: str = STAGES[-1]) -> list[Step]:
     """The commands that make a scene up to the stage `until`, in order; of a group of scenes its members' first.
 
-    Each does nothing where it is up to date. UserError for a scene, profile or stage that there isn't.
+    Each does nothing where it is up to date. UserError for a profile or stage that there isn't, and for a group of
+    scenes that is a member of itself.
     """
     if until not in STAGES:
         raise UserError(f"there is no stage {until!r}", expected=f"one of {', '.join(STAGES)}")
@@ -38,6 +39,7 @@ def steps(data: DataRoot, profile: str, scene: str, until: str = STAGES[-1]) -> 
     config = data.scene(scene)[0]
     wanted = STAGES[: STAGES.index(until) + 1]
     if config.is_group:
+        data.leaves(config)
         members = [step for member in config.members for step in steps(data, profile, member, until)]
         return [*dict.fromkeys(members), *(Step(stage, scene) for stage in wanted if stage in config.stages)]
     simulated = config.can_simulate and _may_simulate(data.captures(scene), profile)
@@ -55,14 +57,21 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
     """Run the commands, each in a process of its own, so that one stage's libraries and memory aren't the next one's.
 
     A scene's first stages that are up to date are skipped, found so in one process, as libraries take seconds to load.
-    Exits with the status of the first command that fails, which has said why. UserError where a signal ended one.
+    Captures and settings of all commands are checked before the first one runs. Exits with the status of the first
+    command that fails, which has said why. UserError where a check fails, and where a signal ended a command.
     """
+    checked = False
     for _, group in groupby(commands, key=lambda step: (step.scene, step.command in STAGES)):
         steps_of_scene = list(group)
         current = _count_current(steps_of_scene, profile, data)
         for step in steps_of_scene[:current]:
             console.print(f"{step.command} · {step.scene} · {profile}: up to date", markup=False)
-        _run(steps_of_scene[current:], profile, data)
+        left = steps_of_scene[current:]
+        if left and not checked:
+            task = Task(_check, (commands, profile, data), len(commands))
+            in_child("checking settings", Path(os.devnull), "", task)
+            checked = True
+        _run(left, profile, data)
 
 
 def _count_current(commands: list[Step], profile: str, data: DataRoot) -> int:
@@ -89,6 +98,24 @@ def _first_outdated(report: Report, commands: list[Step], profile: str, data: Da
         except UserError:  # the command itself says why
             return done
     return len(commands)
+
+
+def _check(report: Report, commands: list[Step], profile: str, data: DataRoot) -> None:
+    """UserError where a command lacks captures or files, or has a wrong setting: better now than hours later."""
+    from groundwalk.cli import stage_of
+    from groundwalk.simulation.settings import SimulateSettings
+
+    for done, step in enumerate(commands):
+        report(done)
+        captures = data.captures(step.scene)
+        if step.command == "simulate":
+            resolve_settings(SimulateSettings, step.command, data, profile, step.scene, [])
+        elif step.command in STAGES:
+            stage = stage_of(step.command)
+            settings = resolve_settings(stage.settings, step.command, data, profile, step.scene, [])
+            hashes_of_named(stage.files(settings), step.scene, data)
+            if stage.reads_captures and Step("simulate", step.scene) not in commands and not capture_files(captures):
+                raise no_captures(step.scene, captures)
 
 
 def _run(commands: list[Step], profile: str, data: DataRoot) -> None:

@@ -84,6 +84,23 @@ def test_results_of_two_imports_never_mix(data: DataRoot) -> None:
     run(data, stage("train", "align"))
 
 
+def test_an_export_of_a_simulated_scene_is_simulated(data: DataRoot) -> None:
+    note = data.captures("place") / "walk" / "export.json"
+    for told, expected in {'{"simulated": false}': False, '{"simulated": true}': True, "[]": False}.items():
+        note.write_text(told)
+        assert load_manifest(run(data, IMPORT))["simulated"] is expected
+    (note.parent / "SIMULATED.json").write_text("{}")  # a simulated scene's folder within another
+    folder = run(data, IMPORT)
+    assert load_manifest(folder)["simulated"] is True
+
+
+def test_linked_recordings_are_said_not_to_be_followed(data: DataRoot, tmp_path: Path) -> None:
+    (data.captures("place") / "walk").rename(tmp_path / "elsewhere")
+    (data.captures("place") / "walk").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UserError, match=r"(?s)no captures.*links to folders.*doesn't follow: walk\n.*copy"):
+        run(data, IMPORT)
+
+
 def test_captures_that_change_during_import_are_refused(data: DataRoot) -> None:
     def change(r: StageRun[ExampleSettings]) -> None:
         (data.captures("place") / "walk" / "more.json").write_text("{}")

@@ -1,6 +1,8 @@
 """The command `groundwalk`: every command line of the packages, none of their libraries until one is run."""
 
+import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -136,6 +138,26 @@ def test_scenes_lists_profiles_captures_and_stages(tmp_path: Path) -> None:
     assert "no" not in lines
 
 
+def test_scenes_names_a_broken_file_beside_the_others_and_outdated_stages(tmp_path: Path) -> None:
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "scenes" / "Broken.toml").write_text("x = \n")
+    (tmp_path / "scenes" / "Loop.toml").write_text('members = ["Loop"]\n')
+    for stage, read in {"import": "", "sfm": "old", "align": "now"}.items():
+        folder = tmp_path / "runs" / "tiny" / "Own" / stage
+        folder.mkdir(parents=True)
+        inputs = {"sfm": {"Own/import": {"t": read}}, "align": {"Own/sfm": {"t": "now"}}}.get(stage, {})
+        manifest = {"outputs": {"t": "now"}, "simulated": False, "scene": {"name": "Own"}, "inputs": inputs}
+        (folder / "manifest.json").write_text(json.dumps(manifest))
+    (tmp_path / "captures" / "Own").mkdir(parents=True)
+    done = groundwalk("scenes", "--data", tmp_path)
+    assert done.returncode == 0 and "Traceback" not in done.stderr
+    lines = {line.split()[0]: line for line in done.stdout.splitlines() if line}
+    assert "see below (1)" in lines["Broken"] and "none, can be simulated" in lines["Church"]
+    assert re.search(r"\(1\) a settings file can't be read\n.*Broken\.toml", done.stdout)
+    assert "(2) the group of scenes Loop is a member of itself" in done.stdout
+    assert "tiny: import, sfm (outdated), align (outdated)" in lines["Own"]
+
+
 def with_captures(data: DataRoot, scene: str, marker: str | None = None) -> None:
     folder = data.captures(scene)
     folder.mkdir(parents=True)
@@ -174,6 +196,44 @@ def test_what_there_is_not_is_said_before_anything_runs(tmp_path: Path) -> None:
         steps(DataRoot(tmp_path), "large", "Church")
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[align]\nmax_speed = 3", r"'max_speed'.*\[align\] of \S+place\.toml"),
+        ("[fuse]\noptions.window30.frames = 3", r"'frames'.*window30.*\[fuse\] of \S+place\.toml"),
+        ("[fuse]\nmethods = ['windw30']", r"no fusion method 'windw30'.*\[fuse\] of \S+place\.toml"),
+        ("[train]\npredictions = 'mine.parquet'", r"can't be read.*mine\.parquet"),
+    ],
+)
+def test_settings_of_all_stages_are_checked_before_the_first_runs(tmp_path: Path, text: str, message: str) -> None:
+    data = DataRoot(tmp_path)
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "scenes" / "place.toml").write_text(text)
+    (tmp_path / "scenes" / "two.toml").write_text('members = ["other", "place"]\n')
+    with_captures(data, "other")
+    with_captures(data, "place")
+    with pytest.raises(UserError, match=f"(?s){message}"):
+        run_steps(steps(data, "tiny", "two"), "tiny", data)
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_scene_without_captures_is_named_before_the_others_of_its_group_run(tmp_path: Path) -> None:
+    data = DataRoot(tmp_path)
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "scenes" / "two.toml").write_text('members = ["other", "plaec"]\n')
+    with_captures(data, "other")
+    with pytest.raises(UserError, match="scene plaec has no captures"):
+        run_steps(steps(data, "tiny", "two"), "tiny", data)
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_seed_that_no_library_takes_is_refused(tmp_path: Path) -> None:
+    for command in ("sfm", "train", "simulate"):
+        for seed in (-1, 2**31):
+            done = groundwalk(command, "--scene", "Church", "--data", tmp_path, "--seed", seed)
+            assert done.returncode == 2 and "Invalid value for '--seed'" in done.stderr
+
+
 def test_the_first_step_that_fails_ends_a_run(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     data = DataRoot(tmp_path)
     (tmp_path / "runs" / "tiny" / "other").mkdir(parents=True)
@@ -203,8 +263,11 @@ def test_a_signal_ends_a_run_with_its_stage(tmp_path: Path, number: signal.Signa
     _, said = process.communicate(timeout=30)
     assert process.returncode == 128 + number
     assert said.count("the same command resumes") == 1 and "Traceback" not in said
-    with pytest.raises(ProcessLookupError):  # nothing of it is left
-        os.killpg(process.pid, 0)
+    deadline = time.monotonic() + 30
+    with pytest.raises(ProcessLookupError):  # nothing of it is left, once its helpers have seen that it ended
+        while time.monotonic() < deadline:
+            os.killpg(process.pid, 0)
+            time.sleep(0.02)
     assert not (tmp_path / "captures" / "Church").exists()
 
 
