@@ -14,13 +14,13 @@ from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.text import printable
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import FORMATS, Format
+from groundwalk.capture_import.image_files import is_image
 from groundwalk.capture_import.media.archive import SUFFIXES, unpack
 
 _MAX_DEPTH = 5
 _MAX_ID_BYTES = 120
 # The simulator's truth is for checks alone; import never opens it.
 _IGNORED = {"true_poses.parquet", "true_cameras.parquet", "SIMULATED.json", "LICENSE", "README.md", "__MACOSX"}
-_IMAGES = (".jpg", ".jpeg", ".png")
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def _refuse_links_below(root: Path, path: Path) -> None:
     with os.scandir(path) as scan:
         entries = list(scan)
     for entry in entries:
-        if entry.is_symlink() and not entry.name.lower().endswith(_IMAGES):
+        if entry.is_symlink() and not is_image(Path(entry.name)):
             _refuse_link_out(root, Path(entry.path))
         elif entry.is_dir(follow_symlinks=False):
             _refuse_links_below(root, Path(entry.path))

@@ -3,6 +3,7 @@
 from collections.abc import Container, Iterable
 from pathlib import Path
 
+from groundwalk.artefacts.choices import Rejected
 from groundwalk.capture_import.capture import Reject
 
 # HEIC isn't read: such an image is a reject by its content.
@@ -15,8 +16,8 @@ def is_image(path: Path) -> bool:
 
 
 def images_in(folder: Path) -> list[Path]:
-    """The image files of a folder, sorted by name."""
-    return sorted(path for path in folder.iterdir() if is_image(path))
+    """The image files of a folder, sorted by name; none where it isn't there."""
+    return sorted(path for path in folder.iterdir() if is_image(path)) if folder.is_dir() else []
 
 
 def by_stem(images: Iterable[Path]) -> dict[str, Path]:
@@ -30,4 +31,4 @@ def by_stem(images: Iterable[Path]) -> dict[str, Path]:
 
 def unused(session_id: str, images: Iterable[Path], used: Container[Path | None], reason: str) -> list[Reject]:
     """Those image files of a recording that it doesn't use, as rejects."""
-    return [Reject(session_id, path.name, None, reason) for path in images if path not in used]
+    return [Reject(session_id, path.name, None, reason, Rejected.IMAGE) for path in images if path not in used]

@@ -1,6 +1,7 @@
 """Training, validation and test: by session where there are several, by time where there is one."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +36,7 @@ def split_frames(frames: pd.DataFrame, rules: SplitRules, by_time: bool) -> Spli
     training walk, at another place in each; in a walk split in time it's the block before the test frames, at least
     five seconds where the walk allows, and so keeps training and test apart.
 
-    UserError for unknown or doubly listed sessions, or for listed ones that leak.
+    UserError for unknown sessions, for listed ones that leak, and where no frame is left to train or to test on.
     """
     recordings = sorted(frames["recording"].unique())
     listed = rules.test is not None or rules.train is not None
@@ -46,7 +47,7 @@ def split_frames(frames: pd.DataFrame, rules: SplitRules, by_time: bool) -> Spli
         for recording in recordings:
             rows = np.flatnonzero(frames["recording"] == recording)
             split[rows] = _time_split(frames["t_ns"].to_numpy()[rows], rules)
-        return SplitResult(split, "by time within each recording", leak_seconds(frames, split))
+        return _with_both_sides(SplitResult(split, "by time within each recording", leak_seconds(frames, split)))
     else:
         of_session, how = _as_stated(frames) or _by_name(frames) or _by_fraction(frames, rules.test_fraction)
     split = frames["session_id"].map(of_session).to_numpy(dtype=object)
@@ -60,7 +61,43 @@ def split_frames(frames: pd.DataFrame, rules: SplitRules, by_time: bool) -> Spli
             found=f"{leak:.2f} s",
             do=f"put whole recordings on one side, or set {setting_of('split', 'allow_leak = true')}",
         )
-    return SplitResult(split, how, leak)
+    return _with_both_sides(SplitResult(split, how, leak))
+
+
+def refuse_lists(rules: SplitRules, recordings: Sequence[str]) -> None:
+    """UserError where the lists of `rules` can't fit a capture of these recordings, before their images are read: they
+    name others, or leave none to train or to test on. Parts of a recording (walk.part2) are known later."""
+    listed = [*(rules.test or []), *(rules.train or [])]
+    if unknown := [name for name in listed if re.sub(r"\.part\d+$", "", name) not in recordings]:
+        raise _no_session(unknown[0], recordings)
+    if listed and not (rules.test and rules.train) and set(recordings) <= set(listed):
+        side = "train" if rules.test else "test"
+        raise _no_side(side, f"all {len(recordings)} recordings are listed for the other side")
+
+
+def _with_both_sides(result: SplitResult) -> SplitResult:
+    for side in ("train", "test"):
+        if not (result.of_frame == side).any():
+            raise _no_side(side, f"{len(result.of_frame)} frames, split {result.how}")
+    return result
+
+
+def _no_side(side: str, what: str) -> UserError:
+    return UserError(
+        f"the split leaves no frame to {side} on",
+        where="[split] of the scene's config",
+        found=what,
+        do=f"list other sessions there, or capture more: {setting_of('split', 'test')}",
+    )
+
+
+def _no_session(name: str, names: Iterable[str]) -> UserError:
+    return UserError(
+        "there is no such session",
+        where="[split] of the scene's config",
+        found=name,
+        expected="one of " + ", ".join(sorted(names)),
+    )
 
 
 def nearest_split(frames: pd.DataFrame, split_frames: pd.DataFrame) -> NDArray[np.object_]:
@@ -94,13 +131,8 @@ def _listed(frames: pd.DataFrame, rules: SplitRules) -> dict[str, str]:
     all_names = set().union(*names.values())
     test, train = set(rules.test or []), set(rules.train or [])
     for name in sorted(test | train):
-        if name not in all_names or (name in test and name in train):
-            raise UserError(
-                "a session is listed for training and testing" if name in all_names else "there is no such session",
-                where="[split] of the scene's config",
-                found=name,
-                expected="one of " + ", ".join(sorted(all_names)),
-            )
+        if name not in all_names:
+            raise _no_session(name, all_names)
     # One list alone defines the other one; with both, what neither names is unused.
     rest = "unused" if test and train else ("train" if test else "test")
     # A part's name goes before its recording's.

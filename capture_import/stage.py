@@ -12,7 +12,7 @@ from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.choices import ImageSide
 from groundwalk.artefacts.files import write_json
 from groundwalk.artefacts.hints import setting_of
-from groundwalk.artefacts.simulated import appearances_of
+from groundwalk.artefacts.simulated import appearances_of, are_simulated
 from groundwalk.artefacts.tables import dataset_frames
 from groundwalk.artefacts.text import grouped_reasons
 from groundwalk.capture_import.capture import RawFrame, Reject
@@ -33,7 +33,7 @@ from groundwalk.capture_import.media.upright import first_row, quarters_to_uprig
 from groundwalk.capture_import.recording import blueprint, log_session
 from groundwalk.capture_import.selection import Selection, select_enough
 from groundwalk.capture_import.settings import ImportSettings
-from groundwalk.capture_import.splits import LEAK_S, SplitResult, nearest_split, split_frames
+from groundwalk.capture_import.splits import LEAK_S, SplitResult, nearest_split, refuse_lists, split_frames
 from groundwalk.capture_import.tables import (
     frames_table,
     jumps_table,
@@ -53,6 +53,8 @@ def run(r: StageRun[ImportSettings]) -> None:
         unpacked = r.scratch / "unpacked"
         unpacked.mkdir(exist_ok=True)
         sources = find_recordings(root, unpacked, r.settings.limits, r.settings.format)
+        refuse_lists(r.scene.split, [source.session_id for source in sources])
+        r.simulated |= are_simulated(path for path in unpacked.rglob("*") if path.is_file())
         roots = [root, unpacked.resolve()]
     intakes, fits = [], []
     for source in sources:
@@ -125,7 +127,7 @@ def _write(
     rejects: list[Reject],
 ) -> None:
     """Write the stage's tables; `table` is that of sessions."""
-    r.write("frames", frames.drop(columns=["recording", "stated_split"]))
+    r.write("frames", frames.drop(columns=["recording", "stated_split", "content_sha256"]))
     r.write("sessions", table)
     r.write("rejects", rejects_table(rejects))
     r.write("jumps", jumps_table(sessions))
@@ -332,15 +334,16 @@ def _report(
 
 
 def _report_same_images(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
-    trained = frames[frames["split"] != "test"].drop_duplicates("image_sha256").set_index("image_sha256")["frame_id"]
-    test = frames[frames["split"] == "test"]
-    same = test[test["image_sha256"].isin(trained.index)]
+    of_train, test = frames[frames["split"] != "test"], frames[frames["split"] == "test"]
+    trained = of_train.drop_duplicates("content_sha256").set_index("content_sha256")["frame_id"]
+    same = test[test["content_sha256"].isin(trained.index)]
     r.figure("test_images_also_in_train", len(same))
     if len(same):
         first = same.iloc[0]
         r.say(
-            f"warning: {len(same)} of {len(test)} test images are also training images, byte for byte (the first: "
-            f"{first.frame_id} is {trained[first.image_sha256]}): accuracy on this split means nothing"
+            f"warning: {len(same)} of {len(test)} test images are also training images, byte for byte but for "
+            f"metadata (the first: {first.frame_id} is {trained[first.content_sha256]}): accuracy on this split means "
+            "nothing"
         )
 
 

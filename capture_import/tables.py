@@ -25,14 +25,14 @@ def frames_table(
     depths: Sequence[PlacedDepth],
     first_row_of: Callable[[int, int], ImageSide],
 ) -> pd.DataFrame:
-    """Rows of `frames`, all but the split; and what the split is made from: the recording's name in `recording`, and
-    what a public data set states that it's for in `stated_split`. `first_row_of` takes the size of an image."""
+    """Rows of `frames`, all but the split; and what the split is made from and checked by: `recording`, its name;
+    `stated_split`, what a public data set states; `content_sha256`, of the image as captured without metadata (of a
+    video's frame as written). `first_row_of` takes the size of an image."""
     raw = session.recording
     rows = []
     for image, support, place, depth in zip(used.images, used.support, places, depths, strict=True):
         camera = image.frame.intrinsics
         assert camera is not None  # health rejects images without
-        exposure = image.frame.exposure_s
         rows.append(
             {
                 "frame_id": f"{session.session_id}/{image.frame.number:06d}",
@@ -43,6 +43,7 @@ def frames_table(
                 "clock": raw.clock,
                 "image": place.entry,
                 "image_sha256": place.sha256,
+                "content_sha256": image.check.content_sha256 or place.sha256,
                 "width": image.check.width,
                 "height": image.check.height,
                 "fx": camera.fx,
@@ -54,7 +55,7 @@ def frames_table(
                 "stated_readout_s": math.nan if raw.readout_s is None else raw.readout_s,
                 "tracking": image.frame.tracking,
                 "sharpness": image.check.sharpness,
-                "exposure_s": math.nan if exposure is None else exposure,
+                "exposure_s": math.nan if image.frame.exposure_s is None else image.frame.exposure_s,
                 "support": bool(support),
                 "depth": depth.entry,
                 "depth_confidence": depth.confidence,

@@ -106,7 +106,7 @@ def _scan_video(frames: Sequence[RawFrame], limits: Limits) -> Iterator[ImageSca
             at, image = decoded
             gray = gray_pixels(image, WORKING_LONG_SIDE)
             # A frame has no file to hash until it's written.
-            scan = ImageScan(ImageCheck.of(gray, image.width, image.height, sha256=""), gray, image)
+            scan = ImageScan(ImageCheck.of(gray, image.width, image.height, sha256="", content_sha256=""), gray, image)
         if scan is not None and at == ref.index:
             yield scan
         else:

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from groundwalk.artefacts.choices import Clock, PoseSource
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import images_in
 from groundwalk.capture_import.joining import join_by_time
 from groundwalk.capture_import.parsing import (
     BadRow,
@@ -47,7 +48,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     refuse_unreadable(path, poses, rejects, "time, rotation (3), translation (3) a row")
     folder = next(path / name for name in _IMAGES if (path / name).is_dir())
     cameras = folder.with_name(folder.name + "_intrinsics")
-    files = sorted(folder.glob("*.png"))
+    files = images_in(folder)
     rows = [(f"{folder.name}/{file.name}", (file, cameras / f"{file.stem}.pincam")) for file in files]
     images, more = collect(rows, session_id, _read_image)
     return RawSession(

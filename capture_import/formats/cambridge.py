@@ -21,6 +21,7 @@ from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import Clock, PoseSource, SessionSplit
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import images_in, is_image, unused
 from groundwalk.capture_import.media.images import BadImage, image_size
 from groundwalk.capture_import.parsing import (
     BadRow,
@@ -45,7 +46,7 @@ def detect(path: Path) -> bool:
     return (
         path.is_dir()
         and any((path.parent / name).is_file() for name in _LISTS)
-        and any(p.suffix in (".png", ".jpg") for p in path.iterdir())
+        and any(is_image(p) for p in path.iterdir())
     )
 
 
@@ -86,6 +87,8 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
 
     frames, rejects = collect(rows, session_id, read_row)
     refuse_unreadable(path, frames, rejects, "seq/frame00001.png X Y Z W P Q R, and reconstruction.nvm")
+    named = {path.parent / line.strip().partition(" ")[0] for _, line in rows}
+    rejects += unused(session_id, images_in(path), named, "image isn't in dataset_train.txt or dataset_test.txt")
     return RawSession(
         session_id,
         FORMAT.id,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock, ImageSide, Tracking
+from groundwalk.artefacts.choices import Clock, ImageSide, Rejected, Tracking
 from groundwalk.capture_import.capture import (
     DepthFile,
     ImageFile,
@@ -20,8 +20,10 @@ from groundwalk.capture_import.capture import (
     Limits,
     RawFrame,
     RawSession,
+    Reject,
 )
 from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import is_image
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -75,7 +77,17 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     rows = [(source, (i, line)) for i, (source, line) in enumerate(lines[1:])]
     frames, rejects = collect(rows, session_id, read_row)
     refuse_unreadable(path, frames, rejects, "rows with t_ns, vio_T_cam, image and intrinsics")
+    rejects += _unnamed(path, session_id, frames)
     return RawSession(session_id, FORMAT.id, folder=path, frames=frames, rejects=rejects, **header)
+
+
+def _unnamed(path: Path, session_id: str, frames: list[RawFrame]) -> list[Reject]:
+    """The images of a recording that no row which can be read names."""
+    named = {frame.image.path for frame in frames if frame.image}
+    named |= {file for f in frames if f.depth for file in (f.depth.path, f.depth.confidence) if file}
+    images = sorted(p for p in path.rglob("*") if is_image(p) and p not in named)
+    reason = "image isn't named by a row that can be read"
+    return [Reject(session_id, p.relative_to(path).as_posix(), None, reason, Rejected.IMAGE) for p in images]
 
 
 def _header(path: Path, line: str) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from groundwalk.artefacts.choices import Clock
 from groundwalk.artefacts.hints import setting_of
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import images_in, unused
 from groundwalk.capture_import.joining import join_by_time
 from groundwalk.capture_import.parsing import (
     BadRow,
@@ -77,6 +78,9 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
 
     frames, rejects = collect([(f"frame {i}", row) for i, row in enumerate(rows)], session_id, read_row)
     refuse_unreadable(path, frames, rejects, "timestamp, transform_matrix, fl_x, fl_y, cx, cy, w, h, file_path")
+    used = {frame.image.path for frame in frames if frame.image}
+    images = [p for p in images_in(path / "images") if not p.stem.endswith(".depth")]
+    rejects += unused(session_id, images, used, "image isn't named by a frame that can be read")
     return RawSession(session_id, FORMAT.id, "iOS, NeRFCapture", Clock.BOOT, path, join_by_time([], frames), rejects)
 
 

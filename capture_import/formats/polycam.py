@@ -12,9 +12,10 @@ Documented at https://github.com/PolyCam/polyform (README, "Polycam's data forma
 
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock, Rejected
-from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from groundwalk.artefacts.choices import Clock
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import by_stem, images_in, unused
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -40,18 +41,16 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the camera files in the order of their times and join images by name."""
     cameras, images = path / "keyframes" / "cameras", path / "keyframes" / "images"
     files = sorted((p for p in cameras.glob("*.json") if p.stem.isdecimal()), key=lambda p: int(p.stem))
-    rows = [(f"cameras/{file.name}", (i, file, images / f"{file.stem}.jpg")) for i, file in enumerate(files)]
+    image_of = by_stem(images_in(images))
+    rows = [(f"cameras/{file.name}", (i, file, image_of.get(file.stem))) for i, file in enumerate(files)]
     frames, rejects = collect(rows, session_id, _read_row)
     refuse_unreadable(path, frames, rejects, "keyframes/cameras/<microseconds>.json with t_00 .. t_23, fx, fy, cx, cy")
-    known = {file.stem for file in files}
-    orphans = sorted(p.name for p in images.glob("*.jpg") if p.stem not in known)
-    rejects += [
-        Reject(session_id, f"images/{name}", None, "image has no camera file", Rejected.IMAGE) for name in orphans
-    ]
+    used = {image for _, (_, _, image) in rows}
+    rejects += unused(session_id, images_in(images), used, "image has no camera file of its own with its name")
     return RawSession(session_id, FORMAT.id, "iOS, Polycam", Clock.BOOT, path, frames, rejects)
 
 
-def _read_row(source: str, row: tuple[int, Path, Path]) -> RawFrame:
+def _read_row(source: str, row: tuple[int, Path, Path | None]) -> RawFrame:
     index, file, image = row
     camera = parse_json(read_text(file, _MAX_FRAME_BYTES))
     if int(file.stem) > _LATEST_US:
@@ -62,7 +61,7 @@ def _read_row(source: str, row: tuple[int, Path, Path]) -> RawFrame:
         source=source,
         t_ns=int(file.stem) * 1000,
         vio_T_cam=from_arkit(row_major_pose(entries)),
-        image=ImageFile(image) if image.exists() else None,
+        image=ImageFile(image) if image else None,
         intrinsics=Intrinsics.of(
             (number(camera, key) for key in ("fx", "fy", "cx", "cy")),
             width=whole(camera, "width"),

@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock, Rejected
-from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
+from groundwalk.artefacts.choices import Clock
+from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import by_stem, images_in, unused
 from groundwalk.capture_import.media.float_depth import missing_decoder
 from groundwalk.capture_import.parsing import (
     BadRow,
@@ -50,7 +51,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         raise UserError("Record3D's metadata has no poses", where=metadata, expected="poses: a list")
     times = content.get("frameTimestamps")
     coefficients = content.get("perFrameIntrinsicCoeffs")
-    files = {int(p.stem): p for p in images.glob("*.jpg") if p.stem.isdecimal()}
+    files = {int(stem): image for stem, image in by_stem(images_in(images)).items() if stem.isdecimal()}
     depths, missing = _depths(path, images)
 
     def read_row(source: str, index: int) -> RawFrame:
@@ -67,11 +68,8 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
 
     frames, rejects = collect([(f"pose {i}", i) for i in range(len(poses))], session_id, read_row)
     refuse_unreadable(path, frames, rejects, "poses of 7 numbers, K, w, h, and frameTimestamps or fps")
-    rejects += [
-        Reject(session_id, files[i].name, None, "image has no pose", Rejected.IMAGE)
-        for i in sorted(files)
-        if i >= len(poses)
-    ]
+    used = {image for index, image in files.items() if index < len(poses)}
+    rejects += unused(session_id, images_in(images), used, "image has no pose of its number")
     notes = [f"its depth isn't read: {missing}"] if missing else []
     if len(files) != len(poses):
         notes.append(f"{len(files)} images and {len(poses)} poses: joined by number")

@@ -17,9 +17,10 @@ Latitude and longitude may be in `info.json` and the frames; they're never read.
 import re
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock, Rejected
+from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
 from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import by_stem, images_in, unused
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -35,6 +36,7 @@ from groundwalk.capture_import.parsing import (
 )
 
 _FRAME = re.compile(r"frame_(\d{1,9})\.json")
+_DEPTH = re.compile(r"(depth|conf)_\d{1,9}\.png")
 _MAX_FRAME_BYTES = 1 << 20
 
 
@@ -45,12 +47,20 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the JSON files of one recording; those that can't be read become rejects."""
-    files = {int(m[1]): p for p in path.iterdir() if (m := _FRAME.fullmatch(p.name))}
-    rows = [(files[index].name, (files[index], index)) for index in sorted(files)]
+    numbered = sorted((int(m[1]), p) for p in path.iterdir() if (m := _FRAME.fullmatch(p.name)))
+    files = dict(reversed(numbered))
+    images = [p for p in images_in(path) if not _DEPTH.fullmatch(p.name)]
+    image_of = by_stem(images)
+    rows = [(files[index].name, (files[index], index, image_of.get(files[index].stem))) for index in sorted(files)]
     frames, rejects = collect(rows, session_id, _read_frame)
     refuse_unreadable(path, frames, rejects, "frame_XXXXX.json with time, cameraPoseARFrame and intrinsics")
-    orphans = sorted(p for p in path.glob("frame_*.jpg") if not p.with_suffix(".json").exists())
-    rejects += [Reject(session_id, p.name, None, "image has no JSON file", Rejected.IMAGE) for p in orphans]
+    rejects += [
+        Reject(session_id, file.name, None, f"{files[index].name} has the same frame number")
+        for index, file in numbered
+        if file != files[index]
+    ]
+    used = {image for _, (_, _, image) in rows}
+    rejects += unused(session_id, images, used, "image has no JSON file of its own with its name")
     return RawSession(
         session_id=session_id,
         format=FORMAT.id,
@@ -62,16 +72,16 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     )
 
 
-def _read_frame(source: str, row_file: tuple[Path, int]) -> RawFrame:
-    path, index = row_file
+def _read_frame(source: str, row_file: tuple[Path, int, Path | None]) -> RawFrame:
+    path, index, image = row_file
     row = parse_json(read_text(path, _MAX_FRAME_BYTES))
-    image, digits = path.with_suffix(".jpg"), path.stem.removeprefix("frame_")
+    digits = path.stem.removeprefix("frame_")
     return RawFrame(
         number=index,
         source=source,
         t_ns=seconds_to_ns(number(row, "time")),
         vio_T_cam=from_arkit(row_major_pose(numbers(row, "cameraPoseARFrame", 16))),
-        image=ImageFile(image) if image.exists() else None,
+        image=ImageFile(image) if image else None,
         intrinsics=_intrinsics(row),
         exposure_s=optional_number(row, "exposureDuration"),
         depth=DepthFile.if_there(path.with_name(f"depth_{digits}.png"), path.with_name(f"conf_{digits}.png")),

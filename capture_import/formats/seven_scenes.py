@@ -17,6 +17,7 @@ from pathlib import Path
 from groundwalk.artefacts.choices import Clock, PoseSource, SessionSplit
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import by_stem, images_in, unused
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -40,9 +41,12 @@ def detect(path: Path) -> bool:
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the poses and join the colour images by number."""
     files = {int(m[1]): p for p in path.iterdir() if (m := _POSE.fullmatch(p.name))}
-    rows = [(files[index].name, (index, files[index])) for index in sorted(files)]
+    images = [p for p in images_in(path) if not p.stem.endswith(".depth")]
+    image_of = by_stem(images)
+    rows = [(files[i].name, (i, files[i], image_of.get(f"frame-{i:06d}.color"))) for i in sorted(files)]
     frames, rejects = collect(rows, session_id, _read_row)
     refuse_unreadable(path, frames, rejects, "frame-000000.pose.txt with 16 numbers")
+    rejects += unused(session_id, images, {image for _, (_, _, image) in rows}, "image has no pose of its name")
     split, notes = _split(path), []
     if split is None:
         notes.append(
@@ -65,18 +69,17 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     )
 
 
-def _read_row(source: str, row: tuple[int, Path]) -> RawFrame:
-    index, file = row
+def _read_row(source: str, row: tuple[int, Path, Path | None]) -> RawFrame:
+    index, file, image = row
     values = split_numbers(read_text(file, 1 << 16))
     if len(values) != 16:
         raise BadRow(f"pose has {len(values)} numbers, not 16")
-    image = file.with_name(f"frame-{index:06d}.color.png")
     return RawFrame(
         number=index,
         source=source,
         t_ns=seconds_to_ns(index / _FRAMES_A_SECOND),
         vio_T_cam=row_major_pose(values),
-        image=ImageFile(image) if image.exists() else None,
+        image=ImageFile(image) if image else None,
         intrinsics=_camera(file.with_name(f"frame-{index:06d}.intrinsics.txt")),
     )
 

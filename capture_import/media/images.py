@@ -28,18 +28,20 @@ class BadImage(ValueError):
 
 @dataclass(frozen=True)
 class ImageCheck:
-    """Size, sharpness, contrast (standard deviation of grey levels, of 255) and hash of an image."""
+    """Size, sharpness, contrast (standard deviation of grey levels, of 255) and hashes of an image: of its file, and of
+    that without metadata. A video's frame has no hash."""
 
     width: int
     height: int
     sharpness: float
     contrast: float
     sha256: str
+    content_sha256: str
 
     @classmethod
-    def of(cls, gray: Gray, width: int, height: int, sha256: str) -> "ImageCheck":
+    def of(cls, gray: Gray, width: int, height: int, sha256: str, content_sha256: str) -> "ImageCheck":
         """Of an image of this size, by its grey levels (H, W) in the working size."""
-        return cls(width, height, sharpness(gray), float(cv2.meanStdDev(gray)[1][0, 0]), sha256)
+        return cls(width, height, sharpness(gray), float(cv2.meanStdDev(gray)[1][0, 0]), sha256, content_sha256)
 
 
 def check_image(
@@ -58,7 +60,9 @@ def check_image(
         gray = decode_gray(data, WORKING_LONG_SIDE)
     else:
         gray = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
-    return ImageCheck.of(gray, width, height, hashlib.sha256(data).hexdigest()), gray, rgb
+    whole, content = hashlib.sha256(data).hexdigest(), without_metadata(data)
+    content_sha256 = whole if content == data else hashlib.sha256(content).hexdigest()
+    return ImageCheck.of(gray, width, height, whole, content_sha256), gray, rgb
 
 
 def image_size(data: bytes) -> tuple[int, int]:

@@ -18,7 +18,7 @@ from groundwalk.capture_import.media.images import ImageCheck
 from groundwalk.capture_import.sampling import sample_motion, sample_rate, sample_support, support_cells
 from groundwalk.capture_import.selection import density_for, select
 from groundwalk.capture_import.settings import ImportSettings
-from groundwalk.capture_import.splits import LEAK_S, leak_seconds, split_frames
+from groundwalk.capture_import.splits import LEAK_S, leak_seconds, refuse_lists, split_frames
 from groundwalk.geometry.poses import make_pose, relative, rotation_angle
 
 
@@ -168,9 +168,8 @@ def session_of(seconds: np.ndarray, speed_m_s: float = 1.0) -> ImportedSession:
         for number, (s, pose) in enumerate(zip(seconds, poses, strict=True))
     ]
     raw = RawSession("walk", "none", "", Clock.BOOT, Path(), frames)
-    return ImportedSession(
-        "walk", raw, frames, [Image(frame, ImageCheck(96, 72, 0.5, 50.0, "")) for frame in frames], []
-    )
+    images = [Image(frame, ImageCheck(96, 72, 0.5, 50.0, "", "")) for frame in frames]
+    return ImportedSession("walk", raw, frames, images, [])
 
 
 def test_a_single_walk_is_split_in_time_with_validation_between() -> None:
@@ -210,8 +209,25 @@ def test_listed_sessions() -> None:
     assert dict(zip(frames["session_id"], split.of_frame, strict=True)) == {"a": "train", "b": "test", "c": "unused"}
     with pytest.raises(UserError, match="no such session"):
         split_frames(frames, SplitRules(test=["z"]), by_time=False)
-    with pytest.raises(UserError, match="for training and testing"):
-        split_frames(frames, SplitRules(test=["a"], train=["a"]), by_time=False)
+
+
+def test_lists_that_cannot_fit_are_refused_before_images_are_read() -> None:
+    refuse_lists(SplitRules(), ["a"])
+    refuse_lists(SplitRules(test=["a", "b.part2"]), ["a", "b", "c"])
+    with pytest.raises(UserError, match=r"(?s)no such session.*one of a, b\n.*found: +z"):
+        refuse_lists(SplitRules(test=["a"], train=["z"]), ["a", "b"])
+    with pytest.raises(UserError, match="no frame to train on"):
+        refuse_lists(SplitRules(test=["a", "b"]), ["a", "b"])
+    with pytest.raises(UserError, match="no frame to test on"):
+        refuse_lists(SplitRules(train=["a"]), ["a"])
+
+
+def test_a_split_without_a_side_is_refused() -> None:
+    with pytest.raises(UserError, match=r"(?s)no frame to test on.*1 frames, split by time"):
+        split_frames(frames_of(walk=np.array([0.0])), SplitRules(), by_time=False)
+    parts = frames_of(walk=np.arange(0, 50, 1.0), walk__part2=np.arange(60, 90, 1.0))
+    with pytest.raises(UserError, match="no frame to train on"):
+        split_frames(parts, SplitRules(test=["walk", "walk.part2"]), by_time=False)
 
 
 def test_a_leak_between_listed_parts_is_refused_unless_allowed() -> None:

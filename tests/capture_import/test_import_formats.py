@@ -1,5 +1,6 @@
 """Each format: written from a walk, read back to the same walk."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from capture_writers import (
 from known import rows, there
 
 from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.capture import ImageFile, Limits
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.intake import Intake, take_in
@@ -76,6 +77,61 @@ def test_a_written_walk_reads_back_the_same(tmp_path: Path, name: str) -> None:
             assert (found.check.width, found.check.height) == (WIDTH, HEIGHT)
             np.testing.assert_allclose([camera.fx, camera.fy, camera.cx, camera.cy], walk.camera[kept[index]])
     assert len(session.images) == (24 if name == "stray_scanner" else 12)
+
+
+# Where the images are, by format.
+IMAGES = {
+    "3d_scanner_app": "frame_*.jpg",
+    "record3d": "rgb/*.jpg",
+    "polycam": "keyframes/images/*.jpg",
+    "nerf_capture": "images/*.png",
+    "frames_jsonl": "images/*",
+    "arkit_scenes": "*wide/*.png",
+    "seven_scenes": "*.color.png",
+    "cambridge": "*.[jp][pn]g",
+    "colmap": "images/*",
+    "nerfstudio": "images/*",
+}
+
+
+def places(root: Path, name: str) -> list[Path]:
+    return sorted(p for p in root.rglob("*") if p.is_file() and p.match(IMAGES[name]))
+
+
+@pytest.mark.parametrize("name", IMAGES)
+def test_each_image_is_read_or_a_reject(tmp_path: Path, name: str) -> None:
+    """A suffix in capitals is read, or a reject where the log itself names the file; so are other names."""
+    root = tmp_path / "place"
+    WRITERS[name].write(root / "walk", make_walk(8, every=1))
+    first, second, third, *rest = places(root, name)
+    assert rest
+    first.rename(first.with_suffix(first.suffix.upper()))
+    second.rename(second.with_name(f"IMG_{second.name}"))
+    third.with_name(f"copy{third.suffix.upper()}").write_bytes(third.read_bytes())
+    third.with_name("live.HEIC").write_bytes(b"heic")
+    expected = {f"IMG_{second.name}", f"copy{third.suffix.upper()}", "live.HEIC"}
+    raw = find_one(root).read(Limits())
+    rejected = {Path(reject.source).name for reject in raw.rejects}
+    read = {f.image.path.name for f in raw.frames if isinstance(f.image, ImageFile) and f.image.path.is_file()}
+    upper = first.with_suffix(first.suffix.upper()).name
+    if name == "arkit_scenes":  # each image is a row
+        rejected |= read
+    assert expected <= rejected
+    assert upper in read | rejected
+    assert (upper in read) or name in ("frames_jsonl", "cambridge", "colmap", "nerfstudio", "nerf_capture")
+    assert {p.name for p in rest} <= read
+
+
+def test_two_files_of_one_frame_number_are_named(tmp_path: Path) -> None:
+    folder = tmp_path / "place" / "walk"
+    WRITERS["3d_scanner_app"].write(folder, make_walk(8, every=1))
+    for suffix in ("json", "jpg"):
+        shutil.copy(folder / f"frame_00003.{suffix}", folder / f"frame_3.{suffix}")
+    shutil.copy(folder / "frame_00004.jpg", folder / "frame_00004.JPEG")
+    raw = find_one(tmp_path / "place").read(Limits())
+    assert len(raw.frames) == 8
+    assert {r.source for r in raw.rejects} == {"frame_3.json", "frame_3.jpg", "frame_00004.JPEG"}
+    assert raw.rejects[0].reason == "frame_00003.json has the same frame number"
 
 
 @pytest.mark.parametrize("name", ["stray_scanner", "scan_capture"])

@@ -62,6 +62,29 @@ def test_the_same_images_in_train_and_test_are_named(tmp_path: Path, capsys: pyt
     )
 
 
+@pytest.mark.parametrize("zipped", ["folder", "zip"])
+def test_images_that_differ_in_metadata_alone_are_the_same(tmp_path: Path, zipped: str) -> None:
+    root, comment = tmp_path / "captures" / "place", b"\xff\xfe\x00\x06here"
+    WRITERS["frames_jsonl"].write(root / "train", make_walk(4))
+    if zipped == "zip":
+        zipped_walk(root / "test.zip", 4)
+    else:
+        WRITERS["frames_jsonl"].write(root / "test", make_walk(4))
+    for image in (root / "train" / "images").iterdir():
+        image.write_bytes(image.read_bytes()[:2] + comment + image.read_bytes()[2:])
+    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["sampling=all", "check_convention=false"])
+    figures = load_manifest(artefact)["figures"]
+    assert figures["test_images_also_in_train"] == figures["frames_test"] > 0
+
+
+def test_a_zipped_export_of_a_simulated_scene_is_simulated(tmp_path: Path) -> None:
+    root = tmp_path / "captures" / "place"
+    zipped_walk(root / "walk.zip", 4)
+    with zipfile.ZipFile(root / "walk.zip", "a") as archive:
+        archive.writestr("export.json", '{"simulated": true}')
+    assert load_manifest(execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["check_convention=false"]))["simulated"]
+
+
 def test_an_archive_that_shrinks_more_than_captures_do_is_refused(tmp_path: Path) -> None:
     bomb = tmp_path / "bomb.zip"
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as content, content.open("zeros", "w") as member:
