@@ -44,12 +44,19 @@ def write_json(path: Path, content: object) -> None:
         partial.write_text(json.dumps(content, indent=2, allow_nan=False, default=str) + "\n", encoding="utf-8")
 
 
+def file_names(folder: Path) -> list[str]:
+    """All files of a folder, and links, which aren't followed, by their paths in it."""
+    paths = (path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
+    return sorted(path.relative_to(folder).as_posix() for path in paths)
+
+
 def refuse_to_overwrite(out: Path, results: str, note: str, key: str, *, force: bool) -> None:
-    """UserError where the folder `out` holds anything but earlier results, whose file `note` has `key`; or these,
-    unless `force`d."""
+    """UserError where the folder `out` holds anything but earlier results, whose file `note` has `key` and, as `files`,
+    the names of all others; or these, unless `force`d."""
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
-    if key not in read_json(out / note):
+    content = read_json(out / note)
+    if key not in content:
         raise UserError(
             f"the output folder holds other files than earlier {results}",
             where=out,
@@ -59,6 +66,23 @@ def refuse_to_overwrite(out: Path, results: str, note: str, key: str, *, force: 
     if not force:
         raise UserError(
             f"the output folder holds earlier {results}", where=out, do="name another folder, or use --force"
+        )
+    listed = content.get("files")
+    if not isinstance(listed, list | dict):
+        raise UserError(
+            f"the output folder holds earlier {results} that don't list their files, so that others may be among them",
+            where=out,
+            expected=f"`files` in {note}",
+            do="move the folder away, or name another one with --out",
+        )
+    others = sorted({*file_names(out)} - {note, *map(str, listed)})
+    if others:
+        raise UserError(
+            f"the output folder holds other files than earlier {results}",
+            where=out,
+            expected=f"the files that {note} lists",
+            found=", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else ""),
+            do="move them away, or name another folder with --out",
         )
 
 

@@ -9,7 +9,7 @@ import typer
 
 from groundwalk.artefacts import DataRoot, UserError, progress
 from groundwalk.artefacts.cli import DataOption, ProfileOption
-from groundwalk.artefacts.files import fresh_folder, refuse_to_overwrite, write_json
+from groundwalk.artefacts.files import file_names, fresh_folder, refuse_to_overwrite, write_json
 from groundwalk.artefacts.tables import CAMERA_COLUMNS
 from groundwalk.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number
 from groundwalk.export.exporters import EXPORTERS, MODEL_EXPORTERS, written
@@ -145,6 +145,7 @@ def write_export(
                     "by_split": dataset.frames["split"].value_counts().sort_index().to_dict(),
                     "by_quality": dataset.frames["quality"].value_counts().sort_index().to_dict(),
                     "map": f"{dataset.world} before any turn that the format asks for",
+                    "files": file_names(folder),
                 },
             )
         return dataset.undistorted

@@ -41,7 +41,8 @@ class ModelExporter(Entry):
     """A layout of a trained regressor: `write(regressor, folder)` writes it into an empty folder and returns what to
     tell the user of it, a line each.
 
-    note: the file in the folder that tells an export from another folder, a JSON object with a member `format`.
+    note: the file in the folder that tells an export from another folder, a JSON object with the members `format` and
+    `files`, the names of all other files (a list, or an object's keys).
     """
 
     noun: ClassVar[str] = "model format"

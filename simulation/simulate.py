@@ -13,7 +13,7 @@ import pandas as pd
 
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.choices import Appearance
-from groundwalk.artefacts.files import partial_folder, read_json, swap_in, write_json
+from groundwalk.artefacts.files import file_names, partial_folder, read_json, swap_in, write_json
 from groundwalk.artefacts.locks import locked
 from groundwalk.artefacts.parallel import single_threaded_opencv
 from groundwalk.artefacts.progress import console, track
@@ -227,8 +227,7 @@ def _simulator_marker(folder: Path) -> dict[str, Any] | None:
         simulated = simulated_files(marker)
     except ValueError as error:
         raise UserError("the marker of simulated captures is damaged", where=folder, found=error) from None
-    files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if not p.is_dir() or p.is_symlink()}
-    foreign = sorted(files - simulated)
+    foreign = sorted({*file_names(folder)} - simulated)
     if foreign:
         raise UserError(
             "the folder of simulated captures holds other files",

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.files import RECORDING, fresh_folder, refuse_to_overwrite, write_json
+from groundwalk.artefacts.files import RECORDING, file_names, fresh_folder, refuse_to_overwrite, write_json
 from groundwalk.artefacts.progress import console
 from groundwalk.artefacts.recording import open_recording
 from groundwalk.artefacts.schemas import schema
@@ -103,13 +103,13 @@ def _written(out: Path, force: bool) -> Iterator[Path]:
 
 
 def _write_note(folder: Path, files: Files, scene: str, settings: FuseSettings, counts: dict[str, int]) -> None:
-    """What the results were made of."""
+    """What the results were made of, and which files they are; written last."""
     inputs = {
         name: {"file": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
         for name, path in asdict(files).items()
     }
     note = {"scene": scene, "inputs": inputs, "settings": settings.model_dump(mode="json"), "counts": counts}
-    write_json(folder / _NOTE, note)
+    write_json(folder / _NOTE, {**note, "files": file_names(folder)})
 
 
 def _settings(scene: str, overrides: list[str]) -> FuseSettings:

@@ -347,12 +347,30 @@ def test_images_are_linked_or_copied(scene: DataRoot) -> None:
 
 def test_nothing_is_overwritten_unasked_and_never_what_is_no_export(scene: DataRoot) -> None:
     out = _export(scene, "tum")
-    (out / "mark").touch()
     with pytest.raises(UserError, match="holds earlier exports"):
         _export(scene, "tum")
-    assert (out / "mark").exists()
-    _export(scene, "tum", "--force")
-    assert not (out / "mark").exists()
+    mine = [out / name for name in ("notes/day 1.txt", "notes/day 2.txt", "plot.png", "walk0/to-do.txt")]
+    (out / "notes").mkdir()
+    for path in mine:
+        path.write_text("mine")
+    with pytest.raises(UserError, match=r"(?s)other files.*notes/day 1.txt, notes/day 2.txt, plot.png and 1 more"):
+        _export(scene, "tum", "--force")
+    assert all(path.read_text() == "mine" for path in mine)
+    for path in mine:
+        path.unlink()
+    (out / "link").symlink_to("nowhere")
+    with pytest.raises(UserError, match=r"(?s)other files.*found: +link\n"):
+        _export(scene, "tum", "--force")
+    (out / "link").unlink()
+    _export(scene, "tum", "--force", "--images", "none")
+    assert not (out / "notes").exists() and not any(out.rglob("*.jpg"))
+
+    # As it was written before the note listed the files.
+    note = json.loads((out / "export.json").read_text())
+    write_json(out / "export.json", {name: value for name, value in note.items() if name != "files"})
+    with pytest.raises(UserError, match="earlier exports that don't list their files"):
+        _export(scene, "tum", "--force")
+    assert (out / "frames.csv").exists()
 
     other = scene.root.parent / "out" / "colmap"
     other.mkdir()

@@ -87,6 +87,11 @@ def test_what_is_not_an_earlier_bundle_is_left_alone(trained_wall: Path, wall_bu
         export(trained_wall, tmp_path, "--force")
     with pytest.raises(UserError, match="holds earlier exports"):
         export(trained_wall, wall_bundle)
+    bundle_of_mine = shutil.copytree(wall_bundle, tmp_path / "bundle")
+    (bundle_of_mine / "golden" / "mine.txt").write_text("mine")
+    with pytest.raises(UserError, match=r"(?s)holds other files than earlier exports.*golden/mine.txt"):
+        export(trained_wall, bundle_of_mine, "--force")
+    assert (bundle_of_mine / "golden" / "mine.txt").read_text() == "mine"
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import MapUnit
+from groundwalk.artefacts.files import write_json
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.fusion.__main__ import app
@@ -505,7 +506,9 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path: Path, mo
     assert note["inputs"]["frames"]["sha256"] == hashlib.sha256(files.frames.read_bytes()).hexdigest()
     with pytest.raises(UserError, match="holds earlier results"):
         write(files, out)
+    note["files"].append("stale.parquet")  # as of a version that wrote another table
     (out / "stale.parquet").touch()
+    write_json(out / "evaluation.json", note)
 
     def fail(*args: object) -> None:
         raise OSError(28, "No space left on device")
@@ -515,6 +518,10 @@ def test_results_appear_whole_and_replace_nothing_but_results(tmp_path: Path, mo
         with pytest.raises(UserError, match="can't be written"):
             write(files, out, force=True)
     assert (out / "stale.parquet").exists() and len(list(tmp_path.iterdir())) == 6
+    (out / "mine.txt").write_text("mine")
+    with pytest.raises(UserError, match=r"(?s)holds other files than earlier results.*mine.txt"):
+        write(files, out, force=True)
+    (out / "mine.txt").unlink()
     write(files, out, force=True)
     assert all((foreign / "mine.txt").read_text() == "mine" for foreign in others)
     assert not (out / "stale.parquet").exists()
