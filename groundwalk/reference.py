@@ -10,6 +10,7 @@ from typing import Any
 from groundwalk.alignment.checks.definitions import DEFINITIONS
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler
 from groundwalk.artefacts.choices import FailureCause
+from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.reference import reference as tables_page
 from groundwalk.artefacts.registry import Registry
 from groundwalk.artefacts.settings import SHIPPED_DATA, DataRoot, SceneConfig, Settings, SplitRules
@@ -73,13 +74,19 @@ comparisons. These don't agree, or can't be compared as they are printed.
 
 
 def write_reference(docs: Path) -> list[Path]:
-    """Write all generated pages into the folder docs/; their paths."""
-    written = []
-    for name, page in reference_pages().items():
-        (docs / name).parent.mkdir(parents=True, exist_ok=True)
-        (docs / name).write_text(page, encoding="utf-8")
-        written.append(docs / name)
-    return written
+    """Write all generated pages into the folder docs/; their paths. UserError where they can't be written, or one would
+    replace a page that isn't generated."""
+    pages = {docs / name: page for name, page in reference_pages().items()}
+    try:
+        for path in pages:
+            if path.exists() and b"`make docs`" not in path.read_bytes():
+                raise UserError("this isn't a generated page", where=path, do="name another folder with --out")
+        for path, page in pages.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise UserError("a page can't be written", where=error.filename, found=error.strerror) from None
+    return [*pages]
 
 
 def reference_pages() -> dict[str, str]:

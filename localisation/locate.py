@@ -1,6 +1,7 @@
 """`groundwalk locate`: new images in a map's file or by a regressor's bundle, without a run."""
 
 import json
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -37,7 +38,10 @@ def locate(
     ] = "",
     gravity: Annotated[str, typer.Option(help="x,y,z: down, in the camera (x right, y down, z forward).")] = "",
     scene: Annotated[str, typer.Option(help="The scene that the map or bundle has to be of.")] = "",
-    out: Annotated[Path | None, typer.Option(help="A file for the answers, one JSON object a line.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="A file for the answers, one JSON object a line; earlier answers there are replaced."),
+    ] = None,
 ) -> None:
     """Say where images were taken: a pose in the map with its covariance, or a refusal with its reason.
 
@@ -55,6 +59,8 @@ def locate(
         common["gravity"] = numbers(gravity, 3, "--gravity")
     rows = []
     paths = image_files(images)
+    if out is not None:
+        _refuse_unfit_file(out)
     for path in progress.track(paths, "localising", len(paths)):
         row = {"image": path.name, **_answer(ask, path, common, among_others=images.is_dir())}
         rows.append(row)
@@ -67,6 +73,33 @@ def locate(
     progress.console.print(f"{len(rows) - refused} of {len(rows)} images localised, {refused} refused", markup=False)
     if all(row["refusal"] == Refusal.BAD_INPUT for row in rows):
         raise UserError("no image of the folder can be asked", where=images, found=rows[0]["reason"])
+
+
+def _refuse_unfit_file(out: Path) -> None:
+    """Make the folder of a file of answers. UserError where they can't be written there, or anything but earlier
+    answers is there: before the first query, so that no answer is lost."""
+    if out.exists() and not _holds_answers(out):
+        raise UserError(
+            "this is no file of earlier answers, which alone is replaced",
+            where=out,
+            found="a folder" if out.is_dir() else None,
+            do="name another file with --out",
+        )
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out.parent):
+            pass
+    except OSError as error:
+        raise UserError("the answers can't be written", where=out, found=error.strerror) from None
+
+
+def _holds_answers(path: Path) -> bool:
+    """Whether a file has answers, one a line, and nothing else."""
+    try:
+        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    except (OSError, ValueError, RecursionError):
+        return False
+    return all(isinstance(row, dict) and {"image", "refusal"} <= row.keys() for row in rows)
 
 
 def _answer(ask: Callable[[Query], Row], path: Path, common: Row, *, among_others: bool) -> Row:

@@ -2,6 +2,7 @@
 
 import os
 import platform
+import tempfile
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,6 +28,7 @@ from groundwalk.fusion.evaluation.leaderboard import (
     scores,
 )
 
+_PAGE, _TABLE, _FIGURE = "fusion.md", "fusion.csv", "fusion_lag.png"
 _HEADER = """# Fusion methods beside each other
 
 Written by `groundwalk fusion leaderboard`; not to be edited. Errors are over all frames with ground truth, in time; a
@@ -39,7 +41,8 @@ the causal method whose mean errors are least (the geometric mean of position an
 
 
 def run_leaderboard(folders: Sequence[Path], data: Path, out: Path, methods: Sequence[str], processes: int) -> None:
-    """Run it, write its files and print them. UserError where there is nothing to run on."""
+    """Run it, write its files and print them. UserError where there is nothing to run on, or the folder `out` can't be
+    made or has files of these names that no leaderboard wrote."""
     revision = git_revision()  # before the run: the checkout may move on meanwhile
     cases, sources = cases_of_runs(DataRoot(data))
     for folder in folders:
@@ -49,18 +52,37 @@ def run_leaderboard(folders: Sequence[Path], data: Path, out: Path, methods: Seq
         raise UserError(
             "there is nothing to run on", where=data, do="name a folder of predictions, or finish a run of a scene"
         )
+    _refuse_unfit_folder(out)
     print(write_leaderboard(out, scores(cases, entrants(methods), processes), sources, revision))
+
+
+def _refuse_unfit_folder(out: Path) -> None:
+    """Make the folder, before the methods run, which may take hours."""
+    page = out / _PAGE
+    there = [path for path in (page, out / _TABLE, out / _FIGURE) if path.exists()]
+    if there and not (page.is_file() and page.read_bytes().startswith(_HEADER.encode().splitlines()[0])):
+        raise UserError(
+            "the output folder holds a file that no leaderboard wrote",
+            where=there[0],
+            expected=f"a new folder, or one with {_PAGE} of an earlier leaderboard, whose files are replaced",
+            do="name another folder with --out",
+        )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):
+            pass
+    except OSError as error:
+        raise UserError("the output folder can't be used", where=out, found=error.strerror) from None
 
 
 def write_leaderboard(out: Path, rows: pd.DataFrame, sources: list[str], revision: str) -> str:
     """Write fusion.md, fusion.csv and, with lags, fusion_lag.png into the folder; returns what stands in fusion.md."""
-    out.mkdir(parents=True, exist_ok=True)
     head = {
         "revision": revision,
         "date": datetime.now(UTC).date().isoformat(),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the end",
     }
-    rows.assign(**head).to_csv(out / "fusion.csv", index=False, float_format="%.6g", lineterminator="\n")
+    rows.assign(**head).to_csv(out / _TABLE, index=False, float_format="%.6g", lineterminator="\n")
     lines = [*(f"- {name}: {value}" for name, value in head.items()), *(f"- {source}" for source in sources)]
     sections = [_HEADER, "\n".join(lines)]
     late = rows["method"].str.startswith(f"{LATE}, ")
@@ -72,11 +94,11 @@ def write_leaderboard(out: Path, rows: pd.DataFrame, sources: list[str], revisio
         sections += [f"## {group}: {_counts(here)}", markdown(part), "### Scene by scene", markdown(_by_scene(here))]
     lags = lag_ratios(rows)
     if len(lags):
-        write_lag_figure(lags, out / "fusion_lag.png")
+        write_lag_figure(lags, out / _FIGURE)
         sections += ["## Later answers", f"Mean errors of `{LATE}` with `lag_s` over those with none, geometric means."]
         sections += [markdown(lags), "![errors against lag](fusion_lag.png)"]
     text = "\n\n".join(sections) + "\n"
-    (out / "fusion.md").write_text(text, encoding="utf-8")
+    (out / _PAGE).write_text(text, encoding="utf-8")
     return text
 
 

@@ -15,7 +15,7 @@ from groundwalk.artefacts import UserError
 from groundwalk.cli import app
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
 from groundwalk.fusion.evaluation.leaderboard import ahead, cases_in, entrants, ratios, scores
-from groundwalk.fusion.evaluation.leaderboard_report import lag_ratios
+from groundwalk.fusion.evaluation.leaderboard_report import lag_ratios, run_leaderboard
 from groundwalk.fusion.evaluation.validation import ahead_of
 
 NAMES = ("frames", "ground_truth", "predictions")
@@ -73,23 +73,31 @@ def test_lags_are_held_against_none() -> None:
 
 def test_the_command_writes_table_figures_and_plot(tmp_path: Path) -> None:
     laid(tmp_path / "in", "walks/Place", [1])
-    found = CliRunner().invoke(
-        app,
-        [
-            "fusion",
-            "leaderboard",
-            f"{tmp_path}/in",
-            f"--out={tmp_path}/out",
-            f"--data={tmp_path}",
-            "--methods=smoother",
-        ],
-    )
-    assert found.exit_code == 0, found.output
+    command = ["fusion", "leaderboard", f"{tmp_path}/in", f"--data={tmp_path}", "--methods=smoother"]
+    for _ in range(2):  # new, and in place of an earlier one
+        found = CliRunner().invoke(app, [*command, f"--out={tmp_path}/out"])
+        assert found.exit_code == 0, found.output
     text = (tmp_path / "out" / "fusion.md").read_text()
     assert "## walks: 1 scenes, 1 cases, 1 walks" in text and "smoother (offline)" in text and "revision" in text
     rows = pd.read_csv(tmp_path / "out" / "fusion.csv")
     assert {"apr", "smoother, 5 s late"} <= set(rows["method"]) and rows["revision"].notna().all()
     assert (tmp_path / "out" / "fusion_lag.png").stat().st_size > 0
+
+
+def test_what_no_leaderboard_wrote_is_kept_and_said_before_the_methods_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    laid(tmp_path / "in", "walks/Place", [1])
+    monkeypatch.setattr("groundwalk.fusion.evaluation.leaderboard_report.scores", None)
+    for name in ("fusion.md", "fusion.csv"):
+        mine = tmp_path / name.replace(".", "-") / name
+        mine.parent.mkdir()
+        mine.write_text("mine")
+        with pytest.raises(UserError, match="a file that no leaderboard wrote"):
+            run_leaderboard([tmp_path / "in"], tmp_path, mine.parent, ["smoother"], 1)
+        with pytest.raises(UserError, match="output folder can't be used"):
+            run_leaderboard([tmp_path / "in"], tmp_path, mine, ["smoother"], 1)
+        assert mine.read_text() == "mine"
 
 
 def test_an_empty_folder_is_named(tmp_path: Path) -> None:

@@ -187,6 +187,33 @@ def test_a_folder_of_which_nothing_can_be_asked_is_an_error(map_file: Path, boar
     assert json.loads(done.stdout)["refusal"] == "bad_input" and "no intrinsics" in done.stderr
 
 
+def test_answers_replace_nothing_but_answers_and_need_a_place_first(
+    map_file: Path, boards: Boards, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    photo = tmp_path / "a.png"
+    photo.write_bytes(boards.image(ROW).read_bytes())
+    (tmp_path / "a.json").write_text(json.dumps(CAMERA))
+    (tmp_path / "folder").mkdir()
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    with monkeypatch.context() as patched:
+        patched.setattr("groundwalk.localisation.one_query.ask", None)  # no query is asked
+        for out, message in (
+            (photo, "no file of earlier answers"),
+            (tmp_path / "a.json", "no file of earlier answers"),
+            (tmp_path / "folder", "found:    a folder"),
+            (photo / "said.jsonl", "the answers can't be written"),
+        ):
+            with pytest.raises(SystemExit, match="2"):
+                app([str(photo), "--map", str(map_file), "--out", str(out)])
+            assert message in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    for _ in range(2):  # new, and in place of earlier ones
+        with pytest.raises(SystemExit, match="0"):
+            app([str(photo), "--map", str(map_file), "--out", str(tmp_path / "new" / "said.jsonl")])
+    assert json.loads((tmp_path / "new" / "said.jsonl").read_text())["image"] == "a.png"
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["said.jsonl"]
+
+
 def test_the_command_says_what_is_wrong(
     map_file: Path, boards: Boards, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
