@@ -76,7 +76,7 @@ def export(
     if model:
         _export_model(DataRoot(data), profile, scene, model, name, out, force=force)
         return
-    dataset = load_dataset(DataRoot(data), profile, scene)
+    dataset = load_dataset(DataRoot(data), profile, scene, reads_images=images is not ImagesOption.none)
     about = {"scene": scene, "profile": profile, "format": name}
     undistorted = write_export(dataset, name, out, images.value, about, force=force)
     excluded = len(dataset.excluded)

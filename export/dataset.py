@@ -12,7 +12,7 @@ import pandas as pd
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.choices import MapUnit, QualityClass, VerticalSource
 from groundwalk.artefacts.hints import run_command
-from groundwalk.artefacts.images import image_file
+from groundwalk.artefacts.images import image_file, verify_images
 from groundwalk.artefacts.manifests import MANIFEST, load_verified
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import (
@@ -157,10 +157,11 @@ def world_of(truth: pd.DataFrame) -> str:
     return f"{unit}{scale}, {axes}"
 
 
-def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
+def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool = True) -> Dataset:
     """Read a scene's finished import, sfm and align stages.
 
-    Raises UserError where one is missing, where align wasn't made from this sfm, or where no frame has ground truth.
+    Raises UserError where one is missing, where align wasn't made from this sfm, where no frame has ground truth, or,
+    for an export with images, where one of them isn't as import saw it.
     """
     folders = {stage: root.run(profile, scene, stage) for stage in ("import", "sfm", "align")}
     for stage, folder in folders.items():
@@ -177,6 +178,8 @@ def load_dataset(root: DataRoot, profile: str, scene: str) -> Dataset:
                 where=folders["align"],
                 do=run_command(scene, profile, "align"),
             )
+    if reads_images:
+        verify_images(root.captures(scene), folders["import"])
     ground_truth = read_table(folders["align"] / "ground_truth.parquet", schema("align", "ground_truth"))
     images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
     frames = dataset_frames(read_table(folders["import"] / "frames.parquet", schema("import", "frames"))).merge(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.hints import run_command, setting_of
-from groundwalk.artefacts.images import image_file
+from groundwalk.artefacts.images import image_file, verify_images
 from groundwalk.artefacts.inputs import missing_input
 from groundwalk.artefacts.manifests import MANIFEST, load_verified
 from groundwalk.artefacts.schemas import schema
@@ -53,8 +53,8 @@ class TrainedRegressor:
 def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> TrainedRegressor:
     """Read a regressor of a scene's, or a group's, finished train stage.
 
-    UserError where the stage hasn't been run, is damaged or was made from other frames than are there, and where it has
-    no such regressor, or only imported predictions of it.
+    UserError where the stage hasn't been run, is damaged or was made from other frames or images than are there, and
+    where it has no such regressor, or only imported predictions of it.
     """
     folder = _finished(data, profile, scene, "train")
     manifest = load_verified(folder)
@@ -114,6 +114,7 @@ def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> 
     stated = frames["fx"].to_numpy()
     frames = with_cameras(frames, truth).merge(truth[["frame_id", *poses]], on="frame_id", validate="1:1")
     captures = data.captures(scene)
+    verify_images(captures, folders["import"])
     files = [image_file(image, captures, folders["import"]) for image in frames["image"]]
     return frames.assign(scene=scene, file=pd.Series(files, dtype=object), stated_fx=stated), world_of(truth)
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from groundwalk.alignment.stage import STAGE
 from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.files import write_json
+from groundwalk.artefacts.files import sha256_of, write_json
 from groundwalk.artefacts.manifests import output_hashes
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.tables import pose_frame, poses_of, read_table, with_cameras, write_table
@@ -48,11 +48,12 @@ def aligned(data_of_module: DataRoot) -> DataRoot:
     frames["fx"] += np.arange(len(frames))
     frames.loc[VALIDATION, "split"] = "val"
     frames.loc[TESTED, "split"] = "test"
-    write_table(folders["import"] / "frames.parquet", frames, schema("import", "frames"))
-    for row, image in enumerate(frames["image"]):
-        path = data.captures("Place") / image
+    paths = [data.captures("Place") / image for image in frames["image"]]
+    for row, path in enumerate(paths):
         path.parent.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(path), np.full((12, 16, 3), 4 * row, np.uint8))
+    frames["image_sha256"] = [sha256_of(path) for path in paths]
+    write_table(folders["import"] / "frames.parquet", frames, schema("import", "frames"))
     images = read_table(folders["sfm"] / "images.parquet", schema("sfm", "images"))
     images.loc[images["frame_id"] == UNREGISTERED, "registered"] = False
     # SfM found other focal lengths for one walk.
@@ -345,6 +346,16 @@ def test_images_are_linked_or_copied(scene: DataRoot) -> None:
     assert not copied.is_symlink() and copied.read_bytes() == _image(scene, "walk0/000000").read_bytes()
 
 
+def test_an_image_that_changed_since_import_is_not_exported_beside_its_old_pose(scene: DataRoot) -> None:
+    image = _image(scene, "walk0/000002")
+    cv2.imwrite(str(image), np.full((12, 16, 3), 200, np.uint8))
+    with pytest.raises(UserError, match=r"(?s)1 of \d+ images aren't as import saw them.*000002.jpg"):
+        _export(scene, "tum")
+    assert not (scene.root.parent / "out").exists()
+    image.unlink()
+    _export(scene, "tum", "--images", "none")
+
+
 def test_nothing_is_overwritten_unasked_and_never_what_is_no_export(scene: DataRoot) -> None:
     out = _export(scene, "tum")
     with pytest.raises(UserError, match="holds earlier exports"):
@@ -380,7 +391,8 @@ def test_nothing_is_overwritten_unasked_and_never_what_is_no_export(scene: DataR
     assert (other / "thesis.txt").exists()
 
 
-def test_an_export_that_fails_leaves_nothing_behind(scene: DataRoot) -> None:
+def test_an_export_that_fails_leaves_nothing_behind(scene: DataRoot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("groundwalk.export.dataset.verify_images", lambda *_: None)  # and then an image goes
     _image(scene, "walk1/000019").unlink()
     for name in EXPORTERS:
         with pytest.raises(UserError, match="image is missing"):
@@ -396,10 +408,6 @@ SEEN, DEPTH_M = np.array([(-0.5, -0.36), (0.49, -0.35), (-0.47, 0.37), (0.5, 0.3
 
 def _give_lens(scene: DataRoot, lens: tuple[float, ...]) -> dict[str, Array]:
     """Every frame gets a camera with this lens, and an image with dots in it; returns their places in the map."""
-    folder = scene.run("tiny", "Place", "import")
-    write_table(
-        folder / "frames.parquet", _frames(scene).assign(width=SIZE[0], height=SIZE[1]), schema("import", "frames")
-    )
     path = scene.run("tiny", "Place", "align") / "ground_truth.parquet"
     gt = read_table(path, schema("align", "ground_truth"))
     gt = gt.assign(
@@ -420,7 +428,15 @@ def _give_lens(scene: DataRoot, lens: tuple[float, ...]) -> dict[str, Array]:
         cv2.imwrite(str(_image(scene, str(frame_id))), (230 * np.sum(dots, axis=0)).astype(np.uint8))
         map_T_cam = poses_of(pd.DataFrame([row]), "map_cam")[0]
         points[str(frame_id)] = transform(map_T_cam, DEPTH_M * np.column_stack([SEEN, np.ones(len(SEEN))]))
+    _write_frames(scene, width=SIZE[0], height=SIZE[1])
     return points
+
+
+def _write_frames(scene: DataRoot, **columns: int) -> None:
+    """Import's frames with the images that are there now."""
+    frames = _frames(scene).assign(**columns)
+    frames["image_sha256"] = [sha256_of(_image(scene, frame_id)) for frame_id in frames["frame_id"]]
+    write_table(scene.run("tiny", "Place", "import") / "frames.parquet", frames, schema("import", "frames"))
 
 
 def _dots_off_px(image: Path, world_T_cam: Array, K: Array, points: Array) -> float:
@@ -517,6 +533,7 @@ def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:
         _export(scene, "cambridge")
     _give_lens(scene, LENS)
     cv2.imwrite(str(_image(scene, "walk0/000000")), np.zeros((12, 16, 3), np.uint8))
+    _write_frames(scene)
     with pytest.raises(UserError, match="16 x 12"):
         _export(scene, "cambridge")
 
