@@ -128,7 +128,7 @@ def _receive(one: _Running, text: str, log: Path, remedy: str) -> None:
             f"{text}: its process died ({_cause(one.process.exitcode)})",
             where=log,
             found="its last lines:\n" + _tail(log),
-            do=f"the same command resumes from the last checkpoint; {remedy}",
+            do=remedy,
             exit_code=one.process.exitcode,
         ) from None
     if kind == "progress":

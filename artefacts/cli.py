@@ -64,7 +64,7 @@ class App(typer.Typer):
             # Python hides what stops it in some places, as while it makes a class.
             stopped = next((cause for cause in causes(error) if isinstance(cause, Stopped)), None)
             if stopped is not None:
-                print(f"stopped by {stopped}; the same command resumes from the last checkpoint", file=sys.stderr)
+                print(f"stopped by {stopped}{f'; {stopped.again}' if stopped.again else ''}", file=sys.stderr)
                 sys.exit(stopped.exit_code)
             message = as_user_error(error) if isinstance(error, OSError) else error
             if not isinstance(message, UserError):
@@ -101,7 +101,7 @@ def stage_command(name: str, load: "Callable[[], Stage[Any]]") -> Callable[..., 
         profile: ProfileOption = "demo",
         set_: SetOption = None,
         seed: SeedOption = 0,
-        force: Annotated[bool, typer.Option("--force", help="Run even if the artefact is up to date.")] = False,
+        force: Annotated[bool, typer.Option("--force", help="Run anew, even if the artefact is up to date.")] = False,
         data: DataOption = Path("data"),
     ) -> None:
         if context.invoked_subcommand is not None:

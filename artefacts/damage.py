@@ -15,6 +15,7 @@ _MACHINE = {
     errno.EDQUOT: "the disk quota is used up",
     errno.EFBIG: "a file is larger than allowed here",
     errno.EROFS: "the file system is read-only",
+    errno.ENOTDIR: "a file is where a folder should be",
     errno.EACCES: "permission is denied",
     errno.EPERM: "the operation isn't permitted",
     errno.EMFILE: "too many files are open in this process",
@@ -24,12 +25,12 @@ _MACHINE = {
     errno.EIO: "the disk reports an error",
 }
 _DO = {
-    errno.ENOSPC: "free some space, then run the same command again; it resumes from its checkpoints",
-    errno.EDQUOT: "free some space, then run the same command again; it resumes from its checkpoints",
-    errno.EFBIG: "raise the limit (ulimit -f unlimited), then run the same command again",
+    errno.ENOSPC: "free some space",
+    errno.EDQUOT: "free some space",
+    errno.EFBIG: "raise the limit (ulimit -f unlimited)",
     errno.EROFS: "name another data folder with --data, or make this one writable",
-    errno.EACCES: "look at the owner and the permissions of this path",
-    errno.EMFILE: "raise the limit (ulimit -n 4096), then run the same command again",
+    errno.EACCES: "look at the owner and the permissions of this path and of its folder",
+    errno.EMFILE: "raise the limit (ulimit -n 4096)",
 }
 _OF_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FULL_BELOW_BYTES = 16 << 20
@@ -52,7 +53,9 @@ def as_user_error(error: BaseException, work: Path | None = None) -> UserError |
     """
     for cause in causes(error):
         if isinstance(cause, OSError) and cause.errno in _MACHINE:
-            where = Path(os.fsdecode(cause.filename)) if isinstance(cause.filename, str | bytes) else work
+            # Of a link or a rename that fails, the place where it was to be.
+            name = cause.filename if cause.filename2 is None else cause.filename2
+            where = Path(os.fsdecode(name)) if isinstance(name, str | bytes) else work
             room = _free(where) if cause.errno in _OF_SPACE else None
             return UserError(_MACHINE[cause.errno], where=where, found=room, do=_DO.get(cause.errno))
     if work is not None and isinstance(error, RuntimeError | ProcessDied | OSError) and (number := _probe(work)):

@@ -5,8 +5,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from groundwalk.artefacts import progress
-from groundwalk.artefacts.damage import as_user_error, may_be_damage
+from groundwalk.artefacts.child import ProcessDied
+from groundwalk.artefacts.damage import as_user_error, causes, may_be_damage
+from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import KEY_FILE, read_json, write_json
+from groundwalk.artefacts.signals import Stopped
+
+_RESUMES = "the same command resumes from the last checkpoint"
+_FORCED = "with --force the same command starts anew; without it, it resumes, unless the artefact is up to date"
 
 
 def run_resumable(work: Path, key: str, title: str, force: bool, attempt: Callable[[], None]) -> bool:
@@ -17,10 +23,11 @@ def run_resumable(work: Path, key: str, title: str, force: bool, attempt: Callab
     line, and the attempt is made once more. An error that the machine caused is raised as UserError.
     """
     resumed = not force and read_json(work / KEY_FILE).get("key") == key
+    again = _FORCED if force else _RESUMES
     progress.console.print(f"{title}{': resuming from its checkpoints' if resumed else ''}", markup=False, style="bold")
     if resumed:
         try:
-            _once(work, attempt)
+            _once(work, attempt, again)
             return True
         except Exception as error:
             if not may_be_damage(error):
@@ -32,14 +39,26 @@ def run_resumable(work: Path, key: str, title: str, force: bool, attempt: Callab
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
     write_json(work / KEY_FILE, {"key": key})
-    _once(work, attempt)
+    _once(work, attempt, again)
     return False
 
 
-def _once(work: Path, attempt: Callable[[], None]) -> None:
+def _once(work: Path, attempt: Callable[[], None], again: str) -> None:
+    """The attempt; what ends it from outside says what the same command does then."""
     try:
         attempt()
-    except Exception as error:
-        if caused_by_machine := as_user_error(error, work):
+    except BaseException as error:
+        if isinstance(error, Exception) and (caused_by_machine := as_user_error(error, work)):
+            _add(again, caused_by_machine)
             raise caused_by_machine from error
+        for cause in causes(error):
+            if isinstance(cause, Stopped):
+                cause.again = again
+        if isinstance(error, ProcessDied):
+            _add(again, error)
         raise
+
+
+def _add(again: str, error: UserError) -> None:
+    if advice := error.details["do"]:
+        error.details["do"] = f"{advice}; {again}"

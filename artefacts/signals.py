@@ -10,11 +10,15 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Stopped(BaseException):
-    """A signal asked this process to end; no Exception, so that no handler of errors takes it for one."""
+    """A signal asked this process to end; no Exception, so that no handler of errors takes it for one.
+
+    again: what becomes of what was made so far, where the same command is run again; empty where it's lost.
+    """
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
         self.exit_code = 128 + number
+        self.again = ""
 
 
 @contextlib.contextmanager

@@ -106,7 +106,7 @@ def _export_model(data: DataRoot, profile: str, scene: str, model: str, name: st
         with fresh_folder(out) as folder, MODEL_EXPORTERS.guard(name):
             said = exporter.write(regressor, folder)
     except OSError as error:
-        raise UserError("the export can't be written", where=error.filename or out, found=error.strerror) from None
+        raise _not_written(error, out) from None
     progress.console.print(f"{model} of {scene} as {name} → {out}", markup=False)
     for line in said:
         progress.console.print(f"  {line}", markup=False)
@@ -150,7 +150,14 @@ def write_export(
             )
         return dataset.undistorted
     except OSError as error:
-        raise UserError("the export can't be written", where=error.filename or out, found=error.strerror) from None
+        raise _not_written(error, out) from None
+
+
+def _not_written(error: OSError, out: Path) -> UserError:
+    # An error of a link names first what it leads to.
+    return UserError(
+        "the export can't be written", where=error.filename2 or error.filename or out, found=error.strerror
+    )
 
 
 def _all_frames(dataset: Dataset, placed: list[str]) -> pd.DataFrame:

@@ -41,8 +41,8 @@ _COMMANDS_HEAD = f"""# Commands
 
 `groundwalk <command> --help` prints the same. A command exits with 0 when it did what it says, with 2 after an error
 that a user can correct (`check-truth` with 1 where a target is missed), with 130 after Ctrl-C and 143 after SIGTERM; a
-stage that was stopped resumes when the same command is run again. `make help` lists the targets of the Makefile, which
-call these commands.
+stage that was stopped resumes when the same command is run again, without `--force`. `make help` lists the targets of
+the Makefile, which call these commands.
 
 {WRITTEN_BY}
 """

@@ -33,7 +33,7 @@ def main(
     profile: ProfileOption = "demo",
     set_: SetOption = None,
     seed: SeedOption = 0,
-    force: Annotated[bool, typer.Option("--force", help="Simulate even if it's up to date.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Simulate anew, even if it's up to date.")] = False,
     processes: Annotated[
         int, typer.Option(help="Processes that render.", min=1, show_default="one a core")
     ] = os.cpu_count() or 1,

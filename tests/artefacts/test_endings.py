@@ -13,11 +13,14 @@ from pathlib import Path
 import pytest
 
 from groundwalk.artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
-from groundwalk.artefacts.child import Report, Task, in_child
-from groundwalk.artefacts.cli import stage_app
+from groundwalk.artefacts.__main__ import app as look_at_artefacts
+from groundwalk.artefacts.child import ProcessDied, Report, Task, in_child
+from groundwalk.artefacts.cli import new_app, stage_app
 from groundwalk.artefacts.signals import Stopped
 
 WAITING = "waiting"
+RESUMES = "the same command resumes from the last checkpoint"
+FORCED = "with --force the same command starts anew; without it, it resumes, unless the artefact is up to date"
 
 
 class NoSettings(Settings):
@@ -57,11 +60,13 @@ def data(tmp_path: Path) -> DataRoot:
     return DataRoot(tmp_path)
 
 
-def start(run: str, data: DataRoot, limits: Callable[[], None] | None = None) -> subprocess.Popen[str]:
+def start(
+    run: str, data: DataRoot, limits: Callable[[], None] | None = None, options: tuple[str, ...] = ()
+) -> subprocess.Popen[str]:
     program = (
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import test_endings\n"
         f"test_endings.stage_app(test_endings.stage(test_endings.{run}))("
-        f"['--scene', 'place', '--profile', 'tiny', '--data', {str(data.root)!r}])"
+        f"['--scene', 'place', '--profile', 'tiny', '--data', {str(data.root)!r}, *{options}])"
     )
     return subprocess.Popen(
         [sys.executable, "-c", program],
@@ -74,18 +79,18 @@ def start(run: str, data: DataRoot, limits: Callable[[], None] | None = None) ->
 
 
 @pytest.mark.parametrize(
-    ("number", "group"),
+    ("number", "group", "options", "again"),
     [
-        (signal.SIGINT, True),
-        (signal.SIGTERM, False),
-        pytest.param(signal.SIGINT, False, marks=pytest.mark.slow),
-        pytest.param(signal.SIGTERM, True, marks=pytest.mark.slow),
+        (signal.SIGINT, True, (), RESUMES),
+        (signal.SIGTERM, False, ("--force",), FORCED),
+        pytest.param(signal.SIGINT, False, (), RESUMES, marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, True, (), RESUMES, marks=pytest.mark.slow),
     ],
 )
 def test_a_signal_ends_a_stage_with_one_line_and_its_exit_code(
-    data: DataRoot, number: signal.Signals, group: bool
+    data: DataRoot, number: signal.Signals, group: bool, options: tuple[str, ...], again: str
 ) -> None:
-    process = start("wait", data)
+    process = start("wait", data, options=options)
     deadline = time.monotonic() + 60
     while not (data.root / WAITING).exists():
         assert process.poll() is None and time.monotonic() < deadline
@@ -95,8 +100,33 @@ def test_a_signal_ends_a_stage_with_one_line_and_its_exit_code(
     assert process.returncode == 128 + number
     assert out == "" and err.splitlines() == [
         "import · place · tiny",
-        f"stopped by {number.name}; the same command resumes from the last checkpoint",
+        f"stopped by {number.name}; {again}",
     ]
+
+
+def test_a_command_without_checkpoints_promises_none(capsys: pytest.CaptureFixture[str]) -> None:
+    app = new_app("")
+
+    @app.command()
+    def stopped() -> None:
+        raise Stopped(signal.SIGINT)
+
+    with pytest.raises(SystemExit) as ended:
+        app([])
+    assert ended.value.code == 130 and capsys.readouterr().err == "stopped by SIGINT\n"
+
+
+@pytest.mark.parametrize(("force", "again"), [(False, "resumes from the last"), (True, "starts anew")])
+def test_advice_after_a_failure_says_what_the_same_command_does(data: DataRoot, force: bool, again: str) -> None:
+    def dies(r: StageRun[NoSettings]) -> None:
+        raise ProcessDied("matching: its process died", do="take fewer", exit_code=1)
+
+    def fills(r: StageRun[NoSettings]) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(r.work))
+
+    for run, advice in ((dies, "take fewer; "), (fills, "free some space; ")):
+        with pytest.raises(UserError, match=f"{advice}.*{again}"):
+            execute(stage(run), "place", "tiny", data, force=force)
 
 
 def limit_size() -> None:
@@ -151,6 +181,27 @@ def test_an_error_of_the_disk_anywhere_is_a_sentence(
     assert ended.value.code == 2 and f"where:    {data.root / 'x'}" in said
     assert ("MiB free" in said) == (number in (errno.ENOSPC, errno.EDQUOT))
     assert not data.run("tiny", "place", "import").exists()
+
+
+def test_a_link_that_cannot_be_made_is_blamed_on_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    captures, data = tmp_path / "phone", tmp_path / "data"
+    captures.mkdir()
+    command = ["link-captures", "--scene", "place", "--folder", str(captures), "--data"]
+
+    def fail(source: str, target: str, *_: object, **__: object) -> None:
+        raise OSError(errno.EACCES, "Permission denied", str(source), None, str(target))
+
+    with monkeypatch.context() as patched, pytest.raises(SystemExit):
+        patched.setattr("os.symlink", fail)
+        look_at_artefacts([*command, str(data)])
+    said = capsys.readouterr().err
+    assert "error: permission is denied" in said and f"where:    {data / 'captures' / 'place'}\n" in said
+    (tmp_path / "file").touch()
+    with pytest.raises(SystemExit):
+        look_at_artefacts([*command, str(tmp_path / "file")])
+    assert "error: a file is where a folder should be" in capsys.readouterr().err
 
 
 def test_a_library_that_fails_on_a_full_disk_is_blamed_on_the_disk(
