@@ -30,8 +30,8 @@ def view(
     recordings = [root.run(profile, scene, stage) / RECORDING for stage in STAGES]
     files = [str(path) for path in recordings if path.is_file()]
     if not files:
-        where = root.run(profile, scene)
-        raise UserError("there is no recording to view", where=where, do=run_command(scene, profile, STAGES[-1]))
+        do = run_command(root.run(profile, scene, STAGES[-1]))
+        raise UserError("there is no recording to view", where=root.run(profile, scene), do=do)
     sys.exit(
         view_in_browser(files) if web else subprocess.run(rerun_command(files), env=rerun_environment()).returncode
     )

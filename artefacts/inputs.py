@@ -94,7 +94,7 @@ class Inputs:
             self._read_captures()
         for scene, stage, folder in self._sources():
             if not (folder / MANIFEST).is_file():
-                raise missing_input(stage, folder, scene, self.profile)
+                raise missing_input(stage, folder, scene)
             self._locks.enter_context(locked(folder, shared=True))
             self.hashes[f"{scene}/{stage}"] = load_manifest(folder)["outputs"]
         for name in self.stage.reads_shipped:
@@ -108,7 +108,7 @@ class Inputs:
             self._locks.enter_context(locked(captures, shared=True))
             self._captures = _capture_state(captures)
         if not self._captures:
-            raise no_captures(self.scene.name, captures)
+            raise no_captures(self.scene.name, captures, self.profile)
         hashes = hash_files(captures, [captures / name for name in self._captures])
         digest = hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
         self.hashes["captures"] = {"files": len(hashes), "sha256": digest}
@@ -138,7 +138,7 @@ class Inputs:
                     f"artefact {stage} of scene {scene} is outdated: {its_stage} of scene {its_scene} has been made "
                     "anew since",
                     where=self.data.run(self.profile, scene, stage),
-                    do=run_command(scene, self.profile, stage),
+                    do=run_command(self.data.run(self.profile, scene, stage)),
                 )
             self._refuse_outdated(its_scene, its_stage, made_from)
 
@@ -160,27 +160,24 @@ def hashes_of_named(files: Iterable[str], scene: str, data: DataRoot) -> dict[st
     return hashes
 
 
-def no_captures(scene: str, captures: Path) -> UserError:
+def no_captures(scene: str, captures: Path, profile: str) -> UserError:
     """The error for a scene without a file that import may read."""
     links = sorted(path.name for path in captures.glob("*") if path.is_symlink() and path.is_dir())
+    link = link_command(captures, profile)
     return UserError(
         f"scene {scene} has no captures",
         where=captures,
         expected="a folder of phone captures",
         found=f"links to folders, which import doesn't follow: {', '.join(links)}" if links else "nothing",
-        do=f"copy what they point to there; or move this folder away and link one that holds it: {link_command(scene)}"
+        do=f"copy what they point to there; or move this folder away and link one that holds it: {link}"
         if links
-        else link_command(scene),
+        else link,
     )
 
 
-def missing_input(stage: str, folder: Path, scene: str, profile: str) -> UserError:
+def missing_input(stage: str, folder: Path, scene: str) -> UserError:
     """The error for an artefact that isn't there."""
-    return UserError(
-        f"stage {stage} of scene {scene} hasn't been run",
-        where=folder,
-        do=run_command(scene, profile, stage),
-    )
+    return UserError(f"stage {stage} of scene {scene} hasn't been run", where=folder, do=run_command(folder))
 
 
 def capture_files(captures: Path) -> list[Path]:

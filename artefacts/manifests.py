@@ -99,5 +99,4 @@ def outdated_stages(folder: Path, manifests: dict[str, dict[str, Any]]) -> dict[
 
 
 def _again(folder: Path) -> str:
-    profile, scene, stage = folder.parts[-3:]
-    return f"{run_command(scene, profile, stage)}, which makes it anew"
+    return f"{run_command(folder)}, which makes it anew"

@@ -30,7 +30,7 @@ from groundwalk.artefacts.files import (
     swap_in,
     write_json,
 )
-from groundwalk.artefacts.hints import ANY_SCENE
+from groundwalk.artefacts.hints import of_scene
 from groundwalk.artefacts.images import image_file, verify_images
 from groundwalk.artefacts.inputs import Inputs, missing_input
 from groundwalk.artefacts.locks import locked
@@ -132,7 +132,7 @@ class StageRun(Generic[S]):
         """The finished artefact folder of a stage of this scene (or of a group's member)."""
         path = self.data.run(self.profile, scene or self.scene.name, stage)
         if not (path / MANIFEST).is_file():
-            raise missing_input(stage, path, scene or self.scene.name, self.profile)
+            raise missing_input(stage, path, scene or self.scene.name)
         return path
 
     def read(self, stage: str, table: str, scene: str | None = None) -> pd.DataFrame:
@@ -177,8 +177,7 @@ class StageRun(Generic[S]):
         progress.console.print(f"  {self._of_scene(printable(text))}", markup=False)
 
     def _of_scene(self, text: str) -> str:
-        """Advice that `setting_of` gave, for this scene."""
-        return text.replace(ANY_SCENE, self.scene.name)
+        return of_scene(text, self.data, self.scene.name)
 
     def warn_of_scale(self) -> None:
         """A line for each scene whose map isn't metric."""

@@ -167,7 +167,7 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
     for stage, folder in folders.items():
         if not (folder / MANIFEST).is_file():
             raise UserError(
-                f"stage {stage} of scene {scene} hasn't been run", where=folder, do=run_command(scene, profile, "align")
+                f"stage {stage} of scene {scene} hasn't been run", where=folder, do=run_command(folders["align"])
             )
     manifests = {stage: load_verified(folder) for stage, folder in folders.items()}
     for stage in ("import", "sfm"):
@@ -176,7 +176,7 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
             raise UserError(
                 f"the ground truth was made from another run of stage {stage}",
                 where=folders["align"],
-                do=run_command(scene, profile, "align"),
+                do=run_command(folders["align"]),
             )
     if reads_images:
         verify_images(root.captures(scene), folders["import"])

@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.hints import run_command, setting_of
+from groundwalk.artefacts.hints import run_command, scene_file, setting_of
 from groundwalk.artefacts.images import image_file, verify_images
 from groundwalk.artefacts.inputs import missing_input
 from groundwalk.artefacts.manifests import MANIFEST, load_verified
@@ -64,7 +64,7 @@ def load_regressor(data: DataRoot, profile: str, scene: str, model: str) -> Trai
             f"scene {scene} has no regressor {model!r}",
             where=folder,
             expected=f"one of {', '.join(cards['model'])}",
-            do=f"add it to {setting_of('train', 'models', scene)} and run the stage train again",
+            do=f"add it to {setting_of('train', 'models', scene_file(data, scene))} and run the stage train again",
         )
     card = {str(name): value for name, value in cards[cards["model"] == model].iloc[0].items()}
     if not card["file"]:
@@ -106,7 +106,7 @@ def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> 
             raise UserError(
                 f"the regressors were trained on another run of stage {stage}",
                 where=folder,
-                do=run_command(scene, profile, "train"),
+                do=run_command(data.run(profile, scene, "train")),
             )
     frames = dataset_frames(read_table(folders["import"] / "frames.parquet", schema("import", "frames")))
     truth = read_table(folders["align"] / "ground_truth.parquet", schema("align", "ground_truth"))
@@ -122,7 +122,7 @@ def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> 
 def _finished(data: DataRoot, profile: str, scene: str, stage: str) -> Path:
     folder = data.run(profile, scene, stage)
     if not (folder / MANIFEST).is_file():
-        raise missing_input(stage, folder, scene, profile)
+        raise missing_input(stage, folder, scene)
     return folder
 
 

@@ -47,7 +47,7 @@ def run(
     run_steps(steps(root, profile, scene, until), profile, root)
     page = root.run(profile, scene, "report") / "page.html"
     if until == STAGES[-1]:
-        progress.console.print(f"Look at {page}, or: {view_command(scene, profile)}", markup=False)
+        progress.console.print(f"Look at {page}, or: {view_command(root.run(profile, scene))}", markup=False)
 
 
 @app.command()

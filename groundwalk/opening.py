@@ -30,7 +30,7 @@ def _run(folder: Path, data: DataRoot) -> Run:
     manifests = _manifests(folder)
     if not manifests:
         if any(folder.glob(".*.partial")):
-            raise not_finished(folder, STAGES[0], folder.name, folder.parent.name)
+            raise not_finished(folder, STAGES[0], folder.name)
         raise _foreign(folder)
     scene = str(next(iter(manifests.values()))["scene"].get("name"))
     captures = data.captures(scene)
@@ -50,7 +50,7 @@ def _manifests(folder: Path) -> dict[str, dict[str, Any]]:
                 "a stage's manifest is damaged, or of another program",
                 where=file,
                 expected=f"a JSON object that the stage {stage} wrote",
-                do=run_command(folder.name, folder.parent.name, stage) + ", where the folder is a run of groundwalk",
+                do=run_command(folder / stage) + ", where the folder is a run of groundwalk",
             )
         manifests[stage] = content
     return manifests
@@ -74,7 +74,7 @@ def _no_run(data: DataRoot, profile: str, scene: str) -> UserError:
         f"scene {scene} has no run of profile {profile}",
         where=runs,
         found=there,
-        do=f"{run_command(scene, profile, STAGES[-1])}; or name another data folder with data=...",
+        do=f"{run_command(data.run(profile, scene, STAGES[-1]))}; or name another data folder with data=...",
     )
 
 

@@ -202,7 +202,7 @@ class Run:
             raise UserError(
                 f"the image of frame {frame_id} isn't the one that was imported: its sha256 differs",
                 where=path,
-                do=run_command(self.scene, self.profile, "import"),
+                do=run_command(self.folder / "import"),
             )
         return read_image(path)
 
@@ -226,12 +226,13 @@ class Run:
         files = dict(models.loc[models["file"] != "", ["model", "file"]].itertuples(index=False, name=None))
         name = model or next(iter(files), "")
         if name not in files:
+            file = f"scenes/{self.scene}.toml of the data folder"
             raise UserError(
                 f"scene {self.scene} has no structure localiser {model!r} that is kept in a file"
                 if model
                 else f"scene {self.scene} has no structure localiser that is kept in a file",
                 expected=f"one of {', '.join(files)}" if files else None,
-                do=f"name one that is, in {setting_of('localise', 'models', self.scene)}",
+                do=f"name one that is, in {setting_of('localise', 'models', file)}",
             )
         if name not in self._localisers:
             from groundwalk.localisation.locate import read_localiser
@@ -253,7 +254,7 @@ class Run:
             raise UserError(
                 f"stage {stage} of scene {self.scene} is outdated: {self.outdated[stage]} was run again since",
                 where=self.folder / stage,
-                do=run_command(self.scene, self.profile, stage),
+                do=run_command(self.folder / stage),
             )
         if stage in self.manifests:
             return
@@ -263,7 +264,7 @@ class Run:
                 f"{self.scene} is a group of scenes and has no stage {stage}",
                 expected=f"one of {', '.join(config['stages'])}, or one of its scenes: {', '.join(config['members'])}",
             )
-        raise not_finished(self.folder, stage, self.scene, self.profile)
+        raise not_finished(self.folder, stage, self.scene)
 
     def _refuse_replaced(self, stage: str) -> None:
         if read_json(self.folder / stage / MANIFEST).get("outputs") != self.manifests[stage]["outputs"]:
@@ -272,13 +273,13 @@ class Run:
             )
 
 
-def not_finished(folder: Path, stage: str, scene: str, profile: str) -> UserError:
+def not_finished(folder: Path, stage: str, scene: str) -> UserError:
     """The error for a stage that was never run, or not to its end."""
     begun = partial_folder(folder / stage).is_dir()
     return UserError(
         f"stage {stage} of scene {scene} {'has begun but not finished' if begun else 'has not been run'}",
         where=folder / stage,
-        do=run_command(scene, profile, stage),
+        do=run_command(folder / stage),
     )
 
 

@@ -134,7 +134,7 @@ def _link_images(r: StageRun[SfmSettings], frames: pd.DataFrame) -> list[str]:
     for frame_id, image in zip(frames["frame_id"], frames["image"], strict=True):
         source, name = r.image_path(image), image_name(frame_id, image)
         if not source.is_file():
-            hint = run_command(r.scene.name, r.profile, "import")
+            hint = run_command(r.data.run(r.profile, r.scene.name, "import"))
             raise UserError(f"the image of frame {frame_id} is missing", where=source, do=hint)
         link = r.scratch / "images" / name
         if not link.is_symlink():

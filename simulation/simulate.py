@@ -14,6 +14,7 @@ import pandas as pd
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.choices import Appearance
 from groundwalk.artefacts.files import file_names, partial_folder, read_json, swap_in, write_json
+from groundwalk.artefacts.hints import link_command
 from groundwalk.artefacts.locks import locked
 from groundwalk.artefacts.parallel import single_threaded_opencv
 from groundwalk.artefacts.progress import console, track
@@ -49,7 +50,7 @@ def simulate(
     scene that can't be simulated, or a folder that holds anything which this function didn't write.
     """
     if scene not in NAMES:
-        scenery(scene, seed)  # raises with the names
+        raise _unknown(scene, profile, data)
     settings = resolve_settings(SimulateSettings, "simulate", data, profile, scene, overrides or [])
     config = data.scene(scene)[0]
     final = data.captures(scene)
@@ -92,6 +93,14 @@ def simulate(
     images = sum(len(s.shots) for s in sessions)
     console.print(f"{title}: {len(sessions)} sessions, {images} images → {final}", markup=False)
     return final
+
+
+def _unknown(scene: str, profile: str, data: DataRoot) -> UserError:
+    return UserError(
+        f"scene {scene} can't be simulated",
+        expected=f"one of {', '.join(NAMES)}",
+        do=f"{link_command(data.captures(scene), profile)}, for captures of your own",
+    )
 
 
 def _say_reduced(reduced: dict[str, tuple[Any, Any]]) -> None:

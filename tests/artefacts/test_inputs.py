@@ -72,7 +72,8 @@ def test_results_of_two_imports_never_mix(data: DataRoot) -> None:
         run(data, each)
     run(data, IMPORT, "text=b")
     with pytest.raises(
-        UserError, match=r"(?s)sfm of scene place is outdated: import .*make scene=place profile=tiny sfm"
+        UserError,
+        match=r"(?s)sfm of scene place is outdated: import .*run --scene place --profile tiny --until sfm --data",
     ):
         run(data, ALIGN)
     run(data, SFM)

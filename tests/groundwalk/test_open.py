@@ -206,7 +206,9 @@ def test_a_missing_run_is_said_with_those_that_are_there(make_run: Make, tmp_pat
 def test_a_stage_that_is_not_finished_is_named(make_run: Make) -> None:
     made = make_run("import")
     run = open_place(made)
-    with pytest.raises(UserError, match=r"(?s)stage align of scene place has not been run.*make scene=place .* align"):
+    with pytest.raises(
+        UserError, match=r"(?s)stage align of scene place has not been run.*run --scene place .* align --data"
+    ):
         _ = run.ground_truth
     (made.folder / ".align.partial").mkdir()
     with pytest.raises(UserError, match="stage align of scene place has begun but not finished"):
@@ -268,7 +270,7 @@ def test_stages_that_do_not_belong_together_are_not_mixed(make_run: Make) -> Non
     run = open_place(made)
     assert run.frames["frame_id"].str.contains("again").all()
     for table in ("ground_truth", "predictions", "errors"):
-        with pytest.raises(UserError, match=r"(?s)is outdated: import of scene place was run again since.*make scene"):
+        with pytest.raises(UserError, match=r"(?s)is outdated: import of scene place was run again since.*run --scene"):
             getattr(run, table)
     assert "outdated: import of scene place" in run.summary()
 
