@@ -115,7 +115,7 @@ def _check(report: Report, commands: list[Step], profile: str, data: DataRoot) -
             settings = resolve_settings(stage.settings, step.command, data, profile, step.scene, [])
             hashes_of_named(stage.files(settings), step.scene, data)
             if stage.reads_captures and Step("simulate", step.scene) not in commands and not capture_files(captures):
-                raise no_captures(step.scene, captures)
+                raise no_captures(step.scene, captures, profile)
 
 
 def _run(commands: list[Step], profile: str, data: DataRoot) -> None:
