@@ -86,6 +86,16 @@ def refuse_to_overwrite(out: Path, results: str, note: str, key: str, *, force: 
         )
 
 
+def make_writable(folder: Path) -> None:
+    """Make a folder before long work. UserError where it can't be made, or no file can be written there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise UserError("nothing can be written there", where=folder, found=error.strerror) from None
+
+
 def hash_files(folder: Path, files: Iterable[Path]) -> dict[str, str]:
     """sha256 of files by their path relative to `folder`."""
     paths = sorted(files)

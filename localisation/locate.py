@@ -1,7 +1,6 @@
 """`groundwalk locate`: new images in a map's file or by a regressor's bundle, without a run."""
 
 import json
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +10,7 @@ import typer
 from groundwalk.artefacts import UserError, progress
 from groundwalk.artefacts.choices import Refusal
 from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.files import written_aside
+from groundwalk.artefacts.files import make_writable, written_aside
 from groundwalk.runtime.bundle import Bundle, Prediction, open_bundle
 from groundwalk.runtime.queries import Query, file_query, image_files, numbers
 
@@ -60,7 +59,8 @@ def locate(
     rows = []
     paths = image_files(images)
     if out is not None:
-        _refuse_unfit_file(out)
+        _refuse_other_file(out)
+        make_writable(out.parent)
     for path in progress.track(paths, "localising", len(paths)):
         row = {"image": path.name, **_answer(ask, path, common, among_others=images.is_dir())}
         rows.append(row)
@@ -75,9 +75,8 @@ def locate(
         raise UserError("no image of the folder can be asked", where=images, found=rows[0]["reason"])
 
 
-def _refuse_unfit_file(out: Path) -> None:
-    """Make the folder of a file of answers. UserError where they can't be written there, or anything but earlier
-    answers is there: before the first query, so that no answer is lost."""
+def _refuse_other_file(out: Path) -> None:
+    """UserError where anything but earlier answers is there."""
     if out.exists() and not _holds_answers(out):
         raise UserError(
             "this is no file of earlier answers, which alone is replaced",
@@ -85,12 +84,6 @@ def _refuse_unfit_file(out: Path) -> None:
             found="a folder" if out.is_dir() else None,
             do="name another file with --out",
         )
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out.parent):
-            pass
-    except OSError as error:
-        raise UserError("the answers can't be written", where=out, found=error.strerror) from None
 
 
 def _holds_answers(path: Path) -> bool:

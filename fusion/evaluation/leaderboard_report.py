@@ -2,7 +2,6 @@
 
 import os
 import platform
-import tempfile
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,6 +11,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.files import make_writable
 from groundwalk.artefacts.stage import git_revision
 from groundwalk.fusion.evaluation.leaderboard import (
     ERRORS,
@@ -52,12 +52,12 @@ def run_leaderboard(folders: Sequence[Path], data: Path, out: Path, methods: Seq
         raise UserError(
             "there is nothing to run on", where=data, do="name a folder of predictions, or finish a run of a scene"
         )
-    _refuse_unfit_folder(out)
+    _refuse_other_files(out)
+    make_writable(out)
     print(write_leaderboard(out, scores(cases, entrants(methods), processes), sources, revision))
 
 
-def _refuse_unfit_folder(out: Path) -> None:
-    """Make the folder, before the methods run, which may take hours."""
+def _refuse_other_files(out: Path) -> None:
     page = out / _PAGE
     there = [path for path in (page, out / _TABLE, out / _FIGURE) if path.exists()]
     if there and not (page.is_file() and page.read_bytes().startswith(_HEADER.encode().splitlines()[0])):
@@ -67,12 +67,6 @@ def _refuse_unfit_folder(out: Path) -> None:
             expected=f"a new folder, or one with {_PAGE} of an earlier leaderboard, whose files are replaced",
             do="name another folder with --out",
         )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out):
-            pass
-    except OSError as error:
-        raise UserError("the output folder can't be used", where=out, found=error.strerror) from None
 
 
 def write_leaderboard(out: Path, rows: pd.DataFrame, sources: list[str], revision: str) -> str:

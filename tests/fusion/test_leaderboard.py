@@ -95,7 +95,7 @@ def test_what_no_leaderboard_wrote_is_kept_and_said_before_the_methods_run(
         mine.write_text("mine")
         with pytest.raises(UserError, match="a file that no leaderboard wrote"):
             run_leaderboard([tmp_path / "in"], tmp_path, mine.parent, ["smoother"], 1)
-        with pytest.raises(UserError, match="output folder can't be used"):
+        with pytest.raises(UserError, match="nothing can be written there"):
             run_leaderboard([tmp_path / "in"], tmp_path, mine, ["smoother"], 1)
         assert mine.read_text() == "mine"
 

@@ -201,7 +201,7 @@ def test_answers_replace_nothing_but_answers_and_need_a_place_first(
             (photo, "no file of earlier answers"),
             (tmp_path / "a.json", "no file of earlier answers"),
             (tmp_path / "folder", "found:    a folder"),
-            (photo / "said.jsonl", "the answers can't be written"),
+            (photo / "said.jsonl", "nothing can be written there"),
         ):
             with pytest.raises(SystemExit, match="2"):
                 app([str(photo), "--map", str(map_file), "--out", str(out)])
