@@ -1,5 +1,6 @@
 """Text from captures and files, made fit for a terminal."""
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
@@ -11,9 +12,10 @@ def printable(text: str) -> str:
 
 
 def grouped_reasons(reasons: Sequence[str]) -> list[str]:
-    """Each reason, cut at its first colon where others differ from it behind that alone, by their figures."""
-    kinds = Counter(reason.partition(":")[0] for reason in set(reasons))
-    return [kind if kinds[kind := reason.partition(":")[0]] > 1 else reason for reason in reasons]
+    """Each reason, with … for its figures where others differ from it by these alone."""
+    kinds = {reason: re.sub(r"\d[\d.]*", "…", reason) for reason in reasons}
+    counts = Counter(kinds.values())
+    return [kinds[reason] if counts[kinds[reason]] > 1 else reason for reason in reasons]
 
 
 def in_words(names: Iterable[str]) -> str:

@@ -524,7 +524,7 @@ def test_a_distances_frame_must_be_there(scene: Scene) -> None:
         find_rulers([distance], renamed, Path)
 
 
-@pytest.mark.parametrize("xy", [[-1.0, 20.0], [1921.0, 20.0], [10.0, 1441.0], [float("nan"), 20.0]])
+@pytest.mark.parametrize("xy", [[-1.0, 20.0], [1921.0, 20.0], [10.0, 1441.0]])
 def test_a_distances_pixels_lie_in_the_image(scene: Scene, xy: list[float]) -> None:
     (distance,) = rulers_of([DISTANCE])
     point = DISTANCE["points"][1]

@@ -283,7 +283,6 @@ def _with(walk: Walk, fault: str) -> Walk:
         ("tenths of a metre", "VIO moves at 12.34 m/s (median; 95th percentile 13.45 m/s), a walk is below 3 m/s"),
         ("milliseconds", "poses come at 0.01 Hz (median interval 100 s), expected 0.1 to 1000 Hz"),
         ("frozen", "all 24 poses lie within 0 mm over 2.3 s while 12 images differ: did odometry run?"),
-        ("one image", "it has one image: a model needs many that overlap"),
     ],
 )
 def test_what_is_not_plausible_is_told_by_inspect_and_import(
@@ -316,12 +315,21 @@ def test_what_cannot_be_used_is_refused(tmp_path: Path, fault: str, refusal: str
         run_import(tmp_path, "place")
 
 
+def test_a_single_image_is_told_and_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_scanner_app(tmp_path / "captures" / "place" / "walk", _with(make_walk(), "one image"))
+    said = "it has one image: a model needs many that overlap"
+    assert any(line == f"  warning    {said}" for line in inspect_capture(tmp_path / "captures" / "place"))
+    with pytest.raises(UserError, match=r"leaves no frame to test on[\s\S]*1 frames"):
+        run_import(tmp_path, "place")
+    assert f"warning: walk: {said}" in capsys.readouterr().err
+
+
 def test_inspect_samples_as_import_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_scanner_app(tmp_path / "captures" / "place" / "walk", make_walk(48))
     last = list(inspect_capture(tmp_path / "captures" / "place"))[-1].removeprefix("all recordings: ")
     assert last.endswith("all are used")
     run_import(tmp_path, "place")
-    assert last.replace("<scene>", "place") in capsys.readouterr().err
+    assert last.partition(" (")[0] in capsys.readouterr().err
 
 
 def test_what_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

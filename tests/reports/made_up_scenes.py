@@ -274,8 +274,8 @@ class MadeUpScene:
 
     def _rejects(self) -> pd.DataFrame:
         rows = [
-            ("walk_1", "frame_00007.json", "image is broken: truncated", "image"),
-            ("walk_1", "frame_00008.json", "image is broken: no end", "image"),
+            ("walk_1", "frame_00007.json", "image is broken: truncated after 20 bytes", "image"),
+            ("walk_1", "frame_00008.json", "image is broken: truncated after 7 bytes", "image"),
             ("walk_1", "frame_00009.json", "not tracking", "pose"),
             ("walk_2", "depth_00003.png", "depth image is broken; its image is used without", "depth"),
             ("walk_2", "frame_00004.json", "no number", None),

@@ -261,7 +261,7 @@ def test_the_page_counts_images_left_out_by_reason(church: tuple[DataRoot, Path]
 
     assert rows_of("rejects") == [
         ["depth image is broken; its image is used without", "0", "1", "0"],
-        ["image is broken", "2", "0", "0"],
+        ["image is broken: truncated after … bytes", "2", "0", "0"],
         ["no number", "0", "0", "1"],
         ["not tracking", "0", "0", "1"],
     ]
@@ -412,7 +412,7 @@ def test_the_page_is_self_contained_and_says_simulated(church: tuple[DataRoot, P
         assert address.startswith(("#", "data:image/png;base64,")) or (folder / address).is_file(), address
     assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org|purl\.org|creativecommons\.org)", page)
     assert 'id="simulated"' in page and 'id="meaningless"' not in page
-    for text in ("Table IV", "published", "truncated image", "2+2 instead of 6+6"):
+    for text in ("Table IV", "published", "image is broken: truncated after … bytes", "2+2 instead of 6+6"):
         assert text in page
     ids = re.findall(r'\sid="([^"]+)"', page)
     assert len(ids) == len(set(ids))
