@@ -1,5 +1,6 @@
 """One attempt at models: features, pairs, matching, mapping, and the check against VIO."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -67,15 +68,10 @@ def attempt_models(
     with r.step("pairs"):
         proposals = pairs_within_sessions(settings, scene.frames, scene.recording_N, scene.vio)
         similar = pairs_across_sessions(settings, scene.vio.session, database, r.seed)
-    with r.step("matching"):
-        matched = _match(r.seed, settings, scene, database, [*proposals, (PairOrigin.RETRIEVAL, similar)])
-        matched = compared = _compared_with_vio(settings, scene, database, matched)
-        if settings.floor_features:
-            matched = _tied_by_floor(r, settings, scene, database, matched)
-        matched = _guided(settings, scene, database, matched)
-        if matched is not compared:
-            matched = _compared_with_vio(settings, scene, database, matched)
     folder = scene.scratch / f"mapping_{number}"
+    with r.step("matching"):
+        proposals = [*proposals, (PairOrigin.RETRIEVAL, similar)]
+        matched = _matched(r, scene, settings, database, proposals, scene.scratch / f"matched_{number}")
     with r.step("mapping"):
         built = _map(r.seed, settings, scene, database, matched, folder)
     selected = selected_models(built)
@@ -110,6 +106,42 @@ def attempt_models(
     return attempt, AttemptModels(
         settings=settings, matched=matched, keypoints=keypoints, built=built, folder=folder, model=model, zooms=zooms
     )
+
+
+def _matched(
+    r: StageRun[SfmSettings],
+    scene: SceneInput,
+    settings: SfmSettings,
+    database: Path,
+    proposals: Proposals,
+    folder: Path,
+) -> MatchedPairs:
+    """The proposals, and pairs that both match a third frame, matched and compared with VIO.
+
+    Floor features and guided matches replace results in the database, by which they were chosen, too: `folder` has what
+    each was chosen by, so that a killed run makes the same choices when it goes on.
+    """
+    folder.mkdir(exist_ok=True)
+
+    def kept(name: str, make: Callable[[], MatchedPairs]) -> MatchedPairs:
+        path = folder / f"{name}.npz"
+        if not path.is_file():
+            make().save(path)
+        return MatchedPairs.load(path)
+
+    def first() -> MatchedPairs:
+        return _compared_with_vio(settings, scene, database, _match(r.seed, settings, scene, database, proposals))
+
+    def tied() -> MatchedPairs:
+        matched = kept("first", first)
+        return _tied_by_floor(r, settings, scene, database, matched) if settings.floor_features else matched
+
+    def last() -> MatchedPairs:
+        matched = _guided(settings, scene, database, kept("tied", tied))
+        is_changed = not np.array_equal(matched.inliers, kept("first", first).inliers)
+        return _compared_with_vio(settings, scene, database, matched) if is_changed else matched
+
+    return kept("last", last)
 
 
 def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, proposals: Proposals) -> MatchedPairs:

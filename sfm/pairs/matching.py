@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,8 +11,9 @@ import pycolmap
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.child import Report
-from groundwalk.artefacts.choices import PairStatus
+from groundwalk.artefacts.choices import PairInconsistency, PairStatus
 from groundwalk.artefacts.cores import usable_cores
+from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.parallel import one_thread
 from groundwalk.geometry.epipolar import epipolar_px
 from groundwalk.geometry.poses import Array
@@ -47,6 +48,22 @@ class MatchedPairs:
     inliers: NDArray[np.int64]
     min_inliers: int
     compared: VioComparison
+
+    def save(self, path: Path) -> None:
+        """Write what `load` reads; the file is there whole or not at all."""
+        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "compared"}
+        arrays |= {f.name: getattr(self.compared, f.name) for f in fields(VioComparison)}
+        with written_aside(path) as partial, partial.open("wb") as file:
+            np.savez(file, **arrays | {"reason": self.compared.reason.astype(str)})
+
+    @staticmethod
+    def load(path: Path) -> "MatchedPairs":
+        """The pairs that `save` wrote."""
+        with np.load(path) as file:
+            columns = {name: file[name] for name in file.files}
+        columns["reason"] = np.array([PairInconsistency(reason) for reason in columns["reason"]], object)
+        compared = VioComparison(**{f.name: columns.pop(f.name) for f in fields(VioComparison)})
+        return MatchedPairs(compared=compared, **columns | {"min_inliers": int(columns["min_inliers"])})
 
     @property
     def has_enough_inliers(self) -> NDArray[np.bool_]:

@@ -136,6 +136,21 @@ def test_a_verified_pair_of_few_inliers_links_nothing() -> None:
     assert matched.links.tolist() == [True, False, True, False]
 
 
+def test_matched_pairs_are_read_as_they_were_written(tmp_path: Path) -> None:
+    pairs, inliers = np.array([(0, 1), (1, 2)]), np.array([44, 22])
+    compared = replace(
+        nothing_compared(2), rotation=np.array([0.1, np.nan]), reason=np.array(["", PairInconsistency.ROTATION], object)
+    )
+    written = MatchedPairs(pairs, np.array(["vio", "retrieval"]), 2 * inliers, inliers, 15, compared)
+    written.save(tmp_path / "matched.npz")
+    read = MatchedPairs.load(tmp_path / "matched.npz")
+    assert read.min_inliers == 15 and read.verified.tolist() == [True, False]
+    assert read.compared.reason.tolist() == [PairInconsistency.NONE, PairInconsistency.ROTATION]
+    for name in ("pairs", "origin", "matches", "inliers"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(written, name))
+    np.testing.assert_array_equal(read.compared.rotation, compared.rotation)
+
+
 def test_pairs_without_vio_are_not_said_to_be_inconsistent_with_it() -> None:
     pairs, many = np.array([(0, 1), (1, 2), (2, 3)]), np.full(3, 90)
     reason = np.array([PairInconsistency.ROTATION, PairInconsistency.GRAVITY, PairInconsistency.GRAVITY], object)

@@ -166,7 +166,13 @@ def test_a_stage_killed_anywhere_ends_in_the_same_tables(room: Room, tmp_path: P
     def databases() -> list[Path]:
         return [path for path in scratch.glob("database*.db") if ".partial" not in path.name]
 
-    for reached in (databases, lambda: any(map(_any_verified, databases())), (scratch / "mapping_0").exists):
+    reached_one_after_the_other = (
+        databases,
+        lambda: any(map(_any_verified, databases())),
+        (scratch / "matched_0" / "last.npz").exists,
+        (scratch / "mapping_0").exists,
+    )
+    for reached in reached_one_after_the_other:
         process = subprocess.Popen([sys.executable, program], start_new_session=True)
         while not reached() and process.poll() is None:
             time.sleep(0.005)
