@@ -19,8 +19,9 @@ from groundwalk.sfm.pairs.two_views import start_by_vio
 from groundwalk.sfm.quality.focal_steps import FocalStep, focal_step
 
 _MIN_MATCHES = 30
-# How far VIO may be off between neighbours: a turn in radians, and a direction.
-_TURN_SD, _DIRECTION_SD = np.radians(0.15), 0.1
+# How far VIO may be off between neighbours, a turn in radians and a direction, and the logarithm of a focal length's
+# factor.
+_TURN_SD, _DIRECTION_SD, _FOCAL_SD = np.radians(0.15), 0.1, 1.0
 _LOSS_PX = 1.0
 # Pairs that tell less, as where the camera neither turned nor moved aside, are left out.
 _MAX_SD = 0.05
@@ -62,7 +63,8 @@ def _focal_factor(opened: pycolmap.Database, a: int, b: int, vio: Odometry) -> t
         shrunk = [ray * [np.exp(-x[6]), np.exp(-x[6]), 1.0] for ray in rays]
         focal = [np.full(2, np.exp(x[6]) * f) for f in focal_px]
         error = np.nan_to_num(sampson_px(pose[None], *shrunk, *focal)) / _LOSS_PX
-        return np.concatenate([np.sqrt(np.log1p(error**2)), x[:3] / _TURN_SD, x[3:6] / _DIRECTION_SD])
+        prior = [x[:3] / _TURN_SD, x[3:6] / _DIRECTION_SD, x[6:] / _FOCAL_SD]
+        return np.concatenate([np.sqrt(np.log1p(error**2)), *prior])
 
     fit = least_squares(residuals, np.zeros(7))
     return float(fit.x[6]), float(np.sqrt(np.linalg.inv(fit.jac.T @ fit.jac)[6, 6]))
