@@ -15,10 +15,11 @@ from typing import Any
 import pytest
 from made_up_run import MadeUpRun
 from typer.main import get_command
+from typer.testing import CliRunner
 
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.settings import STAGES
-from groundwalk.cli import all_commands
+from groundwalk.cli import all_commands, app
 from groundwalk.pipeline import Step, _first_outdated, run_steps, steps
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -230,8 +231,8 @@ def test_a_scene_without_captures_is_named_before_the_others_of_its_group_run(tm
 def test_a_seed_that_no_library_takes_is_refused(tmp_path: Path) -> None:
     for command in ("sfm", "train", "simulate"):
         for seed in (-1, 2**31):
-            done = groundwalk(command, "--scene", "Church", "--data", tmp_path, "--seed", seed)
-            assert done.returncode == 2 and "Invalid value for '--seed'" in done.stderr
+            done = CliRunner().invoke(app, [command, "--scene=Church", f"--data={tmp_path}", f"--seed={seed}"])
+            assert done.exit_code == 2 and "Invalid value for '--seed'" in done.output
 
 
 def test_the_first_step_that_fails_ends_a_run(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
