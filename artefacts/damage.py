@@ -16,6 +16,7 @@ _MACHINE = {
     errno.EFBIG: "a file is larger than allowed here",
     errno.EROFS: "the file system is read-only",
     errno.ENOTDIR: "a file is where a folder should be",
+    errno.EEXIST: "a file is there already",
     errno.EACCES: "permission is denied",
     errno.EPERM: "the operation isn't permitted",
     errno.EMFILE: "too many files are open in this process",
@@ -29,6 +30,7 @@ _DO = {
     errno.EDQUOT: "free some space",
     errno.EFBIG: "raise the limit (ulimit -f unlimited)",
     errno.EROFS: "name another data folder with --data, or make this one writable",
+    errno.EEXIST: "move it away, or name another data folder with --data",
     errno.EACCES: "look at the owner and the permissions of this path and of its folder",
     errno.EMFILE: "raise the limit (ulimit -n 4096)",
 }

@@ -202,6 +202,11 @@ def test_a_link_that_cannot_be_made_is_blamed_on_its_place(
     with pytest.raises(SystemExit):
         look_at_artefacts([*command, str(tmp_path / "file")])
     assert "error: a file is where a folder should be" in capsys.readouterr().err
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "captures").touch()
+    with pytest.raises(SystemExit):
+        look_at_artefacts([*command, str(tmp_path / "other")])
+    assert "error: a file is there already" in capsys.readouterr().err
 
 
 def test_a_library_that_fails_on_a_full_disk_is_blamed_on_the_disk(
