@@ -150,7 +150,8 @@ def _contradiction(candidates: list[_Candidate], settings: AlignSettings) -> str
     does."""
     link, map_S_metric = candidates[0].link, candidates[0].map_S_metric
     anchor, drift = map_S_metric.inverse().points(link.anchor), settings.vio_drift
-    for other, other_S_metric in ((each.link, each.map_S_metric) for each in candidates[1:]):
+    for candidate in candidates[1:]:
+        other, other_S_metric = candidate.link, candidate.map_S_metric
         if other.gap_m > settings.vio_link_m:
             continue
         limit_m, limit_rad = (float(law(link.path_m + other.path_m)) for law in (drift.metres, drift.radians))

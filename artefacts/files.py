@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from groundwalk.artefacts.errors import UserError
+from groundwalk.artefacts.text import name_list
 
 KEY_FILE = "key.json"
 RECORDING = "recording.rrd"
@@ -81,7 +82,7 @@ def refuse_to_overwrite(out: Path, results: str, note: str, key: str, *, force: 
             f"the output folder holds other files than earlier {results}",
             where=out,
             expected=f"the files that {note} lists",
-            found=", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else ""),
+            found=name_list(others, 3),
             do="move them away, or name another folder with --out",
         )
 

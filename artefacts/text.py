@@ -18,6 +18,12 @@ def grouped_reasons(reasons: Sequence[str]) -> list[str]:
     return [kinds[reason] if counts[kinds[reason]] > 1 else reason for reason in reasons]
 
 
+def name_list(names: Sequence[str], most: int) -> str:
+    """`a, b, c and 4 more`: the first `most` names; `nothing` where there is none."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more if names else "nothing"
+
+
 def in_words(names: Iterable[str]) -> str:
     """`train`, `train and test`, `train, val and test`."""
     *first, last = names

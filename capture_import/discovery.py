@@ -11,7 +11,7 @@ import numpy as np
 from groundwalk.artefacts import UserError, progress
 from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.registry import PluginError
-from groundwalk.artefacts.text import printable
+from groundwalk.artefacts.text import name_list, printable
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import FORMATS, Format
 from groundwalk.capture_import.image_files import is_image
@@ -210,4 +210,4 @@ def _content(root: Path) -> str:
     if not root.is_dir():
         return "a file of an unknown kind"
     names = sorted(os.fsencode(p.name).decode("utf-8", "replace") for p in root.iterdir())
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "") if names else "nothing"
+    return name_list(names, 8)

@@ -29,6 +29,13 @@ def by_stem(images: Iterable[Path]) -> dict[str, Path]:
     return {path.stem: path for path in sorted(images, key=rank)}
 
 
-def unused(session_id: str, images: Iterable[Path], used: Container[Path | None], reason: str) -> list[Reject]:
-    """Those image files of a recording that it doesn't use, as rejects."""
-    return [Reject(session_id, path.name, None, reason, Rejected.IMAGE) for path in images if path not in used]
+def unused(
+    session_id: str, images: Iterable[Path], used: Container[Path | None], reason: str, root: Path | None = None
+) -> list[Reject]:
+    """Those image files of a recording that it doesn't use, as rejects, by their paths in the folder `root`, or else
+    their names."""
+    return [
+        Reject(session_id, path.relative_to(root or path.parent).as_posix(), None, reason, Rejected.IMAGE)
+        for path in images
+        if path not in used
+    ]

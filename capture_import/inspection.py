@@ -13,7 +13,7 @@ from groundwalk.artefacts.text import grouped_reasons
 from groundwalk.capture_import.capture import RawSession
 from groundwalk.capture_import.checks.clock import check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
-from groundwalk.capture_import.checks.plausibility import Doubt, doubts
+from groundwalk.capture_import.checks.plausibility import PlausibilityFault, plausibility_faults
 from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.intake import ImportedSession, Intake, measures, path_length, take_in
@@ -59,9 +59,9 @@ def _inspect(source: RecordingSource, views: Views, settings: ImportSettings) ->
     clock = check_clock(longest, views.load)
     if clock.offset_s is not None:
         yield f"  clock      images fit the poses at {clock.offset_s:+.3f} s (correlation {clock.correlation:.2f})"
-    implausible = doubts(intake)
-    for doubt in implausible:
-        yield f"  warning    {doubt.text}"
+    implausible = plausibility_faults(intake)
+    for fault in implausible:
+        yield f"  warning    {fault.text}"
     yield f"  status     {_status(intake, raw, check, implausible)}"
     return intake
 
@@ -104,12 +104,12 @@ def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:
         yield f"  rejected   {n} x {printable(reason)}"
 
 
-def _status(intake: Intake, raw: RawSession, check: ConventionCheck, implausible: Sequence[Doubt]) -> str:
+def _status(intake: Intake, raw: RawSession, check: ConventionCheck, implausible: Sequence[PlausibilityFault]) -> str:
     images = sum(len(s.images) for s in intake.sessions)
     poses = sum(len(s.frames) for s in intake.sessions)
     if not poses:
         return "unusable: no sound pose"
-    if any(doubt.is_unusable for doubt in implausible):
+    if any(fault.is_unusable for fault in implausible):
         return "unusable: not plausible, by the warning above"
     if not images and any(frame.image is not None for frame in raw.frames):
         return "unusable: no sound image"

@@ -18,7 +18,7 @@ from groundwalk.artefacts.text import grouped_reasons
 from groundwalk.capture_import.capture import RawFrame, Reject
 from groundwalk.capture_import.checks.clock import MAX_OFFSET_S, ClockCheck, check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
-from groundwalk.capture_import.checks.plausibility import MAX_SPEED_M_S, doubts
+from groundwalk.capture_import.checks.plausibility import MAX_SPEED_M_S, plausibility_faults
 from groundwalk.capture_import.checks.scan import ImageScan
 from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
@@ -192,16 +192,16 @@ def _take_in(r: StageRun[ImportSettings], source: RecordingSource, views: Views)
         spool.flush()
 
     intake = take_in(raw, r.settings, _cached(r, source.session_id, scan))
-    for doubt in doubts(intake):
-        if doubt.is_unusable:
+    for fault in plausibility_faults(intake):
+        if fault.is_unusable:
             raise UserError(
-                f"{raw.session_id} isn't plausible",
+                f"the motion of {raw.session_id} isn't plausible",
                 where=raw.folder,
-                found=doubt.text,
+                found=fault.text,
                 expected=f"at most {MAX_SPEED_M_S:g} m/s",
                 do="correct the log: docs/reference/capture-formats.md says the units of each format",
             )
-        r.say(f"warning: {raw.session_id}: {doubt.text}")
+        r.say(f"warning: {raw.session_id}: {fault.text}")
     return intake
 
 

@@ -142,7 +142,7 @@ def _groundwalk(
 
 def _list_command(command: Command, panel: str) -> None:
     @app.command(command.name, help=command.help, rich_help_panel=panel)
-    def listed() -> None:
+    def name_list() -> None:
         raise AssertionError("replaced by the loaded command in resolve_command")
 
 

@@ -9,6 +9,7 @@ from groundwalk.artefacts.files import read_json
 from groundwalk.artefacts.hints import run_command
 from groundwalk.artefacts.manifests import MANIFEST, is_manifest, outdated_stages
 from groundwalk.artefacts.settings import STAGES, DataRoot, is_name
+from groundwalk.artefacts.text import name_list
 from groundwalk.run import Run, not_finished
 
 
@@ -88,5 +89,5 @@ def _foreign(folder: Path) -> UserError:
         "this isn't the folder of a run",
         where=folder,
         expected=f"a folder for each stage, {', '.join(STAGES)}, with its {MANIFEST}",
-        found=", ".join(there[:5]) + (f" and {len(there) - 5} more" if len(there) > 5 else "") if there else "nothing",
+        found=name_list(there, 5),
     )

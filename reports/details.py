@@ -203,7 +203,7 @@ def walks(scene: SceneInputs) -> Grid:
         "answered",
         f"median ({scene.unit.symbol})",
         "median (°)",
-        "frames of levels",
+        "frames of class A, B",
         *(f"{level} (%)" for level in LEVELS),
     ]
     rows = []

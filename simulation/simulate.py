@@ -24,6 +24,7 @@ from groundwalk.artefacts.settings import resolve_settings
 from groundwalk.artefacts.signals import signals_held_from_workers
 from groundwalk.artefacts.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES, simulated_files
 from groundwalk.artefacts.tables import pose_frame, write_table
+from groundwalk.artefacts.text import name_list
 from groundwalk.simulation.appearance import seen_as
 from groundwalk.simulation.capture import write_frames
 from groundwalk.simulation.mesh import TexturedMesh, build_mesh, is_saved
@@ -241,7 +242,7 @@ def _simulator_marker(folder: Path) -> dict[str, Any] | None:
         raise UserError(
             "the folder of simulated captures holds other files",
             where=folder,
-            found=", ".join(foreign[:3]) + (f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""),
+            found=name_list(foreign, 3),
             do="move them away",
         )
     return marker

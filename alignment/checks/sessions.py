@@ -119,9 +119,10 @@ def focal_length_result(subject: Subject, rows: np.ndarray, focal: FocalEstimate
     estimate = Quantity(abs(error), focal.sd)
     if focal.step is not None:
         reason += f", {focal.step:.3f} times as long from {focal.step_frame_id} on: digital zoom or another lens"
-        if abs(focal.step - 1) / 2 > abs(error):
+        half_step = abs(focal.step - 1) / 2
+        if half_step > abs(error):
             # A step is one by being beyond all scatter.
-            estimate = Quantity(abs(focal.step - 1) / 2, 0.0)
+            estimate = Quantity(half_step, 0.0)
     failure = Failure(
         cause=FailureCause.WRONG_INTRINSICS,
         reason=reason,

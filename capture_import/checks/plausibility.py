@@ -24,14 +24,14 @@ _MIN_EXTENT_M = 0.002
 
 
 @dataclass(frozen=True)
-class Doubt:
+class PlausibilityFault:
     """What isn't plausible of a recording, with its figures. `is_unusable`: nothing can be made of it."""
 
     text: str
     is_unusable: bool = False
 
 
-def doubts(intake: Intake) -> list[Doubt]:
+def plausibility_faults(intake: Intake) -> list[PlausibilityFault]:
     """What isn't plausible of a recording. Speed and rate are looked at where the poses are the phone's: a reference
     has no unit or no times as often as not."""
     sessions = [session for session in intake.sessions if session.frames]
@@ -41,7 +41,7 @@ def doubts(intake: Intake) -> list[Doubt]:
     return [*motion, *_of_images(intake)]
 
 
-def _of_motion(intake: Intake) -> Iterator[Doubt]:
+def _of_motion(intake: Intake) -> Iterator[PlausibilityFault]:
     # All parts together: a jump between them is one step of many, and medians don't see it.
     t_ns = np.concatenate([session.t_ns for session in intake.sessions])
     xyz = np.concatenate([session.poses[:, :3, 3] for session in intake.sessions])
@@ -51,7 +51,7 @@ def _of_motion(intake: Intake) -> Iterator[Doubt]:
     speeds = np.linalg.norm(np.diff(xyz, axis=0), axis=1) / dt_s
     median, high = np.percentile(speeds, [50, 95])
     if median > MAX_WALK_M_S:
-        yield Doubt(
+        yield PlausibilityFault(
             f"VIO moves at {median:.4g} m/s (median; 95th percentile {high:.4g} m/s), a walk is below "
             f"{MAX_WALK_M_S:g} m/s: are positions in another unit than metres, or time stamps in another than their "
             "format's?",
@@ -59,23 +59,23 @@ def _of_motion(intake: Intake) -> Iterator[Doubt]:
         )
     interval_s = float(np.median(dt_s))
     if not MIN_RATE_HZ <= 1 / interval_s <= MAX_RATE_HZ:
-        yield Doubt(
+        yield PlausibilityFault(
             f"poses come at {1 / interval_s:.4g} Hz (median interval {interval_s:.4g} s), expected "
             f"{MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz: are time stamps in another unit than their format's?"
         )
 
 
-def _of_images(intake: Intake) -> Iterator[Doubt]:
+def _of_images(intake: Intake) -> Iterator[PlausibilityFault]:
     images = [image for session in intake.sessions for image in session.images]
     if len(images) == 1:
-        yield Doubt("it has one image: a model needs many that overlap")
+        yield PlausibilityFault("it has one image: a model needs many that overlap")
     # The hash of a video's frame isn't known before it is written; its sharpness tells frames apart as well.
     different = len({(image.check.sha256, image.check.sharpness) for image in images})
     xyz = np.concatenate([session.poses[:, :3, 3] for session in intake.sessions])
     extent_m = float(np.linalg.norm(np.ptp(xyz, axis=0)))
     if different > 1 and extent_m < _MIN_EXTENT_M:
         seconds = max(float(s.t_ns[-1] - s.t_ns[0]) * 1e-9 for s in intake.sessions if s.frames)
-        yield Doubt(
+        yield PlausibilityFault(
             f"all {len(xyz)} poses lie within {1000 * extent_m:.2g} mm over {seconds:.1f} s while {different} images "
             "differ: did odometry run?"
         )

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock, ImageSide, Rejected, Tracking
+from groundwalk.artefacts.choices import Clock, ImageSide, Tracking
 from groundwalk.capture_import.capture import (
     DepthFile,
     ImageFile,
@@ -23,7 +23,7 @@ from groundwalk.capture_import.capture import (
     Reject,
 )
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import is_image
+from groundwalk.capture_import.image_files import is_image, unused
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -85,9 +85,8 @@ def _unnamed(path: Path, session_id: str, frames: list[RawFrame]) -> list[Reject
     """The images of a recording that no row which can be read names."""
     named = {frame.image.path for frame in frames if frame.image}
     named |= {file for f in frames if f.depth for file in (f.depth.path, f.depth.confidence) if file}
-    images = sorted(p for p in path.rglob("*") if is_image(p) and p not in named)
-    reason = "image isn't named by a row that can be read"
-    return [Reject(session_id, p.relative_to(path).as_posix(), None, reason, Rejected.IMAGE) for p in images]
+    images = sorted(p for p in path.rglob("*") if is_image(p))
+    return unused(session_id, images, named, "image isn't named by a row that can be read", root=path)
 
 
 def _header(path: Path, line: str) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from groundwalk.artefacts import StageRun, UserError
 from groundwalk.artefacts.child import Task
 from groundwalk.artefacts.choices import AttemptName, AttemptOutcome, PairOrigin
 from groundwalk.artefacts.hints import setting_of
+from groundwalk.artefacts.text import name_list
 from groundwalk.consistency.motions import MISTAKE_ADVICE, MISTAKE_REASONS, compare_motions
 from groundwalk.geometry.poses import relative
 from groundwalk.sfm.database import has_results, keypoint_counts, read_pair_results
@@ -33,7 +34,6 @@ from groundwalk.sfm.scene_input import SceneInput, calibrated_features
 from groundwalk.sfm.settings import SfmSettings
 
 _MIN_COMPARED_PAIRS = 8
-_MOST_LINKS = 3  # in a message
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +169,7 @@ def _tied_by_floor(
     """Of pairs that were compared with VIO, those with few inliers matched by the floor, too, in recordings of which
     neighbouring frames have no verified pair that could link them: there a model would break."""
     broken = broken_links(scene.recording_N, scene.frames["t_ns"], matched.pairs[matched.links])
-    can_be_drawn = np.isfinite(scene.vio.gravity_cam).all(axis=1) & np.isfinite(scene.vio.vio_T_cam[:, 0, 0])
+    can_be_drawn = np.isfinite(scene.vio.gravity_cam).all(axis=1) & scene.vio.posed
     can_be_drawn &= np.isin(scene.recording_N, scene.recording_N[broken[:, 0]])
     a, b = matched.pairs.T
     chosen = matched.has_few_inliers & matched.of_poor_frames & (can_be_drawn[a] & can_be_drawn[b])
@@ -183,12 +183,11 @@ def _tied_by_floor(
     scene.in_child("matching the floor", task)
     tied = replace(matched, inliers=read_pair_results(database, matched.pairs)[1])
     frames = scene.frames["frame_id"]
-    links = [f"{frames[first]} and {frames[second]}" for first, second in broken[:_MOST_LINKS].tolist()]
-    where = ", ".join(links) + (f" and {len(broken) - _MOST_LINKS} more" if len(broken) > _MOST_LINKS else "")
+    links = [f"{frames[first]} and {frames[second]}" for first, second in broken.tolist()]
     r.say(
-        f"neighbouring frames without a verified pair of {LINK_INLIERS} inliers: {where}; features of the floor as "
-        f"seen from above tie {np.count_nonzero(tied.inliers != matched.inliers)} of {len(pairs)} pairs there "
-        f"({setting_of('sfm', 'floor_features')})"
+        f"neighbouring frames without a verified pair of {LINK_INLIERS} inliers: {name_list(links, 3)}; features of "
+        f"the floor as seen from above tie {np.count_nonzero(tied.inliers != matched.inliers)} of {len(pairs)} pairs "
+        f"there ({setting_of('sfm', 'floor_features')})"
     )
     return tied
 

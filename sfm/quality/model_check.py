@@ -82,7 +82,7 @@ def _parts_of(is_member: NDArray[np.bool_], vio: Odometry, t_ns_N: NDArray[np.in
     """The rows of member frames with VIO, parted at its jumps, session by session, in order of time."""
     parts = []
     for session in np.unique(vio.session[is_member]):
-        rows = np.flatnonzero(is_member & (vio.session == session) & np.isfinite(vio.vio_T_cam[:, 0, 0]))
+        rows = np.flatnonzero(is_member & (vio.session == session) & vio.posed)
         rows = rows[np.argsort(t_ns_N[rows], kind="stable")]
         jumps = (np.diff(vio.jumped_m[rows]) > 0) | (np.diff(vio.jumped_rad[rows]) > 0)
         parts += [part for part in np.split(rows, np.flatnonzero(jumps) + 1) if len(part)]
