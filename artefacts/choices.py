@@ -47,12 +47,20 @@ class ImageSide(StrEnum):
 
 
 class Clock(StrEnum):
-    """What times count from."""
+    """What times count from. `frame_index`: from the first frame, at the rate that the capture states for all of them.
+    `name_order`: nothing; images without times, which stand 1 s apart in the order of their names."""
 
     BOOT = "boot"
     UNIX = "unix"
     VIDEO = "video"
     FRAME_INDEX = "frame_index"
+    NAME_ORDER = "name_order"
+
+    @property
+    def has_times(self) -> bool:
+        """Whether differences of times are durations. Where False, no speed, rate or distance in seconds means
+        anything, and images next to each other needn't be near in time or place."""
+        return self is not Clock.NAME_ORDER
 
 
 class PoseSource(StrEnum):

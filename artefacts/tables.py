@@ -7,8 +7,9 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
-from groundwalk.artefacts.choices import MapUnit, ScaleSource
+from groundwalk.artefacts.choices import Clock, MapUnit, ScaleSource
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.schemas import TableSchema
@@ -96,6 +97,11 @@ def dataset_frames(frames: pd.DataFrame) -> pd.DataFrame:
     """The rows of import.frames that are frames of the dataset, numbered from 0: without support frames, which only SfM
     and the checks of its model use."""
     return frames[~frames["support"].to_numpy(bool)].reset_index(drop=True)
+
+
+def have_times(table: pd.DataFrame) -> NDArray[np.bool_]:
+    """Which rows (N,) of import.frames or import.sessions are of recordings with times (`Clock.has_times`)."""
+    return np.array([Clock(clock).has_times for clock in table["clock"]], dtype=bool)
 
 
 def pose_prefixes(schema: TableSchema) -> list[str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from groundwalk.artefacts import UserError, progress
+from groundwalk.artefacts.choices import PoseSource
 from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.text import name_list, printable
@@ -97,6 +98,8 @@ def _check(raw: RawSession) -> None:
         raise TypeError(f"read returned a {type(raw).__name__}, not a RawSession")
     if raw.format not in FORMATS:
         raise ValueError(f"the session's format is {raw.format!r}, which is no format's id")
+    if raw.pose_source == PoseSource.VIO and not raw.clock.has_times:
+        raise ValueError(f"the session's poses are VIO on the clock {raw.clock}, which has no times")
     for frame in raw.frames:
         if not isinstance(frame, RawFrame):
             raise TypeError(f"read returned a {type(frame).__name__} among its frames, not a RawFrame")

@@ -361,7 +361,7 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
 
 STAGE = Stage(
     name="import",
-    version=13,
+    version=14,
     settings=ImportSettings,
     needs=(),
     run=run,

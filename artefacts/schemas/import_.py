@@ -15,7 +15,12 @@ from groundwalk.artefacts.choices import (
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
 _SESSION = Column("session_id", "string", "recording; a part of one where VIO jumped (`walk`, `walk.part2`)")
-_TIME = Column("t_ns", "int64", "time on the session's clock", "ns")
+_TIME = Column(
+    "t_ns",
+    "int64",
+    "time on the session's clock; where that is name_order, the place in the order of names times 1e9",
+    "ns",
+)
 
 TABLES = [
     TableSchema(
@@ -27,7 +32,7 @@ TABLES = [
             Column("frame_id", "string", "<session>/<six digits>, the row's number in the capture's log"),
             _SESSION,
             _TIME,
-            Column("clock", "string", "what t_ns counts from", choices=Clock),
+            Column("clock", "string", "what t_ns counts from; name_order: images have no times", choices=Clock),
             Column("image", "string", "path in the capture folder; `import:` in front: in this artefact"),
             Column("image_sha256", "string", "sha256 of the image file"),
             Column("width", "int64", "image width", "px"),
@@ -93,7 +98,7 @@ TABLES = [
             Column("recording", "string", "the recording that the session is, or is a part of"),
             Column("format", "string", "capture format, as `python -m groundwalk.capture_import formats` lists it"),
             Column("device", "string", "phone, as far as the capture says"),
-            Column("clock", "string", "what t_ns counts from", choices=Clock),
+            Column("clock", "string", "what t_ns counts from; name_order: images have no times", choices=Clock),
             Column("duration_s", "float64", "time from the first to the last pose", "s"),
             Column("path_m", "float64", "length of the VIO path", "m"),
             Column("poses", "int64", "poses in the log"),

@@ -6,7 +6,7 @@ Documented at https://www.repository.cam.ac.uk/handle/1810/251342 (readme). What
   rotation, with OpenCV's camera axes; poses come from SfM: a reference, not VIO, and nothing says where up is;
 - `reconstruction.nvm` (VisualSFM) has each image's focal length; the centre is in the middle of the image;
 - `frames.csv`, which our own exports write beside, has each image's whole intrinsics and goes before both;
-- frames have no time; the videos were sampled twice a second.
+- frames have no times, and the order of names isn't one of time in every data set of this layout.
 
 A folder of images (`seq1`) is one recording; it's wholly for training or for testing.
 """
@@ -36,7 +36,6 @@ from groundwalk.capture_import.parsing import (
 )
 from groundwalk.geometry.poses import make_pose
 
-_FRAMES_A_SECOND = 2.0
 _CAMERA = ("width", "height", "fx", "fy", "cx", "cy")
 _LISTS: dict[str, SessionSplit] = {"dataset_train.txt": SessionSplit.TRAIN, "dataset_test.txt": SessionSplit.TEST}
 
@@ -79,7 +78,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         return RawFrame(
             number=int(index[1]),
             source=source,
-            t_ns=seconds_to_ns(int(index[1]) / _FRAMES_A_SECOND),
+            t_ns=seconds_to_ns(int(index[1])),
             vio_T_cam=make_pose(cam_R_world.T, values[:3]),
             image=ImageFile(image),
             intrinsics=cameras.get(name) or Intrinsics(f, f, width / 2, height / 2, width, height),
@@ -93,7 +92,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         session_id,
         FORMAT.id,
         "Cambridge Landmarks",
-        Clock.FRAME_INDEX,
+        Clock.NAME_ORDER,
         path,
         sorted(frames, key=lambda frame: frame.number),
         rejects,

@@ -9,7 +9,7 @@ Documented at https://colmap.github.io/format.html. What matters:
 - nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
 - where `sparse/` holds several models, each has a world of its own: `sparse/0` is read, of our own exports all;
 - `test.txt`, which our exports write, says which recordings are for testing;
-- frames have no time: they count as a second apart, in the order of their names.
+- frames have no times, and the order of names isn't one of time.
 
 The poses are a reference, not VIO. Each folder of images in `images/` is a recording.
 """
@@ -155,7 +155,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         session_id,
         FORMAT.id,
         "unknown",
-        Clock.FRAME_INDEX,
+        Clock.NAME_ORDER,
         path,
         frames,
         [*rejects, *unnamed_images(session_id, [file for _, file in rows])],

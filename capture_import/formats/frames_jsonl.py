@@ -41,6 +41,7 @@ from groundwalk.capture_import.parsing import (
 from groundwalk.geometry.shutter import MAX_READOUT_S
 
 _VERSION = 1
+_CLOCKS = [clock for clock in Clock if clock.has_times]
 
 
 def detect(path: Path) -> bool:
@@ -100,7 +101,7 @@ def _header(path: Path, line: str) -> dict[str, Any]:
         header.get("groundwalk") != "frames"
         or header.get("version") != _VERSION
         or not isinstance(device, str)
-        or clock not in [*Clock]
+        or clock not in _CLOCKS
         or first_row not in [None, *ImageSide]
         or not (readout_s is None or (type(readout_s) in (int, float) and 0 <= readout_s <= MAX_READOUT_S))
     ):
@@ -108,7 +109,7 @@ def _header(path: Path, line: str) -> dict[str, Any]:
             "the first line of frames.jsonl isn't its header",
             where=path / "frames.jsonl",
             expected=f'{{"groundwalk": "frames", "version": {_VERSION}, "device": "...", "clock": "boot"}}, '
-            f"clock one of {', '.join(Clock)}; if there is a first_row, one of {', '.join(ImageSide)}; if there is a "
+            f"clock one of {', '.join(_CLOCKS)}; if there is a first_row, one of {', '.join(ImageSide)}; if there is a "
             f"readout_s, seconds, 0 to {MAX_READOUT_S:g}",
             found=line[:120] or "an empty file",
         )

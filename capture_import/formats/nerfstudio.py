@@ -9,7 +9,7 @@ Documented at https://docs.nerf.studio/quickstart/data_conventions.html. What ma
   p1, p2; `camera_model` is OPENCV, PINHOLE or OPENCV_FISHEYE with k1 to k4 (others are refused);
 - nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
 - `test_filenames`, where there are any, say which recordings are for testing;
-- frames have no time: they count as a second apart, in the order of their names.
+- frames have no times, and the order of names isn't one of time.
 
 The poses are a reference, not VIO. Each folder of images in `images/` is a recording.
 """
@@ -105,7 +105,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         session_id,
         FORMAT.id,
         "unknown",
-        Clock.FRAME_INDEX,
+        Clock.NAME_ORDER,
         path,
         frames,
         unread,

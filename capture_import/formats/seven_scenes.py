@@ -4,7 +4,8 @@ Documented at https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-s
 
 - a pose is a 4x4 matrix, camera to world, with OpenCV's camera axes; it comes from KinectFusion: a reference, not VIO,
   and nothing says where up is;
-- frames have no time; the camera took 30 a second;
+- frames have no times; the camera took 30 a second (of an export of ours, which numbers its frames anew, nothing is
+  known);
 - the colour camera wasn't calibrated; its nominal focal length is 525 px with the centre in the middle; where
   `frame-000000.intrinsics.txt` lies beside (a 3x3 matrix; our own export writes it), that is used;
 - `frame-000000.depth.png` is the depth camera's, some centimetres beside the colour camera: it isn't read;
@@ -15,6 +16,7 @@ import re
 from pathlib import Path
 
 from groundwalk.artefacts.choices import Clock, PoseSource, SessionSplit
+from groundwalk.artefacts.simulated import EXPORT_NOTE
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in, unused
@@ -58,7 +60,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         session_id,
         FORMAT.id,
         "Kinect",
-        Clock.FRAME_INDEX,
+        Clock.NAME_ORDER if (path.parent / EXPORT_NOTE).is_file() else Clock.FRAME_INDEX,
         path,
         frames,
         rejects,
