@@ -164,18 +164,30 @@ def _sections() -> Iterator[tuple[str, str, str]]:
                 text = f"{_first_line(model)} In a scene's file, any number of these: [rulers](../how-to/ruler.md)."
                 yield f'[[ruler]] of kind "{kind}"', text, _table(model, {"kind"})
         if stage.name == "localise":
-            yield from _of_entries("localise.localisers", LOCALISERS, "settings")
+            yield _of_entries("localise.localisers", LOCALISERS, "settings")
         if stage.name == "train":
-            yield from _of_entries("train.regressors", REGRESSORS, "settings")
+            yield _of_entries("train.regressors", REGRESSORS, "settings")
         if stage.name == "fuse":
-            yield from _of_entries("fuse.options", METHODS, "options")
+            yield _of_entries("fuse.options", METHODS, "options")
 
 
-def _of_entries(section: str, registry: Registry[Any], attribute: str) -> Iterator[tuple[str, str, str]]:
-    for entry_id in registry.builtin:
-        entry = registry[entry_id]
-        model = getattr(entry, attribute)
-        yield f"[{section}.{entry_id}]", f"{entry.label}: {entry.meaning}.", _table(model)
+def _of_entries(section: str, registry: Registry[Any], attribute: str) -> tuple[str, str, str]:
+    """The settings of all entries of a kind, each once, with the entries that have it and their defaults."""
+    models = {entry_id: getattr(registry[entry_id], attribute) for entry_id in registry.builtin}
+    rows: dict[tuple[str, str, str], dict[str, list[str]]] = {}
+    for entry_id, model in models.items():
+        schema = model.model_json_schema()
+        for name, kind, default, text in _rows(model, schema, schema.get("$defs", {}), ""):
+            rows.setdefault((name, kind, text), {}).setdefault(default or "none", []).append(entry_id)
+    listed = "\n".join(f"- `{entry_id}`: {_cell(registry[entry_id].meaning)}" for entry_id in models)
+    table = "| setting | type and range | default | description |\n|---|---|---|---|\n"
+    for (name, kind, text), defaults in rows.items():
+        owners = [entry_id for ids in defaults.values() for entry_id in ids]
+        # The default of most is said without names where every entry has the setting.
+        common = max(defaults, key=lambda default: len(defaults[default])) if len(owners) == len(models) > 1 else None
+        others = [f"{', '.join(ids)}: {default}" for default, ids in defaults.items() if default != common]
+        table += f"| `{name}` | {kind} | {'; '.join(filter(None, [common, *others]))} | {_cell(text)} |\n"
+    return f"[{section}.<name>]", f"`<name>` is one of these:\n\n{listed}", table if rows else "None has settings.\n"
 
 
 def _first_line(model: type[Settings]) -> str:
