@@ -111,6 +111,7 @@ class PairOrigin(StrEnum):
     VIO = "vio"
     RETRIEVAL = "retrieval"
     TRANSITIVE = "transitive"
+    EXHAUSTIVE = "exhaustive"
 
 
 class PairStatus(StrEnum):

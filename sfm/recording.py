@@ -42,6 +42,7 @@ _ORIGIN_COLOURS = {
     PairOrigin.VIO: VIO,
     PairOrigin.RETRIEVAL: FUSED,
     PairOrigin.TRANSITIVE: APR,
+    PairOrigin.EXHAUSTIVE: NEUTRAL,
 }
 
 

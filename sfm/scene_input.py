@@ -29,7 +29,7 @@ from groundwalk.sfm.pairs.floor import FloorSource
 from groundwalk.sfm.pairs.matching import try_networks
 from groundwalk.sfm.pairs.networks import model_files, require_model_files
 from groundwalk.sfm.pairs.odometry import Odometry, odometry
-from groundwalk.sfm.pairs.selection import pairs_within_sessions
+from groundwalk.sfm.pairs.selection import pairs_of_untimed, pairs_within_sessions
 from groundwalk.sfm.settings import SfmSettings
 
 MIN_FRAMES = 3
@@ -169,7 +169,8 @@ def _calibrated(r: StageRun[SfmSettings], scene: SceneInput) -> SceneInput:
         database = extracted_features(r, scene, r.settings)
         with r.step("calibration"):
             proposals = pairs_within_sessions(r.settings, scene.frames, scene.recording_N, scene.vio)
-            pairs = unique_pairs(np.concatenate([pairs for _, pairs in proposals]))
+            untimed = pairs_of_untimed(r.settings, scene.frames, scene.recording_N, database, r.seed)
+            pairs = unique_pairs(np.concatenate([untimed, *(pairs for _, pairs in proposals)]))
             images = CalibrationImages(database, scene.frames, scene.names, scene.cameras.motion)
             arguments = (images, pairs, scene.cameras.calibration, r.settings, r.seed, path)
             scene.in_child("calibrating lenses", Task(calibrate, arguments, None))

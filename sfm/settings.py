@@ -61,7 +61,10 @@ class SfmSettings(VioDriftSettings):
         15.0, gt=0, description="error of a pair's direction of motion by its images, degrees; VIO's drift adds to it"
     )
     retrieval_pairs: int = Field(
-        10, ge=0, description="frames of other sessions, of most similar images, that a frame is matched to"
+        10,
+        ge=0,
+        description="frames of other sessions, of most similar images, that a frame is matched to; and of its own "
+        "recording where that has no VIO",
     )
     retrieval: RetrievalName = Field(
         "vlad", description="what describes images to find similar ones (docs/explanation/sfm.md)"

@@ -25,7 +25,7 @@ from groundwalk.sfm.pairs.floor import tie_by_floor
 from groundwalk.sfm.pairs.matching import LINK_INLIERS, MatchedPairs, guide_pairs, match_pairs
 from groundwalk.sfm.pairs.networks import model_files
 from groundwalk.sfm.pairs.odometry import PairLimits, nothing_compared
-from groundwalk.sfm.pairs.selection import Proposals, pairs_across_sessions, pairs_of_chains, pairs_within_sessions
+from groundwalk.sfm.pairs.selection import Proposals, pairs_by_images, pairs_of_chains, pairs_within_sessions
 from groundwalk.sfm.pairs.two_views import compare_pairs
 from groundwalk.sfm.quality.focal_steps import FocalStep
 from groundwalk.sfm.quality.model_check import check_models
@@ -67,10 +67,9 @@ def attempt_models(
     database = calibrated_features(r, scene, settings)
     with r.step("pairs"):
         proposals = pairs_within_sessions(settings, scene.frames, scene.recording_N, scene.vio)
-        similar = pairs_across_sessions(settings, scene.vio.session, database, r.seed)
+        proposals += pairs_by_images(settings, scene.recording_N, scene.vio, proposals, database, r.seed)
     folder = scene.scratch / f"mapping_{number}"
     with r.step("matching"):
-        proposals = [*proposals, (PairOrigin.RETRIEVAL, similar)]
         matched = _matched(r, scene, settings, database, proposals, scene.scratch / f"matched_{number}")
     with r.step("mapping"):
         built = _map(r.seed, settings, scene, database, matched, folder)

@@ -50,14 +50,19 @@ def pca_vlad(descriptors: Sequence[Descriptors], words: int, seed: int) -> Float
     )
 
 
-def retrieval_pairs(image_ND: Floats, session_N: ArrayLike, per_frame: int) -> Pairs:
-    """Each frame with the `per_frame` most similar frames of other sessions."""
+def retrieval_pairs(image_ND: Floats, session_N: ArrayLike, per_frame: int, within: Pairs | None = None) -> Pairs:
+    """Each frame with the `per_frame` most similar frames of other sessions; or of its own, without the pairs `within`
+    that are proposed there anyhow."""
     session_N = np.asarray(session_N)
+    known = np.empty((2, 0), np.int64) if within is None else np.concatenate([within, within[:, ::-1]]).T
     proposed = [np.empty((0, 2), np.int64)]
     for start in range(0, len(image_ND), _ROWS_AT_ONCE):
         rows = np.arange(start, min(start + _ROWS_AT_ONCE, len(image_ND)))
         similarity = image_ND[rows] @ image_ND.T
-        similarity[session_N[rows, None] == session_N[None]] = -np.inf
+        similarity[(session_N[rows, None] == session_N[None]) != (within is not None)] = -np.inf
+        similarity[np.arange(len(rows)), rows] = -np.inf
+        a, b = known[:, (known[0] >= start) & (known[0] <= rows[-1])]
+        similarity[a - start, b] = -np.inf
         best = np.argsort(-similarity, axis=1, kind="stable")[:, :per_frame]
         is_other = np.isfinite(np.take_along_axis(similarity, best, axis=1))
         proposed.append(np.stack([np.broadcast_to(rows[:, None], best.shape)[is_other], best[is_other]], axis=1))

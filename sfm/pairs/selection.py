@@ -7,6 +7,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.choices import PairOrigin
+from groundwalk.artefacts.tables import have_times
 from groundwalk.sfm.database import read_descriptors
 from groundwalk.sfm.extensions import described_by
 from groundwalk.sfm.pairs.candidates import (
@@ -24,16 +25,22 @@ from groundwalk.sfm.settings import SfmSettings
 
 Proposals = list[tuple[PairOrigin, Pairs]]
 
+# Of as many frames without VIO all pairs are matched, some 20,000.
+_MAX_EXHAUSTIVE = 200
+_NO_PAIRS = unique_pairs([])
+
 
 def pairs_within_sessions(
     settings: SfmSettings, frames: pd.DataFrame, recording_N: NDArray[np.object_], vio: Odometry
 ) -> Proposals:
-    """Pairs from the order of the frames, and from the overlap of views by VIO."""
+    """Pairs from the order of the frames, where they have times, and from the overlap of views by VIO."""
     # Support frames lie between the dataset's, and pairs are to reach as far as without them.
     density = len(frames) / max(int((~frames["support"]).sum()), 1)
-    following = sequence_pairs(recording_N, frames["t_ns"], round(density * settings.sequence_pairs))
+    timed = np.flatnonzero(have_times(frames))
+    recordings, t_ns = recording_N[timed], frames["t_ns"].to_numpy(np.int64)[timed]
+    following = timed[sequence_pairs(recordings, t_ns, round(density * settings.sequence_pairs))]
     # The next frame is always tried: that is what ties a recording together where VIO jumped.
-    next_frame = sequence_pairs(recording_N, frames["t_ns"], 1)
+    next_frame = timed[sequence_pairs(recordings, t_ns, 1)]
     near = vio_pairs(
         vio.session,
         vio.vio_T_cam,
@@ -47,13 +54,55 @@ def pairs_within_sessions(
     return [(PairOrigin.SEQUENCE, in_sequence), (PairOrigin.VIO, near)]
 
 
-def pairs_across_sessions(settings: SfmSettings, session_N: NDArray[np.object_], database: Path, seed: int) -> Pairs:
-    """Pairs of similar images of different sessions, by their features in the database."""
-    if not settings.retrieval_pairs or len(set(session_N)) < 2:
+def pairs_by_images(
+    settings: SfmSettings, recording_N: NDArray[np.object_], vio: Odometry, known: Proposals, database: Path, seed: int
+) -> Proposals:
+    """Pairs of similar images, by their features in the database: of different sessions, and of recordings without VIO
+    those that aren't `known` by time; where these have few frames together, all their pairs."""
+    free = np.flatnonzero(~np.isin(recording_N, recording_N[vio.posed]))
+    proposals: Proposals = []
+    is_few = len(free) <= _MAX_EXHAUSTIVE
+    if is_few:
+        proposals.append((PairOrigin.EXHAUSTIVE, free[np.stack(np.triu_indices(len(free), 1), axis=1)]))
+    across = len(set(vio.session)) > 1 and not (is_few and len(free) == len(recording_N))
+    if settings.retrieval_pairs and (across or not is_few):
+        described = _described(settings, len(recording_N), database, seed)
+        if not is_few:
+            tried = np.concatenate([pairs for _, pairs in known])
+            proposals.append((PairOrigin.RETRIEVAL, _similar(described, recording_N, free, settings, tried)))
+        if across:
+            proposals.append((PairOrigin.RETRIEVAL, retrieval_pairs(described, vio.session, settings.retrieval_pairs)))
+    return proposals
+
+
+def pairs_of_untimed(
+    settings: SfmSettings, frames: pd.DataFrame, recording_N: NDArray[np.object_], database: Path, seed: int
+) -> Pairs:
+    """Pairs of similar images within recordings without times, whose frames have no neighbours by time."""
+    untimed = np.flatnonzero(~have_times(frames))
+    if not len(untimed):
         return unique_pairs([])
-    descriptors = read_descriptors(database, len(session_N))
-    described = described_by(settings.retrieval, descriptors, settings.retrieval_words, seed)
-    return retrieval_pairs(described, session_N, settings.retrieval_pairs)
+    return _similar(_described(settings, len(frames), database, seed), recording_N, untimed, settings)
+
+
+def _described(settings: SfmSettings, frames: int, database: Path, seed: int) -> NDArray[np.float32]:
+    descriptors = read_descriptors(database, frames)
+    return described_by(settings.retrieval, descriptors, settings.retrieval_words, seed)
+
+
+def _similar(
+    described: NDArray[np.float32],
+    recording_N: NDArray[np.object_],
+    rows: NDArray[np.int64],
+    settings: SfmSettings,
+    tried: Pairs = _NO_PAIRS,
+) -> Pairs:
+    """Pairs of similar images within the recordings of these rows, all of whose rows they are, but for those tried."""
+    place = np.full(len(recording_N), -1)
+    place[rows] = np.arange(len(rows))
+    within = place[tried]
+    within = within[(within >= 0).all(axis=1)]
+    return rows[retrieval_pairs(described[rows], recording_N[rows], settings.retrieval_pairs, within)]
 
 
 def pairs_of_chains(settings: SfmSettings, vio: Odometry, pairs: Pairs, inliers_P: NDArray[np.int64]) -> Pairs:

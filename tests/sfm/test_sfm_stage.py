@@ -18,8 +18,9 @@ from known import read_picture
 from textured_room import Room, make_look_alike_rooms, make_room
 
 from groundwalk.artefacts import UserError, execute
-from groundwalk.artefacts.choices import NotRegistered
-from groundwalk.artefacts.tables import poses_of
+from groundwalk.artefacts.choices import Clock, NotRegistered
+from groundwalk.artefacts.schemas import schema
+from groundwalk.artefacts.tables import poses_of, read_table, write_table
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import rotation_angle
 from groundwalk.sfm.stage import STAGE
@@ -81,6 +82,33 @@ def test_a_room_of_two_walks_becomes_one_right_model(room: Room) -> None:
     lenses = pd.read_parquet(folder / "lenses.parquet").iloc[0]
     assert abs(lenses["k1"]) < 4 * lenses["k1_sd"] + 0.005 and abs(lenses["k2"]) < 4 * lenses["k2_sd"] + 0.005
     assert not (folder / "scratch").exists()
+
+
+def _as_photos(room: Room) -> None:
+    """Make import's tables those of photos without VIO, times or an order of names."""
+    folder = room.data.run("tiny", "room", "import")
+    frames = read_table(folder / "frames.parquet", schema("import", "frames"))
+    order = np.random.default_rng(0).permutation(len(frames))
+    frames = frames.assign(clock=Clock.NAME_ORDER, t_ns=order * 1_000_000_000)
+    for column in frames.columns:
+        if column.startswith(("vio_cam_", "gravity_")):
+            frames[column] = np.nan
+    write_table(folder / "frames.parquet", frames, schema("import", "frames"))
+    vio = read_table(folder / "vio.parquet", schema("import", "vio")).iloc[:0]
+    write_table(folder / "vio.parquet", vio, schema("import", "vio"))
+    room.note_images()
+
+
+def test_photos_without_vio_and_times_become_one_right_model(room: Room) -> None:
+    _as_photos(room)
+    folder = _run(room)
+    pairs = pd.read_parquet(folder / "pairs.parquet")
+    assert set(pairs["origin"]) == {"exhaustive"} and len(pairs) == 14 * 13 / 2
+    images = pd.read_parquet(folder / "images.parquet")
+    assert images["model_id"].nunique() == 1 and images["registered"].all()
+    fit = fit_sim3(room.true_T_cam[:, :3, 3], poses_of(images, "sfm_cam")[:, :3, 3])
+    placed = fit.points(poses_of(images, "sfm_cam")[:, :3, 3])
+    assert np.linalg.norm(placed - room.true_T_cam[:, :3, 3], axis=1).max() < 0.02
 
 
 def test_a_zoom_a_frame_without_features_and_a_log_without_poses_between_images_are_named(

@@ -1,0 +1,128 @@
+"""Which pairs a scene gets: recordings without VIO, with times and without."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pycolmap
+import pytest
+
+from groundwalk.artefacts.choices import Clock, PairOrigin
+from groundwalk.geometry.poses import Array
+from groundwalk.sfm.database import create_database, image_id
+from groundwalk.sfm.pairs import selection
+from groundwalk.sfm.pairs.candidates import first_origins
+from groundwalk.sfm.pairs.odometry import Odometry, odometry
+from groundwalk.sfm.pairs.selection import Proposals, pairs_by_images, pairs_of_untimed, pairs_within_sessions
+from groundwalk.sfm.settings import SfmSettings
+
+_SETTINGS = SfmSettings(retrieval_pairs=4, retrieval_words=16, sequence_pairs=2)
+_LANDMARKS, _SEEN = 400, 60
+
+
+class _Scene:
+    """Recordings that go once round the same object: frame k of n sees the landmarks there. `has_vio` and `clock` are
+    by recording; `order` says in which order of names and times the photos of each are."""
+
+    def __init__(self, folder: Path, clocks: dict[str, Clock], has_vio: tuple[str, ...], order: np.ndarray) -> None:
+        count = len(order)
+        self.recording = np.repeat(np.array(list(clocks), object), count)
+        self.place = np.tile(order, len(clocks))
+        self.frames = pd.DataFrame(
+            {
+                "frame_id": [f"{r}/{k:06d}" for r in clocks for k in range(count)],
+                "t_ns": np.tile(np.arange(count), len(clocks)) * 1_000_000_000,
+                "clock": [clocks[str(r)] for r in self.recording],
+                "support": False,
+                "fx": 100.0, "fy": 100.0, "cx": 50.0, "cy": 50.0, "width": 100, "height": 100,
+            }
+        )  # fmt: skip
+        self.frames["distortion"] = [[]] * len(self.frames)
+        self.database = folder / "features.db"
+        create_database(self.database, self.frames, [f"{i}.jpg" for i in self.frames["frame_id"]])
+        rng = np.random.default_rng(0)
+        landmarks = rng.gamma(0.5, 30, (_LANDMARKS, 128))
+        with pycolmap.Database.open(self.database) as opened:
+            for row, place in enumerate(self.place):
+                seen = (_LANDMARKS * place // count + np.arange(_SEEN)) % _LANDMARKS
+                noisy = np.clip(landmarks[seen] + rng.normal(0, 4, (_SEEN, 128)), 0, 255).astype(np.uint8)
+                described = pycolmap.FeatureDescriptors(data=noisy, type=pycolmap.FeatureExtractorType.SIFT)
+                opened.write_descriptors(image_id(row), described)
+        vio_T_cam: Array = np.tile(np.eye(4), (len(self.frames), 1, 1))
+        vio_T_cam[:, 0, 3] = 100.0 * self.place
+        vio_T_cam[~np.isin(self.recording, has_vio)] = np.nan
+        gravity = np.full((len(self.frames), 3), np.nan)
+        self.vio: Odometry = odometry(self.recording, self.frames["t_ns"].to_numpy(np.int64), vio_T_cam, gravity, [])
+
+    def by_order(self) -> Proposals:
+        return pairs_within_sessions(_SETTINGS, self.frames, self.recording, self.vio)
+
+    def by_images(self) -> Proposals:
+        return pairs_by_images(_SETTINGS, self.recording, self.vio, self.by_order(), self.database, 0)
+
+    def all(self) -> tuple[np.ndarray, np.ndarray]:
+        return first_origins([*self.by_order(), *self.by_images()], len(self.frames))
+
+    def apart(self, pairs: np.ndarray) -> np.ndarray:
+        """How many places lie between the frames of each pair, the shorter way round."""
+        count = self.place.max() + 1
+        between = np.abs(self.place[pairs[:, 0]] - self.place[pairs[:, 1]])
+        return np.minimum(between, count - between)
+
+
+def _shuffled(count: int) -> np.ndarray:
+    return np.random.default_rng(1).permutation(count)
+
+
+def test_of_few_photos_without_vio_all_pairs_are_tried(tmp_path: Path) -> None:
+    scene = _Scene(tmp_path, {"photos": Clock.NAME_ORDER}, (), _shuffled(50))
+    pairs, origin = scene.all()
+    assert len(pairs) == 50 * 49 / 2
+    assert set(origin) == {PairOrigin.EXHAUSTIVE}
+
+
+def test_few_frames_of_several_recordings_without_vio_are_all_paired_too(tmp_path: Path) -> None:
+    clocks = {"video": Clock.VIDEO, "photos": Clock.NAME_ORDER, "walk": Clock.BOOT}
+    scene = _Scene(tmp_path, clocks, ("walk",), np.arange(20))
+    pairs, _ = scene.all()
+    free = (scene.recording[pairs] != "walk").all(axis=1)
+    assert free.sum() == 40 * 39 / 2
+    of_walk = (scene.recording[pairs] == "walk").all(axis=1)
+    # VIO is 100 m apart from frame to frame: there the next frame alone is tried.
+    assert of_walk.sum() == 19
+    assert (~free & ~of_walk).any()
+
+
+@pytest.mark.parametrize("clock", [Clock.NAME_ORDER, Clock.VIDEO])
+def test_of_many_frames_without_vio_the_similar_ones_of_the_recording_are_tried(
+    clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(selection, "_MAX_EXHAUSTIVE", 49)
+    order = np.arange(50) if clock.has_times else _shuffled(50)
+    scene = _Scene(tmp_path, {"photos": clock}, (), order)
+    pairs, origin = scene.all()
+    similar = pairs[origin == PairOrigin.RETRIEVAL]
+    assert 50 <= len(similar) <= _SETTINGS.retrieval_pairs * 50
+    assert np.quantile(scene.apart(similar), 0.95) <= 5
+    # Where names are in no order none is made of it; a video's neighbours are known, and the images add others.
+    in_sequence = {tuple(pair) for pair in pairs[origin == PairOrigin.SEQUENCE]}
+    assert len(in_sequence) == (49 + 48 if clock.has_times else 0)
+    assert not in_sequence & {tuple(pair) for pair in similar}
+    # First and last frame are neighbours round the object, which only the images tell.
+    ends = np.flatnonzero(np.isin(scene.place, (0, 49)))
+    assert (similar == ends).all(axis=1).any()
+
+
+def test_a_killed_run_proposes_the_same_pairs_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(selection, "_MAX_EXHAUSTIVE", 10)
+    scene = _Scene(tmp_path, {"a": Clock.NAME_ORDER, "b": Clock.VIDEO}, (), _shuffled(30))
+    once, again = scene.all(), scene.all()
+    assert np.array_equal(once[0], again[0]) and np.array_equal(once[1], again[1])
+
+
+def test_lenses_of_photos_without_times_are_estimated_from_similar_images(tmp_path: Path) -> None:
+    scene = _Scene(tmp_path, {"photos": Clock.NAME_ORDER, "video": Clock.VIDEO}, (), _shuffled(50))
+    pairs = pairs_of_untimed(_SETTINGS, scene.frames, scene.recording, scene.database, 0)
+    assert set(scene.recording[np.unique(pairs)]) == {"photos"}
+    assert np.quantile(scene.apart(pairs), 0.95) <= 4
+    assert len(pairs_of_untimed(_SETTINGS, scene.frames[50:], scene.recording[50:], scene.database, 0)) == 0
