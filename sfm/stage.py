@@ -172,7 +172,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=40,
+    version=41,
     settings=SfmSettings,
     needs=("import",),
     run=run,
