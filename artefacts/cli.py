@@ -1,6 +1,7 @@
 """The command line that every stage shares: `groundwalk <stage> --scene … --profile …`."""
 
 import gc
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -51,6 +52,8 @@ SetOption = Annotated[
     typer.Option("--set", help="One setting, key=value as in TOML; may be given several times."),
 ]
 
+_NUMBA_CONFIG = ".numba_config.yaml"
+
 
 class App(typer.Typer):
     """A typer application that shows what a user or the machine caused in a few lines and exits with 2; with 130 after
@@ -59,6 +62,7 @@ class App(typer.Typer):
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         try:
             with signals_raise():
+                _distrust_current_folder()
                 return super().__call__(*args, **kwargs)
         except (Stopped, Exception) as error:
             # Python hides what stops it in some places, as while it makes a class.
@@ -71,6 +75,26 @@ class App(typer.Typer):
                 raise
             print(f"error: {printable(str(message))}", file=sys.stderr)
             sys.exit(2)
+
+
+def _distrust_current_folder() -> None:
+    """Nothing that lies in the current folder, which may be a stranger's captures, becomes code.
+
+    Processes that this one starts look for modules there only where this one does (`python -m`); of itself Python looks
+    there first. numba reads there which folder to load compiled code from.
+    """
+    try:
+        current = os.getcwd()  # noqa: PTH109 (as in sys.path)
+    except FileNotFoundError:
+        raise UserError("the current folder has been removed", do="change to one that is there") from None
+    if os.path.lexists(_NUMBA_CONFIG):
+        raise UserError(
+            "the current folder has settings of numba, which loads code from where they say",
+            where=Path(current) / _NUMBA_CONFIG,
+            do="run the command from another folder, or move the file away",
+        )
+    if not {"", current} & {*sys.path}:
+        os.environ["PYTHONSAFEPATH"] = "1"
 
 
 def new_app(help_text: str, **options: Any) -> App:

@@ -21,7 +21,7 @@ def run_command(artefact: Path) -> str:
     data = artefact.parents[3]
     if _make_knows(data):
         return f"make scene={scene} profile={profile} {'all' if stage == 'report' else stage}"
-    return f"{_groundwalk()} run --scene {scene} --profile {profile} --until {stage}{_data_option(data)}"
+    return f"{groundwalk_command()} run --scene {scene} --profile {profile} --until {stage}{_data_option(data)}"
 
 
 def view_command(run: Path) -> str:
@@ -30,7 +30,7 @@ def view_command(run: Path) -> str:
     data = run.parents[2]
     if _make_knows(data):
         return f"make scene={scene} profile={profile} view"
-    return f"{_groundwalk()} view --scene {scene} --profile {profile}{_data_option(data)}"
+    return f"{groundwalk_command()} view --scene {scene} --profile {profile}{_data_option(data)}"
 
 
 def link_command(captures: Path, profile: str) -> str:
@@ -38,7 +38,8 @@ def link_command(captures: Path, profile: str) -> str:
     scene, data = captures.name, captures.parents[1]
     if _make_knows(data):
         return f"make scene={scene} profile={profile} captures=<your folder> all"
-    return f"{_groundwalk()} run --scene {scene} --profile {profile} --captures <your folder>{_data_option(data)}"
+    arguments = f"--scene {scene} --profile {profile} --captures <your folder>{_data_option(data)}"
+    return f"{groundwalk_command()} run {arguments}"
 
 
 def setting_of(section: str, setting: str, file: str = _ANY_FILE) -> str:
@@ -63,8 +64,12 @@ def _make_knows(data: Path) -> bool:
     return CHECKOUT is not None and Path.cwd() == CHECKOUT and data == CHECKOUT / "data"
 
 
-def _groundwalk() -> str:
-    return "groundwalk" if shutil.which("groundwalk") else f"{shlex.quote(sys.executable)} -m groundwalk"
+def groundwalk_command() -> str:
+    """The command `groundwalk`, with its folder where the shell wouldn't find it."""
+    script = Path(sys.executable).with_name("groundwalk")
+    if shutil.which("groundwalk"):
+        return "groundwalk"
+    return shlex.quote(str(script)) if script.exists() else f"{shlex.quote(sys.executable)} -P -m groundwalk"
 
 
 def _data_option(data: Path) -> str:

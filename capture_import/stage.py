@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -11,7 +12,7 @@ import pandas as pd
 from groundwalk.artefacts import Stage, StageRun, UserError
 from groundwalk.artefacts.choices import ImageSide
 from groundwalk.artefacts.files import write_json
-from groundwalk.artefacts.hints import setting_of
+from groundwalk.artefacts.hints import groundwalk_command, setting_of
 from groundwalk.artefacts.simulated import appearances_of, are_simulated
 from groundwalk.artefacts.tables import dataset_frames
 from groundwalk.artefacts.text import grouped_reasons
@@ -276,7 +277,7 @@ def _refuse_empty(sessions: Sequence[ImportedSession], rejects: Sequence[Reject]
         where=root,
         found=f"{poses} sound poses; {reasons}",
         expected="images with intrinsics and poses",
-        do=f"python -m groundwalk.capture_import inspect {root}",
+        do=f"{groundwalk_command()} inspect {shlex.quote(str(root))}",
     )
 
 

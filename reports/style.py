@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+from matplotlib import style as matplotlib_style
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -67,8 +68,8 @@ _STYLE: Any = {
 
 
 def applied() -> AbstractContextManager[None]:
-    """Draw in this style: matplotlib looks settings up as each part is drawn."""
-    return mpl.rc_context(_STYLE)
+    """Draw in this style, whatever a matplotlibrc says: matplotlib looks settings up as each part is drawn."""
+    return matplotlib_style.context(["default", _STYLE])
 
 
 def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[Figure, list[Axes]]:
@@ -94,7 +95,7 @@ def log_axis(axis: Axis) -> None:
 def save(figure: Figure, folder: Path, name: str) -> str:
     """Write <name>.png (on white) and <name>.svg; the SVG, whose text takes the colour of the page around it, is
     returned too. The same figure gives the same bytes."""
-    with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
+    with applied(), mpl.rc_context({"svg.hashsalt": name}):
         # By the canvases, as savefig draws everything twice. The layout alone is worked out twice: the first changes
         # which ticks an axis has, and so how wide they are.
         layout = figure.get_layout_engine()

@@ -272,6 +272,32 @@ def test_a_signal_ends_a_run_with_its_stage(tmp_path: Path, number: signal.Signa
     assert not (tmp_path / "captures" / "Church").exists()
 
 
+def test_no_code_of_the_current_folder_runs(tmp_path: Path) -> None:
+    """As the installed script, `run` starts helpers and the stages' commands, whose Python would look there first."""
+    with_captures(DataRoot(tmp_path / "data"), "place")
+    (tmp_path / "groundwalk").mkdir()
+    for name in ("groundwalk/__init__", "groundwalk/__main__", "cv2", "socket", "multiprocessing"):
+        (tmp_path / f"{name}.py").write_text("import os; os.write(2, b'a stranger\\'s code')")
+    script = tmp_path / "bin" / "groundwalk"
+    script.parent.mkdir()
+    script.write_text("from groundwalk.cli import app\napp()\n")
+    command = [sys.executable, script, "run", "--scene=place", "--profile=tiny", "--until=import"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 2 and "stranger" not in done.stderr
+    assert "import · place · tiny\nerror: no capture in a known format" in done.stderr
+    (tmp_path / ".numba_config.yaml").write_text("cache_dir: cache")
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 2 and "settings of numba" in done.stderr
+
+
+def test_a_removed_current_folder_is_named(tmp_path: Path) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    command = f"cd {gone} && rmdir {gone} && {sys.executable} -m groundwalk scenes"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.startswith("error: the current folder has been removed")
+
+
 def test_the_table_has_one_line_of_help_a_command() -> None:
     names = [command.name for command in all_commands()]
     assert len(names) == len(set(names))

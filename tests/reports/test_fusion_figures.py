@@ -1,8 +1,10 @@
 """The figures of fusion's own tables show what the tables say."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
+import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,6 +13,7 @@ from made_up_scenes import MODELS, MadeUpScene
 from matplotlib.lines import Line2D
 
 from groundwalk.artefacts.choices import MapUnit
+from groundwalk.reports import style
 from groundwalk.reports.figures import confidence, costs, sensitivity
 from groundwalk.reports.inputs import SceneInputs
 
@@ -89,3 +92,15 @@ def test_costs_stand_where_bytes_time_and_the_median_error_say() -> None:
         shown = np.array([(along_x(line)[0], along_y(line)[0]) for line in ax.lines])
         assert shown == pytest.approx(np.array(places))
         assert [text.get_text() for text in ax.texts] == ["SMALL", "LARGE"]
+
+
+def test_a_figure_is_the_same_whatever_a_matplotlibrc_says(tmp_path: Path) -> None:
+    def drawn() -> str:
+        with style.applied():
+            figure, (ax,) = style.new_figure(1, 1, 2.0)
+            ax.plot([1, 2], [3, 4])
+            return style.save(figure, tmp_path, "line")
+
+    expected = drawn()
+    with mpl.rc_context({"axes.facecolor": "red", "lines.marker": "o", "axes.formatter.limits": (0, 0)}):
+        assert drawn() == expected
