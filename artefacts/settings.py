@@ -1,5 +1,6 @@
 """Settings of stages and scenes: strict, typed, resolved from code, profile, scene and command line."""
 
+import json
 import re
 import tomllib
 from collections.abc import Callable, Sequence
@@ -26,14 +27,6 @@ class Settings(BaseModel):
 
     renamed: ClassVar[dict[str, str]] = {}
     """Retired names of settings, and what each is called now."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_retired(cls, content: Any) -> Any:
-        for old in cls.renamed.keys() & content.keys() if isinstance(content, dict) else ():
-            new = cls.renamed[old]
-            raise UserError(f"setting {old!r} was renamed to {new!r}", do=f"write {new} instead")
-        return content
 
 
 class SplitRules(Settings):
@@ -193,7 +186,12 @@ def validated(model: type[T], content: dict[str, Any], where: object) -> T:
 def _validated(model: type[T], content: dict[str, Any], where: Callable[[Sequence[Any]], str]) -> T:
     """`validated`, with where the user finds a key (its path)."""
     try:
-        return model.model_validate(content)
+        for old in model.renamed.keys() & content.keys():
+            new = model.renamed[old]
+            raise UserError(f"setting {old!r} was renamed to {new!r}", do=f"write {new} instead")
+        # As JSON, whose strict mode takes a list for a tuple and text for an enumeration, as TOML has them, but neither
+        # text nor true for a number.
+        return model.model_validate_json(json.dumps(content, default=_refuse_time), strict=True)
     except UserError as error:  # a retired name, or a value that names no entry of a registry
         error.details["where"] = ", ".join(filter(None, [str(error.details["where"] or ""), where(())])) or None
         raise
@@ -205,9 +203,16 @@ def _validated(model: type[T], content: dict[str, Any], where: Callable[[Sequenc
             f"setting {key!r}: {first['msg']}",
             where=where(first["loc"]),
             found=None if first["type"] == "missing" else repr(first.get("input")),
-            expected="one of " + ", ".join(model.model_fields) if first["type"] == "extra_forbidden" else None,
+            expected={
+                "extra_forbidden": "one of " + ", ".join(model.model_fields),
+                "bool_type": "true or false",
+            }.get(first["type"]),
             do="correct it; `groundwalk <stage> --help` lists the settings",
         ) from None
+
+
+def _refuse_time(value: object) -> object:
+    raise UserError("no setting is a date or a time", found=value, do="put it in quotes where it's text")
 
 
 def _nested(override: str) -> dict[str, Any]:
@@ -215,6 +220,10 @@ def _nested(override: str) -> dict[str, Any]:
     key, eq, value = override.partition("=")
     if not eq:
         raise UserError("a setting needs a value", found=override, expected="key=value", where="--set")
+    try:
+        override.encode()
+    except UnicodeEncodeError:
+        raise UserError("a setting isn't text in UTF-8", found=override, where="--set") from None
     *parents, leaf = key.strip().split(".")
     nested: dict[str, Any] = {leaf: _parse_value(value.strip())}
     for parent in reversed(parents):
@@ -224,9 +233,12 @@ def _nested(override: str) -> dict[str, Any]:
 
 def _parse_value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        content = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:
-        return text  # a bare word is a string
+        content = {} if "\n" in text else {"value": text}  # a bare word is a string
+    if content.keys() != {"value"}:
+        raise UserError("one --set has one setting", where="--set", found=repr(text), do="give --set several times")
+    return content["value"]
 
 
 def _merge(into: dict[str, Any], other: dict[str, Any]) -> None:

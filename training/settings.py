@@ -51,7 +51,7 @@ class TrainSettings(Settings):
     @field_validator("predictions", mode="before")
     @classmethod
     def _one_file_is_a_list(cls, files: object) -> object:
-        return (files,) if isinstance(files, str) else files
+        return (files,) if isinstance(files, str) else tuple(files) if isinstance(files, list) else files
 
     @field_validator("regressors", mode="before")
     @classmethod

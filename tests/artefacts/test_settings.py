@@ -8,12 +8,16 @@ import pytest
 from pydantic import Field
 
 from groundwalk.artefacts import DataRoot, Settings, UserError
+from groundwalk.artefacts.choices import Split
 from groundwalk.artefacts.cli import settings_help
 from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
 
 
 class Inner(Settings):
     depth: int = 1
+    exact: bool = True
+    sizes: tuple[int, float] = (1, 1.0)
+    split: Split = Split.TEST
 
 
 class Example(Settings):
@@ -40,11 +44,30 @@ def test_later_sources_win(data: DataRoot) -> None:
 
 @pytest.mark.parametrize(
     ("override", "message"),
-    [("nonsense=1", "nonsense"), ("features=0", "greater than 0"), ("features", "key=value"), ("ratio=x", "ratio")],
+    [
+        ("nonsense=1", "nonsense"),
+        ("features=0", "greater than 0"),
+        ("features", "key=value"),
+        ("ratio=x", "ratio"),
+        ("features=true", "'features': Input should be a valid integer"),
+        ("features='100'", "'features': Input should be a valid integer"),
+        ("inner.exact=no", r"'inner.exact': [^\n]*\n.*\n *expected: true or false"),
+        ("features=3\nratio=1", "one --set has one setting"),
+        ("features=x\nratio=1", "one --set has one setting"),
+        ("features=2026-11-27", "no setting is a date or a time"),
+        ("features=\udc80", "isn't text in UTF-8"),
+    ],
 )
 def test_a_wrong_setting_is_named(data: DataRoot, override: str, message: str) -> None:
     with pytest.raises(UserError, match=message):
         resolve_settings(Example, "sfm", data, "own", "place", [override])
+
+
+def test_lists_numbers_and_choices_are_taken_as_toml_has_them(data: DataRoot) -> None:
+    overrides = ["ratio=1", "inner.sizes=[2, 3]", "inner.split=val", "inner.exact=false"]
+    settings = resolve_settings(Example, "sfm", data, "own", "place", overrides)
+    assert (settings.ratio, settings.inner.sizes) == (1.0, (2, 3.0))
+    assert settings.inner.split is Split.VAL and settings.inner.exact is False
 
 
 def test_a_wrong_file_is_named(data: DataRoot) -> None:
@@ -76,6 +99,8 @@ def test_a_number_that_is_not_finite_is_refused_with_its_file_section_and_key(da
         ("import = 3", r"import is a section of settings\n  where: .*place\.toml\n.*\[import\]"),
         ("align = 3\n[[ruler]]\nkind = 'distance'", "align is a section of settings"),
         ("[sfmm]", "unknown section 'sfmm'"),
+        ("can_simulate = 1", r"'can_simulate': .*boolean\n  where: .*place\.toml"),
+        ("[split]\nallow_leak = 'yes'", r"'split\.allow_leak': .*boolean\n  where: .*place\.toml"),
         ("[split]\ntest = []", "test lists no session"),
         ("[split]\ntest = ['a', 'b']\ntrain = ['c', 'a']", "'a' is listed for training and testing"),
     ],
