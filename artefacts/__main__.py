@@ -1,6 +1,5 @@
 """`python -m groundwalk.artefacts`: look at, link and remove what the stages made."""
 
-import subprocess
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +12,7 @@ from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import RECORDING
 from groundwalk.artefacts.hints import run_command
 from groundwalk.artefacts.settings import STAGES, DataRoot
-from groundwalk.artefacts.web_viewer import rerun_command, rerun_environment, view_in_browser
+from groundwalk.artefacts.web_viewer import view_in_browser, view_in_window
 
 app = new_app("Look at, link and remove what the stages made.")
 
@@ -28,13 +27,11 @@ def view(
     """Open the recordings of all finished stages in the Rerun viewer; each has its own blueprint."""
     root = DataRoot(data)
     recordings = [root.run(profile, scene, stage) / RECORDING for stage in STAGES]
-    files = [str(path) for path in recordings if path.is_file()]
+    files = [path for path in recordings if path.is_file()]
     if not files:
         do = run_command(root.run(profile, scene, STAGES[-1]))
         raise UserError("there is no recording to view", where=root.run(profile, scene), do=do)
-    sys.exit(
-        view_in_browser(files) if web else subprocess.run(rerun_command(files), env=rerun_environment()).returncode
-    )
+    sys.exit(view_in_browser(files) if web else view_in_window(files))
 
 
 @app.command()
