@@ -137,7 +137,7 @@ def features(part: Part, settings: SfmSettings) -> Iterator[Mapping[str, object]
             database, extracting = part.features(changed)
             pairs = pairs_to_match(part, changed, database)
             start = time.process_time()
-            match_pairs(quiet, database, part.names, pairs, changed, 0)
+            match_pairs(quiet, database, pairs, changed, 0)
             matching = time.process_time() - start
             mapped(part, database, changed, part.folder / "mapping")
             model = load_models(

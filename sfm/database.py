@@ -11,7 +11,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 Ints = NDArray[np.int64]
-Descriptors = NDArray[np.uint8] | NDArray[np.float32]
+Descriptors = NDArray[np.uint8]
 
 
 def image_name(frame_id: str, image: str) -> str:
@@ -71,16 +71,9 @@ def create_database(path: Path, frames: pd.DataFrame, names: Sequence[str]) -> N
 
 
 def read_descriptors(path: Path, count: int) -> list[Descriptors]:
-    """The descriptors (M, D) of each of the `count` frames: SIFT's bytes, or a network's floats."""
-
-    def numbers(descriptors: pycolmap.FeatureDescriptors) -> Descriptors:
-        # COLMAP stores the bytes of a network's floats.
-        is_float = descriptors.type not in (pycolmap.FeatureExtractorType.SIFT, pycolmap.FeatureExtractorType.UNDEFINED)
-        data: Descriptors = descriptors.to_float().data if is_float else descriptors.data
-        return data
-
+    """SIFT's descriptors (M, 128) of each of the `count` frames."""
     with pycolmap.Database.open(path) as database:
-        return [numbers(database.read_descriptors(image_id(row))) for row in range(count)]
+        return [database.read_descriptors(image_id(row)).data for row in range(count)]
 
 
 def read_keypoints(path: Path, count: int) -> list[NDArray[np.float64]]:

@@ -26,8 +26,6 @@ from groundwalk.sfm.database import create_database, image_name, keypoint_counts
 from groundwalk.sfm.pairs.candidates import unique_pairs
 from groundwalk.sfm.pairs.features import extract_features, features_name
 from groundwalk.sfm.pairs.floor import FloorSource
-from groundwalk.sfm.pairs.matching import try_networks
-from groundwalk.sfm.pairs.networks import model_files, require_model_files
 from groundwalk.sfm.pairs.odometry import Odometry, odometry
 from groundwalk.sfm.pairs.selection import pairs_of_untimed, pairs_within_sessions
 from groundwalk.sfm.settings import SfmSettings
@@ -77,9 +75,6 @@ def prepare_scene(r: StageRun[SfmSettings]) -> SceneInput:
         )
     log = r.scratch / "colmap.log"
     preload(*_OF_TASKS)
-    if model_files(r.settings):
-        require_model_files(r.settings)
-        in_child("trying the networks", log, MEMORY_HINT, Task(try_networks, (r.settings,)))
     devices = dict(zip(sessions.index, sessions["device"], strict=True))
     jumps = r.read("import", "jumps")
     cameras = camera_log(frames, devices, r.read("import", "vio"), jumps, r.settings)

@@ -9,11 +9,9 @@ from groundwalk.geometry.shutter import MAX_READOUT_S
 from groundwalk.sfm.extensions import MAPPERS, RETRIEVALS
 
 MapperName = Annotated[str, AfterValidator(MAPPERS.known)]
-FeatureName = Literal["sift", "aliked"]
 RefineCameras = Literal["auto", "never"]
 LensSource = Literal["auto", "stated"]
 RetrievalName = Annotated[str, AfterValidator(RETRIEVALS.known)]
-SiftMatcherName = Literal["nearest", "lightglue"]
 
 
 class SfmSettings(VioDriftSettings):
@@ -34,15 +32,6 @@ class SfmSettings(VioDriftSettings):
     max_features: int = Field(2048, gt=0, description="features per image")
     min_contrast: float = Field(
         0.02, gt=0, lt=1, description="SIFT: contrast that a feature needs (OpenCV's contrastThreshold)"
-    )
-    features: FeatureName = Field("sift", description="sift, or aliked: a network's, matched by LightGlue")
-    sift_matcher: SiftMatcherName = Field("nearest", description="SIFT: nearest descriptors, or lightglue: a network")
-    aliked_model: str = Field("data/weights/aliked-n16rot.onnx", description="COLMAP's ONNX file of ALIKED")
-    aliked_lightglue_model: str = Field(
-        "data/weights/aliked-lightglue.onnx", description="COLMAP's ONNX file of LightGlue for ALIKED"
-    )
-    sift_lightglue_model: str = Field(
-        "data/weights/sift-lightglue.onnx", description="COLMAP's ONNX file of LightGlue for SIFT"
     )
     sequence_pairs: int = Field(5, ge=1, description="next frames of its recording that a frame is matched to")
     vio_pairs: int = Field(

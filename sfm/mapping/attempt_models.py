@@ -23,7 +23,6 @@ from groundwalk.sfm.model import Model, load_models
 from groundwalk.sfm.pairs.candidates import broken_links, first_origins
 from groundwalk.sfm.pairs.floor import tie_by_floor
 from groundwalk.sfm.pairs.matching import LINK_INLIERS, MatchedPairs, guide_pairs, match_pairs
-from groundwalk.sfm.pairs.networks import model_files
 from groundwalk.sfm.pairs.odometry import PairLimits, nothing_compared
 from groundwalk.sfm.pairs.selection import Proposals, pairs_by_images, pairs_of_chains, pairs_within_sessions
 from groundwalk.sfm.pairs.two_views import compare_pairs
@@ -149,7 +148,7 @@ def _match(seed: int, settings: SfmSettings, scene: SceneInput, database: Path, 
     def match(text: str) -> MatchedPairs:
         pairs, origin = first_origins(proposals, len(scene.names))
         if not has_results(database, pairs).all():
-            arguments = (database, scene.names, pairs, settings, seed)
+            arguments = (database, pairs, settings, seed)
             scene.in_child(text, Task(match_pairs, arguments, len(pairs)))
         matches, inliers = read_pair_results(database, pairs)
         return MatchedPairs(pairs, origin, matches, inliers, settings.min_inliers, nothing_compared(len(pairs)))
@@ -194,7 +193,7 @@ def _tied_by_floor(
 def _guided(settings: SfmSettings, scene: SceneInput, database: Path, matched: MatchedPairs) -> MatchedPairs:
     """Weak pairs matched a second time."""
     weak = matched.pairs[matched.weak]
-    if not len(weak) or model_files(settings):
+    if not len(weak):
         return matched
     scene.in_child("matching weak pairs", Task(guide_pairs, (database, weak), len(weak)))
     return replace(matched, inliers=read_pair_results(database, matched.pairs)[1])

@@ -1,6 +1,5 @@
 """Matching of proposed pairs, and their geometric verification."""
 
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -19,14 +18,11 @@ from groundwalk.geometry.epipolar import epipolar_px
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import Ints, has_results, image_id
 from groundwalk.sfm.pairs.candidates import Pairs
-from groundwalk.sfm.pairs.features import extraction_options
 from groundwalk.sfm.pairs.nearest import guided_matches, mutual_matches
-from groundwalk.sfm.pairs.networks import cannot_run, model_files, options_of_network
 from groundwalk.sfm.pairs.odometry import VioComparison
 from groundwalk.sfm.settings import SfmSettings
 
 _CHUNK = 128  # a bound on the descriptors in memory, and what a killed run matches again
-_TRIAL_IMAGE_PX = 64
 # COLMAP's minimum of 100 trials is for matches of which half are wrong; it adds trials where a pair needs them.
 _MIN_RANSAC_TRIALS = 30
 _GUIDE = 0.002  # of an image's longer side: how far from its epipolar line a guided match may be
@@ -103,22 +99,6 @@ class MatchedPairs:
         return np.where(self.verified, PairStatus.VERIFIED, refused).astype(object)
 
 
-def matching_options(settings: SfmSettings) -> pycolmap.FeatureMatchingOptions:
-    """COLMAP's options to match by a network; UserError where this COLMAP has been built without.
-
-    ALIKED's features are always matched by LightGlue (Lindenberger et al., ICCV 2023), SIFT's where the settings ask.
-    """
-    options = pycolmap.FeatureMatchingOptions()
-    options.use_gpu = False
-    if settings.features == "aliked":
-        options.type = pycolmap.FeatureMatcherType.ALIKED_LIGHTGLUE
-        options_of_network(options, "aliked").lightglue.model_path = settings.aliked_lightglue_model
-    elif settings.sift_matcher == "lightglue":
-        options.type = pycolmap.FeatureMatcherType.SIFT_LIGHTGLUE
-        options_of_network(options.sift, "lightglue").model_path = settings.sift_lightglue_model
-    return options
-
-
 def verification_options(settings: SfmSettings, seed: int) -> pycolmap.TwoViewGeometryOptions:
     """COLMAP's options to verify a pair by its essential matrix."""
     options = pycolmap.TwoViewGeometryOptions()
@@ -128,26 +108,8 @@ def verification_options(settings: SfmSettings, seed: int) -> pycolmap.TwoViewGe
     return options
 
 
-def try_networks(report: Report, settings: SfmSettings) -> None:
-    """Load the networks that the settings ask for, and run ALIKED on a tiny image; UserError where that fails.
-
-    Only a trial shows whether COLMAP can run them: its options pass its check without ONNX, too.
-    """
-    try:
-        if settings.features == "aliked":
-            extractor = pycolmap.FeatureExtractor.create(extraction_options(settings), pycolmap.Device.cpu)
-            extractor.extract_from_uint8_array(
-                np.random.default_rng(0).integers(0, 256, (_TRIAL_IMAGE_PX, _TRIAL_IMAGE_PX, 3), np.uint8)
-            )
-        pycolmap.FeatureMatcher.create(matching_options(settings), pycolmap.Device.cpu)
-    except (RuntimeError, ValueError) as error:
-        raise cannot_run(settings, error) from None
-
-
 @one_thread()
-def match_pairs(
-    report: Report, database: Path, names: Sequence[str], pairs: Pairs, settings: SfmSettings, seed: int
-) -> None:
+def match_pairs(report: Report, database: Path, pairs: Pairs, settings: SfmSettings, seed: int) -> None:
     """Match pairs of rows (P, 2) and verify each by its essential matrix; pairs that are done are left as they are.
 
     Each pair's result depends on the pair and the seed alone, so that a killed run resumes with the same results.
@@ -157,26 +119,8 @@ def match_pairs(
     todo = pairs[~done]
     for start in range(0, len(todo), _CHUNK):
         chunk = todo[start : start + _CHUNK]
-        if model_files(settings):
-            _match_by_network(database, names, chunk, settings, verification)
-        else:
-            _match_nearest(database, chunk, verification)
+        _match_nearest(database, chunk, verification)
         report(int(done.sum()) + start + len(chunk))
-
-
-def _match_by_network(
-    database: Path,
-    names: Sequence[str],
-    pairs: Pairs,
-    settings: SfmSettings,
-    verification: pycolmap.TwoViewGeometryOptions,
-) -> None:
-    listed = database.with_name("pairs.txt")
-    listed.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in pairs), encoding="utf-8")
-    pairing = pycolmap.ImportedPairingOptions()
-    pairing.block_size = _CHUNK
-    pairing.match_list_path = listed
-    pycolmap.match_image_pairs(database, matching_options(settings), pairing, verification, pycolmap.Device.cpu)
 
 
 @one_thread()

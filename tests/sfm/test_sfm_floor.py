@@ -172,7 +172,7 @@ def scene(folder: Path) -> tuple[FloorSource, Path, Array]:
                 sift = pycolmap.FeatureExtractorType.SIFT
                 opened.write_keypoints(image_id(row), found.px)
                 opened.write_descriptors(image_id(row), pycolmap.FeatureDescriptors(data=found.descriptors, type=sift))
-        match_pairs(quiet, path, names, PAIRS, SETTINGS, 0)
+        match_pairs(quiet, path, PAIRS, SETTINGS, 0)
     calibration = prior_lenses(frames, {"s": "phone"}, SfmSettings(lens="stated", readout_s=0.0))
     motion = Motion(np.zeros((2, 3)), np.zeros(2), np.zeros((2, 3)), np.ones(2, bool))
     turned = make_pose(Rotation.from_rotvec([0, np.radians(1.0), 0]).as_matrix(), [0.01, 0, 0])

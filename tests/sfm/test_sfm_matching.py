@@ -44,7 +44,7 @@ def test_verified_matches_are_those_of_colmap(room: Room, tmp_path: Path) -> Non
     names = with_features(room, ours)
     pairs = np.array(list(combinations(range(len(names)), 2)))
 
-    match_pairs(quiet, ours, names, pairs, SETTINGS, SEED)
+    match_pairs(quiet, ours, pairs, SETTINGS, SEED)
 
     shutil.copyfile(ours, theirs)
     with pycolmap.Database.open(theirs) as database:
@@ -65,13 +65,13 @@ def test_verified_matches_are_those_of_colmap(room: Room, tmp_path: Path) -> Non
 
 def test_each_pair_is_matched_alike_whatever_is_matched_beside_it(room: Room, tmp_path: Path) -> None:
     together, one_by_one = tmp_path / "together.db", tmp_path / "one_by_one.db"
-    names = with_features(room, together)
+    with_features(room, together)
     shutil.copyfile(together, one_by_one)
     pairs = np.array([(0, 1), (0, 7), (1, 2), (3, 12)])
 
-    match_pairs(quiet, together, names, pairs, SETTINGS, SEED)
+    match_pairs(quiet, together, pairs, SETTINGS, SEED)
     for pair in pairs[::-1]:
-        match_pairs(quiet, one_by_one, names, pair[None], SETTINGS, SEED)
+        match_pairs(quiet, one_by_one, pair[None], SETTINGS, SEED)
 
     with pycolmap.Database.open(together) as one, pycolmap.Database.open(one_by_one) as other:
         for a, b in pairs.tolist():
@@ -84,9 +84,9 @@ def test_each_pair_is_matched_alike_whatever_is_matched_beside_it(room: Room, tm
 def test_guided_matches_lie_along_epipolar_lines(room: Room, tmp_path: Path) -> None:
     """Essential matrices are the true ones here; of the room's pairs many are planar, and these stay as they are."""
     database = tmp_path / "database.db"
-    names = with_features(room, database)
+    with_features(room, database)
     pairs = np.array([(0, 1), (0, 3), (1, 4), (2, 9)])
-    match_pairs(quiet, database, names, pairs, SETTINGS, SEED)
+    match_pairs(quiet, database, pairs, SETTINGS, SEED)
     b_T_a = np.linalg.inv(room.true_T_cam[pairs[:, 1]]) @ room.true_T_cam[pairs[:, 0]]
     with pycolmap.Database.open(database) as opened:
         for (a, b), motion in zip(pairs[:3].tolist(), b_T_a, strict=False):
