@@ -34,6 +34,7 @@ from groundwalk.fusion.methods import METHODS, resolve_options
 from groundwalk.fusion.methods.drift_aware import DriftAware
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.estimator.rivals import LOST
+from groundwalk.fusion.methods.estimator.way import CERTAIN
 from groundwalk.fusion.methods.localiser import Status, Stepping
 from groundwalk.fusion.methods.offline import Offline
 from groundwalk.fusion.walk import Walk, known
@@ -140,7 +141,7 @@ class ToldOfLoss(DriftAware):
         jumped = super()._move(t_ns, vio_T_cam)
         if t_ns == self._loss_ns:
             self._segment += not self._way.loose.any()
-            self._way.loose = np.where(self._loses, LOST, self._way.loose)
+            self._way.loose, self._way.odds = np.where(self._loses, LOST, self._way.loose), CERTAIN
             self._quality.lost()
         return jumped
 

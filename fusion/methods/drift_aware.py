@@ -41,7 +41,7 @@ from groundwalk.fusion.methods.estimator.prediction_noise import (
 )
 from groundwalk.fusion.methods.estimator.rivals import SAME_START, SIGN, Rival, best_rival, lay, loose
 from groundwalk.fusion.methods.estimator.robust import middle
-from groundwalk.fusion.methods.estimator.way import Way
+from groundwalk.fusion.methods.estimator.way import CERTAIN, Way
 from groundwalk.fusion.methods.localiser import Estimate, Localiser, State, Status, array, plain
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 
@@ -156,7 +156,8 @@ class DriftAware(Localiser):
         angle = acos(min(1.0, max(-1.0, (trace - 1) / 2)))
         gone = seconds > o.vio_gap_s
         turned = degrees(angle) > o.vio_turn_deg_s * seconds + o.vio_turn_jump_deg
-        jumped = turned or length > o.vio_speed_m_s * seconds + o.vio_jump_m
+        too_long = length > o.vio_speed_m_s * seconds + o.vio_jump_m
+        jumped = turned or (too_long and self._way.is_unlike([dx, dy, dz], seconds, o.jump_m_s))
         if jumped and seconds <= o.jump_s:
             sd_deg = o.jump_deg_s * seconds if turned else 0.0
             moved = self._way.bridge(
@@ -213,7 +214,11 @@ class DriftAware(Localiser):
             step=self._way.step(vio_T_cam[:3, 3]),
             turn=self._way.turn,
             drift=self._drift + _LEAST_DRIFT,
-            loose=self._way.loose,
+            loose=self._way.added,
+            bridged=self._way.bridged(vio_T_cam[:3, 3]),
+            moved=self._way.moved(vio_T_cam[:3, 3]),
+            bridge=self._way.loose,
+            odds=self._way.odds,
             state=state,
             posterior=self._keyframes.rows[-1]["posterior"] if len(self._keyframes) else 0.0,
             age=0.0,
@@ -381,6 +386,7 @@ class DriftAware(Localiser):
             self._segment += 1
             keyframes.column("segment")[rival.begin :] = self._segment
             keyframes.column("loose")[rival.begin] = loose(rival.kept)
+            keyframes.column("odds")[rival.begin] = CERTAIN
             return
         self._unproven = 0
         # An earlier alignment holds again: what lies between was another frame of odometry's, or wrong predictions.
@@ -390,7 +396,7 @@ class DriftAware(Localiser):
         before = int(same[same < rival.begin][-1])
         step = keyframes.column("vio")[rival.begin] - keyframes.column("vio")[before]
         keyframes.keep(np.concatenate([np.arange(before + 1), np.arange(rival.begin, len(keyframes))]))
-        for name, value in (("step", step), ("turn", 0.0), ("loose", 0.0)):
+        for name, value in (("step", step), ("turn", 0.0), ("loose", 0.0), ("odds", CERTAIN)):
             keyframes.column(name)[before + 1] = value
         self._segment = int(keyframes.column("segment")[-1])
 
@@ -417,7 +423,7 @@ class DriftAware(Localiser):
         """The newest frame's pose; `map_T_cam_apr` is its prediction, where that brought a covariance."""
         assert self._bound is not None
         status = Status.LOST if self._doubted or self._watched or self._unproven > 0 else Status.FUSED
-        added = self._distrust * self._drift + self._way.loose
+        added = self._distrust * self._drift + self._way.added
         by_odometry = _Extrapolation(self._carried(vio_T_cam[:3, 3]), -1, self._bound, added)
         return self._posed(vio_T_cam, by_odometry, status, reasons, signals, map_T_cam_apr)
 

@@ -7,7 +7,7 @@ from groundwalk.fusion.methods.odometry import OdometryOptions
 
 class DriftAwareOptions(OdometryOptions):
     vio_speed_m_s: float = Field(1.5, gt=0, description="fastest motion that odometry is believed without question")
-    vio_jump_m: float = Field(0.5, gt=0, description="motion beyond that speed that counts as an odometry jump")
+    vio_jump_m: float = Field(0.5, gt=0, description="motion beyond that speed that may be an odometry jump")
     vio_turn_deg_s: float = Field(360.0, gt=0, description="fastest turn that odometry is believed without question")
     vio_turn_jump_deg: float = Field(15.0, gt=0, description="turn beyond that speed that counts as an odometry jump")
     jump_s: float = Field(2.0, ge=0, description="longest jump over which the phone is taken to have gone on")

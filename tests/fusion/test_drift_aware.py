@@ -156,6 +156,21 @@ def test_a_jump_too_short_to_see_is_answered_by_following_the_predictions() -> N
     assert np.mean(after[True]) < 0.9 * np.mean(after[False])
 
 
+@pytest.mark.parametrize("speed_m_s", [2.1, 2.4, 2.7])
+def test_who_walks_fast_has_no_jumps(speed_m_s: float) -> None:
+    """Steps of 2 to 3 m at a frame a second are followed as well as the same steps where a frame takes two seconds."""
+    found = []
+    for seed in range(4):
+        t_ns, truth, vio, apr = upright_walk(seed, 120, noise_m=0.5, outliers=0.05)
+        faster = np.diag([speed_m_s, speed_m_s, speed_m_s])
+        apr[:, :3, 3] += (truth[:, :3, 3] @ faster) - truth[:, :3, 3]
+        truth[:, :3, 3], vio[:, :3, 3] = truth[:, :3, 3] @ faster, vio[:, :3, 3] @ faster
+        fused = [poses(answers(DriftAware(), rate * t_ns, vio, apr)) for rate in (1, 2)]
+        found.append([position_error(part, truth).mean() for part in fused])
+    at_1_hz, at_half_a_hz = np.mean(found, axis=0)
+    assert at_1_hz < 1.15 * at_half_a_hz
+
+
 def test_after_a_restart_that_begins_with_wrong_predictions_it_is_soon_right_and_says_so() -> None:
     for seed in range(4):
         t_ns, truth, vio, apr = upright_walk(seed, 120, noise_m=0.2, outliers=0.05)

@@ -5,7 +5,7 @@ the covariance of their errors (prediction_noise.py) fitted along: a prediction 
 in hindsight. Each new prediction starts from the last solution, so that few iterations do.
 """
 
-from math import inf, isnan, nan, sqrt
+from math import cos, exp, inf, isnan, log, nan, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from groundwalk.fusion.methods.estimator.keyframes import Row, Rows
 from groundwalk.fusion.methods.estimator.likeness import Sharing, independent, likeness, position_variances
 from groundwalk.fusion.methods.estimator.matrices import add_product, clear, invert, write_columns
 from groundwalk.fusion.methods.estimator.prediction_noise import Prior, scatter
+from groundwalk.fusion.methods.estimator.way import CERTAIN
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array
 
@@ -26,6 +27,8 @@ ROTATION, POSITION = 0, 1  # of `Fit.weights`
 _TILT = (0, 2)  # of the six numbers of an error: those that odometry's gravity error changes
 _GRAVITY = 0.1  # what a prediction counts for the tilt: predictions of a whole walk may lean alike
 _REFRESHED = 5  # keyframes whose posterior is worked out anew in an iteration
+_DECIDED = 10  # newest keyframes of which it is asked whether odometry jumped before
+_UNBOUND = 1e4  # variance (m^2) of a step of which nothing is known
 _UNKNOWN = 10.0  # of a state's variance over an error's: how soon a position's kernel has heavier tails
 _EXCESS = 0.3  # of a squared error that is too much for what is known, taken for the prediction's
 
@@ -183,7 +186,11 @@ def _iterate(keyframes: Rows, model: Model, belief: Belief, newest: Array) -> Fi
         _write_weighed(precision, weights[i], fraction[i], weighed[i])
     information, gradient = _normal_equations(normalised, unknown, weighed)
     tilt, tilt_variance = _tilt(keyframes, normalised, weighed, belief.tilt, model.tilt_sd)
-    solution = solve(_chain(keyframes, belief.distrust), keyframes["state"], information, gradient)
+    chain = _chain(keyframes, belief.distrust)
+    for i in range(max(1, count - _DECIDED), count):
+        if abs(keyframes[i].odds) < CERTAIN:
+            _weigh_jump(keyframes, chain, i, information, gradient)
+    solution = solve(chain, keyframes["state"], information, gradient)
     if solution.fault < 0:
         apply(keyframes["state"], solution.increments)
         _refresh(keyframes, solution.covariance)
@@ -204,6 +211,41 @@ def _chain(keyframes: Rows, distrust: Array) -> Chain:
             for j in range(4):
                 chain.precision[i, j] = 1 / (distrust[j] * here.drift[j] + here.loose[j])
     return chain
+
+
+@compiled
+def _weigh_jump(keyframes: Rows, chain: Chain, at: int, information: Array, gradient: Array) -> None:
+    """Judge by the predictions before and after whether odometry has jumped on the way to a keyframe, and write to it
+    and to the chain what step is to be expected."""
+    here, usual = keyframes[at], np.empty(3)
+    for j in range(3):
+        usual[j] = 1 / chain.precision[at, j] - here.loose[j]
+        chain.precision[at, j] = 1 / _UNBOUND
+    solution = solve(chain, keyframes["state"], information, gradient)
+    before, now = keyframes[at - 1].state.copy(), here.state.copy()
+    both = np.empty((2, 4))
+    for j in range(4):
+        both[0, j], both[1, j] = before[j], now[j]
+    apply(both, solution.increments[at - 1 : at + 1])
+    c, s = cos(both[0, 3]), sin(both[0, 3])
+    x, z = both[1, 0] - both[0, 0], both[1, 2] - both[0, 2]
+    step = (c * x - s * z, both[1, 1] - both[0, 1], s * x + c * z)
+    odds, apart = here.odds, 0.0
+    for j in range(3):
+        k = 2 - j if j != 1 else 1
+        known = (solution.covariance[at - 1, j, j] + solution.covariance[at - 1, k, k]) / 2
+        known += (solution.covariance[at, j, j] + solution.covariance[at, k, k]) / 2 + usual[j]
+        moved, bridged = known, known + here.bridge[j]
+        odds += ((step[j] - here.moved[j]) ** 2 / moved + log(moved)) / 2
+        odds -= ((step[j] - here.bridged[j]) ** 2 / bridged + log(bridged)) / 2
+        apart += (here.bridged[j] - here.moved[j]) ** 2 / 3
+    jump = 1 / (1 + exp(-odds))
+    for j in range(4):
+        here.loose[j] = jump * here.bridge[j]
+        if j < 3:
+            here.step[j] = chain.step[at, j] = jump * here.bridged[j] + (1 - jump) * here.moved[j]
+            here.loose[j] += jump * (1 - jump) * apart
+            chain.precision[at, j] = 1 / (usual[j] + here.loose[j])
 
 
 @compiled

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.fusion.methods.estimator.compiled import compiled
+from groundwalk.fusion.methods.estimator.way import CERTAIN
 from groundwalk.geometry.poses import Array
 
 KEYFRAME = np.dtype(
@@ -24,6 +25,10 @@ KEYFRAME = np.dtype(
         ("turn", float),  # what odometry's axes have turned by since: its frame was lost, and bridged (rad)
         ("drift", float, 4),  # variances that odometry's drift adds on the way from the keyframe before: x, y, z, yaw
         ("loose", float, 4),  # what a loss of its frame adds to them
+        ("bridged", float, 3),  # the step where odometry has jumped, in the same axes
+        ("moved", float, 3),  # the step where it hasn't
+        ("bridge", float, 4),  # what bridging adds to the variances where it has jumped
+        ("odds", float),  # logarithm of the odds beforehand that it has (way.py)
         ("state", float, 4),  # the camera's map position and the yaw of map_R_vio, as estimated
         ("posterior", float, (4, 4)),  # covariance of the state, turned back by the yaw, as it was `age` iterations ago
         ("age", float),
@@ -129,6 +134,7 @@ def _close(keyframes: Rows, index: int) -> None:
         after.step[1] += gone.step[1]
         after.step[2] = gone.step[2] + (c * z - s * x)
         after.turn += gone.turn
+        after.odds = CERTAIN
         for j in range(4):
             after.drift[j] += gone.drift[j]
             after.loose[j] += gone.loose[j]
