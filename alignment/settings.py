@@ -1,6 +1,6 @@
 """Settings of the align stage."""
 
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -22,13 +22,6 @@ class QualitySettings(Settings):
     )
     min_observations: int = Field(ge=0, description="fewest points of the SfM model seen in the frame")
     max_reprojection_deg: float = Field(gt=0, description="largest mean reprojection error, as an angle in degrees")
-
-    renamed: ClassVar[dict[str, str]] = {
-        "position_sd_m": "max_position_sd_m",
-        "rotation_sd_deg": "max_rotation_sd_deg",
-        "observations": "min_observations",
-        "reprojection_deg": "max_reprojection_deg",
-    }
 
 
 class AlignSettings(VioDriftSettings):
@@ -178,33 +171,6 @@ class AlignSettings(VioDriftSettings):
         QualitySettings(max_position_sd_m=0.05, max_rotation_sd_deg=0.3, min_observations=50, max_reprojection_deg=0.3),
         description="limits of quality class B; frames beyond are C",
     )
-
-    renamed: ClassVar[dict[str, str]] = {
-        **VioDriftSettings.renamed,
-        "vio_drift_deg_per_root_m": "vio_drift_deg_per_sqrt_m",
-        "least_registered": "min_registered_fraction",
-        "least_agreeing": "min_consistent_fraction",
-        "motion_agreeing": "min_motion_agreement",
-        "session_scale_limit": "max_session_scale_error",
-        "session_tilt_limit_deg": "max_session_tilt_deg",
-        "focal_limit": "max_focal_error",
-        "turn_gain_limit": "max_turn_gain_error",
-        "folded_limit": "max_aliased_fraction",
-        "unsure_step_m": "uncertain_step_m",
-        "unsure_share": "max_uncertain_deviation",
-        "bridge_m": "vio_link_m",
-        "bridge_m_per_sqrt_m": "vio_link_m_per_sqrt_m",
-        "bridge_deg_per_sqrt_m": "vio_link_deg_per_sqrt_m",
-        "reference_limit_m": "max_reference_error_m",
-        "reference_limit_share": "max_reference_error_fraction",
-        "reference_limit_deg": "max_reference_error_deg",
-        "depth_scale_limit": "max_depth_scale_error",
-        "depth_spread_limit": "max_depth_spread",
-        "common_px": "common_keypoint_sd_px",
-        "ruler_size_limit": "max_ruler_size_error",
-        "position_sd_m": "fit_position_sd_m",
-        "rotation_sd_deg": "fit_rotation_sd_deg",
-    }
 
     @property
     def fit_sd(self) -> PoseSd:

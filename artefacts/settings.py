@@ -5,7 +5,7 @@ import re
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -24,9 +24,6 @@ class Settings(BaseModel):
     """Base of every stage's settings: frozen; an unknown key is an error, and so is a number that isn't finite."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    renamed: ClassVar[dict[str, str]] = {}
-    """Retired names of settings, and what each is called now."""
 
 
 class SplitRules(Settings):
@@ -186,13 +183,10 @@ def validated(model: type[T], content: dict[str, Any], where: object) -> T:
 def _validated(model: type[T], content: dict[str, Any], where: Callable[[Sequence[Any]], str]) -> T:
     """`validated`, with where the user finds a key (its path)."""
     try:
-        for old in model.renamed.keys() & content.keys():
-            new = model.renamed[old]
-            raise UserError(f"setting {old!r} was renamed to {new!r}", do=f"write {new} instead")
         # As JSON, whose strict mode takes a list for a tuple and text for an enumeration, as TOML has them, but neither
         # text nor true for a number.
         return model.model_validate_json(json.dumps(content, default=_refuse_time), strict=True)
-    except UserError as error:  # a retired name, or a value that names no entry of a registry
+    except UserError as error:  # a value that names no entry of a registry
         error.details["where"] = ", ".join(filter(None, [str(error.details["where"] or ""), where(())])) or None
         raise
     except ValidationError as error:

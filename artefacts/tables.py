@@ -72,12 +72,11 @@ def read_table(path: Path, schema: TableSchema, *, older_is_complete: bool = Fal
     if written != name:
         raise UserError("a file holds another table", where=path, expected=name, found=written)
     if version.split(".")[0] != schema.version.split(".")[0]:
-        renamed = [f"{old} is now {new}" for old, new in schema.renamed.items() if old in table.column_names]
         raise UserError(
             f"table {name} has another version of its schema",
             where=path,
             expected=f"{schema.version.split('.')[0]}.x",
-            found=f"{version} ({', '.join(renamed)})" if renamed else version,
+            found=version,
             do=f"run the {schema.stage} stage again",
         )
     missing = [c.name for c in schema.columns if not c.nullable and c.name not in table.column_names]

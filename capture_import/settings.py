@@ -1,6 +1,6 @@
 """Settings of the import stage."""
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -66,13 +66,6 @@ class ImportSettings(Settings):
         False, description="the unit of reference poses whose file states none (COLMAP, nerfstudio) is the metre"
     )
     max_megapixels: float = Field(100.0, gt=0, description="largest image that is read, megapixels")
-
-    renamed: ClassVar[dict[str, str]] = {
-        "support_share": "max_support_fraction",
-        "blurred_below": "min_relative_sharpness",
-        "split_jump_m": "max_jump_m",
-        "split_jump_deg": "max_jump_deg",
-    }
 
     @property
     def limits(self) -> Limits:

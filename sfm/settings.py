@@ -1,6 +1,6 @@
 """The stage's settings."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -16,17 +16,6 @@ RetrievalName = Annotated[str, AfterValidator(RETRIEVALS.known)]
 
 class SfmSettings(VioDriftSettings):
     """[sfm]"""
-
-    renamed: ClassVar[dict[str, str]] = {
-        "vio_drift_deg_per_root_m": "vio_drift_deg_per_sqrt_m",
-        "component_frames": "min_component_frames",
-        "held_out": "held_out_fraction",
-        "retries": "retry",
-        "focal_limit": "max_focal_error",
-        "min_registered": "min_registered_fraction",
-        "wanted_registered": "target_registered_fraction",
-        "min_agreeing": "min_consistent_fraction",
-    }
 
     max_image_size: int = Field(1120, ge=64, description="longest side of images for features, px; larger ones shrink")
     max_features: int = Field(2048, gt=0, description="features per image")

@@ -1,6 +1,6 @@
 """Settings of the simulator, section [simulate]."""
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 from pydantic_core import PydanticCustomError
@@ -25,8 +25,6 @@ def _between(low: float, high: float) -> BeforeValidator:
 
 class SimulateSettings(Settings):
     """How much is simulated and how finely."""
-
-    renamed: ClassVar[dict[str, str]] = {"frame_share": "frame_fraction", "appearance": "appearances"}
 
     width: int = Field(640, ge=64, description="image width, pixels")
     height: int = Field(480, ge=48, description="image height, pixels")

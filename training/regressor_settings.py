@@ -1,6 +1,6 @@
 """Settings of the regressors: what the paper's models train with, unless a profile says otherwise."""
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -9,8 +9,6 @@ from groundwalk.artefacts import Settings
 
 class RegressorSettings(Settings):
     """How one regressor is trained: what the training loop needs to know of any."""
-
-    renamed: ClassVar[dict[str, str]] = {"mixed_precision": "precision"}
 
     epochs: int = Field(300, gt=0, description="passes over the training frames")
     batch: int = Field(64, gt=1, description="images a step")

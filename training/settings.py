@@ -1,6 +1,6 @@
 """Settings of the training stage."""
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 from pydantic import Field, SerializeAsAny, ValidationInfo, field_validator, model_validator
 
@@ -11,8 +11,6 @@ from groundwalk.training.regressors import REGRESSORS
 
 class TrainSettings(Settings):
     """Settings of the training stage."""
-
-    renamed: ClassVar[dict[str, str]] = {"pn": "regressors.PN", "mst": "regressors.MS-T"}
 
     models: tuple[str, ...] = Field(
         default_factory=lambda: tuple(i for i in REGRESSORS.builtin if REGRESSORS[i].in_paper),

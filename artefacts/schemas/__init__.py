@@ -3,7 +3,7 @@
 One module a stage; each has ``TABLES``, a list of `TableSchema`. `schema(stage, table)` finds one.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib import import_module
@@ -66,15 +66,13 @@ def pose_columns(prefix: str, meaning: str, nullable: bool = False) -> list[Colu
 
 @dataclass(frozen=True)
 class TableSchema:
-    """A table: its stage, name, version ("major.minor"; a reader refuses another major), meaning and columns; `renamed`
-    says what columns of the major version before are called now."""
+    """A table: its stage, name, version ("major.minor"; a reader refuses another major), meaning and columns."""
 
     stage: str
     name: str
     meaning: str
     columns: list[Column] = field(repr=False)
     version: str = "1.0"
-    renamed: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     @property
     def column_names(self) -> list[str]:

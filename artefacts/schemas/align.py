@@ -146,7 +146,6 @@ TABLES = [
             ),
         ],
         version="3.0",
-        renamed={"bridge_m": "vio_link_m", "used": "with_ground_truth"},
     ),
     TableSchema(
         "align",
@@ -264,7 +263,6 @@ TABLES = [
             Column("scale_sd", "float64", "standard error of scale, for independent frames", "", "", True),
         ],
         version="2.0",
-        renamed={"compared": "compared_frames"},
     ),
     TableSchema(
         "align",

@@ -128,7 +128,6 @@ TABLES = [
             Column("map_unit", "string", "what position errors are in", choices=MapUnit),
         ],
         version="2.1",
-        renamed={"share_pct": "frames_pct"},
     ),
     TableSchema(
         "fuse",
@@ -207,7 +206,6 @@ TABLES = [
             *_SUMMARY_FIGURES,
         ],
         version="2.0",
-        renamed={"share_pct": "frames_pct"},
     ),
     TableSchema(
         "fuse",

@@ -130,7 +130,6 @@ TABLES = [
             ),
         ],
         version="3.1",
-        renamed={"poses_are": "pose_source"},
     ),
     TableSchema(
         "import",

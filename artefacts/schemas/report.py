@@ -53,6 +53,5 @@ TABLES = [
             Column("because", "string", "the rule in words"),
         ],
         version="2.0",
-        renamed={"found": "printed", "verdict": "status"},
     ),
 ]

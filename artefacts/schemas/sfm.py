@@ -19,7 +19,6 @@ _HELD_OUT = [
     ),
     Column("fitted_px", "float64", "median Sampson distance of the matches that were adjusted to", "px", "", True),
 ]
-_HELD_OUT_RENAMED = {"heldout_matches": "held_out_matches", "heldout_px": "held_out_px"}
 
 TABLES = [
     TableSchema(
@@ -77,7 +76,6 @@ TABLES = [
             ),
         ],
         version="3.3",
-        renamed=_HELD_OUT_RENAMED,
     ),
     TableSchema(
         "sfm",
@@ -132,7 +130,6 @@ TABLES = [
             ),
         ],
         version="3.1",
-        renamed={"held_out_stated_px": "held_out_prior_px", "heldout_px": "held_out_px"},
     ),
     TableSchema(
         "sfm",
@@ -197,7 +194,6 @@ TABLES = [
             *_HELD_OUT,
         ],
         version="3.0",
-        renamed={**_HELD_OUT_RENAMED, "chosen": "selected"},
     ),
     TableSchema(
         "sfm",
@@ -223,7 +219,6 @@ TABLES = [
             Column("selected", "bool", "the stage's models are those of this attempt"),
         ],
         version="2.0",
-        renamed={"moving_as_vio": "consistent_fraction", "taken": "selected"},
     ),
     TableSchema(
         "sfm",
@@ -248,7 +243,6 @@ TABLES = [
             ),
         ],
         version="2.0",
-        renamed={"verdict": "status"},
     ),
     TableSchema(
         "sfm",

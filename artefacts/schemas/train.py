@@ -60,7 +60,6 @@ TABLES = [
             Column("selected", "bool", "the epoch whose weights the model has: smallest held-out score"),
         ],
         version="2.0",
-        renamed={"kept": "selected"},
     ),
     TableSchema(
         "train",

@@ -100,12 +100,3 @@ def test_a_text_that_is_none_of_a_column_s_choices_is_refused(tmp_path: Path) ->
     write_table(tmp_path / "t.parquet", pd.DataFrame({"split": ["train", None]}), table)
     with pytest.raises(ValueError, match=r"sfm\.t\.split: Train; it can be train, val, test"):
         write_table(tmp_path / "t.parquet", pd.DataFrame({"split": ["train", "Train"]}), table)
-
-
-def test_an_older_table_s_error_names_renamed_columns(tmp_path: Path) -> None:
-    older = TableSchema("sfm", "t", "", [Column("verdict", "string", "")])
-    write_table(tmp_path / "t.parquet", pd.DataFrame({"verdict": ["a"]}), older)
-    newer = TableSchema("sfm", "t", "", [Column("status", "string", "")], "2.0", {"verdict": "status"})
-    with pytest.raises(UserError, match="another version") as error:
-        read_table(tmp_path / "t.parquet", newer)
-    assert error.value.details["found"] == "1.0 (verdict is now status)"

@@ -171,7 +171,6 @@ def test_an_unknown_appearance_is_said(marker: str, tmp_path: Path) -> None:
         ("appearances=['noon']", "noon"),
         ("appearances=['evening', 'evening']", "once"),
         ("appearances=[]", "appearances"),
-        ("appearance='evening'", "renamed to 'appearances'"),
     ],
 )
 def test_appearances_that_cannot_be_simulated_are_refused(setting: str, said: str, tmp_path: Path) -> None:

@@ -120,16 +120,6 @@ def test_names_must_differ(make_scene: MakeScene) -> None:
         run(data, 'models=["PN"]')
 
 
-def test_retired_names_say_what_they_are_called_now(make_scene: MakeScene) -> None:
-    data = make_scene()
-    with pytest.raises(UserError, match=r"'pn' was renamed to 'regressors\.PN'"):
-        run(data, "pn.epochs=1")
-    (data / "scenes").mkdir()
-    (data / "scenes" / "Wall.toml").write_text("[train.mst]\nepochs = 1\n")
-    with pytest.raises(UserError, match=r"'mst' was renamed to 'regressors\.MS-T'"):
-        run(data)
-
-
 def test_a_section_with_a_wrong_key_names_itself(make_scene: MakeScene) -> None:
     data = make_scene()
     message = r"setting 'epoch'[\s\S]*\[train\.regressors\.PN\][\s\S]*one of epochs, batch"

@@ -11,7 +11,7 @@ import torch
 from test_train_loop import CPU, SmallRegressor, random_frames
 from torch import Tensor
 
-from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts import DataRoot, execute
 from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.training import precision, stage
 from groundwalk.training.data import View
@@ -96,9 +96,3 @@ def test_a_setting_decides_instead(make_scene: Callable[..., Path], monkeypatch:
     monkeypatch.setattr(stage, "step_seconds", lambda *_: {"fp32": 3.0, "bf16": 1.0})
     folder = execute(stage.STAGE, "Wall", "tiny", data, [*SETTINGS, "regressors.PN.precision=fp32"])
     assert load_manifest(folder)["figures"]["PN precision"] == "fp32"
-
-
-def test_the_setting_s_former_name_is_refused(make_scene: Callable[..., Path]) -> None:
-    data = DataRoot(make_scene())
-    with pytest.raises(UserError, match=r"renamed to 'precision'"):
-        execute(stage.STAGE, "Wall", "tiny", data, [*SETTINGS, "regressors.PN.mixed_precision=auto"])
