@@ -8,7 +8,6 @@ profile ?= demo
 captures ?=
 web ?=
 seconds ?= 60
-nerfstudio ?=
 official ?=
 predictions ?=
 tables ?=
@@ -25,14 +24,13 @@ override profile := $(value profile)
 override captures := $(value captures)
 override web := $(value web)
 override seconds := $(value seconds)
-override nerfstudio := $(value nerfstudio)
 override official := $(value official)
 override predictions := $(value predictions)
 override tables := $(value tables)
 override roots := $(value roots)
 override stability := $(value stability)
 override device := $(value device)
-export scene profile captures seconds nerfstudio official predictions tables roots device
+export scene profile captures seconds official predictions tables roots device
 
 py := .venv/bin/python
 installed := .venv/.installed
@@ -156,9 +154,7 @@ bench-fusion-bound: $(installed) ## What limits drift_aware; predictions=<folder
 bench-trained: $(installed) ## Train the regressors of bench-fusion's trained walks (build/trained); an hour and a half
 	@$(py) -m benchmarks.fusion_trained
 
-bench-groundtruth: $(installed) ## Ground truth: accuracy, honesty, speed beside COLMAP's stock way, growth, real captures; hours
-	@$(py) -m benchmarks.groundtruth
-	@$(py) -m benchmarks.groundtruth_settings --data build/groundtruth/church
+bench-gates: $(installed) ## Broken and clean simulated captures, and what the checks say of them (docs/results); hours
 	@$(py) -m benchmarks.gates
 
 bench-real: $(installed) ## Real captures beside stock COLMAP (docs/results); captures=<folder>: yours, too; stability=1: resampled
@@ -167,11 +163,10 @@ bench-real: $(installed) ## Real captures beside stock COLMAP (docs/results); ca
 bench-cameras: $(installed) ## Simulated phones whose lens, shutter and focus are unknown (docs/results); hours
 	@$(py) -m benchmarks.phone_cameras
 
-bench-import: $(installed) ## Import: speed, memory, figures of each format, nerfstudio beside (nerfstudio=<its python>)
+bench-import: $(installed) ## Import: speed, memory, figures of each format
 	@$(py) -m benchmarks.import_throughput
 	@$(py) -m benchmarks.import_formats $(if $(wildcard ../shared),--captures ../shared/captures --trajectories ../shared/trajectories)
 	@$(py) -m benchmarks.import_blurring $(if $(wildcard ../shared),--captures ../shared/captures)
-	@$(py) -m benchmarks.import_peers $(if $(nerfstudio),--nerfstudio "$$nerfstudio")
 
 fuzz-import: $(installed) ## Fuzz the capture formats for some seconds (seconds=60); needs the extra `fuzz`
 	@$(py) -m benchmarks.import_fuzz "$$seconds"
@@ -196,4 +191,4 @@ help: ## This text
 	@echo "every command:      .venv/bin/groundwalk --help   (.venv/bin/groundwalk sfm --help: one stage's settings)"
 
 .NOTPARALLEL:
-.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-fusion bench-recovery bench-repeatability bench-steps bench-fusion-bound bench-trained bench-groundtruth bench-real bench-cameras bench-import fuzz-import docs docs-site lock help
+.PHONY: all $(stages) simulate install paper view clean check lint types test test-slow test-faults audit bench bench-localise bench-phone bench-regressors bench-cited bench-training bench-fusion bench-recovery bench-repeatability bench-steps bench-fusion-bound bench-trained bench-gates bench-real bench-cameras bench-import fuzz-import docs docs-site lock help

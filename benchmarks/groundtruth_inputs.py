@@ -1,21 +1,17 @@
-"""Inputs of the ground-truth benchmark: simulated scenes, real captures and parts of one capture, up to import."""
+"""Simulated scenes up to import, and their ground truth against the truth."""
 
-import json
-import shutil
 import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from benchmarks.stages import Cost, measure
 from groundwalk.alignment.check_truth import TruthTarget, true_poses_of, truth_targets
-from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts import DataRoot
 from groundwalk.artefacts.choices import QualityClass
-from groundwalk.artefacts.files import hash_files
-from groundwalk.artefacts.manifests import MANIFEST, load_manifest
+from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import poses_of, read_table, write_table
+from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, pose_residuals
 from groundwalk.geometry.poses import Array
@@ -34,35 +30,6 @@ def simulated(scene: str, root: DataRoot, *settings: str) -> None:
     """A simulated scene up to import."""
     run_stage("simulation", scene, root, *settings)
     run_stage("capture_import", scene, root)
-
-
-def real(scene: str, folder: Path, root: DataRoot, *settings: str) -> None:
-    """A real capture up to import by these settings; its folder is linked, not copied."""
-    captures = root.captures(scene)
-    captures.parent.mkdir(parents=True, exist_ok=True)
-    if not captures.is_symlink():
-        captures.symlink_to(folder.resolve(), target_is_directory=True)
-    run_stage("capture_import", scene, root, *settings)
-
-
-def part_of(scene: str, whole: DataRoot, part: DataRoot, frames: int) -> None:
-    """Another data folder with the first `frames` frames of an imported scene, session by session."""
-    source, target = whole.run(PROFILE, scene, "import"), part.run(PROFILE, scene, "import")
-    if (target / MANIFEST).is_file():
-        return
-    table = read_table(source / "frames.parquet", schema("import", "frames"))
-    table = table.sort_values(["session_id", "t_ns"], kind="stable").reset_index(drop=True)
-    if len(table) < frames:
-        raise UserError("the capture is too small for this part", where=source, expected=frames, found=len(table))
-    shutil.rmtree(target, ignore_errors=True)
-    shutil.copytree(source, target, ignore=shutil.ignore_patterns(MANIFEST, "*.rrd"))
-    write_table(target / "frames.parquet", table.iloc[:frames], schema("import", "frames"))
-    captures = part.captures(scene)
-    captures.parent.mkdir(parents=True, exist_ok=True)
-    captures.symlink_to(whole.captures(scene).resolve(), target_is_directory=True)
-    manifest = json.loads((source / MANIFEST).read_text(encoding="utf-8"))
-    manifest["outputs"] = hash_files(target, target.glob("*.parquet"))
-    (target / MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
 
 
 def true_poses(scene: str, root: DataRoot) -> Array:
@@ -105,10 +72,3 @@ def errors_after_sim3(sfm_T_cam: Array, model_N: np.ndarray, true_T_cam: Array) 
         metres.append(error_m)
         degrees.append(np.degrees(error_rad))
     return np.concatenate(metres), np.concatenate(degrees)
-
-
-def sfm_poses(scene: str, root: DataRoot) -> tuple[Array, np.ndarray]:
-    """sfm_T_cam (N, 4, 4) of a finished sfm stage and the number of each frame's model, -1 for none."""
-    images = read_table(root.run(PROFILE, scene, "sfm") / "images.parquet", schema("sfm", "images"))
-    # pandas counts a missing id as -1.
-    return poses_of(images, "sfm_cam"), pd.factorize(images["model_id"])[0]
