@@ -18,6 +18,13 @@ def grouped_reasons(reasons: Sequence[str]) -> list[str]:
     return [kinds[reason] if counts[kinds[reason]] > 1 else reason for reason in reasons]
 
 
+def natural_order(name: str) -> tuple[tuple[str, int, str], ...]:
+    """A key that sorts names as people count: frame2 before frame10."""
+    parts = re.findall(r"([^0-9]*)([0-9]*)", name)
+    # Of numbers without leading zeros the longer one is larger; the name itself decides between 1 and 01.
+    return (*((text, len(n), n) for text, digits in parts for n in [digits.lstrip("0")]), (name, 0, ""))
+
+
 def name_list(names: Sequence[str], most: int) -> str:
     """`a, b, c and 4 more`: the first `most` names; `nothing` where there is none."""
     more = f" and {len(names) - most} more" if len(names) > most else ""

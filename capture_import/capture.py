@@ -90,7 +90,8 @@ class RawFrame:
     """One logged instant: an image, a pose or both.
 
     `number` is the row's place in the log and becomes the frame's number; `source` names the row for the user.
-    `vio_T_cam` (4, 4) is None where the app logs poses apart from images: it's interpolated then.
+    `vio_T_cam` (4, 4) is None where the app logs poses apart from images: it's interpolated then. `split` is what a
+    public data set states that the image is for, where that differs within a recording.
     """
 
     number: int
@@ -102,6 +103,7 @@ class RawFrame:
     tracking: Tracking = Tracking.UNKNOWN
     exposure_s: float | None = None
     depth: DepthFile | None = None
+    split: SessionSplit | None = None
 
     @property
     def content(self) -> Rejected:

@@ -29,6 +29,13 @@ def add_commands(app: App) -> None:
         path: Annotated[Path, typer.Argument(help="A capture: a folder of recordings, or one recording.")],
         format: Annotated[str, typer.Option(help="The capture's format, as `formats` lists it.")] = "auto",
     ) -> None:
-        """Print what a capture holds, its health and whether it can be used, without importing it."""
-        for line in inspect_capture(path, format):
+        """Print what a capture holds, its health and whether it can be used, without importing it.
+
+        Ends with 1 where a recording can't be used (its status is unusable or wrong convention), with 2 where the
+        capture can't be read, else with 0.
+        """
+        unusable: list[str] = []
+        for line in inspect_capture(path, format, unusable):
             typer.echo(printable(line))
+        if unusable:
+            raise typer.Exit(1)

@@ -3,7 +3,7 @@
 import hashlib
 import os
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +12,10 @@ from groundwalk.artefacts import UserError, progress
 from groundwalk.artefacts.choices import PoseSource
 from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.registry import PluginError
-from groundwalk.artefacts.text import name_list, printable
+from groundwalk.artefacts.text import name_list, natural_order, printable
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import FORMATS, Format
-from groundwalk.capture_import.image_files import is_image
+from groundwalk.capture_import.image_files import in_order, is_image
 from groundwalk.capture_import.media.archive import SUFFIXES, unpack
 
 _MAX_DEPTH = 5
@@ -26,11 +26,12 @@ _IGNORED = {"true_poses.parquet", "true_cameras.parquet", "SIMULATED.json", "LIC
 
 @dataclass(frozen=True)
 class RecordingSource:
-    """A recording: where it is, in which format, and its id."""
+    """A recording: where it is, in which format, its id, and what the search for it has to say."""
 
     path: Path
     format: Format
     session_id: str
+    notes: tuple[str, ...] = ()
 
     def read(self, limits: Limits) -> RawSession:
         """The recording's rows; UserError where it can't be read as a whole."""
@@ -38,7 +39,7 @@ class RecordingSource:
             with FORMATS.guard(self.format.id):
                 raw = self.format.read(self.path, self.session_id, limits)
                 _check(raw)
-                return raw
+                return replace(raw, notes=[*self.notes, *raw.notes])
         except OSError as error:
             raise _unreadable(self.path, error) from None
 
@@ -48,29 +49,32 @@ class _Hit:
     path: Path
     format: Format
     parts: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str = "auto") -> list[RecordingSource]:
-    """The recordings in `root`, sorted by id: `root` itself, or folders, files and archives below it.
+    """The recordings in `root`, in natural order of their ids: `root` itself, or folders, files and archives below it.
 
-    Archives are unpacked into the folder `unpacked`, but not archives inside archives. A recording's id is its
-    folder's (or file's) name; where two have the same, the path from `root` with dashes. UserError where there is none,
-    where one fits two formats, where a link leads out of `root`, or where a name isn't UTF-8.
+    Where a format is named, the first recording's notes name those of other formats, which aren't read. Archives are
+    unpacked into the folder `unpacked`, but not archives inside archives. A recording's id is its folder's (or file's)
+    name; where two have the same, the path from `root` with dashes. UserError where there is none, where one fits two
+    formats, where a link leads out of `root`, or where a name isn't UTF-8.
     """
-    formats = _formats(format_name)
+    chosen = None if format_name == "auto" else FORMATS.find(format_name)
     root = root.resolve()
     if not root.exists():
         raise UserError("the capture doesn't exist", where=root, expected="a folder of phone captures")
     try:
-        hits = _Search(root, unpacked, limits, formats).run(root, (), 0)
+        search = _Search(root, unpacked, limits, chosen)
+        hits = search.run(root, (), 0)
     except OSError as error:
         raise _unreadable(root, error) from None
     if not hits:
-        looked_for = "\n".join(f"            {f.label}: {f.looks_for}" for f in formats)
+        looked_for = "\n".join(f"            {f.label}: {f.looks_for}" for f in search.formats)
         raise UserError(
-            "no capture in a known format",
+            "no capture in a known format" if chosen is None else f"no capture in the format {chosen.id}",
             where=root,
-            found=_content(root),
+            found=search.others() or _content(root),
             expected="one of\n" + looked_for,
             do="see docs/reference/capture-formats.md; any app can write groundwalk's frames.jsonl",
         )
@@ -79,8 +83,11 @@ def find_recordings(root: Path, unpacked: Path, limits: Limits, format_name: str
     sources = []
     for hit, name in zip(hits, names, strict=True):
         unique = name if counts[name] == 1 else _plain("-".join(hit.parts))
-        sources.append(RecordingSource(hit.path, hit.format, unique))
-    return sorted(sources, key=lambda f: f.session_id)
+        sources.append(RecordingSource(hit.path, hit.format, unique, hit.notes))
+    if others := search.others():
+        note = f"not read, as {setting_of('import', 'format')} (--format of `inspect`) is {format_name}: {others}"
+        sources[0] = replace(sources[0], notes=(*sources[0].notes, note))
+    return sorted(sources, key=lambda f: natural_order(f.session_id))
 
 
 def _unreadable(path: Path, error: OSError) -> UserError:
@@ -107,40 +114,53 @@ def _check(raw: RawSession) -> None:
             raise ValueError(f"{frame.source}: vio_T_cam has shape {np.shape(frame.vio_T_cam)}, not (4, 4)")
 
 
-def _formats(format_name: str) -> tuple[Format, ...]:
-    return tuple(FORMATS.values()) if format_name == "auto" else (FORMATS.find(format_name),)
-
-
 @dataclass(frozen=True)
 class _Search:
     root: Path
     unpacked: Path
     limits: Limits
-    formats: tuple[Format, ...]
+    chosen: Format | None
     in_archive: bool = False
     failed: set[str] = field(default_factory=set)
+    unread: list[_Hit] = field(default_factory=list)
+
+    @property
+    def formats(self) -> list[Format]:
+        return [*FORMATS.values()] if self.chosen is None else [self.chosen]
+
+    def others(self) -> str:
+        """The recordings that only other formats than the chosen one fit; empty where there is none."""
+        names = [f"{'/'.join(hit.parts) or hit.path.name} ({hit.format.label})" for hit in self.unread]
+        return name_list(names, 8) if names else ""
 
     def run(self, path: Path, parts: tuple[str, ...], depth: int) -> list[_Hit]:
         """Recordings at or below `path`; `parts` is the way to it by the names that a user sees."""
         _refuse_link_out(self.root, path)
-        fits = [f for f in self.formats if self._fits(f, path)]
-        if len(fits) > 1:
+        fits = [f for f in FORMATS.values() if self._fits(f, path)]
+        candidates = [f for f in fits if self.chosen is None or f is self.chosen]
+        first = [f for f in candidates if not {g.id for g in candidates} & set(f.yields_to)]
+        if len(first) > 1:
             raise UserError(
                 "a recording fits more than one format",
                 where=path,
-                found=", ".join(f.id for f in fits),
+                found=", ".join(f.id for f in first),
                 do=f"name one with {setting_of('import', 'format')}, or with --format of `inspect`",
             )
-        if fits:
+        if first:
             _refuse_odd_name(self.root, path)
             _refuse_links_below(self.root, path)
-            return [_Hit(path, fits[0], parts)]
+            notes = [f"read as {first[0].label}; it is {f.label}, too" for f in candidates if f not in first]
+            return [_Hit(path, first[0], parts, tuple(notes))]
         if path.is_file() and path.suffix.lower() in SUFFIXES and not self.in_archive:
             return self._in_archive(path, parts, depth)
-        if not path.is_dir() or depth == _MAX_DEPTH:
-            return []
-        inside = sorted(p for p in path.iterdir() if not p.name.startswith(".") and p.name not in _IGNORED)
-        return [hit for p in inside for hit in self.run(p, (*parts, p.stem if p.is_file() else p.name), depth + 1)]
+        before, hits = len(self.unread), []
+        if path.is_dir() and depth < _MAX_DEPTH:
+            inside = in_order(p for p in path.iterdir() if not p.name.startswith(".") and p.name not in _IGNORED)
+            hits = [hit for p in inside for hit in self.run(p, (*parts, p.stem if p.is_file() else p.name), depth + 1)]
+        if fits and not hits:
+            del self.unread[before:]
+            self.unread.append(_Hit(path, fits[0], parts))
+        return hits
 
     def _fits(self, format: Format, path: Path) -> bool:
         """Whether a format fits; one of another package that fails is named once, and fits nothing."""
@@ -160,7 +180,9 @@ class _Search:
         digest = hashlib.sha256(os.fsencode(path.relative_to(self.root))).hexdigest()
         target = self.unpacked.resolve() / digest[:32]
         unpack(path, target, self.limits)
-        return _Search(target, target, self.limits, self.formats, True, self.failed).run(target, parts, depth + 1)
+        return _Search(target, target, self.limits, self.chosen, True, self.failed, self.unread).run(
+            target, parts, depth + 1
+        )
 
 
 def _refuse_link_out(root: Path, path: Path) -> None:

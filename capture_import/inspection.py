@@ -1,5 +1,6 @@
 """What a capture holds, its health and whether it can be used, for reading on a terminal."""
 
+import math
 import tempfile
 from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
@@ -16,14 +17,15 @@ from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, Conventio
 from groundwalk.capture_import.checks.plausibility import PlausibilityFault, plausibility_faults
 from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
-from groundwalk.capture_import.intake import ImportedSession, Intake, measures, path_length, take_in
+from groundwalk.capture_import.intake import ImportedSession, Intake, duration, measures, path_length, take_in
 from groundwalk.capture_import.selection import select, select_enough
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.tables import printable
 
 
-def inspect_capture(path: Path, format_name: str = "auto") -> Iterator[str]:
-    """Lines about each recording in `path`; reads everything, writes nothing.
+def inspect_capture(path: Path, format_name: str = "auto", unusable: list[str] | None = None) -> Iterator[str]:
+    """Lines about each recording in `path`; reads everything, writes nothing. The ids of recordings that can't be used
+    are added to `unusable`.
 
     Raises UserError where there is no capture in a known format.
     """
@@ -33,14 +35,18 @@ def inspect_capture(path: Path, format_name: str = "auto") -> Iterator[str]:
     with tempfile.TemporaryDirectory() as unpacked:
         roots = [root if root.is_dir() else root.parent, Path(unpacked).resolve()]
         for source in find_recordings(path, Path(unpacked), settings.limits, format_name):
-            intake = yield from _inspect(source, Views(roots, settings.limits), settings)
+            intake, is_usable = yield from _inspect(source, Views(roots, settings.limits), settings)
             sessions += intake.sessions
+            if not is_usable and unusable is not None:
+                unusable.append(source.session_id)
     _, denser = select_enough(sessions, settings)
     if denser is not None:
         yield f"all recordings: {denser}"
 
 
-def _inspect(source: RecordingSource, views: Views, settings: ImportSettings) -> Generator[str, None, Intake]:
+def _inspect(
+    source: RecordingSource, views: Views, settings: ImportSettings
+) -> Generator[str, None, tuple[Intake, bool]]:
     raw = source.read(settings.limits)
     count = sum(f.image is not None for f in raw.frames)
     intake = take_in(raw, settings, lambda f: track(measures(views.scan(f)), "checking images", len(f)))
@@ -62,8 +68,9 @@ def _inspect(source: RecordingSource, views: Views, settings: ImportSettings) ->
     implausible = plausibility_faults(intake)
     for fault in implausible:
         yield f"  warning    {fault.text}"
-    yield f"  status     {_status(intake, raw, check, implausible)}"
-    return intake
+    fault = _fault(intake, raw, check, implausible)
+    yield f"  status     {fault or _status(intake, raw, check, implausible)}"
+    return intake, fault is None
 
 
 def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:
@@ -72,14 +79,8 @@ def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:
         if not session.frames:
             continue
         t_ns, poses = session.t_ns, session.poses
-        duration = float(t_ns[-1] - t_ns[0]) * 1e-9
         name = f"{session.session_id}: " if len(intake.sessions) > 1 else ""
-        rate = (len(t_ns) - 1) / duration if duration else 0.0
-        speed = path_length(session) / duration if duration else 0.0
-        yield (
-            f"  poses      {name}{len(poses)} over {duration:.1f} s ({rate:.1f} Hz), "
-            f"{path_length(session):.1f} m walked at {speed:.2f} m/s"
-        )
+        yield f"  poses      {name}{len(poses)}{_motion(session, settings)}"
         states = Counter(f.tracking for f in session.frames)
         yield "  tracking   " + ", ".join(f"{state} {n / len(poses):.0%}" for state, n in states.most_common())
         if session.images:
@@ -94,7 +95,8 @@ def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:
                 f"sharpness {sharp[0]:.2f}..{sharp[2]:.2f} (median {sharp[1]:.2f})"
             )
             support = used[session.session_id].support
-            frames = f"{len(support) - support.sum()} frames at {settings.rate_hz:g} Hz"
+            rate = f" at {settings.rate_hz:g} Hz" if session.recording.clock.has_times else ", all images without times"
+            frames = f"{len(support) - support.sum()} frames{rate}"
             yield f"  sampling   {frames}, {support.sum()} support frames for SfM between them"
         for jump, splits in session.jumps:
             at = (jump.t_ns - int(t_ns[0])) * 1e-9
@@ -104,19 +106,35 @@ def _health(intake: Intake, settings: ImportSettings) -> Iterator[str]:
         yield f"  rejected   {n} x {printable(reason)}"
 
 
-def _status(intake: Intake, raw: RawSession, check: ConventionCheck, implausible: Sequence[PlausibilityFault]) -> str:
+def _motion(session: ImportedSession, settings: ImportSettings) -> str:
+    """What the times and the unit of a session's poses tell of its motion."""
+    seconds, metres = duration(session), path_length(session, settings.reference_is_metric)
+    if math.isnan(seconds):
+        return ", without times"
+    text = f" over {seconds:.1f} s" + (f" ({(len(session.frames) - 1) / seconds:.1f} Hz)" if seconds else "")
+    if math.isnan(metres):
+        return f"{text}, in an unknown unit"
+    return f"{text}, {metres:.1f} m walked" + (f" at {metres / seconds:.2f} m/s" if seconds else "")
+
+
+def _fault(
+    intake: Intake, raw: RawSession, check: ConventionCheck, implausible: Sequence[PlausibilityFault]
+) -> str | None:
+    """Why a recording can't be used; None where it can."""
     images = sum(len(s.images) for s in intake.sessions)
-    poses = sum(len(s.frames) for s in intake.sessions)
-    if not poses:
+    if not any(s.frames for s in intake.sessions):
         return "unusable: no sound pose"
     if any(fault.is_unusable for fault in implausible):
         return "unusable: not plausible, by the warning above"
     if not images and any(frame.image is not None for frame in raw.frames):
         return "unusable: no sound image"
-    if not images:
+    return f"wrong convention: {check.contradicted}" if check.contradicted else None
+
+
+def _status(intake: Intake, raw: RawSession, check: ConventionCheck, implausible: Sequence[PlausibilityFault]) -> str:
+    """What a recording that can be used is good for."""
+    if not any(s.images for s in intake.sessions):
         return "poses only: of use to study odometry, not as a data set"
-    if check.contradicted:
-        return f"wrong convention: {check.contradicted}"
     faults = [f"{len(implausible)} warning{'s' * (len(implausible) > 1)} above"] if implausible else []
     if check.pairs and check.declared < MIN_EXPLAINED:
         faults.append("its poses fit its images badly")

@@ -1,5 +1,6 @@
 """From a recording as the phone wrote it to sessions of sound rows, cut at large VIO jumps."""
 
+import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -8,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from groundwalk.artefacts.choices import PoseSource, Rejected, Tracking
-from groundwalk.capture_import.capture import RawFrame, RawSession, Reject
+from groundwalk.artefacts.choices import PoseSource, Rejected, SessionSplit, Tracking
+from groundwalk.capture_import.capture import ImageFile, RawFrame, RawSession, Reject
 from groundwalk.capture_import.checks.health import Jump, check_session, content_fault, find_jumps, size_fault
 from groundwalk.capture_import.checks.scan import ImageScan
-from groundwalk.capture_import.media.images import ImageCheck
+from groundwalk.capture_import.media.images import ImageCheck, exif_orientation
+from groundwalk.capture_import.parsing import first_bytes
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.geometry.poses import Array
 
@@ -71,6 +73,9 @@ def take_in(raw: RawSession, settings: ImportSettings, scan: Scan) -> Intake:
         else:
             tracked.append(frame)
     images, bad = _sound_images(raw.session_id, tracked, settings, scan)
+    if not raw.clock.has_times:
+        images, copies = _without_copies(raw, images)
+        bad += copies
     sessions = list(_cut_at_jumps(raw, tracked, images, settings))
     return Intake(sessions, _of_parts(rejects + bad, sessions))
 
@@ -80,9 +85,19 @@ def measures(scans: Iterable[ImageScan | str]) -> Iterator[ImageCheck | str]:
     return (scan.check if isinstance(scan, ImageScan) else scan for scan in scans)
 
 
-def path_length(session: ImportedSession) -> float:
-    """Length of the session's path, metres."""
+def path_length(session: ImportedSession, reference_is_metric: bool) -> float:
+    """Length of the session's path, metres; NaN where the unit of its poses or their order isn't known.
+    `reference_is_metric`: references without a stated unit are in metres."""
+    if not (session.recording.clock.has_times and (session.recording.is_metric or reference_is_metric)):
+        return math.nan
     return float(np.linalg.norm(np.diff(session.poses[:, :3, 3], axis=0), axis=1).sum())
+
+
+def duration(session: ImportedSession) -> float:
+    """Seconds from the first to the last pose; NaN where the recording has no times."""
+    if not session.recording.clock.has_times:
+        return math.nan
+    return float(session.t_ns[-1] - session.t_ns[0]) * 1e-9 if session.frames else 0.0
 
 
 def _sound_images(
@@ -96,6 +111,7 @@ def _sound_images(
             fault: str | None = result
         else:
             fault = size_fault(frame.intrinsics, result.width, result.height) or content_fault(result.contrast)
+            fault = _by_orientation(frame, result) or fault
         if fault:
             rejects.append(Reject(session_id, frame.source, frame.t_ns, fault, Rejected.IMAGE))
         else:
@@ -112,6 +128,33 @@ def _sound_images(
         else:
             sharp.append(image)
     return sharp, rejects
+
+
+def _by_orientation(frame: RawFrame, check: ImageCheck) -> str | None:
+    """Why width and height are exactly swapped, where EXIF's orientation is why."""
+    camera = frame.intrinsics
+    if camera is None or check.width == check.height or (camera.height, camera.width) != (check.width, check.height):
+        return None
+    turn = exif_orientation(first_bytes(frame.image.path)) if isinstance(frame.image, ImageFile) else 1
+    if turn < 5:
+        return None
+    return (
+        f"image is stored {check.width}x{check.height}, its intrinsics are for {camera.width}x{camera.height}, as "
+        f"viewers show it: EXIF orientation {turn} isn't applied; write the pixels turned (mogrify -auto-orient)"
+    )
+
+
+def _without_copies(raw: RawSession, images: list[Image]) -> tuple[list[Image], list[Reject]]:
+    """Of photos that are the same but for metadata, one: for training, where a data set lists it for both sides."""
+    first: dict[str, Image] = {}
+    for image in sorted(images, key=lambda image: image.frame.split == SessionSplit.TEST):
+        first.setdefault(image.check.content_sha256, image)
+    copies = [image for image in images if first[image.check.content_sha256] is not image]
+    rejects = []
+    for copy in copies:
+        reason = f"image is a copy of that of {first[copy.check.content_sha256].frame.source}"
+        rejects.append(Reject(raw.session_id, copy.frame.source, copy.frame.t_ns, reason, Rejected.IMAGE))
+    return [image for image in images if first[image.check.content_sha256] is image], rejects
 
 
 def _of_parts(rejects: list[Reject], sessions: list[ImportedSession]) -> list[Reject]:

@@ -36,7 +36,7 @@ def read_text(path: Path, max_bytes: int) -> str:
     except UnicodeDecodeError:
         raise BadRow("file isn't UTF-8 text") from None
     except OSError as error:
-        raise BadRow(f"file can't be read: {error.strerror}") from None
+        raise BadRow(f"{path.name} can't be read: {error.strerror}") from None
 
 
 def first_bytes(path: Path, count: int = 1 << 16) -> bytes:
@@ -98,6 +98,11 @@ def whole(row: Mapping[str, Any], key: str) -> int:
     if not math.isfinite(value) or value != int(value):
         raise BadRow(f"{key} {value} is no whole number")
     return int(value)
+
+
+def optional_size(row: Mapping[str, Any], width: str, height: str) -> tuple[int | None, int | None]:
+    """The whole numbers under these keys, None where a log has neither: the image's own size holds then."""
+    return (whole(row, width), whole(row, height)) if width in row or height in row else (None, None)
 
 
 def optional_number(row: Mapping[str, Any], key: str) -> float | None:

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from groundwalk.artefacts.choices import PoseSource, Tracking
 from groundwalk.artefacts.parallel import in_parallel
@@ -31,6 +32,8 @@ _TRACKING_COLOURS = {
 # Enough to see each place; more would make the recording of a long walk slow to open.
 _MAX_FRUSTA = 150
 _BATCH = 64
+# The timeline of images without times.
+_BY_NAME = "image_by_name"
 
 
 def blueprint(session_ids: Sequence[str]) -> rrb.Blueprint:
@@ -52,7 +55,7 @@ def log_session(
     spooled: Path,
 ) -> None:
     """Log one session; `frames` are its rows of the frames table, `spooled` has the thumbnails of some of them. Time
-    counts from the session's first pose."""
+    counts from the session's first pose; images without times are numbered in the order of their names."""
     at = f"/{session.session_id}"
     t_ns, poses = session.t_ns, session.poses
     stream.log(at, UP_AXIS, static=True)
@@ -75,7 +78,8 @@ def log_session(
     for first in range(0, len(images), _BATCH):
         batch = images[first : first + _BATCH]
         jpegs = list(in_parallel(lambda i: _thumbnail(thumbnails[i], image_path(frames["image"].iloc[i])), batch))
-        _log_images(stream, f"{at}/camera", frames.iloc[batch], cameras[batch], jpegs, start, size)
+        times = _time_column(session, frames["t_ns"].to_numpy()[batch] - start)
+        _log_images(stream, f"{at}/camera", frames.iloc[batch], cameras[batch], jpegs, times, size)
 
 
 def _numbers(frames: pd.DataFrame) -> list[int]:
@@ -132,7 +136,7 @@ def _log_images(
     frames: pd.DataFrame,
     cameras: Array,
     jpegs: Sequence[bytes],
-    start: int,
+    times: rr.TimeColumn,
     size_m: float,
 ) -> None:
     """The moving camera with its images, small."""
@@ -140,8 +144,6 @@ def _log_images(
     k = np.tile(np.eye(3), (len(frames), 1, 1))
     k[:, [0, 1, 0, 1], [0, 1, 2, 2]] = frames[["fx", "fy", "cx", "cy"]].to_numpy()
     k[:, :2] *= (np.array(sizes)[:, 0] / frames["width"].to_numpy())[:, None, None]
-    t_ns = frames["t_ns"].to_numpy() - start
-    times = rr.TimeColumn(TIMELINE, duration=t_ns.astype("timedelta64[ns]"))
     moving = rr.Transform3D.columns(translation=cameras[:, :3, 3], mat3x3=cameras[:, :3, :3])
     stream.send_columns(at, indexes=[times], columns=moving)
     camera = rr.Pinhole.columns(
@@ -174,12 +176,19 @@ def _log_path(stream: rr.RecordingStream, at: str, session: ImportedSession) -> 
 
 def _log_curves(stream: rr.RecordingStream, at: str, session: ImportedSession, frames: pd.DataFrame) -> None:
     t_ns, positions = session.t_ns, session.poses[:, :3, 3]
-    if len(t_ns) > 1:
+    if len(t_ns) > 1 and session.recording.clock.has_times:
         speed = np.linalg.norm(np.diff(positions, axis=0), axis=1) / (np.diff(t_ns) * 1e-9)
-        _log_curve(stream, f"{at}/speed", t_ns[1:] - t_ns[0], speed, "speed", _colour(session))
+        since = _time_column(session, t_ns[1:] - t_ns[0])
+        _log_curve(stream, f"{at}/speed", since, speed, "speed", _colour(session))
     if len(frames):
-        since_ns = frames["t_ns"].to_numpy() - t_ns[0]
-        _log_curve(stream, f"{at}/sharpness", since_ns, frames["sharpness"].to_numpy(), "sharpness", NEUTRAL)
+        since = _time_column(session, frames["t_ns"].to_numpy() - t_ns[0])
+        _log_curve(stream, f"{at}/sharpness", since, frames["sharpness"].to_numpy(), "sharpness", NEUTRAL)
+
+
+def _time_column(session: ImportedSession, since_ns: NDArray[np.int64]) -> rr.TimeColumn:
+    if session.recording.clock.has_times:
+        return rr.TimeColumn(TIMELINE, duration=since_ns.astype("timedelta64[ns]"))
+    return rr.TimeColumn(_BY_NAME, sequence=since_ns // 10**9)
 
 
 def _colour(session: ImportedSession) -> tuple[int, int, int]:
@@ -187,10 +196,9 @@ def _colour(session: ImportedSession) -> tuple[int, int, int]:
 
 
 def _log_curve(
-    stream: rr.RecordingStream, at: str, t_ns: Array, values: Array, name: str, colour: tuple[int, int, int]
+    stream: rr.RecordingStream, at: str, times: rr.TimeColumn, values: Array, name: str, colour: tuple[int, int, int]
 ) -> None:
     stream.log(at, rr.SeriesLines(names=name, colors=colour), static=True)
-    times = rr.TimeColumn(TIMELINE, duration=t_ns.astype("timedelta64[ns]"))
     stream.send_columns(at, indexes=[times], columns=rr.Scalars.columns(scalars=values))
 
 
@@ -202,7 +210,10 @@ def _log_marks(
     places, labels = [], []
     for reject in rejects:
         t = start if reject.t_ns is None else reject.t_ns
-        set_time(stream, t - start)
+        if session.recording.clock.has_times:
+            set_time(stream, t - start)
+        else:
+            stream.set_time(_BY_NAME, sequence=(t - start) // 10**9)
         line = f"{printable(reject.source)}: {printable(reject.reason)}"
         stream.log(f"{at}/log/rejects", rr.TextLog(line, level="WARN"))
         if reject.t_ns is not None and t_ns[0] <= t <= t_ns[-1]:

@@ -127,7 +127,8 @@ def _select(session: ImportedSession, settings: ImportSettings, density: float) 
 def _sampled(session: ImportedSession, settings: ImportSettings, density: float) -> NDArray[np.int64]:
     """Indices of the session's images that become frames of the dataset."""
     images = session.images
-    if not images or settings.sampling == "all" or math.isinf(density):
+    has_times = session.recording.clock.has_times
+    if not images or settings.sampling == "all" or math.isinf(density) or not has_times:
         return np.arange(len(images))
     sharpness, poses = _sharpness(images), _poses([image.frame for image in images])
     if settings.sampling == "rate":

@@ -1,4 +1,4 @@
-"""Training, validation and test: by session where there are several, by time where there is one."""
+"""Training, validation and test: as stated, by session where there are several, within it where there is one."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from groundwalk.artefacts import UserError
 from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.settings import SplitRules
+from groundwalk.artefacts.tables import have_times
+from groundwalk.artefacts.text import natural_order
 
 # Frames of one walk this close in time show the same place from the same side: testing on one after training on the
 # other measures memory.
@@ -28,29 +30,35 @@ class SplitResult:
 
 
 def split_frames(frames: pd.DataFrame, rules: SplitRules, by_time: bool) -> SplitResult:
-    """Split frames (columns session_id, recording, stated_split, t_ns; sorted by session and time).
+    """Split frames (columns session_id, recording, stated_split, t_ns, clock; sorted by session and time).
 
-    Sessions are split as `rules` lists them; else as a public data set states, or by their names where these begin with
-    train and test; else the last sessions, about `test_fraction` of the frames, are for testing. A single recording, or
-    any with `by_time`, is split in time: its last `test_fraction` is for testing. Validation is a block of each
-    training walk, at another place in each; in a walk split in time it's the block before the test frames, at least
-    five seconds where the walk allows, and so keeps training and test apart.
+    Sessions are split as `rules` lists them; else frames as a public data set states, or sessions by their names where
+    these begin with train and test; else the last sessions, about `test_fraction` of the frames, are for testing. A
+    single recording, or any with `by_time`, is split in time: its last `test_fraction` is for testing. Where its images
+    have no times it is the last in the order of their names, which keeps together what was taken together as often as
+    not. Validation is a block of each training walk, at another place in each; in a walk split in time it's the block
+    before the test frames, at least five seconds where the walk allows, and so keeps training and test apart.
 
     UserError for unknown sessions, for listed ones that leak, and where no frame is left to train or to test on.
     """
-    recordings = sorted(frames["recording"].unique())
-    listed = rules.test is not None or rules.train is not None
-    if listed:
+    recordings = frames["recording"].unique()
+    stated = None if by_time else _as_stated(frames)
+    if rules.test is not None or rules.train is not None:
         of_session, how = _listed(frames, rules), "listed in the scene's config"
+        split = frames["session_id"].map(of_session).to_numpy(dtype=object)
+    elif stated is not None:
+        split, how = stated, "as the data set states"
     elif by_time or len(recordings) == 1:
         split = np.full(len(frames), "train", dtype=object)
         for recording in recordings:
             rows = np.flatnonzero(frames["recording"] == recording)
-            split[rows] = _time_split(frames["t_ns"].to_numpy()[rows], rules)
-        return _with_both_sides(SplitResult(split, "by time within each recording", leak_seconds(frames, split)))
+            split[rows] = _ordered_split(frames.iloc[rows], rules)
+        in_time = have_times(frames).all()
+        how = "by time within each recording" if in_time else "the last images of each recording by their names"
+        return _with_both_sides(SplitResult(split, how, leak_seconds(frames, split)))
     else:
-        of_session, how = _as_stated(frames) or _by_name(frames) or _by_fraction(frames, rules.test_fraction)
-    split = frames["session_id"].map(of_session).to_numpy(dtype=object)
+        of_session, how = _by_name(frames) or _by_fraction(frames, rules.test_fraction)
+        split = frames["session_id"].map(of_session).to_numpy(dtype=object)
     _hold_out(frames, split, rules.val_fraction)
     leak = leak_seconds(frames, split)
     if leak is not None and leak < LEAK_S and not rules.allow_leak:
@@ -112,8 +120,10 @@ def nearest_split(frames: pd.DataFrame, split_frames: pd.DataFrame) -> NDArray[n
 
 
 def leak_seconds(frames: pd.DataFrame, split: NDArray[np.object_]) -> float | None:
-    """The shortest time between a test and a training frame of the same recording; None where none has both."""
+    """The shortest time between a test and a training frame of a recording with times; None where none has both."""
     shortest = None
+    timed = have_times(frames)
+    frames, split = frames[timed], split[timed]
     for rows in frames.groupby("recording", sort=True).indices.values():
         t_s = frames["t_ns"].to_numpy()[rows] * 1e-9
         train, test = np.sort(t_s[split[rows] == "train"]), t_s[split[rows] == "test"]
@@ -143,10 +153,9 @@ def _side(name: str, test: set[str], train: set[str]) -> str | None:
     return "test" if name in test else "train" if name in train else None
 
 
-def _as_stated(frames: pd.DataFrame) -> tuple[dict[str, str], str] | None:
-    stated = dict(zip(frames["session_id"], frames["stated_split"], strict=True))
-    complete = {"train", "test"} == set(stated.values())
-    return (stated, "as the data set states") if complete else None
+def _as_stated(frames: pd.DataFrame) -> NDArray[np.object_] | None:
+    stated = frames["stated_split"].to_numpy(dtype=object)
+    return stated.copy() if {"train", "test"} == set(stated) else None
 
 
 def _by_name(frames: pd.DataFrame) -> tuple[dict[str, str], str] | None:
@@ -157,12 +166,16 @@ def _by_name(frames: pd.DataFrame) -> tuple[dict[str, str], str] | None:
 
 
 def _by_fraction(frames: pd.DataFrame, fraction: float) -> tuple[dict[str, str], str]:
-    counts = frames["recording"].value_counts().sort_index()
-    # The number of recordings from the end whose frames come nearest to the fraction; one is left to train on.
-    fractions = np.cumsum(counts.to_numpy()[::-1])[:-1] / len(frames)
-    count = int(np.argmin(np.abs(fractions - fraction))) + 1
-    test = set(counts.index[-count:])
-    return {s: "test" if r in test else "train" for s, r in _pairs(frames)}, f"the last {count} of the recordings"
+    counts = frames["recording"].value_counts()
+    names = sorted(counts.index, key=natural_order)
+    # As many recordings from the end as come nearest to the fraction; one is left to train on. Where they are most of
+    # the frames, the single one that comes nearest.
+    choices = [(names[-n:], f"the last {n} of the recordings") for n in range(1, len(names))]
+    best = min(choices, key=lambda choice: abs(counts[choice[0]].sum() / len(frames) - fraction))
+    if counts[best[0]].sum() > len(frames) / 2:
+        nearest = min(names, key=lambda name: abs(counts[name] / len(frames) - fraction))
+        best = [nearest], f"recording {nearest} alone, as the last one has most of the frames"
+    return {s: "test" if r in best[0] else "train" for s, r in _pairs(frames)}, best[1]
 
 
 def _pairs(frames: pd.DataFrame) -> Sequence[tuple[str, str]]:
@@ -170,15 +183,17 @@ def _pairs(frames: pd.DataFrame) -> Sequence[tuple[str, str]]:
     return list(zip(unique["session_id"], unique["recording"], strict=True))
 
 
-def _time_split(t_ns: NDArray[np.int64], rules: SplitRules) -> NDArray[np.object_]:
-    """The split of one recording's frames in time."""
+def _ordered_split(frames: pd.DataFrame, rules: SplitRules) -> NDArray[np.object_]:
+    """The split of one recording's frames in the order of their times, or names."""
+    t_ns = frames["t_ns"].to_numpy()
     start, end = int(t_ns.min()), int(t_ns.max())
     test_from = end - (end - start) * rules.test_fraction
     split = np.full(len(t_ns), "train", dtype=object)
     if rules.val_fraction > 0:
         block = (test_from - start) * rules.val_fraction
-        # The held-out block is the gap as well, unless that would take more than a quarter of the training walk.
-        block = max(block, min(LEAK_S * 1e9, (test_from - start) / 4))
+        if have_times(frames).all():
+            # The held-out block is the gap as well, unless that would take more than a quarter of the training walk.
+            block = max(block, min(LEAK_S * 1e9, (test_from - start) / 4))
         split[t_ns > test_from - block] = "val"
     split[t_ns > test_from] = "test"
     return split
@@ -191,7 +206,7 @@ def _hold_out(frames: pd.DataFrame, split: NDArray[np.object_], fraction: float)
         return
     sessions = [s for s in frames["session_id"].unique() if (split[frames["session_id"] == s] == "train").any()]
     for k, session in enumerate(sessions):
-        rows = np.flatnonzero((frames["session_id"] == session).to_numpy())
+        rows = np.flatnonzero((frames["session_id"] == session).to_numpy() & (split == "train"))
         size = round(len(rows) * fraction)
         centre = (k + 0.5) / len(sessions) * len(rows)
         first = int(np.clip(round(centre - size / 2), 0, len(rows) - size))

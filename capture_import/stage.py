@@ -14,13 +14,14 @@ from groundwalk.artefacts.choices import ImageSide
 from groundwalk.artefacts.files import write_json
 from groundwalk.artefacts.hints import groundwalk_command, setting_of
 from groundwalk.artefacts.simulated import appearances_of, are_simulated
-from groundwalk.artefacts.tables import dataset_frames
-from groundwalk.artefacts.text import grouped_reasons
+from groundwalk.artefacts.tables import dataset_frames, have_times
+from groundwalk.artefacts.text import grouped_reasons, name_list
 from groundwalk.capture_import.capture import RawFrame, Reject
 from groundwalk.capture_import.checks.clock import MAX_OFFSET_S, ClockCheck, check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
+from groundwalk.capture_import.checks.near_copies import MAX_FRACTION, find_near_copies
 from groundwalk.capture_import.checks.plausibility import MAX_SPEED_M_S, plausibility_faults
-from groundwalk.capture_import.checks.scan import ImageScan
+from groundwalk.capture_import.checks.scan import ImageScan, LoadGray, load_gray
 from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.formats import FORMATS
@@ -88,6 +89,8 @@ def run(r: StageRun[ImportSettings]) -> None:
         _write(r, sessions, frames, table, by_session, rejects)
     _report(r, sessions, frames, table, rejects, split)
     _report_same_images(r, frames)
+    with r.step("near copies"):
+        _report_near_copies(r, sessions, frames, lambda views, size: load_gray(views, size, roots, r.settings.limits))
     if detect is not None:
         _report_blurred(r, frames)
 
@@ -295,9 +298,11 @@ def _report(
 ) -> None:
     images = sum(len(s.images) for s in sessions)
     for row in table.itertuples():
+        walked = [f"{row.path_m:.1f} m"] if pd.notna(row.path_m) else []
+        walked += [f"{row.duration_s:.0f} s"] if pd.notna(row.duration_s) else ["no times"]
         r.say(
             f"{row.session_id}: {row.poses} poses, {row.images} images, {row.frames} frames and {row.support_frames} "
-            f"support frames selected, {row.path_m:.1f} m in {row.duration_s:.0f} s ({row.split})"
+            f"support frames selected, {' in '.join(walked)} ({row.split})"
         )
     if rejects:
         reasons = "; ".join(f"{n} x {printable(reason)}" for reason, n in _most_common(rejects))
@@ -312,6 +317,7 @@ def _report(
             "needed): accuracy on this split says nothing about new walks"
         )
     dataset = dataset_frames(frames)
+    _warn_of_small_side(r, dataset)
     counts = dataset["split"].value_counts()
     figures: dict[str, float | int | str | None] = {
         "recordings": table["recording"].nunique(),
@@ -325,13 +331,25 @@ def _report(
         "rejects": len(rejects),
         "jumps": jumps,
         "jumps_that_split": int(cuts),
-        "path_m": float(table["path_m"].sum()),
+        "path_m": float(table["path_m"].sum()) if table["path_m"].notna().any() else None,
         "frames_with_depth": int(frames["depth"].notna().sum()),
         "split": split.how,
         "leak_s": split.leak_s,
     }
     for name, value in figures.items():
         r.figure(name, value)
+
+
+def _warn_of_small_side(r: StageRun[ImportSettings], dataset: pd.DataFrame) -> None:
+    counts = dataset["split"].value_counts()
+    trained, tested = counts.get("train", 0), counts.get("test", 0)
+    if trained < tested:
+        by_recording = dataset.groupby(["recording", "split"], sort=False).size()
+        listed = name_list([f"{n} of {recording} {split}" for (recording, split), n in by_recording.items()], 8)
+        r.say(
+            f"warning: {trained} frames train and {tested} test: {listed}; {setting_of('split', 'test')} lists "
+            "other recordings to test on, and test_fraction there says how much of a single one"
+        )
 
 
 def _report_same_images(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
@@ -345,6 +363,27 @@ def _report_same_images(r: StageRun[ImportSettings], frames: pd.DataFrame) -> No
             f"warning: {len(same)} of {len(test)} test images are also training images, byte for byte but for "
             f"metadata (the first: {first.frame_id} is {trained[first.content_sha256]}): accuracy on this split means "
             "nothing"
+        )
+
+
+def _report_near_copies(
+    r: StageRun[ImportSettings], sessions: Sequence[ImportedSession], frames: pd.DataFrame, load: LoadGray
+) -> None:
+    """Warn where test images without times show what training images show."""
+    timeless = dataset_frames(frames[~have_times(frames)])
+    frame_of = {f"{s.session_id}/{i.frame.number:06d}": i.frame for s in sessions for i in s.images}
+    test, train = (list(timeless.loc[timeless["split"] == side, "frame_id"]) for side in ("test", "train"))
+    if not test or not train:
+        return
+    copies = find_near_copies([frame_of[i] for i in test], [frame_of[i] for i in train], load)
+    r.figure("test_images_near_train", len(copies.pairs) / copies.looked_at)
+    if len(copies.pairs) > MAX_FRACTION * copies.looked_at:
+        i, j = copies.pairs[0]
+        r.say(
+            f"warning: {len(copies.pairs)} of {copies.looked_at} test images show nearly what a training image shows "
+            f"(as {test[i]} and {train[j]}): accuracy on this split says little about new walks. Names don't say "
+            "which images were taken together: name those for testing, or put each walk into a folder of its own "
+            "(docs/how-to/split.md)"
         )
 
 
@@ -362,7 +401,7 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
 
 STAGE = Stage(
     name="import",
-    version=14,
+    version=15,
     settings=ImportSettings,
     needs=(),
     run=run,

@@ -11,7 +11,7 @@ from groundwalk.artefacts.choices import Appearance, ImageSide, LengthUnit, Pose
 from groundwalk.artefacts.tables import dataset_frames, pose_frame
 from groundwalk.capture_import.capture import Reject
 from groundwalk.capture_import.checks.health import gravity_of
-from groundwalk.capture_import.intake import ImportedSession, path_length
+from groundwalk.capture_import.intake import ImportedSession, duration, path_length
 from groundwalk.capture_import.media.blurring import Kind
 from groundwalk.capture_import.media.depth import PlacedDepth
 from groundwalk.capture_import.media.placing import PlacedImage
@@ -38,7 +38,7 @@ def frames_table(
                 "frame_id": f"{session.session_id}/{image.frame.number:06d}",
                 "session_id": session.session_id,
                 "recording": raw.session_id,
-                "stated_split": raw.split,
+                "stated_split": image.frame.split or raw.split,
                 "t_ns": image.frame.t_ns,
                 "clock": raw.clock,
                 "image": place.entry,
@@ -103,7 +103,6 @@ def sessions_table(
     for session in sessions:
         used = frames[frames["session_id"] == session.session_id]
         dataset = dataset_frames(used)
-        t_ns = session.t_ns
         rows.append(
             {
                 "session_id": session.session_id,
@@ -111,8 +110,8 @@ def sessions_table(
                 "format": session.recording.format,
                 "device": session.recording.device,
                 "clock": session.recording.clock,
-                "duration_s": float(t_ns[-1] - t_ns[0]) * 1e-9 if len(t_ns) else 0.0,
-                "path_m": path_length(session),
+                "duration_s": duration(session),
+                "path_m": path_length(session, reference_is_metric),
                 "poses": len(session.frames),
                 "images": len(session.images),
                 "frames": len(dataset),

@@ -93,7 +93,8 @@ def sessions(scene: SceneInputs) -> Grid:
     left_out = scene.rejects.loc[scene.rejects["rejected"] == Rejected.IMAGE, "session_id"].value_counts()
     rows = []
     for s in _records(scene.sessions.sort_values("session_id")):
-        numbers = [f"{s.duration_s:.0f}", f"{s.path_m:.1f}", s.poses, s.images, s.frames, left_out.get(s.session_id, 0)]
+        walked = [f"{v:.{n}f}" if pd.notna(v) else EMPTY for v, n in ((s.duration_s, 0), (s.path_m, 1))]
+        numbers = [*walked, s.poses, s.images, s.frames, left_out.get(s.session_id, 0)]
         rows.append([s.session_id, s.format, s.device, s.split, *numbers])
     return _grid(f"sessions-{scene.name}", "Sessions", "As recorded by the phone.", columns, rows, 4)
 

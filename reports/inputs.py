@@ -18,6 +18,7 @@ from groundwalk.scoring.errors import sure_enough
 ENOUGH_TRAINING_FRAMES = 100
 # A test frame this close in time to a training frame of its walk shows nearly the same picture.
 LEAK_S = 5.0
+MAX_NEAR_COPIES = 0.05
 
 # What the test walks of a simulated scene see, in words.
 _APPEARANCES = {
@@ -177,6 +178,11 @@ class SceneInputs:
         leak_s: float | None = self.manifests["import"]["figures"]["leak_s"]
         return leak_s
 
+    @property
+    def near_copies(self) -> float | None:
+        """The fraction of test images that show nearly what a training image shows, or None where images have times."""
+        return self.manifests["import"]["figures"].get("test_images_near_train")
+
     def why_meaningless(self) -> list[str]:
         """Reasons why this scene's accuracy means nothing; none where it may mean something."""
         reasons = []
@@ -184,6 +190,8 @@ class SceneInputs:
             reasons.append(f"there are only {self.training_frames} training frames")
         if self.leak_s is not None and self.leak_s < LEAK_S:
             reasons.append(f"training and test frames are of one walk, as little as {self.leak_s:.1f} s apart")
+        if (self.near_copies or 0) > MAX_NEAR_COPIES:
+            reasons.append(f"{self.near_copies:.0%} of test images show nearly what a training image shows")
         return reasons
 
 

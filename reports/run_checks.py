@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from groundwalk.artefacts.choices import MapUnit
 from groundwalk.reports.checks import AGREES, CAUTION, DISAGREES, Finding
-from groundwalk.reports.inputs import LEAK_S, SceneInputs
+from groundwalk.reports.inputs import LEAK_S, MAX_NEAR_COPIES, SceneInputs
 
 WRONG_M, WRONG_DEG = 1.0, 5.0
 
@@ -29,11 +29,15 @@ def run_findings(scene: SceneInputs) -> Iterator[Finding]:
         *("0 frames", f"{uses_vio} frames", CAUTION if uses_vio else AGREES),
         "ground truth that leans on VIO flatters methods that use VIO",
     )
-    leak = scene.leak_s
-    apart = "in different walks" if leak is None else f"{leak:.1f} s apart in one walk"
+    leak, near = scene.leak_s, scene.near_copies
+    if near is not None and leak is None:
+        apart = f"no times; {near:.0%} of test images show nearly what a training image shows"
+    else:
+        apart = "in different walks" if leak is None else f"{leak:.1f} s apart in one walk"
+    is_apart = (leak is None or leak >= LEAK_S) and (near or 0) <= MAX_NEAR_COPIES
     yield Finding(
         *("no_leak", "import.frames", scene.name, "all", "split"),
-        *(f"{LEAK_S:g} s apart or more", apart, CAUTION if leak is not None and leak < LEAK_S else AGREES),
+        *(f"{LEAK_S:g} s apart or more", apart, AGREES if is_apart else CAUTION),
         "a test frame next to a training frame shows nearly the same picture",
     )
 

@@ -100,7 +100,7 @@ def matched_pairs(session: ImportedSession, load: LoadGray) -> list[MatchedPair]
         features_a, features_b = features.get(frames[a].number), features.get(frames[b].number)
         if features_a is None or features_b is None:
             continue
-        matches = _match(features_a[1], features_b[1])
+        matches = match_features(features_a[1], features_b[1])
         if len(matches) >= _MIN_MATCHES:
             points = features_a[0][matches[:, 0]], features_b[0][matches[:, 1]]
             (camera_a, lens_a), (camera_b, lens_b) = (_camera(session.images[i]) for i in (a, b))
@@ -152,16 +152,16 @@ def _with_parallax(poses: Array, t_s: Array, firsts: range) -> tuple[int, int] |
 def _features(frames: Sequence[RawFrame], load: LoadGray) -> dict[int, Features]:
     """The features of the frames in the working size, by the frames' numbers."""
     views = load(frames, CONVENTION_LONG_SIDE)
-    return dict(in_parallel(lambda view: (view[0].number, _detect(view[1])), views))
+    return dict(in_parallel(lambda view: (view[0].number, detect_features(view[1])), views))
 
 
-def _detect(gray: NDArray[np.uint8]) -> Features:
+def detect_features(gray: NDArray[np.uint8]) -> Features:
     points, descriptors = cv2.SIFT.create(nfeatures=_FEATURES).detectAndCompute(gray, None)
     positions = np.array([p.pt for p in points], dtype=float).reshape(-1, 2) + 0.5
     return positions, np.zeros((0, 128), np.float32) if descriptors is None else descriptors.astype(np.float32)
 
 
-def _match(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]:
+def match_features(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]:
     """Mutual nearest neighbours that pass the ratio test, as index pairs (M, 2)."""
     if min(len(a), len(b)) < 2:
         return np.zeros((0, 2), np.int64)

@@ -70,7 +70,8 @@ def read_image(path: Path, roots: Sequence[Path], limits: Limits) -> bytes:
             raise BadImage(f"image file of {status.st_size} bytes is too large")
         return resolved.read_bytes()
     except (OSError, RuntimeError) as error:  # RuntimeError: a loop of links
-        raise BadImage(f"image can't be read: {getattr(error, 'strerror', None) or error}") from None
+        inside = next((path.relative_to(root) for root in roots if path.is_relative_to(root)), path)
+        raise BadImage(f"image {inside} can't be read: {getattr(error, 'strerror', None) or error}") from None
 
 
 def load_gray(

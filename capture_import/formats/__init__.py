@@ -15,7 +15,8 @@ class Format(Entry):
 
     `detect` says, from names alone or the first bytes of a file, whether a folder or file is one recording in this
     format; `looks_for` says the same in words. `read` gets that folder or file, the session's id and the limits; it
-    raises UserError where the recording as a whole can't be read.
+    raises UserError where the recording as a whole can't be read. `yields_to` names formats that are read instead where
+    they fit, too, as they say more of the same images.
     """
 
     noun: ClassVar[str] = "capture format"
@@ -23,6 +24,7 @@ class Format(Entry):
     looks_for: str
     detect: Callable[[Path], bool] = field(repr=False)
     read: Callable[[Path, str, Limits], RawSession] = field(repr=False)
+    yields_to: tuple[str, ...] = ()
 
     def faults(self) -> Iterable[str]:
         yield from super().faults()

@@ -8,7 +8,7 @@ Documented at https://www.repository.cam.ac.uk/handle/1810/251342 (readme). What
 - `frames.csv`, which our own exports write beside, has each image's whole intrinsics and goes before both;
 - frames have no times, and the order of names isn't one of time in every data set of this layout.
 
-A folder of images (`seq1`) is one recording; it's wholly for training or for testing.
+A folder of images (`seq1`) is one recording; the lists say what each image is for.
 """
 
 import csv
@@ -21,8 +21,7 @@ from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import Clock, PoseSource, SessionSplit
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import images_in, is_image, unused
-from groundwalk.capture_import.media.images import BadImage, image_size
+from groundwalk.capture_import.image_files import images_in, is_image, size_of, unused
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -51,18 +50,17 @@ def detect(path: Path) -> bool:
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the rows of both lists that lie in this folder."""
-    rows: list[tuple[str, str]] = []
-    splits = set()
+    rows: list[tuple[str, tuple[SessionSplit, str]]] = []
     for name, split in _LISTS.items():
         file = path.parent / name
         if file.is_file():
             of_split = lines_of(file, limits, lambda line: line.startswith(f"{path.name}/"))
-            rows += of_split
-            splits |= {split} if of_split else set()
+            rows += [(source, (split, line)) for source, line in of_split]
     focal = _focal_lengths(path.parent / "reconstruction.nvm", path.name, limits)
     cameras = _intrinsics(path.parent / "frames.csv", path.name, limits)
 
-    def read_row(source: str, line: str) -> RawFrame:
+    def read_row(source: str, row: tuple[SessionSplit, str]) -> RawFrame:
+        split, line = row
         name, _, numbers = line.strip().partition(" ")
         values = split_numbers(numbers)
         index = re.search(r"(\d{1,9})\.", name)
@@ -73,7 +71,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         qw, qx, qy, qz = values[3:]
         cam_R_world = quaternion_pose([0.0, 0.0, 0.0], [qx, qy, qz, qw])[:3, :3]
         image = path.parent / name
-        width, height = _size(image)
+        width, height = size_of(image)
         f = focal[Path(name).stem]
         return RawFrame(
             number=int(index[1]),
@@ -82,11 +80,12 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             vio_T_cam=make_pose(cam_R_world.T, values[:3]),
             image=ImageFile(image),
             intrinsics=cameras.get(name) or Intrinsics(f, f, width / 2, height / 2, width, height),
+            split=split,
         )
 
     frames, rejects = collect(rows, session_id, read_row)
     refuse_unreadable(path, frames, rejects, "seq/frame00001.png X Y Z W P Q R, and reconstruction.nvm")
-    named = {path.parent / line.strip().partition(" ")[0] for _, line in rows}
+    named = {path.parent / line.strip().partition(" ")[0] for _, (_, line) in rows}
     rejects += unused(session_id, images_in(path), named, "image isn't in dataset_train.txt or dataset_test.txt")
     return RawSession(
         session_id,
@@ -98,7 +97,6 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         rejects,
         pose_source=PoseSource.REFERENCE,
         is_gravity_aligned=False,
-        split=splits.pop() if len(splits) == 1 else None,
     )
 
 
@@ -144,16 +142,6 @@ def _intrinsics(file: Path, folder: str, limits: Limits) -> dict[str, Intrinsics
             do="export the scene again",
         ) from None
     return by_name
-
-
-def _size(image: Path) -> tuple[int, int]:
-    if not image.is_file():
-        raise BadRow("image is missing, or no ordinary file")
-    try:
-        with image.open("rb") as file:
-            return image_size(file.read(1 << 16))
-    except (OSError, BadImage) as error:
-        raise BadRow(f"image can't be read: {error}") from None
 
 
 FORMAT = Format(

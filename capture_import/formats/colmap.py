@@ -1,4 +1,4 @@
-"""COLMAP: a model (`cameras` and `images`, `.bin` or `.txt`) in `sparse/0/`, `sparse/` or the folder, over `images/`.
+"""COLMAP: a model (`cameras` and `images`, `.bin` or `.txt`) in `sparse/0/`, `sparse/` or the folder, over images.
 
 Documented at https://colmap.github.io/format.html. What matters:
 
@@ -7,13 +7,16 @@ Documented at https://colmap.github.io/format.html. What matters:
 - camera models SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are used as stated, and fisheye
   ones become FULL_OPENCV's coefficients; images of others are left out;
 - nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
-- where `sparse/` holds several models, each has a world of its own: `sparse/0` is read, of our own exports all;
-- `test.txt`, which our exports write, says which recordings are for testing;
+- the images' folder is the one in which the model's names lie: `images/`, or any other beside the model;
+- where `sparse/` holds several models, each has a world of its own: the largest is read, of our own exports all;
+- `test.txt`, which our exports write, says which images are for testing;
 - frames have no times, and the order of names isn't one of time.
 
-The poses are a reference, not VIO. Each folder of images in `images/` is a recording.
+The poses are a reference, not VIO. Each folder of images in the images' folder is a recording.
 """
 
+import contextlib
+import functools
 import os
 import struct
 from collections.abc import Iterable, Iterator
@@ -28,12 +31,13 @@ from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import Clock, PoseSource
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import in_order
 from groundwalk.capture_import.image_folders import (
     data_set_of,
     is_metric_export,
     lost_rows,
     rows_of,
-    split_of,
+    sides,
     unnamed_images,
 )
 from groundwalk.capture_import.parsing import (
@@ -50,7 +54,6 @@ from groundwalk.capture_import.parsing import (
 )
 from groundwalk.geometry.poses import inverse
 
-_PLACES = ("sparse/0", "sparse", ".")
 # Name and number of parameters by the binary format's number: COLMAP's src/colmap/sensor/models.h.
 _MODELS = {
     0: ("SIMPLE_PINHOLE", 3),
@@ -101,31 +104,80 @@ def _model_in(folder: Path) -> bool:
     return any((folder / f"cameras{s}").is_file() and (folder / f"images{s}").is_file() for s in (".bin", ".txt"))
 
 
-def _is_data_set(path: Path) -> bool:
-    return any(_model_in(path / place) for place in _PLACES)
+@dataclass(frozen=True)
+class _DataSet:
+    """A folder with models: their cameras and images by their folders, the largest model first, and the folder in which
+    the images of that one lie."""
+
+    models: dict[Path, tuple[dict[int, _Camera], list[_Image]]]
+    images: Path
+
+
+def _images_of(path: Path, limits: Limits | None = None) -> Path | None:
+    """A data set's folder of images; None where there is no model."""
+    if not (folders := _model_folders(path)):
+        return None
+    try:
+        return _data_set(path, folders, limits or Limits(), _written(path, folders)).images
+    except UserError:  # `read` says what is wrong with the model
+        return path / "images"
+
+
+def _model_folders(path: Path) -> tuple[Path, ...]:
+    sparse = path / "sparse"
+    below = in_order(p for p in sparse.iterdir() if p.is_dir()) if sparse.is_dir() else []
+    return tuple(folder for folder in (*below, sparse, path) if _model_in(folder))
+
+
+def _written(path: Path, folders: Iterable[Path]) -> tuple[int, ...]:
+    """When the folder's entries and its models' files last changed."""
+    files = [file for folder in folders for name in ("cameras.*", "images.*") for file in folder.glob(name)]
+    return tuple(file.stat().st_mtime_ns for file in (path, *files))
+
+
+@functools.lru_cache(maxsize=2)  # each folder of images asks for its data set, some thousand times where there are many
+def _data_set(path: Path, folders: tuple[Path, ...], limits: Limits, written: tuple[int, ...]) -> _DataSet:
+    models = {folder: _read_model(folder, limits) for folder in folders}
+    largest_first = sorted(models, key=lambda folder: -len(models[folder][1]))
+    names = [image.name for image in models[largest_first[0]][1]]
+    beside = in_order(p for p in path.iterdir() if p.is_dir() and p.name != "images" and not p.name.startswith("."))
+    # Copies of other sizes (images_2) have the same names: the first that has most of them counts.
+    images = max((path / "images", *beside, path), key=lambda folder: _count(folder, names))
+    return _DataSet({folder: models[folder] for folder in largest_first}, images)
+
+
+def _count(folder: Path, names: Iterable[str]) -> int:
+    """How many images of these names are in a folder."""
+    count = 0
+    for name in names if folder.is_dir() else ():
+        with contextlib.suppress(BadRow):  # `read` refuses names that lead elsewhere
+            count += inside(folder, name).is_file()
+    return count
 
 
 def detect(path: Path) -> bool:
-    """A folder with a model in sparse/0, sparse or itself beside images/, or one of its folders of images."""
-    data_set = data_set_of(path, _is_data_set)
-    return data_set is not None and (data_set / "images").is_dir()
+    """A folder with a model in sparse/0, sparse or itself beside a folder of its images, or a folder below that."""
+    data_set = data_set_of(path, _images_of)
+    images = None if data_set is None else _images_of(data_set)
+    return images is not None and images.is_dir()
 
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the images of one recording."""
-    data_set = data_set_of(path, _is_data_set) or path
+    data_set = data_set_of(path, _images_of) or path
     ours = is_metric_export(data_set)
-    models = [data_set / place for place in _PLACES if _model_in(data_set / place)][:1]
-    others = sorted(p for p in (data_set / "sparse").glob("*") if _model_in(p) and p not in models)
-    models += others if ours else []
+    folders = _model_folders(data_set)
+    content = _data_set(data_set, folders, limits, _written(data_set, folders))
+    largest, *others = content.models
+    models = [largest, *others] if ours else [largest]
     listed: dict[str, tuple[_Image, _Camera | None]] = {}
     for folder in models:
-        cameras, images = _read_model(folder, limits)
+        cameras, images = content.models[folder]
         listed |= {f"{folder.name} {i.name}": (i, cameras.get(i.camera)) for i in images}
     named = []
     for source, (image, _) in listed.items():
         try:
-            named.append((source, inside(data_set / "images", image.name)))
+            named.append((source, inside(content.images, image.name)))
         except BadRow as error:
             raise UserError("an image of the model leads elsewhere", where=data_set, found=error) from None
 
@@ -143,14 +195,16 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
             vio_T_cam=inverse(cam_T_world),
             image=ImageFile(file),
             intrinsics=_intrinsics(camera),
+            split=split.get(file),
         )
 
     rows = rows_of(data_set, path, named)
+    split = sides([file for _, file in rows], _tested(data_set, content.images, limits))
     frames, rejects = collect([(s, (i, file)) for i, (s, file) in enumerate(rows)], session_id, read_row)
     refuse_unreadable(path, frames, rejects, "images of the model in this folder")
     notes = lost_rows(named)
-    if others and not ours:
-        notes.append(f"{len(others)} more models in sparse/ have worlds of their own: not read")
+    if not ours:
+        notes += _other_models(content, data_set)
     return RawSession(
         session_id,
         FORMAT.id,
@@ -162,15 +216,28 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         pose_source=PoseSource.REFERENCE,
         is_gravity_aligned=ours,
         is_metric=ours,
-        split=split_of([file for _, file in rows], _tested(data_set, limits)),
         notes=notes,
     )
 
 
-def _tested(data_set: Path, limits: Limits) -> set[Path]:
+def _other_models(content: _DataSet, data_set: Path) -> list[str]:
+    """A note on models that aren't read, but for those of the same images, which COLMAP's own layouts have."""
+    (largest, (_, images)), *others = content.models.items()
+    names = {image.name for image in images}
+    apart = {f: len(i) for f, (_, i) in others if not names.issuperset(image.name for image in i)}
+    if not apart:
+        return []
+    listed = ", ".join(f"{folder.relative_to(data_set)} ({count})" for folder, count in apart.items())
+    return [
+        f"{largest.relative_to(data_set)} is read, the model with most images ({len(images)}); each has a world of its "
+        f"own, so these aren't: {listed}"
+    ]
+
+
+def _tested(data_set: Path, images: Path, limits: Limits) -> set[Path]:
     """The images that test.txt lists, which our exports write."""
     file = data_set / "test.txt"
-    return {data_set / "images" / line for _, line in lines_of(file, limits)} if file.is_file() else set()
+    return {images / line for _, line in lines_of(file, limits)} if file.is_file() else set()
 
 
 def _read_model(folder: Path, limits: Limits) -> tuple[dict[int, _Camera], list[_Image]]:
@@ -282,7 +349,7 @@ FORMAT = Format(
     id="colmap",
     label="COLMAP model",
     meaning="images, reference poses",
-    looks_for="cameras and images (.bin or .txt) in sparse/0/, beside images/",
+    looks_for="cameras and images (.bin or .txt) in sparse/0/, beside the folder of images",
     detect=detect,
     read=read,
 )

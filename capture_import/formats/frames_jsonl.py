@@ -23,7 +23,7 @@ from groundwalk.capture_import.capture import (
     Reject,
 )
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import is_image, unused
+from groundwalk.capture_import.image_files import in_order, is_image, size_notes, unused
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
@@ -32,11 +32,11 @@ from groundwalk.capture_import.parsing import (
     number,
     numbers,
     optional_number,
+    optional_size,
     parse_json,
     refuse_unreadable,
     row_major_pose,
     to_number,
-    whole,
 )
 from groundwalk.geometry.shutter import MAX_READOUT_S
 
@@ -79,14 +79,16 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     frames, rejects = collect(rows, session_id, read_row)
     refuse_unreadable(path, frames, rejects, "rows with t_ns, vio_T_cam, image and intrinsics")
     rejects += _unnamed(path, session_id, frames)
-    return RawSession(session_id, FORMAT.id, folder=path, frames=frames, rejects=rejects, **header)
+    return RawSession(
+        session_id, FORMAT.id, folder=path, frames=frames, rejects=rejects, notes=size_notes(frames), **header
+    )
 
 
 def _unnamed(path: Path, session_id: str, frames: list[RawFrame]) -> list[Reject]:
     """The images of a recording that no row which can be read names."""
     named = {frame.image.path for frame in frames if frame.image}
     named |= {file for f in frames if f.depth for file in (f.depth.path, f.depth.confidence) if file}
-    images = sorted(p for p in path.rglob("*") if is_image(p))
+    images = in_order(p for p in path.rglob("*") if is_image(p))
     return unused(session_id, images, named, "image isn't named by a row that can be read", root=path)
 
 
@@ -128,7 +130,7 @@ def _intrinsics(row: dict[str, Any]) -> Intrinsics:
         raise BadRow("distortion is no list")
     fx, fy, cx, cy = (number(row, key) for key in ("fx", "fy", "cx", "cy"))
     coefficients = tuple(to_number(k, "distortion") for k in distortion)
-    return Intrinsics(fx, fy, cx, cy, whole(row, "width"), whole(row, "height"), coefficients)
+    return Intrinsics(fx, fy, cx, cy, *optional_size(row, "width", "height"), coefficients)
 
 
 FORMAT = Format(

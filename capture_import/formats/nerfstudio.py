@@ -8,12 +8,16 @@ Documented at https://docs.nerf.studio/quickstart/data_conventions.html. What ma
 - intrinsics are at the top or, going before these, each frame's own: fl_x, fl_y, cx, cy, w, h, and OpenCV's k1, k2, k3,
   p1, p2; `camera_model` is OPENCV, PINHOLE or OPENCV_FISHEYE with k1 to k4 (others are refused);
 - nothing says what the unit is, or where up: scale and vertical are known for our own exports alone;
-- `test_filenames`, where there are any, say which recordings are for testing;
+- intrinsics that are missing: `camera_angle_x` gives the focal length, the middle of the image the principal point, the
+  image its size (instant-ngp's files and NeRF's synthetic scenes);
+- `test_filenames` say which images are for testing, or `transforms_test.json` beside `transforms_train.json` and
+  `transforms_val.json` (val trains);
 - frames have no times, and the order of names isn't one of time.
 
 The poses are a reference, not VIO. Each folder of images in `images/` is a recording.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,12 +28,13 @@ from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import Clock, PoseSource
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
 from groundwalk.capture_import.formats import Format
+from groundwalk.capture_import.image_files import SUFFIXES, is_image, size_notes, size_of
 from groundwalk.capture_import.image_folders import (
     data_set_of,
     is_metric_export,
     lost_rows,
     rows_of,
-    split_of,
+    sides,
     unnamed_images,
 )
 from groundwalk.capture_import.parsing import (
@@ -42,57 +47,72 @@ from groundwalk.capture_import.parsing import (
     json_of,
     number,
     numbers,
+    optional_size,
     refuse_unreadable,
     row_major_pose,
     seconds_to_ns,
-    whole,
 )
 from groundwalk.geometry.poses import Array, inverse, rigidity_error
 
-_FILE = "transforms.json"
+_TEST_FILE = "transforms_test.json"
+_FILES = ("transforms.json", "transforms_train.json", "transforms_val.json", _TEST_FILE)
 _MODELS = ("OPENCV", "PINHOLE", "OPENCV_FISHEYE")
 # OpenCV's order.
 _DISTORTION, _FISHEYE = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
 _RIGID_TOLERANCE = 1e-3
 
 
-def _is_data_set(path: Path) -> bool:
-    start = first_bytes(path / _FILE)
+def _images_of(path: Path) -> Path | None:
+    """A data set's folder of images: where rows name others, it's a recording as a whole."""
+    return path / "images" if any(_is_log(path / name) for name in _FILES) else None
+
+
+def _is_log(file: Path) -> bool:
+    start = first_bytes(file)
     return bool(start) and b'"timestamp"' not in start
 
 
 def detect(path: Path) -> bool:
-    """A folder with a transforms.json that has no times, or one of its folders of images."""
-    return data_set_of(path, _is_data_set) is not None
+    """A folder with a transforms.json that has no times, or one a split, or one of its folders of images."""
+    return data_set_of(path, _images_of) is not None
 
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the frames of one recording."""
-    data_set = data_set_of(path, _is_data_set) or path
-    content = json_of(data_set / _FILE, limits)
-    listed = content.get("frames")
-    if not isinstance(listed, list):
-        raise UserError("transforms.json has no frames", where=data_set / _FILE, expected="frames: a list")
-    world_T_file = _undo(content, data_set / _FILE)
-    by_source = {f"frame {i}": row for i, row in enumerate(listed)}
-    images, nameless = [], []
-    for source, row in by_source.items():
-        try:
-            images.append((source, _image(data_set, row)))
-        except BadRow as error:
-            nameless.append(Reject(session_id, source, None, f"names no image: {error}"))
+    data_set = data_set_of(path, _images_of) or path
+    log, *more = [data_set / name for name in _FILES if _is_log(data_set / name)]
+    by_source: dict[str, Any] = {}
+    images, nameless, tested = [], [], set()
+    for file in [log] if log.name == _FILES[0] else [log, *more]:
+        content = json_of(file, limits)
+        listed = content.get("frames")
+        if not isinstance(listed, list):
+            raise UserError(f"{file.name} has no frames", where=file, expected="frames: a list")
+        world = _undo(content, file)
+        for i, row in enumerate(listed):
+            source = f"frame {i}" if file.name == _FILES[0] else f"{file.stem} frame {i}"
+            try:
+                image = _image(data_set, row)
+            except BadRow as error:
+                nameless.append(Reject(session_id, source, None, f"names no image: {error}"))
+                continue
+            images.append((source, image))
+            by_source[source] = (world, content | row)
+            tested |= {image} if file.name == _TEST_FILE else set()
+        tested |= _tested(data_set, content)
     rows = rows_of(data_set, path, images)
+    split = sides([image for _, image in rows], tested)
 
     def read_row(source: str, row: tuple[int, Path]) -> RawFrame:
-        index, image = row
-        camera = content | by_source[source]
+        (index, image), (world_T_file, camera) = row, by_source[source]
         return RawFrame(
             number=index,
             source=source,
             t_ns=seconds_to_ns(index),
             vio_T_cam=world_T_file @ from_arkit(_pose(camera)),
             image=ImageFile(image),
-            intrinsics=_intrinsics(camera),
+            intrinsics=_intrinsics(camera, image),
+            split=split.get(image),
         )
 
     frames, unread = collect([(s, (i, image)) for i, (s, image) in enumerate(rows)], session_id, read_row)
@@ -112,16 +132,22 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         pose_source=PoseSource.REFERENCE,
         is_gravity_aligned=ours,
         is_metric=ours,
-        split=split_of([image for _, image in rows], _tested(data_set, content)),
-        notes=lost_rows(images),
+        notes=[*lost_rows(images), *_assumptions([by_source[source][1] for source, _ in rows]), *size_notes(frames)],
     )
 
 
 def _image(data_set: Path, row: Any) -> Path:
     if not isinstance(row, dict):
         raise BadRow("frame is no object")
-    image = inside(data_set, row.get("file_path"))
-    return image if image.suffix else image.with_name(image.name + ".png")
+    name = row.get("file_path")
+    image = inside(data_set, name)
+    if not image.exists() and isinstance(name, str):
+        image = inside(data_set, name.replace("\\", "/"))  # as Windows parts names
+    if is_image(image):
+        return image
+    names = [image.name + end for suffix in SUFFIXES for end in (suffix, suffix.upper())]
+    there = [image.with_name(name) for name in names if image.with_name(name).is_file()]
+    return there[0] if there else image.with_name(image.name + ".png")
 
 
 def _tested(data_set: Path, content: dict[str, Any]) -> set[Path]:
@@ -152,19 +178,45 @@ def _undo(content: dict[str, Any], file: Path) -> Array:
     return inverse(applied)
 
 
-def _intrinsics(row: dict[str, Any]) -> Intrinsics:
+def _intrinsics(row: dict[str, Any], image: Path) -> Intrinsics:
     model = row.get("camera_model", "OPENCV")
     if model not in _MODELS:
         raise BadRow(f"camera_model {str(model)[:40]} is none of {', '.join(_MODELS)}")
-    fx, fy, cx, cy = (number(row, key) for key in ("fl_x", "fl_y", "cx", "cy"))
-    width, height = whole(row, "w"), whole(row, "h")
+    stated = optional_size(row, "w", "h")
+    is_complete = {"fl_x", "fl_y", "cx", "cy"} <= row.keys()
+    width, height = size_of(image) if stated[0] is None and not is_complete else stated
+    fx = _focal_length(row, "x", width)
+    fy = _focal_length(row, "y", height) if {"fl_y", "camera_angle_y"} & row.keys() else fx
+    cx = number(row, "cx") if "cx" in row or width is None else width / 2
+    cy = number(row, "cy") if "cy" in row or height is None else height / 2
     if model == "OPENCV_FISHEYE":
+        width, height = size_of(image) if width is None or height is None else (width, height)
         return fisheye_intrinsics((fx, fy, cx, cy), width, height, _coefficients(row, _FISHEYE))
     if row.get("k4"):
         raise BadRow("distortion k4 has no place in OpenCV's model of k1, k2, p1, p2, k3")
     distortion = _coefficients(row, _DISTORTION)
     known = distortion if model == "OPENCV" and any(distortion) else ()
-    return Intrinsics(fx, fy, cx, cy, width, height, known)
+    return Intrinsics(fx, fy, cx, cy, *stated, known)
+
+
+def _focal_length(row: dict[str, Any], axis: str, size: int | None) -> float:
+    if f"fl_{axis}" in row or size is None:
+        return number(row, f"fl_{axis}")
+    if f"camera_angle_{axis}" not in row:
+        raise BadRow(f"fl_{axis} is missing, and so is camera_angle_{axis}")
+    angle = number(row, f"camera_angle_{axis}")
+    if not 0 < angle < math.pi:
+        raise BadRow(f"camera_angle_{axis} {angle:g} is no angle of view in radians")
+    return size / 2 / math.tan(angle / 2)
+
+
+def _assumptions(cameras: Sequence[dict[str, Any]]) -> list[str]:
+    """Notes on what a recording's cameras don't state."""
+    said = {
+        "the focal length is that of camera_angle_x and the images' width": "fl_x",
+        "the principal point isn't stated: the middle of the image is taken": "cx",
+    }
+    return [note for note, key in said.items() if any(key not in camera for camera in cameras)]
 
 
 def _coefficients(row: dict[str, Any], keys: Sequence[str]) -> tuple[float, ...]:
@@ -175,7 +227,8 @@ FORMAT = Format(
     id="nerfstudio",
     label="nerfstudio transforms.json",
     meaning="images, reference poses",
-    looks_for="transforms.json without times",
+    looks_for="transforms.json without times, or transforms_train.json and transforms_test.json",
     detect=detect,
     read=read,
+    yields_to=("colmap",),  # whose models have the whole distortion, and no applied_transform
 )

@@ -15,17 +15,17 @@ from pathlib import Path
 from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
-from groundwalk.capture_import.image_files import by_stem, images_in, unused
+from groundwalk.capture_import.image_files import by_stem, images_in, size_notes, unused
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
     from_arkit,
     number,
+    optional_size,
     parse_json,
     read_text,
     refuse_unreadable,
     row_major_pose,
-    whole,
 )
 
 _MAX_FRAME_BYTES = 1 << 20
@@ -47,7 +47,8 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     refuse_unreadable(path, frames, rejects, "keyframes/cameras/<microseconds>.json with t_00 .. t_23, fx, fy, cx, cy")
     used = {image for _, (_, _, image) in rows}
     rejects += unused(session_id, images_in(images), used, "image has no camera file of its own with its name")
-    return RawSession(session_id, FORMAT.id, "iOS, Polycam", Clock.BOOT, path, frames, rejects)
+    notes = size_notes(frames)
+    return RawSession(session_id, FORMAT.id, "iOS, Polycam", Clock.BOOT, path, frames, rejects, notes=notes)
 
 
 def _read_row(source: str, row: tuple[int, Path, Path | None]) -> RawFrame:
@@ -64,8 +65,7 @@ def _read_row(source: str, row: tuple[int, Path, Path | None]) -> RawFrame:
         image=ImageFile(image) if image else None,
         intrinsics=Intrinsics.of(
             (number(camera, key) for key in ("fx", "fy", "cx", "cy")),
-            width=whole(camera, "width"),
-            height=whole(camera, "height"),
+            *optional_size(camera, "width", "height"),
         ),
         depth=DepthFile.if_there(
             *(file.parents[1] / kind / f"{file.stem}.png" for kind in ("depth", "confidence")),

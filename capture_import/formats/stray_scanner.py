@@ -39,12 +39,20 @@ _PER_FRAME = ("fx", "fy", "cx", "cy")
 
 
 def detect(path: Path) -> bool:
-    """A folder with odometry.csv and rgb.mp4."""
-    return (path / "odometry.csv").is_file() and (path / "rgb.mp4").is_file()
+    """A folder with odometry.csv."""
+    return (path / "odometry.csv").is_file()
 
 
 def read(path: Path, session_id: str, limits: Limits) -> RawSession:
     """Read the rows and join them to the video's frames by number."""
+    video = path / "rgb.mp4"
+    if not video.is_file():
+        raise UserError(
+            "Stray Scanner: odometry.csv is here, rgb.mp4 is not",
+            where=path,
+            expected="both, as the app writes them",
+            do="copy the recording again, with its video",
+        )
     header, *rows = lines_of(path / "odometry.csv", limits) or [("odometry.csv", "")]
     names = [name.strip() for name in header[1].split(",")]
     if missing := [name for name in _COLUMNS if name not in names]:
@@ -53,7 +61,6 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         )
     per_frame = all(name in names for name in _PER_FRAME)
     shared = None if per_frame else _camera_matrix(path)
-    video = path / "rgb.mp4"
 
     def read_row(source: str, line: str) -> RawFrame:
         row: dict[str, Any] = dict(zip(names, next(csv.reader([line], skipinitialspace=True)), strict=False))

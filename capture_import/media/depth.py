@@ -94,7 +94,7 @@ def _read(file: Path, where: Placement) -> bytes:
             raise BadImage(f"is larger than {_MAX_BYTES} bytes")
         return file.read_bytes()
     except OSError as error:
-        raise BadImage(f"can't be read: {error.strerror}") from None
+        raise BadImage(f"{file.name} can't be read: {error.strerror}") from None
 
 
 def _decode(

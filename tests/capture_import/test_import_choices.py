@@ -30,7 +30,13 @@ def frames_of(**recordings: np.ndarray) -> pd.DataFrame:
         t_ns = np.round(np.asarray(seconds) * 1e9).astype(np.int64)
         parts.append(
             pd.DataFrame(
-                {"session_id": session, "recording": session.split(".")[0], "stated_split": None, "t_ns": t_ns}
+                {
+                    "session_id": session,
+                    "recording": session.split(".")[0],
+                    "stated_split": None,
+                    "t_ns": t_ns,
+                    "clock": "boot",
+                }
             )
         )
     return pd.concat(parts, ignore_index=True)
@@ -200,6 +206,29 @@ def test_other_names_are_split_by_fraction() -> None:
     t = np.arange(0, 50, 1.0)
     split = split_frames(frames_of(a=t, b=t, c=t, d=t), SplitRules(), by_time=False)
     assert (split.of_frame == "test").mean() == 0.25
+
+
+@pytest.mark.parametrize(
+    ("sizes", "tested"),
+    [
+        ({"a": 3, "b": 39}, "a"),
+        ({"a": 30, "b": 40, "c": 100}, "b"),
+        ({"walk2": 40, "walk10": 10, "walk9": 40}, "walk10"),
+    ],
+)
+def test_the_last_recordings_do_not_test_where_they_are_most(sizes: dict[str, int], tested: str) -> None:
+    split = split_frames(frames_of(**{name: np.arange(n) for name, n in sizes.items()}), SplitRules(), by_time=False)
+    assert (split.of_frame == "test").sum() == sizes[tested] < (split.of_frame == "train").sum()
+
+
+def test_without_times_there_is_no_leak_in_seconds() -> None:
+    frames = frames_of(photos=np.arange(100)).assign(clock="name_order")
+    split = split_frames(frames, SplitRules(val_fraction=0), by_time=False)
+    assert split.leak_s is None and split.how == "the last images of each recording by their names"
+    with pytest.raises(UserError, match="too close in time"):
+        split_frames(frames.assign(clock="boot", stated_split=["train", "test"] * 50), SplitRules(), by_time=False)
+    stated = split_frames(frames.assign(stated_split=["train", "test"] * 50), SplitRules(), by_time=False)
+    assert stated.leak_s is None and (stated.of_frame[1::2] == "test").all()
 
 
 def test_listed_sessions() -> None:

@@ -215,7 +215,7 @@ def test_public_data_sets_keep_their_split_and_have_no_vio(tmp_path: Path) -> No
     assert unlisted.split is None
     assert "TestSplit.txt" in unlisted.notes[0]
     write_cambridge(tmp_path / "church" / "seq1", make_walk(8))
-    assert find_one(tmp_path / "church").read(Limits()).split == "train"
+    assert {frame.split for frame in find_one(tmp_path / "church").read(Limits()).frames} == {"train"}
 
 
 def test_real_recordings_are_read(shared_captures: Path, shared_trajectories: Path, tmp_path: Path) -> None:

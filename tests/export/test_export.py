@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections import Counter
 from pathlib import Path
 
 import cv2
@@ -245,7 +246,9 @@ def test_our_importer_reads_its_data_sets(scene: DataRoot, name: str) -> None:
     out = _export(scene, name, "--images", "copy")
     frame_of, truth, found = _frame_of(out), _truth(scene), {}
     sessions = _sessions(out)
-    assert [s.split for s in sessions] == ["train", "test", "test"]
+    assert [s.clock for s in sessions] == 3 * ["name_order"]
+    split = [{s.split} if s.split else {f.split for f in s.frames} for s in sessions]
+    assert split == [{"train"}, {"test"}, {"test"}]
     assert [len(s.frames) for s in sessions] == [14, 5, 20]
     for session in sessions:
         assert not session.rejects
@@ -265,8 +268,8 @@ def test_our_importer_reads_what_other_tools_read(scene: DataRoot, name: str) ->
     out = _export(scene, name, "--images", "copy")
     frame_of, truth, found = _frame_of(out), _truth(scene), {}
     sessions = _sessions(out)
-    # walk0 is partly for testing; a recording is for one thing, or for none by name.
-    assert [(s.session_id, s.split, len(s.frames)) for s in sessions] == [("walk0", None, 19), ("walk1", "test", 20)]
+    split = {s.session_id: Counter(f.split for f in s.frames) for s in sessions}
+    assert split == {"walk0": {"train": 14, "test": 5}, "walk1": {"test": 20}}
     for session in sessions:
         assert not session.rejects and not session.notes
         assert (session.pose_source, session.is_metric, session.is_gravity_aligned) == ("reference", True, True)

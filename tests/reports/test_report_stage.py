@@ -4,7 +4,8 @@ import re
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -23,6 +24,7 @@ from groundwalk.artefacts.tables import read_table, write_table
 from groundwalk.reports import style
 from groundwalk.reports.checks import AGREES
 from groundwalk.reports.grids import Block, Grid, Row, latex, latex_text, markdown
+from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import load_published
 from groundwalk.reports.stage import STAGE
 from groundwalk.scoring.scores import score
@@ -426,6 +428,16 @@ def test_a_real_capture_of_few_frames_says_that_its_accuracy_means_nothing(chair
     assert cells_of(folder, source="published").empty
     checks = read_table(folder / "checks.parquet", schema("report", "checks"))
     assert set(checks.loc[checks["check"] == "no_leak", "status"]) == {"caution"}
+
+
+def test_near_copies_in_training_mean_that_accuracy_means_nothing() -> None:
+    for near, reasons in (
+        (0.9, ["90% of test images show nearly what a training image shows"]),
+        (0.01, []),
+        (None, []),
+    ):
+        made = SimpleNamespace(training_frames=500, leak_s=None, near_copies=near)
+        assert SceneInputs.why_meaningless(cast(SceneInputs, made)) == reasons
 
 
 def test_support_frames_are_not_counted(chair: tuple[DataRoot, Path]) -> None:
