@@ -11,6 +11,7 @@ from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import RECORDING
 from groundwalk.artefacts.hints import run_command
+from groundwalk.artefacts.locks import locked
 from groundwalk.artefacts.settings import STAGES, DataRoot
 from groundwalk.artefacts.web_viewer import view_in_browser, view_in_window
 
@@ -46,17 +47,17 @@ def link_captures(
         raise UserError("the captures folder isn't there", where=folder, expected="a folder of phone captures")
     if link.resolve() == folder.resolve():
         return
-    if link.is_symlink():
-        link.unlink()
-    elif link.exists():
-        raise UserError(
-            f"scene {scene} has captures already",
-            where=link,
-            expected="nothing, or a link to other captures",
-            do="name another scene, or move that folder away",
-        )
-    link.parent.mkdir(parents=True, exist_ok=True)
-    link.symlink_to(folder.resolve(), target_is_directory=True)
+    with locked(link):
+        if link.is_symlink():
+            link.unlink()
+        elif link.exists():
+            raise UserError(
+                f"scene {scene} has captures already",
+                where=link,
+                expected="nothing, or a link to other captures",
+                do="name another scene, or move that folder away",
+            )
+        link.symlink_to(folder.resolve(), target_is_directory=True)
     print(f"{link} → {folder}")
 
 

@@ -42,11 +42,15 @@ def clean_scene(data: DataRoot, profile: str, scene: str) -> Cleaned:
     through_link = runs.is_symlink() or runs.parent.is_symlink()
     stages = [] if through_link else [runs / stage for stage in STAGES if _leaves_traces(runs / stage)]
     with contextlib.ExitStack() as locks:
-        for folder in (*stages, *([captures] if _leaves_traces(captures) else [])):
+        for folder in (*stages, *([captures] if _are_simulators(captures) else [])):
             locks.enter_context(locked(folder))
         for stage in stages:
             _clean_stage(stage, cleaned)
-        _clean_captures(captures, cleaned)
+        if _are_simulators(captures):
+            _clean_captures(captures, cleaned)
+    if os.path.lexists(lock_file(captures)):
+        with contextlib.suppress(UserError), locked(captures):  # a lock that others hold stays
+            lock_file(captures).unlink()
     if through_link:
         cleaned.left.append(runs)
     elif runs.is_dir():
@@ -54,6 +58,12 @@ def clean_scene(data: DataRoot, profile: str, scene: str) -> Cleaned:
         cleaned.left += [path for path in sorted(runs.iterdir()) if path not in named]
         _remove_empty(runs)
     return cleaned
+
+
+def _are_simulators(captures: Path) -> bool:
+    """Whether the simulator wrote a capture folder, or left one unfinished: real ones stay, whoever reads them."""
+    hidden = map(_is_folder, (partial_folder(captures), old_folder(captures)))
+    return any(hidden) or (_is_folder(captures) and (captures / SIMULATED_MARKER).exists())
 
 
 def _leaves_traces(final: Path) -> bool:
@@ -70,16 +80,16 @@ def _clean_stage(final: Path, cleaned: Cleaned) -> None:
 
 
 def _clean_captures(captures: Path, cleaned: Cleaned) -> None:
-    marker = read_json(captures / SIMULATED_MARKER)
-    if _is_folder(captures) and marker:
-        try:
-            files = simulated_files(marker)
-        except ValueError:
-            cleaned.left.append(captures)
-        else:
-            _remove_listed(captures, files, SIMULATED_MARKER, cleaned)
+    for folder in (captures, old_folder(captures)):
+        marker = read_json(folder / SIMULATED_MARKER)
+        if _is_folder(folder) and marker:
+            try:
+                files = simulated_files(marker)
+            except ValueError:
+                cleaned.left.append(folder)
+            else:
+                _remove_listed(folder, files, SIMULATED_MARKER, cleaned)
     _remove_partial(partial_folder(captures), cleaned)
-    lock_file(captures).unlink(missing_ok=True)
 
 
 def _remove_partial(folder: Path, cleaned: Cleaned) -> None:

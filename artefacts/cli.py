@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from groundwalk.artefacts.damage import as_user_error, causes
+from groundwalk.artefacts.damage import as_user_error, causes, sentence
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.settings import DataRoot, Settings
 from groundwalk.artefacts.signals import Stopped, signals_raise
@@ -70,7 +70,9 @@ class App(typer.Typer):
             if stopped is not None:
                 print(f"stopped by {stopped}{f'; {stopped.again}' if stopped.again else ''}", file=sys.stderr)
                 sys.exit(stopped.exit_code)
-            message = as_user_error(error) if isinstance(error, OSError) else error
+            message: BaseException = error
+            if isinstance(error, OSError) and error.errno is not None:
+                message = as_user_error(error) or sentence(error)
             if not isinstance(message, UserError):
                 raise
             print(f"error: {printable(str(message))}", file=sys.stderr)

@@ -24,7 +24,14 @@ _MACHINE = {
     errno.ENOMEM: "the memory is used up",
     errno.ENAMETOOLONG: "a name is too long for the file system",
     errno.EIO: "the disk reports an error",
+    errno.ELOOP: "a link is where none may be, or links lead in a circle",
+    errno.EXDEV: "a folder can't be moved from one file system to another",
+    errno.EBUSY: "the system holds this: a disk is mounted there, or a program uses it",
+    errno.ESTALE: "a network drive has lost a file that is open",
+    errno.ENOLCK: "the file system has no locks",
+    errno.EOPNOTSUPP: "the file system can't do this",
 }
+_OTHER_DISK = "name a data folder on another disk with --data"
 _DO = {
     errno.ENOSPC: "free some space",
     errno.EDQUOT: "free some space",
@@ -33,7 +40,14 @@ _DO = {
     errno.EEXIST: "move it away, or name another data folder with --data",
     errno.EACCES: "look at the owner and the permissions of this path and of its folder",
     errno.EMFILE: "raise the limit (ulimit -n 4096)",
+    errno.ELOOP: "take the link away",
+    errno.EXDEV: f"{_OTHER_DISK}: one that lies on one file system as a whole",
+    errno.EBUSY: "unmount it, or end that program",
+    errno.ESTALE: "see that the drive is connected, then run the same command again",
+    **dict.fromkeys((errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS), _OTHER_DISK),
 }
+# Also what a damaged checkpoint leads to, or a fault of this program.
+_MAY_BE_DAMAGE = {errno.ENOENT, errno.EISDIR, errno.EINVAL, errno.EBADF}
 _OF_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FULL_BELOW_BYTES = 16 << 20
 _STOPPED_FROM_OUTSIDE = {-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP}
@@ -54,16 +68,22 @@ def as_user_error(error: BaseException, work: Path | None = None) -> UserError |
     Libraries hide the cause: with `work`, an error without a number is the disk's if that is full there.
     """
     for cause in causes(error):
-        if isinstance(cause, OSError) and cause.errno in _MACHINE:
-            # Of a link or a rename that fails, the place where it was to be.
-            name = cause.filename if cause.filename2 is None else cause.filename2
-            where = Path(os.fsdecode(name)) if isinstance(name, str | bytes) else work
-            room = _free(where) if cause.errno in _OF_SPACE else None
-            return UserError(_MACHINE[cause.errno], where=where, found=room, do=_DO.get(cause.errno))
+        if isinstance(cause, OSError) and cause.errno is not None and cause.errno not in _MAY_BE_DAMAGE:
+            return sentence(cause, work)
     if work is not None and isinstance(error, RuntimeError | ProcessDied | OSError) and (number := _probe(work)):
         text = str(error).split("\n")[0][:200]
         return UserError(_MACHINE[number], where=work, found=f"{_free(work)}; {text}", do=_DO.get(number))
     return None
+
+
+def sentence(error: OSError, work: Path | None = None) -> UserError:
+    """An error that has a number, in words."""
+    # Of a link or a rename that fails, the place where it was to be.
+    name = error.filename if error.filename2 is None else error.filename2
+    where = Path(os.fsdecode(name)) if isinstance(name, str | bytes) else work
+    room = _free(where) if error.errno in _OF_SPACE else None
+    number = error.errno or 0
+    return UserError(_MACHINE.get(number) or os.strerror(number).lower(), where=where, found=room, do=_DO.get(number))
 
 
 def may_be_damage(error: Exception) -> bool:

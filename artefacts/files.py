@@ -1,12 +1,14 @@
 """Files that are whole or not there: written aside, synced to the disk, then renamed; and their hashes."""
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,8 @@ from groundwalk.artefacts.text import name_list
 
 KEY_FILE = "key.json"
 RECORDING = "recording.rrd"
+_digests: dict[tuple[str | int, ...], str] = {}
+_SETTLED_NS = 2 * 10**9  # the coarsest clock of a file system: what is younger may be written again without a trace
 
 
 @contextlib.contextmanager
@@ -106,9 +110,16 @@ def hash_files(folder: Path, files: Iterable[Path]) -> dict[str, str]:
 
 
 def sha256_of(path: Path) -> str:
-    """The sha256 of a file in hexadecimal digits."""
+    """The sha256 of a file in hexadecimal digits; one that this process has hashed is read again where it has changed
+    since, by its inode, size and times."""
     with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        status = os.fstat(file.fileno())
+        times = (status.st_mtime_ns, status.st_ctime_ns)
+        state = (str(path), status.st_dev, status.st_ino, status.st_size, *times)
+        digest = _digests.get(state) or hashlib.file_digest(file, "sha256").hexdigest()
+    if time.time_ns() - max(times) > _SETTLED_NS:
+        _digests[state] = digest
+    return digest
 
 
 def partial_folder(final: Path) -> Path:
@@ -121,35 +132,84 @@ def old_folder(final: Path) -> Path:
     return final.with_name(f".{final.name}.old")
 
 
-def swap_in(work: Path, final: Path) -> None:
-    """Put a finished folder in its place, synced; a kill between the two renames is mended by the next run."""
-    old = old_folder(final)
+def refuse_irreplaceable(final: Path) -> None:
+    """UserError where a folder can't be put in a place: better now than after the work."""
+    if not os.path.lexists(final) or (final.is_dir() and not final.is_symlink() and not final.is_mount()):
+        return
+    found = "a link" if final.is_symlink() else "a disk of its own" if final.is_dir() else "a file"
+    raise UserError(
+        f"{final.name} is replaced as a whole, and what is there can't be",
+        where=final,
+        expected="a folder, or nothing",
+        found=found,
+        do="move it away; to have results on another disk, link or mount a folder above it, or name another one",
+    )
+
+
+def swap_in(work: Path, final: Path, made: Callable[[Path], Collection[str]]) -> None:
+    """Put a finished folder in its place, synced; a kill between the two renames is mended by the next run.
+
+    `made` lists which files of such a folder this program wrote. Others that are in the replaced one go to the new one.
+    """
     (work / KEY_FILE).unlink(missing_ok=True)
     sync_tree(work)
-    shutil.rmtree(old, ignore_errors=True)
     if final.exists():
-        final.rename(old)
+        _drop_old(final, made)
+        final.rename(old_folder(final))
     work.rename(final)
     _sync(final.parent)
-    shutil.rmtree(old, ignore_errors=True)
+    _drop_old(final, made)
 
 
-def finish_interrupted_swap(final: Path, last: str) -> None:
+def finish_interrupted_swap(final: Path, last: str, made: Callable[[Path], Collection[str]]) -> None:
     """What a `swap_in` that was killed left undone; `last` is the file that a finished folder gets last."""
     work, old = partial_folder(final), old_folder(final)
     if read_json(work / last):
-        swap_in(work, final)
+        refuse_irreplaceable(final)
+        swap_in(work, final, made)
     elif old.exists() and not final.exists():
         old.rename(final)
-    shutil.rmtree(old, ignore_errors=True)
+    _drop_old(final, made)
+
+
+def _drop_old(final: Path, made: Callable[[Path], Collection[str]]) -> None:
+    old = old_folder(final)
+    if old.is_symlink():
+        old.unlink()
+    elif old.is_dir():
+        # Where its own list is damaged, what the new one has is taken for its files.
+        move_others(old, final, made(old) or made(final))
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def move_others(source: Path, target: Path, made: Collection[str]) -> None:
+    """Move the files of a folder that aren't listed to the same places in another one, which keeps what it has."""
+    for name in file_names(source):
+        if name not in made:
+            place = target / name
+            if os.path.lexists(place) or not _makes_folder(place.parent):
+                place = target / f"{name.replace('/', '-')}.kept"
+            (source / name).rename(place)
+
+
+def _makes_folder(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        return False
+    return True
 
 
 @contextlib.contextmanager
 def fresh_folder(out: Path) -> Iterator[Path]:
     """A folder that becomes `out` when the block ends well, in place of what is there; nothing else is touched.
 
-    It's made under a name that nothing beside `out` has, and dropped where the block fails.
+    It's made under a name that nothing beside `out` has, and dropped where the block fails. Files that came to `out`
+    meanwhile are kept. UserError where it's no folder; a link is followed.
     """
+    out = out.resolve()
+    refuse_irreplaceable(out)
+    before = file_names(out)
     aside = Path(tempfile.mkdtemp(prefix=".groundwalk-", dir=out.parent))
     work, old = aside / "new", aside / "old"
     try:
@@ -161,7 +221,9 @@ def fresh_folder(out: Path) -> Iterator[Path]:
         work.rename(out)
         _sync(out.parent)
     finally:
-        if old.exists() and not out.exists():
+        if old.exists() and out.exists():
+            move_others(old, out, before)
+        elif old.exists():
             old.rename(out)
         shutil.rmtree(aside, ignore_errors=True)
 
@@ -177,5 +239,9 @@ def _sync(path: Path) -> None:
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
+    except OSError as error:
+        # Some network drives sync files alone, and what becomes of a folder's names is theirs.
+        if not (path.is_dir() and error.errno in (errno.EINVAL, errno.EBADF)):
+            raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         os.close(descriptor)

@@ -24,6 +24,8 @@ class Reader(Protocol):
     """The part of a stage that says what it reads."""
 
     @property
+    def name(self) -> str: ...
+    @property
     def needs(self) -> tuple[str, ...]: ...
     @property
     def reads_captures(self) -> bool: ...
@@ -43,13 +45,14 @@ class Inputs:
     profile: str
     data: DataRoot
     files: tuple[str, ...] = ()
+    reads_images: bool = False
     hashes: dict[str, Any] = field(default_factory=dict)
     _locks: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
-    _captures: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def __enter__(self) -> "Inputs":
         try:
-            self._read()
+            self._lock()
+            self.hashes = self._hashes()
         except BaseException:
             self._locks.close()
             raise
@@ -59,9 +62,13 @@ class Inputs:
         self._locks.close()
 
     def verify(self) -> None:
-        """UserError where an input isn't as its stage wrote it."""
+        """UserError where an input isn't as its stage wrote it, or an image as import saw it."""
         for _, _, folder in self._sources():
             load_verified(folder)
+        from groundwalk.artefacts.images import verify_images  # OpenCV, which the command `run` does without
+
+        for leaf in self.data.leaves(self.scene) if self.reads_images else ():
+            verify_images(self.data.captures(leaf), self.data.run(self.profile, leaf, "import"))
 
     def refuse_outdated(self) -> None:
         """UserError where an artefact among the inputs was made from others than are there now."""
@@ -69,13 +76,16 @@ class Inputs:
             self._refuse_outdated(scene, stage, load_manifest(folder))
 
     def refuse_changed(self) -> None:
-        """UserError where the captures have changed since they were hashed; artefacts are held, and can't."""
-        if self.stage.reads_captures and self._captures != _capture_state(self.data.captures(self.scene.name)):
-            raise UserError(
-                "the captures changed while they were imported",
-                where=self.data.captures(self.scene.name),
-                do="wait until nothing writes there, then run the same command again",
-            )
+        """UserError where an input isn't any more what it was when it was verified: no lock stops other programs."""
+        self.verify()
+        now = self._hashes()
+        for name, hashes in self.hashes.items():
+            if now[name] != hashes:
+                raise UserError(
+                    f"{name} changed while stage {self.stage.name} read them",
+                    where=self.data.captures(self.scene.name) if name == "captures" else self.data.root,
+                    do="wait until nothing writes there, then run the same command again",
+                )
 
     def frames(self) -> int:
         """How many frames the imports have that are read."""
@@ -89,29 +99,35 @@ class Inputs:
         leaves = self.data.leaves(self.scene)
         return any(load_manifest(self.data.run(self.profile, leaf, "import"))["simulated"] for leaf in leaves)
 
-    def _read(self) -> None:
-        if self.stage.reads_captures:
-            self._read_captures()
+    def _lock(self) -> None:
+        """Captures, too, are read by many stages, and are another profile's to simulate or remove."""
+        for leaf in self.data.leaves(self.scene):
+            if (captures := self.data.captures(leaf)).is_dir():
+                self._locks.enter_context(locked(captures, shared=True))
         for scene, stage, folder in self._sources():
             if not (folder / MANIFEST).is_file():
                 raise missing_input(stage, folder, scene)
             self._locks.enter_context(locked(folder, shared=True))
-            self.hashes[f"{scene}/{stage}"] = load_manifest(folder)["outputs"]
-        for name in self.stage.reads_shipped:
-            self.hashes[f"data/{name}"] = {file: sha256_of(path) for file, path in self.data.files(name).items()}
-        if self.files:
-            self.hashes["files"] = hashes_of_named(self.files, self.scene.name, self.data)
 
-    def _read_captures(self) -> None:
+    def _hashes(self) -> dict[str, Any]:
+        hashes: dict[str, Any] = {}
+        if self.stage.reads_captures:
+            hashes["captures"] = self._hash_of_captures()
+        for scene, stage, folder in self._sources():
+            hashes[f"{scene}/{stage}"] = load_manifest(folder)["outputs"]
+        for name in self.stage.reads_shipped:
+            hashes[f"data/{name}"] = {file: sha256_of(path) for file, path in self.data.files(name).items()}
+        if self.files:
+            hashes["files"] = hashes_of_named(self.files, self.scene.name, self.data)
+        return hashes
+
+    def _hash_of_captures(self) -> dict[str, int | str]:
         captures = self.data.captures(self.scene.name)
-        if captures.is_dir():
-            self._locks.enter_context(locked(captures, shared=True))
-            self._captures = _capture_state(captures)
-        if not self._captures:
+        # Not links to nothing, or to themselves.
+        hashes = hash_files(captures, (path for path in capture_files(captures) if path.is_file()))
+        if not hashes:
             raise no_captures(self.scene.name, captures, self.profile)
-        hashes = hash_files(captures, [captures / name for name in self._captures])
-        digest = hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
-        self.hashes["captures"] = {"files": len(hashes), "sha256": digest}
+        return {"files": len(hashes), "sha256": hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()}
 
     def _sources(self) -> list[tuple[str, str, Path]]:
         """Scene, stage and folder of every artefact that is read."""
@@ -190,14 +206,3 @@ def capture_files(captures: Path) -> list[Path]:
             if not (name.startswith(".") or (at_top and name in TRUTH_FILES)):
                 paths.append(Path(base) / name)
     return paths
-
-
-def _capture_state(captures: Path) -> dict[str, tuple[int, int]]:
-    """Size and time (ns) of each file that import may read."""
-    state = {}
-    for path in capture_files(captures):
-        if path.is_file():  # not a link to nothing, or to itself
-            with contextlib.suppress(FileNotFoundError):  # removed just now
-                status = path.stat()
-                state[path.relative_to(captures).as_posix()] = (status.st_size, status.st_mtime_ns)
-    return state

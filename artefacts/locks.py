@@ -8,6 +8,8 @@ from pathlib import Path
 
 from groundwalk.artefacts.errors import UserError
 
+_ATTEMPTS = 100  # others that make and remove the lock's file again and again
+
 
 def lock_file(folder: Path) -> Path:
     """The lock file of a folder: beside it, so that the folder can be replaced and removed."""
@@ -22,10 +24,10 @@ def locked(folder: Path, *, shared: bool = False) -> Iterator[None]:
     this process, however that ends.
     """
     path = lock_file(folder)
-    while True:
+    for _ in range(_ATTEMPTS):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
         except FileNotFoundError:  # the parent was removed in between
             continue
         try:
@@ -33,6 +35,8 @@ def locked(folder: Path, *, shared: bool = False) -> Iterator[None]:
                 fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise _in_use(folder, shared) from None
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(path)) from None
             # Who held the lock before may have removed its file: a lock on a removed file excludes nobody.
             if not _is_same_file(descriptor, path):
                 continue
@@ -40,6 +44,12 @@ def locked(folder: Path, *, shared: bool = False) -> Iterator[None]:
             return
         finally:
             os.close(descriptor)
+    raise UserError(
+        f"{folder.name} can't be locked",
+        where=path,
+        found="its lock file isn't the one that was opened",
+        do="name a data folder on another disk with --data",
+    )
 
 
 def _is_same_file(descriptor: int, path: Path) -> bool:

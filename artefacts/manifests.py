@@ -42,6 +42,12 @@ def output_hashes(folder: Path) -> dict[str, str]:
     return hash_files(folder, (p for p in folder.rglob("*") if p.is_file() and p not in unhashed))
 
 
+def listed_files(folder: Path) -> set[str]:
+    """The files of an artefact that its stage wrote, by its manifest; none where that is damaged."""
+    outputs = read_json(folder / MANIFEST).get("outputs")
+    return {*outputs, *UNHASHED} if isinstance(outputs, dict) else set()
+
+
 def damaged_outputs(folder: Path, manifest: dict[str, Any]) -> list[str]:
     """The outputs that a manifest lists and that are gone or have another content."""
     listed: dict[str, str] = manifest["outputs"]

@@ -27,14 +27,15 @@ from groundwalk.artefacts.files import (
     RECORDING,
     finish_interrupted_swap,
     partial_folder,
+    refuse_irreplaceable,
     swap_in,
     write_json,
 )
 from groundwalk.artefacts.hints import of_scene
-from groundwalk.artefacts.images import image_file, verify_images
+from groundwalk.artefacts.images import image_file
 from groundwalk.artefacts.inputs import Inputs, missing_input
 from groundwalk.artefacts.locks import locked
-from groundwalk.artefacts.manifests import MANIFEST, is_whole, load_manifest, output_hashes
+from groundwalk.artefacts.manifests import MANIFEST, is_whole, listed_files, load_manifest, output_hashes
 from groundwalk.artefacts.memory import PeakMemory
 from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.resuming import run_resumable
@@ -227,8 +228,8 @@ def execute(
         )
     settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, overrides or [])
     final = data.run(profile, scene_name, stage.name)
-    with Inputs(stage, scene, profile, data, tuple(stage.files(settings))) as inputs, locked(final):
-        finish_interrupted_swap(final, MANIFEST)
+    with _inputs(stage, scene, profile, data, settings) as inputs, locked(final):
+        finish_interrupted_swap(final, MANIFEST, listed_files)
         inputs.refuse_outdated()
         key, parts = _key(stage, settings, seed, inputs)
         title = f"{stage.name} · {scene_name} · {profile}"
@@ -236,22 +237,25 @@ def execute(
             progress.console.print(f"{title}: up to date", markup=False)
             return final
 
-        inputs.verify()
-        if stage.reads_images(settings):
-            for leaf in data.leaves(scene):
-                verify_images(data.captures(leaf), data.run(profile, leaf, "import"))
         work = partial_folder(final)
+        for folder in (final, work):
+            refuse_irreplaceable(folder)
+        inputs.verify()
         _refuse_small_disk(work, stage.space_bytes(settings, inputs.frames()))
         run = StageRun(stage, scene, profile, settings, seed, data, inputs.simulated(), work)
         start = time.monotonic()
         with PeakMemory() as memory:
             resumed = run_resumable(work, key, title, force, run.begin)
         elapsed = time.monotonic() - start
-        inputs.refuse_changed()
+        try:
+            inputs.refuse_changed()
+        except UserError:
+            shutil.rmtree(work, ignore_errors=True)  # its checkpoints may be of what was there meanwhile
+            raise
         shutil.rmtree(work / _SCRATCH, ignore_errors=True)
         circumstances = _circumstances(run, elapsed, resumed, memory)
         write_json(work / MANIFEST, {"key": key, **parts, **circumstances, "outputs": output_hashes(work)})
-        swap_in(work, final)
+        swap_in(work, final, listed_files)
         progress.console.print(
             f"{title}: done in {progress.format_seconds(elapsed)} → {_relative(final)}", markup=False
         )
@@ -277,9 +281,13 @@ def is_up_to_date(stage: Stage[Any], scene_name: str, profile: str, data: DataRo
     settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, [])
     final = data.run(profile, scene_name, stage.name)
     scene = data.scene(scene_name)[0]
-    with Inputs(stage, scene, profile, data, tuple(stage.files(settings))) as inputs, locked(final):
+    with _inputs(stage, scene, profile, data, settings) as inputs, locked(final):
         inputs.refuse_outdated()
         return is_whole(final, _key(stage, settings, 0, inputs)[0])
+
+
+def _inputs(stage: Stage[S], scene: SceneConfig, profile: str, data: DataRoot, settings: S) -> Inputs:
+    return Inputs(stage, scene, profile, data, tuple(stage.files(settings)), stage.reads_images(settings))
 
 
 def _key(stage: Stage[S], settings: S, seed: int, inputs: Inputs) -> tuple[str, dict[str, Any]]:

@@ -13,7 +13,15 @@ import pandas as pd
 
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.choices import Appearance
-from groundwalk.artefacts.files import file_names, partial_folder, read_json, swap_in, write_json
+from groundwalk.artefacts.files import (
+    file_names,
+    finish_interrupted_swap,
+    partial_folder,
+    read_json,
+    refuse_irreplaceable,
+    swap_in,
+    write_json,
+)
 from groundwalk.artefacts.hints import link_command
 from groundwalk.artefacts.locks import locked
 from groundwalk.artefacts.parallel import single_threaded_opencv
@@ -61,6 +69,9 @@ def simulate(
     work = partial_folder(final)
     work.parent.mkdir(parents=True, exist_ok=True)
     with locked(final):
+        for folder in (final, work):
+            refuse_irreplaceable(folder)
+        finish_interrupted_swap(final, SIMULATED_MARKER, _written)
         marker = _simulator_marker(final)
         if marker and marker.get("key") == key and not force:
             console.print(f"{title}: up to date", markup=False)
@@ -90,7 +101,7 @@ def simulate(
         for mesh in {shot.mesh for session in sessions for shot in session.shots}:
             shutil.rmtree(work / mesh)
         write_json(work / SIMULATED_MARKER, content)
-        swap_in(work, final)
+        swap_in(work, final, _written)
     images = sum(len(s.shots) for s in sessions)
     console.print(f"{title}: {len(sessions)} sessions, {images} images → {final}", markup=False)
     return final
@@ -219,6 +230,14 @@ def _reduced(settings: SimulateSettings, data: DataRoot, scene: str) -> dict[str
     if settings.texel_m > full.texel_m:
         here["texel"] = (f"{settings.texel_m} m", f"{full.texel_m} m")
     return here
+
+
+def _written(folder: Path) -> set[str]:
+    """The files of a capture folder that the simulator wrote; none where its marker doesn't list them."""
+    try:
+        return simulated_files(read_json(folder / SIMULATED_MARKER))
+    except ValueError:
+        return set()
 
 
 def _simulator_marker(folder: Path) -> dict[str, Any] | None:

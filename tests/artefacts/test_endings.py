@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -10,6 +11,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from groundwalk.artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
@@ -19,6 +21,7 @@ from groundwalk.artefacts.cli import new_app, stage_app
 from groundwalk.artefacts.signals import Stopped
 
 WAITING = "waiting"
+REJECTS = pd.DataFrame({"session_id": ["s"], "source": ["f"], "t_ns": [1], "reason": ["none"], "rejected": None})
 RESUMES = "the same command resumes from the last checkpoint"
 FORCED = "with --force the same command starts anew; without it, it resumes, unless the artefact is up to date"
 
@@ -154,33 +157,45 @@ def test_a_limit_of_the_machine_is_a_sentence(
     assert not data.run("tiny", "place", "import").exists()
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO])
-@pytest.mark.parametrize("where", ["os.fsync", "fcntl.flock", "pyarrow", "pathlib.Path.rename", "pathlib.Path.mkdir"])
-def test_an_error_of_the_disk_anywhere_is_a_sentence(
-    data: DataRoot,
-    number: int,
-    where: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+LIBRARY = "a library's"
+CALLS = [
+    *("os.open", "os.fsync", "fcntl.flock"),
+    *(f"pathlib.Path.{n}" for n in ("rename", "replace", "mkdir")),
+    LIBRARY,
+]
+DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO}
+NETWORK = {errno.ENOLCK, errno.EOPNOTSUPP, errno.EBUSY, errno.ESTALE, errno.EXDEV, errno.ENOSYS}
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_every_error_of_the_disk_anywhere_is_a_sentence(
+    data: DataRoot, call: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise OSError(number, os.strerror(number), str(data.root / "x"))
+    # `make test-faults` has each number in each call.
+    numbers = {*DISKS, *NETWORK, *sorted(errno.errorcode)[CALLS.index(call) :: len(CALLS)]}
+    may_be_the_librarys_fault = {errno.ENOENT, errno.EISDIR, errno.EINVAL, errno.EBADF} if call == LIBRARY else set()
+    for number in sorted(numbers - may_be_the_librarys_fault - {errno.EPIPE}):
 
-    def wrapped(r: StageRun[NoSettings]) -> None:
-        try:
-            fail()
-        except OSError as error:  # as libraries do that hide the cause
-            raise RuntimeError("No registered database factory succeeded.") from error
+        def fail(*_: object, number: int = number, **__: object) -> None:
+            # The system names no file where a call has its number alone.
+            raise OSError(number, os.strerror(number), *([] if call in ("os.fsync", "fcntl.flock") else ["/disk/x"]))
 
-    if where != "pyarrow":
-        monkeypatch.setattr(where, fail)
-    app = stage_app(stage(wrapped if where == "pyarrow" else fill))
-    with pytest.raises(SystemExit) as ended:
-        app(["--scene", "place", "--profile", "tiny", "--data", str(data.root)])
-    said = capsys.readouterr().err
-    assert ended.value.code == 2 and f"where:    {data.root / 'x'}" in said
-    assert ("MiB free" in said) == (number in (errno.ENOSPC, errno.EDQUOT))
-    assert not data.run("tiny", "place", "import").exists()
+        def run(r: StageRun[NoSettings], fail: Callable[[], None] = fail) -> None:
+            if call == LIBRARY:
+                try:
+                    fail()
+                except OSError as error:  # as libraries do that hide the cause
+                    raise RuntimeError("No registered database factory succeeded.") from error
+            r.write("rejects", REJECTS)
+
+        with monkeypatch.context() as patched, pytest.raises(SystemExit) as ended:
+            if call != LIBRARY:
+                patched.setattr(call, fail)
+            stage_app(stage(run))(["--scene", "place", "--profile", "tiny", "--data", str(data.root)])
+        said = capsys.readouterr().err
+        assert ended.value.code == 2 and re.search(rf"where:    (/disk/x|{data.root}/)", said), said
+        assert ("MiB free" in said) == (number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
+        assert not data.run("tiny", "place", "import").exists()
 
 
 def test_a_link_that_cannot_be_made_is_blamed_on_its_place(

@@ -3,14 +3,21 @@
 import errno
 import json
 import os
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from groundwalk.artefacts import DataRoot, Settings, Stage, StageRun, UserError, execute
+from groundwalk.artefacts.__main__ import link_captures
+from groundwalk.artefacts.cleaning import clean_scene
+from groundwalk.artefacts.files import sha256_of
 from groundwalk.artefacts.locks import locked
 from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.artefacts.schemas import schema
 
 
 class ExampleSettings(Settings):
@@ -111,6 +118,104 @@ def test_captures_that_change_during_import_are_refused(data: DataRoot) -> None:
     assert not data.run("tiny", "place", "import").exists()
     with locked(data.captures("place")), pytest.raises(UserError, match="under way"):
         run(data, IMPORT)
+
+
+def import_images(r: StageRun[ExampleSettings]) -> None:
+    """An import of the images in the captures."""
+    names = sorted(path.name for path in (r.captures / "walk").glob("*.jpg"))
+    blank = {"string": "x", "int64": 1, "float64": 1.0, "bool": False, "list<float64>": [], "list<string>": []}
+    columns = schema("import", "frames").columns
+    row = {c.name: None if c.nullable else next(iter(c.choices)) if c.choices else blank[c.dtype] for c in columns}
+    rows = [
+        {**row, "frame_id": name, "image": f"walk/{name}", "image_sha256": sha256_of(r.captures / "walk" / name)}
+        for name in names
+    ]
+    r.write("frames", pd.DataFrame(rows))
+
+
+def with_images(data: DataRoot) -> Path:
+    """Ten images, imported."""
+    walk = data.captures("place") / "walk"
+    for number in range(10):
+        (walk / f"{number}.jpg").write_text(f"image {number}")
+    run(data, stage("import", run=import_images))
+    return walk
+
+
+def swap(walk: Path) -> None:
+    (walk / "0.jpg").rename(walk / "kept")
+    (walk / "1.jpg").rename(walk / "0.jpg")
+    (walk / "kept").rename(walk / "1.jpg")
+
+
+def test_images_that_are_swapped_under_a_stage_give_no_artefact(data: DataRoot) -> None:
+    """What it read of them is dropped, too: its checkpoints would be taken for those of the right ones."""
+    walk = with_images(data)
+
+    def swapping(r: StageRun[ExampleSettings]) -> None:
+        (r.scratch / "features").write_text("of the images before")
+        swap(walk)
+
+    def reading(r: StageRun[ExampleSettings]) -> None:
+        assert not (r.scratch / "features").exists()
+
+    sfm = replace(stage("sfm", "import", run=swapping), reads_images=lambda settings: True)
+    for _ in range(2):
+        with pytest.raises(UserError, match="2 of 10 images aren't as import saw them"):
+            run(data, sfm)
+        assert not data.run("tiny", "place", "sfm").exists()
+    swap(walk)
+    run(data, replace(sfm, run=reading))
+
+
+def replaced(path: Path) -> None:
+    """Another content of the same size and time, in a file of its own."""
+    status = path.stat()
+    content = path.read_bytes()
+    path.unlink()
+    path.write_bytes(bytes(255 - byte for byte in content))
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+
+@pytest.mark.parametrize("file", ["captures/place/walk/frame.json", "runs/tiny/place/import/weights/one.bin", "named"])
+def test_whatever_a_stage_reads_is_the_same_at_its_end(data: DataRoot, file: str) -> None:
+    (data.root / "named").write_text("weights")
+    run(data, IMPORT)
+    old = time.time() - 60
+    for path in (data.root / file, *(data.root / "runs").rglob("*.bin")):
+        os.utime(path, (old, old))
+    reads = {"reads_captures": True} if file.startswith("captures") else {"files": lambda settings: ("named",)}
+    with pytest.raises(UserError, match=r"changed while stage sfm|isn't as its stage wrote it"):
+        run(data, replace(stage("sfm", "import", run=lambda r: replaced(data.root / file)), **reads))
+    assert not data.run("tiny", "place", "sfm").exists()
+
+
+def test_captures_stay_while_any_stage_reads(data: DataRoot, tmp_path: Path) -> None:
+    """Of whatever profile: they are one scene's, and each profile's to simulate, to remove and to link."""
+    simulated = {"profile": "other", "sessions": {"walk": {"poses": 1, "images": 1}}}
+    (data.captures("place") / "SIMULATED.json").write_text(json.dumps(simulated))
+    for each in (IMPORT, SFM):
+        run(data, each)
+
+    def reading(r: StageRun[ExampleSettings]) -> None:
+        with pytest.raises(UserError, match="under way"):
+            clean_scene(data, "demo", "place")
+        with pytest.raises(UserError, match="under way"):
+            link_captures("place", tmp_path, data.root)
+
+    run(data, stage("align", "sfm", run=reading))
+    assert clean_scene(data, "demo", "place").removed == [data.captures("place")]
+
+
+def test_real_captures_are_no_reason_to_keep_another_profiles_results(data: DataRoot) -> None:
+    for profile in ("tiny", "demo"):
+        execute(IMPORT, "place", profile, data)
+
+    def reading(r: StageRun[ExampleSettings]) -> None:
+        assert [path.name for path in clean_scene(data, "demo", "place").removed] == ["import"]
+
+    run(data, stage("sfm", "import", run=reading))
+    assert (data.captures("place") / "walk" / "frame.json").is_file()
 
 
 def flip(path: Path) -> None:

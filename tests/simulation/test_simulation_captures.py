@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 import os
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -212,6 +213,28 @@ def test_a_foreign_file_among_simulated_ones_stops_a_new_simulation(finished: Pa
     with pytest.raises(UserError, match=r"(?s)holds other files.*notes\.txt"):
         run(tmp_path, force=True)
     assert (copy / "train-1" / "notes.txt").is_file()
+
+
+def test_a_walk_that_comes_while_captures_are_simulated_anew_stays(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = tmp_path / "captures" / SCENE
+    shutil.copytree(finished, copy)
+    render = module.render_images
+
+    def add_a_walk(*arguments: Any) -> None:
+        (copy / "mine").mkdir()
+        (copy / "mine" / "frame_00000.json").write_text("{}")
+        render(*arguments)
+
+    monkeypatch.setattr(module, "render_images", add_a_walk)
+    run(tmp_path, force=True)
+    assert (copy / "mine" / "frame_00000.json").is_file() and not copy.with_name(f".{SCENE}.old").exists()
+    (copy.with_name("elsewhere")).mkdir()
+    copy.rename(copy.with_name("elsewhere") / "captures")
+    copy.symlink_to(copy.with_name("elsewhere") / "captures")
+    with pytest.raises(UserError, match=r"found: +a link"):
+        run(tmp_path, force=True)
 
 
 def test_an_unknown_scene_is_named_with_those_that_exist(tmp_path: Path) -> None:
