@@ -112,10 +112,11 @@ def nearest_split(frames: pd.DataFrame, split_frames: pd.DataFrame) -> NDArray[n
     """For each of `frames` the split of that of `split_frames` (with a column split) which is nearest in time in its
     session, which has one."""
     split = np.empty(len(frames), dtype=object)
+    t_ns, split_t_ns = frames["t_ns"].to_numpy(), split_frames["t_ns"].to_numpy()
+    splits, near = split_frames["split"].to_numpy(dtype=object), split_frames.groupby("session_id").indices
     for session_id, rows in frames.groupby("session_id").indices.items():
-        near = split_frames[split_frames["session_id"] == session_id]
-        apart = np.abs(frames["t_ns"].to_numpy()[rows, None] - near["t_ns"].to_numpy())
-        split[rows] = near["split"].to_numpy(dtype=object)[apart.argmin(axis=1)]
+        apart = np.abs(t_ns[rows, None] - split_t_ns[near[session_id]])
+        split[rows] = splits[near[session_id]][apart.argmin(axis=1)]
     return split
 
 
@@ -204,10 +205,10 @@ def _hold_out(frames: pd.DataFrame, split: NDArray[np.object_], fraction: float)
     session, so that another walk shows the place."""
     if fraction == 0:
         return
-    sessions = [s for s in frames["session_id"].unique() if (split[frames["session_id"] == s] == "train").any()]
-    for k, session in enumerate(sessions):
-        rows = np.flatnonzero((frames["session_id"] == session).to_numpy() & (split == "train"))
+    sessions = sorted(frames.groupby("session_id").indices.values(), key=lambda rows: int(rows[0]))
+    training = [rows[split[rows] == "train"] for rows in sessions if (split[rows] == "train").any()]
+    for k, rows in enumerate(training):
         size = round(len(rows) * fraction)
-        centre = (k + 0.5) / len(sessions) * len(rows)
+        centre = (k + 0.5) / len(training) * len(rows)
         first = int(np.clip(round(centre - size / 2), 0, len(rows) - size))
         split[rows[first : first + size]] = "val"

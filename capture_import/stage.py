@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import shlex
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -82,10 +82,11 @@ def run(r: StageRun[ImportSettings]) -> None:
         split = split_frames(dataset, r.scene.split, r.settings.split_by == "time")
         frames["split"] = nearest_split(frames, dataset.assign(split=split.of_frame))
         frames = frames[frames["split"] != "unused"].reset_index(drop=True)
+        with_frames = dict(iter(frames.groupby("session_id")))
+        by_session = {s.session_id: with_frames.get(s.session_id, frames.iloc[:0]) for s in sessions}
         table = sessions_table(
-            sessions, frames, appearances_of(root), reference_is_metric=r.settings.reference_is_metric
+            sessions, by_session, appearances_of(root), reference_is_metric=r.settings.reference_is_metric
         )
-        by_session = {s.session_id: frames[frames["session_id"] == s.session_id] for s in sessions}
         _write(r, sessions, frames, table, by_session, rejects)
     _report(r, sessions, frames, table, rejects, split)
     _report_same_images(r, frames)
@@ -94,9 +95,12 @@ def run(r: StageRun[ImportSettings]) -> None:
     if detect is not None:
         _report_blurred(r, frames)
 
+    rejects_of: dict[str, list[Reject]] = defaultdict(list)
+    for reject in rejects:
+        rejects_of[reject.session_id].append(reject)
     with r.step("recording"), r.recording(blueprint([s.session_id for s in sessions])) as stream:
         for session in r.track(sessions, "writing the recording"):
-            rejected = [reject for reject in rejects if reject.session_id == session.session_id]
+            rejected = rejects_of[session.session_id]
             spooled = _spooled(r, session.recording.session_id)
             log_session(stream, session, by_session[session.session_id], rejected, _image_path(r.work, root), spooled)
 
@@ -266,7 +270,7 @@ def _report_fits(r: StageRun[ImportSettings], fits: Sequence[tuple[ConventionChe
 
 def _refuse_same_ids(sessions: Sequence[ImportedSession], root: Path) -> None:
     ids = [session.session_id for session in sessions]
-    if same := sorted({i for i in ids if ids.count(i) > 1}):
+    if same := sorted(i for i, count in Counter(ids).items() if count > 1):
         raise UserError("two recordings have the same name", where=root, found=same[0], do="rename one of them")
 
 

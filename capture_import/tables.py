@@ -92,16 +92,16 @@ def reference_table(session: ImportedSession, frames: pd.DataFrame) -> pd.DataFr
 
 def sessions_table(
     sessions: Sequence[ImportedSession],
-    frames: pd.DataFrame,
+    frames: Mapping[str, pd.DataFrame],
     appearances: Mapping[str, Appearance],
     *,
     reference_is_metric: bool,
 ) -> pd.DataFrame:
-    """One row a session; `frames` is the frames table with its splits, `appearances` says what is seen in simulated
-    recordings. `reference_is_metric`: references without a stated unit are in metres."""
+    """One row a session; `frames` has its rows of the frames table with their splits, `appearances` says what is seen
+    in simulated recordings. `reference_is_metric`: references without a stated unit are in metres."""
     rows = []
     for session in sessions:
-        used = frames[frames["session_id"] == session.session_id]
+        used = frames[session.session_id]
         dataset = dataset_frames(used)
         rows.append(
             {
