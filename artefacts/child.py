@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -18,8 +19,10 @@ from groundwalk.artefacts.progress import Reporter
 from groundwalk.artefacts.signals import signals_held_from_workers
 
 _TAIL_LINES = 15
+# A socket's name has at most 107 bytes, of which multiprocessing adds some 32 to the temporary folder's.
+_MAX_FOLDER_BYTES = 70
 # Processes are forked, from one that does nothing else. Elsewhere system libraries don't bear a fork.
-if sys.platform == "linux":
+if sys.platform == "linux" and len(os.fsencode(tempfile.gettempdir())) <= _MAX_FOLDER_BYTES:
     _CONTEXT = multiprocessing.get_context("forkserver")
 else:
     _CONTEXT = multiprocessing.get_context("spawn")

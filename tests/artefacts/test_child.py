@@ -1,6 +1,7 @@
 """Work in a child process: its result, its errors, its death."""
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -48,6 +49,23 @@ def test_the_child_does_without_its_parents_main_module(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["main", "42"]
+
+
+def test_a_temporary_folder_may_have_a_long_name(tmp_path: Path) -> None:
+    script = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        f"from {Path(__file__).stem} import _double, in_child, Path, Task\n"
+        f"print(in_child('doubling', Path({str(tmp_path / 'log')!r}), '', Task(_double, (21,), 1)))\n"
+    )
+    for length in (60, 105, 200):
+        folder = Path("/tmp") / ("x" * (length - len("/tmp/")))
+        folder.mkdir(exist_ok=True)
+        environment = {**os.environ, "TMPDIR": str(folder)}
+        try:
+            done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
+        finally:
+            shutil.rmtree(folder)
+        assert done.stdout.strip() == "42", done.stderr
 
 
 def _has_zipapp(report: Report) -> bool:
