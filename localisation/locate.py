@@ -1,6 +1,7 @@
 """`groundwalk locate`: new images in a map's file or by a regressor's bundle, without a run."""
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -77,17 +78,25 @@ def locate(
 
 def _refuse_other_file(out: Path) -> None:
     """UserError where anything but earlier answers is there."""
-    if out.exists() and not _holds_answers(out):
+    if os.path.lexists(out) and not _holds_answers(out):
         raise UserError(
             "this is no file of earlier answers, which alone is replaced",
             where=out,
-            found="a folder" if out.is_dir() else None,
-            do="name another file with --out",
+            found="a folder"
+            if out.is_dir()
+            else "a link"
+            if out.is_symlink()
+            else None
+            if out.is_file()
+            else "no file",
+            do="name another file with --out, or leave it out to have the answers printed",
         )
 
 
 def _holds_answers(path: Path) -> bool:
-    """Whether a file has answers, one a line, and nothing else."""
+    """Whether a file, which is no link, pipe or terminal, has answers, one a line, and nothing else."""
+    if path.is_symlink() or not path.is_file():
+        return False
     try:
         rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     except (OSError, ValueError, RecursionError):

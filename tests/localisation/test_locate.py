@@ -1,6 +1,7 @@
 """New images in a map, by the command and from Python: poses, refusals with reasons, and clear errors."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +20,7 @@ from groundwalk.artefacts import execute
 from groundwalk.artefacts.images import read_image
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import make_pose, pose_from_tq, yaw_rotation
-from groundwalk.localisation.locate import app
+from groundwalk.localisation.locate import _refuse_other_file, app
 from groundwalk.localisation.stage import STAGE
 from groundwalk.runtime.queries import file_query, known_of, query_of
 from groundwalk.scoring.errors import position_error
@@ -246,3 +247,15 @@ def test_the_command_says_what_is_wrong(
         with pytest.raises(SystemExit, match="2"):
             app(list(map(str, arguments)))
         assert message in capsys.readouterr().err, arguments
+
+
+@pytest.mark.parametrize("kind", ["pipe", "link to a pipe", "link to nothing"])
+def test_answers_go_to_no_pipe_and_through_no_link(tmp_path: Path, kind: str) -> None:
+    """As /dev/stdout is: reading it would never end, and a file in its place would be worse."""
+    pipe, link = tmp_path / "pipe", tmp_path / "link"
+    os.mkfifo(pipe)
+    link.symlink_to(pipe if kind == "link to a pipe" else tmp_path / "nothing")
+    out = pipe if kind == "pipe" else link
+    with pytest.raises(UserError, match=r"(?s)no file of earlier answers.*leave it out"):
+        _refuse_other_file(out)
+    assert pipe.is_fifo() and link.is_symlink()
