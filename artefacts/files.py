@@ -136,12 +136,12 @@ def refuse_irreplaceable(final: Path) -> None:
     """UserError where a folder can't be put in a place: better now than after the work."""
     if not os.path.lexists(final) or (final.is_dir() and not final.is_symlink() and not final.is_mount()):
         return
-    found = "a link" if final.is_symlink() else "a disk of its own" if final.is_dir() else "a file"
+    obstacle = "a link" if final.is_symlink() else "a disk of its own" if final.is_dir() else "a file"
     raise UserError(
         f"{final.name} is replaced as a whole, and what is there can't be",
         where=final,
         expected="a folder, or nothing",
-        found=found,
+        found=obstacle,
         do="move it away; to have results on another disk, link or mount a folder above it, or name another one",
     )
 
