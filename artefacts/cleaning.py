@@ -32,7 +32,7 @@ def clean_scene(data: DataRoot, profile: str, scene: str) -> Cleaned:
     runs, captures = data.run(profile, scene), data.captures(scene)
     if not os.path.lexists(runs.parent):
         data.profile(profile)
-    if data.config_file("scenes", scene) is None and not any(map(os.path.lexists, (runs, captures))):
+    if not data.config_files("scenes", scene) and not any(map(os.path.lexists, (runs, captures))):
         raise UserError(
             f"there is no scene {scene!r}",
             where=data.root,

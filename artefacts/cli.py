@@ -40,7 +40,7 @@ SceneOption = Annotated[
 ProfileOption = Annotated[
     str,
     typer.Option(
-        help="Settings for the whole run: demo, standard, paper or tiny (data/profiles).",
+        help="Settings for the whole run: demo, standard, paper or tiny (shipped/profiles), or yours (data/profiles).",
         autocompletion=_complete_profile,
     ),
 ]
@@ -153,7 +153,7 @@ def stage_command(name: str, load: "Callable[[], Stage[Any]]") -> Callable[..., 
 def settings_help(section: str, model: type[Settings]) -> str:
     """The settings of a stage as a Markdown list for --help."""
     lines = [
-        f"**Settings**, section `[{section}]` of a profile or scene file (data/profiles, data/scenes), "
+        f"**Settings**, section `[{section}]` of your file data/profiles/<profile>.toml or data/scenes/<scene>.toml, "
         "or `--set key=value`:",
         "",
     ]

@@ -48,9 +48,8 @@ def setting_of(section: str, setting: str, file: str = _ANY_FILE) -> str:
 
 
 def scene_file(data: DataRoot, scene: str) -> str:
-    """The file of a scene's settings: the one in force, or the one to make."""
-    in_force = data.config_file("scenes", scene) if CHECKOUT is not None else None
-    file = in_force or data.root / "scenes" / f"{scene}.toml"
+    """The user's file of a scene's settings, there or to be made."""
+    file = data.root / "scenes" / f"{scene}.toml"
     return str(file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file)
 
 

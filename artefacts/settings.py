@@ -3,7 +3,7 @@
 import json
 import re
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from groundwalk.artefacts.errors import UserError
 
-# Profiles, scenes and published tables: data/ beside the packages, in the repository as in a wheel (groundwalk/data).
-SHIPPED_DATA = Path(__file__).resolve().parent.parent / "data"
+# Profiles, scenes and published tables: beside the packages, in the repository as in a wheel (groundwalk/shipped).
+SHIPPED_DATA = Path(__file__).resolve().parent.parent / "shipped"
 STAGES = ("import", "sfm", "align", "localise", "train", "fuse", "report")
 _SECTIONS = ("simulate", *STAGES)
 _NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}"
@@ -65,6 +65,9 @@ class SceneConfig(Settings):
 
 
 T = TypeVar("T", bound=Settings)
+ConfigKind = Literal["profiles", "scenes"]
+# What the files have at the top beside the stages' sections.
+_TOP = {"profiles": ("description",), "scenes": (*SceneConfig.model_fields, *_TABLES)}
 
 
 def is_name(text: str) -> bool:
@@ -84,8 +87,8 @@ def checked_name(kind: Literal["scene", "profile"], name: str) -> str:
 
 
 class DataRoot:
-    """The data folder: captures/, runs/, and the files of profiles/, scenes/ and published/ (the shipped ones where it
-    has none of that name)."""
+    """The data folder, all of which is the user's: captures/, runs/, and files of profiles/ and scenes/, each of which
+    adds to the shipped one of its name, and goes before it; a file of published/ replaces the shipped one."""
 
     def __init__(self, root: Path) -> None:
         self.root = root.absolute()
@@ -98,16 +101,17 @@ class DataRoot:
         """data/runs/<profile>/<scene>/<stage>; UserError for a name that isn't one."""
         return self.root / "runs" / checked_name("profile", profile) / checked_name("scene", scene) / stage
 
-    def config_file(self, kind: Literal["profiles", "scenes"], name: str) -> Path | None:
-        """data/<kind>/<name>.toml here or as shipped, or None."""
-        return self.files(kind).get(f"{name}.toml")
+    def config_files(self, kind: ConfigKind, name: str) -> list[Path]:
+        """The files <kind>/<name>.toml that there are: the shipped one, then the user's, whose settings win."""
+        bases = dict.fromkeys((SHIPPED_DATA, self.root))
+        return [path for base in bases if (path := base / kind / f"{name}.toml").is_file()]
 
     def files(self, folder: str) -> dict[str, Path]:
-        """The files of data/<folder> by name: profiles, scenes or published, each here or as shipped."""
+        """The files of a folder by name: profiles, scenes or published, each the user's or else as shipped."""
         bases = (SHIPPED_DATA, self.root)
         return {p.name: p for base in bases for p in sorted((base / folder).glob("*")) if p.is_file()}
 
-    def names(self, kind: Literal["profiles", "scenes"]) -> list[str]:
+    def names(self, kind: ConfigKind) -> list[str]:
         """The names of all scene or profile files."""
         return sorted(path.stem for path in self.files(kind).values() if path.suffix == ".toml")
 
@@ -118,24 +122,19 @@ class DataRoot:
 
     def profile(self, name: str) -> dict[str, Any]:
         """A profile's sections; UserError where there is no such profile."""
-        path = self.config_file("profiles", checked_name("profile", name))
-        if path is None:
+        paths = self.config_files("profiles", checked_name("profile", name))
+        if not paths:
             names = ", ".join(self.names("profiles"))
             raise UserError(f"there is no profile {name!r}", where=self.root / "profiles", expected=f"one of {names}")
-        content = _read_toml(path)
-        _refuse_wrong_sections(content, ("description",), path)
-        return content
+        return _merged(_read_file(path, "profiles") for path in paths)
 
     def scene(self, name: str) -> tuple[SceneConfig, dict[str, Any]]:
         """A scene's config and its stage sections; a scene without a file has the defaults."""
-        path = self.config_file("scenes", checked_name("scene", name))
-        content = _read_toml(path) if path else {}
-        _refuse_wrong_sections(content, (*SceneConfig.model_fields, *_TABLES), path)
+        paths = self.config_files("scenes", checked_name("scene", name))
+        content = _merged(_read_file(path, "scenes") for path in paths)
         sections = {key: content.pop(key) for key in _SECTIONS if key in content}
-        for table, (section, setting) in _TABLES.items():
-            if table in content:
-                sections.setdefault(section, {})[setting] = _list_of_tables(content.pop(table), table, path)
-        return validated(SceneConfig, {**content, "name": name}, path or f"scene {name!r}"), sections
+        where = ", ".join(map(str, paths)) or f"scene {name!r}"
+        return validated(SceneConfig, {**content, "name": name}, where), sections
 
     def leaves(self, scene: SceneConfig, groups: tuple[str, ...] = ()) -> list[str]:
         """The scenes under a group, in order, each once; a plain scene is its own only leaf. UserError where a group is
@@ -146,7 +145,7 @@ class DataRoot:
         if scene.name in groups:
             raise UserError(
                 f"the group of scenes {scene.name} is a member of itself",
-                where=self.config_file("scenes", scene.name),
+                where=self.config_files("scenes", scene.name)[-1],
                 found=" has the member ".join(above),
                 do="take one of these members out",
             )
@@ -158,14 +157,13 @@ def resolve_settings(model: type[T], section: str, data: DataRoot, profile: str,
 
     UserError for an unknown key, a wrong type or a value out of range.
     """
+    data.profile(profile), data.scene(scene)  # each as a whole, before a section of it
     stated = [
-        (f"[{section}] of {data.config_file('profiles', profile)}", data.profile(profile).get(section, {})),
-        (f"[{section}] of {data.config_file('scenes', scene)}", data.scene(scene)[1].get(section, {})),
+        *_sections_of(data, section, "profiles", profile),
+        *_sections_of(data, section, "scenes", scene),
         *((f"--set {override}", _nested(override)) for override in overrides),
     ]
-    merged: dict[str, Any] = {}
-    for _, content in stated:
-        _merge(merged, content)
+    merged = _merged(content for _, content in stated)
 
     def where(key: Sequence[Any]) -> str:
         """The last source that states a key, or each one that states any where none does."""
@@ -173,6 +171,11 @@ def resolve_settings(model: type[T], section: str, data: DataRoot, profile: str,
         return next((s for s, content in reversed(stated) if key and key[0] in content), ", ".join(sources))
 
     return _validated(model, merged, where)
+
+
+def _sections_of(data: DataRoot, section: str, kind: ConfigKind, name: str) -> list[tuple[str, dict[str, Any]]]:
+    """A section in each of the files of a profile or scene, and where it stands."""
+    return [(f"[{section}] of {p}", _read_file(p, kind).get(section, {})) for p in data.config_files(kind, name)]
 
 
 def validated(model: type[T], content: dict[str, Any], where: object) -> T:
@@ -243,11 +246,25 @@ def _merge(into: dict[str, Any], other: dict[str, Any]) -> None:
             into[key] = dict(value) if isinstance(value, dict) else value
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def _merged(contents: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """Tables in one, later ones winning key by key."""
+    merged: dict[str, Any] = {}
+    for content in contents:
+        _merge(merged, content)
+    return merged
+
+
+def _read_file(path: Path, kind: ConfigKind) -> dict[str, Any]:
+    """The content of a profile's or scene's file, lists of tables in the sections of their stages."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UserError("a settings file can't be read", where=path, found=error, expected="TOML in UTF-8") from None
+    _refuse_wrong_sections(content, _TOP[kind], path)
+    for table, (section, setting) in _TABLES.items():
+        if table in content:
+            content.setdefault(section, {})[setting] = _list_of_tables(content.pop(table), table, path)
+    return content
 
 
 def _list_of_tables(content: Any, name: str, path: object) -> Any:
@@ -256,7 +273,7 @@ def _list_of_tables(content: Any, name: str, path: object) -> Any:
     return content
 
 
-def _refuse_wrong_sections(content: dict[str, Any], more: tuple[str, ...], path: Path | None) -> None:
+def _refuse_wrong_sections(content: dict[str, Any], more: tuple[str, ...], path: Path) -> None:
     unknown = [key for key in content if key not in _SECTIONS and key not in more]
     if unknown:
         raise UserError(

@@ -34,7 +34,7 @@ Figures = dict[str, float]
 
 def settings_of(model: str, profile: str, epochs: int) -> list[str]:
     """PN's section of a shipped profile for the model, with so many epochs."""
-    config = tomllib.loads(Path(f"data/profiles/{profile}.toml").read_text(encoding="utf-8"))
+    config = tomllib.loads(Path(f"shipped/profiles/{profile}.toml").read_text(encoding="utf-8"))
     section = config["train"]["regressors"]["PN"] | {"epochs": epochs}
     same = [f"regressors.{model}.{key}={_toml(value)}" for key, value in section.items()]
     return [f'models=["{model}"]', *same, *(f"regressors.{model}.{setting}" for setting in OWN.get(model, ()))]

@@ -1,6 +1,6 @@
 """Published errors on public data sets, ours beside: `python -m benchmarks.datasets`.
 
-Reads data/published/datasets.csv and what finished runs of the data sets' scenes predicted for their test frames; a
+Reads shipped/published/datasets.csv and what finished runs of the data sets' scenes predicted for their test frames; a
 cell of a scene that hasn't been run is empty. Writes docs/results/datasets.md.
 """
 
@@ -25,9 +25,9 @@ PREFIXES = {"7-Scenes": "7scenes", "Cambridge Landmarks": "cambridge"}
 _HEAD = """# Public data sets
 
 Written by `python -m benchmarks.datasets`. Median position and rotation errors; published ones from
-`data/published/datasets.csv`, which names the source and leaves out what we have none for. Ours are from finished runs,
-empty where a scene hasn't been run; [the how-to](../how-to/public-datasets.md) says what differs from the published
-protocol."""
+`shipped/published/datasets.csv`, which names the source and leaves out what we have none for. Ours are from finished
+runs, empty where a scene hasn't been run; [the how-to](../how-to/public-datasets.md) says what differs from the
+published protocol."""
 
 
 @app.command()

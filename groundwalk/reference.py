@@ -31,9 +31,11 @@ WRITTEN_BY = "This page is written by `make docs`."
 _SETTINGS_HEAD = f"""# Settings
 
 A stage's settings are resolved in this order, the later one wins: the defaults below, the section `[<stage>]` of
-`data/profiles/<profile>.toml`, the same section of `data/scenes/<scene>.toml`, `--set key=value` on the command line
-(`--set quality_a.max_position_sd_m=0.01`). An unknown key, a wrong type and a value out of range are errors that name
-the key. The resolved settings of a run are in each stage's `manifest.json`.
+the profile's file, the same section of the scene's file, `--set key=value` on the command line
+(`--set quality_a.max_position_sd_m=0.01`). Your files are `data/profiles/<profile>.toml` and
+`data/scenes/<scene>.toml`; one whose name a shipped file has (in `shipped/profiles` and `shipped/scenes`) adds to that,
+and wins. An unknown key, a wrong type and a value out of range are errors that name the key. The resolved settings of a
+run are in each stage's `manifest.json`.
 
 {WRITTEN_BY}
 """
@@ -67,8 +69,8 @@ upper end, a bound. What the recordings are and how it is measured: [VIO drift](
 """
 _PUBLISHED_HEAD = """# The paper's printed tables, held against each other
 
-Written by `make docs` from `data/published/`: the rules of the [report](../explanation/reports.md#checks) make {rules}
-comparisons. These don't agree, or can't be compared as they are printed.
+Written by `make docs` from `shipped/published/`: the rules of the [report](../explanation/reports.md#checks) make
+{rules} comparisons. These don't agree, or can't be compared as they are printed.
 
 | """
 

@@ -16,9 +16,9 @@ AVERAGE = "average"
 ERRORS = {"translation": "m", "rotation": "deg"}
 LEVELS = ("high", "medium", "low")
 _PUBLISHED_FILES = {
-    TABLE_I: "data/published/table1_dataset.csv",
-    TABLE_II: "data/published/table2_pose_errors.csv",
-    TABLE_III: "data/published/table3_accuracy_levels.csv",
+    TABLE_I: "shipped/published/table1_dataset.csv",
+    TABLE_II: "shipped/published/table2_pose_errors.csv",
+    TABLE_III: "shipped/published/table3_accuracy_levels.csv",
 }
 # What stands behind the model in a heading of the paper's tables.
 _PAPER_LABELS = {"": "", RAW_METHOD: "", PAPER_METHOD: "+VIO"}

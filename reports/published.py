@@ -1,4 +1,4 @@
-"""The paper's printed numbers, from data/published/, in the shape that our own tables have too."""
+"""The paper's printed numbers, from shipped/published/, in the shape that our own tables have too."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -65,7 +65,7 @@ def load_claims(files: Mapping[str, Path] = PUBLISHED) -> pd.DataFrame:
 def _read(files: Mapping[str, Path], name: str, columns: list[str]) -> pd.DataFrame:
     path = files.get(name)
     if path is None:
-        raise UserError("a file of published numbers isn't there", where=f"data/published/{name}")
+        raise UserError("a file of published numbers isn't there", where=f"shipped/published/{name}")
     try:
         frame = pd.read_csv(path)
     except (OSError, ValueError) as error:

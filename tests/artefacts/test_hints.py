@@ -70,12 +70,12 @@ def test_a_command_is_printed_with_its_folder_where_the_shell_wouldn_t_find_it(
     assert groundwalk_command() == "groundwalk"
 
 
-def test_a_setting_goes_into_the_scenes_file_in_force(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_setting_goes_into_the_users_file_of_the_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert CHECKOUT is not None
     advice, data = setting_of("sfm", "max_features"), DataRoot(tmp_path)
     assert of_scene(advice, data, "place") == f"[sfm] max_features in {tmp_path}/scenes/place.toml"
     monkeypatch.chdir(tmp_path)
     assert of_scene(advice, data, "place") == "[sfm] max_features in scenes/place.toml"
-    assert of_scene(advice, data, "Church") == f"[sfm] max_features in {CHECKOUT}/data/scenes/Church.toml"
+    assert of_scene(advice, data, "Church") == "[sfm] max_features in scenes/Church.toml"
     monkeypatch.chdir(CHECKOUT)
     assert of_scene(advice, DataRoot(Path("data")), "Church") == "[sfm] max_features in data/scenes/Church.toml"

@@ -10,7 +10,7 @@ from pydantic import Field
 from groundwalk.artefacts import DataRoot, Settings, UserError
 from groundwalk.artefacts.choices import Split
 from groundwalk.artefacts.cli import settings_help
-from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
+from groundwalk.artefacts.settings import SHIPPED_DATA, SplitRules, resolve_settings
 
 
 class Inner(Settings):
@@ -135,6 +135,38 @@ def test_every_shipped_profile_and_scene_is_valid() -> None:
     for name in data.names("scenes"):
         assert data.scene(name)[0].environment != "unknown"
     assert data.leaves(data.scene("indoor")[0]) == ["Stairs", "Office", "Atrium"]
+
+
+def test_a_users_file_adds_to_the_shipped_one_of_its_name_and_wins(tmp_path: Path) -> None:
+    for kind, name, text in (
+        ("scenes", "Church", 'description = "ours"\n[align]\nmax_scale_sd = 0.5\n[split]\ntest_fraction = 0.5\n'),
+        ("scenes", "Mine", '[sfm]\nmapper = "global"\n'),
+        ("profiles", "demo", "[sfm]\nmax_features = 77\n"),
+    ):
+        (tmp_path / kind).mkdir(exist_ok=True)
+        (tmp_path / kind / f"{name}.toml").write_text(text)
+    data, shipped = DataRoot(tmp_path), DataRoot(SHIPPED_DATA)
+    config, sections = data.scene("Church")
+    assert config == shipped.scene("Church")[0].model_copy(
+        update={"description": "ours", "split": SplitRules(test_fraction=0.5)}
+    )
+    assert sections["align"]["max_scale_sd"] == 0.5 and "Mine" in data.names("scenes")
+    assert data.profile("demo") == shipped.profile("demo") | {
+        "sfm": {**shipped.profile("demo")["sfm"], "max_features": 77}
+    }
+    (tmp_path / "scenes" / "Church.toml").write_text("members = 3\n")
+    with pytest.raises(UserError, match="members") as caught:
+        data.scene("Church")
+    assert str(tmp_path / "scenes" / "Church.toml") in str(caught.value)
+
+
+def test_git_and_the_wheel_see_nothing_of_the_users(tmp_path: Path) -> None:
+    """A file of one's own where the docs say doesn't show up as untracked, and isn't beside what the wheel ships."""
+    root = Path(__file__).resolve().parents[2]
+    names = ["data/scenes/Mine.toml", "data/profiles/mine.toml", "data/captures/x", "data/predictions/x.parquet"]
+    done = subprocess.run(["git", "check-ignore", *names], cwd=root, capture_output=True, text=True)
+    assert done.stdout.split() == names
+    assert root / "shipped" == SHIPPED_DATA
 
 
 def test_a_file_of_the_data_folder_stands_before_the_shipped_one(tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if name and (ROOT / name).is_file():
             (tree / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, tree / name)
-    tiny = tree / "data" / "profiles" / "tiny.toml"
+    tiny = tree / "shipped" / "profiles" / "tiny.toml"
     for profile in tiny.parent.glob("*.toml"):
         if profile != tiny:
             shutil.copy(tiny, profile)
@@ -121,6 +121,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def execute(block: Block, tree: Path) -> None:
     """Run a block as a reader would who stands in the tree, with ~ beside it; TOML is added to the file it names."""
     if block.settings_file:
+        (tree / block.settings_file).parent.mkdir(exist_ok=True)
         with (tree / block.settings_file).open("a", encoding="utf-8") as file:
             file.write("\n" + block.text)
         return

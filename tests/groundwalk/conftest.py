@@ -25,8 +25,6 @@ def make_run(tmp_path: Path) -> Callable[..., MadeUpRun]:
         map_S_sfm = Sim3(2.5, Rotation.random(rng=rng).as_matrix(), rng.normal(size=3))
         data = DataRoot(tmp_path / "data")
         run = MadeUpRun(data, make_pose(turns, along_a_line), map_S_sfm, rng.normal(size=(20, 3)) * 5)
-        (data.root / "profiles").mkdir(parents=True)
-        (data.root / "profiles" / "tiny.toml").touch()  # the shipped one has settings of the real stages
         captures = data.captures("place")
         captures.mkdir(parents=True)
         for i in range(FRAMES):

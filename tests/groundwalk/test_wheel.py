@@ -67,8 +67,9 @@ def test_a_wheel_brings_groundwalk_and_nothing_else(site_packages: Path) -> None
     (info,) = (name for name in names if name.endswith(".dist-info"))
     assert names == {"groundwalk", info} and info.startswith("groundwalk-")
     for folder in ("profiles", "scenes", "published"):
-        shipped = {path.name for path in (site_packages / "groundwalk" / "data" / folder).iterdir()}
-        assert shipped == {path.name for path in (ROOT / "data" / folder).iterdir() if path.is_file()}
+        shipped = {path.name for path in (site_packages / "groundwalk" / "shipped" / folder).iterdir()}
+        assert shipped == {path.name for path in (ROOT / "shipped" / folder).iterdir() if path.is_file()}
+    assert not (site_packages / "groundwalk" / "data").exists()
     assert not any((site_packages / "groundwalk" / name).exists() for name in ("tests", "benchmarks", "docs"))
 
 

@@ -49,8 +49,7 @@ def folder(tmp_path: Path) -> Path:
     if not shutil.which("make"):
         pytest.skip("make isn't installed")
     shutil.copy(ROOT / "Makefile", tmp_path)
-    shutil.copytree(ROOT / "data" / "scenes", tmp_path / "data" / "scenes")
-    shutil.copytree(ROOT / "data" / "profiles", tmp_path / "data" / "profiles")
+    shutil.copytree(ROOT / "shipped", tmp_path / "shipped")
     for name in ("pyproject.toml", "constraints.txt"):
         (tmp_path / name).touch()
         os.utime(tmp_path / name, (0, 0))

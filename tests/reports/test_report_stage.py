@@ -321,8 +321,8 @@ def test_published_cells_are_the_files_numbers_and_never_ours(church: tuple[Data
     printed = printed[printed["scene"] == "Church"]
     values = printed[["translation_m", "rotation_deg"]].to_numpy().ravel()
     assert sorted(cells.loc[cells["table"] == "II", "value"]) == sorted(values)
-    assert cells["source_table"].str.startswith("data/published/").all()
-    assert not cells_of(folder, source="ours")["source_table"].str.startswith("data/published/").any()
+    assert cells["source_table"].str.startswith("shipped/published/").all()
+    assert not cells_of(folder, source="ours")["source_table"].str.startswith("shipped/published/").any()
 
 
 def test_a_group_has_all_members_and_their_average(pair: tuple[DataRoot, Path]) -> None:
