@@ -66,8 +66,14 @@ def run(r: StageRun[AlignSettings]) -> None:
     frames = dataset_frames(frames)
     registered = int(dataset.registered.sum())
     _write_figures(r, frames, result, registered)
+    reference = examination.reference
+    origin = reference.origin if reference is not None and reference.gives_map else None
+    for axis, value in zip("xyz", origin or [None] * 3, strict=True):
+        r.figure(f"map_origin_{axis}", value)
     for line in _summary(r.settings, result, examination.checks, registered):
         r.say(line)
+    if origin is not None and any(origin):
+        r.say(f"map: its origin is at ({', '.join(f'{v:.12g}' for v in origin)}) of the reference's own coordinates")
     clouds = {}
     if len(depth) and result.main.component.scale.is_known:
         clouds = depth_clouds(frames, result.map_T_cam, dataset.has_ground_truth, r.image_path)
@@ -246,7 +252,7 @@ def _or_none(value: float) -> float | None:
 
 STAGE = Stage(
     name="align",
-    version=18,
+    version=19,
     settings=AlignSettings,
     needs=("import", "sfm"),
     run=run,

@@ -18,6 +18,7 @@ from groundwalk.capture_import.checks.plausibility import PlausibilityFault, pla
 from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.intake import ImportedSession, Intake, duration, measures, path_length, take_in
+from groundwalk.capture_import.origin import describe_origin, far_origin
 from groundwalk.capture_import.selection import select, select_enough
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.tables import printable
@@ -53,7 +54,8 @@ def _inspect(
     yield f"{source.session_id} · {source.format.label} · {raw.device} · clock: {raw.clock}"
     yield f"  log        {len(raw.frames)} rows, {count} with an image"
     yield from _health(intake, settings)
-    for note in raw.notes:
+    origin = far_origin(intake.sessions)
+    for note in (*raw.notes, *([] if origin is None else [describe_origin(origin)])):
         yield f"  note       {note}"
     longest = max(intake.sessions, key=lambda s: len(s.images))
     check = check_convention(longest, views.load)

@@ -32,6 +32,7 @@ from groundwalk.capture_import.media.images import ImageCheck
 from groundwalk.capture_import.media.placing import Placement, place_images
 from groundwalk.capture_import.media.spool import Spool
 from groundwalk.capture_import.media.upright import first_row, quarters_to_upright, turned
+from groundwalk.capture_import.origin import describe_origin, far_origin, moved
 from groundwalk.capture_import.recording import blueprint, log_session
 from groundwalk.capture_import.selection import Selection, select_enough
 from groundwalk.capture_import.settings import ImportSettings
@@ -71,6 +72,10 @@ def run(r: StageRun[ImportSettings]) -> None:
     _refuse_same_ids(sessions, root)
     _refuse_empty(sessions, rejects, root)
     _report_fits(r, fits)
+    origin = far_origin(sessions)
+    if origin is not None:
+        r.say(describe_origin(origin))
+        sessions = [moved(session, origin) for session in sessions]
 
     to_upright = {s.session_id: quarters_to_upright(s) for s in sessions}
     quarters = to_upright if r.settings.upright else dict.fromkeys(to_upright, 0)
@@ -85,7 +90,7 @@ def run(r: StageRun[ImportSettings]) -> None:
         with_frames = dict(iter(frames.groupby("session_id")))
         by_session = {s.session_id: with_frames.get(s.session_id, frames.iloc[:0]) for s in sessions}
         table = sessions_table(
-            sessions, by_session, appearances_of(root), reference_is_metric=r.settings.reference_is_metric
+            sessions, by_session, appearances_of(root), origin, reference_is_metric=r.settings.reference_is_metric
         )
         _write(r, sessions, frames, table, by_session, rejects)
     _report(r, sessions, frames, table, rejects, split)

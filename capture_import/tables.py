@@ -16,6 +16,7 @@ from groundwalk.capture_import.media.blurring import Kind
 from groundwalk.capture_import.media.depth import PlacedDepth
 from groundwalk.capture_import.media.placing import PlacedImage
 from groundwalk.capture_import.selection import Selection
+from groundwalk.geometry.poses import Array
 
 
 def frames_table(
@@ -94,11 +95,13 @@ def sessions_table(
     sessions: Sequence[ImportedSession],
     frames: Mapping[str, pd.DataFrame],
     appearances: Mapping[str, Appearance],
+    origin: Array | None = None,
     *,
     reference_is_metric: bool,
 ) -> pd.DataFrame:
     """One row a session; `frames` has its rows of the frames table with their splits, `appearances` says what is seen
-    in simulated recordings. `reference_is_metric`: references without a stated unit are in metres."""
+    in simulated recordings, `origin` (3,) is what was taken off the positions of references. `reference_is_metric`:
+    references without a stated unit are in metres."""
     rows = []
     for session in sessions:
         used = frames[session.session_id]
@@ -121,11 +124,21 @@ def sessions_table(
                 "reference_unit": None
                 if session.recording.pose_source == PoseSource.VIO
                 else (LengthUnit.METRE if reference_is_metric or session.recording.is_metric else LengthUnit.UNKNOWN),
+                **dict(zip(_ORIGIN, _origin_of(session, origin), strict=True)),
                 "appearance": appearances.get(session.recording.session_id),
                 "up": UpAxis.Y if session.recording.is_gravity_aligned else UpAxis.UNKNOWN,
             }
         )
     return pd.DataFrame(rows)
+
+
+_ORIGIN = ("reference_origin_x", "reference_origin_y", "reference_origin_z")
+
+
+def _origin_of(session: ImportedSession, origin: Array | None) -> list[float]:
+    if session.recording.pose_source == PoseSource.VIO:
+        return [math.nan] * 3
+    return [0.0] * 3 if origin is None else origin.tolist()
 
 
 def rejects_table(rejects: Sequence[Reject]) -> pd.DataFrame:

@@ -144,6 +144,7 @@ def write_export(
                     "excluded": len(dataset.excluded),
                     "by_split": dataset.frames["split"].value_counts().sort_index().to_dict(),
                     "by_quality": dataset.frames["quality"].value_counts().sort_index().to_dict(),
+                    "map_origin": dataset.origin,
                     "map": f"{dataset.world} before any turn that the format asks for",
                     "files": file_names(folder),
                 },

@@ -3,7 +3,7 @@
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -96,7 +96,8 @@ class ImageSource:
 class Dataset:
     """`frames` (N rows) have ground truth, `excluded` have none; both are import.frames with align's quality, reason
     and component, and the cameras that the poses go with. `images` are the N images, `map_T_cam` (N, 4, 4) their poses,
-    `models` SfM's, largest first."""
+    `models` SfM's, largest first. `origin` is where the map's origin is in the coordinates that its reference poses
+    were stated in; None where no reference gave the map, (0, 0, 0) where these are the map's."""
 
     frames: pd.DataFrame
     excluded: pd.DataFrame
@@ -104,11 +105,14 @@ class Dataset:
     images: list[ImageSource]
     models: list[SfmModel]
     simulated: bool
+    origin: tuple[float, float, float] | None = None
 
     @property
     def world(self) -> str:
-        """Unit and axes of the map, in words."""
-        return world_of(self.frames)
+        """Unit, axes and origin of the map, in words."""
+        moved = self.origin is not None and any(self.origin)
+        origin = "; add map_origin to come back to the data set's own coordinates," if moved else ""
+        return f"{world_of(self.frames)}{origin}"
 
     @property
     def in_test(self) -> np.ndarray:
@@ -215,7 +219,13 @@ def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool
             for index in np.unique(component).tolist()
         ],
         bool(manifests["align"]["simulated"]),
+        _origin(manifests["align"]["figures"]),
     )
+
+
+def _origin(figures: dict[str, Any]) -> tuple[float, float, float] | None:
+    x, y, z = (figures.get(f"map_origin_{axis}") for axis in "xyz")
+    return None if x is None or y is None or z is None else (x, y, z)
 
 
 def _lens_shift_px(camera: Camera) -> float:

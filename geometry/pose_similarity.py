@@ -45,7 +45,7 @@ def fit_similar_poses(a_T_cam: ArrayLike, b_T_cam: ArrayLike, *, with_scale: boo
         raise GeometryError(f"{len(a)} poses are too few for a similarity, which needs {_MIN_POSES}")
     xyz_a, xyz_b = a[:, :3, 3], b[:, :3, 3]
     radius = float(np.sqrt(np.mean(np.sum((xyz_a - xyz_a.mean(axis=0)) ** 2, axis=1))))
-    if not radius > _MIN_EXTENT * max(1.0, float(np.abs(xyz_a).max())):
+    if not radius > _MIN_EXTENT * float(np.abs(xyz_a).max()):
         raise GeometryError(f"{len(a)} cameras in one place determine no scale")
     position_sd = _POSITION_FRACTION * radius
 

@@ -13,12 +13,14 @@ from groundwalk.geometry.poses import Array
 @dataclass(frozen=True)
 class Reference:
     """Stated poses map_T_cam (N, 4, 4) of the rows of the frames table, NaN where there is none; whether their unit is
-    the metre, and whether their +y is up. `gives_map`: no frame has VIO, so that the map is the reference's frame."""
+    the metre, and whether their +y is up. `gives_map`: no frame has VIO, so that the map is the reference's frame;
+    `origin` (3,) is where its origin is in the data set's own coordinates."""
 
     map_T_cam: Array
     is_metric: bool
     is_up_known: bool
     gives_map: bool
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @staticmethod
     def of(frames: pd.DataFrame, reference: pd.DataFrame, sessions: pd.DataFrame) -> "Reference | None":
@@ -33,6 +35,7 @@ class Reference:
             is_metric=bool((referenced["reference_unit"] == LengthUnit.METRE).all()),
             is_up_known=bool((referenced["up"] == UpAxis.Y).all()),
             gives_map=bool(frames["vio_cam_tx"].isna().all()),
+            origin=tuple(float(referenced[f"reference_origin_{axis}"].iloc[0]) for axis in "xyz"),
         )
 
     def where(self, mask: np.ndarray) -> "Reference":

@@ -126,6 +126,17 @@ TABLES = [
                 nullable=True,
                 choices=LengthUnit,
             ),
+            *(
+                Column(
+                    f"reference_origin_{axis}",
+                    "float64",
+                    f"where the origin of the reference poses is in the data set's own coordinates, {axis}, in "
+                    "reference_unit: 0 where they are as stated, else what was taken off positions far from their "
+                    "origin; null for VIO",
+                    nullable=True,
+                )
+                for axis in "xyz"
+            ),
             Column("up", "string", "up in the world of the poses", nullable=True, choices=UpAxis),
             Column(
                 "appearance",

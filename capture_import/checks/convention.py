@@ -43,6 +43,8 @@ _MIN_PAIRS = 4
 _MAX_INTERVAL_S = 4.0
 _MAX_TURN_DEG = 35.0
 _MIN_STEP_M = 0.08
+# Poses without a unit: of so many, spread over the session, each is paired with one of the nearest so many.
+_MAX_POSES, _NEAREST = 256, 8
 # Another convention is the true one where it explains so much more, as a fraction of all matches, and most of them.
 _MIN_GAIN = 0.2
 _MIN_MOST = 0.6
@@ -93,7 +95,7 @@ def check_convention(session: ImportedSession, load: LoadGray) -> ConventionChec
 def matched_pairs(session: ImportedSession, load: LoadGray) -> list[MatchedPair]:
     """A session's pairs of images with parallax and enough matches."""
     frames = [image.frame for image in session.images]
-    pairs = parallax_pairs(frames)
+    pairs = parallax_pairs(frames) if session.recording.is_metric else unitless_parallax_pairs(frames)
     features = _features([frames[i] for i in sorted({i for pair in pairs for i in pair})], load)
     matched = []
     for a, b in pairs:
@@ -132,7 +134,30 @@ def parallax_pairs(frames: Sequence[RawFrame]) -> list[tuple[int, int]]:
     if len(frames):
         borders = np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], _PARTS + 1)).tolist()
     candidates = (_with_parallax(poses, t_s, range(a, b)) for a, b in pairwise(borders))
-    pairs = [pair for pair in candidates if pair is not None]
+    return _spread([pair for pair in candidates if pair is not None])
+
+
+def unitless_parallax_pairs(frames: Sequence[RawFrame]) -> list[tuple[int, int]]:
+    """Pairs as those of `parallax_pairs` where poses have no unit, and mostly no times: each frame and one of the
+    nearest, about as far as nearest ones with little rotation are. The same at any scale and origin, as good in any
+    order of the frames."""
+    poses = np.array([frame.vio_T_cam for frame in frames], dtype=float).reshape(-1, 4, 4)
+    used = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _MAX_POSES)).astype(int))
+    pairs: dict[tuple[int, int], None] = {}
+    for a in used.tolist():
+        distance = np.linalg.norm(poses[used, :3, 3] - poses[a, :3, 3], axis=1)
+        nearest = used[np.argsort(distance, kind="stable")[1 : _NEAREST + 1]]
+        steps = relative(poses[a], poses[nearest])
+        nearest = nearest[np.degrees(rotation_angle(steps[:, :3, :3])) <= _MAX_TURN_DEG]
+        far = np.linalg.norm(poses[nearest, :3, 3] - poses[a, :3, 3], axis=1)
+        if len(far) and far[-1] > 0:
+            b = int(nearest[np.argmax(far >= far[-1] / 2)])
+            pairs[min(a, b), max(a, b)] = None
+    return _spread(list(pairs))
+
+
+def _spread(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """So many of the pairs as are tried."""
     spread = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), _MAX_PAIRS)).astype(int))
     return [pairs[i] for i in spread]
 

@@ -1,7 +1,7 @@
 """Which rows of a log are sound: poses, times, and VIO jumps."""
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,14 +9,17 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts.choices import Tracking
+from groundwalk.artefacts.choices import PoseSource, Tracking
 from groundwalk.capture_import.capture import Intrinsics, RawFrame, RawSession, Reject
 from groundwalk.geometry.poses import Array, interpolate, inverse, nearest_rotation, rigidity_error
 
 # Float32 logs are off by 1e-6, rounded text logs by 1e-3 at most; a wrong convention by far more.
 _RIGID_TOLERANCE = 5e-3
-# An hour-long walk drifts metres; a position beyond this is a broken number.
-_MAX_POSITION_M = 1e5
+# Of a rotation, before its rigidity is computed from products.
+_MAX_ENTRY = 1e5
+# An hour-long walk drifts metres; a position beyond this is a broken number. A reference may have any unit and origin:
+# there it is one so many times as far from the middle as nine in ten are.
+_MAX_POSITION_M, _MAX_POSITION_EXTENTS, _NINE_IN_TEN = 1e5, 1e3, 90
 # OpenCV's k1, k2, p1, p2, k3 to k6; those of the widest fisheye lenses are some tens.
 _MAX_COEFFICIENTS, _MAX_COEFFICIENT = 8, 1e4
 
@@ -65,8 +68,10 @@ def check_session(session: RawSession, max_gap_s: float) -> SoundRows:
         rejects.append(Reject(session.session_id, frame.source, frame.t_ns, reason, frame.content))
 
     readable = []
+    is_reference = session.pose_source == PoseSource.REFERENCE
+    position_fault = _reference_position_fault(session) if is_reference else _vio_position_fault
     for frame in session.frames:
-        reason = _pose_fault(frame.vio_T_cam) or _intrinsics_fault(frame)
+        reason = _pose_fault(frame.vio_T_cam, position_fault) or _intrinsics_fault(frame)
         if reason:
             reject(frame, reason)
         else:
@@ -118,14 +123,35 @@ def gravity_of(world_T_cam: Array) -> Array:
     return down
 
 
-def _pose_fault(pose: Array | None) -> str | None:
+def _vio_position_fault(position: Array) -> str | None:
+    return "pose is more than 100 km from the origin" if np.abs(position).max() > _MAX_POSITION_M else None
+
+
+def _reference_position_fault(session: RawSession) -> Callable[[Array], str | None]:
+    """What is wrong with a position (3,) among those of a reference."""
+    poses = [frame.vio_T_cam for frame in session.frames if frame.vio_T_cam is not None]
+    positions = np.array([pose[:3, 3] for pose in poses if np.isfinite(pose).all()]).reshape(-1, 3)
+    if not len(positions):
+        return lambda _: None
+    middle = np.median(positions, axis=0)
+    distances = np.linalg.norm(positions - middle, axis=1)
+    limit = _MAX_POSITION_EXTENTS * float(np.percentile(distances, _NINE_IN_TEN, method="lower"))
+
+    def fault(position: Array) -> str | None:
+        distance = float(np.linalg.norm(position - middle))
+        return f"pose is {distance:.3g} from the others' middle: a broken number?" if 0 < limit < distance else None
+
+    return fault
+
+
+def _pose_fault(pose: Array | None, position_fault: Callable[[Array], str | None]) -> str | None:
     if pose is None:
         return None
     if not np.isfinite(pose).all():
         return "pose has a value that isn't finite"
-    if np.abs(pose[:3, 3]).max() > _MAX_POSITION_M:
-        return "pose is more than 100 km from the origin"
-    if np.abs(pose).max() > _MAX_POSITION_M:
+    if fault := position_fault(pose[:3, 3]):
+        return fault
+    if np.abs(pose[:, :3]).max() > _MAX_ENTRY:
         return "pose isn't rigid"
     error = float(rigidity_error(pose))
     if error > _RIGID_TOLERANCE:

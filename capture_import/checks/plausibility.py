@@ -21,6 +21,8 @@ MAX_SPEED_M_S = 100.0
 MIN_RATE_HZ, MAX_RATE_HZ = 0.1, 1000.0
 # A hand shakes more than that even where the phone only turns.
 _MIN_EXTENT_M = 0.002
+# Without a unit, poses in one place differ by this fraction of their coordinates at most.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,10 @@ def _of_images(intake: Intake) -> Iterator[PlausibilityFault]:
     different = len({(image.check.sha256, image.check.sharpness) for image in images})
     xyz = np.concatenate([session.poses[:, :3, 3] for session in intake.sessions])
     extent_m = float(np.linalg.norm(np.ptp(xyz, axis=0)))
-    if different > 1 and extent_m < _MIN_EXTENT_M:
+    if different > 1 and not intake.sessions[0].recording.is_metric:
+        if extent_m <= _ROUNDING * float(np.abs(xyz).max(initial=0.0)):
+            yield PlausibilityFault(f"all {len(xyz)} poses lie in one place while {different} images differ")
+    elif different > 1 and extent_m < _MIN_EXTENT_M:
         seconds = max(float(s.t_ns[-1] - s.t_ns[0]) * 1e-9 for s in intake.sessions if s.frames)
         yield PlausibilityFault(
             f"all {len(xyz)} poses lie within {1000 * extent_m:.2g} mm over {seconds:.1f} s while {different} images "
