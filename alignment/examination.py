@@ -22,7 +22,7 @@ from groundwalk.alignment.components import Component, ModelSegments, PlacedComp
 from groundwalk.alignment.inputs import AlignInputs
 from groundwalk.alignment.map_frame import common_scale, common_vertical
 from groundwalk.alignment.quality import sfm_covariances
-from groundwalk.alignment.reference.placement import place_on_reference
+from groundwalk.alignment.reference.placement import limits_of, place_on_reference
 from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.rulers.scale_check import RulerCheck, check_rulers, scale_by_rulers
 from groundwalk.alignment.segments import Segment
@@ -45,7 +45,8 @@ class Examination:
     """The models that are metric and upright, where each lies in the map, and all checks. Arrays are over the rows of
     the frames table: `registered`, `exclusion` (why a frame gets no ground truth, empty where it does), `problem` (why
     one that does is of class C at best), the largest residuals of its windows (or those against the reference, where
-    that gives the map) in metres and radians, NaN in none."""
+    that gives the map) in metres and radians, NaN in none.
+    `reference_limit` is what those against a reference may be."""
 
     components: list[Component]
     placed: list[PlacedComponent]
@@ -58,6 +59,7 @@ class Examination:
     residual_m: Array
     residual_rad: Array
     reference: Reference | None
+    reference_limit: tuple[float, float] | None = None
 
     @property
     def has_ground_truth(self) -> np.ndarray:
@@ -146,6 +148,7 @@ def _examine_by_reference(
     reference's."""
     registered, count = inputs.registered, len(inputs.frames)
     checks = check_registration(inputs.frames, registered, inputs.recordings, settings)
+    limits = limits_of(reference, settings)
     fits, results = place_on_reference(models, inputs, reference, settings)
     placed = [fit.placed for fit in fits]
     components = [p.component for p in placed]
@@ -170,6 +173,7 @@ def _examine_by_reference(
         residual_m=residual_m,
         residual_rad=residual_rad,
         reference=reference,
+        reference_limit=(limits.position(reference.extent), limits.rotation),
     )
 
 

@@ -1,4 +1,5 @@
-"""checks.png: SfM's path against VIO's after alignment, frames without ground truth marked, and their distance."""
+"""checks.png: SfM's path against VIO's or a reference's after alignment, frames without ground truth marked, and how
+far they are apart."""
 
 import textwrap
 from collections import Counter
@@ -14,6 +15,7 @@ from groundwalk.alignment.checks.summary import describe
 from groundwalk.alignment.checks.windows import SegmentWindow
 from groundwalk.alignment.components import Component
 from groundwalk.alignment.examination import Examination
+from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.segments import Segment
 from groundwalk.artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
 from groundwalk.consistency.windows import PoseSd, fit_rigid
@@ -27,14 +29,22 @@ _REASON_WIDTH = 75
 def draw_checks(path: Path, examination: Examination, title: str, *, simulated: bool) -> None:
     """One row a session, those with most excluded frames first: plan of both paths, residual curves with limits.
 
-    VIO is fitted to SfM over the whole session, rigidly and robustly; the curves are the windows' residuals.
+    VIO is fitted to SfM over the whole session, rigidly and robustly; the curves are the windows' residuals. Where a
+    reference gives the map, SfM's model is fitted to that as a whole, and the plan is what shows most of the path.
     """
-    parts = [(c, s) for c in examination.components for s in c.segments if s.has_both.any()]
+    by_reference = examination.reference if examination.reference_limit is not None else None
+    if by_reference is None:
+        parts = [(c, s) for c in examination.components for s in c.segments if s.has_both.any()]
+    else:
+        parts = [(c, s) for c in examination.components for s in c.segments if s.registered.any()]
     parts.sort(key=lambda part: (-np.mean(examination.exclusion[part[1].rows] != ""), part[1].session_id))
     drawn = parts[:_MAX_SESSIONS]
     figure = Figure(figsize=(4 * _INCHES, _INCHES * max(len(drawn), 1) + 0.6), layout="constrained")
     axes = figure.subplots(max(len(drawn), 1), 3, squeeze=False, width_ratios=[1.3, 1, 1])
     for (plan, metres, degrees), (component, segment) in zip(axes, drawn, strict=False):
+        if by_reference is not None:
+            _draw_against_reference((plan, metres, degrees), examination, by_reference, component, segment)
+            continue
         _draw_plan(plan, examination, component, segment)
         windows = [w for w in examination.windows if _is_within(w, segment)]
         limits = [(w, w.position_m, w.limit_m) for w in windows]
@@ -49,6 +59,52 @@ def draw_checks(path: Path, examination: Examination, title: str, *, simulated: 
     more = f"; {len(parts) - len(drawn)} more without a plot" if len(parts) > len(drawn) else ""
     figure.suptitle(f"{title}{kind}: {summary}{more}", fontsize=10, wrap=True)
     figure.savefig(path, dpi=100)
+
+
+def _draw_against_reference(
+    axes: tuple[Axes, Axes, Axes],
+    examination: Examination,
+    reference: Reference,
+    component: Component,
+    segment: Segment,
+) -> None:
+    """Both paths in the two directions in which the reference extends most, and each frame's residuals in order."""
+    segment = segment.where(segment.registered)
+    rows, stated = segment.rows, reference.map_T_cam[segment.rows, :3, 3]
+    (placed,) = (p for p in examination.placed if p.component.index == component.index)
+    sfm = placed.map_S_sfm.poses(segment.sfm_T_cam)[:, :3, 3]
+    known = stated[np.isfinite(stated[:, 0])]
+    middle = known.mean(axis=0) if len(known) else np.zeros(3)
+    directions = np.linalg.svd(known - middle)[2][:2] if len(known) else np.eye(3)[:2]
+    sfm, stated = (sfm - middle) @ directions.T, (stated - middle) @ directions.T
+    is_excluded = examination.exclusion[rows] != ""
+    unit = "m" if reference.is_metric else "the reference's unit"
+    plan, *curves = axes
+    plan.plot(*stated.T, color=_rgb(VIO), lw=1.2, marker=".", ms=3, label="reference")
+    plan.plot(*sfm.T, color=_rgb(GROUND_TRUTH), lw=1.2, marker=".", ms=3, label="SfM")
+    plan.plot(*sfm[is_excluded].T, "x", ms=5, color=_rgb(REJECTED), label=f"no ground truth: {is_excluded.sum()}")
+    plan.set_aspect("equal", adjustable="datalim")
+    plan.set_title(f"{segment.session_id}, model {segment.component}: widest plane, {unit}", fontsize=8)
+    plan.legend(fontsize=7)
+    plan.tick_params(labelsize=7)
+    assert examination.reference_limit is not None
+    limit, limit_rad = examination.reference_limit
+    residuals = (
+        (examination.residual_m[rows], limit, unit),
+        (
+            np.degrees(examination.residual_rad[rows]),
+            float(np.degrees(limit_rad)),
+            "deg",
+        ),
+    )
+    for axis, (values, most, name) in zip(curves, residuals, strict=True):
+        axis.plot(values, color=_rgb(GROUND_TRUTH), lw=1)
+        axis.plot(np.flatnonzero(values > most), values[values > most], "x", ms=4, color=_rgb(REJECTED))
+        axis.axhline(most, color=_rgb(NEUTRAL), lw=1, ls="--")
+        axis.set_ylim(bottom=0)
+        axis.set_title(f"SfM from the reference, {name} (dashed: limit)", fontsize=8)
+        axis.set_xlabel("frames in order", fontsize=7)
+        axis.tick_params(labelsize=7)
 
 
 def _draw_plan(plan: Axes, examination: Examination, component: Component, segment: Segment) -> None:

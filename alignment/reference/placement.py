@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 
 from groundwalk.alignment.checks.components import check_standard_errors, missing_scale
 from groundwalk.alignment.checks.results import CheckResult, Exclusion, Failure, Quantity, Subject, evaluate
@@ -11,6 +12,7 @@ from groundwalk.alignment.checks.sessions import focal_length_result
 from groundwalk.alignment.components import Component, ModelSegments, PlacedComponent
 from groundwalk.alignment.inputs import AlignInputs
 from groundwalk.alignment.map_frame import NO_SCALE, MapScale, Vertical
+from groundwalk.alignment.reference.diagnosis import Limits, explain
 from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.artefacts import UserError
@@ -23,12 +25,23 @@ from groundwalk.geometry.pose_similarity import PoseSimilarity, fit_similar_pose
 @dataclass(frozen=True)
 class ReferenceFit:
     """One SfM model fitted to the reference: `rows` (n,) of the frames table that were compared, residuals there in the
-    reference's unit and radians, and which of them are beyond a limit (n,)."""
+    reference's unit and radians, the limits, and which of the residuals are beyond them (n,)."""
 
     placed: PlacedComponent
     fit: PoseSimilarity
     rows: np.ndarray
+    limits: Limits
     is_away: np.ndarray
+
+
+def limits_of(reference: Reference, settings: AlignSettings) -> Limits:
+    """How far frames may be from their reference poses."""
+    return Limits(
+        fraction=settings.max_reference_error_fraction,
+        constant=settings.max_reference_error_m if reference.is_metric else 0.0,
+        rotation=float(np.radians(settings.max_reference_error_deg)),
+        min_consistent=settings.min_consistent_fraction,
+    )
 
 
 def fit_component(index: int, model: ModelSegments, reference: Reference, settings: AlignSettings) -> ReferenceFit:
@@ -46,10 +59,9 @@ def fit_component(index: int, model: ModelSegments, reference: Reference, settin
         vertical=Vertical(fit.a_S_b.rotation[1], fit.turn_sd, {}, reference.vertical_source),
         vio_scale=NO_SCALE,
     )
-    constant = settings.max_reference_error_m if reference.is_metric else 0.0
-    limit = settings.max_reference_error_fraction * reference.extent + constant
-    is_away = (fit.position > limit) | (fit.rotation > float(np.radians(settings.max_reference_error_deg)))
-    return ReferenceFit(PlacedComponent(component, fit.a_S_b), fit, rows[both], is_away)
+    limits = limits_of(reference, settings)
+    is_away = (fit.position > limits.position(reference.extent)) | (fit.rotation > limits.rotation)
+    return ReferenceFit(PlacedComponent(component, fit.a_S_b), fit, rows[both], limits, is_away)
 
 
 def place_on_reference(
@@ -66,7 +78,7 @@ def place_on_reference(
             continue
         fits.append(fit)
         results += check_standard_errors(fit.placed.component, settings)
-        results += check_session_references(fit, settings)
+        results += check_session_references(fit, inputs.frames, reference, settings)
         results += _check_focal_lengths(index, model, inputs, settings)
     return fits, results
 
@@ -84,7 +96,9 @@ def _not_placed(index: int, model: ModelSegments, error: GeometryError) -> Check
     return missing_scale(index, model, FailureCause.DISCONNECTED_SESSION, reason)
 
 
-def check_session_references(fit: ReferenceFit, settings: AlignSettings) -> list[CheckResult]:
+def check_session_references(
+    fit: ReferenceFit, frames: pd.DataFrame, reference: Reference, settings: AlignSettings
+) -> list[CheckResult]:
     """Check that each session's frames lie where the reference has them. Those that don't get no ground truth; of a
     session none does, where too many don't. The fraction is a count: it has no standard error."""
     results, component = [], fit.placed.component
@@ -95,20 +109,33 @@ def check_session_references(fit: ReferenceFit, settings: AlignSettings) -> list
         if not compared:
             continue
         position, degrees = np.median(fit.fit.position[of_session]), np.median(np.degrees(fit.fit.rotation[of_session]))
-        failure = Failure(
-            cause=FailureCause.REFERENCE_INCONSISTENT,
-            reason=f"{len(away)} of {compared} frames of {session_id} are away from their reference poses, by "
-            f"{position:.3g} and {degrees:.1f} degrees (medians): the reference, its intrinsics or SfM's model is "
-            "wrong, or its world is another one",
-            rows=rows,
-        )
         subject, fraction = Subject(compared, session_id, component.index), Quantity(len(away) / compared)
         limit = 1 - settings.min_consistent_fraction
+        reason = (
+            f"{len(away)} of {compared} frames of {session_id} are away from their reference poses, by {position:.3g} "
+            f"and {degrees:.1f} degrees (medians)"
+        )
+        if len(away) / compared > limit:
+            reason = f"{reason}: {_explain(fit, component, frames, reference, of_session)}"
+        failure = Failure(cause=FailureCause.REFERENCE_INCONSISTENT, reason=reason, rows=rows)
         result = evaluate(CheckName.SESSION_REFERENCE, subject, fraction, limit, failure)
         if result.status is Status.PASSED:
             result = replace(result, exclusions=(Exclusion(away, "poses in SfM and reference inconsistent"),))
         results.append(result)
     return results
+
+
+def _explain(
+    fit: ReferenceFit, component: Component, frames: pd.DataFrame, reference: Reference, of_session: np.ndarray
+) -> str:
+    """What it looks like that a session's compared frames (n,) don't agree."""
+    rows = fit.rows[of_session]
+    rows = rows[np.argsort(frames["t_ns"].to_numpy()[rows], kind="stable")]
+    sfm_T_cam = np.full_like(reference.map_T_cam, np.nan)
+    for segment in component.segments:
+        sfm_T_cam[segment.rows] = segment.sfm_T_cam
+    ids = frames["frame_id"].to_numpy(str)[rows]
+    return explain(reference.map_T_cam[rows], sfm_T_cam[rows], ids, fit.limits)
 
 
 def _check_focal_lengths(

@@ -18,16 +18,8 @@ from groundwalk.capture_import.checks.scan import LoadGray
 from groundwalk.capture_import.intake import Image, ImportedSession
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.lens import undistort
-from groundwalk.geometry.poses import (
-    ARKIT_CAM_T_CAM,
-    Array,
-    inverse,
-    make_pose,
-    matrix_from_quaternion,
-    quaternion_from_matrix,
-    relative,
-    rotation_angle,
-)
+from groundwalk.geometry.pose_conventions import POSE_CONVENTIONS, PoseChange, turned_image
+from groundwalk.geometry.poses import Array, relative, rotation_angle
 
 CONVENTION_LONG_SIDE = 400
 _FEATURES = 500
@@ -227,36 +219,14 @@ def _rays(points: Array, k: Array, distortion: Distortion) -> Array:
     return np.column_stack([undistort((points - k[2:]) / k[:2], distortion), np.ones(len(points))])
 
 
-def _on_arkit(change: Callable[[Array], Array]) -> Change:
-    """A mistake in reading the pose as the log has it, in ARKit's camera axes."""
-    return lambda camera: (change(camera[0] @ ARKIT_CAM_T_CAM) @ ARKIT_CAM_T_CAM, camera[1])
-
-
-def _on_pose(change: Callable[[Array], Array]) -> Change:
+def _on_pose(change: PoseChange) -> Change:
     return lambda camera: (change(camera[0]), camera[1])
 
 
-def _axes(*signs: float) -> Change:
-    return _on_pose(lambda pose: pose @ np.diag([*signs, 1.0]))
-
-
-def _transposed(pose: Array) -> Array:
-    return make_pose(pose[:3, :3].T, pose[:3, 3])
-
-
-def _rolled(places: int) -> Callable[[Array], Array]:
-    def change(pose: Array) -> Array:
-        q = np.roll(quaternion_from_matrix(pose[:3, :3]), places)
-        return make_pose(matrix_from_quaternion(q), pose[:3, 3])
-
-    return change
-
-
-def _turned(quarters: int, swap: bool) -> Change:
-    """The image is turned by quarters clockwise against the pose; `swap`: its intrinsics aren't."""
-    c, s = np.cos(quarters * np.pi / 2), np.sin(quarters * np.pi / 2)
-    turn = make_pose([[c, s, 0], [-s, c, 0], [0, 0, 1]], [0.0, 0.0, 0.0])
-    return lambda camera: (camera[0] @ turn, camera[1][[1, 0, 3, 2]] if swap else camera[1])
+def _turned_with_intrinsics(quarters: int) -> Change:
+    """The image is turned by quarters clockwise against the pose, and its intrinsics aren't."""
+    turn = turned_image(quarters)
+    return lambda camera: (turn(camera[0]), camera[1][[1, 0, 3, 2]])
 
 
 def _mirrored(*signs: float) -> Change:
@@ -270,21 +240,9 @@ def _scaled(factor: float) -> Change:
 
 CONVENTIONS: tuple[tuple[str, Change], ...] = (
     ("as declared", lambda camera: camera),
-    ("camera y and z axes have the other sign (ARKit's or OpenGL's for OpenCV's, or back)", _axes(1, -1, -1)),
-    ("camera x and z axes have the other sign", _axes(-1, 1, -1)),
-    ("image is turned by 180 degrees against the pose", _axes(-1, -1, 1)),
-    ("poses are world to camera", _on_arkit(inverse)),
-    ("poses are world to camera, in OpenCV's axes", _on_pose(inverse)),
-    ("rotations are transposed", _on_arkit(_transposed)),
-    ("rotations are transposed, in OpenCV's axes", _on_pose(_transposed)),
-    ("quaternions are w first, read as w last", _on_arkit(_rolled(-1))),
-    ("quaternions are w last, read as w first", _on_arkit(_rolled(1))),
-    ("quaternions are w first, read as w last, in OpenCV's axes", _on_pose(_rolled(-1))),
-    ("quaternions are w last, read as w first, in OpenCV's axes", _on_pose(_rolled(1))),
-    ("image is turned by 90 degrees clockwise against the pose", _turned(1, swap=False)),
-    ("image is turned by 90 degrees counter-clockwise against the pose", _turned(3, swap=False)),
-    ("image is turned by 90 degrees clockwise against pose and intrinsics", _turned(1, swap=True)),
-    ("image is turned by 90 degrees counter-clockwise against pose and intrinsics", _turned(3, swap=True)),
+    *((name, _on_pose(change)) for name, change in POSE_CONVENTIONS),
+    ("image is turned by 90 degrees clockwise against pose and intrinsics", _turned_with_intrinsics(1)),
+    ("image is turned by 90 degrees counter-clockwise against pose and intrinsics", _turned_with_intrinsics(3)),
     ("the images are mirrored left to right", _mirrored(-1, 1)),
     ("the images are mirrored upside down", _mirrored(1, -1)),
     ("intrinsics have width and height swapped", lambda camera: (camera[0], camera[1][[1, 0, 3, 2]])),

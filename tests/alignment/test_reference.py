@@ -1,26 +1,34 @@
 """Maps in the frame of a reference: walks without VIO whose true poses, or wrong ones, are stated."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from known import there
 from scipy.spatial.transform import Rotation
 from synthetic_walks import Scene, Walks, align
 
+from groundwalk.alignment.examination import examine
 from groundwalk.alignment.ground_truth import AlignResult
+from groundwalk.alignment.plot import draw_checks
 from groundwalk.alignment.reference.agreement import describe_agreement
 from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.stage import STAGE
 from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.artefacts.recording import GROUND_TRUTH, REJECTED, VIO
 from groundwalk.artefacts.schemas import schema, stage_tables
 from groundwalk.artefacts.stage import load_manifest
 from groundwalk.artefacts.tables import pose_frame, poses_of, read_table, write_table
+from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.fits import Sim3
-from groundwalk.geometry.poses import make_pose
+from groundwalk.geometry.poses import inverse, make_pose
 
 WORLD = Sim3(1.0, Rotation.from_euler("xyz", [0.9, -0.2, 1.5]).as_matrix(), np.array([100.0, -20.0, 4.0]))
 
@@ -122,6 +130,49 @@ def test_a_reference_that_nothing_agrees_with_is_refused(walks: Walks) -> None:
     with pytest.raises(UserError, match="can't be aligned to the reference") as error:
         run(scene, stated(scene, still))
     assert "one place" in str(error.value)
+
+
+AXES = "camera y and z axes have the other sign"
+ROBOT = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # x forward, y left, z up
+
+
+@pytest.mark.parametrize("scale", [0.02, 1.0, 1000.0])
+@pytest.mark.parametrize(
+    ("mistake", "said"),
+    [
+        (lambda pose: pose @ np.diag([1.0, -1, -1, 1]), AXES),
+        (inverse, "poses are world to camera, in OpenCV's axes"),
+        (lambda pose: pose @ make_pose(ROBOT.T, [0, 0, 0]), "turned alike, by 120.0 degrees"),
+    ],
+    ids=["axes", "inverse", "robot"],
+)
+def test_a_wrong_convention_is_named(
+    walks: Walks, scale: float, mistake: Callable[[np.ndarray], np.ndarray], said: str
+) -> None:
+    scene = without_vio(walks.make(sessions=2, sfm_m=0.005, sfm_deg=0.02))
+    reference = mistake(replace(WORLD, scale=scale).poses(scene.true_T_cam))
+    with pytest.raises(UserError, match=re.escape(said)):
+        run(scene, stated(scene, reference, is_metric=False))
+
+
+def test_where_a_model_bends_is_named_and_drawn(walks: Walks, tmp_path: Path) -> None:
+    """A walk whose second half is turned by 25 degrees about the point in its middle."""
+    scene = without_vio(walks.make(sessions=1, sfm_m=0.005, sfm_deg=0.02))
+    reference = scene.true_T_cam.copy()
+    at, turn = len(reference) // 2, Rotation.from_euler("y", 25, degrees=True).as_matrix()
+    middle = reference[at, :3, 3]
+    reference[at:] = Sim3(1.0, turn, middle - turn @ middle).poses(reference[at:])
+    inputs = scene.inputs(reference=stated(scene, reference, is_metric=False))
+    found = examine(inputs, AlignSettings(max_reference_error_deg=1.0))
+    (failed,) = (check for check in found.checks if check.status is Status.FAILED)
+    first, last = re.search(r"most between walk0/(\d+) and walk0/(\d+)", failed.reason).groups()
+    assert int(first) <= at <= int(last) and int(last) - int(first) < 0.4 * len(reference), failed.reason
+    (degrees,) = re.findall(r"up to ([0-9.]+) degrees", failed.reason)
+    assert 12 < float(degrees) < 26 and "can't be told from them" in failed.reason
+    draw_checks(tmp_path / "checks.png", found, "Place", simulated=True)
+    pixels = cv2.imread(str(tmp_path / "checks.png"))
+    for colour in (GROUND_TRUTH, VIO, REJECTED):  # SfM's path, the reference's, frames beyond the limit
+        assert (np.abs(there(pixels).astype(int) - colour[::-1]).max(axis=-1) < 40).sum() > 30
 
 
 @pytest.mark.parametrize("metric", [True, False])

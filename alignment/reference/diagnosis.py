@@ -1,0 +1,129 @@
+"""Why SfM's poses and a reference's don't agree: a usual mistake in reading the reference, another world, or a bend."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.fits import fit_sim3
+from groundwalk.geometry.pose_conventions import POSE_CONVENTIONS
+from groundwalk.geometry.pose_similarity import PoseSimilarity, fit_similar_poses
+from groundwalk.geometry.poses import Array, nearest_rotation, rotation_angle
+
+# Parts of a walk that are fitted on their own have at least so many frames, and are at most so many.
+_MIN_PART, _MAX_PARTS = 6, 8
+_REFITS = 5
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How far a pose may be from its reference: a fraction of the extent of the reference's positions and a constant in
+    its unit, and an angle in radians; and which fraction of frames within them agrees."""
+
+    fraction: float
+    constant: float
+    rotation: float
+    min_consistent: float
+
+    def position(self, extent: float) -> float:
+        """In the reference's unit."""
+        return self.fraction * extent + self.constant
+
+    def agrees(self, fit: PoseSimilarity, extent: float) -> bool:
+        """Whether enough poses of a fit are within the limits."""
+        within = (fit.position <= self.position(extent)) & (fit.rotation <= self.rotation)
+        return bool(within.mean() >= self.min_consistent)
+
+
+def explain(reference_T_cam: Array, sfm_T_cam: Array, frame_ids: np.ndarray, limits: Limits) -> str:
+    """What it looks like that poses (N, 4, 4) of the same frames, in the order of their walk, don't agree."""
+    return (
+        _convention(reference_T_cam, sfm_T_cam, limits)
+        or _turned_cameras(reference_T_cam, sfm_T_cam, limits)
+        or _bend(reference_T_cam, sfm_T_cam, frame_ids, limits)
+    )
+
+
+def _fit(reference_T_cam: Array, sfm_T_cam: Array) -> PoseSimilarity | None:
+    try:
+        return fit_similar_poses(reference_T_cam, sfm_T_cam)
+    except GeometryError:
+        return None
+
+
+def _extent(world_T_cam: Array) -> float:
+    return float(np.linalg.norm(np.ptp(world_T_cam[:, :3, 3], axis=0)))
+
+
+def _convention(reference_T_cam: Array, sfm_T_cam: Array, limits: Limits) -> str:
+    """The mistake in reading the reference without which it would agree, the poses alone as they are included."""
+    as_is = "its world is another one than that of the model's other frames: fitted without them, it agrees"
+    found: list[tuple[float, str]] = []
+    for name, poses in (
+        (as_is, reference_T_cam),
+        *((f"it agrees where {name}", change(reference_T_cam)) for name, change in POSE_CONVENTIONS),
+    ):
+        fit = _fit(poses, sfm_T_cam)
+        if fit is not None and limits.agrees(fit, _extent(poses)):
+            found.append((float(np.median(fit.rotation)), name))
+    return min(found)[1] if found else ""
+
+
+def _turned_cameras(reference_T_cam: Array, sfm_T_cam: Array, limits: Limits) -> str:
+    """That all cameras are turned alike about their own axes, as where poses are those of another body."""
+    try:
+        turn = fit_sim3(reference_T_cam[:, :3, 3], sfm_T_cam[:, :3, 3]).rotation
+    except GeometryError:
+        return ""
+    corrected = reference_T_cam
+    for _ in range(_REFITS):
+        cam_R_stated = nearest_rotation(
+            np.median(np.swapaxes(turn @ sfm_T_cam[:, :3, :3], 1, 2) @ reference_T_cam[:, :3, :3], axis=0)
+        )
+        corrected = reference_T_cam.copy()
+        corrected[:, :3, :3] = reference_T_cam[:, :3, :3] @ cam_R_stated.T
+        fit = _fit(corrected, sfm_T_cam)
+        if fit is None:
+            return ""
+        turn = fit.a_S_b.rotation
+    if not limits.agrees(fit, _extent(corrected)):
+        return ""
+    axes = ", ".join("(" + ", ".join(f"{v + 0.0:.2f}" for v in np.round(axis, 2)) + ")" for axis in cam_R_stated.T)
+    return (
+        f"it agrees where all cameras are turned alike, by {np.degrees(rotation_angle(cam_R_stated)):.1f} degrees; "
+        f"the stated x, y and z axes are then {axes} in the camera's (x right, y down, z forward): poses of a robot, "
+        "an IMU or another body than the camera"
+    )
+
+
+def _bend(reference_T_cam: Array, sfm_T_cam: Array, frame_ids: np.ndarray, limits: Limits) -> str:
+    """Where along the walk the two part, by fits of parts of it."""
+    parts = np.array_split(np.arange(len(frame_ids)), int(np.clip(len(frame_ids) // _MIN_PART, 1, _MAX_PARTS)))
+    fits = [_fit(reference_T_cam[part], sfm_T_cam[part]) for part in parts]
+    extent = _extent(reference_T_cam)
+    apart = [
+        f"{frame_ids[part[0]]} to {frame_ids[part[-1]]}"
+        for part, fit in zip(parts, fits, strict=True)
+        if fit is None or not limits.agrees(fit, extent)
+    ]
+    undecided = (
+        "Which of the two is right can't be told from them: it's SfM where another run of it agrees with the reference "
+        '([sfm] lens = "stated", other features or mapper), and the reference where runs agree with each other, or a '
+        "ruler or VIO with them"
+    )
+    good = [(part, fit) for part, fit in zip(parts, fits, strict=True) if fit is not None]
+    if len(good) < 2 or len(apart) > len(parts) / 2:
+        return f"they differ all along, in parts of {len(parts[0])} frames fitted on their own, too. {undecided}"
+    turns = [np.degrees(rotation_angle(a.a_S_b.rotation.T @ b.a_S_b.rotation)) for (_, a), (_, b) in pairwise(good)]
+    most = int(np.argmax(turns))
+    scales = [fit.a_S_b.scale for _, fit in good]
+    agree_deg = np.degrees(np.median(np.concatenate([fit.rotation for _, fit in good])))
+    but = f" (not so {', '.join(apart)})" if apart else ""
+    worst = f"{frame_ids[good[most][0][0]]} and {frame_ids[good[most + 1][0][-1]]}"
+    return (
+        f"one is bent against the other: {len(parts)} parts of {len(parts[0])} frames, each fitted on its own, agree "
+        f"to {agree_deg:.1f} degrees (median){but}, but from one part to the next they turn against each other by up "
+        f"to {turns[most]:.1f} degrees, most between {worst}, and their scales differ by a factor of "
+        f"{max(scales) / min(scales):.3g} over all parts. {undecided}"
+    )
