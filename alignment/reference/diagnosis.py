@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from groundwalk.artefacts.hints import setting_of
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.pose_conventions import POSE_CONVENTIONS
@@ -59,15 +60,15 @@ def _extent(world_T_cam: Array) -> float:
 def _convention(reference_T_cam: Array, sfm_T_cam: Array, limits: Limits) -> str:
     """The mistake in reading the reference without which it would agree, the poses alone as they are included."""
     as_is = "its world is another one than that of the model's other frames: fitted without them, it agrees"
-    found: list[tuple[float, str]] = []
+    candidates: list[tuple[float, str]] = []
     for name, poses in (
         (as_is, reference_T_cam),
         *((f"it agrees where {name}", change(reference_T_cam)) for name, change in POSE_CONVENTIONS),
     ):
         fit = _fit(poses, sfm_T_cam)
         if fit is not None and limits.agrees(fit, _extent(poses)):
-            found.append((float(np.median(fit.rotation)), name))
-    return min(found)[1] if found else ""
+            candidates.append((float(np.median(fit.rotation)), name))
+    return min(candidates)[1] if candidates else ""
 
 
 def _turned_cameras(reference_T_cam: Array, sfm_T_cam: Array, limits: Limits) -> str:
@@ -107,10 +108,11 @@ def _bend(reference_T_cam: Array, sfm_T_cam: Array, frame_ids: np.ndarray, limit
         for part, fit in zip(parts, fits, strict=True)
         if fit is None or not limits.agrees(fit, extent)
     ]
+    other_run = setting_of("sfm", 'lens = "stated"')
     undecided = (
-        "Which of the two is right can't be told from them: it's SfM where another run of it agrees with the reference "
-        '([sfm] lens = "stated", other features or mapper), and the reference where runs agree with each other, or a '
-        "ruler or VIO with them"
+        "Which of the two is wrong can't be told from them alone: SfM is, where another run of it agrees with the "
+        f"reference ({other_run}, other features or mapper); the reference is, where such runs, a ruler or VIO agree "
+        "with SfM"
     )
     good = [(part, fit) for part, fit in zip(parts, fits, strict=True) if fit is not None]
     if len(good) < 2 or len(apart) > len(parts) / 2:
