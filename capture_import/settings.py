@@ -16,9 +16,7 @@ class ImportSettings(Settings):
         "rate", description="which images become frames: by rate, by motion, or all"
     )
     rate_hz: float = Field(1.0, gt=0, le=240, description="sampling by rate: images a second")
-    step_m: float = Field(
-        0.5, gt=0, description="sampling by motion: metres between images; of poses without a unit, angles alone count"
-    )
+    step_m: float = Field(0.5, gt=0, description="sampling by motion: metres between images")
     step_deg: float = Field(20.0, gt=0, description="sampling by motion: degrees between images")
     min_frames: int = Field(
         60,

@@ -410,7 +410,7 @@ def _report_blurred(r: StageRun[ImportSettings], frames: pd.DataFrame) -> None:
 
 STAGE = Stage(
     name="import",
-    version=15,
+    version=16,
     settings=ImportSettings,
     needs=(),
     run=run,

@@ -115,7 +115,7 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
 
 STAGE = Stage(
     name="report",
-    version=13,
+    version=14,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import", "sfm", "align", "localise", "train", "fuse"),

@@ -146,7 +146,7 @@ TABLES = [
                 choices=Appearance,
             ),
         ],
-        version="3.2",
+        version="3.3",
     ),
     TableSchema(
         "import",
