@@ -103,14 +103,14 @@ def compare_with_bounds(map_T_cam: Array, true_T_cam: Array, covariance: Array, 
 
 def truth_targets(gt: pd.DataFrame, true_T_cam: Array, figures: dict[str, Any]) -> tuple[list[TruthTarget], int]:
     """The targets for align.ground_truth (N rows), and how many frames their bounds are about; `true_T_cam` (N, 4, 4),
-    `figures` of align's manifest. Without a metric scale there are no bounds. Raises GeometryError where there are too
-    few poses."""
+    `figures` of align's manifest. Without a metric scale or a vertical there are no bounds. Raises GeometryError where
+    there are too few poses."""
     has_pose = (gt["quality"] != QualityClass.NONE).to_numpy()
     map_T_cam, true_T_cam, covariance = poses_of(gt, "map_cam")[has_pose], true_T_cam[has_pose], gt["covariance"]
     targets = compare_with_truth(map_T_cam, true_T_cam, len(gt))
     # The manifest has scale and vertical of the first model only.
     has_bounds = (covariance.notna() & (gt["component"] == 0)).to_numpy()[has_pose]
-    if not has_bounds.any() or figures["scale_sd"] is None:
+    if not has_bounds.any() or None in (figures["scale_sd"], figures["vertical_sd_deg"]):
         return targets, 0
     stated = np.stack(list(covariance[has_pose][has_bounds])).reshape(-1, 6, 6)
     vertical, camera = (float(np.radians(figures[name])) for name in ("vertical_sd_deg", "camera_sd_deg"))

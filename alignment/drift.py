@@ -76,15 +76,17 @@ class DriftSamples:
         return rows
 
 
-def measure_drift(t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: Array) -> DriftSamples:
-    """All measures of one segment: times (N,), ground truth and VIO poses (N, 4, 4) of the same frames."""
+def measure_drift(t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: Array, *, is_upright: bool = True) -> DriftSamples:
+    """All measures of one segment: times (N,), ground truth and VIO poses (N, 4, 4) of the same frames; those of yaw
+    where both are `is_upright`."""
     samples = DriftSamples()
     if len(t_ns) < 2:
         return samples
     _steps(samples, t_ns, map_T_cam, vio_T_cam)
     _distances(samples, map_T_cam, vio_T_cam)
-    _yaw(samples, t_ns, map_T_cam, vio_T_cam)
-    _trajectory(samples, map_T_cam[:, :3, 3], vio_T_cam[:, :3, 3])
+    if is_upright:
+        _yaw(samples, t_ns, map_T_cam, vio_T_cam)
+    _trajectory(samples, map_T_cam[:, :3, 3], vio_T_cam[:, :3, 3], is_upright=is_upright)
     return samples
 
 
@@ -168,7 +170,7 @@ def _yaw(samples: DriftSamples, t_ns: np.ndarray, map_T_cam: Array, vio_T_cam: A
         samples.add(DriftDefinition.YAW_RATE, None, DriftInterval.PATH, "deg/100m", rate_of(travelled / 100))
 
 
-def _trajectory(samples: DriftSamples, map_xyz: Array, vio_xyz: Array) -> None:
+def _trajectory(samples: DriftSamples, map_xyz: Array, vio_xyz: Array, *, is_upright: bool) -> None:
     """ATE: position errors after a least-squares fit of the whole path (Zhang and Scaramuzza, IROS 2018)."""
 
     def add(definition: DriftDefinition, aligned_xyz: Array) -> None:
@@ -178,5 +180,6 @@ def _trajectory(samples: DriftSamples, map_xyz: Array, vio_xyz: Array) -> None:
     # Too few frames, or a path so straight that positions leave the fit open: this segment has no ATE.
     with suppress(GeometryError):
         add(DriftDefinition.ATE_SE3, transform(fit_se3(map_xyz, vio_xyz), vio_xyz))
-        add(DriftDefinition.ATE_YAW, transform(fit_yaw(map_xyz, vio_xyz), vio_xyz))
+        if is_upright:
+            add(DriftDefinition.ATE_YAW, transform(fit_yaw(map_xyz, vio_xyz), vio_xyz))
         add(DriftDefinition.ATE_SIM3, fit_sim3(map_xyz, vio_xyz).points(vio_xyz))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from groundwalk.alignment.checks.components import check_links, check_standard_errors, missing_scale, missing_vertical
+from groundwalk.alignment.checks.components import check_links, check_standard_errors, missing_scale
 from groundwalk.alignment.checks.registration import check_registration
 from groundwalk.alignment.checks.results import (
     CheckResult,
@@ -180,8 +180,8 @@ def _examine_by_reference(
 def _component(
     index: int, model: ModelSegments, inputs: AlignInputs, settings: AlignSettings
 ) -> tuple[Component | None, list[CheckResult]]:
-    """A model's scale and vertical, and the checks of them; None where it has no vertical, or no scale and isn't the
-    first: no VIO can place it then. The first may keep SfM's unit."""
+    """A model's scale and vertical, and the checks of them; None where it has no scale and isn't the first: no VIO can
+    place it then. The first may keep SfM's unit."""
     try:
         vio_scale = common_scale(
             model.pieces, step_m=settings.step_m, step_sd=settings.step_scale_sd, phone_sd=settings.phone_scale_sd
@@ -191,9 +191,12 @@ def _component(
         return None, [missing_scale(index, model, FailureCause.VIO_INCONSISTENT, reason)]
     rulers = inputs.rulers_of(model.model_id)
     scale = scale_by_rulers(vio_scale, rulers, settings.max_ruler_size_error) or vio_scale
-    vertical = common_vertical(model.segments, phone_sd=float(np.radians(settings.phone_tilt_sd_deg)))
-    if vertical is None:
-        return None, [missing_vertical(index, model)]
+    vertical = common_vertical(
+        model.segments,
+        phone_sd=float(np.radians(settings.phone_tilt_sd_deg)),
+        max_tilt=float(np.radians(settings.max_session_tilt_deg)),
+        tested=inputs.gravity_tested,
+    )
     if index and not scale.is_known:
         reason = "its SfM model has no metric scale: VIO hardly moves in it"
         return None, [missing_scale(index, model, FailureCause.DISCONNECTED_SESSION, reason)]
@@ -264,10 +267,9 @@ def refusal(examination: Examination, frames: pd.DataFrame, settings: AlignSetti
     fraction, main = passed.sum() / registered.sum(), main_failure(examination.checks)
     if main is None or (fraction >= settings.min_consistent_fraction and passed.any()):
         return None
-    no_map = main.cause is FailureCause.NO_GRAVITY
     failed = len(with_status(examination.checks, Status.FAILED))
     return UserError(
-        "the map has no vertical" if no_map else f"the SfM model fails its consistency checks: {main.cause}",
+        f"the SfM model fails its consistency checks: {main.cause}",
         where=_place_of(main, examination.windows, frames),
         expected=f"ground truth for at least {settings.min_consistent_fraction:.0%} of the registered frames",
         found=f"{passed.sum()} of {registered.sum()} ({fraction:.0%}); {failed} of {len(examination.checks)} checks "

@@ -61,7 +61,14 @@ def build(frames: pd.DataFrame, images: pd.DataFrame, examination: Examination, 
     )
     sd, has_ground_truth = settings.fit_sd, examination.has_ground_truth
     fits = [
-        fit_session(s, map_T_cam[s.rows], has_ground_truth[s.rows], sd, is_metric=p.component.scale.is_known)
+        fit_session(
+            s,
+            map_T_cam[s.rows],
+            has_ground_truth[s.rows],
+            sd,
+            is_metric=p.component.scale.is_known,
+            is_upright=examination.placed[0].component.vertical.source.is_known,
+        )
         for s, p in segments
     ]
     residuals = examination.residual_m, np.degrees(examination.residual_rad)
@@ -118,16 +125,16 @@ def _frame_truth(
             continue
         truth.component[rows] = component.index
         truth.scale_source[rows] = component.scale.source(settings.max_scale_sd)
-        truth.vertical_source[rows] = component.vertical.source
+        truth.vertical_source[rows] = examination.placed[0].component.vertical.source
         covariance, xyz = covariance_in_map(sfm_covariance[rows], placed.map_S_sfm), map_T_cam[rows, :3, 3]
         anchor = xyz.mean(axis=0)
         if placed.link is not None:
             truth.is_linked[rows] = True
             covariance = covariance + link_covariance(xyz, placed.links)
             anchor = placed.link.anchor
-        # Where the unit is SfM's, it has no error.
-        scale_sd = component.scale.sd if np.isfinite(component.scale.sd) else 0.0
-        shared = SharedSd(scale_sd, component.vertical.sd, camera_sd(frames, settings))
+        # Where the unit is SfM's, it has no error, and where up is unknown, the axes have none.
+        scale_sd, tilt_sd = np.nan_to_num([component.scale.sd, component.vertical.sd]).tolist()
+        shared = SharedSd(scale_sd, tilt_sd, camera_sd(frames, settings))
         truth.model_covariance[rows] = covariance
         truth.covariance[rows] = covariance + shared_covariance(map_T_cam[rows], anchor, shared)
     return truth
@@ -163,6 +170,6 @@ def _drift(fits: list[SessionFit]) -> pd.DataFrame:
     by_session: dict[str, DriftSamples] = {}
     for fit in fits:
         s, rows = fit.segment, fit.compared
-        samples = measure_drift(s.t_ns[rows], fit.map_T_cam[rows], s.vio_T_cam[rows])
+        samples = measure_drift(s.t_ns[rows], fit.map_T_cam[rows], s.vio_T_cam[rows], is_upright=fit.is_upright)
         by_session.setdefault(s.session_id, DriftSamples()).extend(samples)
     return drift_table(by_session)

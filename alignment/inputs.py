@@ -18,7 +18,7 @@ from groundwalk.alignment.sfm_tables import SfmTables
 @dataclass(frozen=True, kw_only=True)
 class AlignInputs:
     """`frames` and `jumps` are import's tables, `recordings` names each session's recording; `rulers` are measured in
-    SfM's models."""
+    SfM's models. `gravity_tested`: the recordings whose gravity import has found confirmed by the images."""
 
     frames: pd.DataFrame
     sfm: SfmTables
@@ -26,6 +26,7 @@ class AlignInputs:
     recordings: dict[str, str]
     rulers: Sequence[RulerMeasurement] = ()
     reference: Reference | None = None
+    gravity_tested: frozenset[str] = frozenset()
 
     @property
     def registered(self) -> np.ndarray:

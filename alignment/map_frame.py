@@ -5,6 +5,7 @@ vertical is the mean over recordings. Both count a recording once: its errors ar
 frames of it don't make them smaller.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,7 +62,7 @@ class RecordingVertical:
 @dataclass(frozen=True)
 class Vertical:
     """The map's up (3,) in SfM's axes, standard error of its tilt in radians (per axis), each recording's vertical, and
-    what gives it."""
+    what gives it. Where nothing does, up is any direction, and the standard error NaN."""
 
     up_sfm: Array
     sd: float
@@ -94,9 +95,12 @@ def common_scale(segments: list[Segment], *, step_m: float, step_sd: float, phon
     return MapScale(mean, sd, scales)
 
 
-def common_vertical(segments: list[Segment], *, phone_sd: float) -> Vertical | None:
-    """The direction of up in SfM's axes: the robust mean over recordings; None where no frame has both gravity
-    and an SfM pose.
+def common_vertical(
+    segments: list[Segment], *, phone_sd: float, max_tilt: float, tested: Collection[str] = ()
+) -> Vertical:
+    """The direction of up in SfM's axes: the robust mean over recordings, or over those of them that are `tested`,
+    whose gravity the images confirm. Unknown where no frame has both gravity and an SfM pose, and where no majority of
+    the recordings is within `max_tilt`, radians, of one direction: nothing tells then which is right.
 
     `phone_sd`: expected error of one recording's vertical in radians (per axis); the observed scatter adds to it.
     """
@@ -105,11 +109,15 @@ def common_vertical(segments: list[Segment], *, phone_sd: float) -> Vertical | N
         ups = np.concatenate([_ups(s) for s in segments if s.recording == recording])
         if len(ups):
             verticals[recording] = _recording_vertical(ups, phone_sd)
+    unknown = Vertical(np.array([0.0, 1.0, 0.0]), np.nan, verticals, VerticalSource.NONE)
     if not verticals:
-        return None
-    ups = np.stack([vertical.up_sfm for vertical in verticals.values()])
+        return unknown
+    deciding = verticals.keys() & set(tested) or verticals.keys()
+    ups = np.stack([verticals[recording].up_sfm for recording in sorted(deciding)])
     up, robust = _robust_direction(ups, _RECORDING_FLOOR * phone_sd)
     angles = direction_angles(ups, up)
+    if 2 * np.sum(angles <= max_tilt) <= len(angles):
+        return unknown
     # Two axes of tilt an angle; one prior observation of each keeps few recordings from looking certain.
     variance = (np.sum(robust * angles**2) + 2 * phone_sd**2) / (2 * robust.sum())
     return Vertical(up, float(np.sqrt(variance / robust.sum())), verticals)

@@ -52,6 +52,11 @@ class Segment:
         return self.registered & self.has_vio
 
     @property
+    def has_gravity(self) -> bool:
+        """VIO's +y is up."""
+        return bool(np.isfinite(self.up_cam).all(axis=1).any())
+
+    @property
     def path_m(self) -> float:
         """Length of VIO's path from the first frame to the last."""
         return float(self.travelled_m[-1] - self.travelled_m[0])

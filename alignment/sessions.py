@@ -33,7 +33,8 @@ _NO_RESIDUALS = PoseResiduals(np.empty(0), np.empty(0))
 class SessionFit:
     """A segment with its frames' map_T_cam (N, 4, 4) against the map: map_T_vio (4, 4), rigid and with yaw only, and
     the residuals of its frames with ground truth, all NaN or empty where there are too few; `compared` (n,) are those
-    frames' indices. `sim3`: residuals by a similarity, of all frames with both poses."""
+    frames' indices. `sim3`: residuals by a similarity, of all frames with both poses. `is_upright`: VIO and map have
+    their vertical in common; without, there is no fit with yaw only."""
 
     segment: Segment
     map_T_cam: Array
@@ -44,21 +45,31 @@ class SessionFit:
     map_T_vio_yaw: Array
     yaw: PoseResiduals
     sim3: PoseResiduals
+    is_upright: bool = True
 
 
 def fit_session(
-    segment: Segment, map_T_cam: Array, has_ground_truth: np.ndarray, sd: PoseSd, *, is_metric: bool = True
+    segment: Segment,
+    map_T_cam: Array,
+    has_ground_truth: np.ndarray,
+    sd: PoseSd,
+    *,
+    is_metric: bool = True,
+    is_upright: bool = True,
 ) -> SessionFit:
     """Fit a segment's VIO to the map: poses map_T_cam (N, 4, 4) of all its frames, of which those that have ground
-    truth (N,) are fitted. Nothing but a similarity fits metres to a map that isn't metric (`is_metric`).
+    truth (N,) are fitted. Nothing but a similarity fits metres to a map that isn't metric (`is_metric`), and yaw alone
+    fits no VIO without gravity, nor to a map that isn't upright (`is_upright`).
 
     The similarity's residuals are by a plain least-squares fit: of positions for positions, and of rotations alone for
     rotations, as a short or straight path says little of these.
     """
     compared = np.flatnonzero(has_ground_truth & segment.has_both)
     compared = compared if is_metric and len(compared) >= _MIN_FRAMES else compared[:0]
+    is_upright = is_upright and segment.has_gravity
     (map_T_vio, rigid), (map_T_vio_yaw, yaw) = (
-        _fit_vio(map_T_cam[compared], segment.vio_T_cam[compared], sd, yaw_only=yaw_only) for yaw_only in (False, True)
+        _fit_vio(map_T_cam[rows], segment.vio_T_cam[rows], sd, yaw_only=yaw_only)
+        for yaw_only, rows in ((False, compared), (True, compared if is_upright else compared[:0]))
     )
     return SessionFit(
         segment=segment,
@@ -70,6 +81,7 @@ def fit_session(
         map_T_vio_yaw=map_T_vio_yaw,
         yaw=yaw,
         sim3=_similarity_residuals(map_T_cam[segment.has_both], segment.vio_T_cam[segment.has_both]),
+        is_upright=is_upright,
     )
 
 
@@ -106,7 +118,9 @@ def _session_row(fit: SessionFit, placed: PlacedComponent, max_scale_sd: float) 
     s, scale, vertical = fit.segment, placed.component.scale, placed.component.vertical
     of_recording, up = scale.recordings.get(s.recording), vertical.recordings.get(s.recording)
     ratio = None if of_recording is None else float(np.exp(of_recording.log - scale.log))
-    up_error = None if up is None else float(np.degrees(direction_angles(up.up_sfm[None], vertical.up_sfm)[0]))
+    up_error = None
+    if up is not None and vertical.source.is_known:
+        up_error = float(np.degrees(direction_angles(up.up_sfm[None], vertical.up_sfm)[0]))
     return {
         "session_id": s.session_id,
         "segment": s.index,

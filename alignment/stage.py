@@ -29,7 +29,7 @@ from groundwalk.alignment.sessions import SessionFit
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
 from groundwalk.artefacts import Stage, StageRun
-from groundwalk.artefacts.choices import DriftDefinition, QualityClass, ScaleSource
+from groundwalk.artefacts.choices import DriftDefinition, QualityClass, ScaleSource, UpSource, VerticalSource
 from groundwalk.artefacts.tables import dataset_frames, with_cameras
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.poses import Array
@@ -92,6 +92,7 @@ def _read(r: StageRun[AlignSettings]) -> AlignInputs:
         jumps=r.read("import", "jumps"),
         recordings=dict(zip(sessions["session_id"], sessions["recording"], strict=True)),
         reference=Reference.of(frames, r.read("import", "reference"), sessions),
+        gravity_tested=frozenset(sessions.loc[sessions["up_source"] == UpSource.LINES, "recording"]),
     )
 
 
@@ -148,7 +149,7 @@ def _write_figures(r: StageRun[AlignSettings], frames: pd.DataFrame, result: Ali
         "vertical_source": vertical.source,
         "scale_sd": _or_none(scale.sd),
         "session_scale_spread": _or_none(sessions["scale"].max() - sessions["scale"].min()),
-        "vertical_sd_deg": float(np.degrees(vertical.sd)),
+        "vertical_sd_deg": _or_none(float(np.degrees(vertical.sd))),
         "camera_sd_deg": float(np.degrees(camera_sd(frames, r.settings))),
         "vertical_correction_deg": _or_none(sessions["up_error_deg"].max()),
         "position_rms_m": _pooled_rms(sessions["position_rms_m"], sessions["with_ground_truth"]),
@@ -203,8 +204,12 @@ def _describe_scale(scale: MapScale, settings: AlignSettings) -> str:
 
 
 def _describe_vertical(main: PlacedComponent, settings: AlignSettings) -> str:
-    sd_deg = float(np.degrees(main.component.vertical.sd))
-    text, limit_deg = f"± {sd_deg:.2f}° from {main.component.vertical.source}", settings.max_vertical_sd_deg
+    vertical = main.component.vertical
+    if vertical.source is VerticalSource.NONE:
+        differ = "the sessions' gravity differs, and nothing tells which is right"
+        return f"UNKNOWN: {differ if vertical.recordings else 'no session has gravity'}; +y may point anywhere"
+    sd_deg = float(np.degrees(vertical.sd))
+    text, limit_deg = f"± {sd_deg:.2f}° from {vertical.source}", settings.max_vertical_sd_deg
     return text if sd_deg <= limit_deg else f"{text}, UNCERTAIN: above {limit_deg:g}°"
 
 

@@ -11,7 +11,7 @@ from groundwalk.alignment.segments import Segment
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.consistency.windows import PoseSd, fit_rigid
 from groundwalk.geometry.fits import Sim3
-from groundwalk.geometry.poses import Array, heading, inverse, transform
+from groundwalk.geometry.poses import Array, inverse, rotation_angle, transform
 
 _MIN_FRAMES = 3
 
@@ -48,7 +48,7 @@ def place_components(
     first = components[0]
     # Without a scale positions say nothing of the heading.
     sd = settings.fit_sd if first.scale.is_known else PoseSd(np.inf, settings.fit_sd.rotation)
-    placed = [PlacedComponent(first, _origin(first.segments, first.metric_S_sfm, used, sd) @ first.metric_S_sfm)]
+    placed = [PlacedComponent(first, _origin(first, used, sd) @ first.metric_S_sfm)]
     waiting = list(components[1:])
     candidates: dict[int, list[_Candidate]] = {}
     while waiting:
@@ -130,8 +130,10 @@ def _candidate(
     near_a, near_b = (_near(along, middle, (window_m + gap_m) / 2) for along in (along_a, along_b))
     map_T_cam = placed.map_S_sfm.poses(a.sfm_T_cam[near_a])
     metric_T_cam = component.metric_S_sfm.poses(b.sfm_T_cam[near_b])
-    map_T_vio, _, _ = fit_rigid(map_T_cam, a.vio_T_cam[near_a], bending, yaw_only=True)
-    metric_T_vio, _, _ = fit_rigid(metric_T_cam, b.vio_T_cam[near_b], bending, yaw_only=True)
+    # Yaw alone where both models are upright and so is VIO; else VIO's vertical, whatever it is, joins them.
+    yaw_only = all(c.vertical.source.is_known for c in (placed.component, component)) and a.has_gravity
+    map_T_vio, _, _ = fit_rigid(map_T_cam, a.vio_T_cam[near_a], bending, yaw_only=yaw_only)
+    metric_T_vio, _, _ = fit_rigid(metric_T_cam, b.vio_T_cam[near_b], bending, yaw_only=yaw_only)
     map_T_metric = map_T_vio @ inverse(metric_T_vio)
     path_m = float(abs(along_a[near_a].mean() - along_b[near_b].mean()))
     link = VioLink(
@@ -155,7 +157,7 @@ def _contradiction(candidates: list[_Candidate], settings: AlignSettings) -> str
         if other.gap_m > settings.vio_link_m:
             continue
         limit_m, limit_rad = (float(law(link.path_m + other.path_m)) for law in (drift.metres, drift.radians))
-        turn = abs(float(heading(other_S_metric.rotation @ map_S_metric.rotation.T)))
+        turn = float(rotation_angle(other_S_metric.rotation @ map_S_metric.rotation.T))
         shift_m = float(np.linalg.norm(other_S_metric.points(anchor) - link.anchor))
         arm_m = float(np.linalg.norm(link.anchor - other.anchor))
         if turn > limit_rad or shift_m > limit_m + arm_m * limit_rad:
@@ -171,14 +173,16 @@ def _near(along: Array, middle: float, reach_m: float) -> np.ndarray:
     return near if len(near) >= _MIN_FRAMES else np.argsort(distance, kind="stable")[:_MIN_FRAMES]
 
 
-def _origin(segments: list[Segment], metric_S_sfm: Sim3, used: np.ndarray, sd: PoseSd) -> Sim3:
-    """Origin and heading: those of the VIO frame of the first segment with three frames or more in both; without one,
-    the place of the first frame, with the heading as it comes."""
+def _origin(first: Component, used: np.ndarray, sd: PoseSd) -> Sim3:
+    """Origin and heading: those of the VIO frame of the first segment with three frames or more in both, and gravity;
+    in a model without a vertical all its axes. Without one, the place of the first frame, with the heading as it
+    comes."""
+    segments, metric_S_sfm, is_upright = first.segments, first.metric_S_sfm, first.vertical.source.is_known
     for segment in segments:
         both = segment.has_both & used[segment.rows]
-        if both.sum() >= _MIN_FRAMES:
+        if both.sum() >= _MIN_FRAMES and segment.has_gravity >= is_upright:
             metric_T_cam = metric_S_sfm.poses(segment.sfm_T_cam[both])
-            metric_T_vio, _, _ = fit_rigid(metric_T_cam, segment.vio_T_cam[both], sd, yaw_only=True)
+            metric_T_vio, _, _ = fit_rigid(metric_T_cam, segment.vio_T_cam[both], sd, yaw_only=is_upright)
             vio_T_metric = inverse(metric_T_vio)
             return Sim3(1.0, vio_T_metric[:3, :3], vio_T_metric[:3, 3])
     first = next(s.where(s.registered & used[s.rows]) for s in segments if np.any(s.registered & used[s.rows]))

@@ -196,6 +196,12 @@ class VerticalSource(StrEnum):
     GRAVITY = "gravity"
     REFERENCE = "reference"
     REFERENCE_UP_UNKNOWN = "reference, up unknown"
+    NONE = "none"
+
+    @property
+    def is_known(self) -> bool:
+        """The map's +y is up."""
+        return self in (VerticalSource.GRAVITY, VerticalSource.REFERENCE)
 
 
 class LengthUnit(StrEnum):
@@ -212,13 +218,21 @@ class UpAxis(StrEnum):
     UNKNOWN = "unknown"
 
 
+class UpSource(StrEnum):
+    """What says whether +y is up in the world that a capture's poses are in."""
+
+    FORMAT = "format"
+    STATED = "stated"
+    START_POSE = "start pose"
+    LINES = "lines in the images"
+
+
 class CheckName(StrEnum):
     """A consistency check of align."""
 
     REGISTERED = "registered"
     SESSION_REGISTERED = "session_registered"
     COMPONENT_SCALE = "component_scale"
-    COMPONENT_VERTICAL = "component_vertical"
     COMPONENT_LINK = "component_link"
     MAP_SCALE = "map_scale"
     MAP_VERTICAL = "map_vertical"
@@ -248,7 +262,6 @@ class FailureCause(StrEnum):
     PERCEPTUAL_ALIASING = "perceptual aliasing"
     WRONG_VIO_SCALE = "wrong VIO scale"
     WRONG_VIO_GRAVITY = "wrong VIO gravity"
-    NO_GRAVITY = "no gravity"
     OTHER_SCENE = "images of another scene"
     DISCONNECTED_SESSION = "disconnected session"
     TOO_FEW_REGISTERED = "too few frames registered"

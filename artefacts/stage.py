@@ -41,7 +41,14 @@ from groundwalk.artefacts.registry import PluginError
 from groundwalk.artefacts.resuming import run_resumable
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import DataRoot, SceneConfig, Settings, resolve_settings
-from groundwalk.artefacts.tables import dataset_frames, map_unit, read_table, scale_warning, write_table
+from groundwalk.artefacts.tables import (
+    dataset_frames,
+    map_unit,
+    read_table,
+    scale_warning,
+    with_gravity_of_map,
+    write_table,
+)
 from groundwalk.artefacts.text import printable
 
 S = TypeVar("S", bound=Settings)
@@ -141,8 +148,10 @@ class StageRun(Generic[S]):
         return read_table(self.folder(stage, scene) / f"{table}.parquet", schema(stage, table))
 
     def dataset_frames(self, scene: str | None = None) -> pd.DataFrame:
-        """import.frames without support frames: what every stage reads but sfm and align."""
-        return dataset_frames(self.read("import", "frames", scene))
+        """import.frames without support frames, and without gravity in a map without a vertical: what every stage reads
+        but sfm and align."""
+        frames = dataset_frames(self.read("import", "frames", scene))
+        return with_gravity_of_map(frames, self.read("align", "ground_truth", scene))
 
     def map_unit(self, scene: str | None = None) -> MapUnit:
         """The unit of the map that align made of this scene (or of a group's member)."""

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.choices import Clock, MapUnit, ScaleSource
+from groundwalk.artefacts.choices import Clock, MapUnit, ScaleSource, VerticalSource
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.schemas import TableSchema
@@ -151,6 +151,15 @@ def map_unit(truth: pd.DataFrame) -> MapUnit:
     if ScaleSource.NONE in sources:
         return MapUnit.SFM
     return MapUnit.REFERENCE if ScaleSource.REFERENCE_UNIT_UNKNOWN in sources else MapUnit.METRE
+
+
+def with_gravity_of_map(frames: pd.DataFrame, truth: pd.DataFrame) -> pd.DataFrame:
+    """import.frames as later stages may use them: without gravity where the map of align's ground truth has no
+    vertical, as what is down for a camera says nothing of such a map's axes."""
+    sources = truth["vertical_source"].dropna().unique()
+    if all(VerticalSource(source).is_known for source in sources):
+        return frames
+    return frames.assign(gravity_x=np.nan, gravity_y=np.nan, gravity_z=np.nan)
 
 
 def scale_warning(unit: MapUnit) -> str:

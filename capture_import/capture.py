@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock, ImageSide, PoseSource, Rejected, SessionSplit, Tracking
+from groundwalk.artefacts.choices import Clock, ImageSide, PoseSource, Rejected, SessionSplit, Tracking, UpSource
 from groundwalk.geometry.poses import Array
 
 
@@ -127,9 +127,11 @@ class RawSession:
     """One recording, in the order of its log.
 
     `pose_source`: the phone's odometry, or a reference from elsewhere, as in public data sets, which must never pass
-    for VIO. `is_gravity_aligned` is False where the world's +y may not be up, `is_metric` where a reference states no
-    unit. `split` is what a public data set states that the recording is for. `first_row` is the side of the images that
-    the sensor reads out first, `readout_s` the time from there to the last row, where the capture states them.
+    for VIO. `is_gravity_aligned` is False where the world's +y may not be up, `up_source` what says so: a format sets
+    `STATED` where the capture itself does, and import tests the rest (`checks/gravity.py`). `is_metric` is False where
+    a reference states no unit. `split` is what a public data set states that the recording is for. `first_row` is the
+    side of the images that the sensor reads out first, `readout_s` the time from there to the last row, where the
+    capture states them.
     """
 
     session_id: str
@@ -141,6 +143,7 @@ class RawSession:
     rejects: Sequence[Reject] = ()
     pose_source: PoseSource = PoseSource.VIO
     is_gravity_aligned: bool = True
+    up_source: UpSource = UpSource.FORMAT
     is_metric: bool = True
     split: SessionSplit | None = None
     first_row: ImageSide | None = None

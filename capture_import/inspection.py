@@ -14,6 +14,7 @@ from groundwalk.artefacts.text import grouped_reasons
 from groundwalk.capture_import.capture import RawSession
 from groundwalk.capture_import.checks.clock import check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
+from groundwalk.capture_import.checks.gravity import GravityCheck, check_gravity
 from groundwalk.capture_import.checks.plausibility import PlausibilityFault, plausibility_faults
 from groundwalk.capture_import.checks.views import Views
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
@@ -67,11 +68,14 @@ def _inspect(
     clock = check_clock(longest, views.load)
     if clock.offset_s is not None:
         yield f"  clock      images fit the poses at {clock.offset_s:+.3f} s (correlation {clock.correlation:.2f})"
+    gravity = check_gravity(intake, views.load)
+    if gravity.line:
+        yield f"  gravity    {gravity.line}"
     implausible = plausibility_faults(intake)
     for fault in implausible:
         yield f"  warning    {fault.text}"
     fault = _fault(intake, raw, check, implausible)
-    yield f"  status     {fault or _status(intake, raw, check, implausible)}"
+    yield f"  status     {fault or _status(intake, raw, check, gravity, implausible)}"
     return intake, fault is None
 
 
@@ -133,7 +137,13 @@ def _fault(
     return f"wrong convention: {check.contradicted}" if check.contradicted else None
 
 
-def _status(intake: Intake, raw: RawSession, check: ConventionCheck, implausible: Sequence[PlausibilityFault]) -> str:
+def _status(
+    intake: Intake,
+    raw: RawSession,
+    check: ConventionCheck,
+    gravity: GravityCheck,
+    implausible: Sequence[PlausibilityFault],
+) -> str:
     """What a recording that can be used is good for."""
     if not any(s.images for s in intake.sessions):
         return "poses only: of use to study odometry, not as a data set"
@@ -142,6 +152,8 @@ def _status(intake: Intake, raw: RawSession, check: ConventionCheck, implausible
         faults.append("its poses fit its images badly")
     if raw.pose_source == PoseSource.REFERENCE:
         faults.append("its poses are a reference, not VIO")
+    elif not gravity.is_aligned:
+        faults.append("its gravity is unknown, by the line above")
     if len(intake.sessions) > 1:
         faults.append(f"VIO jumps split it into {len(intake.sessions)} sessions")
     if intake.rejects:

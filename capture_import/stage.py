@@ -19,6 +19,7 @@ from groundwalk.artefacts.text import grouped_reasons, name_list
 from groundwalk.capture_import.capture import RawFrame, Reject
 from groundwalk.capture_import.checks.clock import MAX_OFFSET_S, ClockCheck, check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
+from groundwalk.capture_import.checks.gravity import STATE_GRAVITY, check_gravity, with_gravity
 from groundwalk.capture_import.checks.near_copies import MAX_FRACTION, find_near_copies
 from groundwalk.capture_import.checks.plausibility import MAX_SPEED_M_S, plausibility_faults
 from groundwalk.capture_import.checks.scan import ImageScan, LoadGray, load_gray
@@ -63,7 +64,9 @@ def run(r: StageRun[ImportSettings]) -> None:
     for source in sources:
         views = Views(roots, r.settings.limits)
         with r.step("images"):
-            intakes.append(_take_in(r, source, views))
+            intake = _take_in(r, source, views)
+        with r.step("gravity"):
+            intakes.append(_with_gravity(r, intake, views))
         if r.settings.check_convention:
             with r.step("poses against images"):
                 fits.append(_check_poses(r, intakes[-1], views))
@@ -211,11 +214,20 @@ def _take_in(r: StageRun[ImportSettings], source: RecordingSource, views: Views)
                 f"the motion of {raw.session_id} isn't plausible",
                 where=raw.folder,
                 found=fault.text,
-                expected=f"at most {MAX_SPEED_M_S:g} m/s",
-                do="correct the log: docs/reference/capture-formats.md says the units of each format",
+                expected=f"poses that change, by at most {MAX_SPEED_M_S:g} m/s",
+                do=fault.remedy,
             )
         r.say(f"warning: {raw.session_id}: {fault.text}")
     return intake
+
+
+def _with_gravity(r: StageRun[ImportSettings], intake: Intake, views: Views) -> Intake:
+    """The intake with what a test of its recording's gravity finds."""
+    check, recording = check_gravity(intake, views.load), intake.sessions[0].recording
+    if check.line:
+        line = f"{recording.session_id}: gravity {check.line}"
+        r.say(line if check.is_aligned else f"warning: {line}; {STATE_GRAVITY}")
+    return with_gravity(intake, check)
 
 
 def _spooled(r: StageRun[ImportSettings], recording: str) -> Path:

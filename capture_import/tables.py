@@ -127,6 +127,7 @@ def sessions_table(
                 **dict(zip(_ORIGIN, _origin_of(session, origin), strict=True)),
                 "appearance": appearances.get(session.recording.session_id),
                 "up": UpAxis.Y if session.recording.is_gravity_aligned else UpAxis.UNKNOWN,
+                "up_source": session.recording.up_source,
             }
         )
     return pd.DataFrame(rows)

@@ -156,9 +156,12 @@ def world_of(truth: pd.DataFrame) -> str:
     """Unit and axes of a map in words, by the sources of its ground truth's scale and vertical."""
     unit = map_unit(truth)
     scale = "" if unit is MapUnit.METRE else ", without a metric scale"
-    up_unknown = (truth["vertical_source"] == VerticalSource.REFERENCE_UP_UNKNOWN).any()
-    axes = "a reference's axes, up unknown" if up_unknown else "+y up"
-    return f"{unit}{scale}, {axes}"
+    axes = {
+        VerticalSource.REFERENCE_UP_UNKNOWN: "a reference's axes, up unknown",
+        VerticalSource.NONE: "axes of a phone's start, up unknown",
+    }
+    unknown = [axes[source] for source in axes if (truth["vertical_source"] == source).any()]
+    return f"{unit}{scale}, {unknown[0] if unknown else '+y up'}"
 
 
 def load_dataset(root: DataRoot, profile: str, scene: str, *, reads_images: bool = True) -> Dataset:

@@ -14,7 +14,7 @@ from groundwalk.artefacts.images import image_file, verify_images
 from groundwalk.artefacts.inputs import missing_input
 from groundwalk.artefacts.manifests import MANIFEST, load_verified
 from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import dataset_frames, poses_of, read_table, with_cameras
+from groundwalk.artefacts.tables import dataset_frames, poses_of, read_table, with_cameras, with_gravity_of_map
 from groundwalk.export.dataset import world_of
 from groundwalk.geometry import Array
 from groundwalk.training.build import Trained, load_trained
@@ -112,6 +112,7 @@ def _frames(data: DataRoot, profile: str, scene: str, train: dict[str, Any]) -> 
     truth = read_table(folders["align"] / "ground_truth.parquet", schema("align", "ground_truth"))
     poses = [str(c) for c in truth if str(c).startswith("map_cam_")]
     stated = frames["fx"].to_numpy()
+    frames = with_gravity_of_map(frames, truth)
     frames = with_cameras(frames, truth).merge(truth[["frame_id", *poses]], on="frame_id", validate="1:1")
     captures = data.captures(scene)
     verify_images(captures, folders["import"])

@@ -1,6 +1,6 @@
 """A recorded walk, as methods and their evaluation get it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ class Walk:
 
     frame_id (N,) str, t_ns (N,) int64, gravity (N, 3) unit vectors in camera axes, and the poses (N, 4, 4).
     quality (N,) str: class of the ground truth, None where no class is stated; None instead of the array for all so.
+    shares_vertical: odometry's +y and the map's are both up, as far as the tables say.
     apr_covariance (N, 6, 6): of the predictions' errors in the map frame, rotation (rad) then translation (m), NaN
     where a prediction brings none; None instead of the array where none does.
     """
@@ -32,6 +33,11 @@ class Walk:
     map_T_cam: Array  # ground truth
     quality: NDArray[np.object_] | None = None
     apr_covariance: Array | None = None
+    shares_vertical: bool = True
+
+    def without_odometry(self) -> "Walk":
+        """The walk as if tracking were lost all the time."""
+        return replace(self, vio_T_cam=np.full_like(self.vio_T_cam, np.nan))
 
     def __len__(self) -> int:
         return len(self.t_ns)

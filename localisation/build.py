@@ -8,7 +8,7 @@ from groundwalk.geometry.poses import Array
 from groundwalk.localisation.calibration import UNCALIBRATED, Trial, calibrated, held_out_trial
 from groundwalk.localisation.compact import CompactMap, compact_map
 from groundwalk.localisation.localiser_settings import MapSettings
-from groundwalk.localisation.pose import Priors
+from groundwalk.localisation.pose import NO_VERTICAL, Priors
 from groundwalk.localisation.prepared import Prepared, Track, Training, untracked
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.localisation.structure import Structure, structure_of
@@ -69,7 +69,7 @@ def priors_of(training: Training, structure: Structure) -> Priors:
         angular_sd=max(_rms(views.angular), _MIN_ANGULAR_SD),
         velocity_sd=max(_rms(views.velocity), _MIN_VELOCITY_SD),
         focal_sd=max(_rms(np.array(scale)), _MIN_FOCAL_SD),
-        gravity_sd=max(_rms(off), _MIN_GRAVITY_SD),
+        gravity_sd=max(_rms(off), _MIN_GRAVITY_SD) if known.any() else NO_VERTICAL,
         pixel_sd=_PIXEL_SD,
         point_sd=_measured_sd(structure),
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from groundwalk.artefacts.images import image_file, read_grey_image
 from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import camera_of, dataset_frames, poses_of, read_table
+from groundwalk.artefacts.tables import camera_of, dataset_frames, poses_of, read_table, with_gravity_of_map
 from groundwalk.features.sift import Features
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.cameras import Camera
@@ -44,6 +44,7 @@ def read_inputs(run: Path) -> Inputs:
     images = read_table(run / "sfm" / "images.parquet", schema("sfm", "images"))
     truth = truth[(truth["quality"] != "none").to_numpy()]
     truth = truth[truth["frame_id"].isin(dataset_frames(frames)["frame_id"])]
+    frames = with_gravity_of_map(frames, truth)
     frames = frames.set_index("frame_id", drop=False).loc[truth["frame_id"]].reset_index(drop=True)
     placed = frames.assign(**{name: truth[name].to_numpy() for name in ("fx", "fy", "cx", "cy", "distortion")})
     images = images.set_index("frame_id").loc[truth["frame_id"]]

@@ -22,11 +22,15 @@ _SCORED, _FINALISTS = 100, 20
 _UNKNOWNS = 13
 
 
+NO_VERTICAL = float(np.pi)
+"""The `gravity_sd` of a map whose +y isn't up."""
+
+
 @dataclass(frozen=True)
 class Priors:
     """One sigma of what a query's camera does: angular velocity, rad/s, velocity, m/s, relative focal length; of
-    gravity, rad; the least that keypoints are taken to be off by, px; and of what training frames measured of points,
-    rad."""
+    gravity, rad (`NO_VERTICAL`: it says nothing of the map's axes); the least that keypoints are taken to be off by,
+    px; and of what training frames measured of points, rad."""
 
     angular_sd: float
     velocity_sd: float

@@ -14,7 +14,7 @@ from groundwalk.geometry.poses import Array, skew
 from groundwalk.localisation.answers import Answer, Clock, of_another_size, refused, seen_by
 from groundwalk.localisation.compact import CompactMap, Lens, bytes_by_section, point_covariances, read_map, write_map
 from groundwalk.localisation.frames import row_times
-from groundwalk.localisation.pose import Fit, Observed, Priors, ransac, refine, upright_ransac
+from groundwalk.localisation.pose import NO_VERTICAL, Fit, Observed, Priors, ransac, refine, upright_ransac
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float32]
@@ -121,6 +121,8 @@ class MapLocaliser:
     ) -> Answer:
         """The same of an image's features; points that are `hidden` (P,) are taken as not there."""
         clock = clock or Clock()
+        if self.map.priors.gravity_sd >= NO_VERTICAL:
+            gravity = None
         if len(features) < _MIN_FEATURES:
             return refused(
                 Refusal.FEW_FEATURES, f"{len(features)} features, {_MIN_FEATURES} needed: dark or blurred?", clock

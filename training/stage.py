@@ -97,15 +97,16 @@ def read_images(r: StageRun[TrainSettings], frames: pd.DataFrame, focal: float |
 def view_of(settings: TrainSettings, model: str, training: Frames) -> View:
     """What the model sees of its images."""
     mine = settings.regressors[model]
+    upright = mine.upright and bool(np.isfinite(training.gravity_N3).any())
     if not mine.whole_image:
         side = min(settings.crop, short_side(settings, model))
-        return View(side, side, mine.upright)
+        return View(side, side, upright)
     # No image's border is left out of the commonest shape; of a longer image the ends are.
     shapes, counts = np.unique(training.cache.shapes[training.index_N], axis=0, return_counts=True)
     commonest = shapes[counts.argmax()]
     # One that isn't turned upright is cut out of every image, the smallest, too.
-    window = commonest if mine.upright else np.minimum(commonest, training.cache.shapes.min(axis=0))
-    return View(int(window[0]), int(window[1]), mine.upright)
+    window = commonest if upright else np.minimum(commonest, training.cache.shapes.min(axis=0))
+    return View(int(window[0]), int(window[1]), upright)
 
 
 @dataclass(frozen=True)

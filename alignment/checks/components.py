@@ -14,18 +14,8 @@ from groundwalk.consistency.decisions import Status
 
 def missing_scale(index: int, model: ModelSegments, cause: FailureCause, reason: str) -> CheckResult:
     """The failed check of a model that can't be put into a metric map."""
-    return _missing(CheckName.COMPONENT_SCALE, index, model, cause, reason)
-
-
-def missing_vertical(index: int, model: ModelSegments) -> CheckResult:
-    """The failed check of a model without a vertical."""
-    reason = "no registered frame has a gravity vector"
-    return _missing(CheckName.COMPONENT_VERTICAL, index, model, FailureCause.NO_GRAVITY, reason)
-
-
-def _missing(name: CheckName, index: int, model: ModelSegments, cause: FailureCause, reason: str) -> CheckResult:
     failure = Failure(cause=cause, reason=reason, rows=model.registered_rows)
-    return evaluate(name, Subject(len(failure.rows), component=index), Quantity(), 0.0, failure)
+    return evaluate(CheckName.COMPONENT_SCALE, Subject(len(failure.rows), component=index), Quantity(), 0.0, failure)
 
 
 def check_standard_errors(component: Component, settings: AlignSettings) -> list[CheckResult]:

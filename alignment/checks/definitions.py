@@ -46,16 +46,15 @@ DEFINITIONS = {
         unit=CheckUnit.FRACTION,
         remedy="capture it again with a longer walk",
     ),
-    CheckName.COMPONENT_VERTICAL: CheckDefinition(
-        estimate="frames with gravity", unit=CheckUnit.FRAMES, remedy="use a capture format with gravity or phone poses"
-    ),
     CheckName.MAP_SCALE: CheckDefinition(
         estimate="standard error of the metric scale",
         unit=CheckUnit.FRACTION,
         evidence="a longer walk, a second session or a ruler",
     ),
     CheckName.MAP_VERTICAL: CheckDefinition(
-        estimate="standard error of the vertical", unit=CheckUnit.DEGREES, evidence="a further session"
+        estimate="standard error of the vertical",
+        unit=CheckUnit.DEGREES,
+        evidence="a further session whose poses are in a gravity-aligned world",
     ),
     CheckName.REFERENCE_SCALE: CheckDefinition(
         estimate="standard error of the metric scale by the reference poses",
@@ -104,7 +103,7 @@ DEFINITIONS = {
         estimate="the session's vertical against the others'",
         unit=CheckUnit.DEGREES,
         remedy=f"{_EXCLUDE_SESSION}, or raise {setting_of('align', 'max_session_tilt_deg')}",
-        evidence="a longer walk in this session",
+        evidence="a longer walk in this session, or a further session",
     ),
     CheckName.RULER_SCALE: CheckDefinition(
         estimate="the map's scale against the ruler",

@@ -80,8 +80,8 @@ TABLES = [
             Column(
                 "vertical_source",
                 "string",
-                "what gave the map its +y: gravity; reference (whose +y is up); or reference, up unknown: the map has "
-                "the reference's axes; null without ground truth",
+                "what gave the map its +y: gravity; reference (whose +y is up); reference, up unknown: the map has "
+                "the reference's axes; none: +y may point anywhere; null without ground truth",
                 nullable=True,
                 choices=VerticalSource,
             ),

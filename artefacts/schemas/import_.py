@@ -11,6 +11,7 @@ from groundwalk.artefacts.choices import (
     Split,
     Tracking,
     UpAxis,
+    UpSource,
 )
 from groundwalk.artefacts.schemas import Column, TableSchema, pose_columns
 
@@ -138,6 +139,14 @@ TABLES = [
                 for axis in "xyz"
             ),
             Column("up", "string", "up in the world of the poses", nullable=True, choices=UpAxis),
+            Column(
+                "up_source",
+                "string",
+                "what says whether +y is up: the format, untested; the capture itself; or import's test, by the start "
+                "pose or by lines in the images",
+                nullable=True,
+                choices=UpSource,
+            ),
             Column(
                 "appearance",
                 "string",

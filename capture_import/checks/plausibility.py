@@ -19,18 +19,27 @@ MAX_SPEED_M_S = 100.0
 # Apps log poses at 1 to 60 Hz, inertial odometry at 1000 Hz at most. A unit of time is wrong by a factor of 1000 or
 # more, which takes 60 Hz to 0.06 Hz, and 2 Hz to 2000 Hz.
 MIN_RATE_HZ, MAX_RATE_HZ = 0.1, 1000.0
+_CORRECT_LOG = "correct the log: docs/reference/capture-formats.md says the units of each format"
 # A hand shakes more than that even where the phone only turns.
 _MIN_EXTENT_M = 0.002
 # Without a unit, poses in one place differ by this fraction of their coordinates at most.
 _ROUNDING = 1e-12
+# And faster, most of the time or at least now and then.
+_MIN_SPEED_M_S = 0.01
+_USUAL_SPEED_M_S = 0.03
+_UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3048, "kilometres": 1e3}
 
 
 @dataclass(frozen=True)
 class PlausibilityFault:
-    """What isn't plausible of a recording, with its figures. `is_unusable`: nothing can be made of it."""
+    """What isn't plausible of a recording, with its figures. `remedy`: what to do where nothing can be made of it."""
 
     text: str
-    is_unusable: bool = False
+    remedy: str = ""
+
+    @property
+    def is_unusable(self) -> bool:
+        return bool(self.remedy)
 
 
 def plausibility_faults(intake: Intake) -> list[PlausibilityFault]:
@@ -55,9 +64,8 @@ def _of_motion(intake: Intake) -> Iterator[PlausibilityFault]:
     if median > MAX_WALK_M_S:
         yield PlausibilityFault(
             f"VIO moves at {median:.4g} m/s (median; 95th percentile {high:.4g} m/s), a walk is below "
-            f"{MAX_WALK_M_S:g} m/s: are positions in another unit than metres, or time stamps in another than their "
-            "format's?",
-            is_unusable=bool(median > MAX_SPEED_M_S),
+            f"{MAX_WALK_M_S:g} m/s: {_unit_guess(median)}, or time stamps in another than their format's?",
+            remedy=_CORRECT_LOG if median > MAX_SPEED_M_S else "",
         )
     interval_s = float(np.median(dt_s))
     if not MIN_RATE_HZ <= 1 / interval_s <= MAX_RATE_HZ:
@@ -65,6 +73,25 @@ def _of_motion(intake: Intake) -> Iterator[PlausibilityFault]:
             f"poses come at {1 / interval_s:.4g} Hz (median interval {interval_s:.4g} s), expected "
             f"{MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz: are time stamps in another unit than their format's?"
         )
+    elif 0 < high < _MIN_SPEED_M_S:
+        yield PlausibilityFault(
+            f"VIO moves at {median:.2g} m/s (median; 95th percentile {high:.2g} m/s), a phone in a hand is faster than "
+            f"{_MIN_SPEED_M_S:g} m/s at times: {_unit_guess(high)}?"
+        )
+
+
+def _unit_guess(speed_m_s: float) -> str:
+    """Which unit would make a speed one of a walk."""
+    text = "are positions in another unit than metres"
+    for name, metres in _UNITS.items():
+        if _USUAL_SPEED_M_S <= speed_m_s * metres <= MAX_WALK_M_S:
+            return f"{text} (in {name} it would be {speed_m_s * metres:.2g} m/s)"
+    return text
+
+
+def _all_equal(intake: Intake) -> bool:
+    poses = np.concatenate([session.poses for session in intake.sessions])
+    return len(poses) > 1 and bool((poses == poses[0]).all())
 
 
 def _of_images(intake: Intake) -> Iterator[PlausibilityFault]:
@@ -75,7 +102,13 @@ def _of_images(intake: Intake) -> Iterator[PlausibilityFault]:
     different = len({(image.check.sha256, image.check.sharpness) for image in images})
     xyz = np.concatenate([session.poses[:, :3, 3] for session in intake.sessions])
     extent_m = float(np.linalg.norm(np.ptp(xyz, axis=0)))
-    if different > 1 and not intake.sessions[0].recording.is_metric:
+    if different > 1 and intake.sessions[0].recording.pose_source == PoseSource.VIO and _all_equal(intake):
+        yield PlausibilityFault(
+            f"all {len(xyz)} poses are equal while {different} images differ: odometry didn't run, as in captures by "
+            "the front camera (Face ID)",
+            remedy="record with the camera at the back and tracking on, or give the images poses from elsewhere",
+        )
+    elif different > 1 and not intake.sessions[0].recording.is_metric:
         if extent_m <= _ROUNDING * float(np.abs(xyz).max(initial=0.0)):
             yield PlausibilityFault(f"all {len(xyz)} poses lie in one place while {different} images differ")
     elif different > 1 and extent_m < _MIN_EXTENT_M:

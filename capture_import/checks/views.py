@@ -1,4 +1,4 @@
-"""Small grey images for the checks of convention and clock, stored during the scan.
+"""Small grey images for the checks of convention, clock and gravity, stored during the scan.
 
 Decoding is most of what import costs. Which images the checks need follows from the poses before any is decoded, but
 for those that turn out unusable; others are decoded again.
@@ -11,6 +11,7 @@ from pathlib import Path
 from groundwalk.capture_import.capture import Limits, RawFrame
 from groundwalk.capture_import.checks.clock import CLOCK_LONG_SIDE, dense_part
 from groundwalk.capture_import.checks.convention import CONVENTION_LONG_SIDE, parallax_pairs
+from groundwalk.capture_import.checks.gravity import LINES_LONG_SIDE, spread_images
 from groundwalk.capture_import.checks.scan import ImageScan, load_gray, scan_images
 from groundwalk.capture_import.media.images import WORKING_LONG_SIDE, Gray, shrunk
 
@@ -27,6 +28,7 @@ class Views:
         """As `scan_images`, storing the views that the checks need."""
         needed = [(frames[i].number, CONVENTION_LONG_SIDE) for pair in parallax_pairs(frames) for i in pair]
         needed += [(frame.number, CLOCK_LONG_SIDE) for frame in dense_part(frames)]
+        needed += [(frame.number, LINES_LONG_SIDE) for frame in spread_images(frames)]
         sizes: dict[int, set[int]] = {}
         for number, long_side in needed:
             sizes.setdefault(number, set()).add(long_side)

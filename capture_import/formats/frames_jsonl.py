@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock, ImageSide, Tracking
+from groundwalk.artefacts.choices import Clock, ImageSide, Tracking, UpSource
 from groundwalk.capture_import.capture import (
     DepthFile,
     ImageFile,
@@ -99,12 +99,14 @@ def _header(path: Path, line: str) -> dict[str, Any]:
         header = {}
     device, clock = header.get("device", "unknown"), header.get("clock", Clock.BOOT)
     first_row, readout_s = header.get("first_row"), header.get("readout_s")
+    gravity_aligned = header.get("gravity_aligned")
     if (
         header.get("groundwalk") != "frames"
         or header.get("version") != _VERSION
         or not isinstance(device, str)
         or clock not in _CLOCKS
         or first_row not in [None, *ImageSide]
+        or not (gravity_aligned is None or isinstance(gravity_aligned, bool))
         or not (readout_s is None or (type(readout_s) in (int, float) and 0 <= readout_s <= MAX_READOUT_S))
     ):
         raise UserError(
@@ -112,11 +114,14 @@ def _header(path: Path, line: str) -> dict[str, Any]:
             where=path / "frames.jsonl",
             expected=f'{{"groundwalk": "frames", "version": {_VERSION}, "device": "...", "clock": "boot"}}, '
             f"clock one of {', '.join(_CLOCKS)}; if there is a first_row, one of {', '.join(ImageSide)}; if there is a "
-            f"readout_s, seconds, 0 to {MAX_READOUT_S:g}",
+            f"readout_s, seconds, 0 to {MAX_READOUT_S:g}; if there is gravity_aligned, true or false",
             found=line[:120] or "an empty file",
         )
     first_row = first_row and ImageSide(first_row)
-    return {"device": device, "clock": Clock(clock), "first_row": first_row, "readout_s": readout_s}
+    values: dict[str, Any] = {"device": device, "clock": Clock(clock), "first_row": first_row, "readout_s": readout_s}
+    if gravity_aligned is not None:
+        values |= {"is_gravity_aligned": gravity_aligned, "up_source": UpSource.STATED}
+    return values
 
 
 def _depth(path: Path, row: dict[str, Any]) -> DepthFile:

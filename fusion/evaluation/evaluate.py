@@ -228,6 +228,8 @@ _MEANINGS = {
 
 # What puts every figure in doubt comes before the figures.
 _WARNINGS = {
+    "frames_without_common_vertical": "frames' odometry or map may not have +y up: methods that need it "
+    "(needs_vertical) leave odometry out there",
     "prediction_quaternions_not_of_unit_length": "predictions have quaternions that aren't of unit length; their "
     "direction is taken",
     "predictions_not_finite": "predictions are not finite and count as missing",

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from groundwalk.artefacts.parallel import one_thread
 from groundwalk.artefacts.tables import pose_frame
+from groundwalk.fusion.methods import method
 from groundwalk.fusion.methods.localiser import Estimate, Stepping, is_rigid
 from groundwalk.fusion.methods.offline import Offline, stepped
 from groundwalk.fusion.walk import Walk, known
@@ -76,8 +77,10 @@ def _check(estimates: list[Estimate], walk: Walk) -> None:
 
 
 def fuse_all(run: Run, walks: Iterable[Walk], make: Callable[[], Stepping | Offline]) -> list[Fused]:
-    """Each walk with a localiser of its own: nothing is carried across a session's border."""
-    return [fuse(run, walk, make()) for walk in walks]
+    """Each walk with a localiser of its own: nothing is carried across a session's border. A method that needs odometry
+    and map to share their vertical gets none where they may not."""
+    needs = method(run.method).needs_vertical
+    return [fuse(run, w.without_odometry() if needs and not w.shares_vertical else w, make()) for w in walks]
 
 
 def pose_rows(fused: Fused) -> pd.DataFrame:

@@ -105,6 +105,7 @@ def evaluated(
         "frames": len(ordered),
         "frames_out_of_order": int((chosen.groupby("session_id")["t_ns"].diff() < 0).sum()),
         "frames_without_odometry": int((~known(vio_T)).sum()),
+        "frames_without_common_vertical": sum(known(w.vio_T_cam).sum() for w in walks if not w.shares_vertical),
         "frames_without_ground_truth": int((~true).sum()),
         "frames_too_uncertain_for_levels": int((true & ~sure_enough(quality)).sum()),
         "frames_of_unstated_quality": int((true & pd.isna(quality)).sum()),
@@ -147,6 +148,7 @@ def _walks(
 ) -> list[Walk]:
     """The walks of frames in order; `poses` are odometry's, the predictions' and the true ones (N, 4, 4)."""
     gravity = _gravity(ordered)
+    states_gravity = set(_GRAVITY) <= set(ordered.columns)
     vio_T, apr_T, true_T = poses
     # A new walk begins where the session or the split changes in time.
     key = ordered["session_id"].astype(str) + "/" + ordered["split"]
@@ -167,6 +169,7 @@ def _walks(
                 true_T[rows],
                 quality[rows],
                 None if covariance is None else covariance[rows],
+                not states_gravity or bool(np.isfinite(gravity[rows]).any()),
             )
         )
     return walks

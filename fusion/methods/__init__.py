@@ -22,6 +22,8 @@ class Method(Entry):
     causal: it answers a frame from that frame and the ones before it, as an app must. One that isn't makes an
     `Offline`, which sees whole walks; tables say so and never rank it with the causal ones.
     gives_covariance: its estimates have covariances.
+    needs_vertical: odometry and map must both have +y up; a walk without gravity, or in a map without a vertical, comes
+    without odometry.
     """
 
     noun: ClassVar[str] = "fusion method"
@@ -33,6 +35,7 @@ class Method(Entry):
     gives_covariance: bool
     fuses: bool = True
     learns: bool = False
+    needs_vertical: bool = False
     visible: bool = False
 
     def localiser(self, options: MethodOptions, error_map: ErrorMap | None = None) -> Stepping | Offline:

@@ -86,6 +86,7 @@ DRIFT_AWARE = Method(
     causal=True,
     gives_covariance=True,
     learns=True,
+    needs_vertical=True,
     visible=True,
 )
 SMOOTHER = Method(
@@ -98,6 +99,7 @@ SMOOTHER = Method(
     causal=False,
     gives_covariance=True,
     learns=True,
+    needs_vertical=True,
 )
 VIO_ORACLE = Method(
     id="vio_oracle",

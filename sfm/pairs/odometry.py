@@ -13,18 +13,23 @@ from numpy.typing import NDArray
 from groundwalk.artefacts.choices import PairInconsistency
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.poses import Array, path_length, rotation_angle
+from groundwalk.geometry.rows import evenly
 from groundwalk.sfm.pairs.candidates import Pairs
 
 # Below this median angle between the rays of a pair's points its direction of motion is too uncertain to compare.
 _MIN_TRIANGULATION = np.radians(3.0)
 # A direction with a larger limit isn't compared.
 _MAX_DIRECTION_LIMIT = np.radians(60.0)
+# Two sessions' gravity differs where so many pairs between them or more (of many, so many are looked at), and this part
+# of them, say by how much alike.
+_MIN_DIFFERING_PAIRS, _MAX_DIFFERING_PAIRS, _MIN_DIFFERING_FRACTION = 10, 300, 0.7
 
 
 @dataclass(frozen=True)
 class Odometry:
     """VIO of N frames. Poses vio_T_cam (N, 4, 4) and gravity (N, 3, unit, camera axes) are NaN where it has none;
-    `travelled_m`, `jumped_m` and `jumped_rad` (N,) add up path and jumps from the session's first frame on."""
+    `travelled_m`, `jumped_m` and `jumped_rad` (N,) add up path and jumps from the session's first frame on.
+    `differing`: sessions, two by two, whose gravity can't be compared, as one of them has a wrong one."""
 
     session: NDArray[np.object_]
     vio_T_cam: Array
@@ -32,6 +37,7 @@ class Odometry:
     travelled_m: Array
     jumped_m: Array
     jumped_rad: Array
+    differing: frozenset[frozenset[str]] = frozenset()
 
     @property
     def posed(self) -> NDArray[np.bool_]:
@@ -160,6 +166,8 @@ def compare_with_vio(
 
     gravity_b_in_a = np.einsum("pij,pj->pi", a_T_b[:, :3, :3], vio.gravity_cam[b])
     upright = np.isfinite(gravity_b_in_a).all(axis=1) & np.isfinite(vio.gravity_cam[a]).all(axis=1)
+    if vio.differing:
+        upright &= [frozenset(sessions) not in vio.differing for sessions in vio.session[pairs].tolist()]
     gravity[upright] = angles_between(gravity_b_in_a[upright], vio.gravity_cam[a[upright]])
 
     # Comparisons with NaN are false: what wasn't compared isn't inconsistent.
@@ -169,6 +177,34 @@ def compare_with_vio(
     return VioComparison(rotation, rotation_limit, direction, direction_limit, gravity, reason)
 
 
+def differing_sessions(pairs: Pairs, a_T_b: Array, vio: Odometry, limit_rad: float) -> frozenset[frozenset[str]]:
+    """Sessions, two by two, of which most pairs between them (relative poses a_T_b (P, 4, 4)) say that the one's
+    gravity points in one and the same other direction in the other's world: a wrong gravity, not wrong pairs, which
+    would say each another."""
+    differing = set()
+    ends = np.sort(vio.session[pairs].astype(str), axis=1)
+    for one, other in sorted(set(map(tuple, ends[ends[:, 0] != ends[:, 1]].tolist()))):
+        between = pairs[(ends == [one, other]).all(axis=1)]
+        a_T_b_between = a_T_b[(ends == [one, other]).all(axis=1)]
+        # Gravity of `one`, in the world of `other`, whichever of the two a pair has first.
+        is_first = vio.session[between[:, 0]] == one
+        from_one, to_other = np.where(is_first[:, None], between, between[:, ::-1]).T
+        other_R_one = np.where(
+            is_first[:, None, None], a_T_b_between.swapaxes(1, 2)[:, :3, :3], a_T_b_between[:, :3, :3]
+        )
+        down = np.einsum("pij,pj->pi", vio.vio_T_cam[to_other, :3, :3] @ other_R_one, vio.gravity_cam[from_one])
+        down = down[np.isfinite(down).all(axis=1) & np.isfinite(vio.gravity_cam[to_other]).all(axis=1)]
+        if len(down) < _MIN_DIFFERING_PAIRS:
+            continue
+        down = down[evenly(len(down), _MAX_DIFFERING_PAIRS)]
+        near = angles_between(down[:, None], down[None]) <= limit_rad
+        centre = down[near.sum(axis=0).argmax()]
+        is_one_direction = near.sum(axis=0).max() >= _MIN_DIFFERING_FRACTION * len(down)
+        if is_one_direction and angles_between(centre[None], np.array([[0.0, -1.0, 0.0]]))[0] > limit_rad:
+            differing.add(frozenset((one, other)))
+    return frozenset(differing)
+
+
 def angles_between(u: Array, v: Array) -> Array:
-    """Angles in radians (P,) between vectors (P, 3); exact for small and large ones."""
-    return np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.sum(u * v, axis=1))
+    """Angles in radians (...) between vectors (..., 3); exact for small and large ones."""
+    return np.arctan2(np.linalg.norm(np.cross(u, v), axis=-1), np.sum(u * v, axis=-1))

@@ -1,5 +1,6 @@
 """The relative poses of verified pairs by their images alone."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import Array, inverse, make_pose, relative
 from groundwalk.sfm.database import image_id
 from groundwalk.sfm.pairs.candidates import Pairs
-from groundwalk.sfm.pairs.odometry import Odometry, PairLimits, VioComparison, compare_with_vio
+from groundwalk.sfm.pairs.odometry import Odometry, PairLimits, VioComparison, compare_with_vio, differing_sessions
 
 # COLMAP's bound for a match that fits, px, and the fraction of a pair's matches that another pose has to explain.
 MAX_ERROR_PX = 4.0
@@ -42,6 +43,7 @@ def compare_pairs(database: Path, pairs: Pairs, vio: Odometry, limits: PairLimit
                 b_T_a = geometry.cam2_from_cam1.matrix()
                 a_T_b[index] = inverse(make_pose(b_T_a[:, :3], b_T_a[:, 3]))
                 angle[index] = geometry.tri_angle
+        vio = replace(vio, differing=differing_sessions(pairs, a_T_b, vio, limits.gravity_rad))
         compared = compare_with_vio(pairs, a_T_b, angle, vio, limits)
         for index in np.flatnonzero(~compared.consistent).tolist():
             a, b = pairs[index].tolist()

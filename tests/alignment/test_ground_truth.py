@@ -250,12 +250,79 @@ def test_without_vio_there_is_a_map_without_scale(walks: Walks) -> None:
     without_scale(scene)
 
 
-def test_without_gravity_there_is_no_map(walks: Walks) -> None:
-    scene = walks.make(frames=10)
-    scene.frames[["gravity_x", "gravity_y", "gravity_z"]] = np.nan
-    with pytest.raises(UserError, match="vertical") as error:
-        run(scene)
-    assert "gravity" in str(error.value.details["do"])
+GRAVITY = ["gravity_x", "gravity_y", "gravity_z"]
+
+
+def tilt_vio(scene: Scene, number: int, degrees: float) -> None:
+    """Another world for a walk's VIO, of which it takes +y to be up."""
+    rows = scene.frames.index[scene.frames["session_id"] == f"walk{number}"]
+    world = make_pose(Rotation.from_euler("xz", [degrees, 20], degrees=True).as_matrix(), [1.0, 2.0, 3.0])
+    vio = poses_of(scene.frames, "vio_cam")
+    vio[rows] = world @ vio[rows]
+    scene.set_vio(vio)
+    scene.frames.loc[rows, GRAVITY] = -vio[rows, 1, :3]
+
+
+def test_without_gravity_the_map_is_metric_and_has_no_vertical(walks: Walks) -> None:
+    scene = walks.make(frames=20)
+    for number in range(3):
+        tilt_vio(scene, number, 40)
+    scene.frames[GRAVITY] = np.nan
+    aligned = run(scene)
+    true_S_map, metres, degrees = against_truth(aligned, scene)
+    assert true_S_map.scale == pytest.approx(1, abs=1e-9)
+    assert metres.max() < 1e-9 and degrees.max() < 1e-6
+    gt = aligned.ground_truth
+    assert set(gt["vertical_source"]) == {"none"} and set(gt["quality"]) == {"A"}
+    # No part of the covariance is a tilt of axes that may be any; its axes are those of the first session's VIO.
+    assert np.isfinite(np.stack(list(gt["covariance"]))).all()
+    np.testing.assert_allclose(aligned.fits[0].map_T_vio, np.eye(4), atol=1e-9)
+    assert aligned.sessions["map_vio_tx"].notna().all() and aligned.sessions["map_vio_yaw_tx"].isna().all()
+    assert not {"yaw_rate", "ate_yaw"} & set(aligned.drift["definition"])
+    vertical = aligned.checks.set_index("check").loc["map_vertical"]
+    assert vertical["status"] == "undecided" and "gravity" in vertical["advice"]
+
+
+def test_a_session_without_gravity_is_in_the_map_of_the_others(walks: Walks) -> None:
+    scene = walks.make(frames=20)
+    tilt_vio(scene, 0, 40)
+    scene.frames.loc[scene.frames["session_id"] == "walk0", GRAVITY] = np.nan
+    aligned = run(scene)
+    true_S_map, metres, _ = against_truth(aligned, scene)
+    assert true_S_map.rotation[1, 1] == pytest.approx(1, abs=1e-9) and metres.max() < 1e-9
+    assert (aligned.checks["status"] == "passed").all()
+    assert set(aligned.ground_truth["vertical_source"]) == {"gravity"}
+    yaw = aligned.sessions.set_index("session_id")["map_vio_yaw_tx"].notna()
+    assert yaw.to_dict() == {"walk0": False, "walk1": True, "walk2": True}
+    # Origin and heading are those of the first session that knows what is up.
+    np.testing.assert_allclose(aligned.fits[1].map_T_vio_yaw, np.eye(4), atol=1e-9)
+
+
+@pytest.mark.parametrize("wrong", [0, 1])
+def test_of_two_sessions_whose_gravity_differs_none_is_named_unless_images_tell(walks: Walks, wrong: int) -> None:
+    scene = walks.make(frames=20, sessions=2)
+    tilt_vio(scene, wrong, 40)
+    aligned = run(scene)
+    checks = aligned.checks[aligned.checks["check"] == "session_vertical"]
+    assert checks["status"].tolist() == ["undecided"] * 2
+    assert set(aligned.ground_truth["vertical_source"]) == {"none"} and set(aligned.ground_truth["quality"]) == {"A"}
+
+    tested = align(scene.inputs(gravity_tested=frozenset({f"walk{1 - wrong}"})), AlignSettings())
+    failed = tested.checks[tested.checks["status"] == "failed"]
+    assert failed[["check", "session_id", "cause"]].to_numpy().tolist() == [
+        ["session_vertical", f"walk{wrong}", "wrong VIO gravity"]
+    ]
+    true_S_map, _, _ = against_truth(tested, scene)
+    assert true_S_map.rotation[1, 1] == pytest.approx(1, abs=1e-9)
+
+
+def test_of_three_sessions_the_one_whose_gravity_differs_is_named(walks: Walks) -> None:
+    scene = walks.make(frames=20)
+    tilt_vio(scene, 0, 40)
+    aligned = run(scene)
+    failed = aligned.checks[aligned.checks["status"] == "failed"]
+    assert failed[["check", "session_id"]].to_numpy().tolist() == [["session_vertical", "walk0"]]
+    assert set(aligned.ground_truth["vertical_source"].dropna()) == {"gravity"}
 
 
 def test_too_few_registered_frames_are_refused(walks: Walks) -> None:

@@ -264,9 +264,14 @@ def test_user_mistakes_are_told_in_a_few_lines(tmp_path: Path) -> None:
 
 def _with(walk: Walk, fault: str) -> Walk:
     """The walk with a fault that no single row shows."""
-    if fault in ("tenths of a metre", "centimetres"):
+    units = {"tenths of a metre": 10, "centimetres": 100, "millimetres": 1000, "kilometres": 1e-3}
+    if fault in units:
         poses = walk.vio_T_cam.copy()
-        poses[:, :3, 3] *= 10 if fault == "tenths of a metre" else 100
+        poses[:, :3, 3] *= units[fault]
+        return replace(walk, vio_T_cam=poses)
+    if fault == "turning alone":
+        poses = walk.vio_T_cam.copy()
+        poses[:, :3, 3] = poses[0, :3, 3]
         return replace(walk, vio_T_cam=poses)
     if fault == "frozen":
         return replace(walk, vio_T_cam=np.repeat(walk.vio_T_cam[:1], len(walk.t_ns), axis=0))
@@ -282,7 +287,12 @@ def _with(walk: Walk, fault: str) -> Walk:
     [
         ("tenths of a metre", "VIO moves at 12.34 m/s (median; 95th percentile 13.45 m/s), a walk is below 3 m/s"),
         ("milliseconds", "poses come at 0.01 Hz (median interval 100 s), expected 0.1 to 1000 Hz"),
-        ("frozen", "all 24 poses lie within 0 mm over 2.3 s while 12 images differ: did odometry run?"),
+        (
+            "kilometres",
+            "VIO moves at 0.0012 m/s (median; 95th percentile 0.0013 m/s), a phone in a hand is faster than 0.01 m/s "
+            "at times: are positions in another unit than metres (in kilometres it would be 1.3 m/s)?",
+        ),
+        ("turning alone", "all 24 poses lie within 0 mm over 2.3 s while 12 images differ: did odometry run?"),
     ],
 )
 def test_what_is_not_plausible_is_told_by_inspect_and_import(
@@ -300,7 +310,13 @@ def test_what_is_not_plausible_is_told_by_inspect_and_import(
     ("fault", "refusal", "status"),
     [
         ("centimetres", r"(?s)walk isn't plausible.*at most 100 m/s.*m/s \(median", "unusable: not plausible"),
+        ("millimetres", r"(?s)walk isn't plausible.*in millimetres it would be 1.2 m/s", "unusable: not plausible"),
         ("microseconds", r"(?s)walk isn't plausible.*at most 100 m/s", "unusable: not plausible"),
+        (
+            "frozen",
+            r"(?s)walk isn't plausible.*all 24 poses are equal while 12 images differ: odometry didn't run.*back",
+            "unusable: not plausible",
+        ),
         (
             "black",
             r"(?s)no usable image.*12 x image shows nothing: its grey levels vary by 0.0",

@@ -251,6 +251,27 @@ def test_odometry_takes_no_part_in_a_map_without_metric_scale(scale_source: str,
     assert set(metric.tables["summary"]["map_unit"]) == {"metres"} and "METRIC" not in "".join(report_lines(metric))
 
 
+@pytest.mark.parametrize("known", [0, 5])
+def test_without_a_common_vertical_methods_that_need_it_have_no_odometry(known: int) -> None:
+    frames, truth, predictions = tables([1])
+    methods = ["drift_aware", "window30"]
+    frames = frames.assign(gravity_x=0.0, gravity_y=1.0, gravity_z=0.0)
+    usual = run(frames, truth, predictions, methods=methods)
+    assert usual.counts["frames_without_common_vertical"] == 0
+    frames.loc[frames.index[known:], ["gravity_x", "gravity_y", "gravity_z"]] = np.nan
+    results = run(frames, truth, predictions, methods=methods)
+    poses, as_usual = (r.tables["poses"].set_index("method") for r in (results, usual))
+    pd.testing.assert_frame_equal(poses.loc["window30"], as_usual.loc["window30"])
+    if known:  # a gap isn't a world of another kind
+        pd.testing.assert_frame_equal(poses, as_usual)
+        return
+    lost = frames.assign(**{c: np.nan for c in frames.columns if c.startswith("vio_cam")})
+    without = run(lost, truth, predictions, methods=methods).tables["poses"].set_index("method")
+    pd.testing.assert_frame_equal(poses.loc["drift_aware"], without.loc["drift_aware"])
+    assert results.counts["frames_without_common_vertical"] == frames["vio_cam_tx"].notna().sum()
+    assert any("may not have +y up" in line for line in report_lines(results))
+
+
 def test_frames_without_odometry_are_counted() -> None:
     frames, truth, predictions = tables([1])
     plain = run(frames, truth, predictions).counts["frames_without_odometry"]

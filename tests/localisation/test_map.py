@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from known import there
 from scenes import HIGH, LOGGED, Place, features, place, training, walk
+from scipy.spatial.transform import Rotation
 
 from groundwalk.artefacts import UserError
 from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
-from groundwalk.localisation.build import build_map
+from groundwalk.localisation.build import build_map, priors_of
 from groundwalk.localisation.calibration import Trial, calibrated
 from groundwalk.localisation.compact import CompactMap, point_covariances, read_map, write_map
 from groundwalk.localisation.hloc import HLocLocaliser
@@ -66,6 +67,18 @@ def test_a_high_image_is_localised_in_a_map_of_wide_ones(built: Built, file: Pat
         answer = localiser.localise_features(seen, replace(HIGH, distortion=()), gravity_of(truth))
         pose = there(answer.map_T_cam)
         assert position_error(pose, truth) < 0.012 and rotation_error_deg(pose, truth) < 0.08
+
+
+def test_a_map_without_a_vertical_takes_no_notice_of_gravity(built: Built, file: Path) -> None:
+    scene, prepared, _ = built
+    unknown = replace(prepared.training, gravity=np.full_like(prepared.training.gravity, np.nan))
+    content = replace(read_map(file), priors=priors_of(unknown, prepared.structure))
+    views = walk(4, seed=9)
+    for view in range(4):
+        seen = features(scene, views, view, seed=5)
+        wrong = Rotation.from_euler("x", 30, degrees=True).as_matrix() @ gravity_of(views.map_T_cam[view])
+        answers = [MapLocaliser(content).localise_features(seen, LOGGED, down) for down in (wrong, None)]
+        np.testing.assert_array_equal(*[there(answer.map_T_cam) for answer in answers])
 
 
 def test_hloc_localises_the_same(built: Built) -> None:

@@ -1,5 +1,7 @@
 """Pairs against VIO: right pairs agree in any gauge, wrong ones are named, and drift is allowed for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,6 +14,7 @@ from groundwalk.sfm.pairs.odometry import (
     Odometry,
     PairLimits,
     compare_with_vio,
+    differing_sessions,
     drift_between,
     motions_over,
     odometry,
@@ -82,6 +85,26 @@ def test_across_sessions_a_pair_that_tilts_gravity_is_named_and_a_turn_is_not() 
         a_T_b[row, :3, :3] = world_R_a.T @ turned @ world_R_a @ a_T_b[row, :3, :3]
     vio = _odometry(poses, session, t_ns)
     assert compare_with_vio(pairs, a_T_b, np.full(2, _WIDE), vio, _LIMITS).reason.tolist() == ["gravity", ""]
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_session_with_another_gravity_is_no_reason_against_its_pairs(first: int) -> None:
+    poses, session, t_ns = _walk(20, 2)
+    pairs = np.array([[a, b][:: 1 - 2 * first] for a in range(10) for b in (11, 14, 18)])
+    a_T_b = _unit(relative(*poses[pairs.T]))
+    tilted = poses.copy()
+    tilted[10:, :3] = Rotation.from_euler("xz", [40, 15], degrees=True).as_matrix() @ poses[10:, :3]
+    vio = _odometry(tilted, session, t_ns)
+    wide = np.full(len(pairs), _WIDE)
+    assert not compare_with_vio(pairs, a_T_b, wide, vio, _LIMITS).consistent.any()
+    differing = differing_sessions(pairs, a_T_b, vio, _LIMITS.gravity_rad)
+    assert differing == {frozenset({"0", "1"})}
+    assert compare_with_vio(pairs, a_T_b, wide, replace(vio, differing=differing), _LIMITS).consistent.all()
+
+    # Wrong pairs each say another direction, and gravity that is right is no difference.
+    right = _odometry(poses, session, t_ns)
+    a_T_b[::2, :3, :3] = Rotation.random(len(pairs[::2]), rng=np.random.default_rng(0)).as_matrix()
+    assert not differing_sessions(pairs, a_T_b, right, _LIMITS.gravity_rad)
 
 
 def test_drift_grows_with_the_path_and_a_jump_adds_to_it() -> None:

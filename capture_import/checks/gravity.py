@@ -1,0 +1,136 @@
+"""Is a recording's +y up, as its format has it? Poses may be relative to the first camera instead, or to another one.
+
+Two things tell. A phone never starts with its camera's axes exactly along its world's, unless the world is its first
+camera's. And most edges of rooms and houses run along three directions at right angles, one of them vertical.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from groundwalk.artefacts.choices import PoseSource, UpSource
+from groundwalk.capture_import.capture import RawFrame
+from groundwalk.capture_import.checks.scan import LoadGray
+from groundwalk.capture_import.intake import Image, ImportedSession, Intake
+from groundwalk.capture_import.media.images import WORKING_LONG_SIDE, Gray
+from groundwalk.geometry.lens import undistort
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rows import evenly
+from groundwalk.geometry.vanishing import line_axes
+
+LINES_LONG_SIDE = WORKING_LONG_SIDE
+_MAX_IMAGES = 24
+_MIN_IMAGES = 4
+# Shorter lines, in focal lengths, have no sure direction, and fewer say nothing.
+_MIN_LENGTH = 0.06
+_MIN_LINES = 100
+# A hand holds no phone so exactly along the axes of its world: within this by chance once in some million starts, as
+# two angles must be so small at once (the heading may be zero by definition). Logs round to less.
+_EXACT = 1e-4
+
+
+STATE_GRAVITY = (
+    "the map gets a vertical from other recordings or none; export poses in the app's gravity-aligned world, or, where "
+    'its +y is up, write frames.jsonl with "gravity_aligned": true'
+)
+
+
+@dataclass(frozen=True)
+class GravityCheck:
+    """Whether +y is up, what says so, and its figures in words; no words where nothing but the format says so."""
+
+    is_aligned: bool
+    source: UpSource
+    text: str = ""
+
+    @property
+    def line(self) -> str:
+        """What is said of it; empty where nothing but the format says so."""
+        return f"{'+y is up' if self.is_aligned else 'unknown'}: {self.text}" if self.text else ""
+
+
+def check_gravity(intake: Intake, load: LoadGray) -> GravityCheck:
+    """Test the gravity of one recording's poses. What lines in the images say goes before what its start pose says, and
+    what the capture itself states before both; a reference isn't tested."""
+    recording = intake.sessions[0].recording
+    stated = GravityCheck(recording.is_gravity_aligned, recording.up_source)
+    if recording.pose_source != PoseSource.VIO:
+        return stated
+    if not stated.is_aligned:
+        return replace(stated, text="the capture says that its +y isn't up")
+    by_lines = _by_lines(max(intake.sessions, key=lambda session: len(session.images)), load)
+    if stated.source == UpSource.STATED:
+        is_denied = by_lines is not None and not by_lines.is_aligned
+        return replace(stated, text=f"by what the capture states, but {by_lines.text}") if is_denied else stated
+    if by_lines is not None:
+        return by_lines
+    if starts_along_axes(intake.sessions):
+        text = "the first pose lies exactly along the world's axes: poses relative to the first camera"
+        return GravityCheck(False, UpSource.START_POSE, text)
+    return stated
+
+
+def with_gravity(intake: Intake, check: GravityCheck) -> Intake:
+    """The intake with what was found of its recording's gravity."""
+    return replace(
+        intake,
+        sessions=[
+            replace(s, recording=replace(s.recording, is_gravity_aligned=check.is_aligned, up_source=check.source))
+            for s in intake.sessions
+        ],
+    )
+
+
+def starts_along_axes(sessions: Sequence[ImportedSession]) -> bool:
+    """The first pose of odometry turns camera axes exactly into axes of the world, as in relative poses whatever their
+    convention. Poses that stay the same up to a jump are no start: odometry hasn't begun."""
+    rotations = (session.poses[:, :3, :3] for session in sessions if len(session.frames))
+    moving = next((r for r in rotations if np.abs(r - r[0]).max() > _EXACT), None)
+    return moving is not None and bool(np.abs(moving[0] - moving[0].round()).max() < _EXACT)
+
+
+def spread_images(frames: Sequence[RawFrame]) -> list[RawFrame]:
+    """Of frames with images, those in which lines are looked for."""
+    return [frames[i] for i in evenly(len(frames), _MAX_IMAGES)] if len(frames) >= _MIN_IMAGES else []
+
+
+def _by_lines(session: ImportedSession, load: LoadGray) -> GravityCheck | None:
+    """What lines say of a session's +y; None where they say nothing."""
+    images = {image.frame.number: image for image in session.images}
+    views = load(spread_images([image.frame for image in session.images]), LINES_LONG_SIDE)
+    lines = list(_planes_of_lines((images[frame.number], gray) for frame, gray in views))
+    if not lines:
+        return None
+    normals, lengths = (np.concatenate(part) for part in zip(*lines, strict=True))
+    if len(lengths) < _MIN_LINES:
+        return None
+    axes = line_axes(normals, lengths)
+    if axes.is_up is None:
+        return None
+    upright, tilted = f"{axes.upright:.0%}", f"{axes.tilted:.0%}"
+    text = (
+        f"three directions at right angles, one of them +y, explain {upright} of {len(lengths)} lines in {len(lines)} "
+    )
+    text += f"images; the best others, {np.degrees(axes.tilt):.0f}° off, {tilted}"
+    return GravityCheck(axes.is_up, UpSource.LINES, text)
+
+
+def _planes_of_lines(views: Iterator[tuple[Image, Gray]]) -> Iterator[tuple[Array, Array]]:
+    """Of each image's lines: unit normals (N, 3), in the world, of their planes through the camera's centre, and their
+    lengths (N,) in focal lengths."""
+    detector = cv2.createLineSegmentDetector()
+    for image, gray in views:
+        found, camera, pose = detector.detect(gray)[0], image.frame.intrinsics, image.frame.vio_T_cam
+        assert camera is not None and pose is not None  # intake drops images without
+        if found is None:
+            continue
+        scale = gray.shape[1] / image.check.width
+        pixels = found.reshape(-1, 2).astype(float) + 0.5
+        ideal = undistort((pixels / scale - [camera.cx, camera.cy]) / [camera.fx, camera.fy], camera.distortion)
+        ends = np.column_stack([ideal, np.ones(len(ideal))]).reshape(-1, 2, 3)
+        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        ends, length = ends[length > _MIN_LENGTH], length[length > _MIN_LENGTH]
+        normals = np.cross(ends[:, 0], ends[:, 1])
+        yield normals / np.linalg.norm(normals, axis=1, keepdims=True) @ pose[:3, :3].T, length

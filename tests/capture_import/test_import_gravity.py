@@ -1,0 +1,129 @@
+"""Whether +y is up is tested, not believed."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from capture_writers import Walk, make_walk, scan_all, write_frames_jsonl, write_record3d
+from scipy.spatial.transform import Rotation
+
+from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.capture_import.capture import Limits
+from groundwalk.capture_import.checks.gravity import GravityCheck, check_gravity, starts_along_axes
+from groundwalk.capture_import.checks.views import Views
+from groundwalk.capture_import.discovery import find_recordings
+from groundwalk.capture_import.inspection import inspect_capture
+from groundwalk.capture_import.intake import Intake, take_in
+from groundwalk.capture_import.settings import ImportSettings
+from groundwalk.capture_import.stage import STAGE
+from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose
+
+GRAVITY = ["gravity_x", "gravity_y", "gravity_z"]
+
+
+def run(data: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
+    folder = execute(STAGE, "place", "tiny", DataRoot(data), [])
+    return pd.read_parquet(folder / "sessions.parquet"), pd.read_parquet(folder / "frames.parquet")
+
+
+def relative_to_start(walk: Walk) -> Walk:
+    """With the first camera as the world, in ARKit's axes."""
+    arkit_T_world = inverse(walk.vio_T_cam[0] @ ARKIT_CAM_T_CAM)
+    return replace(walk, vio_T_cam=arkit_T_world @ walk.vio_T_cam)
+
+
+def state(folder: Path, is_aligned: bool) -> None:
+    lines = (folder / "frames.jsonl").read_text().splitlines()
+    header = json.dumps(json.loads(lines[0]) | {"gravity_aligned": is_aligned})
+    (folder / "frames.jsonl").write_text("\n".join([header, *lines[1:]]))
+
+
+def test_poses_relative_to_the_first_camera_have_no_gravity(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place = tmp_path / "captures" / "place"
+    write_record3d(place / "walk", relative_to_start(make_walk()))
+    write_record3d(place / "other", make_walk(seed=1))
+    sessions, frames = run(tmp_path)
+    by_id = sessions.set_index("session_id")
+    assert by_id.loc["walk", ["up", "up_source"]].tolist() == ["unknown", "start pose"]
+    assert by_id.loc["other", ["up", "up_source"]].tolist() == ["+y", "format"]
+    unknown = frames["session_id"] == "walk"
+    assert frames.loc[unknown, GRAVITY].isna().all(axis=None) and frames.loc[~unknown, GRAVITY].notna().all(axis=None)
+    assert "walk: gravity unknown: the first pose lies exactly along the world's axes" in capsys.readouterr().err
+    text = "\n".join(inspect_capture(place / "walk"))
+    assert "gravity    unknown: the first pose lies exactly" in text and "its gravity is unknown" in text
+
+
+def test_frames_jsonl_states_whether_its_y_is_up(tmp_path: Path) -> None:
+    place = tmp_path / "captures" / "place"
+    write_frames_jsonl(place / "denied", make_walk())
+    write_frames_jsonl(place / "level", relative_to_start(make_walk(seed=1)))
+    state(place / "denied", False)
+    state(place / "level", True)
+    sessions, frames = run(tmp_path)
+    assert sessions.set_index("session_id")["up"].to_dict() == {"denied": "unknown", "level": "+y"}
+    assert set(sessions["up_source"]) == {"stated"}
+    assert frames.loc[frames["session_id"] == "denied", GRAVITY].isna().all(axis=None)
+    write_frames_jsonl(tmp_path / "wrong", make_walk())
+    (tmp_path / "wrong" / "frames.jsonl").write_text('{"groundwalk": "frames", "version": 1, "gravity_aligned": "no"}')
+    with pytest.raises(UserError, match="isn't its header") as error:
+        list(inspect_capture(tmp_path / "wrong"))
+    assert "gravity_aligned, true or false" in str(error.value)
+
+
+def taken(tmp_path: Path, walk: Walk) -> Intake:
+    write_record3d(tmp_path / "walk", walk)
+    (source,) = find_recordings(tmp_path / "walk", tmp_path / "unpacked", Limits(), "auto")
+    return take_in(source.read(Limits()), ImportSettings(), scan_all([tmp_path.resolve()], Limits()))
+
+
+@pytest.mark.parametrize("axes", [np.eye(3), ARKIT_CAM_T_CAM[:3, :3], np.roll(np.eye(3), 1, axis=0)])
+def test_a_start_along_axes_is_seen_in_any_convention(tmp_path: Path, axes: Array) -> None:
+    walk = make_walk()
+    turned = make_pose(axes, [1.0, 2.0, 3.0]) @ inverse(walk.vio_T_cam[0]) @ walk.vio_T_cam
+    assert starts_along_axes(taken(tmp_path, replace(walk, vio_T_cam=turned)).sessions)
+
+
+@pytest.mark.parametrize("off_deg", [0.02, 5.0])
+def test_a_phone_held_level_is_no_such_start(tmp_path: Path, off_deg: float) -> None:
+    walk = make_walk()
+    tilt = Rotation.from_euler("x", off_deg, degrees=True).as_matrix()
+    level = make_pose(tilt, [0, 0, 0]) @ inverse(walk.vio_T_cam[0]) @ walk.vio_T_cam
+    assert not starts_along_axes(taken(tmp_path, replace(walk, vio_T_cam=level)).sessions)
+
+
+def test_poses_before_odometry_has_begun_are_no_start(tmp_path: Path) -> None:
+    """ARKit's are the identity until it tracks; then they jump."""
+    walk = make_walk(40)
+    poses = walk.vio_T_cam.copy()
+    poses[:6] = ARKIT_CAM_T_CAM
+    poses[6:, :3, 3] += [3.0, 0, 0]
+    intake = taken(tmp_path, replace(walk, vio_T_cam=poses))
+    assert len(intake.sessions) == 2 and not starts_along_axes(intake.sessions)
+
+
+def of_real(capture: Path, unpacked: Path, turn: Array) -> list[GravityCheck]:
+    """The check of each recording of a real capture, its poses turned."""
+    checks = []
+    for source in find_recordings(capture, unpacked, Limits(), "auto"):
+        raw = source.read(Limits())
+        frames = [
+            replace(f, vio_T_cam=None if f.vio_T_cam is None else make_pose(turn, [0, 0, 0]) @ f.vio_T_cam)
+            for f in raw.frames
+        ]
+        roots = [capture.resolve()]
+        intake = take_in(replace(raw, frames=frames), ImportSettings(), scan_all(roots, Limits()))
+        checks.append(check_gravity(intake, Views(roots, Limits()).load))
+    return checks
+
+
+def test_real_captures_keep_their_gravity_and_a_tilted_corridor_loses_it(shared_captures: Path, tmp_path: Path) -> None:
+    for capture, source in (("chair", "format"), ("corridor", "lines in the images"), ("charuco", "format")):
+        for check in of_real(shared_captures / capture, tmp_path / capture, np.eye(3)):
+            assert (check.is_aligned, check.source) == (True, source)
+    for degrees in (10, 40):
+        turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.6, 0, 0.8])).as_matrix()
+        (check,) = of_real(shared_captures / "corridor", tmp_path / str(degrees), turn)
+        assert not check.is_aligned and f"the best others, {degrees}° off" in check.text
