@@ -6,7 +6,7 @@ frames of it don't make them smaller.
 """
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from groundwalk.geometry.poses import Array
 # Residuals below which a robust fit no longer tells items apart.
 _UP_FLOOR = np.radians(0.2)  # of a frame's vertical against its recording's
 _RECORDING_FLOOR = 4.0  # sigmas, of a recording against the others
+_OTHER_WORLD = np.radians(5.0)  # no error of a phone's gravity
 # Neighbouring frames' gravity has the same error: so many parts of a recording count as independent.
 _PARTS = 8
 
@@ -62,12 +63,14 @@ class RecordingVertical:
 @dataclass(frozen=True)
 class Vertical:
     """The map's up (3,) in SfM's axes, standard error of its tilt in radians (per axis), each recording's vertical, and
-    what gives it. Where nothing does, up is any direction, and the standard error NaN."""
+    what gives it. Where nothing does, up is any direction, and the standard error NaN. `is_agreed`: most recordings
+    have it, so that one that has another is wrong."""
 
     up_sfm: Array
     sd: float
     recordings: dict[str, RecordingVertical]
     source: VerticalSource = VerticalSource.GRAVITY
+    is_agreed: bool = True
 
 
 def common_scale(segments: list[Segment], *, step_m: float, step_sd: float, phone_sd: float) -> MapScale:
@@ -99,8 +102,8 @@ def common_vertical(
     segments: list[Segment], *, phone_sd: float, max_tilt: float, tested: Collection[str] = ()
 ) -> Vertical:
     """The direction of up in SfM's axes: the robust mean over recordings, or over those of them that are `tested`,
-    whose gravity the images confirm. Unknown where no frame has both gravity and an SfM pose, and where no majority of
-    the recordings is within `max_tilt`, radians, of one direction: nothing tells then which is right.
+    whose gravity the images confirm. Unknown where no frame has both gravity and an SfM pose, and where recordings are
+    of different worlds and nothing tells which is upright. `max_tilt`: beyond, radians, a recording has another one.
 
     `phone_sd`: expected error of one recording's vertical in radians (per axis); the observed scatter adds to it.
     """
@@ -116,11 +119,12 @@ def common_vertical(
     ups = np.stack([verticals[recording].up_sfm for recording in sorted(deciding)])
     up, robust = _robust_direction(ups, _RECORDING_FLOOR * phone_sd)
     angles = direction_angles(ups, up)
-    if 2 * np.sum(angles <= max_tilt) <= len(angles):
-        return unknown
+    if 2 * np.sum(angles <= max(max_tilt, _OTHER_WORLD)) <= len(angles):
+        return replace(unknown, is_agreed=False)
+    is_agreed = bool(2 * np.sum(angles <= max_tilt) > len(angles))
     # Two axes of tilt an angle; one prior observation of each keeps few recordings from looking certain.
     variance = (np.sum(robust * angles**2) + 2 * phone_sd**2) / (2 * robust.sum())
-    return Vertical(up, float(np.sqrt(variance / robust.sum())), verticals)
+    return Vertical(up, float(np.sqrt(variance / robust.sum())), verticals, is_agreed=is_agreed)
 
 
 def _recording_vertical(ups: Array, phone_sd: float) -> RecordingVertical:

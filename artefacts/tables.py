@@ -153,13 +153,16 @@ def map_unit(truth: pd.DataFrame) -> MapUnit:
     return MapUnit.REFERENCE if ScaleSource.REFERENCE_UNIT_UNKNOWN in sources else MapUnit.METRE
 
 
+def has_vertical(truth: pd.DataFrame) -> bool:
+    """Whether the +y of the map of align's ground truth is up; it is where a table from elsewhere doesn't say."""
+    sources = set(truth["vertical_source"].dropna()) if "vertical_source" in truth else set()
+    return all(VerticalSource(source).is_known for source in sources)
+
+
 def with_gravity_of_map(frames: pd.DataFrame, truth: pd.DataFrame) -> pd.DataFrame:
     """import.frames as later stages may use them: without gravity where the map of align's ground truth has no
     vertical, as what is down for a camera says nothing of such a map's axes."""
-    sources = truth["vertical_source"].dropna().unique()
-    if all(VerticalSource(source).is_known for source in sources):
-        return frames
-    return frames.assign(gravity_x=np.nan, gravity_y=np.nan, gravity_z=np.nan)
+    return frames if has_vertical(truth) else frames.assign(gravity_x=np.nan, gravity_y=np.nan, gravity_z=np.nan)
 
 
 def scale_warning(unit: MapUnit) -> str:

@@ -9,7 +9,7 @@ import pandas as pd
 
 from groundwalk.artefacts import StageRun
 from groundwalk.artefacts.choices import Appearance, MapUnit
-from groundwalk.artefacts.tables import map_unit, poses_of, scale_warning
+from groundwalk.artefacts.tables import has_vertical, map_unit, poses_of, scale_warning
 from groundwalk.artefacts.text import in_words
 from groundwalk.reports.published import PAPER_METHOD
 from groundwalk.scoring.errors import sure_enough
@@ -155,7 +155,8 @@ class SceneInputs:
         light = ", ".join(_APPEARANCES[appearance] for appearance in self.test_appearances)
         kind = f"simulated, test walks {light}" if self.simulated else "real capture"
         facts = [kind, f"{self.profile} profile", f"seed {self.seed}", f"{len(self.frames)} frames"]
-        return ", ".join([*facts, *filter(None, [scale_warning(self.unit)])])
+        vertical = "" if has_vertical(self.ground_truth) else "NO VERTICAL: the map's +y may point anywhere"
+        return ", ".join([*facts, *filter(None, [scale_warning(self.unit), vertical])])
 
     def extent_m(self) -> tuple[float, float, float]:
         """Length, width and height of the camera positions with ground truth; length and width are the sides of the

@@ -199,13 +199,13 @@ def check_scale(evidence: SessionEvidence) -> CheckResult | None:
 
 def check_vertical(evidence: SessionEvidence) -> CheckResult | None:
     """The vertical by the session's recording against the map's; otherwise as for the scale. Where recordings differ
-    and nothing tells which is right, so that the map has none, each is undecided."""
+    and nothing tells which is right, each is undecided."""
     vertical = evidence.component.vertical
     if evidence.recording not in vertical.recordings or len(vertical.recordings) < 2:
         return None
     of_recording = vertical.recordings[evidence.recording]
     others = [other.up_sfm for name, other in vertical.recordings.items() if name != evidence.recording]
-    ups = np.stack([vertical.up_sfm] if vertical.source.is_known else others)
+    ups = np.stack([vertical.up_sfm] if vertical.is_agreed else others)
     tilt_deg = float(np.degrees(direction_angles(ups, of_recording.up_sfm).max()))
     failure = Failure(
         cause=FailureCause.WRONG_VIO_GRAVITY,
@@ -214,5 +214,5 @@ def check_vertical(evidence: SessionEvidence) -> CheckResult | None:
         lowers_class=False,
     )
     estimate, limit_deg = Quantity(tilt_deg, float(np.degrees(of_recording.sd))), evidence.settings.max_session_tilt_deg
-    status = None if vertical.source.is_known else Status.UNDECIDED
+    status = None if vertical.is_agreed else Status.UNDECIDED
     return evaluate(CheckName.SESSION_VERTICAL, evidence.subject, estimate, limit_deg, failure, status)

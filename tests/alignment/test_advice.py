@@ -139,11 +139,14 @@ _SHORT = {"frames": 8, "speed_m": 0.5, "sessions": 2}
 _ODOMETRY_DRIFTS = {"drift_m": 0.04, "drift_yaw_deg": 1.0}
 _ROUGH_SFM = {"frames": 12, "speed_m": 0.3, "sessions": 2, "sfm_deg": 2.0}
 _UNDECIDED: dict[CheckName, tuple[str, dict[str, float], dict[str, float]]] = {
-    CheckName.MAP_VERTICAL: ("a further session", {"frames": 30, "sessions": 2, "phone_tilt_deg": 2}, {"sessions": 4}),
+    CheckName.MAP_VERTICAL: (
+        "a further session whose poses are in a gravity-aligned world",
+        {"frames": 30, "sessions": 2, "phone_tilt_deg": 2}, {"sessions": 4},
+    ),
     CheckName.SESSION_MOTION: ("a longer walk with turns", _ROUGH_SFM | {"sfm_deg": 1.5}, {"frames": 120}),
     CheckName.SESSION_TURNS: ("a walk with more turns", _SHORT | _ODOMETRY_DRIFTS, {"frames": 40}),
     CheckName.SESSION_SCALE: ("a longer walk in this session", _SHORT, {"frames": 20, "speed_m": 1.2}),
-    CheckName.SESSION_VERTICAL: ("a longer walk in this session", _ROUGH_SFM, {"frames": 60}),
+    CheckName.SESSION_VERTICAL: ("a longer walk in this session, or a further session", _ROUGH_SFM, {"frames": 60}),
     # More images make SfM's poses surer.
     CheckName.WINDOW_POSITION: (
         "more images there", {"frames": 8, "speed_m": 0.15, "sessions": 1} | _ODOMETRY_DRIFTS, {"sfm_m": 0.003}

@@ -285,18 +285,24 @@ def test_our_importer_reads_what_other_tools_read(scene: DataRoot, name: str) ->
 
 
 @pytest.mark.parametrize(
-    ("scale_source", "unit"),
-    [("reference, unit unknown", "a reference's unknown unit"), ("none", "SfM's unit")],
+    ("scale_source", "vertical_source", "unit"),
+    [
+        ("reference, unit unknown", "reference, up unknown", "a reference's unknown unit"),
+        ("none", "none", "SfM's unit"),
+    ],
 )
-def test_a_map_of_unknown_unit_is_not_exported_as_metres(scene: DataRoot, scale_source: str, unit: str) -> None:
+def test_a_map_of_unknown_unit_and_vertical_is_exported_as_such(
+    scene: DataRoot, scale_source: str, vertical_source: str, unit: str
+) -> None:
     path = scene.run("tiny", "Place", "align") / "ground_truth.parquet"
     gt = read_table(path, schema("align", "ground_truth"))
-    gt = gt.assign(scale_source=scale_source, vertical_source="reference, up unknown")
+    gt = gt.assign(scale_source=scale_source, vertical_source=vertical_source)
     write_table(path, gt, schema("align", "ground_truth"))
     manifest = json.loads((path.parent / "manifest.json").read_text())
     write_json(path.parent / "manifest.json", manifest | {"outputs": output_hashes(path.parent)})
     out = _export(scene, "nerfstudio", "--images", "copy")
-    assert json.loads((out / "export.json").read_text())["map"].startswith(unit)
+    world = json.loads((out / "export.json").read_text())["map"]
+    assert world.startswith(unit) and world.endswith("up unknown")
     assert {(s.is_metric, s.is_gravity_aligned) for s in _sessions(out)} == {(False, False)}
 
 

@@ -91,7 +91,7 @@ class MadeUpScene:
             reason="",
             gt_uses_vio=False,
             scale_source=self.scale_source,
-            vertical_source="gravity",
+            vertical_source="none" if self.scale_source == "none" else "gravity",
             component=0,
             fx=50.0, fy=50.0, cx=32.0, cy=24.0, distortion=cells([[0.09, -0.12, 0.0, 0.0]] * len(frames)),
             camera_origin="estimated",

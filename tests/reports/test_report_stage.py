@@ -177,6 +177,7 @@ def test_a_map_without_metric_scale_is_marked_everywhere(
     assert f"warning: Yard: {mark}" in capsys.readouterr().err
     for number in range(1, 5):
         table = (folder / "tables" / f"table{number}.md").read_text()
+        assert "NO VERTICAL: the map's +y may point anywhere" in table
         assert mark in table and not re.search(r"\(m[/)]", table)
     assert not [text for text in drawn if re.search(r"error.*\(c?m\)|^position \(m\)|\d m$", text)] and mark in "".join(
         drawn
