@@ -287,7 +287,7 @@ def prediction_rows(r: StageRun[LocaliseSettings], name: str, queries: pd.DataFr
 
 STAGE = Stage(
     name="localise",
-    version=4,
+    version=5,
     settings=LocaliseSettings,
     needs=("import", "sfm", "align"),
     run=run,

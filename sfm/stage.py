@@ -172,7 +172,7 @@ def _covariances(
 
 STAGE = Stage(
     name="sfm",
-    version=41,
+    version=42,
     settings=SfmSettings,
     needs=("import",),
     run=run,

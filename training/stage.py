@@ -436,7 +436,7 @@ def describe(job: Job) -> str:
 
 STAGE = Stage(
     name="train",
-    version=15,
+    version=16,
     settings=TrainSettings,
     needs=("import", "align"),
     run=run,

@@ -98,7 +98,6 @@ def evaluated(
         )
     walks = _walks(scene, ordered, (vio_T, apr_T, true_T), quality, covariance)
     listed = ordered["frame_id"].isin(predictions["frame_id"]).to_numpy()
-    refused = _refused(ordered, predictions)
     unknown = int((~predictions["frame_id"].isin(frames["frame_id"])).sum())
     evaluated_predictions = predictions[predictions["frame_id"].isin(ordered["frame_id"])]
     frame_counts = {
@@ -115,7 +114,7 @@ def evaluated(
     prediction_counts = {
         "prediction_quaternions_not_of_unit_length": _not_unit(evaluated_predictions),
         "frames_without_prediction": int((~listed).sum()),
-        "predictions_refused": int(refused.sum()),
+        "predictions_refused": int((refused := _refused(ordered, predictions)).sum()),
         "predictions_not_finite": int((listed & ~known(apr_T) & ~refused).sum()),
         "prediction_covariances_not_positive_definite": unsound,
         "predictions_outside_the_place": _outside(apr_T, true_T),
