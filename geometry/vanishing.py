@@ -75,13 +75,13 @@ def _candidates(normals: Array, weights: Array) -> list[Array]:
         best = directions[int(np.argmax(counted))]
         tried.append(best)
         counted[np.abs(directions @ best) > np.cos(_APART)] = -1
-    found = []
+    frames = []
     for a, b in combinations(tried, 2):
         if abs(a @ b) < np.sin(_APART):
             second = b - a * (a @ b)
             second /= np.linalg.norm(second)
-            found.append(np.stack([a, second, np.cross(a, second)]))
-    return found
+            frames.append(np.stack([a, second, np.cross(a, second)]))
+    return frames
 
 
 def _half_sphere() -> Array:

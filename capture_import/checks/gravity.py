@@ -122,12 +122,12 @@ def _planes_of_lines(views: Iterator[tuple[Image, Gray]]) -> Iterator[tuple[Arra
     lengths (N,) in focal lengths."""
     detector = cv2.createLineSegmentDetector()
     for image, gray in views:
-        found, camera, pose = detector.detect(gray)[0], image.frame.intrinsics, image.frame.vio_T_cam
+        segments, camera, pose = detector.detect(gray)[0], image.frame.intrinsics, image.frame.vio_T_cam
         assert camera is not None and pose is not None  # intake drops images without
-        if found is None:
+        if segments is None:
             continue
         scale = gray.shape[1] / image.check.width
-        pixels = found.reshape(-1, 2).astype(float) + 0.5
+        pixels = segments.reshape(-1, 2).astype(float) + 0.5
         ideal = undistort((pixels / scale - [camera.cx, camera.cy]) / [camera.fx, camera.fy], camera.distortion)
         ends = np.column_stack([ideal, np.ones(len(ideal))]).reshape(-1, 2, 3)
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
