@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from groundwalk.artefacts.errors import UserError
@@ -20,6 +20,15 @@ KEY_FILE = "key.json"
 RECORDING = "recording.rrd"
 _digests: dict[tuple[str | int, ...], str] = {}
 _SETTLED_NS = 2 * 10**9  # the coarsest clock of a file system: what is younger may be written again without a trace
+IMPORTED = "import:"
+"""In front of the path of an image that import copied, which is relative to the import artefact."""
+
+
+def leads_outside(name: str) -> bool:
+    """Whether a path that others wrote, in a table, manifest or capture, isn't in the folder that it's relative to;
+    IMPORTED in front stands for one."""
+    path = PurePosixPath(name.removeprefix(IMPORTED))
+    return path.is_absolute() or ".." in path.parts or "\0" in name
 
 
 @contextlib.contextmanager

@@ -7,17 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import hash_files
+from groundwalk.artefacts.files import IMPORTED, hash_files, leads_outside
 
 Image = NDArray[np.uint8]
-_IMPORTED = "import:"
 
 
 def image_file(image: str, captures: Path, imported: Path) -> Path:
     """The file of a `frames.image` entry: relative to the capture folder, or to the import artefact where import copied
-    the image (`import:` in front)."""
-    if image.startswith(_IMPORTED):
-        return imported / image.removeprefix(_IMPORTED)
+    the image (`import:` in front). UserError for one that leads out of that folder."""
+    if leads_outside(image):
+        raise UserError("an image's path leads out of its folder", where=captures, found=repr(image))
+    if image.startswith(IMPORTED):
+        return imported / image.removeprefix(IMPORTED)
     return captures / image
 
 
@@ -29,7 +30,7 @@ def verify_images(captures: Path, imported: Path) -> None:
     from groundwalk.artefacts.tables import read_table
 
     frames = read_table(imported / "frames.parquet", schema("import", "frames"))
-    frames = frames[~frames["image"].str.startswith(_IMPORTED)]
+    frames = frames[~frames["image"].str.startswith(IMPORTED)]
     expected = dict(zip(frames["image"], frames["image_sha256"], strict=True))
     hashes = hash_files(captures, [captures / name for name in expected if (captures / name).is_file()])
     wrong = [name for name, digest in expected.items() if hashes.get(Path(name).as_posix()) != digest]

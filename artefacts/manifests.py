@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import KEY_FILE, RECORDING, hash_files, read_json
+from groundwalk.artefacts.files import KEY_FILE, RECORDING, hash_files, leads_outside, read_json
 from groundwalk.artefacts.hints import run_command
 from groundwalk.artefacts.settings import STAGES
 
@@ -51,7 +51,7 @@ def listed_files(folder: Path) -> set[str]:
 def damaged_outputs(folder: Path, manifest: dict[str, Any]) -> list[str]:
     """The outputs that a manifest lists and that are gone or have another content."""
     listed: dict[str, str] = manifest["outputs"]
-    there = [folder / name for name in listed if ".." not in Path(name).parts and (folder / name).is_file()]
+    there = [folder / name for name in listed if not leads_outside(name) and (folder / name).is_file()]
     hashes = hash_files(folder, there)
     return [name for name, digest in sorted(listed.items()) if hashes.get(name) != digest]
 

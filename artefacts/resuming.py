@@ -22,6 +22,8 @@ def run_resumable(work: Path, key: str, title: str, force: bool, attempt: Callab
     reason that neither the user nor the machine caused, the checkpoints are taken for damaged: they are dropped, with a
     line, and the attempt is made once more. An error that the machine caused is raised as UserError.
     """
+    if work.is_symlink():
+        work.unlink()  # of a run from elsewhere: nothing is written where it leads
     resumed = not force and read_json(work / KEY_FILE).get("key") == key
     again = _FORCED if force else _RESUMES
     progress.console.print(f"{title}{': resuming from its checkpoints' if resumed else ''}", markup=False, style="bold")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from groundwalk.artefacts.choices import Clock, MapUnit, ScaleSource, VerticalSource
 from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import written_aside
+from groundwalk.artefacts.files import leads_outside, written_aside
 from groundwalk.artefacts.schemas import TableSchema
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.fits import sim3_between
@@ -82,9 +82,24 @@ def read_table(path: Path, schema: TableSchema, *, older_is_complete: bool = Fal
     missing = [c.name for c in schema.columns if not c.nullable and c.name not in table.column_names]
     if missing and not (older_is_complete and _minor(version) < _minor(schema.version)):
         raise UserError(f"table {name} lacks columns", where=path, found=f"no {', '.join(missing)}")
+    _refuse_paths_outside(table, schema, path)
     present = [c for c in schema.column_names if c in table.column_names]
     frame: pd.DataFrame = table.select(present).to_pandas().reindex(columns=schema.column_names)
     return frame
+
+
+def _refuse_paths_outside(table: pa.Table, schema: TableSchema, where: Path) -> None:
+    """UserError where text that is a path, or becomes part of one, leads out of the folder that it's relative to."""
+    for column in schema.columns:
+        if column.is_path and column.name in table.column_names:
+            for name in table[column.name].unique().to_pylist():
+                if isinstance(name, str) and leads_outside(name):
+                    raise UserError(
+                        f"{column.name} of table {schema.stage}.{schema.name} leads out of its folder",
+                        where=where,
+                        found=repr(name),
+                        do="groundwalk writes no such table: make it anew from the captures",
+                    )
 
 
 def _minor(version: str) -> int:

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from groundwalk.artefacts import UserError
+from groundwalk.artefacts.files import leads_outside
 from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, Reject
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.lens import rational_of_fisheye
@@ -276,7 +277,6 @@ def inside(folder: Path, name: Any) -> Path:
     """The path that a log names, relative to its folder; BadRow for one that is no text or leads out of the folder."""
     if not isinstance(name, str) or not name or "\0" in name:
         raise BadRow("image name is no text")
-    path = folder / name
-    if Path(name).is_absolute() or ".." in Path(name).parts:
+    if leads_outside(name):
         raise BadRow("image name leads out of the recording")
-    return path
+    return folder / name

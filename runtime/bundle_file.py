@@ -3,11 +3,11 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import hash_files, write_json
+from groundwalk.artefacts.files import hash_files, leads_outside, write_json
 
 FORMAT = "groundwalk-bundle"
 MAJOR, MINOR = 1, 0
@@ -63,7 +63,7 @@ def read_part(folder: Path, name: str) -> dict[str, Any]:
 
 
 def _check_files(folder: Path, listed: Mapping[str, str]) -> None:
-    outside = [name for name in listed if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts]
+    outside = [name for name in listed if leads_outside(name)]
     missing = [*outside, *(name for name in listed if name not in outside and not (folder / name).is_file())]
     if missing:
         raise UserError("a bundle lacks a file", where=folder / missing[0], do=_AGAIN)

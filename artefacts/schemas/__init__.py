@@ -36,6 +36,8 @@ _MODULES = {
     "report": "report",
 }
 
+_PATHS = {"image", "depth", "depth_confidence", "folder", "file", "model", "scene"}
+
 
 @dataclass(frozen=True)
 class Column:
@@ -49,6 +51,11 @@ class Column:
     frame: str = ""
     nullable: bool = False
     choices: type[StrEnum] | None = None
+
+    @property
+    def is_path(self) -> bool:
+        """Whether its text is a path relative to a folder, or becomes part of one."""
+        return self.name.endswith("_id") or self.name in _PATHS
 
     def arrow(self) -> pa.Field:
         metadata = {"unit": self.unit, "frame": self.frame, "meaning": self.meaning}

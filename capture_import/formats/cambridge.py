@@ -25,6 +25,7 @@ from groundwalk.capture_import.image_files import images_in, is_image, size_of, 
 from groundwalk.capture_import.parsing import (
     BadRow,
     collect,
+    inside,
     lines_of,
     number,
     quaternion_pose,
@@ -64,13 +65,13 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         name, _, numbers = line.strip().partition(" ")
         values = split_numbers(numbers)
         index = re.search(r"(\d{1,9})\.", name)
-        if len(values) != 7 or index is None or ".." in Path(name).parts:
+        if len(values) != 7 or index is None:
             raise BadRow("row isn't an image's path and 7 numbers")
         if Path(name).stem not in focal:
             raise BadRow("image isn't in reconstruction.nvm")
         qw, qx, qy, qz = values[3:]
         cam_R_world = quaternion_pose([0.0, 0.0, 0.0], [qx, qy, qz, qw])[:3, :3]
-        image = path.parent / name
+        image = inside(path.parent, name)
         width, height = size_of(image)
         f = focal[Path(name).stem]
         return RawFrame(

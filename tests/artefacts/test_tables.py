@@ -3,9 +3,11 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from known import cells
@@ -100,3 +102,19 @@ def test_a_text_that_is_none_of_a_column_s_choices_is_refused(tmp_path: Path) ->
     write_table(tmp_path / "t.parquet", pd.DataFrame({"split": ["train", None]}), table)
     with pytest.raises(ValueError, match=r"sfm\.t\.split: Train; it can be train, val, test"):
         write_table(tmp_path / "t.parquet", pd.DataFrame({"split": ["train", "Train"]}), table)
+
+
+@pytest.mark.parametrize("of", all_tables(), ids=lambda of: f"{of.stage}.{of.name}")
+def test_a_path_that_leads_out_of_its_folder_is_refused(of: TableSchema, tmp_path: Path) -> None:
+    """In every column whose text is a path or becomes part of one, as a frame's id does of an export's."""
+    values: dict[str, Any] = {"float64": 1.0, "int64": 1, "bool": True, "string": "a", "list<float64>": [1.0]}
+    row = {c.name: values.get(c.dtype, ["a"]) for c in of.columns}
+    path = tmp_path / "table.parquet"
+    columns = [c for c in of.columns if c.is_path and c.dtype == "string"]
+    for column in columns:
+        for outside in ("../up", "a/../../up", "/etc/passwd", "import:../up", "import:/etc/passwd", "..", "a\0"):
+            pq.write_table(pa.Table.from_pylist([row, {**row, column.name: outside}], of.arrow()), path)
+            with pytest.raises(UserError, match=f"^{column.name} of table .* leads out of its folder"):
+                read_table(path, of)
+    pq.write_table(pa.Table.from_pylist([row], of.arrow()), path)
+    assert len(read_table(path, of)) == 1

@@ -554,3 +554,21 @@ def test_what_cannot_be_exported_is_said(scene: DataRoot) -> None:
 
 def _image(scene: DataRoot, frame_id: str) -> Path:
     return scene.captures("Place") / f"{frame_id}.jpg"
+
+
+@pytest.mark.parametrize("name", EXPORTERS)
+def test_ids_of_a_stranger_s_run_write_nothing_outside(scene: DataRoot, name: str, tmp_path: Path) -> None:
+    inputs: dict[str, dict[str, str]] = {}
+    for stage, table in (("import", "frames"), ("sfm", "images"), ("align", "ground_truth")):
+        folder = scene.run("tiny", "Place", stage)
+        content = read_table(folder / f"{table}.parquet", schema(stage, table))
+        content["frame_id"] = "../../../stolen/" + content["frame_id"]
+        write_table(folder / f"{table}.parquet", content, schema(stage, table))
+        manifest = json.loads((folder / "manifest.json").read_text())
+        manifest |= {"outputs": output_hashes(folder), "inputs": manifest.get("inputs", {}) | inputs}
+        (folder / "manifest.json").write_text(json.dumps(manifest))
+        inputs[f"Place/{stage}"] = manifest["outputs"]
+    before = sorted(tmp_path.parent.rglob("*"))
+    with pytest.raises(UserError, match=r"frame_id of table .* leads out of its folder"):
+        _export(scene, name)
+    assert sorted(tmp_path.parent.rglob("*")) == before
