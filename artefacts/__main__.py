@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from groundwalk.artefacts import progress
 from groundwalk.artefacts.cleaning import clean_scene
 from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
 from groundwalk.artefacts.errors import UserError
@@ -58,7 +59,7 @@ def link_captures(
                 do="name another scene, or move that folder away",
             )
         link.symlink_to(folder.resolve(), target_is_directory=True)
-    print(f"{link} → {folder}")
+    progress.stdout.print(f"{link} → {folder}")
 
 
 @app.command()
@@ -70,9 +71,9 @@ def clean(scene: SceneOption, profile: ProfileOption = "demo", data: DataOption 
     """
     cleaned = clean_scene(DataRoot(data), profile, scene)
     for path in cleaned.removed:
-        print(f"removed {path}")
+        progress.stdout.print(f"removed {path}")
     for path in cleaned.left:
-        print(f"left as it is, not made by groundwalk: {path}")
+        progress.stdout.print(f"left as it is, not made by groundwalk: {path}")
 
 
 if __name__ == "__main__":

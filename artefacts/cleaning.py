@@ -12,7 +12,7 @@ from groundwalk.artefacts.files import KEY_FILE, old_folder, partial_folder, rea
 from groundwalk.artefacts.locks import lock_file, locked
 from groundwalk.artefacts.manifests import MANIFEST, UNHASHED
 from groundwalk.artefacts.settings import STAGES, DataRoot
-from groundwalk.artefacts.simulated import SIMULATED_MARKER, simulated_files
+from groundwalk.artefacts.simulated import SIMULATED_MARKER, marker_of, simulated_files
 
 
 @dataclass
@@ -81,10 +81,9 @@ def _clean_stage(final: Path, cleaned: Cleaned) -> None:
 
 def _clean_captures(captures: Path, cleaned: Cleaned) -> None:
     for folder in (captures, old_folder(captures)):
-        marker = read_json(folder / SIMULATED_MARKER)
-        if _is_folder(folder) and marker:
+        if _is_folder(folder) and marker_of(folder):
             try:
-                files = simulated_files(marker)
+                files = simulated_files(folder)
             except ValueError:
                 cleaned.left.append(folder)
             else:

@@ -43,10 +43,12 @@ def written_aside(path: Path) -> Iterator[Path]:
     _sync(path.parent)
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """The object in a JSON file, {} where there is none that can be read."""
+def read_json(path: Path, max_bytes: int = 64 << 20) -> dict[str, Any]:
+    """The object in a JSON file, {} where there is none that can be read, or one larger than any manifest."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            text = file.read(max_bytes + 1)
+        content = json.loads(text) if len(text) <= max_bytes else None
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}

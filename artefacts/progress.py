@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import (
@@ -15,11 +15,24 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from groundwalk.artefacts.text import printable
+
 T = TypeVar("T")
 
 _LOG_EVERY_S = 10.0
 _TELLING = 0.02  # of the work, before which the time left is anyone's guess
-console = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+class TextConsole(Console):
+    """Prints text as it is, which may be a stranger's: no markup, and nothing that a terminal would act upon."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        shown = (printable(part) if isinstance(part, str) else part for part in objects)
+        super().print(*shown, **{**options, "markup": False})
+
+
+console = TextConsole(stderr=True, highlight=False, soft_wrap=True)
+stdout = TextConsole(highlight=False, soft_wrap=True)
 
 
 class Reporter:
@@ -29,7 +42,7 @@ class Reporter:
     """
 
     def __init__(self, text: str, total: int | None) -> None:
-        self.text = text
+        self.text = printable(text)
         self.total = total
         self.done = 0
         self._start = self._last_line = time.monotonic()
@@ -37,7 +50,7 @@ class Reporter:
         self._task = None
         if console.is_terminal:
             self._bar = Progress(
-                TextColumn("  {task.description}"),
+                TextColumn("  {task.description}", markup=False),
                 BarColumn(),
                 MofNCompleteColumn(),
                 TimeElapsedColumn(),
@@ -46,7 +59,7 @@ class Reporter:
                 console=console,
                 transient=True,
             )
-            self._task = self._bar.add_task(text, total=total)
+            self._task = self._bar.add_task(self.text, total=total)
 
     def __enter__(self) -> "Reporter":
         if self._bar:
@@ -64,7 +77,7 @@ class Reporter:
     def update(self, done: int, text: str | None = None) -> None:
         """Set the number of items that are done."""
         self.done = done
-        self.text = text or self.text
+        self.text = printable(text or self.text)
         if self._bar and self._task is not None:
             self._bar.update(self._task, completed=done, description=self.text)
             return

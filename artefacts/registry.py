@@ -19,7 +19,6 @@ from groundwalk.artefacts import progress
 from groundwalk.artefacts.builtin import BUILTIN
 from groundwalk.artefacts.errors import UserError
 from groundwalk.artefacts.settings import Settings, validated
-from groundwalk.artefacts.text import printable
 
 Colour = tuple[int, int, int]
 GROUNDWALK = "groundwalk"
@@ -217,7 +216,7 @@ class Registry(Mapping[str, E], Generic[E]):
             self._load(source, loaded)
         for errors in loaded.problems.values():
             for error in errors:
-                progress.console.print(f"warning: {printable(str(error))}", markup=False)
+                progress.console.print(f"warning: {error}")
         return loaded
 
     def _load(self, source: Source, loaded: "_Loaded[E]") -> None:

@@ -26,7 +26,7 @@ def run_resumable(work: Path, key: str, title: str, force: bool, attempt: Callab
         work.unlink()  # of a run from elsewhere: nothing is written where it leads
     resumed = not force and read_json(work / KEY_FILE).get("key") == key
     again = _FORCED if force else _RESUMES
-    progress.console.print(f"{title}{': resuming from its checkpoints' if resumed else ''}", markup=False, style="bold")
+    progress.console.print(f"{title}{': resuming from its checkpoints' if resumed else ''}", style="bold")
     if resumed:
         try:
             _once(work, attempt, again)
@@ -37,7 +37,7 @@ def run_resumable(work: Path, key: str, title: str, force: bool, attempt: Callab
             cause = (
                 f"{type(error).__name__}: {str(error).splitlines()[0][:200]}" if str(error) else type(error).__name__
             )
-            progress.console.print(f"  the checkpoints are damaged ({cause}): dropped, starting anew", markup=False)
+            progress.console.print(f"  the checkpoints are damaged ({cause}): dropped, starting anew")
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
     write_json(work / KEY_FILE, {"key": key})

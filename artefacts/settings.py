@@ -258,7 +258,7 @@ def _read_file(path: Path, kind: ConfigKind) -> dict[str, Any]:
     """The content of a profile's or scene's file, lists of tables in the sections of their stages."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise UserError("a settings file can't be read", where=path, found=error, expected="TOML in UTF-8") from None
     _refuse_wrong_sections(content, _TOP[kind], path)
     for table, (section, setting) in _TABLES.items():

@@ -6,7 +6,7 @@ from typing import Any
 
 from groundwalk.artefacts.choices import Appearance
 from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import read_json
+from groundwalk.artefacts.files import file_names, read_json
 
 SIMULATED_MARKER = "SIMULATED.json"
 EXPORT_NOTE = "export.json"
@@ -14,6 +14,8 @@ TRUE_POSES = "true_poses.parquet"
 TRUE_CAMERAS = "true_cameras.parquet"
 TRUTH_FILES = (TRUE_POSES, TRUE_CAMERAS)
 FRAME = "frame_{:05d}"
+_MAX_DIGITS = 20
+_MAX_MARKER_BYTES = 4 << 20
 
 
 def are_simulated(files: Iterable[Path]) -> bool:
@@ -24,11 +26,16 @@ def are_simulated(files: Iterable[Path]) -> bool:
     )
 
 
+def marker_of(captures: Path) -> dict[str, Any]:
+    """What the simulator left in a capture folder; {} in one that it didn't write."""
+    return read_json(captures / SIMULATED_MARKER, _MAX_MARKER_BYTES)
+
+
 def appearances_of(captures: Path) -> dict[str, Appearance]:
     """What is seen on each session of a capture folder whose marker says it: none of a real one. UserError where the
     marker says something unknown."""
     where = captures / SIMULATED_MARKER
-    sessions = read_json(where).get("sessions", {})
+    sessions = marker_of(captures).get("sessions", {})
     try:
         return {name: Appearance(facts["appearance"]) for name, facts in sessions.items() if "appearance" in facts}
     except (AttributeError, TypeError, ValueError) as error:
@@ -38,17 +45,29 @@ def appearances_of(captures: Path) -> dict[str, Appearance]:
         ) from None
 
 
-def simulated_files(marker: dict[str, Any]) -> set[str]:
-    """The files that a simulated capture folder's marker stands for, relative to the folder.
+def simulated_files(captures: Path) -> set[str]:
+    """The files of a simulated capture folder, relative to it, that its marker stands for.
 
     Raises ValueError where the marker doesn't say which sessions there are.
     """
-    files = {SIMULATED_MARKER, *TRUTH_FILES}
     try:
-        for name, count in marker["sessions"].items():
-            files |= {f"{name}/info.json"} | {f"{name}/{FRAME.format(i)}.json" for i in range(count["poses"])}
-            every = count["poses"] // count["images"]
-            files |= {f"{name}/{FRAME.format(i)}.jpg" for i in range(0, count["poses"], every)}
-    except (AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+        counts = {
+            name: (int(count["poses"]), count["poses"] // count["images"])
+            for name, count in marker_of(captures)["sessions"].items()
+        }
+    except (AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError, OverflowError) as error:
         raise ValueError(f"{SIMULATED_MARKER} doesn't list its sessions: {error!r}") from None
-    return files
+
+    def is_listed(file: str) -> bool:
+        session, _, name = file.rpartition("/")
+        if session not in counts:
+            return file in (SIMULATED_MARKER, *TRUTH_FILES)
+        poses, every = counts[session]
+        stem, _, suffix = name.rpartition(".")
+        digits = stem.removeprefix("frame_")
+        index = int(digits) if digits.isdecimal() and len(digits) < _MAX_DIGITS else poses
+        is_frame = index < poses and stem == FRAME.format(index)
+        has_image = is_frame and index % max(every, 1) == 0
+        return name == "info.json" or (is_frame and suffix == "json") or (has_image and suffix == "jpg")
+
+    return {*filter(is_listed, file_names(captures))}

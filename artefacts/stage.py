@@ -49,7 +49,6 @@ from groundwalk.artefacts.tables import (
     with_gravity_of_map,
     write_table,
 )
-from groundwalk.artefacts.text import printable
 
 S = TypeVar("S", bound=Settings)
 T = TypeVar("T")
@@ -184,7 +183,7 @@ class StageRun(Generic[S]):
 
     def say(self, text: str) -> None:
         """One line for the user."""
-        progress.console.print(f"  {self._of_scene(printable(text))}", markup=False)
+        progress.console.print(f"  {self._of_scene(text)}")
 
     def _of_scene(self, text: str) -> str:
         return of_scene(text, self.data, self.scene.name)
@@ -243,7 +242,7 @@ def execute(
         key, parts = _key(stage, settings, seed, inputs)
         title = f"{stage.name} · {scene_name} · {profile}"
         if not force and is_whole(final, key):
-            progress.console.print(f"{title}: up to date", markup=False)
+            progress.console.print(f"{title}: up to date")
             return final
 
         work = partial_folder(final)
@@ -265,9 +264,7 @@ def execute(
         circumstances = _circumstances(run, elapsed, resumed, memory)
         write_json(work / MANIFEST, {"key": key, **parts, **circumstances, "outputs": output_hashes(work)})
         swap_in(work, final, listed_files)
-        progress.console.print(
-            f"{title}: done in {progress.format_seconds(elapsed)} → {_relative(final)}", markup=False
-        )
+        progress.console.print(f"{title}: done in {progress.format_seconds(elapsed)} → {_relative(final)}")
         return final
 
 

@@ -12,7 +12,7 @@ from groundwalk.artefacts import UserError, progress
 from groundwalk.artefacts.choices import PoseSource
 from groundwalk.artefacts.hints import setting_of
 from groundwalk.artefacts.registry import PluginError
-from groundwalk.artefacts.text import name_list, natural_order, printable
+from groundwalk.artefacts.text import name_list, natural_order
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import FORMATS, Format
 from groundwalk.capture_import.image_files import in_order, is_image
@@ -171,7 +171,7 @@ class _Search:
                 return format.detect(path)
         except PluginError as error:
             self.failed.add(format.id)
-            progress.console.print(f"warning: {printable(str(error))}", markup=False)
+            progress.console.print(f"warning: {error}")
             return False
 
     def _in_archive(self, path: Path, parts: tuple[str, ...], depth: int) -> list[_Hit]:

@@ -92,7 +92,7 @@ def export(
             markup=False,
         )
     if dataset.simulated:
-        progress.console.print("  the captures are simulated, and export.json says so", markup=False)
+        progress.console.print("  the captures are simulated, and export.json says so")
 
 
 def _export_model(data: DataRoot, profile: str, scene: str, model: str, name: str, out: Path, *, force: bool) -> None:
@@ -107,11 +107,11 @@ def _export_model(data: DataRoot, profile: str, scene: str, model: str, name: st
             said = exporter.write(regressor, folder)
     except OSError as error:
         raise _not_written(error, out) from None
-    progress.console.print(f"{model} of {scene} as {name} → {out}", markup=False)
+    progress.console.print(f"{model} of {scene} as {name} → {out}")
     for line in said:
-        progress.console.print(f"  {line}", markup=False)
+        progress.console.print(f"  {line}")
     if regressor.simulated:
-        progress.console.print(f"  the captures are simulated, and {exporter.note} says so", markup=False)
+        progress.console.print(f"  the captures are simulated, and {exporter.note} says so")
 
 
 def write_export(

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from groundwalk.artefacts import progress
@@ -17,7 +16,7 @@ from groundwalk.artefacts.hints import view_command
 from groundwalk.artefacts.inputs import capture_files
 from groundwalk.artefacts.manifests import MANIFEST, is_manifest, outdated_stages
 from groundwalk.artefacts.settings import STAGES, DataRoot
-from groundwalk.artefacts.simulated import SIMULATED_MARKER, are_simulated
+from groundwalk.artefacts.simulated import are_simulated, marker_of
 from groundwalk.artefacts.text import printable
 from groundwalk.pipeline import run_steps, steps
 
@@ -47,7 +46,7 @@ def run(
     run_steps(steps(root, profile, scene, until), profile, root)
     page = root.run(profile, scene, "report") / "page.html"
     if until == STAGES[-1]:
-        progress.console.print(f"Look at {page}, or: {view_command(root.run(profile, scene))}", markup=False)
+        progress.console.print(f"Look at {page}, or: {view_command(root.run(profile, scene))}")
 
 
 @app.command()
@@ -57,7 +56,7 @@ def scenes(data: DataOption = Path("data")) -> None:
     A stage is outdated where one that it was made from was run again since.
     """
     root = DataRoot(data)
-    console = Console(highlight=False)
+    console = progress.TextConsole(highlight=False, markup=False)
     faults: list[UserError] = []
 
     def of(name: str, tell: Callable[[DataRoot, str], str]) -> str:
@@ -69,15 +68,16 @@ def scenes(data: DataOption = Path("data")) -> None:
 
     table = Table("profile", "", box=None, pad_edge=False)
     for name in root.names("profiles"):
-        table.add_row(name, of(name, lambda data, name: str(data.profile(name).get("description", ""))))
+        described = of(name, lambda data, name: str(data.profile(name).get("description", "")))
+        table.add_row(*map(printable, (name, described)))
     console.print(table)
     console.print()
     table = Table("scene", "captures", "finished stages", box=None, pad_edge=False)
     for name in root.scenes():
-        table.add_row(name, of(name, _captures), "; ".join(_finished(root, name)))
+        table.add_row(*map(printable, (name, of(name, _captures), "; ".join(_finished(root, name)))))
     console.print(table)
     for number, fault in enumerate(faults, start=1):
-        console.print(f"\n({number}) {printable(str(fault))}", markup=False, soft_wrap=True)
+        console.print(f"\n({number}) {fault}", soft_wrap=True)
 
 
 @app.command()
@@ -86,7 +86,7 @@ def docs(out: Annotated[Path, typer.Option(help="The folder of the docs.")] = Pa
     from groundwalk.reference import write_reference
 
     for path in write_reference(out):
-        print(path)
+        progress.stdout.print(str(path))
 
 
 def _captures(data: DataRoot, scene: str) -> str:
@@ -95,7 +95,7 @@ def _captures(data: DataRoot, scene: str) -> str:
         data.leaves(config)
         return f"those of {', '.join(config.members)}"
     folder = data.captures(scene)
-    if marker := read_json(folder / SIMULATED_MARKER):
+    if marker := marker_of(folder):
         return f"simulated, profile {marker.get('profile', 'unknown')}"
     if files := capture_files(folder):
         return "simulated" if are_simulated(files) else "real"

@@ -10,13 +10,12 @@ from pathlib import Path
 
 from groundwalk.artefacts.child import Report, Task, in_child
 from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import read_json
 from groundwalk.artefacts.inputs import capture_files, hashes_of_named, no_captures
 from groundwalk.artefacts.manifests import MANIFEST
 from groundwalk.artefacts.progress import console
 from groundwalk.artefacts.settings import STAGES, DataRoot, resolve_settings
 from groundwalk.artefacts.signals import Stopped, signals_held
-from groundwalk.artefacts.simulated import SIMULATED_MARKER
+from groundwalk.artefacts.simulated import marker_of
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ def steps(data: DataRoot, profile: str, scene: str, until: str = STAGES[-1]) -> 
 def _may_simulate(captures: Path, profile: str) -> bool:
     """Whether no captures are there but those that were simulated for this profile. Those that were simulated for
     another profile are used as they are, as profiles share captures."""
-    marker = read_json(captures / SIMULATED_MARKER)
+    marker = marker_of(captures)
     return marker.get("profile") == profile if marker else not capture_files(captures)
 
 
@@ -65,7 +64,7 @@ def run_steps(commands: list[Step], profile: str, data: DataRoot) -> None:
         steps_of_scene = list(group)
         current = _count_current(steps_of_scene, profile, data)
         for step in steps_of_scene[:current]:
-            console.print(f"{step.command} · {step.scene} · {profile}: up to date", markup=False)
+            console.print(f"{step.command} · {step.scene} · {profile}: up to date")
         left = steps_of_scene[current:]
         if left and not checked:
             task = Task(_check, (commands, profile, data), len(commands))

@@ -8,7 +8,7 @@ import pandas as pd
 
 from groundwalk.artefacts.choices import MapUnit
 from groundwalk.artefacts.settings import STAGES
-from groundwalk.artefacts.text import in_words
+from groundwalk.artefacts.text import in_words, printable
 from groundwalk.run import Run
 
 
@@ -24,7 +24,7 @@ def summary(run: Run) -> str:
     if "fuse" in usable:
         rows += _errors(run.table("fuse", "summary"), in_words(dict.fromkeys(run.table("fuse", "errors")["split"])))
     width = max(len(subject) for subject, _ in rows) + 2
-    return "\n".join(f"{subject:<{width}}{text}" for subject, text in rows)
+    return "\n".join(printable(f"{subject:<{width}}{text}") for subject, text in rows)
 
 
 def _states(run: Run) -> Iterator[str]:

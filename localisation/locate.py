@@ -71,7 +71,7 @@ def locate(
         with written_aside(out) as partial:
             partial.write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
     refused = sum(row["refusal"] is not None for row in rows)
-    progress.console.print(f"{len(rows) - refused} of {len(rows)} images localised, {refused} refused", markup=False)
+    progress.console.print(f"{len(rows) - refused} of {len(rows)} images localised, {refused} refused")
     if all(row["refusal"] == Refusal.BAD_INPUT for row in rows):
         raise UserError("no image of the folder can be asked", where=images, found=rows[0]["reason"])
 
@@ -155,7 +155,7 @@ def _open(bundle: Path, scene: str, network: str, verify: bool) -> Bundle:
     if scene and scene not in scenes:
         raise UserError("a bundle is of another scene", where=bundle, expected=scene, found=", ".join(scenes))
     if verify:
-        progress.console.print(f"{opened.verify()} golden queries come out as they should", markup=False)
+        progress.console.print(f"{opened.verify()} golden queries come out as they should")
     return opened
 
 

@@ -17,7 +17,6 @@ from groundwalk.artefacts.files import (
     file_names,
     finish_interrupted_swap,
     partial_folder,
-    read_json,
     refuse_irreplaceable,
     swap_in,
     write_json,
@@ -30,7 +29,7 @@ from groundwalk.artefacts.resuming import run_resumable
 from groundwalk.artefacts.schemas import schema
 from groundwalk.artefacts.settings import resolve_settings
 from groundwalk.artefacts.signals import signals_held_from_workers
-from groundwalk.artefacts.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES, simulated_files
+from groundwalk.artefacts.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES, marker_of, simulated_files
 from groundwalk.artefacts.tables import pose_frame, write_table
 from groundwalk.artefacts.text import name_list
 from groundwalk.simulation.appearance import seen_as
@@ -74,7 +73,7 @@ def simulate(
         finish_interrupted_swap(final, SIMULATED_MARKER, _written)
         marker = _simulator_marker(final)
         if marker and marker.get("key") == key and not force:
-            console.print(f"{title}: up to date", markup=False)
+            console.print(f"{title}: up to date")
             return final
         reduced = _reduced(settings, data, scene)
         _say_reduced(reduced)
@@ -103,7 +102,7 @@ def simulate(
         write_json(work / SIMULATED_MARKER, content)
         swap_in(work, final, _written)
     images = sum(len(s.shots) for s in sessions)
-    console.print(f"{title}: {len(sessions)} sessions, {images} images → {final}", markup=False)
+    console.print(f"{title}: {len(sessions)} sessions, {images} images → {final}")
     return final
 
 
@@ -118,7 +117,7 @@ def _unknown(scene: str, profile: str, data: DataRoot) -> UserError:
 def _say_reduced(reduced: dict[str, tuple[Any, Any]]) -> None:
     if reduced:
         smaller = ", ".join(f"{name} {here} instead of {full}" for name, (here, full) in reduced.items())
-        console.print(f"  smaller than in profile paper: {smaller}", markup=False)
+        console.print(f"  smaller than in profile paper: {smaller}")
 
 
 def plan_sessions(
@@ -235,7 +234,7 @@ def _reduced(settings: SimulateSettings, data: DataRoot, scene: str) -> dict[str
 def _written(folder: Path) -> set[str]:
     """The files of a capture folder that the simulator wrote; none where its marker doesn't list them."""
     try:
-        return simulated_files(read_json(folder / SIMULATED_MARKER))
+        return simulated_files(folder)
     except ValueError:
         return set()
 
@@ -244,7 +243,7 @@ def _simulator_marker(folder: Path) -> dict[str, Any] | None:
     """The marker of a simulated capture folder, None for an absent or empty folder; UserError for anything else."""
     if not folder.exists() or not any(folder.iterdir()):
         return None
-    marker = read_json(folder / SIMULATED_MARKER)
+    marker = marker_of(folder)
     if not marker:
         raise UserError(
             "the captures of this scene aren't simulated, and the simulator doesn't replace them",
@@ -253,10 +252,9 @@ def _simulator_marker(folder: Path) -> dict[str, Any] | None:
             do="use them as they are, or move them away to simulate this scene",
         )
     try:
-        simulated = simulated_files(marker)
+        foreign = sorted({*file_names(folder)} - simulated_files(folder))
     except ValueError as error:
         raise UserError("the marker of simulated captures is damaged", where=folder, found=error) from None
-    foreign = sorted({*file_names(folder)} - simulated)
     if foreign:
         raise UserError(
             "the folder of simulated captures holds other files",

@@ -37,7 +37,7 @@ def write_bundle(regressor: TrainedRegressor, folder: Path) -> list[str]:
     write_onnx(regressor.trained, *inputs.input_size, fp32)
     _check_as_trained(inputs, fp32)
     calibration = [inputs.tensor(row) for row in inputs.spread("train", _CALIBRATION)]
-    progress.console.print("quantising: measuring which parts gain by it", markup=False)
+    progress.console.print("quantising: measuring which parts gain by it")
     quantised = write_int8(fp32, int8, calibration, _held_out(inputs))
     networks = {name: file for name, file in (("fp32", fp32), ("int8", int8)) if file.is_file()}
     coreml = write_coreml(regressor.trained, *inputs.input_size, folder)

@@ -66,7 +66,7 @@ def evaluate_files(files: Files, out: Path, scene: str, overrides: list[str], fo
             record(stream, results.fused, results.gates)
         _write_note(folder, files, scene, settings, dict(results.counts))
     for line in report_lines(results):
-        console.print(line, markup=False)
+        console.print(line)
 
 
 def sweep_files(
@@ -83,7 +83,7 @@ def sweep_files(
         write_table(folder / "sweep.parquet", table, schema("fuse", "sweep"))
         write_sweep_figure(table, options.model_dump(), folder / "sweep.svg")
         _write_note(folder, files, scene, settings, {})
-    console.print(f"{len(chosen)} settings: {out / 'sweep.parquet'}, {out / 'sweep.svg'}", markup=False)
+    console.print(f"{len(chosen)} settings: {out / 'sweep.parquet'}, {out / 'sweep.svg'}")
 
 
 @contextlib.contextmanager

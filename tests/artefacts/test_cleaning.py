@@ -2,12 +2,15 @@
 
 import hashlib
 import json
+import tracemalloc
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from groundwalk.artefacts import DataRoot, UserError
+from groundwalk.artefacts.__main__ import app
 from groundwalk.artefacts.cleaning import clean_scene
 from groundwalk.artefacts.locks import locked
 
@@ -193,3 +196,24 @@ def test_a_lock_whose_file_was_removed_excludes_nobody(tmp_path: Path) -> None:
         locked(tmp_path / "sfm"),
     ):
         pass
+
+
+@pytest.mark.parametrize("poses", [10**12, -1, "many", 1e308])
+def test_a_marker_that_counts_too_many_frames_costs_no_memory(tmp_path: Path, poses: object) -> None:
+    data = DataRoot(tmp_path)
+    folder = simulated_capture(data.captures("place"))
+    (folder / "walk" / "frame_1.json").write_text("not a name that the simulator gives")
+    (folder / "SIMULATED.json").write_text(json.dumps({"sessions": {"walk": {"poses": poses, "images": 1}}}))
+    tracemalloc.start()
+    clean_scene(data, "tiny", "place")
+    assert tracemalloc.get_traced_memory()[1] < 10 << 20
+    tracemalloc.stop()
+    assert (folder / "walk" / "frame_1.json").is_file()
+
+
+def test_names_of_files_can_t_act_on_the_terminal(tmp_path: Path) -> None:
+    folder = simulated_capture(DataRoot(tmp_path).captures("place"))
+    (folder / "walk" / "\x1b[2J[x]\u202e\udc80").touch()
+    done = CliRunner().invoke(app, ["clean", "--scene=place", "--profile=tiny", f"--data={tmp_path}"])
+    assert done.exit_code == 0, done.output
+    assert r"walk/\x1b[2J[x]\u202e\udc80" in done.output and "\x1b" not in done.output

@@ -159,6 +159,31 @@ def test_scenes_names_a_broken_file_beside_the_others_and_outdated_stages(tmp_pa
     assert "tiny: import, sfm (outdated), align (outdated)" in lines["Own"]
 
 
+def test_scenes_shows_what_strangers_wrote_as_text(tmp_path: Path) -> None:
+    evil = "[/x] \x1b[2J [bold]\u202e"
+    for kind, text in {
+        "profiles": f"description = {json.dumps(evil)}",
+        "scenes": f'members = ["{"[" * 9000}"]',
+    }.items():
+        (tmp_path / kind).mkdir()
+        (tmp_path / kind / "evil.toml").write_text(text)
+    with_captures(DataRoot(tmp_path), "place", json.dumps({"profile": evil}))
+    with_captures(DataRoot(tmp_path), "large", json.dumps({"profile": "x" * (5 << 20)}))
+    stage = tmp_path / "runs" / f"{evil.replace('/', '')}" / "place" / "import"
+    stage.mkdir(parents=True)
+    (stage / "manifest.json").write_text("{}")
+    done = groundwalk("scenes", "--data", tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = " ".join(done.stdout.split())
+    shown = r"[/x] \x1b[2J [bold]\u202e"
+    assert (
+        f"evil {shown}" in said
+        and f"simulated, profile {shown}" in said
+        and f"{shown.replace('/', '')}: import" in said
+    )
+    assert "\x1b" not in done.stdout and len(done.stdout) < 20_000
+
+
 def with_captures(data: DataRoot, scene: str, marker: str | None = None) -> None:
     folder = data.captures(scene)
     folder.mkdir(parents=True)
