@@ -27,8 +27,8 @@ class TextConsole(Console):
     """Prints text as it is, which may be a stranger's: no markup, and nothing that a terminal would act upon."""
 
     def print(self, *objects: Any, **options: Any) -> None:
-        shown = (printable(part) if isinstance(part, str) else part for part in objects)
-        super().print(*shown, **{**options, "markup": False})
+        texts = (printable(part) if isinstance(part, str) else part for part in objects)
+        super().print(*texts, **{**options, "markup": False})
 
 
 console = TextConsole(stderr=True, highlight=False, soft_wrap=True)
