@@ -75,9 +75,6 @@ class SfmSettings(VioDriftSettings):
         "auto",
         description="auto estimates lens, readout and focal lengths; never uses the stated, or else typical, ones",
     )
-    max_focal_error: float = Field(
-        0.03, gt=0, lt=0.5, description="a session's focal lengths off by a larger fraction are reported as wrong"
-    )
     min_registered_fraction: float = Field(
         0.5, ge=0, le=1, description="fraction of frames that the models must register; fewer is an error"
     )

@@ -22,7 +22,7 @@ from groundwalk.sfm.mapping.source import held_out_check, read_matches
 from groundwalk.sfm.model import blobs_of
 from groundwalk.sfm.pairs.odometry import Odometry, motions_over
 from groundwalk.sfm.quality.covariance import Covariances, covariances
-from groundwalk.sfm.quality.focal_steps import with_focal_steps
+from groundwalk.sfm.quality.focal_steps import MAX_FOCAL_ERROR, with_focal_steps
 from groundwalk.sfm.quality.messages import (
     excluded_pairs,
     report_cameras,
@@ -79,7 +79,7 @@ def run(r: StageRun[SfmSettings]) -> None:
     r.write("images", images)
     r.write("models", models_table(made.built, check))
     lenses, intrinsics = camera_tables(scene.cameras, selected, adjusted, estimates)
-    intrinsics = with_focal_steps(intrinsics, scene.frames, images, r.settings.max_focal_error, made.zooms)
+    intrinsics = with_focal_steps(intrinsics, scene.frames, images, MAX_FOCAL_ERROR, made.zooms)
     r.write("lenses", lenses)
     r.write("intrinsics", intrinsics)
     residuals = _residuals(scene, selected, adjusted)

@@ -129,6 +129,7 @@ def camera_tables(
                     "stated_k2": lens.stated[1],
                     "origin": lens.origin,
                     "stated_is_wrong": lens.stated_is_wrong,
+                    "stated_is_undecided": lens.stated_is_undecided,
                     "stated_readout_s": lens.stated_readout_s,
                     "stated_readout_is_wrong": lens.stated_readout_is_wrong,
                     "held_out_prior_px": lens.held_out_prior_px,

@@ -70,8 +70,8 @@ DEFINITIONS = {
     CheckName.SESSION_FOCAL_LENGTH: CheckDefinition(
         estimate="focal length estimated from the images against the captured one",
         unit=CheckUnit.FRACTION,
-        remedy="correct the captured focal length, image by image where it changes; or, where it's constant, raise "
-        f"{setting_of('align', 'max_focal_error')}: SfM used the estimated one",
+        remedy="correct the captured focal length, image by image where it changes; or, where it's constant and only a "
+        f"guess, raise {setting_of('align', 'max_focal_error')}: SfM used the estimated one",
         evidence="a walk that also turns and goes sideways",
     ),
     CheckName.SESSION_MOTION: CheckDefinition(

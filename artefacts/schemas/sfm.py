@@ -97,11 +97,12 @@ TABLES = [
             Column("readout_sd_s", "float64", "standard deviation of the readout time", "s", "", True),
             Column("time_offset_s", "float64", "time stamps minus times of middle rows", "s", "", True),
             Column("time_offset_sd_s", "float64", "standard error of the time offset", "s", "", True),
-            Column("time_offset_used", "bool", "held-out matches accept the time offset: motion is taken there"),
+            Column("time_offset_used", "bool", "held-out pairs accept the time offset: motion is taken there"),
             Column("stated_k1", "float64", "k1 that the capture states; 0: none"),
             Column("stated_k2", "float64", "k2 that the capture states; 0: none"),
             Column("origin", "string", "where k1 and k2 are from, before the model adjusts them", choices=CameraOrigin),
             Column("stated_is_wrong", "bool", "the images contradict the stated distortion (docs/explanation/sfm.md)"),
+            Column("stated_is_undecided", "bool", "so they do, but not beyond chance: the stated one is kept"),
             Column(
                 "stated_readout_s",
                 "float64",
@@ -114,7 +115,7 @@ TABLES = [
             Column(
                 "held_out_prior_px",
                 "float64",
-                "median Sampson distance of held-out matches of pairs with the stated lens, where none is stated with "
+                "median Sampson distance in held-out pairs with the stated lens, where none is stated with "
                 "phones' usual one, and with no rolling shutter but a stated one",
                 "px",
                 "",
@@ -129,7 +130,7 @@ TABLES = [
                 True,
             ),
         ],
-        version="3.1",
+        version="3.2",
     ),
     TableSchema(
         "sfm",

@@ -21,11 +21,17 @@ from groundwalk.artefacts.choices import CameraOrigin
 from groundwalk.artefacts.files import written_aside
 from groundwalk.artefacts.parallel import one_thread
 from groundwalk.artefacts.tables import poses_of
-from groundwalk.geometry.lens import distort, max_shift, undistort
+from groundwalk.geometry.lens import distort, distort_with_slope, max_shift, undistort
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.rows import evenly
 from groundwalk.geometry.shutter import readout_fraction, readout_lines
-from groundwalk.sfm.cameras.lens_from_pairs import LensEstimate, PairMatches, estimate_lens, sampson_of
+from groundwalk.sfm.cameras.lens_from_pairs import (
+    EXACT_INFORMATION,
+    LensEstimate,
+    PairMatches,
+    estimate_lens,
+    sampson_of,
+)
 from groundwalk.sfm.cameras.motion import Motion
 from groundwalk.sfm.cameras.time_offset import estimate_time_offset
 from groundwalk.sfm.database import Ints, create_database, image_id
@@ -51,20 +57,21 @@ _MIN_PAIRS = 5
 _HELD_OUT_FRACTION = 0.25
 _MIN_DISTANCE_M = 0.02
 _MAX_FOCAL_STEP = 0.08
-_EXACT_INFORMATION = 1e12
-# A stated lens is wrong where the estimate is so many sigmas and pixels away from it, and the errors of held-out
-# matches are smaller by this fraction; a stated readout time where it is so many sigmas and seconds away.
-_MIN_WRONG_SIGMAS, _MIN_WRONG_PX, _MIN_WRONG_GAIN = 5.0, 1.0, 0.02
+# A stated lens is wrong where the estimate is so many sigmas and pixels away from it, doesn't stretch or shrink the
+# image at its corners by more than this fraction, and errors of held-out pairs become smaller by another one and so
+# many standard errors; a stated readout time where it is so many sigmas and seconds away.
+_MIN_WRONG_SIGMAS, _MIN_WRONG_PX, _MAX_CORNER_GROWTH = 5.0, 1.0, 0.6
+_MIN_WRONG_GAIN, _MIN_GAIN_SIGMAS, _MIN_ERROR_PX = 0.04, 3.0, 0.01
 _MIN_WRONG_READOUT_S = 0.004
 
 
 @dataclass(frozen=True)
 class Lens:
     """A lens: its frames' device, size and coefficients (OpenCV's order, 8), readout time, covariance (3, 3) of k1, k2
-    and readout, where they are from, the stated lens (8) and readout time, and the median Sampson distance of held-out
-    matches, px, with the prior's lens and with the estimated one; None where nothing was estimated. `stamp_offset_s` is
+    and readout, where they are from, the stated lens (8) and readout time, and the median Sampson distance in held-out
+    pairs, px, with the prior's lens and with the estimated one; None where nothing was estimated. `stamp_offset_s` is
     the estimate of time stamps minus times of the middle rows, with its standard error, `time_offset_s` the same where
-    held-out matches accept it, else 0."""
+    held-out pairs accept it, else 0."""
 
     lens_id: str
     frames: int
@@ -81,6 +88,7 @@ class Lens:
     held_out_prior_px: float | None = None
     held_out_px: float | None = None
     stated_is_wrong: bool = False
+    stated_is_undecided: bool = False
     stated_readout_is_wrong: bool = False
     stamp_offset_s: float | None = None
     stamp_offset_sd_s: float | None = None
@@ -173,14 +181,14 @@ def prior_lenses(frames: pd.DataFrame, device_of_session: dict[str, str], settin
         covariance = np.diag([*_STATED_SD**2, _READOUT_SD_S**2])
         coefficients, origin, k3_sd = stated.copy(), CameraOrigin.STATED, _KNOWN_K3_SD
         if settings.lens == "stated":
-            covariance[:2, :2] = np.eye(2) / _EXACT_INFORMATION
-            k3_sd = 1 / np.sqrt(_EXACT_INFORMATION)
+            covariance[:2, :2] = np.eye(2) / EXACT_INFORMATION
+            k3_sd = 1 / np.sqrt(EXACT_INFORMATION)
         elif not distortion.any():
             coefficients[:2], origin, k3_sd = _PHONE, CameraOrigin.PRIOR, _K3_SD
             covariance[:2, :2] = _PHONE_COVARIANCE
         readout_s, stated_readout_s = 0.0, None
         if settings.readout_s is not None:
-            readout_s, covariance[2, 2] = settings.readout_s, 1 / _EXACT_INFORMATION
+            readout_s, covariance[2, 2] = settings.readout_s, 1 / EXACT_INFORMATION
         elif not np.isnan(frames["stated_readout_s"].iloc[members[0]]):
             readout_s = stated_readout_s = float(frames["stated_readout_s"].iloc[members[0]])
             covariance[2, 2] = _STATED_READOUT_SD_S**2
@@ -234,7 +242,7 @@ def calibrate(
     for before, lens_pairs in zip(prior.lenses, of_lens, strict=True):
         matches = read_pair_matches(images, lens_pairs, np.array(before.coefficients[2:]), seed)
         if len(matches.a_T_b) >= _MIN_PAIRS:
-            before = estimated_lens(before, matches, images.frames, lens_pairs, seed)
+            before = estimated_lens(before, matches, images.frames, seed)
         lenses.append(before)
     replace(prior, lenses=lenses).save(output)
 
@@ -291,58 +299,81 @@ def read_pair_matches(images: CalibrationImages, pairs: Pairs, stated_6: Array, 
     return PairMatches(**joined, a_T_b=np.stack(poses), **twists, frames=ends_P2, stated_6=stated_6)
 
 
-def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, pairs: Pairs, seed: int) -> Lens:
-    """The lens by its matches; the prior's where held-out matches fit that one better."""
-    held_out = np.random.default_rng(seed).random(len(matches.pair)) < _HELD_OUT_FRACTION
-    fitted, checked = matches.selected(~held_out), matches.selected(held_out)
+def estimated_lens(prior: Lens, matches: PairMatches, frames: pd.DataFrame, seed: int) -> Lens:
+    """The lens by its matches; the prior's where held-out pairs, whose poses alone are fitted, fit that one better."""
+    count = len(matches.a_T_b)
+    held_out_P = np.zeros(count, bool)
+    held_out_P[np.random.default_rng(seed).permutation(count)[: max(int(_HELD_OUT_FRACTION * count), 2)]] = True
+    fitted, checked = matches.of_pairs(~held_out_P), matches.of_pairs(held_out_P)
     start = np.array([*prior.coefficients[:2], prior.readout_s])
     information = np.linalg.inv(np.array(prior.covariance))
-    at_prior = estimate_lens(fitted, start, _EXACT_INFORMATION * np.eye(3))
-    estimate = estimate_lens(fitted, start, information)
-    prior_px, estimated_px = (_median_px(checked, e) for e in (at_prior, estimate))
-    wrong, readout_is_wrong, is_held = False, False, bool(np.diag(information)[0] > _EXACT_INFORMATION / 2)
+    at_prior = _errors_px(checked, start)
+    errors = _errors_px(checked, estimate_lens(fitted, start, information).parameters)
+    wrong, undecided, readout_is_wrong = False, False, False
+    is_held = bool(np.diag(information)[0] > EXACT_INFORMATION / 2)
     if prior.origin == CameraOrigin.STATED or prior.stated_readout_s is not None:
         weak = estimate_lens(fitted, start, np.linalg.inv(_WEAK_PRIOR))
-        weak_px = _median_px(checked, weak)
-        denied = _distortion_is_denied(prior, weak, matches.stated_6, frames.iloc[int(pairs[0, 0])])
-        wrong = denied and weak_px < (1 - _MIN_WRONG_GAIN) * prior_px
-        readout_is_wrong = _readout_is_denied(prior, weak) and weak_px < prior_px
+        at_weak = _errors_px(checked, weak.parameters)
+        is_better = _is_better(checked, at_prior, at_weak)
+        denied = _distortion_is_denied(prior, weak, matches.stated_6, frames.iloc[matches.frames[0, 0]])
+        wrong, undecided = denied and is_better, denied and not is_better
+        readout_is_wrong = _readout_is_denied(prior, weak) and np.median(at_weak) < np.median(at_prior)
         if readout_is_wrong or (wrong and not is_held):
             prior = _loosened(prior, distortion=wrong and not is_held, readout=readout_is_wrong)
-            estimate = estimate_lens(fitted, start, np.linalg.inv(np.array(prior.prior_covariance)))
-            estimated_px = _median_px(checked, estimate)
+            information = np.linalg.inv(np.array(prior.prior_covariance))
+            errors = _errors_px(checked, estimate_lens(fitted, start, information).parameters)
         if wrong and is_held:
-            estimated_px = weak_px
+            errors = at_weak
+    prior_px, estimated_px = float(np.median(at_prior)), float(np.median(errors))
     check: dict[str, Any] = {"held_out_prior_px": prior_px, "held_out_px": estimated_px, "stated_is_wrong": wrong}
-    check["stated_readout_is_wrong"] = readout_is_wrong
-    chosen = at_prior if estimated_px > prior_px else estimate
-    offset = estimate_time_offset(chosen, fitted, checked, _rotations_by_vio(matches.frames, frames))
+    check |= {"stated_is_undecided": undecided, "stated_readout_is_wrong": readout_is_wrong}
+    stays = estimated_px > prior_px
+    chosen = estimate_lens(matches, start, EXACT_INFORMATION * np.eye(3) if stays else information)
+    offset = estimate_time_offset(chosen, matches, held_out_P, _rotations_by_vio(matches.frames, frames))
     if offset is not None:
         check |= {"stamp_offset_s": offset.offset_s, "stamp_offset_sd_s": offset.sd_s}
         check["time_offset_s"] = offset.offset_s if offset.accepted else 0.0
-    if estimated_px > prior_px:
+    if stays:
         return replace(prior, **check)
-    coefficients = [*estimate.parameters[:2].tolist(), *prior.coefficients[2:]]
     return replace(
         prior,
         **check,
-        coefficients=coefficients,
-        readout_s=float(estimate.parameters[2]),
-        covariance=estimate.covariance.tolist(),
+        coefficients=[*chosen.parameters[:2].tolist(), *prior.coefficients[2:]],
+        readout_s=float(chosen.parameters[2]),
+        covariance=chosen.covariance.tolist(),
         origin=CameraOrigin.STATED if is_held else CameraOrigin.ESTIMATED,
     )
 
 
+def _errors_px(matches: PairMatches, parameters: Array) -> Array:
+    """Sampson distances (M,) of pairs whose poses are fitted with this lens and readout time."""
+    fitted = estimate_lens(matches, parameters, EXACT_INFORMATION * np.eye(3))
+    return np.abs(sampson_of(matches, fitted.a_T_b, fitted.parameters))
+
+
+def _is_better(matches: PairMatches, before_M: Array, after_M: Array) -> bool:
+    """The median errors of pairs become smaller by more than scatters from pair to pair."""
+    medians = [pd.Series(errors).groupby(matches.pair).median().to_numpy() for errors in (before_M, after_M)]
+    gain = np.log(np.maximum(medians[0], _MIN_ERROR_PX) / np.maximum(medians[1], _MIN_ERROR_PX))
+    limit = _MIN_GAIN_SIGMAS * gain.std(ddof=1) / np.sqrt(len(gain))
+    return bool(gain.mean() > max(limit, _MIN_WRONG_GAIN))
+
+
 def _distortion_is_denied(prior: Lens, weak: LensEstimate, stated_6: Array, frame: pd.Series) -> bool:
-    """Images of a stated lens, by which `weak` is estimated almost without a prior, show another one; `frame` is one of
-    them."""
+    """Images of a stated lens, by which `weak` is estimated almost without a prior, show another one that a lens can
+    have; `frame` is one of them."""
     if prior.origin != CameraOrigin.STATED:
         return False
     extent = (0.5 * frame.width / frame.fx, 0.5 * frame.height / frame.fy)
-    shift_px = max_shift([*weak.parameters[:2], *stated_6], prior.stated, extent) * frame.fx
+    shown = [*weak.parameters[:2], *stated_6]
+    shift_px = max_shift(shown, prior.stated, extent) * frame.fx
     error = weak.parameters[:2] - prior.coefficients[:2]
     sigmas = np.sqrt(error @ np.linalg.solve(weak.covariance[:2, :2], error))
-    return bool(sigmas > _MIN_WRONG_SIGMAS and shift_px > _MIN_WRONG_PX)
+    corner = np.array([[float(np.hypot(*extent)), 0.0]])
+    growth = distort_with_slope(undistort(corner, shown), shown)[1][0, 0, 0]
+    # Not so where the polynomial has no such point: NaN.
+    is_possible = abs(growth - 1) < _MAX_CORNER_GROWTH
+    return bool(sigmas > _MIN_WRONG_SIGMAS and shift_px > _MIN_WRONG_PX and is_possible)
 
 
 def _readout_is_denied(prior: Lens, weak: LensEstimate) -> bool:
@@ -371,10 +402,6 @@ def _rotations_by_vio(pairs: Pairs, frames: pd.DataFrame) -> Array:
     a_R_b: Array = np.swapaxes(rotation[a], 1, 2) @ rotation[b]
     a_R_b[session[a] != session[b]] = np.nan
     return a_R_b
-
-
-def _median_px(matches: PairMatches, estimate: LensEstimate) -> float:
-    return float(np.median(np.abs(sampson_of(matches, estimate.a_T_b, estimate.parameters))))
 
 
 def lines_of(frames: pd.DataFrame) -> Array:

@@ -2,7 +2,8 @@
 
 The epipolar constraint of a pair holds for the rays of its matches once the lens is taken out of them (Zhang, "On the
 epipolar geometry between two images with lens distortion", ICPR 1996). The relative poses of all pairs and the one lens
-and readout time that they share are adjusted together by Gauss-Newton on Sampson's distance, with a Cauchy loss. The
+and readout time that they share are adjusted together by Gauss-Newton on Sampson's distance, with a Cauchy loss. It is
+taken in the image as it was captured: without its lens an image can be smaller, and so would all errors in it. The
 focal length stays as it is logged: pairs hardly tell it, and the adjustment of the whole model does.
 """
 
@@ -12,14 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from groundwalk.geometry.lens import undistort
+from groundwalk.geometry.lens import distort_with_slope, undistort
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN
 
 Ints = NDArray[np.int64]
+Views = tuple[tuple[Array, Array], tuple[Array, Array]]
 
-_MAX_STEPS = 12
-_MIN_STEP = 1e-3  # of the sd
+EXACT_INFORMATION = 1e12
+"""Of a prior that holds what it is of."""
+_MAX_STEPS = 16
+_MIN_STEP, _MIN_POSE_STEP = 1e-3, 3e-4  # of the sd; rad, of nine pairs in ten
 _MIN_SD_PX = 0.02
 _DIFFERENCE = 1e-5  # of numerical derivatives
 _MAX_TURN = 0.3
@@ -48,10 +52,13 @@ class PairMatches:
     frames: Ints
     stated_6: Array
 
-    def selected(self, keep_M: NDArray[np.bool_]) -> "PairMatches":
-        """Some of the matches, of the same pairs."""
-        names = ("pair", "xy_a", "xy_b", "row_a", "row_b", "focal_a", "focal_b")
-        return replace(self, **{name: getattr(self, name)[keep_M] for name in names})
+    def of_pairs(self, keep_P: NDArray[np.bool_]) -> "PairMatches":
+        """Some of the pairs, with all of their matches."""
+        keep_M = keep_P[self.pair]
+        of_matches = ("xy_a", "xy_b", "row_a", "row_b", "focal_a", "focal_b")
+        kept = {name: getattr(self, name)[keep_M] for name in of_matches}
+        kept |= {name: getattr(self, name)[keep_P] for name in ("a_T_b", "twist_a", "twist_b", "frames")}
+        return replace(self, pair=(np.cumsum(keep_P) - 1)[self.pair[keep_M]], **kept)
 
 
 @dataclass(frozen=True)
@@ -64,13 +71,13 @@ class LensEstimate:
 
 
 def sampson_of(matches: PairMatches, a_T_b: Array, parameters: Array) -> Array:
-    """Signed Sampson distances (M,) in pixels with a lens and readout time, poses (P, 4, 4); far away where the lens
-    can't see the image point."""
+    """Signed Sampson distances (M,) in pixels of the captured images with a lens and readout time, poses (P, 4, 4); far
+    away where the lens can't see the image point."""
     return _sampson(matches, a_T_b, _rays(matches, parameters), float(parameters[2]))
 
 
-def _sampson(matches: PairMatches, a_T_b: Array, rays: tuple[Array, Array], readout: float) -> Array:
-    rays_a, rays_b = rays
+def _sampson(matches: PairMatches, a_T_b: Array, views: Views, readout: float) -> Array:
+    (rays_a, to_ideal_a), (rays_b, to_ideal_b) = views
     T = a_T_b[matches.pair]
     rotation, translation = T[:, :3, :3], T[:, :3, 3]
     if readout:
@@ -83,8 +90,8 @@ def _sampson(matches: PairMatches, a_T_b: Array, rays: tuple[Array, Array], read
     essential = skew(translation) @ rotation
     line_a = np.einsum("mij,mj->mi", essential, rays_b)
     line_b = np.einsum("mji,mj->mi", essential, rays_a)
-    gradient = np.sum(line_a[:, :2] ** 2, axis=1) / matches.focal_a**2
-    gradient += np.sum(line_b[:, :2] ** 2, axis=1) / matches.focal_b**2
+    gradient = np.sum(np.einsum("mi,mij->mj", line_a[:, :2], to_ideal_a) ** 2, axis=1) / matches.focal_a**2
+    gradient += np.sum(np.einsum("mi,mij->mj", line_b[:, :2], to_ideal_b) ** 2, axis=1) / matches.focal_b**2
     distance = np.sum(rays_a * line_a, axis=1) / np.sqrt(np.maximum(gradient, 1e-24))
     return np.where(np.isfinite(distance), distance, _NO_RAY_PX)
 
@@ -92,8 +99,10 @@ def _sampson(matches: PairMatches, a_T_b: Array, rays: tuple[Array, Array], read
 def estimate_lens(matches: PairMatches, start: Array, prior_information: Array) -> LensEstimate:
     """The lens and readout time that explain the matches best, from `start` (3,), which is the prior's mean, too.
 
-    `prior_information` (3, 3) is the prior's inverse covariance. The errors of one pair's matches are correlated, so
-    their information is scaled by the ratio of a sandwich clustered by pair to plain least squares.
+    `prior_information` (3, 3) is the prior's inverse covariance. The errors of one pair's matches are correlated, and
+    so are those of pairs that share an image: the matches' information is scaled by the ratio of a sandwich that
+    clusters by both (Aronow, Samii and Assenova, "Cluster-robust variance estimation for dyadic data", Political
+    Analysis 23, 2015) to plain least squares.
     """
     a_T_b, theta = matches.a_T_b.copy(), start.astype(float)
     covariance = np.linalg.inv(prior_information)
@@ -104,16 +113,28 @@ def estimate_lens(matches: PairMatches, start: Array, prior_information: Array) 
         loss_px = CAUCHY_WIDTH * sigma_px * (_FIRST_WIDENING if number < _WIDE_STEPS else 1.0)
         variance = sigma_px**2
         weight = 1 / (1 + (residual / loss_px) ** 2)
-        by_pose, by_lens = _derivatives(matches, a_T_b, theta, residual)
+        is_held = bool((np.diag(prior_information) >= EXACT_INFORMATION).all())
+        by_pose, by_lens = _derivatives(matches, a_T_b, theta, residual, is_held=is_held)
         solved, bread, pull, force = _without_poses(matches, weight, residual, by_pose, by_lens)
-        inflation = max(1.0, float(np.trace(np.linalg.pinv(bread) @ force.T @ force) / len(theta) / variance))
+        inflation = max(1.0, float(np.trace(np.linalg.pinv(bread) @ _scatter(matches, force)) / len(theta) / variance))
         total = bread / variance / inflation + prior_information
         step = -np.linalg.solve(total, pull / variance / inflation + prior_information @ (theta - start))
         theta, covariance = theta + step, np.linalg.inv(total)
-        a_T_b = _moved(a_T_b, np.clip(-solved[:, :, 3] - solved[:, :, :3] @ step, -_MAX_TURN, _MAX_TURN))
-        if number >= _WIDE_STEPS and np.all(np.abs(step) < _MIN_STEP * np.sqrt(np.diag(covariance))):
+        pose_step = np.clip(-solved[:, :, 3] - solved[:, :, :3] @ step, -_MAX_TURN, _MAX_TURN)
+        a_T_b = _moved(a_T_b, pose_step)
+        # A lens that the prior holds doesn't move while the poses still do.
+        is_still = np.all(np.abs(step) < _MIN_STEP * np.sqrt(np.diag(covariance)))
+        if number > _WIDE_STEPS and is_still and np.quantile(np.abs(pose_step).max(axis=1), 0.9) < _MIN_POSE_STEP:
             break
     return LensEstimate(theta, np.asarray(covariance, float), a_T_b)
+
+
+def _scatter(matches: PairMatches, force_P3: Array) -> Array:
+    """The sum (3, 3) of products of the pulls of pairs that share an image, each product once."""
+    of_frame = np.zeros((int(matches.frames.max()) + 1, 3))
+    for side in (0, 1):
+        np.add.at(of_frame, matches.frames[:, side], force_P3)
+    return np.asarray(of_frame.T @ of_frame - force_P3.T @ force_P3)
 
 
 def _without_poses(
@@ -138,11 +159,19 @@ def _without_poses(
     return np.asarray(solved, float), bread, pull, force
 
 
-def _rays(matches: PairMatches, parameters: Array) -> tuple[Array, Array]:
-    """Rays (M, 3) with z = 1 of both images' points."""
+def _rays(matches: PairMatches, parameters: Array) -> Views:
+    """Of both images' points: rays (M, 3) with z = 1, and their derivatives by the captured points (M, 2, 2)."""
     lens = [*parameters[:2], *matches.stated_6]
-    a, b = (np.insert(undistort(xy, lens), 2, 1.0, axis=1) for xy in (matches.xy_a, matches.xy_b))
-    return a, b
+    a, b = (undistort(xy, lens) for xy in (matches.xy_a, matches.xy_b))
+    return _view(a, lens), _view(b, lens)
+
+
+def _view(ideal_M2: Array, lens: list[float]) -> tuple[Array, Array]:
+    slope = distort_with_slope(ideal_M2, lens)[1]
+    determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
+    turned = np.stack([slope[:, 1, 1], -slope[:, 0, 1], -slope[:, 1, 0], slope[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.insert(ideal_M2, 2, 1.0, axis=1), turned / determinant[:, None, None]
 
 
 def _motion(twist_M6: Array, time_M: Array) -> tuple[Array, Array]:
@@ -150,9 +179,11 @@ def _motion(twist_M6: Array, time_M: Array) -> tuple[Array, Array]:
     return Rotation.from_rotvec(twist_M6[:, :3] * time_M[:, None]).as_matrix(), twist_M6[:, 3:] * time_M[:, None]
 
 
-def _derivatives(matches: PairMatches, a_T_b: Array, theta: Array, residual: Array) -> tuple[Array, Array]:
-    """Of the residuals by each pair's pose (M, 5) and by the lens (M, 3), numerically."""
-    rays = _rays(matches, theta)
+def _derivatives(
+    matches: PairMatches, a_T_b: Array, theta: Array, residual: Array, *, is_held: bool
+) -> tuple[Array, Array]:
+    """Of the residuals by each pair's pose (M, 5) and by the lens (M, 3; 0 where it is held), numerically."""
+    views = _rays(matches, theta)
 
     def slope(moved: Array) -> Array:
         # A match beyond what the lens can see tells nothing of it.
@@ -160,7 +191,9 @@ def _derivatives(matches: PairMatches, a_T_b: Array, theta: Array, residual: Arr
 
     pose_steps, lens_steps = _DIFFERENCE * np.eye(5), _DIFFERENCE * np.eye(3)
     moved_poses = [_moved(a_T_b, np.tile(step, (len(a_T_b), 1))) for step in pose_steps]
-    by_pose = np.column_stack([slope(_sampson(matches, moved, rays, float(theta[2]))) for moved in moved_poses])
+    by_pose = np.column_stack([slope(_sampson(matches, moved, views, float(theta[2]))) for moved in moved_poses])
+    if is_held:
+        return by_pose, np.zeros((len(residual), 3))
     by_lens = np.column_stack([slope(sampson_of(matches, a_T_b, theta + step)) for step in lens_steps])
     return by_pose, by_lens
 

@@ -8,6 +8,7 @@ velocities w. A constant rotation of the camera against VIO's, or slow drift, do
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from groundwalk.geometry.poses import Array
@@ -39,7 +40,7 @@ class _Turns:
 @dataclass(frozen=True)
 class TimeOffset:
     """Time stamp minus time of the middle row, s, its standard error, and the median Sampson distance of held-out
-    matches, px, with VIO's rotations at the time stamps and at this offset from them."""
+    pairs, px, with VIO's rotations at the time stamps and at this offset from them."""
 
     offset_s: float
     sd_s: float
@@ -48,14 +49,14 @@ class TimeOffset:
 
     @property
     def accepted(self) -> bool:
-        """Held-out matches agree better with the offset than without."""
+        """Held-out pairs agree better with the offset than without."""
         return self.held_out_px < self.held_out_stamp_px
 
 
 def estimate_time_offset(
-    fitted: LensEstimate, matches: PairMatches, held_out: PairMatches, vio_a_R_b: Array
+    fitted: LensEstimate, matches: PairMatches, held_out_P: NDArray[np.bool_], vio_a_R_b: Array
 ) -> TimeOffset | None:
-    """The offset that all pairs share, from the poses fitted to `matches`; `held_out` are other matches of the pairs.
+    """The offset that all pairs share, from the poses fitted to `matches`; those held out only say whether it fits.
 
     `vio_a_R_b` (P, 3, 3) are the pairs' rotations by VIO at the time stamps, NaN where there are none. None for too few
     pairs. The offset is shrunk to a prior of 0 ± 30 ms, for phones that hardly turn. A Cauchy loss on the difference of
@@ -63,8 +64,9 @@ def estimate_time_offset(
     standard error is a block jackknife's, which leaves out successive pairs together (Kuensch, Annals of Statistics 17,
     1989).
     """
-    used = np.isfinite(vio_a_R_b[:, 0, 0])
-    if used.sum() < _MIN_PAIRS:
+    has_vio = np.isfinite(vio_a_R_b[:, 0, 0])
+    used, checked = has_vio & ~held_out_P, has_vio & held_out_P
+    if used.sum() < _MIN_PAIRS or not checked.any():
         return None
     angular_a, angular_b = matches.twist_a[used, :3], matches.twist_b[used, :3]
     turns = _Turns(fitted.a_T_b[used, :3, :3], vio_a_R_b[used], angular_a, angular_b)
@@ -75,10 +77,9 @@ def estimate_time_offset(
     variance = (len(without) - 1) * without.var()
     errors = []
     for at in (0.0, offset):
-        a_T_b = fitted.a_T_b.copy()
-        a_T_b[used, :3, :3] = rotations_at(turns.by_vio, angular_a, angular_b, at)
-        distance = np.abs(sampson_of(held_out, a_T_b, fitted.parameters))
-        errors.append(float(np.median(distance[used[held_out.pair]])))
+        a_T_b, twists = fitted.a_T_b[checked], (matches.twist_a[checked, :3], matches.twist_b[checked, :3])
+        a_T_b[:, :3, :3] = rotations_at(vio_a_R_b[checked], *twists, at)
+        errors.append(float(np.median(np.abs(sampson_of(matches.of_pairs(checked), a_T_b, fitted.parameters)))))
     return TimeOffset(offset, float(np.sqrt(variance + prior_variance)), *errors)
 
 

@@ -26,7 +26,7 @@ from groundwalk.sfm.pairs.matching import LINK_INLIERS, MatchedPairs, guide_pair
 from groundwalk.sfm.pairs.odometry import PairLimits, nothing_compared
 from groundwalk.sfm.pairs.selection import Proposals, pairs_by_images, pairs_of_chains, pairs_within_sessions
 from groundwalk.sfm.pairs.two_views import compare_pairs
-from groundwalk.sfm.quality.focal_steps import FocalStep
+from groundwalk.sfm.quality.focal_steps import MAX_FOCAL_ERROR, FocalStep
 from groundwalk.sfm.quality.model_check import check_models
 from groundwalk.sfm.quality.zoom import zoom_of_session
 from groundwalk.sfm.scene_input import SceneInput, calibrated_features
@@ -237,7 +237,7 @@ def _zooms(
     for session in sorted(set(sessions.tolist())):
         rows = np.flatnonzero(scene.vio.session == session)
         rows = rows[np.argsort(scene.frames["t_ns"].to_numpy(np.int64)[rows], kind="stable")]
-        zoom = zoom_of_session(database, rows, scene.vio, settings.max_focal_error)
+        zoom = zoom_of_session(database, rows, scene.vio, MAX_FOCAL_ERROR)
         if zoom is not None:
             zooms[str(session)] = zoom
     return zooms

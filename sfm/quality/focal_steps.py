@@ -8,6 +8,8 @@ import pandas as pd
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.robust import SIGMA_OF_MEDIAN
 
+# Focal lengths that are off, or step, by a larger fraction are named. Whether they fail is align's to say.
+MAX_FOCAL_ERROR = 0.03
 # A step is judged by so many frames of a model, at most and at least, before and after it.
 _FRAMES, _MIN_FRAMES = 5, 3
 # It is one where it exceeds the scatter of these frames so many times, of more frames less often; a drift, as of focus,

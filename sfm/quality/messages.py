@@ -1,5 +1,8 @@
 """The stage's figures, and its lines for the user."""
 
+from collections.abc import Hashable, Iterator
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -13,12 +16,14 @@ from groundwalk.sfm.mapping.attempts import Attempt
 from groundwalk.sfm.mapping.source import HeldOutCheck
 from groundwalk.sfm.model import Model
 from groundwalk.sfm.pairs.matching import MatchedPairs
+from groundwalk.sfm.quality.focal_steps import MAX_FOCAL_ERROR
 from groundwalk.sfm.quality.residuals import pattern_of
 from groundwalk.sfm.settings import SfmSettings
 
 # No phone's sensor takes as long to read its rows, and so many sigmas are clear.
 _SENSORS_READOUT_S, _READOUT_SIGMAS = 0.045, 3.0
 _FRAMES_AT_ENDS = 2  # of a session
+_CLEAR_SIGMAS = 2.0
 # A time offset is worth a line where it is so large and so clear.
 _MIN_OFFSET_S, _OFFSET_SIGMAS = 0.002, 3.0
 
@@ -125,22 +130,8 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
                 f"lens of {lens['lens_id']}: images were taken {1000 * abs(offset_s):.1f} ± {1000 * sd_s:.1f} ms "
                 f"{'before' if offset_s > 0 else 'after'} their time stamps, by VIO's rotations"
             )
-        if lens["stated_is_wrong"]:
-            is_held = r.settings.lens == "stated"
-            do = f'; it\'s kept: set {setting_of("sfm", "lens")} to "auto"' if is_held else ", which is used"
-            r.say(
-                f"lens of {lens['lens_id']}: the STATED DISTORTION IS LIKELY WRONG (k1 {lens['stated_k1']:.4f}, k2 "
-                f"{lens['stated_k2']:.4f}): median error of held-out matches {lens['held_out_prior_px']:.2f} px, "
-                f"{lens['held_out_px']:.2f} px with the estimated lens{do}"
-            )
-        if lens["stated_readout_is_wrong"]:
-            r.say(
-                f"lens of {lens['lens_id']}: the STATED READOUT TIME IS LIKELY WRONG: "
-                f"{1000 * lens['stated_readout_s']:.1f} ms, "
-                f"{_with_sd(1000 * lens['readout_s'], 1000 * lens['readout_sd_s'], '.1f')} ms by the images, which is "
-                "used"
-            )
-    limit = r.settings.max_focal_error
+        for line in _stated_lines(lens, is_held=r.settings.lens == "stated"):
+            r.say(f"lens of {lens['lens_id']}: {line}")
     for session in intrinsics.to_dict("records"):
         if session["focal_step_frame_id"] is not None:
             r.say(
@@ -149,13 +140,39 @@ def report_cameras(r: StageRun[SfmSettings], lenses: pd.DataFrame, intrinsics: p
                 "digital zoom or another lens. Log the focal length of each image, or capture again without a change"
             )
         error = session["focal_scale"] - 1
-        if abs(error) >= limit:
-            r.say(
-                f"session {session['session_id']}: logged focal lengths are likely wrong: "
-                f"{_with_sd(100 * error, 100 * session['focal_scale_sd'], '.2f', '+')} % by the images, limit "
-                f"{100 * limit:g} % "
-                f"({setting_of('sfm', 'max_focal_error')})"
+        if abs(error) >= MAX_FOCAL_ERROR:
+            doubt = (
+                "may be" if abs(error) - _CLEAR_SIGMAS * session["focal_scale_sd"] < MAX_FOCAL_ERROR else "are likely"
             )
+            r.say(
+                f"session {session['session_id']}: logged focal lengths {doubt} wrong: "
+                f"{_with_sd(100 * error, 100 * session['focal_scale_sd'], '.2f', '+')} % by the images, whose focal "
+                "length is used. Correct the logged one; or, where it was only a guess, raise "
+                f"{setting_of('align', 'max_focal_error')}, by which align refuses the session"
+            )
+
+
+def _stated_lines(lens: dict[Hashable, Any], *, is_held: bool) -> Iterator[str]:
+    """What images say against a stated lens and readout time."""
+    take, keep = (setting_of("sfm", f'lens = "{source}"') for source in ("auto", "stated"))
+    if lens["stated_is_wrong"]:
+        do = f"; it's kept, {take} uses theirs" if is_held else f", which is used; {keep} keeps the stated one"
+        yield (
+            f"the STATED DISTORTION IS LIKELY WRONG (k1 {lens['stated_k1']:.4f}, k2 {lens['stated_k2']:.4f}): median "
+            f"error of held-out pairs {lens['held_out_prior_px']:.2f} px, {lens['held_out_px']:.2f} px with the "
+            f"estimated lens{do}"
+        )
+    elif lens["stated_is_undecided"]:
+        yield (
+            "the stated distortion is kept: pairs of images show another one, but held-out pairs (median error "
+            f"{lens['held_out_prior_px']:.3f} px) don't confirm it. Images from places farther apart would decide; "
+            f"{keep} takes it as it is"
+        )
+    if lens["stated_readout_is_wrong"]:
+        yield (
+            f"the STATED READOUT TIME IS LIKELY WRONG: {1000 * lens['stated_readout_s']:.1f} ms, "
+            f"{_with_sd(1000 * lens['readout_s'], 1000 * lens['readout_sd_s'], '.1f')} ms by the images, which is used"
+        )
 
 
 def _with_sd(value: float, sd: float, pattern: str, sign: str = "") -> str:

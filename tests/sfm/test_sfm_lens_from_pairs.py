@@ -69,6 +69,14 @@ def test_a_stated_lens_that_folds_back_within_the_image_leaves_finite_residuals(
     assert np.isfinite(residual).all() and np.median(np.abs(residual)) > 5 * _NOISE_PX
 
 
+@pytest.mark.parametrize("k1", [-0.3, 1.0])
+def test_errors_are_those_of_the_captured_image_however_much_the_lens_shrinks_or_stretches_it(k1: float) -> None:
+    """Taken in the image without its lens they would reward one that makes it smaller."""
+    matches = _matches(np.array([k1, 0, 0, 0, 0, 0, 0, 0]), 0, 0.6)
+    residual = sampson_of(matches, matches.a_T_b, np.array([k1, 0.0, 0.0]))
+    assert np.std(residual) == pytest.approx(_NOISE_PX, rel=0.05)
+
+
 @pytest.mark.parametrize(("lens", "seed"), [((0.0, 0.0), 0), ((0.0, 0.0), 2), ((0.0, 0.0), 5), ((0.09, -0.12), 0)])
 def test_where_nothing_is_stated_images_say_whether_there_is_distortion(lens: tuple[float, float], seed: int) -> None:
     """With no distortion, a stated pinhole fits held-out matches as well as the estimate: which one does better is
@@ -150,7 +158,7 @@ def _estimated(
     matches = _matches(np.array([*true, 0, 0, 0, 0, 0, 0]), seed, 0.6, readout_s)
     frames = _frames(stated, 2 * _PAIRS).assign(stated_readout_s=stated_readout_s)
     prior = prior_lenses(frames, {"walk": "phone"}, settings or SfmSettings()).lenses[0]
-    return estimated_lens(prior, matches, frames, matches.frames, seed)
+    return estimated_lens(prior, matches, frames, seed)
 
 
 def _frames(stated: tuple[float, float], count: int) -> pd.DataFrame:
