@@ -35,12 +35,13 @@ _WITHIN_95 = 7.815  # squared standard deviations that hold 95 % of a Gaussian w
 def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> rrb.Blueprint:
     """A tab a scene and model: the paths on the left; errors, status and decisions over time on the right. `gates` has
     the thresholds of each method's signals."""
-    methods = list(dict.fromkeys(f.run.method for f in fused))
-    initial = [method for method in methods if METHODS[method].visible]
-    # The others are switched on in the viewer's list of entities.
-    hidden = [method for method in methods if method not in initial] if len(initial) > 1 else []
     tabs = []
     for scene, model in dict.fromkeys((f.walk.scene, f.run.model) for f in fused):
+        of_tab = [f for f in fused if (f.walk.scene, f.run.model) == (scene, model)]
+        methods = list(dict.fromkeys(f.run.method for f in of_tab))
+        initial = [method for method in methods if METHODS[method].visible]
+        # The others are switched on in the viewer's list of entities.
+        hidden = [method for method in methods if method not in initial] if len(initial) > 1 else []
         at = _path(scene, model)
         decisions = [
             rrb.Vertical(
@@ -48,7 +49,7 @@ def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> r
                 *(_signal_view(at, method, signal, gates[method].get(signal)) for signal in signals),
                 name=method,
             )
-            for method, signals in _signals(fused).items()
+            for method, signals in _signals(of_tab).items()
         ]
         plots = rrb.Vertical(
             *(
@@ -57,15 +58,15 @@ def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> r
                 )
                 for quantity, name in _ERRORS.items()
             ),
-            rrb.Tabs(*decisions) if decisions else rrb.TextDocumentView(name="no decisions"),
-            row_shares=[1, 1, 3],
+            *([rrb.Tabs(*decisions)] if decisions else []),
+            row_shares=[1, 1, *([3] if decisions else [])],
         )
         paths_of = [f"{at}/{'fused/' if METHODS[method].fuses else ''}{method}" for method in methods]
         walkers = (f"{_path(scene)}/ground_truth", *paths_of)
         paths = rrb.Spatial3DView(
             origin=_path(scene),
             contents=[f"{_path(scene)}/ground_truth/**", f"{at}/**"],
-            name="ground truth green, regressor blue, aligned odometry orange, fused as on the right",
+            name=_FUSED_COLOURS if decisions else _ALONE_COLOURS,
             overrides={
                 **{path: seen for kind in _OF_METHOD for path, seen in _invisible(f"{at}/{kind}", hidden).items()},
                 **{f"{path}/now": _TAIL for path in walkers},
@@ -78,6 +79,8 @@ def blueprint(fused: list[Fused], gates: Mapping[str, Mapping[str, float]]) -> r
     )
 
 
+_FUSED_COLOURS = "ground truth green, regressor blue, aligned odometry orange, fused as on the right"
+_ALONE_COLOURS = "ground truth green, predictions blue; without odometry nothing is fused"
 _OF_METHOD = ("fused", "vio_aligned", "residual", "covariance")
 # A marker's last ten places stay in view.
 _TAIL = rrb.VisibleTimeRanges(

@@ -1,5 +1,6 @@
 """A recorded walk, as methods and their evaluation get it."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,9 +44,19 @@ class Walk:
         return len(self.t_ns)
 
     @property
+    def has_odometry(self) -> bool:
+        """Whether any frame has a pose by odometry; without, there is nothing to fuse predictions with."""
+        return bool(known(self.vio_T_cam).any())
+
+    @property
     def sure(self) -> Flags:
         """Which frames' ground truth can tell whether a pose is within an accuracy level, (N,)."""
         return np.ones(len(self), dtype=bool) if self.quality is None else sure_enough(self.quality)
+
+
+def with_odometry(walks: Iterable[Walk]) -> list[Walk]:
+    """The walks on which methods that fuse run; on the others predictions stand alone."""
+    return [walk for walk in walks if walk.has_odometry]
 
 
 def known(poses: Array) -> Flags:

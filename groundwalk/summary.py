@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts.choices import MapUnit
+from groundwalk.artefacts.choices import MapUnit, PoseSource
 from groundwalk.artefacts.settings import STAGES
+from groundwalk.artefacts.tables import have_times
 from groundwalk.artefacts.text import in_words, printable
 from groundwalk.run import Run
 
@@ -38,10 +39,14 @@ def _states(run: Run) -> Iterator[str]:
 
 def _frames(run: Run) -> Iterator[tuple[str, str]]:
     sessions, splits = run.table("import", "sessions"), run.frames["split"].value_counts()
-    yield (
-        "sessions",
-        f"{len(sessions)}, {sessions['duration_s'].sum():.0f} s, {sessions['path_m'].sum():.0f} m of VIO path",
-    )
+    with_vio = sessions[sessions["pose_source"] == PoseSource.VIO]
+    text = f"{len(sessions)}"
+    if (timed := have_times(sessions)).any():
+        text += f", {sessions.loc[timed, 'duration_s'].sum():.0f} s"
+    text += f", {with_vio['path_m'].sum():.0f} m of VIO path" if len(with_vio) else ""
+    if alone := len(sessions) - len(with_vio):
+        text += "; no VIO" + (f" in {alone} of them" if len(with_vio) else ": nothing is fused")
+    yield "sessions", text
     counts = ", ".join(f"{splits[split]} {split}" for split in ("train", "val", "test") if split in splits)
     yield "frames", f"{splits.sum()}: {counts}"
 

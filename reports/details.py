@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts.choices import Rejected
+from groundwalk.artefacts.choices import LengthUnit, Rejected
 from groundwalk.artefacts.progress import format_seconds
 from groundwalk.artefacts.text import grouped_reasons
 from groundwalk.reports.cells import LEVELS, digits_of, number
@@ -40,7 +40,11 @@ def headline(scene: SceneInputs, cells: pd.DataFrame) -> list[tuple[str, str, st
     """The figures that a reader looks for first: (number, what it is, more)."""
     registered, frames = int(scene.images["registered"].sum()), len(scene.images)
     sessions = f"{len(scene.sessions)} session{'s' if len(scene.sessions) > 1 else ''}"
-    walks = f"{sessions}, {scene.sessions['path_m'].sum():.0f} m walked"
+    # The path of a reference without a unit isn't in metres.
+    of_metres = scene.sessions["session_id"].isin(scene.vio_sessions)
+    of_metres |= scene.sessions["reference_unit"] == LengthUnit.METRE
+    path_m = scene.sessions.loc[of_metres, "path_m"].sum()
+    walks = f"{sessions}, {path_m:.0f} m walked" if of_metres.all() else sessions
     known = (
         f"{registered} of {frames} frames; ground truth for {scene.scored_frames} of {scene.test_frames} test frames"
     )
@@ -58,12 +62,12 @@ def headline(scene: SceneInputs, cells: pd.DataFrame) -> list[tuple[str, str, st
             continue
         alone = _median_pair(of_model, RAW_METHOD, "rp+opt", over)
         if scene.fused_method is None:
-            facts.append((alone, f"{label}, median", "no method that fuses was run"))
+            facts.append((alone, f"{label}, median", f"alone, over {scene.scored_frames} test frames"))
             continue
         fused = _median_pair(of_model, scene.fused_method, row, over)
-        frames_of = "the same" if paper else "all test"
+        frames_of = "the same frames" if paper else scene.all_frames
         name = f"{label}{scene.method_labels[scene.fused_method]}"
-        facts.append((fused, f"{name}, median", f"{label} alone on {frames_of} frames: {alone}"))
+        facts.append((fused, f"{name}, median", f"{label} alone on {frames_of}: {alone}"))
     return facts
 
 
@@ -73,7 +77,7 @@ def _ahead_fact(medians: pd.DataFrame, label: str, method: str, scene: SceneInpu
     if method in scene.raw_methods:
         return alone, f"{label}, median", "on frames held out of training no method that fuses beats it"
     fused = _median_pair(medians, method, "all", "all")
-    more = f"ahead on frames held out of training; {label} alone on all test frames: {alone}"
+    more = f"ahead on frames held out of training; {label} alone on {scene.all_frames}: {alone}"
     return fused, f"{label}{scene.method_labels[method]}, median", more
 
 
@@ -96,7 +100,8 @@ def sessions(scene: SceneInputs) -> Grid:
         walked = [f"{v:.{n}f}" if pd.notna(v) else EMPTY for v, n in ((s.duration_s, 0), (s.path_m, 1))]
         numbers = [*walked, s.poses, s.images, s.frames, left_out.get(s.session_id, 0)]
         rows.append([s.session_id, s.format, s.device, s.split, *numbers])
-    return _grid(f"sessions-{scene.name}", "Sessions", "As recorded by the phone.", columns, rows, 4)
+    caption = "As recorded by the phone." if scene.vio_sessions else "As the data set has them."
+    return _grid(f"sessions-{scene.name}", "Sessions", caption, columns, rows, 4)
 
 
 def rejects(scene: SceneInputs) -> Grid | None:
@@ -115,8 +120,11 @@ def rejects(scene: SceneInputs) -> Grid | None:
     return _grid(f"rejects-{scene.name}", "Left out", caption, ["reason", *counts.columns], rows)
 
 
-def alignment(scene: SceneInputs) -> Grid:
-    """How well each session's VIO fits the map."""
+def alignment(scene: SceneInputs) -> Grid | None:
+    """How well each session's VIO fits the map; None where there is no VIO."""
+    fitted = scene.align_sessions[scene.align_sessions["session_id"].isin(scene.vio_sessions)]
+    if fitted.empty:
+        return None
     columns = [
         "session",
         "part",
@@ -128,7 +136,7 @@ def alignment(scene: SceneInputs) -> Grid:
         "rotation rms (°)",
     ]
     rows = []
-    for s in _records(scene.align_sessions.sort_values(["session_id", "segment"])):
+    for s in _records(fitted.sort_values(["session_id", "segment"])):
         fit = [number(s.scale, 4), number(s.up_error_deg, 2), number(s.position_rms_m, 3), number(s.position_max_m, 3)]
         rows.append(
             [s.session_id, s.segment, f"{s.with_ground_truth} of {s.frames}", *fit, number(s.rotation_rms_deg, 2)]
@@ -161,8 +169,10 @@ def quality(scene: SceneInputs) -> Grid:
     return _grid(f"quality-{scene.name}", "How sure the ground truth is", caption, columns, rows)
 
 
-def users(scene: SceneInputs) -> Grid:
-    """What a user of each method sees on the test walks."""
+def users(scene: SceneInputs) -> Grid | None:
+    """What a user of each method sees on the test walks; None where nothing is fused."""
+    if not scene.fuses:
+        return None
     columns = [
         "model",
         "method",
@@ -173,6 +183,7 @@ def users(scene: SceneInputs) -> Grid:
         "recovery (s)",
     ]
     test = scene.fused_sessions[scene.fused_sessions["split"] == "test"]
+    test = test[~test["session_id"].isin(scene.unfused_sessions)]
     rows = []
     for offline in (False, True):
         part = test[test["method"].isin(scene.offline) == offline]
@@ -222,8 +233,10 @@ def walks(scene: SceneInputs) -> Grid:
     return _grid(f"walks-{scene.name}", f"Errors by {by}", caption, columns, rows, 2)
 
 
-def drift(scene: SceneInputs) -> Grid:
-    """All measures of VIO drift, all sessions together."""
+def drift(scene: SceneInputs) -> Grid | None:
+    """All measures of VIO drift, all sessions together; None where there is no VIO."""
+    if not scene.vio_sessions:
+        return None
     columns = ["measure", "over", "unit", "samples", "mean", "median", "rms", "95 %", "max"]
     rows = []
     for d in _records(scene.drift[scene.drift["session_id"] == "all"]):

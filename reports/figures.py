@@ -40,10 +40,10 @@ def scene_figures(scene: SceneInputs) -> dict[str, list[NamedFigure]]:
                 error_distributions(scene),
                 costs(scene),
             ],
-            "ground_truth": [sfm_overview(scene), drift(scene)],
+            "ground_truth": [sfm_overview(scene), *([drift(scene)] if scene.vio_sessions else [])],
             "training": [learning_curves(scene)] if len(scene.history) else [],
             "fusion": [
-                *(timeline(scene, model) for model in scene.models),
+                *(timeline(scene, model) for model in scene.models if scene.fuses),
                 walks(scene),
                 *([sensitivity(scene, scene.sweep)] if scene.sweep is not None else []),
                 confidence(scene),
@@ -59,8 +59,11 @@ def scene_figures(scene: SceneInputs) -> dict[str, list[NamedFigure]]:
 
 
 def test_session(scene: SceneInputs) -> str:
-    """The test session with the most frames with ground truth: the one that is drawn."""
+    """The test session with the most frames with ground truth, of those where something was fused if any: the one that
+    is drawn."""
     test = scene.errors[scene.errors["split"] == "test"]
+    if scene.fuses:
+        test = test[~test["session_id"].isin(scene.unfused_sessions)]
     return str(test.groupby("session_id")["frame_id"].nunique().idxmax())
 
 
@@ -168,8 +171,7 @@ def error_distributions(scene: SceneInputs) -> NamedFigure:
     figure, axes = style.new_figure(len(scene.models), 2, 2.1 * len(scene.models) + 0.4)
     quantities = (("position", "m", (0.25, 0.5, 5.0)), ("rotation", "deg", (2.0, 5.0, 10.0)))
     for row, model in enumerate(scene.models):
-        errors = scene.frame_errors(model)
-        errors = errors[errors["split"] == "test"]
+        errors, alone = (e[e["split"] == "test"] for e in (scene.frame_errors(model), scene.raw_errors(model)))
         answered = errors["position_m"].notna()
         # The paper scores none of the poses of an alignment that its rule doesn't trust any longer.
         paper = scene.fused_method == PAPER_METHOD
@@ -180,9 +182,10 @@ def error_distributions(scene: SceneInputs) -> NamedFigure:
             in_time = errors[f"live_{quantity}_{unit}"].to_numpy(float)
             for level in levels if scene.unit is MapUnit.METRE else ():
                 ax.axvline(level, color=style.NEUTRAL, lw=0.8, ls=(0, (1, 2)))
-            _cumulative(ax, raw, len(raw), style.APR, "-", "alone, all frames")
+            every_raw = alone[f"apr_{quantity}_{unit}"].to_numpy(float)
+            _cumulative(ax, every_raw, len(every_raw), style.APR, "-", "alone, all frames")
             if fused_label := _fused_label(scene):
-                count, every = int(scored.sum()), f"{fused_label} in time, all frames, missing = failed"
+                count, every = int(scored.sum()), f"{fused_label} in time, {scene.all_frames}, missing = failed"
                 _cumulative(ax, raw[scored], count, style.APR, "--", f"alone, the frames that {fused_label} answers")
                 _cumulative(ax, fused[scored], count, style.FUSED, "--", f"{fused_label}, the frames that it answers")
                 _cumulative(ax, in_time, len(in_time), style.FUSED, "-", every)
@@ -216,7 +219,7 @@ def costs(scene: SceneInputs) -> NamedFigure:
     kept = pd.concat([table[["model", "bytes"]] for table in (scene.cards, scene.localisers)])
     size = kept.dropna().drop_duplicates("model").set_index("model")["bytes"]
     for model in scene.models:
-        errors = scene.frame_errors(model)
+        errors = scene.raw_errors(model)
         raw = errors.loc[errors["split"] == "test", "apr_position_m"].to_numpy(float)
         median = median_error(raw)
         mib = float(size.get(model, np.nan)) / 2**20
@@ -363,6 +366,8 @@ def confidence(scene: SceneInputs) -> NamedFigure:
         f"{scene.name}: every method over all {scene.evaluated_splits} frames, and 95 % intervals by drawing their "
         f"{sessions} sessions again, which can be done in {draws} ways: with few sessions an interval says little."
     )
+    if scene.unfused_sessions and scene.fuses:
+        caption += " Methods that fuse are over the sessions with VIO, models alone over all."
     return NamedFigure("intervals", caption, figure)
 
 

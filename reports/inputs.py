@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from groundwalk.artefacts import StageRun
-from groundwalk.artefacts.choices import Appearance, MapUnit
+from groundwalk.artefacts.choices import Appearance, MapUnit, PoseSource
 from groundwalk.artefacts.tables import has_vertical, map_unit, poses_of, scale_warning
-from groundwalk.artefacts.text import in_words
+from groundwalk.artefacts.text import in_words, name_list
 from groundwalk.reports.published import PAPER_METHOD
 from groundwalk.scoring.errors import sure_enough
 
@@ -117,6 +117,44 @@ class SceneInputs:
         return set(self.methods.loc[~self.methods["fuses"], "method"])
 
     @property
+    def fuses(self) -> bool:
+        """Whether any method fused anything in this scene."""
+        return bool(self.methods["fuses"].any())
+
+    @property
+    def unfused_sessions(self) -> set[str]:
+        """The test sessions in which predictions stand alone, as nothing was fused."""
+        test = self.errors[self.errors["split"] == "test"]
+        return set(test["session_id"]) - set(test.loc[~test["method"].isin(self.raw_methods), "session_id"])
+
+    @property
+    def vio_sessions(self) -> set[str]:
+        """The sessions with VIO; the others have a reference, or no poses at all."""
+        return set(self.sessions.loc[self.sessions["pose_source"] == PoseSource.VIO, "session_id"])
+
+    def why_alone(self) -> str:
+        """Why predictions stand alone in the scene, or in some of its test sessions; empty where all are fused."""
+        alone = sorted(self.unfused_sessions)
+        if not alone:
+            return ""
+        reason = "no method that fuses was run"
+        if not self.vio_sessions.intersection(alone):
+            reason = "no VIO"
+        elif self.unit is not MapUnit.METRE:
+            reason = "VIO is in metres, and the map isn't"
+        if not self.fuses:
+            return f"{reason}: nothing is fused, and every model stands alone"
+        return (
+            f"{reason} in {name_list(alone, 3)}: nothing is fused there; methods that fuse, and what they are compared "
+            "with, are over the frames of the other test sessions"
+        )
+
+    @property
+    def all_frames(self) -> str:
+        """All test frames that methods that fuse can answer, in words."""
+        return "all frames with VIO" if self.unfused_sessions and self.fuses else "all frames"
+
+    @property
     def fused_method(self) -> str | None:
         """The method that figures show beside the regressor: the paper's rule or, where that wasn't run, the first
         causal one that fuses; None where there is none."""
@@ -125,7 +163,7 @@ class SceneInputs:
 
     def ahead(self, model: str) -> str | None:
         """The method that is ahead on held-out frames for a model, maybe a raw one; None where that isn't known."""
-        if self.validation is None:
+        if self.validation is None or self.fused_method is None:
             return None
         rows = self.validation[(self.validation["model"] == model) & self.validation["ahead"]]
         return str(rows["method"].iloc[0]) if len(rows) else None
@@ -136,9 +174,14 @@ class SceneInputs:
 
     def frame_errors(self, model: str, method: str | None = None) -> pd.DataFrame:
         """One row a frame with the raw regressor's errors, and those of a method, `fused_method` unless named, where it
-        has some; where it was run with several options, those of the first."""
+        has some; where it was run with several options, those of the first. Where it fuses, without frames of sessions
+        without VIO."""
         fused = _first_options(self.errors, model, method or self.fused_method)
-        return fused if len(fused) else self.errors[self.errors["model"] == model].drop_duplicates("frame_id")
+        return fused if len(fused) else self.raw_errors(model)
+
+    def raw_errors(self, model: str) -> pd.DataFrame:
+        """One row a frame with the raw regressor's errors, in the columns `apr_…`."""
+        return self.errors[self.errors["model"] == model].drop_duplicates("frame_id")
 
     @property
     def offline(self) -> set[str]:
@@ -221,6 +264,7 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         return part[part["scene"] == leaf].reset_index(drop=True)
 
     localised = r.read("localise", "predictions", scene=leaf)
+    errors, methods = fused("errors"), r.read("fuse", "methods", scene=fused_by)
     manifests = {stage: r.manifest(stage, leaf) for stage in ("import", "sfm", "align", "localise")}
     manifests |= {f"train of {owner}" if owner != leaf else "train": r.manifest("train", owner) for owner in trainers}
     manifests |= {f"fuse of {fused_by}" if fused_by != leaf else "fuse": r.manifest("fuse", fused_by)}
@@ -245,11 +289,12 @@ def read_scene(r: StageRun[Any], leaf: str) -> SceneInputs:
         localisers=r.read("localise", "models", scene=leaf),
         storage=r.read("localise", "storage", scene=leaf),
         poses=fused("poses"),
-        errors=fused("errors"),
+        errors=errors,
         sweep=fused("sweep") if (r.folder("fuse", fused_by) / "sweep.parquet").is_file() else None,
         intervals=fused("intervals"),
         fused_sessions=fused("sessions"),
-        methods=r.read("fuse", "methods", scene=fused_by),
+        # A group's methods may have had nothing to fuse in this scene.
+        methods=methods[methods["method"].isin(errors["method"])].reset_index(drop=True),
         validation=fused("validation") if (r.folder("fuse", fused_by) / "validation.parquet").is_file() else None,
         manifests=manifests,
     )

@@ -42,13 +42,13 @@ def record(stream: rr.RecordingStream, scenes: list[SceneInputs], grids: list[Gr
 
 
 def _walks(stream: rr.RecordingStream, scene: SceneInputs, model: str) -> None:
-    errors = scene.frame_errors(model)
-    errors = errors[errors["split"] == "test"].sort_values(["session_id", "t_ns"])
     raw = scene.predictions[scene.predictions["model"] == model]
-    kinds = [("apr", raw, "apr", recording.APR)]
+    kinds = [("apr", raw, scene.raw_errors(model), "apr", recording.APR)]
     if scene.fused_method is not None:
-        kinds.append(("fused", scene.fused_poses(model, scene.fused_method), "live", recording.FUSED))
-    for kind, table, prefix, colour in kinds:
+        fused = scene.fused_poses(model, scene.fused_method)
+        kinds.append(("fused", fused, scene.frame_errors(model), "live", recording.FUSED))
+    for kind, table, every, prefix, colour in kinds:
+        errors = every[every["split"] == "test"].sort_values(["session_id", "t_ns"])
         group = "live_map_cam" if prefix == "live" else "map_cam"
         matched = errors[["session_id", "frame_id"]].merge(table, on=["session_id", "frame_id"], how="left")
         xyz = poses_of(matched, group)[:, :3, 3]

@@ -108,6 +108,8 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
             r.say(f"{scene.name} is simulated, and so are its numbers")
         for reason in scene.why_meaningless():
             r.say(f"{scene.name}: the regressors' accuracy means nothing: {reason}")
+        if why := scene.why_alone():
+            r.say(f"{scene.name}: {why}")
         for value, what, more in section.headline:
             r.say(f"{scene.name}: {what}: {value} ({more})")
     r.say(f"page: {r.data.run(r.profile, r.scene.name, 'report') / 'page.html'}")
@@ -115,7 +117,7 @@ def _say(r: StageRun[ReportSettings], scenes: list[SceneInputs], sections: list[
 
 STAGE = Stage(
     name="report",
-    version=14,
+    version=15,
     settings=ReportSettings,
     reads_shipped=("published",),
     needs=("import", "sfm", "align", "localise", "train", "fuse"),

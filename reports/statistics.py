@@ -22,7 +22,8 @@ def scene_scores(errors: pd.DataFrame, scene: str, offline: set[str]) -> pd.Data
     and Score's. `subset` is rp, opt or rp+opt (the paper's rule and, beside it, the raw regressor: over the same
     frames, `over` = "subset", and over all test frames, "all"); "all" (every method, poses in time, a missing pose
     fails); "common" (every method, on the frames that every causal method of this model answers in time: all but the
-    `offline` ones).
+    `offline` ones). These two are over frames that all methods ran on: in sessions without VIO the raw regressor
+    stands alone.
 
     Without the paper's rule there are no subsets, and the raw regressor over all test frames stands at rp+opt.
     UserError where there is no test frame with ground truth.
@@ -62,6 +63,8 @@ def _model_rows(model: str, errors: pd.DataFrame, offline: set[str]) -> list[dic
         add(RAW_METHOD, "", subset, "subset", _scored(part, "apr_"))
         add(PAPER_METHOD, str(paper["options"].iloc[0]), subset, "subset", _scored(part, ""))
 
+    runs = len(errors[["method", "options"]].drop_duplicates())
+    errors = errors[errors.groupby("frame_id")["frame_id"].transform("size") == runs]
     unanswered = errors["live_position_m"].isna() | errors["live_rotation_deg"].isna()
     missed = set(errors.loc[unanswered & ~errors["method"].isin(offline), "frame_id"])
     for key, part in errors.groupby(["method", "options"], sort=False):

@@ -50,6 +50,9 @@ class Tables:
         self.unit = " or ".join(cells.loc[cells["quantity"] == "translation", "unit"].unique())
         keys = ["table", "source", "environment", "scene", "row", "column"]
         self.text = dict(zip(printed[keys].itertuples(index=False, name=None), printed["text"], strict=True))
+        # Without the paper's rule the model alone is all that its tables have.
+        has_rule = (printed["method"] == PAPER_METHOD).any()
+        self.ways, self.titles = (_WAYS, SUBSET_TITLES) if has_rule else (_WAYS[:1], {"rp+opt": "All test frames"})
 
     def all(self) -> list[Grid]:
         return [self.dataset(), self.errors(), self.levels(), self.methods()]
@@ -100,14 +103,16 @@ class Tables:
         columns, names = [("", "scene"), ("", "numbers")], []
         for statistic in ("mean", "median"):
             for model in self.models:
-                columns += [(f"{statistic} ({self.unit}/°)", column_name(self.labels[model], *way)) for way in _WAYS]
-                names += [column_name(model, *way, statistic) for way in _WAYS]
+                columns += [
+                    (f"{statistic} ({self.unit}/°)", column_name(self.labels[model], *way)) for way in self.ways
+                ]
+                names += [column_name(model, *way, statistic) for way in self.ways]
 
         def cell(look: Look, name: str) -> str:
             pair = [look(f"{name} {quantity}") for quantity in ("translation", "rotation")]
             return EMPTY if EMPTY in pair else "/".join(pair)
 
-        blocks = [b for row, title in SUBSET_TITLES.items() for b in self._blocks(TABLE_II, row, title, names, cell)]
+        blocks = [b for row, title in self.titles.items() for b in self._blocks(TABLE_II, row, title, names, cell)]
         caption = f"Mean and median error of position ({self.unit}) and rotation (°) on test walks"
         return self._grid("table2", "Table II", caption, columns, blocks, self._coverage_notes())
 
@@ -115,9 +120,9 @@ class Tables:
         """Table III: shares of frames within the accuracy levels."""
         columns = [("", "scene"), ("", "numbers")]
         columns += [
-            ("high/medium/low (share)", column_name(self.labels[m], *way)) for m in self.models for way in _WAYS
+            ("high/medium/low (share)", column_name(self.labels[m], *way)) for m in self.models for way in self.ways
         ]
-        names = [column_name(m, *way) for m in self.models for way in _WAYS]
+        names = [column_name(m, *way) for m in self.models for way in self.ways]
 
         def cell(look: Look, name: str) -> str:
             levels = [look(f"{name} level {level}") for level in LEVELS]
@@ -125,7 +130,7 @@ class Tables:
             entry = EMPTY if EMPTY in levels else "/".join(levels)
             return entry if share == EMPTY else f"{entry} ({share})"
 
-        blocks = [b for row, title in SUBSET_TITLES.items() for b in self._blocks(TABLE_III, row, title, names, cell)]
+        blocks = [b for row, title in self.titles.items() for b in self._blocks(TABLE_III, row, title, names, cell)]
         caption = (
             "Percentage of frames with high (0.25 m, 2°), medium (0.5 m, 5°) and low (5 m, 10°) accuracy; in "
             "parentheses the subset's share of the test frames"
@@ -139,8 +144,10 @@ class Tables:
         heads = ("coverage (%)", f"median ({self.unit}/°)", "high/medium/low (%)")
         columns = [("", "scene"), ("", "method"), *((missing_fails, head) for head in heads)]
         columns += [("answered frames", f"mean ({self.unit}/°)")]
-        common = "frames that all causal ones answer"
-        columns += [(common, head) for head in ("share (%)", f"mean ({self.unit}/°)", f"median ({self.unit}/°)")]
+        fuses = any(scene.fuses for scene in self.scenes.values())
+        if fuses:
+            common = "frames that all causal ones answer"
+            columns += [(common, head) for head in ("share (%)", f"mean ({self.unit}/°)", f"median ({self.unit}/°)")]
         blocks = []
         for scene in self.scenes.values():
             of_scene = self.methods_cells[self.methods_cells["scene"] == scene.name]
@@ -153,7 +160,7 @@ class Tables:
                     if len(cells.loc[cells["method"] == method, "options"].unique()) > 1:
                         label += f" {options_text(options)}"
                     rows = offline if method in scene.offline else causal
-                    rows.append(Row((scene.name, label, *self._method_numbers(way)), OURS))
+                    rows.append(Row((scene.name, label, *self._method_numbers(way))[: len(columns)], OURS))
                 blocks.append(Block(f"{scene.name}, {model}", tuple(causal)))
                 if offline:
                     title = f"{scene.name}, {model}, offline: sees the whole walk, not to be ranked with the others"
@@ -162,10 +169,11 @@ class Tables:
             "Poses in time: what an app would have had when the frame came, without confirmation by later ones. A "
             f"frame without a pose is infinitely wrong in a median ({EMPTY}: the median itself is infinite) and a "
             "failure in the levels; a mean can only be taken over answered frames: read it beside the coverage.",
-            *self._meanings(),
+            *(self._meanings() if fuses else []),
+            *(f"{s.name}: {s.why_alone()}." for s in self.scenes.values() if s.unfused_sessions),
             *self._uncertain_notes(),
         ]
-        title = "All methods over all test frames (the paper has no such table)"
+        title = f"{'All methods' if fuses else 'Every model alone'} over all test frames (the paper has no such table)"
         return self._grid("table4", "Table IV", title, columns, blocks, notes)
 
     def _meanings(self) -> list[str]:
@@ -261,15 +269,19 @@ class Tables:
         notes = [
             "“Same frames” is the model alone over just the frames of the subset: like for like with “+VIO”, the "
             "paper's rule. The plain column is over all test frames, as in the paper.",
-        ]
+        ] * (len(self.ways) > 1)
         for scene in self.scenes.values():
             shares = []
             for model in scene.models if scene.fused_method == PAPER_METHOD else ():
                 column = column_name(model, PAPER_METHOD, "subset", "share frames")
                 key = (TABLE_III, OURS, scene.environment, scene.name, "rp+opt", column)
                 shares.append(f"{column_name(scene.label(model), PAPER_METHOD, 'subset')} answers {self.text[key]} %")
-            note = f"{scene.name}: {scene.scored_frames} test frames with ground truth of {scene.test_frames}; "
-            note += f"{', '.join(shares)} of them." if shares else f"{PAPER_METHOD}, the paper's rule, wasn't run."
+            facts = [f"{scene.scored_frames} test frames with ground truth of {scene.test_frames}"]
+            if shares:
+                facts.append(f"{', '.join(shares)} of them")
+            elif scene.fuses:
+                facts.append(f"{PAPER_METHOD}, the paper's rule, wasn't run")
+            note = f"{scene.name}: {'; '.join([*facts, *filter(None, [scene.why_alone()])])}."
             if scene.ground_truth["gt_uses_vio"].any():
                 note += " VIO positions took part in this ground truth, which flatters methods that use VIO."
             notes.append(note)

@@ -29,7 +29,7 @@ _UNCERTAIN = (
 _SUMMARY_FIGURES = [
     Column("frames", "int64", "frames of the subset"),
     Column("answered", "int64", "frames of the subset with a pose"),
-    Column("total", "int64", "all evaluated frames with ground truth"),
+    Column("total", "int64", "all evaluated frames with ground truth; for a method that fuses, of walks with odometry"),
     Column("frames_pct", "float64", "frames / total", "%"),
     Column("coverage_pct", "float64", "answered / frames; null for an empty subset", "%", "", True),
     Column("too_uncertain", "int64", _UNCERTAIN),

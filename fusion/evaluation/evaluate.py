@@ -25,7 +25,7 @@ from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.fusion.methods.mobilearloc import MobileARLocOptions
-from groundwalk.fusion.walk import Walk
+from groundwalk.fusion.walk import Walk, known, with_odometry
 
 
 class FuseSettings(Settings):
@@ -99,7 +99,8 @@ def rule_options(settings: FuseSettings) -> MobileARLocOptions:
 def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
     """Run each method on each scene's and model's walks. UserError for inputs that can't be evaluated.
 
-    A method of another package that fails is left out of all results, and the others go on.
+    Methods that fuse run on walks with odometry; on the others the predictions stand alone, whatever methods were
+    asked for. A method of another package that fails is left out of all results, and the others go on.
     """
     options = resolved(settings)
     fused: list[Fused] = []
@@ -112,6 +113,9 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
         for scene in inputs
         for number, (model, joined) in enumerate(joined_walks(scene, settings.splits))
     ]
+    if all(METHODS[name].fuses for name in options) and not all(w.has_odometry for c in cases for w in c[2].walks):
+        raw = next(name for name, entry in METHODS.items() if not entry.fuses)
+        options = {raw: resolve_options(raw, settings.options.get(raw)), **options}
     for scene, model, joined, first in track(cases, "fusing predictions"):
         walks[scene.scene, model] = joined.walks
         counts.update(joined.prediction_counts)
@@ -127,11 +131,11 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
             make = partial(method(name).localiser, chosen, error_map)
             try:
                 with METHODS.guard(name):
-                    fused += fuse_all(run, joined.walks, make)
+                    fused += fuse_all(run, with_odometry(joined.walks) if method(name).fuses else joined.walks, make)
             except PluginError as fault:
                 left_out[name] = fault
-    options = {name: chosen for name, chosen in options.items() if name not in left_out}
-    fused = [f for f in fused if f.run.method in options]
+    fused = [f for f in fused if f.run.method not in left_out]
+    options = {name: chosen for name, chosen in options.items() if name in {f.run.method for f in fused}}
     if not options:
         raise next(iter(left_out.values()))
     errors = stacked(error_rows(f) for f in fused)
@@ -147,7 +151,8 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
     }
     rule = next((chosen for chosen in options.values() if isinstance(chosen, MobileARLocOptions)), None)
     if rule is not None:
-        tables["sweep"] = sweep(walks, around(rule))
+        fusible = {case: part for case, of_case in walks.items() if (part := with_odometry(of_case))}
+        tables["sweep"] = sweep(fusible, around(rule))
     validated = [validation_rows(walks, model, options) for model, walks in held_out_walks(inputs, settings)]
     if validated:
         tables["validation"] = stacked(validated)
@@ -187,8 +192,8 @@ def learnt(inputs: Inputs, model: str, settings: FuseSettings) -> ErrorMap | Non
 
 
 def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator[tuple[str, list[Walk]]]:
-    """Each model's name and walks of held-out frames of each scene, where half of them or more have ground truth and a
-    prediction and they aren't evaluated anyhow."""
+    """Each model's name and walks with odometry of held-out frames of each scene, where half of them or more have
+    ground truth and a prediction and they aren't evaluated anyhow."""
     if not settings.learn_from or settings.learn_from in settings.splits:
         return
     for scene in inputs:
@@ -198,7 +203,9 @@ def held_out_walks(inputs: Iterable[Inputs], settings: FuseSettings) -> Iterator
             both = true & held["frame_id"].isin(predictions["frame_id"])
             if len(held) and both.mean() >= 0.5:
                 table = pd.DataFrame(predictions)
-                yield str(model), evaluated(scene.scene, held, scene.truth, table, [settings.learn_from]).walks
+                walks = evaluated(scene.scene, held, scene.truth, table, [settings.learn_from]).walks
+                if fusible := [walk for walk in with_odometry(walks) if known(walk.map_T_cam).any()]:
+                    yield str(model), fusible
 
 
 def joined_walks(inputs: Inputs, splits: Sequence[str]) -> Iterator[tuple[str, Evaluated]]:
@@ -223,6 +230,7 @@ _MEANINGS = {
     "frames_too_uncertain_for_levels": "ground truth of class C, in means and medians alone",
     "predictions_refused": "the localiser's evidence was too thin; they count as failed",
     "frames_of_unstated_quality": "the accuracy levels leave none of them out",
+    "frames_of_walks_without_odometry": "nothing is fused there; predictions stand alone",
 }
 
 

@@ -7,7 +7,7 @@ group, over which figures are averaged. A file `about.txt` in the folder says wh
 import hashlib
 import multiprocessing
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,7 @@ from groundwalk.fusion.methods import METHODS, method, resolve_options
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.localiser import Estimate, MethodOptions
 from groundwalk.fusion.methods.offline import Offline
-from groundwalk.fusion.walk import Walk, known
+from groundwalk.fusion.walk import Walk, known, with_odometry
 from groundwalk.scoring import errors as scoring_errors
 from groundwalk.scoring.errors import accuracy_shares
 
@@ -85,18 +85,24 @@ def cases_in(folder: Path) -> tuple[list[Case], list[str]]:
             do="lay them there, or write published predictions with python -m benchmarks.fusion_tables",
         )
     cases: list[Case] = []
+    names: list[str] = []
     digest = hashlib.sha256()
     for place in places:
         files = [place / f"{name}.parquet" for name in _TABLES]
         parts = place.relative_to(folder).parts
         group, scene = (parts[0], "/".join(parts[1:])) if len(parts) > 1 else (folder.resolve().name, "".join(parts))
         cases += _cases(group, Files(*files).read(scene or group))
+        names.append(scene or group)
         for file in files:
             digest.update(file.read_bytes())
     about = folder / "about.txt"
     lines = about.read_text(encoding="utf-8").split("\n") if about.is_file() else []
     about_lines = [line for line in lines if line.strip()]
-    return cases, [f"{folder.name}: {len(places)} scenes, sha256 {digest.hexdigest()[:16]}", *about_lines]
+    return cases, [
+        f"{folder.name}: {len(places)} scenes, sha256 {digest.hexdigest()[:16]}",
+        *_without_odometry(names, cases),
+        *about_lines,
+    ]
 
 
 def cases_of_runs(data: DataRoot) -> tuple[list[Case], list[str]]:
@@ -120,13 +126,20 @@ def cases_of_runs(data: DataRoot) -> tuple[list[Case], list[str]]:
         for group, table in zip(("trained", "localised"), predictions, strict=False):
             cases += _cases(group, Inputs(scene, dataset_frames(frames), truth, table))
         names.append(scene)
-    return cases, [f"runs: {', '.join(names)}"] if names else []
+    return cases, [f"runs: {', '.join(names)}", *_without_odometry(names, cases)] if names else []
+
+
+def _without_odometry(scenes: Iterable[str], cases: Iterable[Case]) -> list[str]:
+    """A line that names the scenes that no case is of, where any: nothing can be fused there."""
+    left_out = sorted(set(scenes) - {case.scene for case in cases})
+    return [f"without odometry, where nothing is fused: {', '.join(left_out)}"] if left_out else []
 
 
 def _cases(group: str, inputs: Inputs) -> Iterator[Case]:
     settings = FuseSettings()
     for model, joined in joined_walks(inputs, settings.splits):
-        yield Case(group, inputs.scene, model, joined.walks, learnt(inputs, model, settings))
+        if walks := with_odometry(joined.walks):
+            yield Case(group, inputs.scene, model, walks, learnt(inputs, model, settings))
 
 
 # ---------------------------------------------------------------- figures

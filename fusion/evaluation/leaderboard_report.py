@@ -50,7 +50,10 @@ def run_leaderboard(folders: Sequence[Path], data: Path, out: Path, methods: Seq
         cases, sources = cases + more, sources + lines
     if not cases:
         raise UserError(
-            "there is nothing to run on", where=data, do="name a folder of predictions, or finish a run of a scene"
+            "there is nothing to run on",
+            where=data,
+            found="; ".join(sources) or None,
+            do="name a folder of predictions, or finish a run of a scene; the scene needs VIO",
         )
     _refuse_other_files(out)
     make_writable(out)

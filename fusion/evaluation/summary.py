@@ -43,9 +43,10 @@ def subsets(group: pd.DataFrame, same_model: pd.DataFrame) -> Iterator[tuple[str
         for name, statuses in SUBSETS.items():
             yield name, group[group["status"].isin(statuses)], ""
     yield "all", group, "live_"
-    causal = same_model["method"].map({name: METHODS[name].causal for name in same_model["method"].unique()})
-    missed = same_model.loc[causal & same_model["live_position_m"].isna(), "frame_id"]
-    yield "common", group[~group["frame_id"].isin(missed)], "live_"
+    causal = same_model[same_model["method"].map({n: METHODS[n].causal for n in same_model["method"].unique()})]
+    runs = len(causal[["method", "options"]].drop_duplicates())
+    answers = causal.loc[causal["live_position_m"].notna(), "frame_id"].value_counts()
+    yield "common", group[answers.reindex(group["frame_id"], fill_value=0).to_numpy() == runs], "live_"
 
 
 def score_columns(frames: pd.DataFrame, prefix: str) -> tuple[Array, Array, Flags]:

@@ -28,6 +28,7 @@ from groundwalk.fusion.evaluation.evaluate import (
 from groundwalk.fusion.evaluation.sweep import around, grid, sweep
 from groundwalk.fusion.evaluation.sweep_figure import write_sweep_figure
 from groundwalk.fusion.recording import blueprint, record
+from groundwalk.fusion.walk import with_odometry
 
 _NOTE = "evaluation.json"
 
@@ -78,7 +79,10 @@ def sweep_files(
     options = rule_options(settings)
     chosen = around(options) + (grid(options) if every else [])
     with _written(out, force) as folder:
-        walks = {(scene, model): joined.walks for model, joined in joined_walks(files.read(scene), settings.splits)}
+        joined = joined_walks(files.read(scene), settings.splits)
+        walks = {(scene, model): on for model, of_model in joined if (on := with_odometry(of_model.walks))}
+        if not walks:
+            raise UserError("nothing can be fused: no frame has a pose by odometry", where=files.frames)
         table = sweep(walks, chosen, min(processes, len(walks)))
         write_table(folder / "sweep.parquet", table, schema("fuse", "sweep"))
         write_sweep_figure(table, options.model_dump(), folder / "sweep.svg")

@@ -13,7 +13,7 @@ from groundwalk.artefacts import UserError
 from groundwalk.artefacts.choices import MapUnit
 from groundwalk.artefacts.tables import map_unit, poses_of
 from groundwalk.fusion.methods.localiser import is_covariance
-from groundwalk.fusion.walk import Flags, Walk, known
+from groundwalk.fusion.walk import Flags, Walk, known, with_odometry
 from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import sure_enough
 
@@ -74,11 +74,11 @@ def evaluated(
     """The walks of one scene and one model's `predictions`, over frames of the named splits.
 
     A walk ends where the session or the split changes. Frames are taken in order of time. In a map without metric
-    scale they are without odometry. Counted, not refused: rows
-    out of that order, frames without odometry, without a prediction or without ground truth, ground truth too
-    uncertain for the accuracy levels or of no stated quality, predictions that aren't finite and predictions for
-    unknown frames, quaternions that aren't of unit length. Raises UserError where no evaluated frame has ground truth,
-    or fewer than half have a prediction.
+    scale they are without odometry. Counted, not refused: rows out of that order, frames of walks without odometry and
+    frames without it in others, without a prediction or without ground truth, ground truth too uncertain for the
+    accuracy levels or of no stated quality, predictions that aren't finite and predictions for unknown frames,
+    quaternions that aren't of unit length. Raises UserError where no evaluated frame has ground truth, or fewer than
+    half have a prediction.
     """
     chosen = _of_splits(scene, frames, list(splits))
     ordered = chosen.sort_values(["session_id", "t_ns"], kind="stable")
@@ -103,7 +103,8 @@ def evaluated(
     frame_counts = {
         "frames": len(ordered),
         "frames_out_of_order": int((chosen.groupby("session_id")["t_ns"].diff() < 0).sum()),
-        "frames_without_odometry": int((~known(vio_T)).sum()),
+        "frames_of_walks_without_odometry": sum(len(walk) for walk in walks if not walk.has_odometry),
+        "frames_without_odometry": sum(int((~known(walk.vio_T_cam)).sum()) for walk in with_odometry(walks)),
         "frames_without_common_vertical": sum(known(w.vio_T_cam).sum() for w in walks if not w.shares_vertical),
         "frames_without_ground_truth": int((~true).sum()),
         "frames_too_uncertain_for_levels": int((true & ~sure_enough(quality)).sum()),

@@ -265,11 +265,52 @@ def test_without_a_common_vertical_methods_that_need_it_have_no_odometry(known: 
     if known:  # a gap isn't a world of another kind
         pd.testing.assert_frame_equal(poses, as_usual)
         return
-    lost = frames.assign(**{c: np.nan for c in frames.columns if c.startswith("vio_cam")})
-    without = run(lost, truth, predictions, methods=methods).tables["poses"].set_index("method")
-    pd.testing.assert_frame_equal(poses.loc["drift_aware"], without.loc["drift_aware"])
+    alone = run(frames, truth, predictions, methods=["apr"]).tables["poses"]
+    pose = [column for column in alone.columns if column.startswith("map_cam_")]
+    np.testing.assert_allclose(poses.loc["drift_aware", pose], alone[pose], atol=1e-9)
     assert results.counts["frames_without_common_vertical"] == frames["vio_cam_tx"].notna().sum()
     assert any("may not have +y up" in line for line in report_lines(results))
+
+
+def _without_vio(frames: pd.DataFrame, *sessions: str) -> pd.DataFrame:
+    """The frames, those of some sessions without poses by odometry."""
+    vio = [column for column in frames.columns if column.startswith("vio_cam_")]
+    frames = frames.copy()
+    frames.loc[frames["session_id"].isin(sessions), vio] = np.nan
+    return frames
+
+
+def test_without_odometry_nothing_is_fused_and_predictions_stand_alone() -> None:
+    frames, truth, predictions = held_out_tables()
+    results = run(_without_vio(frames, "s1", "s2", "s3", "s4"), truth, predictions)
+    for name in ("poses", "errors", "summary", "intervals", "sessions", "methods"):
+        assert set(results.tables[name]["method"]) == {"apr"}, name
+    assert not {"sweep", "validation"} & set(results.tables)
+    summary = results.tables["summary"].set_index(["subset", "scored"])
+    assert summary.loc[("all", "method"), "coverage_pct"] == summary.loc[("common", "method"), "frames_pct"] == 100
+    lines = report_lines(results)
+    alone = "frames of walks without odometry: 80 (nothing is fused there; predictions stand alone)"
+    assert [line for line in lines if "odometry" in line] == [alone]
+    assert [line for line in lines if "mean error" in line] == [line for line in lines if " · apr: " in line]
+    # Whatever methods were asked for: there is nothing that they could fuse.
+    asked = run(_without_vio(frames, "s1", "s2", "s3", "s4"), truth, predictions, methods=["window30"])
+    assert asked.tables["errors"].equals(results.tables["errors"])
+
+
+def test_of_walks_with_and_without_odometry_methods_fuse_the_ones_and_compare_on_the_same_frames() -> None:
+    frames, truth, predictions = tables([1, 2, 3])
+    results = run(_without_vio(frames, "s2"), truth, predictions)
+    errors = results.tables["errors"]
+    fused = errors[errors["method"] != "apr"]
+    assert set(fused["session_id"]) == {"s1", "s3"} and set(fused["method"]) == set(FuseSettings().methods) - {"apr"}
+    assert set(errors.loc[errors["method"] == "apr", "session_id"]) == {"s1", "s2", "s3"}
+    # Each walk is fused as if the other one weren't there.
+    without = run(*(table[table["session_id"] != "s2"] for table in (frames, truth, predictions)))
+    alone = without.tables["errors"].query("method != 'apr'").reset_index(drop=True)
+    pd.testing.assert_frame_equal(fused.reset_index(drop=True), alone)
+    common = results.tables["summary"].query("subset == 'common' and scored == 'method'")
+    assert len(set(common["frames"])) == 1 and (common["frames"] <= 80).all()
+    assert results.counts["frames_of_walks_without_odometry"] == 40
 
 
 def test_frames_without_odometry_are_counted() -> None:

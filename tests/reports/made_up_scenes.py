@@ -36,8 +36,9 @@ class MadeUpScene:
     def __init__(
         self, name: str, seed: int, train: int = 60, test: int = 30, mixed: bool = False, uncertain: float = 0.0,
         localisers: tuple[str, ...] = (), appearances: tuple[str, str] = ("same", "same"),
-        scale_source: str = "vio",
+        scale_source: str = "vio", without_vio: tuple[str, ...] = (),
     ) -> None:  # fmt: skip
+        self.without_vio = without_vio
         self.name, self.localisers, self.scale_source = name, localisers, scale_source
         self.appearances = dict(zip(("walk_3", "walk_4"), appearances, strict=True))
         self.models = (*MODELS, *localisers)
@@ -71,6 +72,28 @@ class MadeUpScene:
         return make_pose(turn @ self.map_T_cam[:, :3, :3], self.map_T_cam[:, :3, 3] + offset)
 
     def tables(self) -> dict[str, dict[str, pd.DataFrame]]:
+        """All stages' tables; in sessions `without_vio` there is none, and nothing is fused."""
+        tables = self._with_vio()
+        if not self.without_vio:
+            return tables
+        imported, fuse = tables["import"], tables["fuse"]
+        vio = [c for c in imported["frames"].columns if c.startswith(("vio_cam_", "gravity_"))]
+        imported["frames"].loc[imported["frames"]["session_id"].isin(self.without_vio), vio] = np.nan
+        alone = imported["sessions"]["session_id"].isin(self.without_vio)
+        imported["sessions"].loc[alone, ["pose_source", "reference_unit"]] = "reference", "m"
+        for name in ("poses", "errors", "sessions"):
+            table = fuse[name]
+            fuse[name] = table[(table["method"] == "apr") | ~table["session_id"].isin(self.without_vio)]
+        ran = set(fuse["errors"].loc[fuse["errors"]["split"] == "test", "method"])
+        if ran == {"apr"}:
+            for name in ("poses", "errors", "sessions", "methods", "intervals"):
+                fuse[name] = fuse[name][fuse[name]["method"] == "apr"]
+            del fuse["sweep"]
+        if alone.all():
+            tables["align"]["drift"] = tables["align"]["drift"].iloc[:0]
+        return tables
+
+    def _with_vio(self) -> dict[str, dict[str, pd.DataFrame]]:
         frames = self.frames
         imported = pd.concat([frames, pose_frame("vio_cam", self.map_T_cam)], axis=1).assign(
             clock="boot", image=frames["frame_id"] + ".jpg", image_sha256="", width=64, height=48, fx=50.0, fy=50.0,

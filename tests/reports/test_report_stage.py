@@ -492,6 +492,67 @@ def test_a_run_without_the_papers_rule(make_run: MakeRun, methods: list[str], he
     assert "the paper's rule, wasn't run" in (report / "tables" / "table2.md").read_text()
 
 
+WALKS = ("walk_1", "walk_2", "walk_3", "walk_4")
+
+
+def test_without_vio_nothing_is_fused_and_the_report_says_so_once(
+    make_run: MakeRun, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drawings: list[str] = []
+
+    def drawn(figure: Figure, folder: Path, name: str) -> str:
+        drawings.append(name)
+        assert not any("without a pose" in ax.get_title() for ax in figure.axes)
+        return _save_blank(figure, folder, name)
+
+    monkeypatch.setattr(style, "save", drawn)
+    data = make_run(simulated=False, Hall={"without_vio": WALKS, "localisers": ("Map",)})
+    report = execute(STAGE, "Hall", "tiny", data)
+    said = " ".join(capsys.readouterr().err.split())
+    assert said.count("no VIO: nothing is fused, and every model stands alone") == 1
+    assert "no pose" not in said and said.count("alone, over 59 test frames") == 3
+    page = (report / "page.html").read_text()
+    assert page.count('id="alone"') == 1 and "No VIO: nothing is fused" in page
+    for absent in ("PN+VIO", "VIO drift", "same frames", "What a user sees", "Fusion", "Only optimised", "no pose"):
+        assert absent not in page, absent
+    errors = table_of(data, "Hall", "fuse", "errors")
+    pn = errors[(errors["split"] == "test") & (errors["model"] == "PN")]
+    for table, row in (("II", "rp+opt"), ("IV", "all")):
+        cells = cells_of(report, source="ours", table=table, model="PN", statistic="median", quantity="translation")
+        of_row = cells[cells["row"] == row]
+        assert of_row["value"].tolist() == [pytest.approx(pn["apr_position_m"].median())]
+    assert not [name for name in drawings if "timeline" in name or "drift" in name or "sensitivity" in name]
+    assert {"Hall-walks", "Hall-trajectory-pn", "Hall-intervals"} <= set(drawings)
+    table2 = (report / "tables" / "table2.md").read_text()
+    assert "All test frames" in table2 and table2.count("no VIO") == 1
+    findings = pd.read_parquet(report / "checks.parquet")
+    scored = findings[(findings["check"] == "all_scored") & (findings["source"] == "ours")]
+    assert len(scored) == 3 and (scored["status"] == "agrees").all()
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_walks_without_vio_beside_others_are_scored_alone(make_run: MakeRun) -> None:
+    data = make_run(Hall={"without_vio": ("walk_2", "walk_4")})
+    report = execute(STAGE, "Hall", "tiny", data)
+    page = (report / "page.html").read_text()
+    assert "No VIO in walk_4: nothing is fused there" in page
+    errors = table_of(data, "Hall", "fuse", "errors")
+    pn = errors[(errors["split"] == "test") & (errors["model"] == "PN")]
+    raw = pn[pn["method"] == "apr"]
+
+    def medians(**keys: str) -> list[float]:
+        found = cells_of(report, source="ours", model="PN", method="apr", statistic="median", **keys)
+        return found.loc[found["quantity"] == "translation", "value"].tolist()
+
+    # Alone over all frames; and beside methods that fuse, over the frames that these can answer.
+    assert medians(table="II", row="rp+opt", over="all") == [pytest.approx(raw["apr_position_m"].median())]
+    fusible = raw[raw["session_id"] == "walk_3"]
+    assert medians(table="IV", row="all") == [pytest.approx(fusible["apr_position_m"].median())]
+    findings = pd.read_parquet(report / "checks.parquet")
+    scored = findings[(findings["check"] == "all_scored") & (findings["source"] == "ours")]
+    assert len(scored) == 6 and (scored["status"] == "agrees").all()
+
+
 @pytest.mark.usefixtures("blank_figures")
 @pytest.mark.parametrize(
     ("ahead", "headline", "more"),
