@@ -47,6 +47,16 @@ def test_figures_are_the_stages(tmp_path: Path) -> None:
     assert rows["step_p99_ms"].gt(0).all() and rows["position_within_pct"].isna().all()
 
 
+def test_scenes_without_odometry_take_no_part_and_are_named(tmp_path: Path) -> None:
+    laid(tmp_path, "walks/Place", [1, 2])
+    frames, *_ = laid(tmp_path, "walks/Photos", [3])
+    vio = [column for column in frames.columns if column.startswith("vio_cam_")]
+    frames.assign(**dict.fromkeys(vio, np.nan)).to_parquet(tmp_path / "walks/Photos/frames.parquet", index=False)
+    cases, sources = cases_in(tmp_path)
+    assert [case.scene for case in cases] == ["Place"]
+    assert sources[1] == "without odometry, where nothing is fused: Photos"
+
+
 def made_up(rows: list[tuple[Any, ...]]) -> pd.DataFrame:
     columns = ["method", "causal", "coverage_pct", "position_mean_m", "rotation_mean_deg"]
     rest = dict.fromkeys(["high_pct", "medium_pct", "low_pct", "step_median_ms", "step_p99_ms"], 1.0)

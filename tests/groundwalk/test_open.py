@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -162,6 +163,19 @@ def test_a_summary_says_what_there_is(make_run: Make) -> None:
     for stage in made.folder.glob("*/manifest.json"):
         stage.write_text(stage.read_text().replace('"simulated": false', '"simulated": true'))
     assert "SIMULATED captures" in open_place(made).summary()
+
+
+def test_a_summary_of_captures_without_vio_says_that_nothing_is_fused(make_run: Make) -> None:
+    made = make_run()
+    path, of = made.folder / "import" / "sessions.parquet", schema("import", "sessions")
+    sessions = read_table(path, of)
+    write_table(path, sessions.assign(pose_source="reference", clock="name_order"), of)
+    text = open_place(made).summary()
+    assert re.search(rf"^sessions +{len(sessions)}; no VIO: nothing is fused$", text, re.MULTILINE)
+    assert "of VIO path" not in text
+    mixed = ["reference", *["vio"] * (len(sessions) - 1)]
+    write_table(path, sessions.assign(pose_source=mixed), of)
+    assert "of VIO path; no VIO in 1 of them" in open_place(made).summary()
 
 
 def test_a_summary_of_a_map_without_metric_scale_names_no_metres(make_run: Make) -> None:
