@@ -1,5 +1,5 @@
 """Packages import what the graph below says, stages never each other; what is pure touches no files; each module has
-one import name; no function is longer than a screen."""
+one import name."""
 
 import ast
 import re
@@ -27,7 +27,6 @@ GRAPH: dict[str, set[str]] = {
     "reports": {"artefacts", "geometry", "scoring"},
 }
 OURS = set(GRAPH)
-MAX_LINES = 60  # of a function
 
 
 def imported(path: Path) -> set[str]:
@@ -115,15 +114,3 @@ def test_each_package_is_named_groundwalk() -> None:
 )
 def test_bare_names_are_seen(text: str, is_bare: bool) -> None:
     assert any(bare.search(text.replace("PACKAGE", "sfm")) for bare in BARE) == is_bare
-
-
-def long_functions(path: Path) -> list[str]:
-    """Functions of more lines than fit on a screen, which nobody reads in one go."""
-    functions = (n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.FunctionDef))
-    return [f.name for f in functions if (f.end_lineno or f.lineno) - f.lineno >= MAX_LINES]
-
-
-@pytest.mark.parametrize("package", [*GRAPH, "groundwalk", "benchmarks"])
-def test_functions_fit_on_a_screen(package: str) -> None:
-    long = {path.relative_to(ROOT).as_posix(): long_functions(path) for path in (ROOT / package).rglob("*.py")}
-    assert not {path: names for path, names in long.items() if names}
