@@ -91,7 +91,8 @@ def trajectories(scene: SceneInputs, model: str) -> NamedFigure:
         panels.append(panel(title, scene.fused_poses(model, method), "position_m", method))
         rule = "with VIO by the paper's rule" if method == PAPER_METHOD else title
         parts.append(rule + (", ahead on held-out frames" if method == ahead else ""))
-    caption = f"{scene.name}, test session {session}, from above, from left to right: {'; '.join(parts)}. Coloured by "
+    order = ", from left to right" if len(panels) > 1 else ""
+    caption = f"{scene.name}, test session {session}, from above{order}: {'; '.join(parts)}. Coloured by "
     caption += "position error; the thin line joins poses in order of time."
     known = np.concatenate([e[np.isfinite(e)] for _, _, e in panels])
     worst = float(np.percentile(known, 95)) if len(known) else 1.0

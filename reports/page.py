@@ -90,7 +90,7 @@ def render(
         sections=sections,
         simulated=[scene.name for scene in scenes if scene.simulated],
         without_scale={scene.name: warning for scene in scenes if (warning := scale_warning(scene.unit))},
-        alone={scene.name: why for scene in scenes if (why := scene.why_alone())},
+        alone={scene.name: reason for scene in scenes if (reason := scene.why_alone())},
         fuses=any(scene.fuses for scene in scenes),
         meaningless={scene.name: why for scene in scenes if (why := scene.why_meaningless())},
         tables={grid.key: Markup(html_table(grid)) for grid in grids},

@@ -52,7 +52,8 @@ class Tables:
         self.text = dict(zip(printed[keys].itertuples(index=False, name=None), printed["text"], strict=True))
         # Without the paper's rule the model alone is all that its tables have.
         has_rule = (printed["method"] == PAPER_METHOD).any()
-        self.ways, self.titles = (_WAYS, SUBSET_TITLES) if has_rule else (_WAYS[:1], {"rp+opt": "All test frames"})
+        self.ways = _WAYS if has_rule else _WAYS[:1]
+        self.titles = SUBSET_TITLES if has_rule else {"rp+opt": "All test frames"}
 
     def all(self) -> list[Grid]:
         return [self.dataset(), self.errors(), self.levels(), self.methods()]

@@ -113,16 +113,14 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
         for scene in inputs
         for number, (model, joined) in enumerate(joined_walks(scene, settings.splits))
     ]
-    if all(METHODS[name].fuses for name in options) and not all(w.has_odometry for c in cases for w in c[2].walks):
-        raw = next(name for name, entry in METHODS.items() if not entry.fuses)
-        options = {raw: resolve_options(raw, settings.options.get(raw)), **options}
+    if not all(walk.has_odometry for _, _, joined, _ in cases for walk in joined.walks):
+        options = _with_raw(options, settings)
     for scene, model, joined, first in track(cases, "fusing predictions"):
         walks[scene.scene, model] = joined.walks
         counts.update(joined.prediction_counts)
         if first:
             counts.update(joined.frame_counts)
-        error_map = learnt(scene, model, settings)
-        if error_map is not None:
+        if (error_map := learnt(scene, model, settings)) is not None:
             error_maps[scene.scene, model] = error_map
         for name, chosen in options.items():
             if name in left_out:
@@ -151,15 +149,21 @@ def evaluate(inputs: list[Inputs], settings: FuseSettings) -> Results:
     }
     rule = next((chosen for chosen in options.values() if isinstance(chosen, MobileARLocOptions)), None)
     if rule is not None:
-        fusible = {case: part for case, of_case in walks.items() if (part := with_odometry(of_case))}
-        tables["sweep"] = sweep(fusible, around(rule))
-    validated = [validation_rows(walks, model, options) for model, walks in held_out_walks(inputs, settings)]
-    if validated:
+        tables["sweep"] = sweep({case: on for case, part in walks.items() if (on := with_odometry(part))}, around(rule))
+    if validated := [validation_rows(walks, model, options) for model, walks in held_out_walks(inputs, settings)]:
         tables["validation"] = stacked(validated)
     if error_maps:
         tables["error_maps"] = stacked(m.table().assign(scene=s, model=r) for (s, r), m in error_maps.items())
     gates = {name: chosen.gates for name, chosen in options.items()}
     return Results(fused, tables, counts, gates, error_maps, list(left_out.values()))
+
+
+def _with_raw(options: dict[str, MethodOptions], settings: FuseSettings) -> dict[str, MethodOptions]:
+    """The methods with one that doesn't fuse."""
+    if not all(METHODS[name].fuses for name in options):
+        return options
+    raw = next(name for name, entry in METHODS.items() if not entry.fuses)
+    return {raw: resolve_options(raw, settings.options.get(raw)), **options}
 
 
 def _method_rows(options: dict[str, MethodOptions]) -> pd.DataFrame:

@@ -74,11 +74,10 @@ def evaluated(
     """The walks of one scene and one model's `predictions`, over frames of the named splits.
 
     A walk ends where the session or the split changes. Frames are taken in order of time. In a map without metric
-    scale they are without odometry. Counted, not refused: rows out of that order, frames of walks without odometry and
-    frames without it in others, without a prediction or without ground truth, ground truth too uncertain for the
-    accuracy levels or of no stated quality, predictions that aren't finite and predictions for unknown frames,
-    quaternions that aren't of unit length. Raises UserError where no evaluated frame has ground truth, or fewer than
-    half have a prediction.
+    scale they are without odometry. Counted, not refused: rows out of order, frames without odometry (of walks that
+    have some, or none), prediction or ground truth, ground truth too uncertain for the accuracy levels or of no stated
+    quality, predictions that aren't finite or are of unknown frames, quaternions that aren't of unit length. Raises
+    UserError where no evaluated frame has ground truth, or fewer than half have a prediction.
     """
     chosen = _of_splits(scene, frames, list(splits))
     ordered = chosen.sort_values(["session_id", "t_ns"], kind="stable")
