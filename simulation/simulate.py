@@ -66,7 +66,6 @@ def simulate(
     key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
     title = f"simulate · {scene} · {profile}"
     work = partial_folder(final)
-    work.parent.mkdir(parents=True, exist_ok=True)
     with locked(final):
         for folder in (final, work):
             refuse_irreplaceable(folder)
