@@ -110,5 +110,5 @@ def _explained(axes: Array, normals: Array, weights: Array) -> Array:
     """The part of the lines' length along each axis (3,); a line counts for the nearest."""
     near = np.clip(1 - np.abs(normals @ axes.T) / np.sin(_WIDTH), 0, None)
     counted = near.max(axis=1) * weights
-    explained: Array = np.bincount(near.argmax(axis=1), counted, minlength=3)
+    explained: Array = np.bincount(near.argmax(axis=1), counted, minlength=3).astype(float)
     return explained

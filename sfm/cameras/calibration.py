@@ -365,12 +365,12 @@ def _distortion_is_denied(prior: Lens, weak: LensEstimate, stated_6: Array, fram
     if prior.origin != CameraOrigin.STATED:
         return False
     extent = (0.5 * frame.width / frame.fx, 0.5 * frame.height / frame.fy)
-    shown = [*weak.parameters[:2], *stated_6]
-    shift_px = max_shift(shown, prior.stated, extent) * frame.fx
+    coefficients = [*weak.parameters[:2], *stated_6]
+    shift_px = max_shift(coefficients, prior.stated, extent) * frame.fx
     error = weak.parameters[:2] - prior.coefficients[:2]
     sigmas = np.sqrt(error @ np.linalg.solve(weak.covariance[:2, :2], error))
     corner = np.array([[float(np.hypot(*extent)), 0.0]])
-    growth = distort_with_slope(undistort(corner, shown), shown)[1][0, 0, 0]
+    growth = distort_with_slope(undistort(corner, coefficients), coefficients)[1][0, 0, 0]
     # Not so where the polynomial has no such point: NaN.
     is_possible = abs(growth - 1) < _MAX_CORNER_GROWTH
     return bool(sigmas > _MIN_WRONG_SIGMAS and shift_px > _MIN_WRONG_PX and is_possible)
