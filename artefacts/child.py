@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerContext, SpawnContext
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol
@@ -22,6 +23,7 @@ _TAIL_LINES = 15
 # A socket's name has at most 107 bytes, of which multiprocessing adds some 32 to the temporary folder's.
 _MAX_FOLDER_BYTES = 70
 # Processes are forked, from one that does nothing else. Elsewhere system libraries don't bear a fork.
+_CONTEXT: ForkServerContext | SpawnContext
 if sys.platform == "linux" and len(os.fsencode(tempfile.gettempdir())) <= _MAX_FOLDER_BYTES:
     _CONTEXT = multiprocessing.get_context("forkserver")
 else:

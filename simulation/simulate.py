@@ -67,9 +67,7 @@ def simulate(
     title = f"simulate · {scene} · {profile}"
     work = partial_folder(final)
     with locked(final):
-        for folder in (final, work):
-            refuse_irreplaceable(folder)
-        finish_interrupted_swap(final, SIMULATED_MARKER, _written)
+        _make_ready(final)
         marker = _simulator_marker(final)
         if marker and marker.get("key") == key and not force:
             console.print(f"{title}: up to date")
@@ -228,6 +226,13 @@ def _reduced(settings: SimulateSettings, data: DataRoot, scene: str) -> dict[str
     if settings.texel_m > full.texel_m:
         here["texel"] = (f"{settings.texel_m} m", f"{full.texel_m} m")
     return here
+
+
+def _make_ready(final: Path) -> None:
+    """UserError where a capture folder can't be put there; what a killed run left undone is done."""
+    for folder in (final, partial_folder(final)):
+        refuse_irreplaceable(folder)
+    finish_interrupted_swap(final, SIMULATED_MARKER, _written)
 
 
 def _written(folder: Path) -> set[str]:
