@@ -112,7 +112,6 @@ def test_other_values_and_folders_are_no_commands(folder: Path, name: str) -> No
     assert make(folder, "help").returncode == 0
     for goal, variable in (
         ("fuzz-import", "seconds"),
-        ("bench-import", "nerfstudio"),
         ("bench-real", "captures"),
         ("bench-phone", "roots"),
     ):
