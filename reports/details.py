@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts.choices import LengthUnit, Rejected
+from groundwalk.artefacts.choices import Rejected
 from groundwalk.artefacts.progress import format_seconds
 from groundwalk.artefacts.text import grouped_reasons
 from groundwalk.reports.cells import LEVELS, digits_of, number
@@ -40,11 +40,8 @@ def headline(scene: SceneInputs, cells: pd.DataFrame) -> list[tuple[str, str, st
     """The figures that a reader looks for first: (number, what it is, more)."""
     registered, frames = int(scene.images["registered"].sum()), len(scene.images)
     sessions = f"{len(scene.sessions)} session{'s' if len(scene.sessions) > 1 else ''}"
-    # The path of a reference without a unit isn't in metres.
-    of_metres = scene.sessions["session_id"].isin(scene.vio_sessions)
-    of_metres |= scene.sessions["reference_unit"] == LengthUnit.METRE
-    path_m = scene.sessions.loc[of_metres, "path_m"].sum()
-    walks = f"{sessions}, {path_m:.0f} m walked" if of_metres.all() else sessions
+    path_m = scene.sessions["path_m"].sum(skipna=False)
+    walks = sessions if math.isnan(path_m) else f"{sessions}, {path_m:.0f} m walked"
     known = (
         f"{registered} of {frames} frames; ground truth for {scene.scored_frames} of {scene.test_frames} test frames"
     )

@@ -289,6 +289,8 @@ class MadeUpScene:
                     "pose_source": "vio",
                     "reference_unit": None,
                     "up": "+y",
+                    "up_source": "format",
+                    **dict.fromkeys(f"reference_origin_{axis}" for axis in "xyz"),
                     "appearance": self.appearances.get(str(session), "same"),
                     "split": split,
                 }

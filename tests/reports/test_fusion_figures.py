@@ -30,6 +30,7 @@ def scene() -> SceneInputs:
         intervals=tables["intervals"].astype({"high": float}),
         offline={"smoother"},
         raw_methods={"apr"},
+        unfused_sessions=set(),
     )
     return cast(SceneInputs, made)
 

@@ -531,6 +531,18 @@ def test_without_vio_nothing_is_fused_and_the_report_says_so_once(
 
 
 @pytest.mark.usefixtures("blank_figures")
+def test_no_path_is_walked_where_none_is_known(make_run: MakeRun) -> None:
+    data = make_run(Bar={"train": 12, "test": 8})
+    folder = data.run("tiny", "Bar", "import")
+    sessions = table_of(data, "Bar", "import", "sessions")
+    for known, path_m in (("4 sessions, 440 m walked", sessions["path_m"]), ("4 sessions", np.nan)):
+        write_table(folder / "sessions.parquet", sessions.assign(path_m=path_m), schema("import", "sessions"))
+        write_json(folder / "manifest.json", load_manifest(folder) | {"outputs": output_hashes(folder)})
+        page = (execute(STAGE, "Bar", "tiny", data) / "page.html").read_text()
+        assert f"<small>{known}</small>" in page
+
+
+@pytest.mark.usefixtures("blank_figures")
 def test_walks_without_vio_beside_others_are_scored_alone(make_run: MakeRun) -> None:
     data = make_run(Hall={"without_vio": ("walk_2", "walk_4")})
     report = execute(STAGE, "Hall", "tiny", data)
