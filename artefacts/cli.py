@@ -52,6 +52,8 @@ SetOption = Annotated[
     typer.Option("--set", help="One setting, key=value as in TOML; may be given several times."),
 ]
 
+# Those that numexpr, which pandas loads, and numba read.
+_THREADS = ("OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMEXPR_MAX_THREADS", "NUMBA_NUM_THREADS")
 _NUMBA_CONFIG = ".numba_config.yaml"
 
 
@@ -62,6 +64,7 @@ class App(typer.Typer):
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         try:
             with signals_raise():
+                _check_environment()
                 _distrust_current_folder()
                 return super().__call__(*args, **kwargs)
         except (Stopped, Exception) as error:
@@ -73,10 +76,27 @@ class App(typer.Typer):
             message: BaseException = error
             if isinstance(error, OSError) and error.errno is not None:
                 message = as_user_error(error) or sentence(error)
+            elif isinstance(error, MemoryError):
+                message = as_user_error(error) or error
             if not isinstance(message, UserError):
                 raise
             print(f"error: {printable(str(message))}", file=sys.stderr)
             sys.exit(2)
+
+
+def _check_environment() -> None:
+    """What libraries fail without: open standard streams, as helper processes would take the numbers of closed ones for
+    their pipes, and numbers of threads that are numbers."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # it gets the lowest number that is free
+    for name in _THREADS:
+        if (value := os.environ.get(name)) and not (value.strip().isdecimal() and int(value) > 0):
+            raise UserError(
+                f"{name} is no number of threads", found=repr(value), expected="a whole number", do=f"unset {name}"
+            )
 
 
 def _distrust_current_folder() -> None:

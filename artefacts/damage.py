@@ -70,6 +70,9 @@ def as_user_error(error: BaseException, work: Path | None = None) -> UserError |
     for cause in causes(error):
         if isinstance(cause, OSError) and cause.errno is not None and cause.errno not in _MAY_BE_DAMAGE:
             return sentence(cause, work)
+        if isinstance(cause, MemoryError):
+            do = "take smaller settings, or a machine with more memory"
+            return UserError(_MACHINE[errno.ENOMEM], where=work, found=str(cause) or None, do=do)
     if work is not None and isinstance(error, RuntimeError | ProcessDied | OSError) and (number := _probe(work)):
         text = str(error).split("\n")[0][:200]
         return UserError(_MACHINE[number], where=work, found=f"{_free(work)}; {text}", do=_DO.get(number))

@@ -20,7 +20,7 @@ from groundwalk.geometry.poses import Array, pose_from_tq
 
 Row = TypeVar("Row")
 
-_MAX_NS = 2**63 - 1
+MAX_NS = 2**62  # so that times can be subtracted
 _MAX_LINE = 1 << 20
 _FISHEYE_TOLERANCE_PX = 0.05
 
@@ -136,7 +136,7 @@ def numbers(row: Mapping[str, Any], key: str, count: int) -> Array:
 def seconds_to_ns(seconds: float, name: str = "time") -> int:
     """Seconds as int64 nanoseconds; BadRow where they aren't finite or don't fit."""
     ns = seconds * 1e9
-    if not math.isfinite(ns) or abs(ns) > _MAX_NS:
+    if not math.isfinite(ns) or abs(ns) > MAX_NS:
         raise BadRow(f"{name} {seconds} is no time")
     return round(ns)
 
@@ -277,6 +277,10 @@ def inside(folder: Path, name: Any) -> Path:
     """The path that a log names, relative to its folder; BadRow for one that is no text or leads out of the folder."""
     if not isinstance(name, str) or not name or "\0" in name:
         raise BadRow("image name is no text")
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        raise BadRow("image name has half of a character (a lone surrogate)") from None
     if leads_outside(name):
         raise BadRow("image name leads out of the recording")
     return folder / name

@@ -25,6 +25,7 @@ from groundwalk.capture_import.capture import (
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import in_order, is_image, size_notes, unused
 from groundwalk.capture_import.parsing import (
+    MAX_NS,
     BadRow,
     collect,
     inside,
@@ -58,7 +59,7 @@ def read(path: Path, session_id: str, limits: Limits) -> RawSession:
         index, text = line
         row = parse_json(text)
         t_ns = row.get("t_ns")
-        if not isinstance(t_ns, int) or abs(t_ns) >= 2**63:
+        if not isinstance(t_ns, int) or abs(t_ns) > MAX_NS:
             raise BadRow("t_ns is no whole number of nanoseconds")
         tracking = row.get("tracking", Tracking.UNKNOWN)
         if tracking not in [*Tracking]:

@@ -207,3 +207,23 @@ def test_a_bomb_of_brackets_stays_within_a_gibibyte(tmp_path: Path) -> None:
     assert done.returncode == 1 and "UserError" in done.stderr
     peak_kib = int(done.stdout)
     assert 10_000 < peak_kib < 1 << 20
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "reason"),
+    [
+        ("image", "images/\ud800.jpg", "lone surrogate"),
+        ("image", "/etc/hostname", "leads out of the recording"),
+        ("t_ns", 2**63 - 1, "nanoseconds"),
+        ("t_ns", 1 - 2**63, "nanoseconds"),
+    ],
+)
+def test_one_hostile_row_is_one_reject(tmp_path: Path, key: str, value: object, reason: str) -> None:
+    log = tmp_path / "captures" / "place" / "walk" / "frames.jsonl"
+    WRITERS["frames_jsonl"].write(log.parent, make_walk(20))
+    rows = [json.loads(line) for line in log.read_text().splitlines()]
+    rows[3][key] = value
+    log.write_text("\n".join(map(json.dumps, rows)))
+    artefact = execute(STAGE, "place", "tiny", DataRoot(tmp_path), ["sampling=all", "check_convention=false"])
+    rejects = read_table(artefact / "rejects.parquet", schema("import", "rejects"))
+    assert rejects.loc[rejects["source"].str.contains("jsonl"), "reason"].str.contains(reason).sum() == 1

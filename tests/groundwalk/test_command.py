@@ -315,6 +315,21 @@ def test_no_code_of_the_current_folder_runs(tmp_path: Path) -> None:
     assert done.returncode == 2 and "settings of numba" in done.stderr
 
 
+@pytest.mark.parametrize("name", ["OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS"])
+@pytest.mark.parametrize("value", ["abc", "-1", "0", "4,2"])
+def test_a_number_of_threads_that_is_none_is_named(name: str, value: str, tmp_path: Path) -> None:
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as ended:
+        patch.setenv(name, value)
+        app(["scenes", f"--data={tmp_path}"])
+    assert ended.value.code == 2
+
+
+def test_closed_standard_streams_change_nothing(tmp_path: Path) -> None:
+    with_captures(DataRoot(tmp_path), "place")
+    command = f"{sys.executable} -m groundwalk run --scene place --profile tiny --until import --data {tmp_path}"
+    assert subprocess.run(["bash", "-c", f"{command} <&- >&- 2>&-"]).returncode == 2  # no capture in a known format
+
+
 def test_a_removed_current_folder_is_named(tmp_path: Path) -> None:
     gone = tmp_path / "gone"
     gone.mkdir()
