@@ -306,7 +306,7 @@ def test_no_code_of_the_current_folder_runs(tmp_path: Path) -> None:
     script = tmp_path / "bin" / "groundwalk"
     script.parent.mkdir()
     script.write_text("from groundwalk.cli import app\napp()\n")
-    command = [sys.executable, script, "run", "--scene=place", "--profile=tiny", "--until=import"]
+    command = [sys.executable, str(script), "run", "--scene=place", "--profile=tiny", "--until=import"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 2 and "stranger" not in done.stderr
     assert "import · place · tiny\nerror: no capture in a known format" in done.stderr
