@@ -13,7 +13,7 @@ But for *trained*, predictions are simulated: as wrong as the published PN and M
 (benchmarks/regressor_errors/model.py). Nothing here measures a phone or a regressor.
 
 What `drift_aware` and `smoother` learn from beforehand are predictions of the same regressor for held-out frames of
-training walks, a tenth of each as import holds them out. `drift_aware without error_map` learns nothing beforehand.
+training walks, a tenth of each as import holds them out.
 """
 
 import json
@@ -33,7 +33,7 @@ import typer
 from benchmarks import fusion_inputs as inputs
 from benchmarks import fusion_scores as scores
 from benchmarks.fusion_inputs import Case
-from benchmarks.fusion_scores import OURS, RAW, RULE, UNTAUGHT, Target, Variant
+from benchmarks.fusion_scores import OURS, RAW, RULE, Target, Variant
 from benchmarks.regressor_errors.fit import REGRESSORS
 from groundwalk.artefacts import DataRoot, UserError
 from groundwalk.artefacts.cli import SetOption, new_app
@@ -52,13 +52,11 @@ from groundwalk.simulation.scenes import NAMES
 
 KINDS = (inputs.SIMULATED, inputs.RECORDED, inputs.MEASURED, inputs.TRAINED, *inputs.BAD_ODOMETRY, inputs.KIDNAPPED)
 _COMPARED = (inputs.SIMULATED, inputs.RECORDED, inputs.TRAINED)
-_ABLATED = (inputs.SIMULATED, inputs.TRAINED)
 # A step of these takes milliseconds; with bad odometry, which is about ours and the raw regressor, they are left out.
 _SLOW = ("window30", "pose_graph", "smoother")
 _EVERY_METHOD = (inputs.SIMULATED, inputs.RECORDED, inputs.MEASURED, inputs.TRAINED)
 _RECORDINGS_EACH = 3
 _RECORDED_DRAWS = 3  # of the regressors' errors on recorded walks: of one, a single unlucky walk decides the average
-_FOR_BAD_ODOMETRY = (UNTAUGHT, f"{OURS} without rivals", f"{OURS} without distrust")
 _REPEATS = 5  # runs of a walk whose least times are taken
 _PHONE_FRAME_MS = 76.0  # published: inference and the rest of a frame on the phone
 
@@ -177,22 +175,19 @@ def _as_it_is(case: Case) -> Case:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be run: kinds of walks, scenes, draws of the simulated ones, methods, and ours with parts left out."""
+    """What is to be run: kinds of walks, scenes, draws of the simulated ones, methods,"""
 
     kinds: Sequence[str]
     scenes: Sequence[str]
     seeds: int
     methods: Sequence[Variant]
-    without: Sequence[Variant]
     recordings: Path
     data: DataRoot
 
     def tasks(self) -> Iterator[Task]:
         pairs = [(s, m) for s in self.scenes for m in REGRESSORS]
         for kind in self.kinds:
-            kept = _FOR_BAD_ODOMETRY if kind in inputs.BAD_ODOMETRY else (UNTAUGHT,)
             methods = [v for v in self.methods if v.method not in _SLOW or kind in _EVERY_METHOD]
-            methods += [v for v in self.without if kind in _ABLATED or v.label in kept]
             if kind == inputs.TRAINED:
                 builds = [partial(_as_it_is, case) for case in inputs.trained_cases(self.data)]
             elif kind in (inputs.RECORDED, inputs.MEASURED):
@@ -224,37 +219,31 @@ def report(
 ) -> str:
     """The tables of a run in Markdown."""
     kinds = [k for k in plan.kinds if (summary["kind"] == k).any()]
-    labels = [v.label for v in plan.without if v.label != UNTAUGHT]
-    plain, seen = (t[~t["method"].isin(labels)] for t in (summary, sessions))
     compared = [k for k in kinds if k in _COMPARED]
     guarded = [k for k in kinds if k != inputs.KIDNAPPED]
-    targets = [*scores.accuracy_targets(plain, compared), *scores.guard_targets(plain, guarded), *speed]
+    targets = [*scores.accuracy_targets(summary, compared), *scores.guard_targets(summary, guarded), *speed]
     parts = ["# Fusion methods on the same walks", "## Targets", markdown(scores.target_table(targets))]
     for kind in kinds:
         if kind not in inputs.BAD_ODOMETRY:
             parts += [
                 f"## {kind.capitalize()}: means over scenes and regressors",
-                markdown(scores.overview(plain, kind)),
+                markdown(scores.overview(summary, kind)),
             ]
     for kind in compared:
         what = f"## {kind.capitalize()}: means over the rule's, with 95 % intervals by bootstrap over walks"
-        parts += [what, markdown(scores.ratio_intervals(seen, kind))]
-    for kind in [k for k in kinds if labels and k in _ABLATED]:
-        rows = scores.overview(summary, kind).loc[[OURS, *(v.label for v in plan.without)]]
-        parts += [f"## {OURS} without one ingredient, {kind}", markdown(rows.drop(columns=_COMMON))]
-    parts += ["## Worst scene, as a ratio to the raw regressor's error", markdown(scores.worst(plain, guarded))]
-    bad = [k for k in kinds if k in inputs.BAD_ODOMETRY]
-    if bad and labels:
-        ours = summary[summary["method"].isin([RAW, OURS, *_FOR_BAD_ODOMETRY])]
-        parts += ["## The same of ours without what answers bad odometry", markdown(scores.worst(ours, bad))]
+        parts += [what, markdown(scores.ratio_intervals(sessions, kind))]
+    parts += ["## Worst scene, as a ratio to the raw regressor's error", markdown(scores.worst(summary, guarded))]
     if inputs.KIDNAPPED in kinds:
         parts += [
             "## Back after a minute unseen",
-            markdown(scores.recovery_table(seen[seen["kind"] == inputs.KIDNAPPED])),
+            markdown(scores.recovery_table(sessions[sessions["kind"] == inputs.KIDNAPPED])),
         ]
     if inputs.SIMULATED in kinds:
-        parts += ["## What a user sees, simulated", markdown(scores.user_table(seen[seen["kind"] == inputs.SIMULATED]))]
-        beside = scores.beside_published(plain)
+        parts += [
+            "## What a user sees, simulated",
+            markdown(scores.user_table(sessions[sessions["kind"] == inputs.SIMULATED])),
+        ]
+        beside = scores.beside_published(summary)
         parts += ["## Simulated walks beside the published tables", markdown(scores.differences(beside))]
         parts += ["### Cell by cell", markdown(beside)]
     parts += ["## One step on one core", _STEPS_MEAN, markdown(steps)]
@@ -267,7 +256,6 @@ _STEPS_MEAN = (
     f"Each step's least time of {_REPEATS} runs, in which other work on the machine hardly counts; the processor time "
     "of all runs, a step; and times as they went."
 )
-_COMMON = ["position /rule, common", "rotation /rule, common"]
 
 app = new_app(__doc__ or "")
 
@@ -288,11 +276,10 @@ def main(
     scenes: Annotated[str, typer.Option(help="Scenes, joined by commas.")] = ",".join(NAMES),
     seeds: Annotated[int, typer.Option(min=1, help="Draws of the simulated walks' errors.")] = 1,
     processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = os.cpu_count() or 1,
-    ablate: Annotated[bool, typer.Option(help="Also ours without one ingredient each.")] = True,
     quick: Annotated[bool, typer.Option("--quick", help="Raw, rule and ours on one draw of simulated walks.")] = False,
     set_: SetOption = None,
 ) -> None:
-    """Run it and print the tables. `--set` takes the fuse stage's settings: `options.drift_aware.rivals=false`."""
+    """Run it and print the tables. `--set` takes the fuse stage's settings: `options.drift_aware.keyframes=32`."""
     settings = resolve_settings(FuseSettings, "fuse", DataRoot(SHIPPED_DATA), "demo", "benchmark", set_ or [])
     chosen = [k.strip() for k in kinds.split(",")]
     _refuse_unknown(chosen, KINDS)
@@ -300,7 +287,7 @@ def main(
     if quick:
         settings = settings.model_copy(update={"methods": [RAW, RULE, OURS]})
         chosen = [k for k in chosen if k in (inputs.SIMULATED, *inputs.BAD_ODOMETRY)]
-        seeds, ablate = 1, False
+        seeds = 1
     if {RAW, RULE, OURS} - set(settings.methods):
         raise UserError(f"the benchmark compares {RAW}, {RULE} and {OURS}", found=", ".join(settings.methods))
     if not recordings.is_dir() and {inputs.RECORDED, inputs.MEASURED} & set(chosen):
@@ -310,9 +297,7 @@ def main(
         raise UserError("no kind of walks is left to be run", found=kinds)
 
     methods = [Variant(name, name, options) for name, options in resolved(settings).items()]
-    ours = next(v for v in methods if v.label == OURS)
-    without = scores.ablations(ours.options) if ablate else []
-    plan = Plan(chosen, scenes.split(","), seeds, methods, without, recordings, DataRoot(data))
+    plan = Plan(chosen, scenes.split(","), seeds, methods, recordings, DataRoot(data))
     cases = [inputs.simulated_case(inputs.SIMULATED, plan.scenes[0], m, [0]) for m in REGRESSORS]
     walks = [w for case in cases for w in case.walks]
     first = replace(cases[0], walks=cases[0].walks[:1], error_maps=cases[0].error_maps[:1])

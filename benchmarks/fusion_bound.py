@@ -6,7 +6,7 @@ beside later answers, and beside the best rigid alignment of odometry. How often
 heading says how many have to agree before odometry is disbelieved. Writes docs/results/fusion_bound.md.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -14,7 +14,6 @@ import numpy as np
 import typer
 
 from benchmarks.fusion_inputs import Case
-from benchmarks.fusion_scores import EVEN
 from benchmarks.real_predictions import DEVELOPMENT, real_cases
 from benchmarks.results import circumstances, markdown_table
 from groundwalk.artefacts import UserError
@@ -25,12 +24,10 @@ from groundwalk.fusion.evaluation.fuse import Run, fuse, pose_errors
 from groundwalk.fusion.evaluation.leaderboard import RULE, cases_in, within_bounds
 from groundwalk.fusion.methods import METHODS, resolve_options
 from groundwalk.fusion.methods.drift_aware import DriftAware
-from groundwalk.fusion.methods.drift_aware_options import DriftAwareOptions
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.error_map import errors_of as errors_in_map
-from groundwalk.fusion.methods.estimator import robust
-from groundwalk.fusion.methods.estimator.aligner import DIMENSIONS, Model
-from groundwalk.fusion.methods.estimator.prediction_noise import Prior
+from groundwalk.fusion.methods.estimator.error_covariance import Prior
+from groundwalk.fusion.methods.estimator.fit import DIMENSIONS, DOF, Belief
 from groundwalk.fusion.methods.localiser import Stepping
 from groundwalk.fusion.methods.offline import Offline
 from groundwalk.fusion.methods.smoother import Smoother, SmootherOptions
@@ -41,7 +38,6 @@ from groundwalk.scoring.errors import pose_error
 
 app = new_app(__doc__ or "")
 
-_DOF = DriftAwareOptions().degrees_of_freedom
 _CERTAIN = 1e9  # predictions that what is told counts as
 _QUANTITIES = ("position", "rotation")
 _RIGHT = 0.85, 0.99  # of errors within their 95 % bounds
@@ -51,24 +47,19 @@ _FAR_DEG, _ALIKE_DEG, _APART_S = 15.0, 10.0, 0.95
 
 
 class Told(DriftAware):
-    """`drift_aware` that is told the covariance (6, 6) of its regressor's errors, in camera axes, and doesn't learn it;
-    with `weights` also what the prediction at each time counts."""
+    """`drift_aware` that is told the covariance (6, 6) of its regressor's errors, in camera axes, and doesn't learn
+    it."""
 
-    def __init__(self, covariance: Array, weights: Mapping[int, float] | None = None, lag_s: float = 0.0) -> None:
-        super().__init__(DriftAwareOptions(**({} if weights is None else EVEN)), lag_s=lag_s)
-        self._weights = weights
-        self._sd = self._usual_sizes = np.sqrt(covariance.diagonal())
-        self._prior = Prior(covariance / np.outer(self._sd, self._sd), _CERTAIN, _CERTAIN, 0.0)
+    def __init__(self, covariance: Array, lag_s: float = 0.0) -> None:
+        super().__init__(lag_s=lag_s)
+        self._usual_sizes = np.sqrt(covariance.diagonal())
+        shape = covariance / np.outer(self._usual_sizes, self._usual_sizes)
+        self._prior = Prior(shape, _CERTAIN, _CERTAIN, 0.0)
         self._forget()
 
-    def _take(self, t_ns: int, vio_T_cam: Array, map_T_cam_apr: Array) -> None:
-        if self._weights is not None:
-            self._usual_sizes = self._sd / np.sqrt(self._weights[t_ns])
-        super()._take(t_ns, vio_T_cam, map_T_cam_apr)
-
     @property
-    def _model(self) -> Model:
-        return super()._model._replace(prior=self._prior)  # without the sizes that show beside odometry's quality
+    def _belief(self) -> Belief:
+        return super()._belief._replace(prior=self._prior)  # without the sizes that show beside odometry's quality
 
 
 class ToldLate(Smoother):
@@ -98,7 +89,7 @@ def covariance_of(errors: Array) -> Array:
     """The scatter matrix (6, 6) of errors (N, 6) about zero under Student's t, as the method learns it."""
     covariance = np.diag((1.4826 * np.median(np.abs(errors), axis=0)) ** 2)
     for _ in range(100):
-        weights = (_DOF + DIMENSIONS) / (_DOF + squared(errors, covariance))
+        weights = (DOF + DIMENSIONS) / (DOF + squared(errors, covariance))
         covariance = (errors * weights[:, None]).T @ errors / len(errors)
     return covariance
 
@@ -106,12 +97,6 @@ def covariance_of(errors: Array) -> Array:
 def _other_sequences(case: Case, walk: Walk) -> Told:
     sequence = walk.session_id.split("~")[0]
     return Told(covariance_of(errors_of([w for w in case.walks if w.session_id.split("~")[0] != sequence])))
-
-
-def _weighed(case: Case, walk: Walk) -> Told:
-    covariance = covariance_of(errors_of(case.walks))
-    weights = [robust.bounded(z, DIMENSIONS, _DOF) for z in squared(errors_of([walk]), covariance)]
-    return Told(covariance, dict(zip(walk.t_ns.tolist(), weights, strict=True)))
 
 
 def _map_of(case: Case, walk: Walk) -> ErrorMap | None:
@@ -122,15 +107,14 @@ Make = Callable[[Case, Walk], Stepping | Offline]
 # What each row's method is told, and how it is made for a walk of a case.
 ROWS: dict[str, Make] = {
     "1. `drift_aware` as it is": lambda case, walk: DriftAware(None, _map_of(case, walk)),
-    "2. told one covariance of this regressor's errors in this scene, in hindsight": lambda case, walk: Told(
+    "2. told one covariance of this regressor's errors in this scene, in calibration": lambda case, walk: Told(
         covariance_of(errors_of(case.walks))
     ),
     "3. told the covariance of the errors in the scene's other sequences, as of an earlier walk": _other_sequences,
     "4. `smoother`: told the rest of the walk": lambda case, walk: Smoother(None, _map_of(case, walk)),
-    "5. told 2's covariance, and what each prediction's true error lets it count": _weighed,
-    "6. `vio_oracle`: odometry laid on the true poses, rigidly": lambda case, walk: VioOracle(),
-    f"7. as 1, {_LATE_S:g} s late": lambda case, walk: Smoother(SmootherOptions(lag_s=_LATE_S), _map_of(case, walk)),
-    f"8. as 2, {_LATE_S:g} s late": lambda case, walk: ToldLate(covariance_of(errors_of(case.walks)), _LATE_S),
+    "5. `vio_oracle`: odometry laid on the true poses, rigidly": lambda case, walk: VioOracle(),
+    f"6. as 1, {_LATE_S:g} s late": lambda case, walk: Smoother(SmootherOptions(lag_s=_LATE_S), _map_of(case, walk)),
+    f"7. as 2, {_LATE_S:g} s late": lambda case, walk: ToldLate(covariance_of(errors_of(case.walks)), _LATE_S),
 }
 _OTHERS = ("window30", "error_state", "pose_graph", "last_good")
 
@@ -141,7 +125,7 @@ def by_id(name: str) -> Make:
 
 
 class Outcome(NamedTuple):
-    """Of position and of rotation, over the answered frames of all walks: mean errors (2,), and the shares (2,) within
+    """Of position and of rotation, over the past frames of all walks: mean errors (2,), and the shares (2,) within
     the 95 % bounds, NaN for a method without."""
 
     errors: Array
@@ -234,7 +218,7 @@ same scene with the same model, `/next best` over that of the best of {", ".join
 the cases. In bounds: in how many cases fewer than {_RIGHT[0]:.0%} of the errors are within their 95 % bounds, from
 these to {_RIGHT[1]:.0%}, and more.
 
-Rows 2, 3, 5, 6 and 8 are told of true errors and rows 4 and 6 answer after the walk, so no causal method can have them.
+Rows 2, 3, 5 and 7 are told of true errors and rows 4 and 5 answer after the walk, so no causal method can have them.
 A covariance is of rotation and position together, in camera axes, under Student's t, and stays as it is told.
 
 {circumstances()}

@@ -33,8 +33,8 @@ from groundwalk.fusion.evaluation.leaderboard import within_bounds
 from groundwalk.fusion.methods import METHODS, resolve_options
 from groundwalk.fusion.methods.drift_aware import DriftAware
 from groundwalk.fusion.methods.error_map import ErrorMap
-from groundwalk.fusion.methods.estimator.rivals import LOST
-from groundwalk.fusion.methods.estimator.way import CERTAIN
+from groundwalk.fusion.methods.estimator.alternatives import LOST
+from groundwalk.fusion.methods.estimator.odometry_step import CERTAIN
 from groundwalk.fusion.methods.localiser import Status, Stepping
 from groundwalk.fusion.methods.offline import Offline
 from groundwalk.fusion.walk import Walk, known
@@ -140,8 +140,9 @@ class ToldOfLoss(DriftAware):
     def _move(self, t_ns: int, vio_T_cam: Array) -> bool:
         jumped = super()._move(t_ns, vio_T_cam)
         if t_ns == self._loss_ns:
-            self._segment += not self._way.loose.any()
-            self._way.loose, self._way.odds = np.where(self._loses, LOST, self._way.loose), CERTAIN
+            step = self._odometry_step
+            self._segment += not step.added_variance.any()
+            step.added_variance, step.odds = np.where(self._loses, LOST, step.added_variance), CERTAIN
             self._quality.lost()
         return jumped
 
@@ -369,7 +370,7 @@ def _seconds(seconds: Array, percent: float) -> str:
 
 def _start_table(rows: pd.DataFrame, methods: Sequence[str]) -> Iterable[list[str]]:
     rule = rows[rows["method"] == RULE].set_index(["scene", "model", "walk"])["first_s"]
-    yield ["method", "first pose, median s", "no later than the rule's, %", "position m", "rotation deg", "answered, %"]
+    yield ["method", "first pose, median s", "no later than the rule's, %", "position m", "rotation deg", "past, %"]
     for method in methods:
         of = rows[rows["method"] == method].set_index(["scene", "model", "walk"])
         first = of["first_s"].to_numpy(float)

@@ -17,15 +17,12 @@ from groundwalk.fusion.evaluation.evaluate import stacked
 from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse, options_json
 from groundwalk.fusion.evaluation.leaderboard import within_bounds
 from groundwalk.fusion.evaluation.summary import session_figures, summarise
-from groundwalk.fusion.methods import METHODS, method, resolve_options
+from groundwalk.fusion.methods import METHODS, method
 from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.scoring.bootstrap import draws
 
 RAW, RULE, OURS = "apr", "mobilearloc", "drift_aware"
-UNTAUGHT = f"{OURS} without error_map"
 ERRORS = ["position_mean_m", "rotation_mean_deg"]
-# Options of ours: Barron's kernel of shape 2, under which every prediction counts the same.
-EVEN = {"degrees_of_freedom": 1e-6, "position_degrees_of_freedom": 1e-6}
 
 
 @dataclass(frozen=True)
@@ -35,18 +32,6 @@ class Variant:
     label: str
     method: str
     options: MethodOptions
-
-
-def ablations(options: MethodOptions) -> list[Variant]:
-    """Ours without one ingredient each: a switch turned off, or no heavy tails."""
-    values = options.model_dump()
-    off: dict[str, dict[str, Any]] = {name: {name: False} for name, value in values.items() if value is True}
-    if "degrees_of_freedom" in values:
-        off["heavy tails"] = EVEN
-    return [
-        Variant(f"{OURS} without {name}", OURS, resolve_options(OURS, values | changed))
-        for name, changed in off.items()
-    ]
 
 
 # ---------------------------------------------------------------- one case

@@ -63,7 +63,7 @@ def _made_here(r: StageRun[FuseSettings], leaf: str) -> frozenset[str]:
 
 STAGE = Stage(
     name="fuse",
-    version=28,
+    version=29,
     settings=FuseSettings,
     needs=("import", "align", "localise", "train"),
     run=run,

@@ -3,8 +3,7 @@
 from groundwalk.artefacts import recording
 from groundwalk.fusion.methods import Method
 from groundwalk.fusion.methods.apr import Apr, AprOptions
-from groundwalk.fusion.methods.drift_aware import DriftAware
-from groundwalk.fusion.methods.drift_aware_options import DriftAwareOptions
+from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.methods.error_state import ErrorState, ErrorStateOptions
 from groundwalk.fusion.methods.last_good import LastGood, LastGoodOptions
 from groundwalk.fusion.methods.mobilearloc import MobileARLoc, MobileARLocOptions

@@ -7,8 +7,7 @@ from math import inf
 
 from pydantic import Field
 
-from groundwalk.fusion.methods.drift_aware import DriftAware
-from groundwalk.fusion.methods.drift_aware_options import DriftAwareOptions
+from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.localiser import Estimate
 from groundwalk.fusion.methods.offline import Offline, steps

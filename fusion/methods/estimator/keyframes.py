@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.fusion.methods.estimator.compiled import compiled
-from groundwalk.fusion.methods.estimator.way import CERTAIN
+from groundwalk.fusion.methods.estimator.odometry_step import CERTAIN
 from groundwalk.geometry.poses import Array
 
 KEYFRAME = np.dtype(
@@ -24,18 +24,18 @@ KEYFRAME = np.dtype(
         ("step", float, 3),  # odometry's step from the keyframe before, in its axes there
         ("turn", float),  # what odometry's axes have turned by since: its frame was lost, and bridged (rad)
         ("drift", float, 4),  # variances that odometry's drift adds on the way from the keyframe before: x, y, z, yaw
-        ("loose", float, 4),  # what a loss of its frame adds to them
+        ("added_variance", float, 4),  # what a loss of its frame adds to them
         ("bridged", float, 3),  # the step where odometry has jumped, in the same axes
         ("moved", float, 3),  # the step where it hasn't
         ("bridge", float, 4),  # what bridging adds to the variances where it has jumped
-        ("odds", float),  # logarithm of the odds beforehand that it has (way.py)
+        ("odds", float),  # logarithm of the odds beforehand that it has (odometry_step.py)
         ("state", float, 4),  # the camera's map position and the yaw of map_R_vio, as estimated
         ("posterior", float, (4, 4)),  # covariance of the state, turned back by the yaw, as it was `age` iterations ago
         ("age", float),
         ("along", float),  # motion since the start
         ("time_s", float),
         ("segment", float),  # counts up where odometry lost its frame, or may have
-        ("rare", float),  # logarithm of the odds against that, before the keyframe
+        ("kept_odds", float),  # logarithm of the odds against that, before the keyframe
     ]
 )
 _WIDTH = KEYFRAME.itemsize // 8
@@ -137,8 +137,8 @@ def _close(keyframes: Rows, index: int) -> None:
         after.odds = CERTAIN
         for j in range(4):
             after.drift[j] += gone.drift[j]
-            after.loose[j] += gone.loose[j]
+            after.added_variance[j] += gone.added_variance[j]
         if after.segment == gone.segment:
-            after.rare = min(after.rare, gone.rare)
+            after.kept_odds = min(after.kept_odds, gone.kept_odds)
     for i in range(index, last):
         keyframes[i] = keyframes[i + 1]

@@ -132,9 +132,9 @@ class OdometryQuality:
     def __init__(self) -> None:
         self._position, self._height, self._yaw = _Bank(2), _Bank(1), _Bank(1)
         self.factors, self.sizes = np.ones(4), np.ones(6)
-        self.has_judged = False
+        self.is_known = False
         # The next prediction may be of another place, or odometry have lost its frame: neither tells how far it drifts.
-        self.doubtful = False
+        self.paused = False
         self.sizes_known = False  # held-out frames or covariances say how large errors are
         self._forget_way()
 
@@ -178,7 +178,7 @@ class OdometryQuality:
             self._since[:] = 0.0
             return
         metres, position, height, heading, bent = self._since.tolist()
-        if metres < _EVERY_M or self.doubtful:
+        if metres < _EVERY_M or self.paused:
             return
         self._position.update(apart[::2], (position, bent), size[0], metres)
         self._height.update(apart[1:2], (height, 0.0), size[0], metres)
@@ -189,7 +189,7 @@ class OdometryQuality:
         heading, yaw_size = self._yaw.factors(self.sizes_known)
         self.factors = np.array([position, height, position, heading])
         self.sizes = np.sqrt(np.repeat([yaw_size, position_size], 3))
-        self.has_judged = True
+        self.is_known = True
 
     def save(self) -> list[Any]:
         """The state as plain data."""
@@ -198,7 +198,7 @@ class OdometryQuality:
             self._height.save(),
             self._yaw.save(),
             self._begun,
-            self.has_judged,
+            self.is_known,
             *map(plain, self._arrays()),
         ]
 
@@ -207,7 +207,7 @@ class OdometryQuality:
         self._position.restore(state[0])
         self._height.restore(state[1])
         self._yaw.restore(state[2])
-        self._begun, self.has_judged = state[3:5]
+        self._begun, self.is_known = state[3:5]
         self.factors, self.sizes, self._at, self._since = (np.array(part) for part in state[5:])
 
     def _arrays(self) -> tuple[Array, ...]:

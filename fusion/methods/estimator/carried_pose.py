@@ -10,26 +10,13 @@ from groundwalk.fusion.methods.estimator.matrices import add_product
 from groundwalk.geometry.poses import Array
 
 
-class Answer(NamedTuple):
+class CarriedPose(NamedTuple):
     """map_T_cam and map_T_vio (4, 4), and the covariance (6, 6) of the pose's error in the map frame, rotation (rad)
     before translation (m)."""
 
     map_T_cam: Array
     map_T_vio: Array
     covariance: Array
-
-
-@compiled
-def leaning(tilt: Array) -> Array:
-    """The rotation (3, 3) about x and z by angles (2,), rad."""
-    x, z = tilt[0], tilt[1]
-    angle = sqrt(x * x + z * z)
-    a, b = (sin(angle) / angle, (1 - cos(angle)) / angle**2) if angle > 1e-9 else (1.0, 0.5)
-    turn = np.empty((3, 3))
-    turn[0, 0], turn[0, 1], turn[0, 2] = 1 - b * z * z, -a * z, b * x * z
-    turn[1, 0], turn[1, 1], turn[1, 2] = a * z, 1 - b * angle**2, -a * x
-    turn[2, 0], turn[2, 1], turn[2, 2] = b * x * z, a * x, 1 - b * x * x
-    return turn
 
 
 def yaw_and_lean(rotation: Array) -> tuple[float, tuple[float, float]]:
@@ -46,19 +33,9 @@ def yaw_and_lean(rotation: Array) -> tuple[float, tuple[float, float]]:
 
 
 @compiled
-def rotation_into_map(yaw: float, tilt: Array) -> Array:
-    """map_R_vio (3, 3) of a yaw and of odometry's gravity error (2,)."""
-    c, s = cos(yaw), sin(yaw)
-    lean, turn = leaning(tilt), np.empty((3, 3))
-    for j in range(3):
-        turn[0, j] = c * lean[0, j] + s * lean[2, j]
-        turn[1, j] = lean[1, j]
-        turn[2, j] = c * lean[2, j] - s * lean[0, j]
-    return turn
-
-
-@compiled
-def answer(state: Array, map_R_vio: Array, vio_T_cam: Array, keyframe: Array, bound: Array, added: Array) -> Answer:
+def carried_pose(
+    state: Array, map_R_vio: Array, vio_T_cam: Array, keyframe: Array, bound: Array, added: Array
+) -> CarriedPose:
     """state (4,): the camera's position and yaw. keyframe (4,): those of the keyframe that it is carried from, bound
     (4, 4) their covariance in map axes, added (4,) what the way since adds to its variances. The covariance's tilt is
     left out."""
@@ -80,4 +57,4 @@ def answer(state: Array, map_R_vio: Array, vio_T_cam: Array, keyframe: Array, bo
             covariance[3 + j, 3 + k] += way[j] * bound[3, 3] * way[k]
         covariance[3 + j, 3 + j] += added[j]
     covariance[1, 1] = bound[3, 3] + added[3]
-    return Answer(map_T_cam, map_T_vio, covariance)
+    return CarriedPose(map_T_cam, map_T_vio, covariance)

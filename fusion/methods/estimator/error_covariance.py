@@ -27,26 +27,14 @@ _DRIFTS = 10.0
 
 class Prior(NamedTuple):
     """What is expected of the covariance without the fit: `shape` (6, 6) is a correlation matrix, which counts as
-    `shape_count` predictions, and the sizes, 1 by definition before the walk, count as `size_count`. That rotation
-    errors are as large about each axis, and position errors along each, counts as `axis_count`."""
+    `shape_count` predictions, and the `sizes` (6,) of normalised errors count as `size_count`. That rotation errors are
+    as large about each axis, and position errors along each, counts as `axis_count`."""
 
     shape: Array
     shape_count: float
     size_count: float
     axis_count: float
     sizes: Array = np.ones(6)
-
-    def for_covariances(self, shrinkage: float, count: float, axis_count: float) -> "Prior":
-        """For errors that are whitened by the covariances that predictions state: `shape` and `axis_count` hold as far
-        as those are shrunk. Their common factor, 1 beforehand, counts as `count` predictions, and that it is one for
-        all axes as `axis_count`, as far as they aren't."""
-        shape = (1 - shrinkage) * np.eye(6) + shrinkage * self.shape
-        axis_count = (1 - shrinkage) * axis_count + shrinkage * self.axis_count
-        return self._replace(shape=shape, size_count=count, axis_count=axis_count)
-
-    def with_sizes(self, sizes: Array, count: float) -> "Prior":
-        """With sizes (6,) that were learnt elsewhere, which count as so many predictions more."""
-        return self._replace(size_count=self.size_count + count, sizes=sizes)
 
 
 def side_turn_correlation(correlation: float) -> Array:
@@ -110,31 +98,27 @@ def whitening_of_covariance(covariance: Array, map_R_cam: Array, vio_R_cam: Arra
 
 
 @compiled
-def scatter(prior: Prior, errors: Array, spread: Array, counted: Array, weights: Array) -> Array:
+def scatter(prior: Prior, errors: Array, spread: Array, weights: Array) -> Array:
     """The covariance (6, 6) of normalised errors (N, 6), of which covariances `spread` (N, 6, 6) aren't known.
-
-    counted (N,): how much of an independent prediction each is, 0 to 1. weights (N,):
-    what Student's t lets each count.
-    """
-    covariance, count = np.zeros((6, 6)), 0.0
-    for i in range(len(errors)):
-        count += counted[i]
-        each = counted[i] * weights[i]
+    weights (N,): what Student's t lets each count."""
+    covariance, count = np.zeros((6, 6)), len(errors)
+    for i in range(count):
         for j in range(6):
             for k in range(6):
-                covariance[j, k] += each * (errors[i, j] * errors[i, k] + spread[i, j, k])
-    sd, ratio, total = np.empty(6), np.empty(6), prior.size_count + count
+                covariance[j, k] += weights[i] * (errors[i, j] * errors[i, k] + spread[i, j, k])
+    believed = prior.shape_count / (prior.shape_count + count)
     for j in range(6):
         for k in range(6):
             covariance[j, k] += prior.size_count * prior.sizes[j] * prior.sizes[k] * prior.shape[j, k]
-            covariance[j, k] /= total
+            covariance[j, k] /= prior.size_count + count
+    sd, ratio = np.empty(6), np.empty(6)
     for j in range(6):
-        mean = 0.0
-        for k in range(3):
-            mean += covariance[3 * (j // 3) + k, 3 * (j // 3) + k] / 3
+        mean, first = 0.0, 3 * (j // 3)
+        for k in range(first, first + 3):
+            mean += covariance[k, k] / 3
+        total = prior.size_count + count
         sd[j] = sqrt((total * covariance[j, j] + prior.axis_count * mean) / (total + prior.axis_count))
         ratio[j] = sd[j] / sqrt(covariance[j, j])
-    believed = prior.shape_count / (prior.shape_count + count)
     for j in range(6):
         for k in range(6):
             covariance[j, k] *= (1 - believed) * ratio[j] * ratio[k]

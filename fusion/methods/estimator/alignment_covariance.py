@@ -1,16 +1,16 @@
 """How far off the fitted alignment may be.
 
-The fit takes predictions for independent ones that count less. What its answer is worth hangs on how they are really
-wrong together (likeness.py). The covariance is that of the fit's linear answer to such errors (a sandwich, as of
-generalised estimating equations; Liang and Zeger, Biometrika 73, 1986)."""
+The fit takes predictions for independent ones that count less. What it is worth hangs on how their errors are really
+correlated (error_correlation.py). The covariance is that of the fit's linear response to such errors (a sandwich, as
+of generalised estimating equations; Liang and Zeger, Biometrika 73, 1986)."""
 
 from math import cos, sin, sqrt
 
 import numpy as np
 
-from groundwalk.fusion.methods.estimator.aligner import Fit
-from groundwalk.fusion.methods.estimator.alignment_chain import UNKNOWN, covariances_with
+from groundwalk.fusion.methods.estimator.chain import UNKNOWN, covariances_with
 from groundwalk.fusion.methods.estimator.compiled import compiled
+from groundwalk.fusion.methods.estimator.fit import Fit
 from groundwalk.fusion.methods.estimator.keyframes import Rows
 from groundwalk.fusion.methods.estimator.matrices import add_product, clear, invert, write_columns
 from groundwalk.geometry.poses import Array
@@ -28,7 +28,7 @@ def alignment_covariance(keyframes: Rows, fit: Fit, index: int) -> Array:
         clear(believed, 4, 4)
         add_product(fit.information[i], answer[i], believed, (4, 4, 4))
         add_product(answer[i].T, believed, covariance, (4, 4, 4), -1.0)
-        _write_together(moved, fit.alike[i], i, together)
+        _write_together(moved, fit.correlation[i], i, together)
         clear(weighed, 6, 4)
         add_product(precision, together, weighed, (6, 6, 4))
         add_product(moved[i].T, weighed, covariance, (4, 6, 4))
@@ -45,26 +45,22 @@ def _moved(keyframes: Rows, fit: Fit, answer: Array) -> Array:
     unknown, moved = np.empty((6, 4)), np.zeros((len(keyframes), 6, 4))
     for i in range(len(keyframes)):
         write_columns(keyframes[i].whitening, UNKNOWN, unknown, 6)
-        add_product(unknown, answer[i], moved[i], (6, 4, 4), fit.counted[i])
-        for j in range(6):
-            root = sqrt(fit.weights[i, j // 3])
-            for k in range(4):
-                moved[i, j, k] *= root
+        add_product(unknown, answer[i], moved[i], (6, 4, 4), fit.effective[i] * sqrt(fit.weights[i]))
     return moved
 
 
 @compiled
-def _write_together(moved: Array, alike: Array, i: int, together: Array) -> None:
-    """Writes what one keyframe's error moves, (6, 4), with what those before it move that are alike (N,). These count
-    twice, as each pair is met once."""
+def _write_together(moved: Array, correlation: Array, i: int, together: Array) -> None:
+    """Writes what one keyframe's error moves, (6, 4), with what those before it move that are correlated with it, (N,).
+    These count twice, as each pair is met once."""
     for k in range(6):
         for m in range(4):
             together[k, m] = moved[i, k, m]
     for j in range(i):
-        if alike[j] > 0:
+        if correlation[j] > 0:
             for k in range(6):
                 for m in range(4):
-                    together[k, m] += 2 * alike[j] * moved[j, k, m]
+                    together[k, m] += 2 * correlation[j] * moved[j, k, m]
 
 
 @compiled

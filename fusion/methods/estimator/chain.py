@@ -6,7 +6,7 @@ yaw of map_R_vio, theta_i: a state (4,). Two kinds of terms bind them:
 - odometry's drift is a random walk: theta_i - theta_(i-1) - t_i and c_i - c_(i-1) - R(theta_(i-1)) s_i are zero up to
   variances that grow with the way between them. s_i is odometry's step and t_i is 0, but where odometry's frame was
   lost and bridged;
-- a prediction is the pose up to an error, normalised and in camera axes (prediction_noise.py): r_i = B_i
+- a prediction is the pose up to an error, normalised and in camera axes (error_covariance.py): r_i = B_i
   [rotation error, position error], both in the map's axes turned back by theta_i.
 
 Increments are in those turned axes, too: (x, y, z, yaw), shape (N, 4). There the Jacobians of predictions hang on no

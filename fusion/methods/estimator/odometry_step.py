@@ -3,7 +3,7 @@
 A phone goes on moving as it did while its odometry jumps: across a jump the step is that of its velocity before, and
 either odometry's heading holds, or, where it turned faster than a phone can, the camera's. A step that is merely long
 may as well be true, as people run: then both ways are kept, and the predictions that follow tell which it was
-(aligner.py)."""
+(fit.py)."""
 
 from math import atan2, cos, exp, sin
 from typing import Any
@@ -14,13 +14,13 @@ from groundwalk.fusion.methods.localiser import plain
 from groundwalk.geometry.poses import Array
 
 CERTAIN = 100.0  # log odds of what is known: that it has jumped, where it turned as no phone does, or that it hasn't
-_UNLIKE = 2.0  # standard deviations of a step from that of the velocity before, within which it is none
+_UNLIKE = 2.0  # standard deviations of a step from that of the velocity before, within which it is no jump
 
 
-class Way:
-    """`turn`: what odometry's axes have turned by since the newest keyframe, rad. `loose` (4,): what bridging adds to
-    the variances of x, y, z and yaw. `odds`: logarithm of the odds that odometry has jumped, against its
-    having moved so."""
+class OdometryStep:
+    """`turn`: what odometry's axes have turned by since the newest keyframe, rad. `added_variance` (4,): what bridging
+    adds to the variances of x, y, z and yaw. `odds`: logarithm of the odds that odometry has jumped, against its having
+    moved so."""
 
     def __init__(self) -> None:
         self._velocity = [0.0, 0.0, 0.0]  # m/s, in odometry's axes now
@@ -29,7 +29,7 @@ class Way:
     def begin(self, vio_position: Array) -> None:
         """Count from a keyframe on, at odometry's position (3,)."""
         self.turn, self.odds = 0.0, -CERTAIN
-        self.loose = np.zeros(4)
+        self.added_variance = np.zeros(4)
         self._step = [0.0, 0.0, 0.0]  # up to the last bridge, in the keyframe's axes
         self._moved = [0.0, 0.0, 0.0]  # the same, as odometry has it
         self._from = vio_position.tolist()
@@ -45,10 +45,10 @@ class Way:
         return off > (_UNLIKE * sd_m_s * seconds) ** 2
 
     def bridge(
-        self, before: Array, after: Array, seconds: float, turned: bool, sd_m: float, sd_rad: float
+        self, before: Array, after: Array, seconds: float, turned: bool, sds: tuple[float, float]
     ) -> list[float]:
-        """Odometry's pose (4, 4) has jumped. turned: the camera's heading holds, not odometry's. sd_m, sd_rad: how far
-        step and heading may be off. Returns the step that is taken to have been."""
+        """Odometry's pose (4, 4) has jumped. turned: the camera's heading holds, not odometry's. sds: how far step (m)
+        and heading (rad) may be off. Returns the step that is taken to have been."""
         moved = [seconds * v for v in self._velocity]
         # Of the frame now against the frame before, so that the camera's heading stays.
         turn = -_yaw(after[:3, :3] @ before[:3, :3].T) if turned else 0.0
@@ -63,7 +63,7 @@ class Way:
         else:
             self.go(displacement, seconds)
             self.odds = max(self.odds, 0.0)
-        self.loose = self.loose + np.array([sd_m**2, sd_m**2, sd_m**2, sd_rad**2])
+        self.added_variance = self.added_variance + np.square([sds[0], sds[0], sds[0], sds[1]])
         return moved
 
     def bridged(self, vio_position: Array) -> list[float]:
@@ -89,15 +89,15 @@ class Way:
     def added(self) -> Array:
         """What not knowing that adds to the variances of x, y, z and yaw, (4,)."""
         apart = float(np.sum((np.array(self._step) - self._moved) ** 2)) / 3
-        return self.jump * self.loose + self.jump * (1 - self.jump) * apart * np.array([1.0, 1.0, 1.0, 0.0])
+        return self.jump * self.added_variance + self.jump * (1 - self.jump) * apart * np.array([1.0, 1.0, 1.0, 0.0])
 
     def save(self) -> list[Any]:
         """The state as plain data."""
-        return [self.turn, plain(self.loose), self._step, self._moved, self._from, self._velocity, self.odds]
+        return [self.turn, plain(self.added_variance), self._step, self._moved, self._from, self._velocity, self.odds]
 
     def restore(self, state: list[Any]) -> None:
         """Take over what `save` gave."""
-        self.turn, self.loose = state[0], np.array(state[1])
+        self.turn, self.added_variance = state[0], np.array(state[1])
         self._step, self._moved, self._from, self._velocity = (list(part) for part in state[2:6])
         self.odds = state[6]
 
