@@ -2,7 +2,7 @@
 
 from groundwalk.alignment.check_truth import check_truth
 from groundwalk.alignment.stage import STAGE
-from groundwalk.artefacts.cli import stage_app
+from groundwalk.store.cli import stage_app
 
 app = stage_app(STAGE)
 app.command("check-truth")(check_truth)

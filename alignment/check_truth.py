@@ -16,17 +16,17 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from groundwalk.alignment.uncertainty import SharedSd, shared_covariance
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import QualityClass
-from groundwalk.artefacts.cli import DataOption, ProfileOption
-from groundwalk.artefacts.manifests import load_manifest
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.settings import DataRoot
-from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, fit_yaw, pose_residuals
 from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import within_bounds
+from groundwalk.store import UserError
+from groundwalk.store.choices import QualityClass
+from groundwalk.store.cli import DataOption, ProfileOption
+from groundwalk.store.manifests import load_manifest
+from groundwalk.store.schemas import schema
+from groundwalk.store.settings import DataRoot
+from groundwalk.store.tables import poses_of, read_table
 
 
 @dataclass(frozen=True)

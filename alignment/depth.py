@@ -16,11 +16,11 @@ import pandas as pd
 import pycolmap
 
 from groundwalk.alignment.components import PlacedComponent
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.depth_images import pixel_rays, ratio_statistics, sample_depth, smooth_pixels
 from groundwalk.geometry.poses import Array, inverse, transform
+from groundwalk.store import UserError
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import poses_of
 
 # Phones' sensors reach 5 m: beyond, depth is interpolated.
 MAX_RANGE_M = 5.0

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts.choices import DriftDefinition, DriftInterval
-from groundwalk.artefacts.schemas import schema
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_se3, fit_sim3, fit_yaw
 from groundwalk.geometry.poses import Array, heading, inverse, path_length, relative, rotation_angle, transform
+from groundwalk.store.choices import DriftDefinition, DriftInterval
+from groundwalk.store.schemas import schema
 
 DISTANCES_M = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 # Of a walk that is shorter than all of these.

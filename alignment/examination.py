@@ -29,12 +29,12 @@ from groundwalk.alignment.segments import Segment
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.uncertainty import covariance_in_map, largest_sd
 from groundwalk.alignment.vio_links import place_components
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import FailureCause
-from groundwalk.artefacts.hints import setting_of
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array
+from groundwalk.store import UserError
+from groundwalk.store.choices import FailureCause
+from groundwalk.store.hints import setting_of
 
 # A frame of class A or B is within these of its true pose with 95 %: a reference pose further away confirms neither.
 _CONFIRMED_M, _CONFIRMED_RAD = 0.25, float(np.radians(2.0))

@@ -16,9 +16,9 @@ from groundwalk.alignment.sessions import SessionFit, fit_session, residuals_tab
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.uncertainty import SharedSd, covariance_in_map, largest_sd, shared_covariance
 from groundwalk.alignment.vio_links import link_covariance
-from groundwalk.artefacts.choices import QualityClass
-from groundwalk.artefacts.tables import CAMERA_COLUMNS, dataset_frames, pose_frame, poses_of
 from groundwalk.geometry.poses import Array
+from groundwalk.store.choices import QualityClass
+from groundwalk.store.tables import CAMERA_COLUMNS, dataset_frames, pose_frame, poses_of
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from groundwalk.alignment.segments import Segment
-from groundwalk.artefacts.choices import ScaleSource, VerticalSource
 from groundwalk.consistency.scale import Scale, recording_scale, robust_mean
 from groundwalk.geometry.fits import direction_angles, fit_robust, mean_direction
 from groundwalk.geometry.poses import Array
+from groundwalk.store.choices import ScaleSource, VerticalSource
 
 # Residuals below which a robust fit no longer tells items apart.
 _UP_FLOOR = np.radians(0.2)  # of a frame's vertical against its recording's

@@ -17,9 +17,9 @@ from groundwalk.alignment.components import Component
 from groundwalk.alignment.examination import Examination
 from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.segments import Segment
-from groundwalk.artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
 from groundwalk.consistency.windows import PoseSd, fit_rigid
 from groundwalk.geometry.poses import Array, transform
+from groundwalk.store.recording import GROUND_TRUTH, NEUTRAL, REJECTED, VIO
 
 _MAX_SESSIONS = 8
 _INCHES = 3.2

@@ -8,8 +8,8 @@ import pandas as pd
 
 from groundwalk.alignment.settings import AlignSettings, QualitySettings
 from groundwalk.alignment.uncertainty import largest_sd
-from groundwalk.artefacts.choices import QualityClass
 from groundwalk.geometry.poses import Array
+from groundwalk.store.choices import QualityClass
 
 
 class FrameMeasures(NamedTuple):

@@ -8,10 +8,10 @@ import rerun.blueprint as rrb
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.sessions import SessionFit
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.artefacts import StageRun
-from groundwalk.artefacts.choices import QualityClass
-from groundwalk.artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
 from groundwalk.geometry.poses import Array, quaternion_from_matrix, transform
+from groundwalk.store import StageRun
+from groundwalk.store.choices import QualityClass
+from groundwalk.store.recording import GROUND_TRUTH, NEUTRAL, REJECTED, UP_AXIS, VIO, log_camera, log_path
 
 _QUALITY_COLOURS = {QualityClass.A: GROUND_TRUTH, QualityClass.B: (110, 200, 170), QualityClass.C: NEUTRAL}
 # Sessions in the residuals' two plots; grey, green and orange mean something else.

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts.choices import Tracking
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.consistency.trajectories import TrajectoryPair
 from groundwalk.geometry.poses import Array, path_length
+from groundwalk.store.choices import Tracking
+from groundwalk.store.tables import poses_of
 
 # A phone that calls its tracking so may stand still in VIO while it moves.
 _UNTRACKED = (Tracking.LIMITED, Tracking.LOST)

@@ -8,12 +8,12 @@ import pandas as pd
 
 from groundwalk.alignment.components import PlacedComponent
 from groundwalk.alignment.segments import Segment
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import pose_frame
 from groundwalk.consistency.windows import PoseSd, fit_rigid
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import direction_angles, fit_poses, fit_sim3, pose_residuals
 from groundwalk.geometry.poses import Array
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import pose_frame
 
 # A rigid fit of fewer poses has no residual.
 _MIN_FRAMES = 3

@@ -6,11 +6,11 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from groundwalk.alignment.rulers.settings import Ruler, rulers_of
-from groundwalk.artefacts.settings import Settings
-from groundwalk.artefacts.vio_drift_settings import VioDriftSettings
 from groundwalk.consistency.diagnosis import MAX_ALIASED_FRACTION, MAX_TURN_GAIN_ERROR
 from groundwalk.consistency.scale import STEP_M, STEP_SCALE_SD
 from groundwalk.consistency.windows import POSE_SD, WINDOW_M, PoseSd
+from groundwalk.store.settings import Settings
+from groundwalk.store.vio_drift_settings import VioDriftSettings
 
 
 class QualitySettings(Settings):

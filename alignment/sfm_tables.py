@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts.choices import PairStatus
+from groundwalk.store.choices import PairStatus
 
 # Fewer pairs of a session's frames decide nothing.
 _MIN_PAIRS = 8

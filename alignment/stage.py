@@ -28,11 +28,11 @@ from groundwalk.alignment.rulers.scale_check import rulers_table
 from groundwalk.alignment.sessions import SessionFit
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
-from groundwalk.artefacts import Stage, StageRun
-from groundwalk.artefacts.choices import DriftDefinition, QualityClass, ScaleSource, UpSource, VerticalSource
-from groundwalk.artefacts.tables import dataset_frames, with_cameras
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.poses import Array
+from groundwalk.store import Stage, StageRun
+from groundwalk.store.choices import DriftDefinition, QualityClass, ScaleSource, UpSource, VerticalSource
+from groundwalk.store.tables import dataset_frames, with_cameras
 
 CHECKS_PLOT, RULERS_PLOT = "checks.png", "rulers.png"
 _TABLES = ("ground_truth", "sessions", "drift", "checks", "residuals", "reference_agreement")

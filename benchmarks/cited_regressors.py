@@ -15,11 +15,11 @@ import typer
 
 from benchmarks.regressors import FIGURES, cell, error_figures, link, trained
 from benchmarks.results import circumstances, markdown_table
-from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import dataset_frames, read_table
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
+from groundwalk.store import DataRoot
+from groundwalk.store.cli import new_app
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import dataset_frames, read_table
 
 app = new_app(__doc__ or "")
 

@@ -11,13 +11,13 @@ import pandas as pd
 import typer
 
 from benchmarks.results import circumstances, markdown_table
-from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.manifests import MANIFEST, load_verified
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.settings import SHIPPED_DATA
-from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.store import DataRoot
+from groundwalk.store.cli import new_app
+from groundwalk.store.manifests import MANIFEST, load_verified
+from groundwalk.store.schemas import schema
+from groundwalk.store.settings import SHIPPED_DATA
+from groundwalk.store.tables import poses_of, read_table
 
 app = new_app(__doc__ or "")
 

@@ -35,10 +35,6 @@ from benchmarks import fusion_scores as scores
 from benchmarks.fusion_inputs import Case
 from benchmarks.fusion_scores import OURS, RAW, RULE, Target, Variant
 from benchmarks.regressor_errors.fit import REGRESSORS
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.cli import SetOption, new_app
-from groundwalk.artefacts.progress import track
-from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, resolved
 from groundwalk.fusion.evaluation.leaderboard_report import markdown
 from groundwalk.fusion.evaluation.sweep import grid, sweep
@@ -49,6 +45,10 @@ from groundwalk.fusion.methods.offline import stepped
 from groundwalk.fusion.walk import Walk
 from groundwalk.geometry.poses import Array
 from groundwalk.simulation.scenes import NAMES
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.cli import SetOption, new_app
+from groundwalk.store.progress import track
+from groundwalk.store.settings import SHIPPED_DATA, resolve_settings
 
 KINDS = (inputs.SIMULATED, inputs.RECORDED, inputs.MEASURED, inputs.TRAINED, *inputs.BAD_ODOMETRY, inputs.KIDNAPPED)
 _COMPARED = (inputs.SIMULATED, inputs.RECORDED, inputs.TRAINED)

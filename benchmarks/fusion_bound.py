@@ -16,10 +16,6 @@ import typer
 from benchmarks.fusion_inputs import Case
 from benchmarks.real_predictions import DEVELOPMENT, real_cases
 from benchmarks.results import circumstances, markdown_table
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.files import written_aside
-from groundwalk.artefacts.progress import track
 from groundwalk.fusion.evaluation.fuse import Run, fuse, pose_errors
 from groundwalk.fusion.evaluation.leaderboard import RULE, cases_in, within_bounds
 from groundwalk.fusion.methods import METHODS, resolve_options
@@ -35,6 +31,10 @@ from groundwalk.fusion.methods.vio_oracle import VioOracle
 from groundwalk.fusion.walk import Walk
 from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import pose_error
+from groundwalk.store import UserError
+from groundwalk.store.cli import new_app
+from groundwalk.store.files import written_aside
+from groundwalk.store.progress import track
 
 app = new_app(__doc__ or "")
 

@@ -15,10 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.pose_walks import pose_walks
 from benchmarks.regressor_errors.model import apr_seeds, read_apr_models, simulate_apr
-from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.settings import SplitRules
-from groundwalk.artefacts.tables import dataset_frames, read_table
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.checks.health import find_jumps, gravity_of
 from groundwalk.capture_import.formats import FORMATS
@@ -30,6 +26,10 @@ from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.poses import Array, heading, interpolate, inverse, make_pose, yaw_rotation
 from groundwalk.scoring.errors import step_lengths
 from groundwalk.simulation.vio import FITTED, VioModel, simulate_vio, start_frame
+from groundwalk.store import DataRoot
+from groundwalk.store.schemas import schema
+from groundwalk.store.settings import SplitRules
+from groundwalk.store.tables import dataset_frames, read_table
 
 SIMULATED, RECORDED, MEASURED, TRAINED = "simulated", "recorded", "measured", "trained"
 KIDNAPPED, BETTER_APR = "kidnapped", "better APR"

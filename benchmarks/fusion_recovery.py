@@ -25,9 +25,6 @@ from benchmarks import fusion_inputs as inputs
 from benchmarks.fusion_scores import OURS, RULE
 from benchmarks.regressor_errors.fit import REGRESSORS
 from benchmarks.results import circumstances, markdown_table
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.files import written_aside
-from groundwalk.artefacts.progress import track
 from groundwalk.fusion.evaluation.fuse import Run, fuse, pose_errors
 from groundwalk.fusion.evaluation.leaderboard import within_bounds
 from groundwalk.fusion.methods import METHODS, resolve_options
@@ -40,6 +37,9 @@ from groundwalk.fusion.methods.offline import Offline
 from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
 from groundwalk.simulation.scenes import NAMES
+from groundwalk.store.cli import new_app
+from groundwalk.store.files import written_aside
+from groundwalk.store.progress import track
 
 app = new_app(__doc__ or "")
 

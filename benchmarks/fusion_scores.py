@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.fusion_inputs import SIMULATED, Case
-from groundwalk.artefacts.settings import SHIPPED_DATA
 from groundwalk.fusion.evaluation.evaluate import stacked
 from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse, options_json
 from groundwalk.fusion.evaluation.leaderboard import within_bounds
@@ -20,6 +19,7 @@ from groundwalk.fusion.evaluation.summary import session_figures, summarise
 from groundwalk.fusion.methods import METHODS, method
 from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.scoring.bootstrap import draws
+from groundwalk.store.settings import SHIPPED_DATA
 
 RAW, RULE, OURS = "apr", "mobilearloc", "drift_aware"
 ERRORS = ["position_mean_m", "rotation_mean_deg"]

@@ -15,11 +15,11 @@ import typer
 
 from benchmarks.fusion_inputs import drifting_odometry
 from benchmarks.results import circumstances, markdown_table
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.files import written_aside
-from groundwalk.artefacts.progress import track
 from groundwalk.fusion.methods.drift_aware import DriftAware
 from groundwalk.geometry.poses import Array, interpolate, make_pose, yaw_rotation
+from groundwalk.store.cli import new_app
+from groundwalk.store.files import written_aside
+from groundwalk.store.progress import track
 
 app = new_app(__doc__ or "")
 

@@ -18,13 +18,13 @@ from benchmarks import fusion_inputs as inputs
 from benchmarks.fusion_inputs import Case
 from benchmarks.real_predictions import DEVELOPMENT, STRIDES, real_cases
 from benchmarks.regressor_errors.fit import REGRESSORS
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.manifests import MANIFEST
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import pose_frame, read_table
 from groundwalk.fusion.walk import Walk
 from groundwalk.simulation.scenes import NAMES
+from groundwalk.store import UserError
+from groundwalk.store.cli import new_app
+from groundwalk.store.manifests import MANIFEST
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import pose_frame, read_table
 
 KINDS = (inputs.SIMULATED, *inputs.BAD_ODOMETRY, inputs.KIDNAPPED)
 app = new_app(__doc__ or "")

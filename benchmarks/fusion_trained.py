@@ -11,8 +11,8 @@ from typing import Annotated
 import typer
 
 from benchmarks.groundtruth_inputs import run_stage, simulated
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.cli import new_app
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.cli import new_app
 
 FOLDER = Path("build/trained")
 # Settings of simulation and of training. In a room, telling a step aside from a turn takes more epochs.

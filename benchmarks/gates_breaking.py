@@ -9,9 +9,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from groundwalk.artefacts.images import read_image
-from groundwalk.artefacts.simulated import TRUE_POSES
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM
+from groundwalk.store.images import read_image
+from groundwalk.store.simulated import TRUE_POSES
 
 Break = Callable[[Path], None]
 _INTRINSICS = (0, 4)  # fx and fy in the row-major matrix

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from groundwalk.artefacts.files import write_json
-from groundwalk.artefacts.simulated import SIMULATED_MARKER
 from groundwalk.simulation import details, materials
 from groundwalk.simulation.canvas import Canvas
 from groundwalk.simulation.capture import write_frames
@@ -21,6 +19,8 @@ from groundwalk.simulation.session import SessionOutline, plan_session, take
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.simulate import write_truth
 from groundwalk.simulation.walks import Route
+from groundwalk.store.files import write_json
+from groundwalk.store.simulated import SIMULATED_MARKER
 
 CORRIDOR = "Corridor"
 _LENGTH_M, _WIDTH_M, _HEIGHT_M = 44.0, 2.4, 2.6

@@ -7,14 +7,14 @@ import pandas as pd
 
 from benchmarks.stages import Cost, measure
 from groundwalk.alignment.check_truth import TruthTarget, true_poses_of, truth_targets
-from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.choices import QualityClass
-from groundwalk.artefacts.manifests import load_manifest
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, pose_residuals
 from groundwalk.geometry.poses import Array
+from groundwalk.store import DataRoot
+from groundwalk.store.choices import QualityClass
+from groundwalk.store.manifests import load_manifest
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import poses_of, read_table
 
 PROFILE = "demo"
 

@@ -14,12 +14,12 @@ import matplotlib
 import numpy as np
 import typer
 
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.progress import track
 from groundwalk.capture_import.capture import ImageFile, Limits
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.media.blurring import CascadeDetector, Kind, Region
 from groundwalk.capture_import.media.images import decode_rgb
+from groundwalk.store.cli import new_app
+from groundwalk.store.progress import track
 
 WIDTHS_PX = (160, 120, 80, 60, 40, 30, 24, 20)
 PLACES = ((150, 120), (700, 300), (1300, 600))

@@ -17,8 +17,6 @@ import numpy as np
 import typer
 
 from benchmarks.import_scene import rendered_walk
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.progress import track
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits
 from groundwalk.capture_import.checks.clock import check_clock
 from groundwalk.capture_import.checks.convention import (
@@ -36,6 +34,8 @@ from groundwalk.capture_import.intake import ImportedSession, Intake, measures, 
 from groundwalk.capture_import.media.images import decode_gray, sharpness
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.geometry.poses import relative, rotation_angle
+from groundwalk.store.cli import new_app
+from groundwalk.store.progress import track
 
 # isort: split
 from capture_mutations import mutate

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from groundwalk.artefacts import UserError
+from groundwalk.store import UserError
 
 try:
     import atheris

@@ -24,12 +24,12 @@ import typer
 
 from benchmarks.import_captures import write_images, write_video
 from benchmarks.stages import measure
-from groundwalk.artefacts import DataRoot, execute
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.cores import usable_cores
-from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.capture_import.media.images import WORKING_LONG_SIDE, decode_gray
 from groundwalk.capture_import.stage import STAGE
+from groundwalk.store import DataRoot, execute
+from groundwalk.store.cli import new_app
+from groundwalk.store.cores import usable_cores
+from groundwalk.store.manifests import load_manifest
 
 app = new_app(__doc__ or "")
 

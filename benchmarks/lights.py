@@ -12,15 +12,15 @@ import cv2
 import numpy as np
 import typer
 
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.choices import Appearance
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.files import read_json, written_aside
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.simulated import SIMULATED_MARKER, TRUE_POSES, appearances_of
-from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.simulate import plan_sessions, render_images, write_truth
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.choices import Appearance
+from groundwalk.store.cli import new_app
+from groundwalk.store.files import read_json, written_aside
+from groundwalk.store.schemas import schema
+from groundwalk.store.simulated import SIMULATED_MARKER, TRUE_POSES, appearances_of
+from groundwalk.store.tables import poses_of, read_table
 
 app = new_app(__doc__ or "")
 

@@ -27,12 +27,6 @@ from benchmarks.localise_growth import growth
 from benchmarks.localise_lights import Figure, lights_section
 from benchmarks.localise_regressors import answers_of, trained_regressors
 from benchmarks.results import machine, markdown_table
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.choices import Appearance
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.images import image_file, read_grey_image
-from groundwalk.artefacts.parallel import one_thread
-from groundwalk.artefacts.stage import git_revision
 from groundwalk.export.regressor import TrainedRegressor
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.localisation.answers import Answer
@@ -46,6 +40,12 @@ from groundwalk.localisation.prepared import Training, prepare
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.localisation.stage import errors_of
 from groundwalk.scoring.errors import BOUND_95, normalised_squares, pose_error
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.choices import Appearance
+from groundwalk.store.cli import new_app
+from groundwalk.store.images import image_file, read_grey_image
+from groundwalk.store.parallel import one_thread
+from groundwalk.store.stage import git_revision
 
 app = new_app(__doc__ or "")
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure as Picture
 
 from benchmarks.results import markdown_table
-from groundwalk.artefacts.choices import Appearance
+from groundwalk.store.choices import Appearance
 
 _LEVELS = ("within 25 cm and 2 deg", "within 500 cm and 10 deg")
 _COLUMNS = ("median", "median, rotation", *_LEVELS, "refused", "wrong answers")

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import read_table
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.regressor import TrainedRegressor, load_regressor
 from groundwalk.geometry.poses import Array, make_pose
 from groundwalk.localisation.answers import NOTHING_SEEN, Answer
 from groundwalk.runtime.bundle import matrix_of
+from groundwalk.store import DataRoot
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import read_table
 
 
 def trained_regressors(data: DataRoot, profile: str, scene: str) -> Iterator[TrainedRegressor]:

@@ -16,7 +16,7 @@ from unittest.mock import patch
 import torch
 from torch import Tensor, nn
 
-from groundwalk.artefacts import UserError
+from groundwalk.store import UserError
 from groundwalk.training.models.ms_transformer import MSTransformer
 
 # Its published configuration for Cambridge Landmarks, which has nothing that another scene would change.

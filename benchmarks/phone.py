@@ -20,11 +20,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.results import circumstances, instruction_sets, markdown_table
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.manifests import MANIFEST, load_manifest
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import read_table
 from groundwalk.export.phone.bundle import write_bundle
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.export.phone.networks import write_onnx
@@ -34,6 +29,11 @@ from groundwalk.geometry import Array
 from groundwalk.runtime import open_bundle
 from groundwalk.runtime.bundle import Prediction, onnx_session
 from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.cli import new_app
+from groundwalk.store.manifests import MANIFEST, load_manifest
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import read_table
 
 app = new_app(__doc__ or "")
 

@@ -38,15 +38,15 @@ from benchmarks.groundtruth_inputs import (
 from benchmarks.results import circumstances_of, markdown_table
 from benchmarks.stages import run_timed
 from benchmarks.stock import stock_command, stock_poses
-from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.manifests import load_manifest
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.settings import resolve_settings
-from groundwalk.artefacts.tables import read_table
 from groundwalk.capture_import.stage import STAGE as IMPORT
 from groundwalk.sfm.settings import SfmSettings
 from groundwalk.sfm.stage import STAGE as SFM
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.cli import new_app
+from groundwalk.store.manifests import load_manifest
+from groundwalk.store.schemas import schema
+from groundwalk.store.settings import resolve_settings
+from groundwalk.store.tables import read_table
 
 app = new_app(__doc__ or "")
 

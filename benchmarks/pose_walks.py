@@ -7,14 +7,14 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
 from groundwalk.geometry.poses import Array, inverse
 from groundwalk.simulation.scenes import scenery
 from groundwalk.simulation.session import outline
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.vio import start_frame
 from groundwalk.simulation.walks import plan_walk
+from groundwalk.store import DataRoot
+from groundwalk.store.settings import SHIPPED_DATA, resolve_settings
 
 
 @dataclass(frozen=True, eq=False)

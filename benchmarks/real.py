@@ -14,8 +14,8 @@ import typer
 from benchmarks.real_cases import Case, Result, judge, named_case, run_case, standard_cases
 from benchmarks.real_report import write_report, write_stability
 from benchmarks.real_stability import load, save, stability_of
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.cli import new_app
+from groundwalk.store import UserError
+from groundwalk.store.cli import new_app
 
 app = new_app(__doc__ or "")
 

@@ -35,14 +35,14 @@ from benchmarks.real_scale import HELD_OUT, HELD_OUT_RMS, WITHIN_BOUNDS, board_f
 from benchmarks.real_walls import wall_figures
 from benchmarks.stages import Cost, run_timed
 from benchmarks.stock import stock_command
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.choices import FailureCause
-from groundwalk.artefacts.files import write_json
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.settings import resolve_settings
-from groundwalk.artefacts.stage import load_manifest
-from groundwalk.artefacts.tables import read_table
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.choices import FailureCause
+from groundwalk.store.files import write_json
+from groundwalk.store.schemas import schema
+from groundwalk.store.settings import resolve_settings
+from groundwalk.store.stage import load_manifest
+from groundwalk.store.tables import read_table
 
 PROFILE = "demo"
 

@@ -12,16 +12,16 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.stages import Cost
 from benchmarks.stock import largest_model, matcher_name
-from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.stage import MANIFEST, load_manifest
-from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3, pose_residuals
 from groundwalk.geometry.poses import Array, rotation_angle
 from groundwalk.scoring.errors import relative_error
 from groundwalk.sfm.database import image_id
 from groundwalk.sfm.model import load_models
+from groundwalk.store import DataRoot
+from groundwalk.store.schemas import schema
+from groundwalk.store.stage import MANIFEST, load_manifest
+from groundwalk.store.tables import poses_of, read_table
 
 OURS, STOCK, RATIO, VIO_WAY = "ours", "stock", "ours / stock", "VIO"
 PASSED, REFUSED, CRASHED = "passed", "refused", "crashed"

@@ -14,11 +14,11 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from benchmarks.real_figures import OURS, VIO_WAY, Figure, Finished, rows_in_time
-from groundwalk.artefacts.images import read_grey_image
-from groundwalk.artefacts.tables import points_in_map, poses_of
 from groundwalk.consistency.windows import POSE_SD, fit_rigid
 from groundwalk.geometry.lens import distort
 from groundwalk.geometry.poses import Array, path_length
+from groundwalk.store.images import read_grey_image
+from groundwalk.store.tables import points_in_map, poses_of
 
 SPACING, SPREAD = "spacing of floor bands, median", "spacing of floor bands, standard deviation"
 _PIXEL_M, _AHEAD_M, _ASIDE_M = 0.01, (1.6, 3.6), 0.35  # of the floor: what of it is drawn, from each frame on

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.fusion_inputs import Case, Track, drifting_odometry, predicted_walk
-from groundwalk.artefacts import UserError
 from groundwalk.geometry.fits import rotation_to_up
 from groundwalk.geometry.poses import Array, make_pose, pose_from_tq
+from groundwalk.store import UserError
 
 REAL = "real"
 METHOD = "drift_aware"

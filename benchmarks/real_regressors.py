@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from benchmarks.regressors import errors_and_honesty, trained
 from benchmarks.results import circumstances, markdown_table
-from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.geometry import Array
 from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.store import DataRoot
+from groundwalk.store.cli import new_app
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import poses_of, read_table
 
 app = new_app(__doc__ or "")
 

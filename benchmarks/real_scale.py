@@ -3,7 +3,7 @@
 import pandas as pd
 
 from benchmarks.real_figures import Figure, with_sigma
-from groundwalk.artefacts.choices import RulerPart
+from groundwalk.store.choices import RulerPart
 
 BOARD = "VIO's scale against the board"
 BOUNDS = f"{BOARD}, 95 % bounds"

@@ -15,13 +15,13 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.real_figures import OURS, STOCK, VIO_WAY, Figure, Finished, rows_in_time
 from benchmarks.stock import largest_model
-from groundwalk.artefacts.images import read_grey_image
-from groundwalk.artefacts.parallel import in_parallel
-from groundwalk.artefacts.recording import GROUND_TRUTH, NEUTRAL, VIO
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.lens import undistort
 from groundwalk.geometry.poses import Array, path_length
 from groundwalk.sfm.model import load_models
+from groundwalk.store.images import read_grey_image
+from groundwalk.store.parallel import in_parallel
+from groundwalk.store.recording import GROUND_TRUTH, NEUTRAL, VIO
+from groundwalk.store.tables import poses_of
 
 SPREAD = "directions of walls, 5th to 95th percentile"
 _MIN_LENGTH = 0.03  # of an edge, in image widths

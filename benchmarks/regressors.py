@@ -23,13 +23,13 @@ from scipy.stats import spearmanr
 
 from benchmarks.results import circumstances, markdown_table
 from benchmarks.stages import measure
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.manifests import MANIFEST
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.stage import git_revision
-from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.cli import new_app
+from groundwalk.store.manifests import MANIFEST
+from groundwalk.store.schemas import schema
+from groundwalk.store.stage import git_revision
+from groundwalk.store.tables import poses_of, read_table
 
 app = new_app(__doc__ or "")
 

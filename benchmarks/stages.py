@@ -18,8 +18,8 @@ from typing import Annotated
 import cv2
 import typer
 
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
 
 MODULES = {
     "import": "groundwalk.capture_import",

@@ -14,14 +14,14 @@ import pandas as pd
 import pycolmap
 import typer
 
-from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import read_table
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import Ints, create_database, image_id, image_name
 from groundwalk.sfm.model import load_models
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store import DataRoot
+from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import read_table
 
 CameraChoice = Literal["captured", "opencv"]
 

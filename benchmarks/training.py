@@ -21,7 +21,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.official_mst import CONFIG, official_model
 from benchmarks.results import circumstances, markdown_table
-from groundwalk.artefacts.cli import new_app
+from groundwalk.store.cli import new_app
 from groundwalk.training.data import Frames, ImageCache, Jitter, View, normalised
 from groundwalk.training.loop import make_optimiser
 from groundwalk.training.models.ms_transformer import MSTransformer

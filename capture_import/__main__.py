@@ -1,8 +1,8 @@
 """`python -m groundwalk.capture_import`: the import stage, and a look at captures without importing."""
 
-from groundwalk.artefacts.cli import stage_app
 from groundwalk.capture_import.commands import add_commands
 from groundwalk.capture_import.stage import STAGE
+from groundwalk.store.cli import stage_app
 
 app = stage_app(STAGE)
 add_commands(app)

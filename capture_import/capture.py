@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock, ImageSide, PoseSource, Rejected, SessionSplit, Tracking, UpSource
 from groundwalk.geometry.poses import Array
+from groundwalk.store.choices import Clock, ImageSide, PoseSource, Rejected, SessionSplit, Tracking, UpSource
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from groundwalk.artefacts.cli import App
-from groundwalk.artefacts.text import printable
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.capture_import.inspection import inspect_capture
+from groundwalk.store.cli import App
+from groundwalk.store.text import printable
 
 
 def add_commands(app: App) -> None:

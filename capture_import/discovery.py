@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from groundwalk.artefacts import UserError, progress
-from groundwalk.artefacts.choices import PoseSource
-from groundwalk.artefacts.hints import setting_of
-from groundwalk.artefacts.registry import PluginError
-from groundwalk.artefacts.text import name_list, natural_order
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import FORMATS, Format
 from groundwalk.capture_import.image_files import in_order, is_image
 from groundwalk.capture_import.media.archive import SUFFIXES, unpack
+from groundwalk.store import UserError, progress
+from groundwalk.store.choices import PoseSource
+from groundwalk.store.hints import setting_of
+from groundwalk.store.registry import PluginError
+from groundwalk.store.text import name_list, natural_order
 
 _MAX_DEPTH = 5
 _MAX_ID_BYTES = 120

@@ -3,11 +3,11 @@
 from collections.abc import Container, Iterable
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Rejected
-from groundwalk.artefacts.text import natural_order
 from groundwalk.capture_import.capture import RawFrame, Reject
 from groundwalk.capture_import.media.images import BadImage, image_size
 from groundwalk.capture_import.parsing import BadRow
+from groundwalk.store.choices import Rejected
+from groundwalk.store.text import natural_order
 
 # HEIC isn't read: such an image is a reject by its content.
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif")

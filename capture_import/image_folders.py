@@ -3,12 +3,12 @@
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from groundwalk.artefacts.choices import SessionSplit
-from groundwalk.artefacts.simulated import EXPORT_NOTE
-from groundwalk.artefacts.text import natural_order
 from groundwalk.capture_import.capture import Reject
 from groundwalk.capture_import.image_files import images_in, in_order, is_image, unused
 from groundwalk.capture_import.parsing import BadRow, parse_json, read_text
+from groundwalk.store.choices import SessionSplit
+from groundwalk.store.simulated import EXPORT_NOTE
+from groundwalk.store.text import natural_order
 
 # How far below the images' folder a recording's may lie.
 _MAX_DEPTH = 3

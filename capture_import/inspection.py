@@ -8,9 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from groundwalk.artefacts.choices import PoseSource
-from groundwalk.artefacts.progress import track
-from groundwalk.artefacts.text import grouped_reasons
 from groundwalk.capture_import.capture import RawSession
 from groundwalk.capture_import.checks.clock import check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
@@ -23,6 +20,9 @@ from groundwalk.capture_import.origin import describe_origin, far_origin
 from groundwalk.capture_import.selection import select, select_enough
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.tables import printable
+from groundwalk.store.choices import PoseSource
+from groundwalk.store.progress import track
+from groundwalk.store.text import grouped_reasons
 
 
 def inspect_capture(path: Path, format_name: str = "auto", unusable: list[str] | None = None) -> Iterator[str]:

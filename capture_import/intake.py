@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from groundwalk.artefacts.choices import PoseSource, Rejected, SessionSplit, Tracking
 from groundwalk.capture_import.capture import ImageFile, RawFrame, RawSession, Reject
 from groundwalk.capture_import.checks.health import Jump, check_session, content_fault, find_jumps, size_fault
 from groundwalk.capture_import.checks.scan import ImageScan
@@ -17,6 +16,7 @@ from groundwalk.capture_import.media.images import ImageCheck, exif_orientation
 from groundwalk.capture_import.parsing import first_bytes
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.geometry.poses import Array
+from groundwalk.store.choices import PoseSource, Rejected, SessionSplit, Tracking
 
 Scan = Callable[[list[RawFrame]], Iterable[ImageCheck | str]]
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundwalk.artefacts.choices import PoseSource
 from groundwalk.capture_import.capture import RawFrame
 from groundwalk.capture_import.intake import Image, ImportedSession
 from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.store.choices import PoseSource
 
 # What reads positions as float32 (recordings, networks, other tools) sees steps of 6e-8 of their distance from the
 # origin: of 6e-5 of the extent where that is so many times as far.

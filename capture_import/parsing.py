@@ -11,12 +11,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.files import leads_outside
 from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, Reject
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.lens import rational_of_fisheye
 from groundwalk.geometry.poses import Array, pose_from_tq
+from groundwalk.store import UserError
+from groundwalk.store.files import leads_outside
 
 Row = TypeVar("Row")
 

@@ -10,10 +10,6 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.choices import PoseSource, Tracking
-from groundwalk.artefacts.parallel import in_parallel
-from groundwalk.artefacts.recording import GROUND_TRUTH, NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, set_time
-from groundwalk.artefacts.tables import dataset_frames
 from groundwalk.capture_import.capture import Reject
 from groundwalk.capture_import.intake import ImportedSession
 from groundwalk.capture_import.media.images import image_size
@@ -22,6 +18,10 @@ from groundwalk.capture_import.media.thumbnails import MAX_THUMBNAILS, spread, t
 from groundwalk.capture_import.tables import printable
 from groundwalk.geometry.poses import Array, transform
 from groundwalk.geometry.rows import evenly
+from groundwalk.store.choices import PoseSource, Tracking
+from groundwalk.store.parallel import in_parallel
+from groundwalk.store.recording import GROUND_TRUTH, NEUTRAL, REJECTED, TIMELINE, UP_AXIS, VIO, set_time
+from groundwalk.store.tables import dataset_frames
 
 _TRACKING_COLOURS = {
     Tracking.NORMAL: VIO,

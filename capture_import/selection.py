@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.hints import setting_of
 from groundwalk.capture_import.capture import RawFrame
 from groundwalk.capture_import.intake import Image, ImportedSession
 from groundwalk.capture_import.sampling import (
@@ -21,6 +20,7 @@ from groundwalk.capture_import.sampling import (
 )
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.geometry.poses import Array
+from groundwalk.store.hints import setting_of
 
 # Sampling that is this much denser and still gives too few frames won't by being denser.
 _MAX_DENSITY = 2.0**12

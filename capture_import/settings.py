@@ -4,8 +4,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from groundwalk.artefacts import Settings
 from groundwalk.capture_import.capture import Limits
+from groundwalk.store import Settings
 
 
 class ImportSettings(Settings):

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.hints import setting_of
-from groundwalk.artefacts.settings import SplitRules
-from groundwalk.artefacts.tables import have_times
-from groundwalk.artefacts.text import natural_order
+from groundwalk.store import UserError
+from groundwalk.store.hints import setting_of
+from groundwalk.store.settings import SplitRules
+from groundwalk.store.tables import have_times
+from groundwalk.store.text import natural_order
 
 # Frames of one walk this close in time show the same place from the same side: testing on one after training on the
 # other measures memory.

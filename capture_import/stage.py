@@ -9,13 +9,6 @@ from pathlib import Path
 
 import pandas as pd
 
-from groundwalk.artefacts import Stage, StageRun, UserError
-from groundwalk.artefacts.choices import ImageSide
-from groundwalk.artefacts.files import write_json
-from groundwalk.artefacts.hints import groundwalk_command, setting_of
-from groundwalk.artefacts.simulated import appearances_of, are_simulated
-from groundwalk.artefacts.tables import dataset_frames, have_times
-from groundwalk.artefacts.text import grouped_reasons, name_list
 from groundwalk.capture_import.capture import RawFrame, Reject
 from groundwalk.capture_import.checks.clock import MAX_OFFSET_S, ClockCheck, check_clock
 from groundwalk.capture_import.checks.convention import MIN_EXPLAINED, ConventionCheck, check_convention
@@ -47,6 +40,13 @@ from groundwalk.capture_import.tables import (
     sessions_table,
     vio_table,
 )
+from groundwalk.store import Stage, StageRun, UserError
+from groundwalk.store.choices import ImageSide
+from groundwalk.store.files import write_json
+from groundwalk.store.hints import groundwalk_command, setting_of
+from groundwalk.store.simulated import appearances_of, are_simulated
+from groundwalk.store.tables import dataset_frames, have_times
+from groundwalk.store.text import grouped_reasons, name_list
 
 
 def run(r: StageRun[ImportSettings]) -> None:

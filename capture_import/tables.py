@@ -7,8 +7,6 @@ from typing import get_args
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts.choices import Appearance, ImageSide, LengthUnit, PoseSource, SessionSplit, Split, UpAxis
-from groundwalk.artefacts.tables import dataset_frames, pose_frame
 from groundwalk.capture_import.capture import Reject
 from groundwalk.capture_import.checks.health import gravity_of
 from groundwalk.capture_import.intake import ImportedSession, duration, path_length
@@ -17,6 +15,8 @@ from groundwalk.capture_import.media.depth import PlacedDepth
 from groundwalk.capture_import.media.placing import PlacedImage
 from groundwalk.capture_import.selection import Selection
 from groundwalk.geometry.poses import Array
+from groundwalk.store.choices import Appearance, ImageSide, LengthUnit, PoseSource, SessionSplit, Split, UpAxis
+from groundwalk.store.tables import dataset_frames, pose_frame
 
 
 def frames_table(

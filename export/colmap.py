@@ -13,8 +13,8 @@ from urllib.parse import unquote
 
 import pycolmap
 
-from groundwalk.artefacts import UserError
 from groundwalk.export.dataset import Dataset, Images, SfmModel
+from groundwalk.store import UserError
 
 
 def write_colmap(dataset: Dataset, folder: Path, images: Images, *, text: bool = False) -> list[str]:

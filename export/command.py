@@ -7,12 +7,12 @@ from typing import Annotated
 import pandas as pd
 import typer
 
-from groundwalk.artefacts import DataRoot, UserError, progress
-from groundwalk.artefacts.cli import DataOption, ProfileOption
-from groundwalk.artefacts.files import file_names, fresh_folder, refuse_to_overwrite, write_json
-from groundwalk.artefacts.tables import CAMERA_COLUMNS
 from groundwalk.export.dataset import JPEG_QUALITY, Dataset, Images, load_dataset, number
 from groundwalk.export.exporters import EXPORTERS, MODEL_EXPORTERS, written
+from groundwalk.store import DataRoot, UserError, progress
+from groundwalk.store.cli import DataOption, ProfileOption
+from groundwalk.store.files import file_names, fresh_folder, refuse_to_overwrite, write_json
+from groundwalk.store.tables import CAMERA_COLUMNS
 
 _NOTE = "export.json"
 _FRAMES = "frames.csv"

@@ -9,13 +9,17 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.choices import MapUnit, QualityClass, VerticalSource
-from groundwalk.artefacts.hints import run_command
-from groundwalk.artefacts.images import image_file, verify_images
-from groundwalk.artefacts.manifests import MANIFEST, load_verified
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import (
+from groundwalk.geometry import GeometryError
+from groundwalk.geometry.cameras import Camera, pinhole_within
+from groundwalk.geometry.fits import Sim3
+from groundwalk.geometry.poses import Array
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.choices import MapUnit, QualityClass, VerticalSource
+from groundwalk.store.hints import run_command
+from groundwalk.store.images import image_file, verify_images
+from groundwalk.store.manifests import MANIFEST, load_verified
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import (
     CAMERA_COLUMNS,
     camera_of,
     dataset_frames,
@@ -24,11 +28,7 @@ from groundwalk.artefacts.tables import (
     read_table,
     with_cameras,
 )
-from groundwalk.artefacts.undistortion import undistorted_image
-from groundwalk.geometry import GeometryError
-from groundwalk.geometry.cameras import Camera, pinhole_within
-from groundwalk.geometry.fits import Sim3
-from groundwalk.geometry.poses import Array
+from groundwalk.store.undistortion import undistorted_image
 
 Images = Literal["link", "copy", "none"]
 

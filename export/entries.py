@@ -2,7 +2,6 @@
 
 from functools import partial
 
-from groundwalk.artefacts.registry import Lazy
 from groundwalk.export.cambridge import write_cambridge
 from groundwalk.export.colmap import write_colmap
 from groundwalk.export.exporters import Exporter, ModelExporter
@@ -10,6 +9,7 @@ from groundwalk.export.nerfstudio import DISTORTION, write_nerfstudio
 from groundwalk.export.seven_scenes import write_seven_scenes
 from groundwalk.export.tum import write_tum
 from groundwalk.runtime.bundle_file import MANIFEST
+from groundwalk.store.registry import Lazy
 
 COLMAP = Exporter(
     id="colmap",

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from groundwalk.artefacts.registry import Entry, Registry, callable_faults
 from groundwalk.export.dataset import Dataset, Images
+from groundwalk.store.registry import Entry, Registry, callable_faults
 
 if TYPE_CHECKING:
     from groundwalk.export.regressor import TrainedRegressor

@@ -8,15 +8,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.hints import run_command, scene_file, setting_of
-from groundwalk.artefacts.images import image_file, verify_images
-from groundwalk.artefacts.inputs import missing_input
-from groundwalk.artefacts.manifests import MANIFEST, load_verified
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import dataset_frames, poses_of, read_table, with_cameras, with_gravity_of_map
 from groundwalk.export.dataset import world_of
 from groundwalk.geometry import Array
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.hints import run_command, scene_file, setting_of
+from groundwalk.store.images import image_file, verify_images
+from groundwalk.store.inputs import missing_input
+from groundwalk.store.manifests import MANIFEST, load_verified
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import dataset_frames, poses_of, read_table, with_cameras, with_gravity_of_map
 from groundwalk.training.build import Trained, load_trained
 
 

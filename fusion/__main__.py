@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from groundwalk.artefacts.cli import SetOption, stage_app
 from groundwalk.fusion.evaluation.leaderboard_report import run_leaderboard
 from groundwalk.fusion.files.tables import Files, evaluate_files, sweep_files
 from groundwalk.fusion.stage import STAGE
+from groundwalk.store.cli import SetOption, stage_app
 
 app = stage_app(STAGE)
 TableOption = Annotated[Path, typer.Option(help="Parquet; docs/explanation/fusion.md has the columns.")]

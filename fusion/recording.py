@@ -8,13 +8,13 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from groundwalk.artefacts import recording as colours
-from groundwalk.artefacts.recording import TIMELINE, UP_AXIS, log_path
 from groundwalk.fusion.evaluation.fuse import Fused, pose_errors
 from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.methods.localiser import Status
 from groundwalk.fusion.walk import known
 from groundwalk.geometry.poses import Array, quaternion_from_matrix
+from groundwalk.store import recording as colours
+from groundwalk.store.recording import TIMELINE, UP_AXIS, log_path
 
 FRAME_TIMELINE = "frame"  # sessions one after the other, however far apart their clocks
 

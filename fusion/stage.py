@@ -2,11 +2,11 @@
 
 import pandas as pd
 
-from groundwalk.artefacts import Stage, StageRun, UserError
-from groundwalk.artefacts.hints import setting_of
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate, report_lines, stacked
 from groundwalk.fusion.methods import METHODS
 from groundwalk.fusion.recording import blueprint, record
+from groundwalk.store import Stage, StageRun, UserError
+from groundwalk.store.hints import setting_of
 
 
 def run(r: StageRun[FuseSettings]) -> None:

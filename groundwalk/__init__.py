@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from groundwalk.artefacts.errors import UserError
     from groundwalk.run import Run, pose_array, rigid_transforms
     from groundwalk.runtime.bundle import open_bundle
+    from groundwalk.store.errors import UserError
 
 __all__ = ["CHECKOUT", "Run", "UserError", "open", "open_bundle", "pose_array", "rigid_transforms"]
 
@@ -49,7 +49,7 @@ def open(scene_or_folder: str | PathLike[str], *, profile: str = "demo", data: s
 
 _MODULES = {
     "Run": "run",
-    "UserError": "artefacts.errors",
+    "UserError": "store.errors",
     "open_bundle": "runtime.bundle",
     "pose_array": "run",
     "rigid_transforms": "run",

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from groundwalk.artefacts.cli import new_app, stage_command, stage_help
+from groundwalk.store.cli import new_app, stage_command, stage_help
 
 
 @dataclass(frozen=True)
@@ -56,12 +56,12 @@ COMMANDS = {
         Command(
             "link-captures",
             "Use a folder of phone captures as a scene.",
-            "artefacts.__main__",
+            "store.__main__",
             "link-captures",
         ),
         Command("simulate", "Simulate captures of a scene that has none.", "simulation.__main__"),
-        Command("view", "Open a scene's recordings in the Rerun viewer.", "artefacts.__main__", "view"),
-        Command("clean", "Remove a scene's results and simulated captures.", "artefacts.__main__", "clean"),
+        Command("view", "Open a scene's recordings in the Rerun viewer.", "store.__main__", "view"),
+        Command("clean", "Remove a scene's results and simulated captures.", "store.__main__", "clean"),
     ],
     "Stages": [
         _stage("import", "capture_import", "Import phone captures as checked frames with VIO poses."),

@@ -7,18 +7,18 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from groundwalk.artefacts import progress
-from groundwalk.artefacts.__main__ import link_captures
-from groundwalk.artefacts.cli import DataOption, ProfileOption, SceneOption, new_app
-from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import read_json
-from groundwalk.artefacts.hints import view_command
-from groundwalk.artefacts.inputs import capture_files
-from groundwalk.artefacts.manifests import MANIFEST, is_manifest, outdated_stages
-from groundwalk.artefacts.settings import STAGES, DataRoot
-from groundwalk.artefacts.simulated import are_simulated, marker_of
-from groundwalk.artefacts.text import printable
 from groundwalk.pipeline import run_steps, steps
+from groundwalk.store import progress
+from groundwalk.store.__main__ import link_captures
+from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
+from groundwalk.store.errors import UserError
+from groundwalk.store.files import read_json
+from groundwalk.store.hints import view_command
+from groundwalk.store.inputs import capture_files
+from groundwalk.store.manifests import MANIFEST, is_manifest, outdated_stages
+from groundwalk.store.settings import STAGES, DataRoot
+from groundwalk.store.simulated import are_simulated, marker_of
+from groundwalk.store.text import printable
 
 app = new_app("Whole scenes.")
 CapturesOption = Annotated[

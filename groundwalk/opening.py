@@ -4,13 +4,13 @@ import os
 from pathlib import Path
 from typing import Any
 
-from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import read_json
-from groundwalk.artefacts.hints import run_command
-from groundwalk.artefacts.manifests import MANIFEST, is_manifest, outdated_stages
-from groundwalk.artefacts.settings import STAGES, DataRoot, is_name
-from groundwalk.artefacts.text import name_list
 from groundwalk.run import Run, not_finished
+from groundwalk.store.errors import UserError
+from groundwalk.store.files import read_json
+from groundwalk.store.hints import run_command
+from groundwalk.store.manifests import MANIFEST, is_manifest, outdated_stages
+from groundwalk.store.settings import STAGES, DataRoot, is_name
+from groundwalk.store.text import name_list
 
 
 def open_run(scene_or_folder: str | os.PathLike[str], profile: str, data: Path) -> Run:

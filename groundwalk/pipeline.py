@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-from groundwalk.artefacts.child import Report, Task, in_child
-from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.inputs import capture_files, hashes_of_named, no_captures
-from groundwalk.artefacts.manifests import MANIFEST
-from groundwalk.artefacts.progress import console
-from groundwalk.artefacts.settings import STAGES, DataRoot, resolve_settings
-from groundwalk.artefacts.signals import Stopped, signals_held
-from groundwalk.artefacts.simulated import marker_of
+from groundwalk.store.child import Report, Task, in_child
+from groundwalk.store.errors import UserError
+from groundwalk.store.inputs import capture_files, hashes_of_named, no_captures
+from groundwalk.store.manifests import MANIFEST
+from groundwalk.store.progress import console
+from groundwalk.store.settings import STAGES, DataRoot, resolve_settings
+from groundwalk.store.signals import Stopped, signals_held
+from groundwalk.store.simulated import marker_of
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,8 @@ def _count_current(commands: list[Step], profile: str, data: DataRoot) -> int:
 
 
 def _first_outdated(report: Report, commands: list[Step], profile: str, data: DataRoot) -> int:
-    from groundwalk.artefacts.stage import is_up_to_date
     from groundwalk.cli import stage_of
+    from groundwalk.store.stage import is_up_to_date
 
     for done, step in enumerate(commands):
         report(done)

@@ -9,11 +9,6 @@ from typing import Any
 
 from groundwalk.alignment.checks.definitions import DEFINITIONS
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler
-from groundwalk.artefacts.choices import FailureCause
-from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.reference import reference as tables_page
-from groundwalk.artefacts.registry import Registry
-from groundwalk.artefacts.settings import SHIPPED_DATA, DataRoot, SceneConfig, Settings, SplitRules
 from groundwalk.cli import COMMANDS, Command, all_commands
 from groundwalk.fusion.methods import METHODS
 from groundwalk.localisation.localisers import LOCALISERS
@@ -23,6 +18,11 @@ from groundwalk.reports.grids import PUBLISHED, markdown
 from groundwalk.reports.published import load_claims, load_published
 from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.vio import FIT_FILE, VioModel
+from groundwalk.store.choices import FailureCause
+from groundwalk.store.errors import UserError
+from groundwalk.store.reference import reference as tables_page
+from groundwalk.store.registry import Registry
+from groundwalk.store.settings import SHIPPED_DATA, DataRoot, SceneConfig, Settings, SplitRules
 from groundwalk.training.regressors import REGRESSORS
 
 RULERS: dict[str, type[Settings]] = {"charuco": CharucoRuler, "apriltag": AprilTagRuler, "distance": DistanceRuler}

@@ -12,16 +12,16 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import partial_folder, read_json, sha256_of
-from groundwalk.artefacts.hints import run_command, setting_of
-from groundwalk.artefacts.images import Image, image_file, read_image
-from groundwalk.artefacts.manifests import MANIFEST
-from groundwalk.artefacts.reference import column_lines
-from groundwalk.artefacts.schemas import TableSchema, schema
-from groundwalk.artefacts.settings import STAGES
-from groundwalk.artefacts.tables import dataset_frames, points_in_map, poses_of, read_table
 from groundwalk.geometry.poses import Array
+from groundwalk.store.errors import UserError
+from groundwalk.store.files import partial_folder, read_json, sha256_of
+from groundwalk.store.hints import run_command, setting_of
+from groundwalk.store.images import Image, image_file, read_image
+from groundwalk.store.manifests import MANIFEST
+from groundwalk.store.reference import column_lines
+from groundwalk.store.schemas import TableSchema, schema
+from groundwalk.store.settings import STAGES
+from groundwalk.store.tables import dataset_frames, points_in_map, poses_of, read_table
 
 if TYPE_CHECKING:
     from groundwalk.geometry.cameras import Camera

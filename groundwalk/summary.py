@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts.choices import MapUnit, PoseSource
-from groundwalk.artefacts.settings import STAGES
-from groundwalk.artefacts.tables import have_times
-from groundwalk.artefacts.text import in_words, printable
 from groundwalk.run import Run
+from groundwalk.store.choices import MapUnit, PoseSource
+from groundwalk.store.settings import STAGES
+from groundwalk.store.tables import have_times
+from groundwalk.store.text import in_words, printable
 
 
 def summary(run: Run) -> str:

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.tables import camera_of, poses_of, with_cameras
 from groundwalk.run import Run
+from groundwalk.store.errors import UserError
+from groundwalk.store.tables import camera_of, poses_of, with_cameras
 
 _SPLITS = ("train", "val", "test")
 _COEFFICIENTS = 8

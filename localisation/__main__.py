@@ -1,7 +1,7 @@
 """Command line of the localise stage."""
 
-from groundwalk.artefacts.cli import stage_app
 from groundwalk.localisation.stage import STAGE
+from groundwalk.store.cli import stage_app
 
 app = stage_app(STAGE)
 

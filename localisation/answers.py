@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.choices import Refusal
-from groundwalk.artefacts.files import written_aside
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array
+from groundwalk.store.choices import Refusal
+from groundwalk.store.files import written_aside
 
 Ints = NDArray[np.int64]
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.errors import UserError
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.vlad import k_means, nearest_centres
 from groundwalk.localisation.features import unit
@@ -16,6 +15,7 @@ from groundwalk.localisation.map_file import Sections, packed, read_sections, wr
 from groundwalk.localisation.pose import Priors
 from groundwalk.localisation.selection import covering_points
 from groundwalk.localisation.structure import Structure
+from groundwalk.store.errors import UserError
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float32]

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from groundwalk.artefacts.registry import Lazy
 from groundwalk.localisation.feature_kinds import ALIKED, XFEAT
 from groundwalk.localisation.localiser_settings import HLocSettings, MapSettings
 from groundwalk.localisation.localisers import LocaliserFile, StructureLocaliser
+from groundwalk.store.registry import Lazy
 
 MAP = StructureLocaliser(
     id="Map",

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.registry import Lazy
 from groundwalk.features.sift import Features
 from groundwalk.localisation.matching import SIFT_RATIO
+from groundwalk.store.registry import Lazy
 
 Size = tuple[int, int]
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.files import written_aside
 from groundwalk.features.sift import Features
+from groundwalk.store.files import written_aside
 
 
 def keep_features(path: Path, features: Features) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.choices import Refusal
 from groundwalk.features.sift import Features
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, inverse, make_pose
@@ -22,6 +21,7 @@ from groundwalk.localisation.features import unit
 from groundwalk.localisation.localiser_settings import HLocSettings
 from groundwalk.localisation.prepared import Prepared, Track, untracked
 from groundwalk.localisation.query import with_lens
+from groundwalk.store.choices import Refusal
 
 _WORDS, _SAMPLES = 64, 25_600
 _MAX_PX, _MIN_MATCHES = 12.0, 4

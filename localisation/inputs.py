@@ -9,10 +9,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.images import image_file, read_grey_image
-from groundwalk.artefacts.parallel import in_parallel
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import camera_of, dataset_frames, poses_of, read_table, with_gravity_of_map
 from groundwalk.features.sift import Features
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.cameras import Camera
@@ -22,6 +18,10 @@ from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
 from groundwalk.localisation.frames import Views, subset
 from groundwalk.localisation.localiser_settings import StructureSettings
 from groundwalk.localisation.prepared import Training
+from groundwalk.store.images import image_file, read_grey_image
+from groundwalk.store.parallel import in_parallel
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import camera_of, dataset_frames, poses_of, read_table, with_gravity_of_map
 
 
 @dataclass(frozen=True)

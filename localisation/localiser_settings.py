@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from groundwalk.artefacts.settings import Settings
+from groundwalk.store.settings import Settings
 
 
 class StructureSettings(Settings):

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.registry import Colour, Entry, Registry, callable_faults, colour_faults
 from groundwalk.localisation.feature_kinds import SIFT, FeatureKind
 from groundwalk.localisation.localiser_settings import LocaliserSettings
+from groundwalk.store.registry import Colour, Entry, Registry, callable_faults, colour_faults
 
 if TYPE_CHECKING:
     from groundwalk.geometry.cameras import Camera

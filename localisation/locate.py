@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from groundwalk.artefacts import UserError, progress
-from groundwalk.artefacts.choices import Refusal
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.files import make_writable, written_aside
 from groundwalk.runtime.bundle import Bundle, Prediction, open_bundle
 from groundwalk.runtime.queries import Query, file_query, image_files, numbers
+from groundwalk.store import UserError, progress
+from groundwalk.store.choices import Refusal
+from groundwalk.store.cli import new_app
+from groundwalk.store.files import make_writable, written_aside
 
 if TYPE_CHECKING:
     from groundwalk.localisation.localisers import FileLocaliser

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import written_aside
+from groundwalk.store.errors import UserError
+from groundwalk.store.files import written_aside
 
 MAGIC = b"GWMAP\r\n\x1a"
 MAJOR, MINOR = 1, 1

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.parallel import one_thread
 from groundwalk.geometry.poses import tq_from_pose
 from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.localisers import FileLocaliser
 from groundwalk.runtime.queries import Query
+from groundwalk.store.parallel import one_thread
 
 
 def ask(localiser: FileLocaliser, query: Query) -> Answer:

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from groundwalk.artefacts.choices import Refusal
 from groundwalk.features.sift import Features, sift
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import Array, skew
@@ -15,6 +14,7 @@ from groundwalk.localisation.answers import Answer, Clock, of_another_size, refu
 from groundwalk.localisation.compact import CompactMap, Lens, bytes_by_section, point_covariances, read_map, write_map
 from groundwalk.localisation.frames import row_times
 from groundwalk.localisation.pose import NO_VERTICAL, Fit, Observed, Priors, ransac, refine, upright_ransac
+from groundwalk.store.choices import Refusal
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float32]

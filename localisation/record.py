@@ -9,8 +9,12 @@ import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 
-from groundwalk.artefacts.images import read_image
-from groundwalk.artefacts.recording import (
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rows import evenly
+from groundwalk.localisation.answers import Answer
+from groundwalk.localisation.localisers import LOCALISERS
+from groundwalk.store.images import read_image
+from groundwalk.store.recording import (
     GROUND_TRUTH,
     NEUTRAL,
     REJECTED,
@@ -19,11 +23,7 @@ from groundwalk.artefacts.recording import (
     log_path,
     set_time,
 )
-from groundwalk.artefacts.tables import poses_of
-from groundwalk.geometry.poses import Array
-from groundwalk.geometry.rows import evenly
-from groundwalk.localisation.answers import Answer
-from groundwalk.localisation.localisers import LOCALISERS
+from groundwalk.store.tables import poses_of
 
 _FRAMES = "frame"
 _MOST_QUERIES = 120

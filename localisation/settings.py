@@ -2,9 +2,9 @@
 
 from pydantic import Field, SerializeAsAny, ValidationInfo, field_validator
 
-from groundwalk.artefacts.choices import Split
 from groundwalk.localisation.localiser_settings import LocaliserSettings, StructureSettings
 from groundwalk.localisation.localisers import LOCALISERS
+from groundwalk.store.choices import Split
 
 
 class LocaliseSettings(StructureSettings):

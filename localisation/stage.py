@@ -10,16 +10,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts import Stage, StageRun, UserError
-from groundwalk.artefacts.choices import MapUnit
-from groundwalk.artefacts.cores import usable_cores
-from groundwalk.artefacts.files import written_aside
-from groundwalk.artefacts.hints import setting_of
-from groundwalk.artefacts.images import read_grey_image
-from groundwalk.artefacts.parallel import in_parallel, one_thread
-from groundwalk.artefacts.registry import PluginError
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import camera_of, pose_frame, poses_of
 from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.answers import Answer, read_answer, write_answer
@@ -33,6 +23,16 @@ from groundwalk.localisation.record import blueprint, record
 from groundwalk.localisation.settings import LocaliseSettings
 from groundwalk.scoring.errors import position_error, rotation_error_deg, sure_enough
 from groundwalk.scoring.scores import score
+from groundwalk.store import Stage, StageRun, UserError
+from groundwalk.store.choices import MapUnit
+from groundwalk.store.cores import usable_cores
+from groundwalk.store.files import written_aside
+from groundwalk.store.hints import setting_of
+from groundwalk.store.images import read_grey_image
+from groundwalk.store.parallel import in_parallel, one_thread
+from groundwalk.store.registry import PluginError
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import camera_of, pose_frame, poses_of
 
 _MIN_FRAMES = 5
 _NO_LOCALISERS = setting_of("localise", "models = []")

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.features.sift import Features
 from groundwalk.localisation.features import unit
 from groundwalk.localisation.frames import Views, rays
 from groundwalk.localisation.matching import SIFT_RATIO, covisible_pairs, mutual_matches
 from groundwalk.localisation.tracks import Points, Rays, epipolar_error_px, tracks, triangulate
+from groundwalk.store.parallel import in_parallel
 
 Ints = NDArray[np.int64]
 

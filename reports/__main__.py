@@ -1,7 +1,7 @@
 """`python -m groundwalk.reports`."""
 
-from groundwalk.artefacts.cli import stage_app
 from groundwalk.reports.stage import STAGE
+from groundwalk.store.cli import stage_app
 
 app = stage_app(STAGE)
 

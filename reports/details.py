@@ -8,9 +8,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts.choices import Rejected
-from groundwalk.artefacts.progress import format_seconds
-from groundwalk.artefacts.text import grouped_reasons
 from groundwalk.reports.cells import LEVELS, digits_of, number
 from groundwalk.reports.checks import AGREES
 from groundwalk.reports.grids import EMPTY, OURS, Block, Grid, Row
@@ -18,6 +15,9 @@ from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
 from groundwalk.reports.statistics import by_walk
 from groundwalk.scoring.errors import SURE_CLASSES
+from groundwalk.store.choices import Rejected
+from groundwalk.store.progress import format_seconds
+from groundwalk.store.text import grouped_reasons
 
 
 def _grid(key: str, title: str, caption: str, columns: list[str], rows: list[list[Any]], labels: int = 1) -> Grid:

@@ -10,14 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from groundwalk.artefacts.choices import MapUnit
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.poses import Array
 from groundwalk.reports import style
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD
 from groundwalk.reports.statistics import by_walk
 from groundwalk.scoring.scores import SUBSETS, median_error
+from groundwalk.store.choices import MapUnit
+from groundwalk.store.tables import poses_of
 
 _NS = 1e-9
 

@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts import StageRun
-from groundwalk.artefacts.choices import Appearance, MapUnit, PoseSource
-from groundwalk.artefacts.tables import has_vertical, map_unit, poses_of, scale_warning
-from groundwalk.artefacts.text import in_words, name_list
 from groundwalk.reports.published import PAPER_METHOD
 from groundwalk.scoring.errors import sure_enough
+from groundwalk.store import StageRun
+from groundwalk.store.choices import Appearance, MapUnit, PoseSource
+from groundwalk.store.tables import has_vertical, map_unit, poses_of, scale_warning
+from groundwalk.store.text import in_words, name_list
 
 # Fewer training frames than this, and a regressor's accuracy says nothing about regressors.
 ENOUGH_TRAINING_FRAMES = 100

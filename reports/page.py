@@ -10,11 +10,11 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from groundwalk.artefacts.images import read_image
-from groundwalk.artefacts.tables import scale_warning
 from groundwalk.geometry.rows import evenly
 from groundwalk.reports.grids import Grid, html_table
 from groundwalk.reports.inputs import SceneInputs
+from groundwalk.store.images import read_image
+from groundwalk.store.tables import scale_warning
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _THUMBNAIL_PX = 300

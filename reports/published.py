@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.settings import SHIPPED_DATA
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.settings import SHIPPED_DATA
 
 PUBLISHED = DataRoot(SHIPPED_DATA).files("published")
 RAW_METHOD, PAPER_METHOD = "apr", "mobilearloc"

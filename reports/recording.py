@@ -4,10 +4,10 @@ import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 
-from groundwalk.artefacts import recording
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.reports.grids import Grid, markdown
 from groundwalk.reports.inputs import SceneInputs
+from groundwalk.store import recording
+from groundwalk.store.tables import poses_of
 
 
 def blueprint(scenes: list[SceneInputs], grids: list[Grid]) -> rrb.Blueprint:

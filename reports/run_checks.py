@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
-from groundwalk.artefacts.choices import MapUnit
 from groundwalk.reports.checks import AGREES, CAUTION, DISAGREES, Finding
 from groundwalk.reports.inputs import LEAK_S, MAX_NEAR_COPIES, SceneInputs
+from groundwalk.store.choices import MapUnit
 
 WRONG_M, WRONG_DEG = 1.0, 5.0
 

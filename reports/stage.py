@@ -5,7 +5,6 @@ from pathlib import Path
 import pandas as pd
 from pydantic import Field
 
-from groundwalk.artefacts import Settings, Stage, StageRun
 from groundwalk.reports import cells, details, page, style
 from groundwalk.reports.checks import AGREES, as_table, check_tables
 from groundwalk.reports.figures import scene_figures
@@ -15,6 +14,7 @@ from groundwalk.reports.published import load_claims, load_published
 from groundwalk.reports.recording import blueprint, record
 from groundwalk.reports.run_checks import run_findings
 from groundwalk.reports.tables import Tables
+from groundwalk.store import Settings, Stage, StageRun
 
 
 class ReportSettings(Settings):

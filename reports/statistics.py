@@ -8,11 +8,11 @@ from dataclasses import asdict
 
 import pandas as pd
 
-from groundwalk.artefacts import UserError
 from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import PAPER_METHOD, RAW_METHOD
 from groundwalk.scoring.errors import sure_enough
 from groundwalk.scoring.scores import SUBSETS, Score, score
+from groundwalk.store import UserError
 
 
 def scene_scores(errors: pd.DataFrame, scene: str, offline: set[str]) -> pd.DataFrame:

@@ -15,7 +15,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from groundwalk.artefacts import recording
+from groundwalk.store import recording
 
 
 def _hex(rgb: tuple[int, int, int]) -> str:

@@ -1,7 +1,7 @@
 """Records of groundwalk's own mappers and retrieval."""
 
-from groundwalk.artefacts.registry import Lazy
 from groundwalk.sfm.extensions import MapperEntry, RetrievalEntry
+from groundwalk.store.registry import Lazy
 
 INCREMENTAL = MapperEntry(
     id="incremental",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.registry import Entry, Registry, callable_faults
+from groundwalk.store.registry import Entry, Registry, callable_faults
 
 if TYPE_CHECKING:
     from groundwalk.sfm.database import Descriptors

@@ -9,10 +9,17 @@ import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 
-from groundwalk.artefacts import StageRun
-from groundwalk.artefacts.choices import PairOrigin
-from groundwalk.artefacts.parallel import in_parallel
-from groundwalk.artefacts.recording import (
+from groundwalk.geometry.cameras import Camera
+from groundwalk.geometry.fits import rotation_to_up
+from groundwalk.geometry.poses import Array
+from groundwalk.geometry.rows import evenly
+from groundwalk.sfm.model import Model
+from groundwalk.sfm.pairs.matching import MatchedPairs
+from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store import StageRun
+from groundwalk.store.choices import PairOrigin
+from groundwalk.store.parallel import in_parallel
+from groundwalk.store.recording import (
     APR,
     FUSED,
     GROUND_TRUTH,
@@ -23,15 +30,8 @@ from groundwalk.artefacts.recording import (
     log_camera,
     log_path,
 )
-from groundwalk.artefacts.tables import camera_of, poses_of
-from groundwalk.artefacts.undistortion import undistorted_image
-from groundwalk.geometry.cameras import Camera
-from groundwalk.geometry.fits import rotation_to_up
-from groundwalk.geometry.poses import Array
-from groundwalk.geometry.rows import evenly
-from groundwalk.sfm.model import Model
-from groundwalk.sfm.pairs.matching import MatchedPairs
-from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.tables import camera_of, poses_of
+from groundwalk.store.undistortion import undistorted_image
 
 _TIMELINE = "frame"
 _MAX_FRUSTA = 200

@@ -8,11 +8,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import StageRun, UserError
-from groundwalk.artefacts.child import Task, in_child, preload
-from groundwalk.artefacts.choices import Tracking
-from groundwalk.artefacts.hints import run_command, setting_of
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.sfm.cameras.calibration import (
     Calibration,
     CalibrationImages,
@@ -29,6 +24,11 @@ from groundwalk.sfm.pairs.floor import FloorSource
 from groundwalk.sfm.pairs.odometry import Odometry, odometry
 from groundwalk.sfm.pairs.selection import pairs_of_untimed, pairs_within_sessions
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store import StageRun, UserError
+from groundwalk.store.child import Task, in_child, preload
+from groundwalk.store.choices import Tracking
+from groundwalk.store.hints import run_command, setting_of
+from groundwalk.store.tables import poses_of
 
 MIN_FRAMES = 3
 _OF_TASKS = ("groundwalk.sfm.cameras.calibration", "groundwalk.sfm.mapping.build", "groundwalk.sfm.pairs.features")

@@ -4,9 +4,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from groundwalk.artefacts.vio_drift_settings import VioDriftSettings
 from groundwalk.geometry.shutter import MAX_READOUT_S
 from groundwalk.sfm.extensions import MAPPERS, RETRIEVALS
+from groundwalk.store.vio_drift_settings import VioDriftSettings
 
 MapperName = Annotated[str, AfterValidator(MAPPERS.known)]
 RefineCameras = Literal["auto", "never"]

@@ -7,10 +7,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import Stage, StageRun, UserError
-from groundwalk.artefacts.choices import AttemptName, AttemptOutcome
-from groundwalk.artefacts.hints import setting_of
-from groundwalk.artefacts.tables import with_cameras
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.adjustment import Adjusted
 from groundwalk.sfm.cameras.model_adjustment import cameras_of_frames, load_adjusted
@@ -43,6 +39,10 @@ from groundwalk.sfm.tables import (
     pairs_table,
     points_table,
 )
+from groundwalk.store import Stage, StageRun, UserError
+from groundwalk.store.choices import AttemptName, AttemptOutcome
+from groundwalk.store.hints import setting_of
+from groundwalk.store.tables import with_cameras
 
 RESIDUALS_PLOT = "residuals.png"
 # By how much features of one surface shift alike where the view turns by a radian, in pixels of the images that they

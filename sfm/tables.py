@@ -6,9 +6,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.choices import NotRegistered
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.cameras.adjustment import LENS_UNKNOWNS, Adjusted, Cameras, Ints
 from groundwalk.sfm.cameras.calibration import distortion_lists
@@ -19,6 +16,9 @@ from groundwalk.sfm.mapping.source import HeldOutCheck
 from groundwalk.sfm.model import Model
 from groundwalk.sfm.pairs.matching import MatchedPairs
 from groundwalk.sfm.quality.covariance import Covariances
+from groundwalk.store.choices import NotRegistered
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import pose_frame
 
 # Images determine the product of readout and angular velocity: the common error of VIO's, which filters smooth.
 _RATE_SCALE_SD = 0.02

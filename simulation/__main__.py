@@ -6,7 +6,10 @@ from typing import Annotated
 
 import typer
 
-from groundwalk.artefacts.cli import (
+from groundwalk.simulation.scenes import NAMES
+from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.simulation.simulate import simulate
+from groundwalk.store.cli import (
     DataOption,
     ProfileOption,
     SceneOption,
@@ -15,10 +18,7 @@ from groundwalk.artefacts.cli import (
     new_app,
     settings_help,
 )
-from groundwalk.artefacts.settings import DataRoot
-from groundwalk.simulation.scenes import NAMES
-from groundwalk.simulation.settings import SimulateSettings
-from groundwalk.simulation.simulate import simulate
+from groundwalk.store.settings import DataRoot
 
 _HELP = (
     f"Simulate captures of {', '.join(NAMES)} into data/captures: procedural places, hand-held walks, rendered images, "

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundwalk.artefacts.choices import Appearance
 from groundwalk.simulation import materials
 from groundwalk.simulation.canvas import Canvas
 from groundwalk.simulation.materials import Material
 from groundwalk.simulation.place import Crown, Light, Movable, Place, Quad, SkyLook, Vec
 from groundwalk.simulation.walks import MARGIN_M, Route, beside_course
+from groundwalk.store.choices import Appearance
 
 MOVED_FRACTION = 0.2  # of the movable things: moved, removed and new ones in turn
 _WARM, _LOW_SUN, _DUSK = (0.58, 0.84, 1.0), (0.45, 0.72, 1.0), (1.0, 0.88, 0.78)

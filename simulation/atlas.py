@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.hints import setting_of
+from groundwalk.store import UserError
+from groundwalk.store.hints import setting_of
 
 LEVELS = 6
 _GUTTER = 1 << (LEVELS - 1)  # one texel of the coarsest level: neighbours never bleed into a picture

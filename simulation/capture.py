@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from groundwalk.artefacts.simulated import FRAME
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, inverse, rotation_angle
 from groundwalk.simulation.place import Vec
+from groundwalk.store.simulated import FRAME
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import UserError
+from groundwalk.store import UserError
 
 NOTHING = -1
 

@@ -8,8 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from groundwalk.artefacts.choices import Appearance
-from groundwalk.artefacts.files import written_aside
 from groundwalk.geometry.poses import inverse
 from groundwalk.simulation import camera
 from groundwalk.simulation.camera import Exposure, Phone
@@ -21,6 +19,8 @@ from groundwalk.simulation.settings import SimulateSettings
 from groundwalk.simulation.shutter import row_times, shutter
 from groundwalk.simulation.vio import simulate_vio
 from groundwalk.simulation.walks import PlannedWalk, plan_walk
+from groundwalk.store.choices import Appearance
+from groundwalk.store.files import written_aside
 
 _METER_PX = (32, 24)  # size of the image for auto exposure
 _METER_STEP_S = 0.5

@@ -5,8 +5,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, field_validator
 from pydantic_core import PydanticCustomError
 
-from groundwalk.artefacts import Settings
-from groundwalk.artefacts.choices import Appearance
+from groundwalk.store import Settings
+from groundwalk.store.choices import Appearance
 
 Drawn = Literal["drawn"]
 # "drawn": lens, readout time and focus as measured on phones, another one for each scene and seed.

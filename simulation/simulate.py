@@ -11,27 +11,6 @@ from typing import Any
 import cv2
 import pandas as pd
 
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.choices import Appearance
-from groundwalk.artefacts.files import (
-    file_names,
-    finish_interrupted_swap,
-    partial_folder,
-    refuse_irreplaceable,
-    swap_in,
-    write_json,
-)
-from groundwalk.artefacts.hints import link_command
-from groundwalk.artefacts.locks import locked
-from groundwalk.artefacts.parallel import single_threaded_opencv
-from groundwalk.artefacts.progress import console, track
-from groundwalk.artefacts.resuming import run_resumable
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.settings import resolve_settings
-from groundwalk.artefacts.signals import signals_held_from_workers
-from groundwalk.artefacts.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES, marker_of, simulated_files
-from groundwalk.artefacts.tables import pose_frame, write_table
-from groundwalk.artefacts.text import name_list
 from groundwalk.simulation.appearance import seen_as
 from groundwalk.simulation.capture import write_frames
 from groundwalk.simulation.mesh import TexturedMesh, build_mesh, is_saved
@@ -39,6 +18,27 @@ from groundwalk.simulation.render import Renderer
 from groundwalk.simulation.scenes import NAMES, SceneryPlan, scenery
 from groundwalk.simulation.session import Shot, SimulatedSession, outline, plan_session, take
 from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.choices import Appearance
+from groundwalk.store.files import (
+    file_names,
+    finish_interrupted_swap,
+    partial_folder,
+    refuse_irreplaceable,
+    swap_in,
+    write_json,
+)
+from groundwalk.store.hints import link_command
+from groundwalk.store.locks import locked
+from groundwalk.store.parallel import single_threaded_opencv
+from groundwalk.store.progress import console, track
+from groundwalk.store.resuming import run_resumable
+from groundwalk.store.schemas import schema
+from groundwalk.store.settings import resolve_settings
+from groundwalk.store.signals import signals_held_from_workers
+from groundwalk.store.simulated import SIMULATED_MARKER, TRUE_CAMERAS, TRUE_POSES, marker_of, simulated_files
+from groundwalk.store.tables import pose_frame, write_table
+from groundwalk.store.text import name_list
 
 VERSION = 4  # goes up when the same settings give other captures
 

@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 from known import cells
 
-from groundwalk.artefacts.files import sha256_of, write_json
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import CAMERA_COLUMNS, pose_frame, write_table
 from groundwalk.geometry.poses import make_pose, yaw_rotation
+from groundwalk.store.files import sha256_of, write_json
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import CAMERA_COLUMNS, pose_frame, write_table
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 50.0
 SMALL = ["resize=40", "crop=32", "device=cpu", "threads=1", 'models=["PN"]', "regressors.PN.epochs=1"]
@@ -46,7 +46,7 @@ def made_once(tmp_path_factory: pytest.TempPathFactory, name: str, make: Callabl
 @pytest.fixture(scope="session")
 def trained_wall(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The data folder of scene Wall, profile tiny, with a PN that learnt for one epoch; only to be read."""
-    from groundwalk.artefacts import DataRoot, execute
+    from groundwalk.store import DataRoot, execute
     from groundwalk.training.stage import STAGE
 
     def make(folder: Path) -> None:

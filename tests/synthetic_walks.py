@@ -16,12 +16,12 @@ from groundwalk.alignment.inputs import AlignInputs
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import SfmTables
 from groundwalk.alignment.uncertainty import covariance_in_map
-from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.files import write_json
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import pose_frame, poses_of, write_table
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import make_pose, yaw_rotation
+from groundwalk.store import DataRoot
+from groundwalk.store.files import write_json
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import pose_frame, poses_of, write_table
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from groundwalk.artefacts import Settings, choices
-from groundwalk.artefacts.schemas import all_tables
-from groundwalk.artefacts.settings import SplitRules
 from groundwalk.cli import all_commands, stages
 from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.store import Settings, choices
+from groundwalk.store.schemas import all_tables
+from groundwalk.store.settings import SplitRules
 from groundwalk.training.regressors import REGRESSORS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -52,7 +52,7 @@ PENDING: set[str] = set()
 
 # Participles and pronouns that say nothing of what they name, in code; `found` is one of an error's parts.
 RETIRED_IN_CODE = re.compile(r"(^|_)(told|own|found|taken|shown|blamed)(_|$)")
-ALLOWED_IN_CODE = {("artefacts/errors.py", "found")}
+ALLOWED_IN_CODE = {("groundwalk/store/errors.py", "found")}
 
 
 def settings_texts() -> Iterator[tuple[str, str]]:

@@ -1,6 +1,6 @@
 """Command line of the train stage."""
 
-from groundwalk.artefacts.cli import stage_app
+from groundwalk.store.cli import stage_app
 from groundwalk.training.stage import STAGE
 
 app = stage_app(STAGE)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from groundwalk.artefacts import UserError
+from groundwalk.store import UserError
 from groundwalk.training.models.regressor import PoseRegressor
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.regressors import REGRESSORS

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from groundwalk.artefacts.files import written_aside
-from groundwalk.artefacts.images import Image
-from groundwalk.artefacts.resizing import turned_crop
 from groundwalk.geometry.gravity import upright_rotation, with_tilt_of_gravity
+from groundwalk.store.files import written_aside
+from groundwalk.store.images import Image
+from groundwalk.store.resizing import turned_crop
 from groundwalk.training.models.regressor import PoseBatch
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)

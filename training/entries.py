@@ -1,7 +1,7 @@
 """Records of groundwalk's own regressors."""
 
-from groundwalk.artefacts import recording
-from groundwalk.artefacts.registry import Lazy
+from groundwalk.store import recording
+from groundwalk.store.registry import Lazy
 from groundwalk.training.regressor_settings import (
     ADPoseNetSettings,
     BayesianPoseNetSettings,

@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from groundwalk.artefacts.child import Report
-from groundwalk.artefacts.files import written_aside
+from groundwalk.store.child import Report
+from groundwalk.store.files import written_aside
 from groundwalk.training.data import Frames, Jitter, Turns, View, normalised, pose_batch
 from groundwalk.training.models.regressor import FrozenRegressor, PoseBatch
 from groundwalk.training.regressor_settings import LiteSettings

@@ -9,10 +9,10 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from groundwalk.artefacts import StageRun, UserError
-from groundwalk.artefacts.files import sha256_of
-from groundwalk.artefacts.hints import setting_of
-from groundwalk.artefacts.registry import AN_ID, is_id
+from groundwalk.store import StageRun, UserError
+from groundwalk.store.files import sha256_of
+from groundwalk.store.hints import setting_of
+from groundwalk.store.registry import AN_ID, is_id
 from groundwalk.training.settings import TrainSettings
 
 _POSE = [f"map_cam_{part}" for part in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")]

@@ -9,11 +9,11 @@ import pandas as pd
 import torch
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import StageRun, UserError
-from groundwalk.artefacts.images import Image, read_image
-from groundwalk.artefacts.resizing import pinhole_image, small_image
-from groundwalk.artefacts.tables import camera_of, points_in_map, poses_of, with_cameras
 from groundwalk.geometry.poses import tq_from_pose
+from groundwalk.store import StageRun, UserError
+from groundwalk.store.images import Image, read_image
+from groundwalk.store.resizing import pinhole_image, small_image
+from groundwalk.store.tables import camera_of, points_in_map, poses_of, with_cameras
 from groundwalk.training.data import Frames, ImageCache
 from groundwalk.training.models.regressor import MapPoints
 from groundwalk.training.settings import TrainSettings

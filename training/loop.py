@@ -12,10 +12,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.child import Report
-from groundwalk.artefacts.files import written_aside
-from groundwalk.artefacts.hints import setting_of
+from groundwalk.store import UserError
+from groundwalk.store.child import Report
+from groundwalk.store.files import written_aside
+from groundwalk.store.hints import setting_of
 from groundwalk.training.data import Frames, Jitter, Turns, View, normalised
 from groundwalk.training.evaluation import errors, pose_errors
 from groundwalk.training.features import feature_cache

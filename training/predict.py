@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import pose_from_tq
+from groundwalk.store.tables import pose_frame
 from groundwalk.training.data import Frames, View
 from groundwalk.training.models.regressor import PoseRegressor
 

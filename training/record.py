@@ -8,11 +8,11 @@ import pandas as pd
 import rerun as rr
 import rerun.blueprint as rrb
 
-from groundwalk.artefacts import recording as colours
-from groundwalk.artefacts.recording import TIMELINE, UP_AXIS, log_camera, log_path
-from groundwalk.artefacts.registry import Colour
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.store import recording as colours
+from groundwalk.store.recording import TIMELINE, UP_AXIS, log_camera, log_path
+from groundwalk.store.registry import Colour
+from groundwalk.store.tables import poses_of
 from groundwalk.training.data import ImageCache
 
 EPOCHS = "epoch"

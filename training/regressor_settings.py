@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from groundwalk.artefacts import Settings
+from groundwalk.store import Settings
 
 
 class RegressorSettings(Settings):

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from groundwalk.artefacts.registry import Colour, Entry, Registry, callable_faults, colour_faults
+from groundwalk.store.registry import Colour, Entry, Registry, callable_faults, colour_faults
 from groundwalk.training.regressor_settings import RegressorSettings
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field, SerializeAsAny, ValidationInfo, field_validator, model_validator
 
-from groundwalk.artefacts import Settings
+from groundwalk.store import Settings
 from groundwalk.training.regressor_settings import RegressorSettings
 from groundwalk.training.regressors import REGRESSORS
 

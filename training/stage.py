@@ -11,14 +11,14 @@ import numpy as np
 import pandas as pd
 import torch
 
-from groundwalk.artefacts import Stage, StageRun, UserError, recording
-from groundwalk.artefacts.child import Report, Task, in_children
-from groundwalk.artefacts.hints import setting_of
-from groundwalk.artefacts.registry import PluginError
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.poses import tq_from_pose
 from groundwalk.scoring.errors import sure_enough
+from groundwalk.store import Stage, StageRun, UserError, recording
+from groundwalk.store.child import Report, Task, in_children
+from groundwalk.store.hints import setting_of
+from groundwalk.store.registry import PluginError
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import poses_of
 from groundwalk.training.build import Trained, save_trained
 from groundwalk.training.checks import check_regressor
 from groundwalk.training.data import Frames, ImageCache, View, pose_batch

@@ -12,8 +12,8 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.hints import setting_of
+from groundwalk.store import UserError
+from groundwalk.store.hints import setting_of
 from groundwalk.training.models.efficientnet_lite import EfficientNetLite0, folded, stored_names
 
 _ANSWER_WITHIN_S = 5.0

@@ -8,8 +8,8 @@ from groundwalk.alignment.checks.results import NO_ROWS, CheckResult, Failure, Q
 from groundwalk.alignment.components import Component, ModelSegments, PlacedComponent
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.vio_links import UnlinkedComponent
-from groundwalk.artefacts.choices import CheckName, FailureCause
 from groundwalk.consistency.decisions import Status
+from groundwalk.store.choices import CheckName, FailureCause
 
 
 def missing_scale(index: int, model: ModelSegments, cause: FailureCause, reason: str) -> CheckResult:

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from groundwalk.artefacts.choices import CheckName, CheckUnit, FailureCause
-from groundwalk.artefacts.hints import ANY_SCENE, setting_of
+from groundwalk.store.choices import CheckName, CheckUnit, FailureCause
+from groundwalk.store.hints import ANY_SCENE, setting_of
 
 _EXCLUDE_SESSION = "take the session out of the captures' folder"
 _MEASURED_PRINT = (

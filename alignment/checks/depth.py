@@ -6,8 +6,8 @@ import pandas as pd
 from groundwalk.alignment.checks.results import CheckResult, Failure, Quantity, Subject, evaluate
 from groundwalk.alignment.depth import HIGH_CONFIDENCE, MAX_RANGE_M
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.artefacts.choices import CheckName, FailureCause
 from groundwalk.consistency.decisions import Status
+from groundwalk.store.choices import CheckName, FailureCause
 
 # Fewer samples or frames decide nothing.
 _MIN_SAMPLES, _MIN_FRAMES = 100, 3

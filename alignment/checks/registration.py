@@ -5,7 +5,7 @@ import pandas as pd
 
 from groundwalk.alignment.checks.results import CheckResult, Failure, Quantity, Rows, Subject, evaluate
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.artefacts.choices import CheckName, FailureCause
+from groundwalk.store.choices import CheckName, FailureCause
 
 # A recording of which SfM registers less is of another scene.
 _MIN_FRACTION_OF_SCENE = 0.1

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.alignment.checks.definitions import ADVICE_BY_CAUSE, DEFINITIONS
-from groundwalk.artefacts.choices import CheckName, CheckUnit, FailureCause
 from groundwalk.consistency.decisions import Status, decide
+from groundwalk.store.choices import CheckName, CheckUnit, FailureCause
 
 Rows = NDArray[np.intp]
 """Positions in the frames table."""

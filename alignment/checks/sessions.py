@@ -20,11 +20,11 @@ from groundwalk.alignment.checks.results import (
 from groundwalk.alignment.components import Component
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.sfm_tables import FocalEstimate, SfmTables
-from groundwalk.artefacts.choices import CheckName, FailureCause
 from groundwalk.consistency.decisions import Status, fraction_sd
 from groundwalk.consistency.diagnosis import Diagnosis, diagnose
 from groundwalk.consistency.motions import MIRRORED, MISTAKE_REASONS, UNRELATED, UPSIDE_DOWN
 from groundwalk.geometry.fits import direction_angles
+from groundwalk.store.choices import CheckName, FailureCause
 
 _BENT = "a session with wrong intrinsics bends its SfM model"
 # Faults by which no part of a model is right.

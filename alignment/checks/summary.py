@@ -6,9 +6,9 @@ import pandas as pd
 
 from groundwalk.alignment.checks.definitions import DEFINITIONS
 from groundwalk.alignment.checks.results import CheckResult, with_status
-from groundwalk.artefacts.choices import CheckName
-from groundwalk.artefacts.schemas import schema
 from groundwalk.consistency.decisions import Status
+from groundwalk.store.choices import CheckName
+from groundwalk.store.schemas import schema
 
 
 def checks_table(results: Sequence[CheckResult]) -> pd.DataFrame:

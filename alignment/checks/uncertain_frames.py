@@ -12,10 +12,10 @@ from groundwalk.alignment.quality import grade_frames, sfm_covariances
 from groundwalk.alignment.segments import Segment
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.uncertainty import covariance_in_map
-from groundwalk.artefacts.choices import CheckName, FailureCause, QualityClass
 from groundwalk.consistency.decisions import SIGMAS
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import relative
+from groundwalk.store.choices import CheckName, FailureCause, QualityClass
 
 # VIO's drift between certain frames is this quantile of its deviations, of at least so many steps.
 _DRIFT_QUANTILE, _MIN_STEPS = 0.99, 20

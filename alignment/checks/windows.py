@@ -9,12 +9,12 @@ from groundwalk.alignment.checks.results import CheckResult, Exclusion, Failure,
 from groundwalk.alignment.components import Component
 from groundwalk.alignment.segments import Segment
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.artefacts.choices import CheckName, FailureCause
 from groundwalk.consistency.decisions import SIGMAS, beyond, within
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.consistency.windows import PoseSd, WindowResiduals, compare_windows
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array
+from groundwalk.store.choices import CheckName, FailureCause
 
 
 @dataclass(frozen=True)

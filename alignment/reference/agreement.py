@@ -5,13 +5,13 @@ import pandas as pd
 
 from groundwalk.alignment.components import PlacedComponent
 from groundwalk.alignment.reference.poses import Reference
-from groundwalk.artefacts.choices import LengthUnit, ReferenceAlignment, ScaleSource, VerticalSource
-from groundwalk.artefacts.hints import setting_of
-from groundwalk.artefacts.schemas import schema
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import pose_residuals
 from groundwalk.geometry.pose_similarity import PoseSimilarity, fit_similar_poses
 from groundwalk.geometry.poses import Array
+from groundwalk.store.choices import LengthUnit, ReferenceAlignment, ScaleSource, VerticalSource
+from groundwalk.store.hints import setting_of
+from groundwalk.store.schemas import schema
 
 # Real references, by depth or other SfM, agree with SfM's rotations to some tenths of a degree.
 _NOTICEABLE_DEG = 0.5

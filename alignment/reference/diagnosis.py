@@ -5,12 +5,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from groundwalk.artefacts.hints import setting_of
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.pose_conventions import POSE_CONVENTIONS
 from groundwalk.geometry.pose_similarity import PoseSimilarity, fit_similar_poses
 from groundwalk.geometry.poses import Array, nearest_rotation, rotation_angle
+from groundwalk.store.hints import setting_of
 
 # Parts of a walk that are fitted on their own have at least so many frames, and are at most so many.
 _MIN_PART, _MAX_PARTS = 6, 8

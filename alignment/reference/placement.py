@@ -15,11 +15,11 @@ from groundwalk.alignment.map_frame import NO_SCALE, MapScale, Vertical
 from groundwalk.alignment.reference.diagnosis import Limits, explain
 from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import CheckName, FailureCause
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.pose_similarity import PoseSimilarity, fit_similar_poses
+from groundwalk.store import UserError
+from groundwalk.store.choices import CheckName, FailureCause
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from groundwalk.artefacts.choices import LengthUnit, ScaleSource, UpAxis, VerticalSource
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.poses import Array
+from groundwalk.store.choices import LengthUnit, ScaleSource, UpAxis, VerticalSource
+from groundwalk.store.tables import poses_of
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundwalk.alignment.rulers.settings import DICTIONARIES, AprilTagRuler, CharucoRuler, dictionary
-from groundwalk.artefacts.images import read_grey_image
-from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rulers import Corners
+from groundwalk.store.images import read_grey_image
+from groundwalk.store.parallel import in_parallel
 
 Grey = NDArray[np.uint8]
 BoardRuler = CharucoRuler | AprilTagRuler

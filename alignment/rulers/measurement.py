@@ -19,13 +19,13 @@ from groundwalk.alignment.rulers.detection import (
     nominal_corners,
 )
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, DistanceRuler, Ruler
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import RulerPart
-from groundwalk.artefacts.tables import camera_of, poses_of
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rulers import Corners, Observations, RulerFit, measure
 from groundwalk.geometry.shutter import readout_fraction, readout_lines, rows_in_camera
+from groundwalk.store import UserError
+from groundwalk.store.choices import RulerPart
+from groundwalk.store.tables import camera_of, poses_of
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]

@@ -11,12 +11,12 @@ from matplotlib.figure import Figure
 
 from groundwalk.alignment.rulers.measurement import RulerMeasurement, kind_of
 from groundwalk.alignment.rulers.scale_check import RulerCheck, describe
-from groundwalk.artefacts.choices import RulerKind, RulerPart
-from groundwalk.artefacts.images import read_grey_image
-from groundwalk.artefacts.tables import camera_of, poses_of
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse, transform
 from groundwalk.geometry.rulers import RulerFit
+from groundwalk.store.choices import RulerKind, RulerPart
+from groundwalk.store.images import read_grey_image
+from groundwalk.store.tables import camera_of, poses_of
 
 _MAX_RULERS = 6
 _INCHES = 4.5

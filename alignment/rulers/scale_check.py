@@ -11,10 +11,10 @@ from groundwalk.alignment.components import Component
 from groundwalk.alignment.map_frame import MapScale
 from groundwalk.alignment.rulers.measurement import RulerMeasurement
 from groundwalk.alignment.rulers.settings import DistanceRuler
-from groundwalk.artefacts.choices import CheckName, FailureCause, RulerPart
-from groundwalk.artefacts.hints import setting_of
-from groundwalk.artefacts.schemas import schema
 from groundwalk.consistency.decisions import SIGMAS, Status, decide, within
+from groundwalk.store.choices import CheckName, FailureCause, RulerPart
+from groundwalk.store.hints import setting_of
+from groundwalk.store.schemas import schema
 
 # Bounds of 95 %.
 _BOUND_SIGMAS = 1.96

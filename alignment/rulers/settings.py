@@ -5,8 +5,8 @@ from typing import Annotated, Any, ClassVar, Literal
 import cv2
 from pydantic import BeforeValidator, Field, model_validator
 
-from groundwalk.artefacts import Settings, UserError
-from groundwalk.artefacts.settings import validated
+from groundwalk.store import Settings, UserError
+from groundwalk.store.settings import validated
 
 DICTIONARIES = tuple(sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_")))
 APRILTAG = "DICT_APRILTAG_36H11"

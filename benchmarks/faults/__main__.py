@@ -15,9 +15,9 @@ from benchmarks.faults import artefacts, captures, machine, names, predictions, 
 from benchmarks.faults.case import Case, Outcome
 from benchmarks.faults.sandbox import Sandbox, digest, make_sandbox, run_case, workers
 from benchmarks.results import circumstances, markdown_table
-from groundwalk.artefacts import progress
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.settings import STAGES
+from groundwalk.store import progress
+from groundwalk.store.cli import new_app
+from groundwalk.store.settings import STAGES
 
 app = new_app("Faults on purpose, and what became of them.")
 WORK = Path("build/faults")

@@ -10,9 +10,9 @@ from numpy.random import Generator
 
 from benchmarks.faults.case import DONE, REFUSED, Case
 from benchmarks.faults.sandbox import PROFILE, SCENE, Sandbox, rewritable
-from groundwalk.artefacts.manifests import MANIFEST
-from groundwalk.artefacts.stage import Stage
 from groundwalk.cli import stages
+from groundwalk.store.manifests import MANIFEST
+from groundwalk.store.stage import Stage
 
 Damage = Callable[[Path, Generator], None]
 

@@ -16,12 +16,12 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from benchmarks.faults.case import DONE, Case, Outcome
-from groundwalk.artefacts.cores import usable_cores
-from groundwalk.artefacts.files import partial_folder
-from groundwalk.artefacts.manifests import output_hashes
-from groundwalk.artefacts.memory import PeakMemory
-from groundwalk.artefacts.settings import STAGES, DataRoot
 from groundwalk.cli import all_commands, app
+from groundwalk.store.cores import usable_cores
+from groundwalk.store.files import partial_folder
+from groundwalk.store.manifests import output_hashes
+from groundwalk.store.memory import PeakMemory
+from groundwalk.store.settings import STAGES, DataRoot
 
 SCENE, PROFILE = "Church", "faults"
 SECONDS = 900

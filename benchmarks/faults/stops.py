@@ -15,10 +15,10 @@ from numpy.random import Generator
 from benchmarks.faults.artefacts import DAMAGES, arguments
 from benchmarks.faults.case import DONE, REFUSED, SIGNAL_CODES, Case, Outcome
 from benchmarks.faults.sandbox import SECONDS, Sandbox, digest, run_apart, unlike
-from groundwalk.artefacts.errors import UserError
-from groundwalk.artefacts.files import partial_folder
-from groundwalk.artefacts.manifests import MANIFEST, load_manifest, load_verified
-from groundwalk.artefacts.settings import STAGES
+from groundwalk.store.errors import UserError
+from groundwalk.store.files import partial_folder
+from groundwalk.store.manifests import MANIFEST, load_manifest, load_verified
+from groundwalk.store.settings import STAGES
 
 _SIGNALS = (
     (signal.SIGKILL, True),

@@ -18,12 +18,12 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.pose_walks import pose_walks
 from benchmarks.regressor_errors.model import FIT_FILE, AprModel, StandardErrors, apr_errors, apr_seeds, standard_errors
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.progress import track
-from groundwalk.artefacts.settings import SHIPPED_DATA
 from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import ACCURACY_LEVELS, step_lengths
 from groundwalk.simulation.scenes import NAMES
+from groundwalk.store.cli import new_app
+from groundwalk.store.progress import track
+from groundwalk.store.settings import SHIPPED_DATA
 
 REGRESSORS = ("PN", "MS-T")
 _STEP = 0.1  # of the fit's numbers, to see which way is better

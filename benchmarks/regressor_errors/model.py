@@ -22,9 +22,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from groundwalk.artefacts import UserError
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.store import UserError
 
 FIT_FILE = Path(__file__).with_name("sizes.toml")
 

@@ -18,12 +18,12 @@ from benchmarks.fusion_inputs import SIMULATED, Case, simulated_case
 from benchmarks.real_predictions import DEVELOPMENT, STRIDES, real_cases
 from benchmarks.regressor_errors.fit import REGRESSORS
 from benchmarks.results import circumstances, markdown_table
-from groundwalk.artefacts.cli import new_app
-from groundwalk.artefacts.files import written_aside
 from groundwalk.fusion.methods.error_map import errors_of
 from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.poses import Array
 from groundwalk.simulation.scenes import NAMES
+from groundwalk.store.cli import new_app
+from groundwalk.store.files import written_aside
 
 app = new_app(__doc__ or "")
 

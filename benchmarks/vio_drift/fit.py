@@ -24,8 +24,8 @@ from benchmarks.vio_drift.estimators import (
 )
 from benchmarks.vio_drift.plots import write_plots
 from benchmarks.vio_drift.recordings import Recordings, read_recordings
-from groundwalk.artefacts.cli import new_app
 from groundwalk.simulation.vio import FIT_FILE, VioModel, read_model
+from groundwalk.store.cli import new_app
 
 RPE_1M_M = 0.02
 """ARKit's relative pose error over about 1 s or 1 m of walking: Kim et al., Sensors 22(24), 9873, 2022."""

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import UserError
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.geometry.poses import Array
+from groundwalk.store import UserError
 
 TAG_WALKS = "invisible_map_arkit/benchmarking/datasets"
 STEADY_LOGS = "arkit_data_logger/Visualization"

@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.capture_import.capture import RawFrame
 from groundwalk.capture_import.checks.scan import LoadGray
 from groundwalk.capture_import.intake import Image, ImportedSession
@@ -20,6 +19,7 @@ from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.lens import undistort
 from groundwalk.geometry.pose_conventions import POSE_CONVENTIONS, PoseChange, turned_image
 from groundwalk.geometry.poses import Array, relative, rotation_angle
+from groundwalk.store.parallel import in_parallel
 
 CONVENTION_LONG_SIDE = 400
 _FEATURES = 500

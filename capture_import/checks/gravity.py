@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from groundwalk.artefacts.choices import PoseSource, UpSource
 from groundwalk.capture_import.capture import RawFrame
 from groundwalk.capture_import.checks.scan import LoadGray
 from groundwalk.capture_import.intake import Image, ImportedSession, Intake
@@ -19,6 +18,7 @@ from groundwalk.geometry.lens import undistort
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
 from groundwalk.geometry.vanishing import line_axes
+from groundwalk.store.choices import PoseSource, UpSource
 
 LINES_LONG_SIDE = WORKING_LONG_SIDE
 _MAX_IMAGES = 24

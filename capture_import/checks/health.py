@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts.choices import PoseSource, Tracking
 from groundwalk.capture_import.capture import Intrinsics, RawFrame, RawSession, Reject
 from groundwalk.geometry.poses import Array, interpolate, inverse, nearest_rotation, rigidity_error
+from groundwalk.store.choices import PoseSource, Tracking
 
 # Float32 logs are off by 1e-6, rounded text logs by 1e-3 at most; a wrong convention by far more.
 _RIGID_TOLERANCE = 5e-3

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.capture_import.capture import RawFrame
 from groundwalk.capture_import.checks.convention import CONVENTION_LONG_SIDE, Features, detect_features, match_features
 from groundwalk.capture_import.checks.scan import LoadGray
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import evenly
+from groundwalk.store.parallel import in_parallel
 
 # Every test image would take minutes where there are thousands, and the fraction is known from these.
 _MAX_LOOKED_AT = 200

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundwalk.artefacts.choices import PoseSource
 from groundwalk.capture_import.intake import Intake
+from groundwalk.store.choices import PoseSource
 
 # The median speed of a runner; walks with a phone are below 2 m/s.
 MAX_WALK_M_S = 3.0

@@ -9,7 +9,6 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.capture_import.capture import ImageFile, Limits, RawFrame, VideoFrame
 from groundwalk.capture_import.media.images import (
     WORKING_LONG_SIDE,
@@ -20,6 +19,7 @@ from groundwalk.capture_import.media.images import (
     decode_gray,
 )
 from groundwalk.capture_import.media.video import decode, gray_pixels
+from groundwalk.store.parallel import in_parallel
 
 # A sound JPEG or PNG has fewer bytes than this a pixel, and a header with metadata.
 _BYTES_A_PIXEL = 4

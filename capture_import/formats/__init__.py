@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from groundwalk.artefacts.registry import Entry, Registry, callable_faults
 from groundwalk.capture_import.capture import Limits, RawSession
+from groundwalk.store.registry import Entry, Registry, callable_faults
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,6 @@ import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -24,6 +23,7 @@ from groundwalk.capture_import.parsing import (
     seconds_to_ns,
     split_numbers,
 )
+from groundwalk.store.choices import Clock
 
 _TAGS = re.compile(r"(\s+TAG\d+)+\s*$")
 

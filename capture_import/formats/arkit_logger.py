@@ -6,7 +6,6 @@ Documented at https://github.com/PyojinKim/ARKit-Data-Logger (README, "Output Fo
 
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -19,6 +18,7 @@ from groundwalk.capture_import.parsing import (
     seconds_to_ns,
     split_numbers,
 )
+from groundwalk.store.choices import Clock
 
 
 def detect(path: Path) -> bool:

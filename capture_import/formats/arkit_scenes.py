@@ -15,7 +15,6 @@ from pathlib import Path
 
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts.choices import Clock, PoseSource
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import images_in
@@ -31,6 +30,7 @@ from groundwalk.capture_import.parsing import (
     to_number,
 )
 from groundwalk.geometry.poses import inverse, make_pose
+from groundwalk.store.choices import Clock, PoseSource
 
 # The best images that were downloaded.
 _IMAGES = ("wide", "vga_wide", "lowres_wide")

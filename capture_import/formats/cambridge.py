@@ -17,8 +17,6 @@ from pathlib import Path
 
 import numpy as np
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock, PoseSource, SessionSplit
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import images_in, is_image, size_of, unused
@@ -35,6 +33,8 @@ from groundwalk.capture_import.parsing import (
     whole,
 )
 from groundwalk.geometry.poses import make_pose
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock, PoseSource, SessionSplit
 
 _CAMERA = ("width", "height", "fx", "fy", "cx", "cy")
 _LISTS: dict[str, SessionSplit] = {"dataset_train.txt": SessionSplit.TRAIN, "dataset_test.txt": SessionSplit.TEST}

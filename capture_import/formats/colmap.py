@@ -27,8 +27,6 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock, PoseSource
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import in_order
@@ -53,6 +51,8 @@ from groundwalk.capture_import.parsing import (
     split_numbers,
 )
 from groundwalk.geometry.poses import inverse
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock, PoseSource
 
 # Name and number of parameters by the binary format's number: COLMAP's src/colmap/sensor/models.h.
 _MODELS = {

@@ -11,8 +11,6 @@ The first line says what the recording is, each other line is one instant:
 from pathlib import Path
 from typing import Any
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock, ImageSide, Tracking, UpSource
 from groundwalk.capture_import.capture import (
     DepthFile,
     ImageFile,
@@ -40,6 +38,8 @@ from groundwalk.capture_import.parsing import (
     to_number,
 )
 from groundwalk.geometry.shutter import MAX_READOUT_S
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock, ImageSide, Tracking, UpSource
 
 _VERSION = 1
 _CLOCKS = [clock for clock in Clock if clock.has_times]

@@ -8,8 +8,6 @@ z backward). `location_data` holds coordinates of the earth and is never read.
 from pathlib import Path
 from typing import Any
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -22,6 +20,8 @@ from groundwalk.capture_import.parsing import (
     refuse_unreadable,
     seconds_to_ns,
 )
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock
 
 _KEY = b'"pose_data"'
 _LOOK_BYTES = 64 << 20

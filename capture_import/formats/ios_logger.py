@@ -12,7 +12,6 @@ Documented at https://github.com/Varvrar/ios_logger (README, "Dataset format"). 
 
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
@@ -27,6 +26,7 @@ from groundwalk.capture_import.parsing import (
     seconds_to_ns,
     split_numbers,
 )
+from groundwalk.store.choices import Clock
 
 
 def detect(path: Path) -> bool:

@@ -14,9 +14,6 @@ A transforms.json without times has poses from SfM: that's the format `nerfstudi
 from pathlib import Path
 from typing import Any
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock
-from groundwalk.artefacts.hints import setting_of
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import images_in, unused
@@ -35,6 +32,9 @@ from groundwalk.capture_import.parsing import (
     seconds_to_ns,
     whole,
 )
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock
+from groundwalk.store.hints import setting_of
 
 _TIME = b'"timestamp"'
 

@@ -24,8 +24,6 @@ from typing import Any
 
 import numpy as np
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock, PoseSource
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import SUFFIXES, is_image, size_notes, size_of
@@ -53,6 +51,8 @@ from groundwalk.capture_import.parsing import (
     seconds_to_ns,
 )
 from groundwalk.geometry.poses import Array, inverse, rigidity_error
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock, PoseSource
 
 _TEST_FILE = "transforms_test.json"
 _FILES = ("transforms.json", "transforms_train.json", "transforms_val.json", _TEST_FILE)

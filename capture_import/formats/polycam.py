@@ -12,7 +12,6 @@ Documented at https://github.com/PolyCam/polyform (README, "Polycam's data forma
 
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in, size_notes, unused
@@ -27,6 +26,7 @@ from groundwalk.capture_import.parsing import (
     refuse_unreadable,
     row_major_pose,
 )
+from groundwalk.store.choices import Clock
 
 _MAX_FRAME_BYTES = 1 << 20
 _LATEST_US = 2**62 // 1000

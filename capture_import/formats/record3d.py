@@ -15,8 +15,6 @@ https://github.com/marek-simonik/record3d. What matters:
 from pathlib import Path
 from typing import Any
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in, unused
@@ -34,6 +32,8 @@ from groundwalk.capture_import.parsing import (
     to_number,
     whole,
 )
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock
 
 
 def detect(path: Path) -> bool:

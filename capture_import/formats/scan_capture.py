@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.choices import Clock, Tracking
 from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
@@ -32,6 +31,7 @@ from groundwalk.capture_import.parsing import (
     seconds_to_ns,
     to_number,
 )
+from groundwalk.store.choices import Clock, Tracking
 
 
 def detect(path: Path) -> bool:

@@ -17,7 +17,6 @@ Latitude and longitude may be in `info.json` and the frames; they're never read.
 import re
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import DepthFile, ImageFile, Intrinsics, Limits, RawFrame, RawSession, Reject
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in, unused
@@ -34,6 +33,7 @@ from groundwalk.capture_import.parsing import (
     row_major_pose,
     seconds_to_ns,
 )
+from groundwalk.store.choices import Clock
 
 _FRAME = re.compile(r"frame_(\d{1,9})\.json")
 _DEPTH = re.compile(r"(depth|conf)_\d{1,9}\.png")

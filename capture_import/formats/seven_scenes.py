@@ -15,8 +15,6 @@ Documented at https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-s
 import re
 from pathlib import Path
 
-from groundwalk.artefacts.choices import Clock, PoseSource, SessionSplit
-from groundwalk.artefacts.simulated import EXPORT_NOTE
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.image_files import by_stem, images_in, unused
@@ -29,6 +27,8 @@ from groundwalk.capture_import.parsing import (
     seconds_to_ns,
     split_numbers,
 )
+from groundwalk.store.choices import Clock, PoseSource, SessionSplit
+from groundwalk.store.simulated import EXPORT_NOTE
 
 _POSE = re.compile(r"frame-(\d{6})\.pose\.txt")
 _FRAMES_A_SECOND = 30.0

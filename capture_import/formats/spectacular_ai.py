@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock, Tracking
 from groundwalk.capture_import.capture import Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.joining import join_by_time
@@ -35,6 +33,8 @@ from groundwalk.capture_import.parsing import (
     seconds_to_ns,
 )
 from groundwalk.geometry.poses import Array, inverse, rigidity_error
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock, Tracking
 
 # A world with +z up, seen with +y up.
 _YUP_T_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

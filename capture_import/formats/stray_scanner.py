@@ -16,8 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import DepthFile, Intrinsics, Limits, RawFrame, RawSession, VideoFrame
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.media.video import frame_times
@@ -33,6 +31,8 @@ from groundwalk.capture_import.parsing import (
     split_numbers,
     whole,
 )
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock
 
 _COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 _PER_FRAME = ("fx", "fy", "cx", "cy")

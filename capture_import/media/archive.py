@@ -8,10 +8,10 @@ import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.damage import as_user_error
-from groundwalk.artefacts.files import sync_tree
 from groundwalk.capture_import.capture import Limits
+from groundwalk.store import UserError
+from groundwalk.store.damage import as_user_error
+from groundwalk.store.files import sync_tree
 
 SUFFIXES = (".zip", ".r3d")
 _CHUNK = 1 << 20

@@ -16,10 +16,10 @@ import cv2.data
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.hints import setting_of
 from groundwalk.capture_import.media.images import shrunk
 from groundwalk.capture_import.media.upright import turned_pixels
+from groundwalk.store import UserError
+from groundwalk.store.hints import setting_of
 
 Kind = Literal["face", "plate"]
 

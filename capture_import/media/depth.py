@@ -11,10 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Rejected
-from groundwalk.artefacts.hints import setting_of
-from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.capture_import.capture import Reject
 from groundwalk.capture_import.intake import Image
 from groundwalk.capture_import.media.float_depth import (
@@ -26,6 +22,10 @@ from groundwalk.capture_import.media.float_depth import (
 )
 from groundwalk.capture_import.media.images import BadImage, decoded, image_size
 from groundwalk.capture_import.media.placing import Placement
+from groundwalk.store import UserError
+from groundwalk.store.choices import Rejected
+from groundwalk.store.hints import setting_of
+from groundwalk.store.parallel import in_parallel
 
 # Depth images are small; a larger file isn't one.
 _MAX_BYTES = 1 << 26

@@ -11,10 +11,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.hints import setting_of
-from groundwalk.artefacts.parallel import in_parallel
-from groundwalk.artefacts.progress import track
 from groundwalk.capture_import.capture import ImageFile, Limits, VideoFrame
 from groundwalk.capture_import.intake import Image
 from groundwalk.capture_import.media.blurring import Detector, Kind, blur_people
@@ -22,6 +18,10 @@ from groundwalk.capture_import.media.images import decode_rgb, encode_jpeg, with
 from groundwalk.capture_import.media.spool import spooled_path
 from groundwalk.capture_import.media.upright import turned_pixels
 from groundwalk.capture_import.media.video import decode, rgb_pixels
+from groundwalk.store import UserError
+from groundwalk.store.hints import setting_of
+from groundwalk.store.parallel import in_parallel
+from groundwalk.store.progress import track
 
 
 @dataclass(frozen=True)

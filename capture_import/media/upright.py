@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.choices import ImageSide
 from groundwalk.capture_import.capture import Intrinsics, RawFrame
 from groundwalk.capture_import.checks.health import gravity_of
 from groundwalk.capture_import.intake import Image, ImportedSession
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.shutter import usual_first_row
+from groundwalk.store.choices import ImageSide
 
 # A quarter turn clockwise: what was right is down, what was down is left.
 _CLOCKWISE: Array = make_pose([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0, 0, 0])

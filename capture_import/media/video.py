@@ -9,9 +9,9 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import UserError
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.media.images import shrunk
+from groundwalk.store import UserError
 
 # Pixel formats whose first plane is the brightness, a byte a pixel.
 _BRIGHTNESS_FIRST = {f"yuv{j}{chroma}p" for j in ("", "j") for chroma in (420, 422, 444)} | {"nv12", "nv21", "gray"}

@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from groundwalk.artefacts import UserError, progress
-from groundwalk.artefacts.files import write_json
 from groundwalk.export.phone.coreml import PACKAGE, write_coreml
 from groundwalk.export.phone.golden import Network, write_golden
 from groundwalk.export.phone.inputs import PhoneInputs
@@ -21,6 +19,8 @@ from groundwalk.geometry.poses import quaternion_from_matrix, rotation_angle
 from groundwalk.runtime.bundle import matrix_of, onnx_session
 from groundwalk.runtime.bundle_file import ERROR_MAP, ERRORS, FRAME, PREPROCESSING, write_manifest
 from groundwalk.scoring.errors import position_error, rotation_error_deg, within_bounds
+from groundwalk.store import UserError, progress
+from groundwalk.store.files import write_json
 
 _CALIBRATION, _HELD_OUT, _MIN_HELD_OUT = 48, 64, 16
 _AS_TRAINED_M, _AS_TRAINED_DEG = 0.01, 0.2

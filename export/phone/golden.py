@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.files import write_json
 from groundwalk.export.phone.inputs import PhoneInputs
 from groundwalk.runtime.bundle_file import GOLDEN
+from groundwalk.store.files import write_json
 
 _QUERIES = 3
 # Resampling rounds differently from one build of OpenCV to another.

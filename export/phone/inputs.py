@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.images import read_image
-from groundwalk.artefacts.tables import camera_of
 from groundwalk.export.regressor import TrainedRegressor
 from groundwalk.geometry import Array
 from groundwalk.geometry.cameras import Camera
@@ -17,6 +15,8 @@ from groundwalk.geometry.gravity import upright_rotation
 from groundwalk.geometry.rows import evenly
 from groundwalk.runtime.preprocessing import Preprocessing
 from groundwalk.runtime.queries import Query
+from groundwalk.store.images import read_image
+from groundwalk.store.tables import camera_of
 from groundwalk.training.build import Trained
 from groundwalk.training.data import IMAGENET_MEAN, IMAGENET_STD
 

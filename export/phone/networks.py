@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from groundwalk.artefacts import UserError
+from groundwalk.store import UserError
 from groundwalk.training.build import Trained
 
 INPUT = "image"

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import UserError
 from groundwalk.export.phone.networks import quiet
 from groundwalk.geometry import Array
 from groundwalk.geometry.poses import quaternion_angle
 from groundwalk.runtime.bundle import onnx_session
+from groundwalk.store import UserError
 
 MAX_ERROR_RATIO = 1.05
 """of an int8 network's errors to fp32's, on held-out frames; beyond it int8 isn't shipped"""

@@ -9,11 +9,6 @@ from typing import Any, Literal
 import pandas as pd
 from pydantic import Field, model_validator
 
-from groundwalk.artefacts import Settings
-from groundwalk.artefacts.choices import MapUnit, Split
-from groundwalk.artefacts.progress import track
-from groundwalk.artefacts.registry import PluginError
-from groundwalk.artefacts.tables import map_unit, scale_warning
 from groundwalk.fusion.evaluation.fuse import Fused, Run, error_rows, fuse_all, options_json, pose_rows, signal_rows
 from groundwalk.fusion.evaluation.intervals import intervals
 from groundwalk.fusion.evaluation.summary import session_figures, summarise
@@ -26,6 +21,11 @@ from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.localiser import MethodOptions
 from groundwalk.fusion.methods.mobilearloc import MobileARLocOptions
 from groundwalk.fusion.walk import Walk, known, with_odometry
+from groundwalk.store import Settings
+from groundwalk.store.choices import MapUnit, Split
+from groundwalk.store.progress import track
+from groundwalk.store.registry import PluginError
+from groundwalk.store.tables import map_unit, scale_warning
 
 
 class FuseSettings(Settings):

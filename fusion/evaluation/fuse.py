@@ -8,14 +8,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.parallel import one_thread
-from groundwalk.artefacts.tables import pose_frame
 from groundwalk.fusion.methods import method
 from groundwalk.fusion.methods.localiser import Estimate, Stepping, is_rigid
 from groundwalk.fusion.methods.offline import Offline, stepped
 from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.store.parallel import one_thread
+from groundwalk.store.tables import pose_frame
 
 
 @dataclass(frozen=True)

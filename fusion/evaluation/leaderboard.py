@@ -17,10 +17,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.progress import track
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import dataset_frames, read_table
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, joined_walks, learnt
 from groundwalk.fusion.evaluation.fuse import Fused, Run, fuse, pose_errors
 from groundwalk.fusion.evaluation.validation import ERRORS, ahead_of
@@ -32,6 +28,10 @@ from groundwalk.fusion.methods.offline import Offline
 from groundwalk.fusion.walk import Walk, known, with_odometry
 from groundwalk.scoring import errors as scoring_errors
 from groundwalk.scoring.errors import accuracy_shares
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.progress import track
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import dataset_frames, read_table
 
 RAW, RULE, LATE = "apr", "mobilearloc", "smoother"
 LAGS_S = (0.0, 1.0, 5.0, 30.0)

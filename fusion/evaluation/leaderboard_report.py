@@ -10,9 +10,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.files import make_writable
-from groundwalk.artefacts.stage import git_revision
 from groundwalk.fusion.evaluation.leaderboard import (
     ERRORS,
     KEY,
@@ -27,6 +24,9 @@ from groundwalk.fusion.evaluation.leaderboard import (
     ratios,
     scores,
 )
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.files import make_writable
+from groundwalk.store.stage import git_revision
 
 _PAGE, _TABLE, _FIGURE = "fusion.md", "fusion.csv", "fusion_lag.png"
 _HEADER = """# Fusion methods beside each other

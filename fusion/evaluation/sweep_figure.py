@@ -7,8 +7,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from groundwalk.artefacts import recording
 from groundwalk.fusion.evaluation.sweep import VALUES
+from groundwalk.store import recording
 
 _LABELS = {"n": "N", "d_th_m": "$d_{th}$ (m)", "o_th_deg": "$o_{th}$ (°)", "gamma": "$\\gamma$"}
 _ROWS = (

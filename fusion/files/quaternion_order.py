@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from groundwalk.artefacts import UserError
 from groundwalk.fusion.walk import Walk, known
 from groundwalk.geometry.poses import Array, pose_from_tq, tq_from_pose
 from groundwalk.scoring.errors import relative_error, rotation_error_deg
+from groundwalk.store import UserError
 
 _FEW = 10  # fewer errors may fit by chance
 _CLOSER = 4.0  # by this factor, and ...

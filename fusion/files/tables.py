@@ -10,13 +10,6 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.files import RECORDING, file_names, fresh_folder, refuse_to_overwrite, write_json
-from groundwalk.artefacts.progress import console
-from groundwalk.artefacts.recording import open_recording
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
-from groundwalk.artefacts.tables import dataset_frames, write_table
 from groundwalk.fusion.evaluation.evaluate import (
     FuseSettings,
     Inputs,
@@ -29,6 +22,13 @@ from groundwalk.fusion.evaluation.sweep import around, grid, sweep
 from groundwalk.fusion.evaluation.sweep_figure import write_sweep_figure
 from groundwalk.fusion.recording import blueprint, record
 from groundwalk.fusion.walk import with_odometry
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.files import RECORDING, file_names, fresh_folder, refuse_to_overwrite, write_json
+from groundwalk.store.progress import console
+from groundwalk.store.recording import open_recording
+from groundwalk.store.schemas import schema
+from groundwalk.store.settings import SHIPPED_DATA, resolve_settings
+from groundwalk.store.tables import dataset_frames, write_table
 
 _NOTE = "evaluation.json"
 

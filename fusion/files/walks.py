@@ -9,13 +9,13 @@ import pandas as pd
 from numpy.typing import NDArray
 from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import MapUnit
-from groundwalk.artefacts.tables import map_unit, poses_of
 from groundwalk.fusion.methods.localiser import is_covariance
 from groundwalk.fusion.walk import Flags, Walk, known, with_odometry
 from groundwalk.geometry.poses import Array
 from groundwalk.scoring.errors import sure_enough
+from groundwalk.store import UserError
+from groundwalk.store.choices import MapUnit
+from groundwalk.store.tables import map_unit, poses_of
 
 MIN_OVERLAP = 0.5
 _MIN_QUATERNION = 1e-6

@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from groundwalk.artefacts.registry import Colour, Entry, Registry, callable_faults, colour_faults
-from groundwalk.artefacts.settings import validated
 from groundwalk.fusion.methods.error_map import ErrorMap
 from groundwalk.fusion.methods.localiser import MethodOptions, Stepping
 from groundwalk.fusion.methods.offline import Offline
+from groundwalk.store.registry import Colour, Entry, Registry, callable_faults, colour_faults
+from groundwalk.store.settings import validated
 
 
 @dataclass(frozen=True, kw_only=True)

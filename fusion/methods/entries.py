@@ -1,6 +1,5 @@
 """Records of groundwalk's own fusion methods."""
 
-from groundwalk.artefacts import recording
 from groundwalk.fusion.methods import Method
 from groundwalk.fusion.methods.apr import Apr, AprOptions
 from groundwalk.fusion.methods.drift_aware import DriftAware, DriftAwareOptions
@@ -11,6 +10,7 @@ from groundwalk.fusion.methods.pose_graph import PoseGraph, PoseGraphOptions
 from groundwalk.fusion.methods.smoother import Smoother, SmootherOptions
 from groundwalk.fusion.methods.vio_oracle import VioOracle, VioOracleOptions
 from groundwalk.fusion.methods.window import Window, WindowOptions
+from groundwalk.store import recording
 
 APR = Method(
     id="apr",

@@ -10,9 +10,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import Settings
 from groundwalk.geometry import GeometryError
 from groundwalk.geometry.poses import Array, rigidity_error
+from groundwalk.store import Settings
 
 _RIGID = 1e-4
 

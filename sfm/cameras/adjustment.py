@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts.progress import track
 from groundwalk.geometry.lens import distort_with_slope, fold_radius, slope_by_numerator
 from groundwalk.geometry.poses import Array, skew
 from groundwalk.geometry.robust import CAUCHY_WIDTH, SIGMA_OF_MEDIAN, cauchy_weights
 from groundwalk.geometry.rows import summed
 from groundwalk.geometry.shutter import readout_fraction
 from groundwalk.sfm.cameras.normal_equations import Solver, System, block_rows, inverse_of, similarities
+from groundwalk.store.progress import track
 
 Ints = NDArray[np.int64]
 

@@ -16,11 +16,6 @@ import pandas as pd
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts.child import Report
-from groundwalk.artefacts.choices import CameraOrigin
-from groundwalk.artefacts.files import written_aside
-from groundwalk.artefacts.parallel import one_thread
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.lens import distort, distort_with_slope, max_shift, undistort
 from groundwalk.geometry.poses import Array, inverse, make_pose
 from groundwalk.geometry.rows import evenly
@@ -38,6 +33,11 @@ from groundwalk.sfm.database import Ints, create_database, image_id
 from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.matching import match_pairs
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.child import Report
+from groundwalk.store.choices import CameraOrigin
+from groundwalk.store.files import written_aside
+from groundwalk.store.parallel import one_thread
+from groundwalk.store.tables import poses_of
 
 # k1 and k2 of phones' main cameras (docs/explanation/sfm.md, Cameras), in OpenCV's convention, and their covariance.
 _PHONE = np.array([0.08, -0.12])

@@ -9,7 +9,6 @@ import pandas as pd
 import pycolmap
 from scipy.linalg import LinAlgError
 
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.lens import k1_k2_of_k3
 from groundwalk.geometry.poses import Array, inverse
 from groundwalk.sfm.cameras.adjustment import (
@@ -29,6 +28,7 @@ from groundwalk.sfm.cameras.motion import Motion, motion_by_vio
 from groundwalk.sfm.database import Ints, image_id
 from groundwalk.sfm.model import pose_of
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.tables import poses_of
 
 # Shorter steps of VIO say too little of the length of an sfm unit.
 _MIN_STEP_M = 0.02

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rates import Rates, rates_at
+from groundwalk.store.tables import poses_of
 
 UNKNOWN_ANGULAR_SD = 0.3
 _MIN_ANGULAR_SD = 0.005

@@ -7,11 +7,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import StageRun, UserError
-from groundwalk.artefacts.child import Task
-from groundwalk.artefacts.choices import AttemptName, AttemptOutcome, PairOrigin
-from groundwalk.artefacts.hints import setting_of
-from groundwalk.artefacts.text import name_list
 from groundwalk.consistency.motions import MISTAKE_ADVICE, MISTAKE_REASONS, compare_motions
 from groundwalk.geometry.poses import relative
 from groundwalk.sfm.database import has_results, keypoint_counts, read_pair_results
@@ -31,6 +26,11 @@ from groundwalk.sfm.quality.model_check import check_models
 from groundwalk.sfm.quality.zoom import zoom_of_session
 from groundwalk.sfm.scene_input import SceneInput, calibrated_features
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store import StageRun, UserError
+from groundwalk.store.child import Task
+from groundwalk.store.choices import AttemptName, AttemptOutcome, PairOrigin
+from groundwalk.store.hints import setting_of
+from groundwalk.store.text import name_list
 
 _MIN_COMPARED_PAIRS = 8
 

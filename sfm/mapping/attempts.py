@@ -5,9 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from groundwalk.artefacts.choices import AttemptName, AttemptOutcome
-from groundwalk.artefacts.errors import UserError
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.choices import AttemptName, AttemptOutcome
+from groundwalk.store.errors import UserError
 
 Result = TypeVar("Result")
 _USABLE = (AttemptOutcome.ACCEPTED, AttemptOutcome.FRAMES_MISSING, AttemptOutcome.INCONSISTENT_WITH_VIO)

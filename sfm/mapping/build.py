@@ -10,7 +10,6 @@ from pathlib import Path
 import pycolmap
 from scipy.linalg import LinAlgError
 
-from groundwalk.artefacts.child import Report
 from groundwalk.sfm.cameras.model_adjustment import (
     CameraLog,
     adjust_model,
@@ -23,6 +22,7 @@ from groundwalk.sfm.mapping.mappers import MIN_MODEL_FRAMES, MappingInput, conti
 from groundwalk.sfm.mapping.misplaced import MatchCheck
 from groundwalk.sfm.mapping.source import VerifiedPairs, read_matches, write_mapping_input
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.child import Report
 
 _CONTINUED_MIN_INLIERS = 15
 _MAX_CONTINUED = 2

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from groundwalk.artefacts.choices import PairOrigin
 from groundwalk.geometry.poses import Array
+from groundwalk.store.choices import PairOrigin
 
 Pairs = NDArray[np.int64]
 

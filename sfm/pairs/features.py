@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pycolmap
 
-from groundwalk.artefacts.child import Report
-from groundwalk.artefacts.images import read_grey_image
-from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.features.sift import Features, even_sift
 from groundwalk.sfm.database import image_id
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.child import Report
+from groundwalk.store.images import read_grey_image
+from groundwalk.store.parallel import in_parallel
 
 
 def features_name(settings: SfmSettings) -> str:

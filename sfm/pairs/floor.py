@@ -16,9 +16,6 @@ import pandas as pd
 import pycolmap
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.child import Report
-from groundwalk.artefacts.images import read_grey_image
-from groundwalk.artefacts.parallel import in_parallel
 from groundwalk.features.sift import DESCRIPTOR_SIZE, masked_sift
 from groundwalk.geometry.epipolar import essential
 from groundwalk.geometry.poses import Array
@@ -29,6 +26,9 @@ from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.nearest import mutual_matches
 from groundwalk.sfm.pairs.odometry import Odometry
 from groundwalk.sfm.pairs.two_views import MAX_ERROR_PX, fitted_near, start_by_vio
+from groundwalk.store.child import Report
+from groundwalk.store.images import read_grey_image
+from groundwalk.store.parallel import in_parallel
 
 # What is drawn, in heights of the camera over the floor: so far to either side, ahead from and to, a pixel's side.
 _ASIDE, _NEAR, _FAR, _PIXEL = 1.5, 0.2, 3.0, 0.004

@@ -9,11 +9,6 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.child import Report
-from groundwalk.artefacts.choices import PairInconsistency, PairStatus
-from groundwalk.artefacts.cores import usable_cores
-from groundwalk.artefacts.files import written_aside
-from groundwalk.artefacts.parallel import one_thread
 from groundwalk.geometry.epipolar import epipolar_px
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import Ints, has_results, image_id
@@ -21,6 +16,11 @@ from groundwalk.sfm.pairs.candidates import Pairs
 from groundwalk.sfm.pairs.nearest import guided_matches, mutual_matches
 from groundwalk.sfm.pairs.odometry import VioComparison
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.child import Report
+from groundwalk.store.choices import PairInconsistency, PairStatus
+from groundwalk.store.cores import usable_cores
+from groundwalk.store.files import written_aside
+from groundwalk.store.parallel import one_thread
 
 _CHUNK = 128  # a bound on the descriptors in memory, and what a killed run matches again
 # COLMAP's minimum of 100 trials is for matches of which half are wrong; it adds trials where a pair needs them.

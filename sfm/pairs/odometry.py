@@ -10,11 +10,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.choices import PairInconsistency
 from groundwalk.consistency.vio_drift import VioDrift
 from groundwalk.geometry.poses import Array, path_length, rotation_angle
 from groundwalk.geometry.rows import evenly
 from groundwalk.sfm.pairs.candidates import Pairs
+from groundwalk.store.choices import PairInconsistency
 
 # Below this median angle between the rays of a pair's points its direction of motion is too uncertain to compare.
 _MIN_TRIANGULATION = np.radians(3.0)

@@ -6,8 +6,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.choices import PairOrigin
-from groundwalk.artefacts.tables import have_times
 from groundwalk.sfm.database import read_descriptors
 from groundwalk.sfm.extensions import described_by
 from groundwalk.sfm.pairs.candidates import (
@@ -22,6 +20,8 @@ from groundwalk.sfm.pairs.candidates import (
 from groundwalk.sfm.pairs.odometry import Odometry, drift_between
 from groundwalk.sfm.pairs.retrieval import retrieval_pairs
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.choices import PairOrigin
+from groundwalk.store.tables import have_times
 
 Proposals = list[tuple[PairOrigin, Pairs]]
 

@@ -7,9 +7,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import StageRun
-from groundwalk.artefacts.choices import PairStatus
-from groundwalk.artefacts.hints import setting_of
 from groundwalk.sfm.cameras.motion import MAX_GAP_S, UNKNOWN_ANGULAR_SD, Motion
 from groundwalk.sfm.mapping.attempt_models import AttemptModels
 from groundwalk.sfm.mapping.attempts import Attempt
@@ -19,6 +16,9 @@ from groundwalk.sfm.pairs.matching import MatchedPairs
 from groundwalk.sfm.quality.focal_steps import MAX_FOCAL_ERROR
 from groundwalk.sfm.quality.residuals import pattern_of
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store import StageRun
+from groundwalk.store.choices import PairStatus
+from groundwalk.store.hints import setting_of
 
 # No phone's sensor takes as long to read its rows, and so many sigmas are clear.
 _SENSORS_READOUT_S, _READOUT_SIGMAS = 0.045, 3.0

@@ -11,11 +11,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from groundwalk.artefacts.choices import ResidualPattern
 from groundwalk.geometry.poses import Array
 from groundwalk.geometry.rows import summed
 from groundwalk.geometry.shutter import readout_fraction
 from groundwalk.sfm.cameras.adjustment import Adjusted, Ints, project
+from groundwalk.store.choices import ResidualPattern
 
 LENS, SHUTTER = "lens", "rolling shutter or stabilised video"
 _CAUSE = {ResidualPattern.RADIUS: LENS, ResidualPattern.ROW: SHUTTER}

@@ -16,11 +16,11 @@ from groundwalk.alignment.checks.definitions import DEFINITIONS
 from groundwalk.alignment.checks.results import CheckResult, with_status
 from groundwalk.alignment.examination import Examination, examine, refusal
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.artefacts.choices import CheckName
-from groundwalk.artefacts.hints import ANY_SCENE
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.poses import make_pose
+from groundwalk.store.choices import CheckName
+from groundwalk.store.hints import ANY_SCENE
+from groundwalk.store.tables import poses_of
 
 _LOOSE = {"lower": 0.0, "raise": 1e3}
 

@@ -28,15 +28,15 @@ from groundwalk.alignment.rulers.scale_check import RulerCheck, describe, rulers
 from groundwalk.alignment.rulers.settings import AprilTagRuler, CharucoRuler, rulers_of
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.stage import STAGE
-from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.choices import RulerPart
-from groundwalk.artefacts.files import sha256_of
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.settings import resolve_settings
-from groundwalk.artefacts.stage import load_manifest
-from groundwalk.artefacts.tables import camera_of, poses_of, read_table, write_table
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
 from groundwalk.geometry.shutter import readout_fraction, readout_lines
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.choices import RulerPart
+from groundwalk.store.files import sha256_of
+from groundwalk.store.schemas import schema
+from groundwalk.store.settings import resolve_settings
+from groundwalk.store.stage import load_manifest
+from groundwalk.store.tables import camera_of, poses_of, read_table, write_table
 
 BOARD = {
     "kind": "charuco",

@@ -15,12 +15,12 @@ from groundwalk.alignment.checks.summary import checks_table
 from groundwalk.alignment.examination import Examination, examine, refusal
 from groundwalk.alignment.plot import draw_checks
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import FailureCause
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.poses import make_pose
+from groundwalk.store import UserError
+from groundwalk.store.choices import FailureCause
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import poses_of
 
 FRAMES = 30
 NOISE = {"frames": FRAMES, "sfm_m": 0.01, "sfm_deg": 0.05, "drift_m": 0.01, "drift_yaw_deg": 0.1, "phone_scale": 0.002}

@@ -24,11 +24,11 @@ from groundwalk.alignment.depth import (
 )
 from groundwalk.alignment.map_frame import NO_SCALE, MapScale, Vertical
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import pose_frame, write_table
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import pose_frame, write_table
 
 COUNT, SIZE, SHAPE = 12, (640, 480), (96, 128)
 K = np.array([[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]])

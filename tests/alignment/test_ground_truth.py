@@ -10,12 +10,12 @@ from synthetic_walks import Scene, Walks, align
 
 from groundwalk.alignment.ground_truth import AlignResult
 from groundwalk.alignment.settings import AlignSettings
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import NotRegistered
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.geometry.fits import Sim3, fit_sim3
 from groundwalk.geometry.poses import make_pose
 from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.store import UserError
+from groundwalk.store.choices import NotRegistered
+from groundwalk.store.tables import poses_of
 
 # About what phones do: a centimetre of model noise, VIO off by 0.3 % and 0.2 degrees a session, drifting meanwhile.
 PHONES = {

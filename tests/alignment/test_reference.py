@@ -21,14 +21,14 @@ from groundwalk.alignment.reference.agreement import describe_agreement
 from groundwalk.alignment.reference.poses import Reference
 from groundwalk.alignment.settings import AlignSettings
 from groundwalk.alignment.stage import STAGE
-from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.recording import GROUND_TRUTH, REJECTED, VIO
-from groundwalk.artefacts.schemas import schema, stage_tables
-from groundwalk.artefacts.stage import load_manifest
-from groundwalk.artefacts.tables import pose_frame, poses_of, read_table, write_table
 from groundwalk.consistency.decisions import Status
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import inverse, make_pose
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.recording import GROUND_TRUTH, REJECTED, VIO
+from groundwalk.store.schemas import schema, stage_tables
+from groundwalk.store.stage import load_manifest
+from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
 
 WORLD = Sim3(1.0, Rotation.from_euler("xyz", [0.9, -0.2, 1.5]).as_matrix(), np.array([100.0, -20.0, 4.0]))
 

@@ -13,12 +13,12 @@ import pytest
 from known import there
 from rerun.chunk import RrdReader
 
-from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.capture_import.capture import ImageFile, Limits, RawSession
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.scanner_app import FORMAT as SCANNER_APP
 from groundwalk.capture_import.inspection import inspect_capture
 from groundwalk.capture_import.stage import STAGE
+from groundwalk.store import DataRoot, UserError, execute
 
 _SCRIPT = Path(__file__).resolve().parents[2].parent / "shared" / "cases" / "make_cases.py"
 # Those that import doesn't read as it should yet, and Record3D's, which tests of gravity and plausibility are about.

@@ -9,9 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock
-from groundwalk.artefacts.settings import SplitRules
 from groundwalk.capture_import.capture import RawFrame, RawSession
 from groundwalk.capture_import.intake import Image, ImportedSession
 from groundwalk.capture_import.media.images import ImageCheck
@@ -20,6 +17,9 @@ from groundwalk.capture_import.selection import density_for, select
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.splits import LEAK_S, leak_seconds, refuse_lists, split_frames
 from groundwalk.geometry.poses import make_pose, relative, rotation_angle
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock
+from groundwalk.store.settings import SplitRules
 
 
 def frames_of(**recordings: np.ndarray) -> pd.DataFrame:

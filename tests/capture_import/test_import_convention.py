@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from capture_writers import scan_all
 
-from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.checks.clock import check_clock
 from groundwalk.capture_import.checks.convention import CONVENTIONS, check_convention
@@ -22,6 +20,8 @@ from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.lens import rational_of_fisheye, undistort
 from groundwalk.geometry.poses import Array, interpolate, make_pose
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.choices import Clock
 
 # What undoes a mistake, where it isn't the mistake itself.
 UNDONE_BY = {

@@ -20,10 +20,10 @@ from capture_writers import (
 )
 from known import read_picture, rows, there
 
-from groundwalk.artefacts import DataRoot, execute
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.stage import STAGE
+from groundwalk.store import DataRoot, execute
 
 SHAPE = (12, 16)  # that of the images, 72x96
 

@@ -22,7 +22,6 @@ from capture_writers import (
 )
 from known import rows, there
 
-from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.capture_import.capture import ImageFile, Limits
 from groundwalk.capture_import.discovery import RecordingSource, find_recordings
 from groundwalk.capture_import.formats import FORMATS
@@ -31,6 +30,7 @@ from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import relative, rotation_angle
+from groundwalk.store import DataRoot, UserError, execute
 
 
 def find_one(root: Path) -> RecordingSource:

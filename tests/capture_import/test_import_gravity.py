@@ -10,7 +10,6 @@ import pytest
 from capture_writers import Walk, make_walk, scan_all, write_frames_jsonl, write_record3d
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts import DataRoot, UserError, execute
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.checks.gravity import GravityCheck, check_gravity, starts_along_axes
 from groundwalk.capture_import.checks.views import Views
@@ -20,6 +19,7 @@ from groundwalk.capture_import.intake import Intake, take_in
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, Array, inverse, make_pose
+from groundwalk.store import DataRoot, UserError, execute
 
 GRAVITY = ["gravity_x", "gravity_y", "gravity_z"]
 

@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from groundwalk.artefacts.choices import Clock
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, RawFrame, RawSession
 from groundwalk.capture_import.checks.health import check_session, find_jumps, gravity_of
 from groundwalk.capture_import.media.images import BadImage, check_image, sharpness
 from groundwalk.geometry.poses import Array, make_pose, nearest_rotation, rotation_angle, yaw_rotation
+from groundwalk.store.choices import Clock
 
 
 def session_of(t_ns: np.ndarray, poses: list[Array | None]) -> RawSession:

@@ -9,15 +9,15 @@ from pathlib import Path
 import pytest
 from capture_writers import WRITERS, make_walk
 
-from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.manifests import load_manifest
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import read_table
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.media.archive import unpack
 from groundwalk.capture_import.parsing import json_of, lines_of, parsed_bytes
 from groundwalk.capture_import.stage import STAGE
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.manifests import load_manifest
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import read_table
 
 SMALL = Limits(max_archive_bytes=1 << 20)
 

@@ -13,7 +13,6 @@ import pytest
 from capture_mutations import mutate
 from capture_writers import WRITERS, make_walk, scan_all
 
-from groundwalk.artefacts import UserError
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.intake import take_in
@@ -21,6 +20,7 @@ from groundwalk.capture_import.media.archive import unpack
 from groundwalk.capture_import.settings import ImportSettings
 from groundwalk.capture_import.tables import rejects_table
 from groundwalk.geometry.poses import rigidity_error
+from groundwalk.store import UserError
 
 SECONDS = 20
 LINES = 40

@@ -9,8 +9,6 @@ import pytest
 from capture_writers import Walk, make_walk, write_scanner_app, write_stray_scanner
 from rerun.chunk import RrdReader
 
-from groundwalk.artefacts import DataRoot, execute
-from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.capture_import import recording
 from groundwalk.capture_import.capture import Limits, RawFrame
 from groundwalk.capture_import.checks import views
@@ -23,6 +21,8 @@ from groundwalk.capture_import.media.images import decode_gray
 from groundwalk.capture_import.media.spool import Spool, thumbnail_path
 from groundwalk.capture_import.media.thumbnails import MAX_THUMBNAILS, spread, thumbnail_of
 from groundwalk.capture_import.stage import STAGE
+from groundwalk.store import DataRoot, execute
+from groundwalk.store.manifests import load_manifest
 
 
 def frames_of(folder: Path) -> list[RawFrame]:

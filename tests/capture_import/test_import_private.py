@@ -15,12 +15,12 @@ import pytest
 from capture_writers import HEIGHT, WIDTH, Walk, image, jpeg, make_walk, write_scanner_app, write_stray_scanner
 from known import rows
 
-from groundwalk.artefacts import DataRoot, UserError, execute, progress
-from groundwalk.artefacts.manifests import load_manifest
 from groundwalk.capture_import import stage as import_stage
 from groundwalk.capture_import.media.blurring import CascadeDetector, Region, blur_people
 from groundwalk.capture_import.media.images import decode_rgb, without_metadata
 from groundwalk.capture_import.stage import STAGE
+from groundwalk.store import DataRoot, UserError, execute, progress
+from groundwalk.store.manifests import load_manifest
 
 PLACE = b"48.123456N 11.654321E"
 

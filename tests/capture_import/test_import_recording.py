@@ -7,8 +7,8 @@ import numpy as np
 from capture_writers import WRITERS, make_walk
 from rerun.chunk import RrdReader
 
-from groundwalk.artefacts import DataRoot, execute
 from groundwalk.capture_import.stage import STAGE
+from groundwalk.store import DataRoot, execute
 
 
 def rows_of(path: Path) -> dict[str, int]:

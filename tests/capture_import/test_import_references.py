@@ -16,13 +16,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from known import there
 
-from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.capture_import.capture import Intrinsics, Limits, RawSession
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.formats.colmap import _Camera, _intrinsics
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import inverse
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.tables import poses_of
 
 DISTORTED = {
     "SIMPLE_PINHOLE": [80.0, 48.5, 35.5],

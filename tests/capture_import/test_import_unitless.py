@@ -13,9 +13,6 @@ from hypothesis import strategies as st
 from test_import_convention import room, with_mistake
 from test_import_health import session_of
 
-from groundwalk.artefacts import DataRoot, execute
-from groundwalk.artefacts.choices import PoseSource
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.capture_import.capture import Limits, RawFrame
 from groundwalk.capture_import.checks.convention import check_convention, unitless_parallax_pairs
 from groundwalk.capture_import.checks.health import check_session
@@ -26,6 +23,9 @@ from groundwalk.capture_import.intake import ImportedSession, Intake
 from groundwalk.capture_import.origin import far_origin, moved
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.store import DataRoot, execute
+from groundwalk.store.choices import PoseSource
+from groundwalk.store.tables import poses_of
 
 ECEF, UTM = (4186461.3, 834911.7, 4723432.9), (499123.4, 5412345.6, 210.0)
 

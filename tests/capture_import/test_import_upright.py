@@ -9,12 +9,12 @@ import pytest
 from capture_writers import HEIGHT, WIDTH, image, make_walk, write_frames_jsonl, write_scanner_app
 from known import rows
 
-from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.capture_import.media.images import decode_rgb
 from groundwalk.capture_import.media.upright import first_row
 from groundwalk.capture_import.stage import STAGE
 from groundwalk.geometry.poses import inverse, make_pose, transform
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.tables import poses_of
 
 
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3])

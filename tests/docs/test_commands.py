@@ -13,10 +13,10 @@ import nbformat
 import pytest
 from pages import COMMAND, NOT_RUN, ROOT, Block, Page, pages
 
-from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.cli import settings_help
-from groundwalk.artefacts.settings import SHIPPED_DATA, resolve_settings
 from groundwalk.cli import all_commands
+from groundwalk.store import DataRoot
+from groundwalk.store.cli import settings_help
+from groundwalk.store.settings import SHIPPED_DATA, resolve_settings
 
 PAGES = pages()
 COMMANDS = {command.name: command for command in all_commands()}

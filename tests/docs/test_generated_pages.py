@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from groundwalk.artefacts import DataRoot, Settings, UserError
-from groundwalk.artefacts.settings import SHIPPED_DATA, SceneConfig, SplitRules, resolve_settings
 from groundwalk.capture_import.formats import FORMATS
 from groundwalk.cli import all_commands
 from groundwalk.reference import RULERS, reference_pages, write_reference
 from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.store import DataRoot, Settings, UserError
+from groundwalk.store.settings import SHIPPED_DATA, SceneConfig, SplitRules, resolve_settings
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 REFERENCE = DOCS / "reference"

@@ -15,11 +15,6 @@ from known import cell, cells, read_picture, rows, there
 from typer.testing import CliRunner
 
 from groundwalk.alignment.stage import STAGE
-from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.files import sha256_of, write_json
-from groundwalk.artefacts.manifests import output_hashes
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import pose_frame, poses_of, read_table, with_cameras, write_table
 from groundwalk.capture_import.capture import Limits, RawSession
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.export.__main__ import app
@@ -27,6 +22,11 @@ from groundwalk.export.exporters import EXPORTERS
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array, inverse, make_pose, transform
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.files import sha256_of, write_json
+from groundwalk.store.manifests import output_hashes
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import pose_frame, poses_of, read_table, with_cameras, write_table
 
 UNREGISTERED, VALIDATION, TESTED = "walk0/000003", range(5, 8), range(15, 20)
 FRAMES = 39

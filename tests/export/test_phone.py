@@ -15,8 +15,6 @@ from picture_wall import write_scene
 from torch import nn
 from typer.testing import CliRunner
 
-from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.export.__main__ import app
 from groundwalk.export.exporters import MODEL_EXPORTERS
 from groundwalk.export.phone import bundle, coreml, networks, quantisation
@@ -26,6 +24,8 @@ from groundwalk.export.regressor import load_regressor
 from groundwalk.runtime import open_bundle
 from groundwalk.runtime.bundle import onnx_session
 from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.tables import poses_of
 from groundwalk.training.build import Trained
 from groundwalk.training.models import anchored_mixture
 from groundwalk.training.models.regressor import PoseBatch, PoseRegressor

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from random_walks import random_walk
 
-from groundwalk.artefacts.tables import pose_frame
+from groundwalk.store.tables import pose_frame
 
 Tables = tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]
 """Frames, ground truth and predictions."""

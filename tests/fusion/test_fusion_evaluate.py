@@ -15,15 +15,15 @@ from scipy.spatial.transform import Rotation
 from tables import Tables, tables
 from typer.testing import CliRunner
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import MapUnit
-from groundwalk.artefacts.files import write_json
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.fusion.__main__ import app
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, Results, evaluate, report_lines
 from groundwalk.fusion.files.tables import Files, evaluate_files
 from groundwalk.fusion.files.walks import evaluated
+from groundwalk.store import UserError
+from groundwalk.store.choices import MapUnit
+from groundwalk.store.files import write_json
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import poses_of, read_table
 
 SEEDS = [1, 2, 3]
 Spoil = Callable[..., Tables]

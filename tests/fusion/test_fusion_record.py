@@ -5,9 +5,9 @@ from pathlib import Path
 from rerun.chunk import RrdReader
 from tables import tables
 
-from groundwalk.artefacts.recording import open_recording
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
 from groundwalk.fusion.recording import blueprint, record
+from groundwalk.store.recording import open_recording
 
 
 def rows_of(path: Path) -> dict[str, int]:

@@ -8,10 +8,10 @@ import pandas as pd
 import pytest
 from tables import tables
 
-from groundwalk.artefacts import DataRoot, StageRun, UserError
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import read_table
 from groundwalk.fusion.stage import STAGE, FuseSettings
+from groundwalk.store import DataRoot, StageRun, UserError
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import read_table
 
 
 class Inputs(StageRun):

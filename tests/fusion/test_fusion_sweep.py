@@ -7,12 +7,12 @@ import pytest
 from tables import tables
 from typer.testing import CliRunner
 
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import read_table
 from groundwalk.fusion.__main__ import app
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate, joined_walks
 from groundwalk.fusion.evaluation.sweep import VALUES, around, grid, sweep
 from groundwalk.fusion.methods.mobilearloc import MobileARLocOptions
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import read_table
 
 INPUTS = Inputs("Place", *tables([1, 2, 3, 4], ("PN", "MS-T")))
 WALKS = {("Place", model): joined.walks for model, joined in joined_walks(INPUTS, ["test"])}

@@ -11,13 +11,13 @@ from known import cell
 from tables import Tables, tables
 from typer.testing import CliRunner
 
-from groundwalk.artefacts import UserError
 from groundwalk.cli import app
 from groundwalk.fusion.evaluation import leaderboard_report
 from groundwalk.fusion.evaluation.evaluate import FuseSettings, Inputs, evaluate
 from groundwalk.fusion.evaluation.leaderboard import ahead, cases_in, entrants, ratios, scores
 from groundwalk.fusion.evaluation.leaderboard_report import lag_ratios, run_leaderboard
 from groundwalk.fusion.evaluation.validation import ahead_of
+from groundwalk.store import UserError
 
 NAMES = ("frames", "ground_truth", "predictions")
 

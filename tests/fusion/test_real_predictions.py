@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.real_predictions import read_poses, real_cases
-from groundwalk.artefacts import UserError
 from groundwalk.geometry.poses import Array, heading, make_pose, relative, yaw_rotation
 from groundwalk.scoring.errors import position_error
+from groundwalk.store import UserError
 
 
 def written(folder: Path, frames: int = 12) -> tuple[Array, Path]:

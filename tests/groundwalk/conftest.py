@@ -9,9 +9,9 @@ import pytest
 from made_up_run import FRAMES, MadeUpRun
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts import DataRoot
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import make_pose
+from groundwalk.store import DataRoot
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ import pandas as pd
 from known import cells
 from pydantic import ConfigDict
 
-from groundwalk.artefacts import DataRoot, Settings, Stage, StageRun, execute
-from groundwalk.artefacts.files import sha256_of
-from groundwalk.artefacts.schemas import schema, stage_tables
-from groundwalk.artefacts.tables import pose_frame, pose_prefixes
 from groundwalk.geometry.fits import Sim3
 from groundwalk.geometry.poses import Array
+from groundwalk.store import DataRoot, Settings, Stage, StageRun, execute
+from groundwalk.store.files import sha256_of
+from groundwalk.store.schemas import schema, stage_tables
+from groundwalk.store.tables import pose_frame, pose_prefixes
 
 FRAMES = 12
 LOST = 5  # the row that has no ground truth

@@ -17,10 +17,10 @@ from made_up_run import MadeUpRun
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.settings import STAGES
 from groundwalk.cli import all_commands, app
 from groundwalk.pipeline import Step, _first_outdated, run_steps, steps
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.settings import STAGES
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = {"cv2", "numba", "numpy", "open3d", "pandas", "pyarrow", "pycolmap", "rerun", "scipy", "torch", "pydantic"}

@@ -54,7 +54,7 @@ def test_tests_can_load_nothing_under_a_second_name() -> None:
 
 def test_a_module_is_the_file_of_the_checkout() -> None:
     assert ROOT == groundwalk.CHECKOUT
-    for name in ("groundwalk.geometry.poses", "groundwalk.artefacts.schemas.sfm"):
+    for name in ("groundwalk.geometry.poses", "groundwalk.store.schemas.sfm"):
         file = importlib.import_module(name).__file__
         assert file == str(ROOT / Path(*name.split(".")[1:]).with_suffix(".py"))
 

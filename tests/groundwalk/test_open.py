@@ -18,9 +18,9 @@ from made_up_run import FRAMES, LOST, MadeUpRun
 
 import groundwalk
 from groundwalk import UserError
-from groundwalk.artefacts.choices import MapUnit
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import read_table, write_table
+from groundwalk.store.choices import MapUnit
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import read_table, write_table
 
 ROOT = Path(__file__).resolve().parents[2]
 Make = Callable[..., MadeUpRun]

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from groundwalk.artefacts import DataRoot, Settings, UserError
-from groundwalk.artefacts.settings import STAGES, resolve_settings
 from groundwalk.cli import stage_of
 from groundwalk.fusion.methods import METHODS
 from groundwalk.localisation.localisers import LOCALISERS
 from groundwalk.simulation.settings import SimulateSettings
+from groundwalk.store import DataRoot, Settings, UserError
+from groundwalk.store.settings import STAGES, resolve_settings
 from groundwalk.training.regressors import REGRESSORS
 
 # A value of each type of JSON schema, as TOML.

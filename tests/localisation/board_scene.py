@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.artefacts.files import sha256_of, write_json
-from groundwalk.artefacts.schemas import schema, stage_tables
-from groundwalk.artefacts.settings import DataRoot
-from groundwalk.artefacts.tables import pose_frame, pose_prefixes, read_table, write_table
 from groundwalk.geometry.poses import Array, make_pose
+from groundwalk.store.files import sha256_of, write_json
+from groundwalk.store.schemas import schema, stage_tables
+from groundwalk.store.settings import DataRoot
+from groundwalk.store.tables import pose_frame, pose_prefixes, read_table, write_table
 
 COUNT, WIDTH, HEIGHT, FOCAL = 18, 320, 240, 300.0
 TEST, VAL = np.arange(COUNT) % 5 == 2, np.arange(COUNT) == 8

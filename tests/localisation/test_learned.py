@@ -10,13 +10,13 @@ import pytest
 from board_scene import TEST, VAL, Boards
 from numpy.typing import NDArray
 
-from groundwalk.artefacts import UserError, execute
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.localisation import learned
 from groundwalk.localisation.feature_kinds import ALIKED, SIFT, XFEAT, FeatureKind
 from groundwalk.localisation.features import unit
 from groundwalk.localisation.stage import STAGE
 from groundwalk.scoring.errors import position_error
+from groundwalk.store import UserError, execute
+from groundwalk.store.tables import poses_of
 
 MakeBoards = Callable[..., Boards]
 

@@ -12,16 +12,16 @@ import pytest
 from board_scene import COUNT, TEST, VAL, Boards, other_board_picture
 from known import read_picture
 
-from groundwalk.artefacts import UserError, execute
-from groundwalk.artefacts.manifests import load_manifest
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import pose_frame, poses_of, read_table, write_table
 from groundwalk.localisation.answers import Answer
 from groundwalk.localisation.inputs import read_inputs
 from groundwalk.localisation.localisers import LOCALISERS
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.localisation.stage import STAGE
 from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.store import UserError, execute
+from groundwalk.store.manifests import load_manifest
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import pose_frame, poses_of, read_table, write_table
 
 SMALL = ["max_features=300", "pairs_per_frame=5", "localisers.Map.max_points=400"]
 MakeBoards = Callable[..., Boards]

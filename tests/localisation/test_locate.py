@@ -16,14 +16,14 @@ from scipy.spatial.transform import Rotation
 
 import groundwalk
 from groundwalk import UserError
-from groundwalk.artefacts import execute
-from groundwalk.artefacts.images import read_image
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.poses import make_pose, pose_from_tq, yaw_rotation
 from groundwalk.localisation.locate import _refuse_other_file, app
 from groundwalk.localisation.stage import STAGE
 from groundwalk.runtime.queries import file_query, known_of, query_of
 from groundwalk.scoring.errors import position_error
+from groundwalk.store import execute
+from groundwalk.store.images import read_image
 
 SMALL = ["max_features=300", "pairs_per_frame=5", "localisers.Map.max_points=400"]
 ROW = int(np.flatnonzero(TEST)[1])

@@ -12,7 +12,6 @@ from known import there
 from scenes import HIGH, LOGGED, Place, features, place, training, walk
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts import UserError
 from groundwalk.features.sift import Features
 from groundwalk.geometry.poses import Array
 from groundwalk.localisation.build import build_map, priors_of
@@ -24,6 +23,7 @@ from groundwalk.localisation.map_file import read_sections, write_sections
 from groundwalk.localisation.prepared import Prepared, prepare
 from groundwalk.localisation.query import MapLocaliser
 from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.store import UserError
 
 Built = tuple[Place, Prepared, CompactMap]
 EXTRACTION, SETTINGS = StructureSettings(pairs_per_frame=6), MapSettings(max_points=900)
@@ -182,7 +182,7 @@ def test_sections_are_aligned_and_named(file: Path) -> None:
 
 
 def test_a_killed_write_leaves_no_map(built: Built, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("groundwalk.artefacts.files._sync", _killed)
+    monkeypatch.setattr("groundwalk.store.files._sync", _killed)
     with pytest.raises(KeyboardInterrupt):
         write_map(tmp_path / "map.gwm", built[2])
     assert not (tmp_path / "map.gwm").exists()

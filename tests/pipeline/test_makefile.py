@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from groundwalk.artefacts.settings import STAGES
+from groundwalk.store.settings import STAGES
 
 ROOT = Path(__file__).resolve().parents[2]
 # Notes its arguments, and finishes as a run does: puts a manifest in place. With HOLD it waits then, as a stage that

@@ -6,10 +6,10 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from groundwalk.artefacts import DataRoot, execute
 from groundwalk.capture_import.stage import STAGE as IMPORT
 from groundwalk.sfm.stage import STAGE as SFM
 from groundwalk.simulation.__main__ import app as simulation_app
+from groundwalk.store import DataRoot, execute
 
 pytestmark = pytest.mark.slow
 SCENE = "Church"

@@ -9,8 +9,6 @@ import pytest
 from known import read_picture, there
 from typer.testing import CliRunner
 
-from groundwalk.artefacts import DataRoot, execute
-from groundwalk.artefacts.tables import poses_of
 from groundwalk.capture_import.capture import Limits
 from groundwalk.capture_import.discovery import find_recordings
 from groundwalk.capture_import.stage import STAGE as IMPORT
@@ -18,6 +16,8 @@ from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import inverse, make_pose
 from groundwalk.sfm.stage import STAGE as SFM
 from groundwalk.simulation.__main__ import app as simulation_app
+from groundwalk.store import DataRoot, execute
+from groundwalk.store.tables import poses_of
 
 pytestmark = pytest.mark.slow
 SIMULATED, READOUT_S = "Church", 0.025

@@ -12,14 +12,14 @@ import pytest
 from known import cells
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts.choices import NotRegistered
-from groundwalk.artefacts.files import hash_files, write_json
-from groundwalk.artefacts.schemas import schema, stage_tables
-from groundwalk.artefacts.settings import DataRoot
-from groundwalk.artefacts.tables import pose_frame, read_table, write_table
 from groundwalk.capture_import.splits import leak_seconds
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 from groundwalk.scoring.errors import position_error, rotation_error_deg
+from groundwalk.store.choices import NotRegistered
+from groundwalk.store.files import hash_files, write_json
+from groundwalk.store.schemas import schema, stage_tables
+from groundwalk.store.settings import DataRoot
+from groundwalk.store.tables import pose_frame, read_table, write_table
 
 SECOND = 1_000_000_000
 MODELS = ("PN", "MS-T")

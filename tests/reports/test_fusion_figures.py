@@ -12,10 +12,10 @@ from known import there
 from made_up_scenes import MODELS, MadeUpScene
 from matplotlib.lines import Line2D
 
-from groundwalk.artefacts.choices import MapUnit
 from groundwalk.reports import style
 from groundwalk.reports.figures import confidence, costs, sensitivity
 from groundwalk.reports.inputs import SceneInputs
+from groundwalk.store.choices import MapUnit
 
 
 @pytest.fixture(scope="module")

@@ -14,13 +14,6 @@ from known import there
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.files import write_json
-from groundwalk.artefacts.manifests import load_manifest, output_hashes
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.settings import DataRoot
-from groundwalk.artefacts.stage import execute
-from groundwalk.artefacts.tables import read_table, write_table
 from groundwalk.reports import style
 from groundwalk.reports.checks import AGREES
 from groundwalk.reports.grids import Block, Grid, Row, latex, latex_text, markdown
@@ -28,6 +21,13 @@ from groundwalk.reports.inputs import SceneInputs
 from groundwalk.reports.published import load_published
 from groundwalk.reports.stage import STAGE
 from groundwalk.scoring.scores import score
+from groundwalk.store import UserError
+from groundwalk.store.files import write_json
+from groundwalk.store.manifests import load_manifest, output_hashes
+from groundwalk.store.schemas import schema
+from groundwalk.store.settings import DataRoot
+from groundwalk.store.stage import execute
+from groundwalk.store.tables import read_table, write_table
 
 MakeRun = Callable[..., DataRoot]
 

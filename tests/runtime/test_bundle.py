@@ -15,7 +15,6 @@ from picture_wall import FOCAL, HEIGHT, WIDTH
 from scipy.spatial.transform import Rotation
 
 from groundwalk import UserError
-from groundwalk.artefacts.images import read_image
 from groundwalk.geometry.cameras import Camera
 from groundwalk.geometry.gravity import upright_rotation
 from groundwalk.geometry.poses import pose_from_tq
@@ -24,6 +23,7 @@ from groundwalk.runtime.bundle import _quaternion, matrix_of
 from groundwalk.runtime.bundle_file import MANIFEST, write_manifest
 from groundwalk.runtime.preprocessing import Preprocessing
 from groundwalk.runtime.queries import Query
+from groundwalk.store.images import read_image
 
 NUMBERS = [FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2]
 CAMERA = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)

@@ -4,10 +4,10 @@ import numpy as np
 import pycolmap
 from known import cells
 
-from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.poses import inverse, make_pose
 from groundwalk.sfm.cameras.model_adjustment import CameraLog, camera_log
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.tables import pose_frame
 
 
 def synthetic_model() -> pycolmap.Reconstruction:

@@ -11,7 +11,6 @@ import pytest
 from known import there
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts.choices import CameraOrigin
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import Array, inverse
 from groundwalk.geometry.robust import cauchy_weights
@@ -40,6 +39,7 @@ from groundwalk.sfm.mapping.build import BuiltModel
 from groundwalk.sfm.quality.covariance import covariances
 from groundwalk.sfm.quality.residuals import LENS, SHUTTER, draw_residuals, pattern_of, residual_patterns
 from groundwalk.sfm.tables import camera_tables
+from groundwalk.store.choices import CameraOrigin
 
 _FRAMES, _POINTS, _NOISE_PX = 24, 2500, 0.2
 _LENS, _READOUT_S = (0.092, -0.125), 0.02

@@ -10,15 +10,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.artefacts import StageRun, UserError
-from groundwalk.artefacts.child import Task
-from groundwalk.artefacts.choices import AttemptName, AttemptOutcome
 from groundwalk.sfm.mapping import attempt_models
 from groundwalk.sfm.mapping.attempts import Attempt, outcome_of, run_attempts, steps_of
 from groundwalk.sfm.pairs.matching import MatchedPairs
 from groundwalk.sfm.pairs.odometry import nothing_compared, odometry
 from groundwalk.sfm.scene_input import SceneInput
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store import StageRun, UserError
+from groundwalk.store.child import Task
+from groundwalk.store.choices import AttemptName, AttemptOutcome
 
 _FRAMES = 100
 _MISSING, _NO_MODEL = AttemptOutcome.FRAMES_MISSING, AttemptOutcome.NO_MODEL

@@ -5,12 +5,12 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts.choices import CameraOrigin
 from groundwalk.geometry.lens import distort, rational_of_fisheye
 from groundwalk.geometry.poses import Array, make_pose, relative
 from groundwalk.sfm.cameras.calibration import Lens, estimated_lens, lenses_of, prior_lenses
 from groundwalk.sfm.cameras.lens_from_pairs import PairMatches, estimate_lens, sampson_of
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.choices import CameraOrigin
 
 _PAIRS, _POINTS = 40, 120
 _FOCAL_PX, _NOISE_PX = 480.0, 0.3

@@ -9,7 +9,6 @@ import numpy as np
 import pycolmap
 from textured_room import Room
 
-from groundwalk.artefacts.choices import PairInconsistency
 from groundwalk.geometry.epipolar import sampson_px
 from groundwalk.geometry.poses import skew
 from groundwalk.sfm.database import create_database, has_results, image_id, image_name, read_pair_results
@@ -18,6 +17,7 @@ from groundwalk.sfm.pairs.matching import MatchedPairs, guide_pairs, match_pairs
 from groundwalk.sfm.pairs.odometry import nothing_compared
 from groundwalk.sfm.quality.messages import excluded_pairs
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.choices import PairInconsistency
 
 SETTINGS = SfmSettings(max_features=400)
 SEED = 3

@@ -7,7 +7,6 @@ import pandas as pd
 import pycolmap
 import pytest
 
-from groundwalk.artefacts.choices import Clock, PairOrigin
 from groundwalk.geometry.poses import Array
 from groundwalk.sfm.database import create_database, image_id
 from groundwalk.sfm.pairs import selection
@@ -15,6 +14,7 @@ from groundwalk.sfm.pairs.candidates import first_origins
 from groundwalk.sfm.pairs.odometry import Odometry, odometry
 from groundwalk.sfm.pairs.selection import Proposals, pairs_by_images, pairs_of_untimed, pairs_within_sessions
 from groundwalk.sfm.settings import SfmSettings
+from groundwalk.store.choices import Clock, PairOrigin
 
 _SETTINGS = SfmSettings(retrieval_pairs=4, retrieval_words=16, sequence_pairs=2)
 _LANDMARKS, _SEEN = 400, 60

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from groundwalk.artefacts.choices import PairOrigin
 from groundwalk.geometry.poses import Array, make_pose, yaw_rotation
 from groundwalk.sfm.pairs.candidates import (
     first_origins,
@@ -17,6 +16,7 @@ from groundwalk.sfm.pairs.candidates import (
     vio_pairs,
     within_vio_limits,
 )
+from groundwalk.store.choices import PairOrigin
 
 _REACH_M, _ANGLE_DEG, _PER_FRAME = 8.0, 60.0, 6
 

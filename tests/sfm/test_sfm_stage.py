@@ -17,13 +17,13 @@ import pytest
 from known import read_picture
 from textured_room import Room, make_look_alike_rooms, make_room
 
-from groundwalk.artefacts import UserError, execute
-from groundwalk.artefacts.choices import Clock, NotRegistered
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import poses_of, read_table, write_table
 from groundwalk.geometry.fits import fit_sim3
 from groundwalk.geometry.poses import rotation_angle
 from groundwalk.sfm.stage import STAGE
+from groundwalk.store import UserError, execute
+from groundwalk.store.choices import Clock, NotRegistered
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import poses_of, read_table, write_table
 
 _SETTINGS = ["sequence_pairs=3", "vio_pairs=2", "retrieval_pairs=3", "retrieval_words=16"]
 _TABLES = ["images", "models", "attempts", "pairs", "points"]
@@ -185,7 +185,7 @@ def test_a_stage_killed_anywhere_ends_in_the_same_tables(room: Room, tmp_path: P
     scratch = room.data.run("tiny", "room", ".sfm.partial") / "scratch"
     program = tmp_path / "run.py"
     program.write_text(
-        "from pathlib import Path\nfrom groundwalk.artefacts import DataRoot, execute\n"
+        "from pathlib import Path\nfrom groundwalk.store import DataRoot, execute\n"
         "from groundwalk.sfm.stage import STAGE\n"
         f"if __name__ == '__main__':\n"
         f"    execute(STAGE, 'room', 'tiny', DataRoot(Path({str(room.data.root)!r})), {_SETTINGS})\n"

@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.artefacts import DataRoot
-from groundwalk.artefacts.files import hash_files, sha256_of
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import pose_frame, read_table, write_table
 from groundwalk.geometry.poses import Array, inverse, make_pose
+from groundwalk.store import DataRoot
+from groundwalk.store.files import hash_files, sha256_of
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import pose_frame, read_table, write_table
 
 SIZE_PX = (320, 240)
 FOCAL_PX = 260.0

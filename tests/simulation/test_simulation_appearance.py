@@ -9,11 +9,6 @@ import numpy as np
 import pytest
 from known import read_picture
 
-from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.choices import Appearance
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.simulated import appearances_of
-from groundwalk.artefacts.tables import read_table
 from groundwalk.capture_import.stage import STAGE as IMPORT
 from groundwalk.simulation.appearance import MOVED_FRACTION, seen_as
 from groundwalk.simulation.camera import auto_exposure
@@ -25,6 +20,11 @@ from groundwalk.simulation.raycast import Caster
 from groundwalk.simulation.scenes import NAMES, scenery
 from groundwalk.simulation.simulate import simulate
 from groundwalk.simulation.walks import Route, beside_course
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.choices import Appearance
+from groundwalk.store.schemas import schema
+from groundwalk.store.simulated import appearances_of
+from groundwalk.store.tables import read_table
 
 OTHERS = [a for a in Appearance if a != Appearance.SAME]
 SMALL = ["frame_fraction=0.006", "test_frames=600", "train_sessions=2", "test_sessions=1", "rate_hz=5", "width=96"]

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from known import read_picture
 
-from groundwalk.artefacts import DataRoot, UserError
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import poses_of, read_table
 from groundwalk.geometry.lens import k1_k2_of_k3
 from groundwalk.geometry.poses import ARKIT_CAM_T_CAM, relative, rotation_angle
 from groundwalk.simulation import simulate as module
 from groundwalk.simulation.camera import FOCAL
 from groundwalk.simulation.simulate import simulate
+from groundwalk.store import DataRoot, UserError
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import poses_of, read_table
 
 SCENE = "Office"
 SMALL = [

@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.stats import norm
 
-from groundwalk.artefacts import UserError
+from groundwalk.store import UserError
 from groundwalk.training.models.ad_posenet import ADPoseNet
 from groundwalk.training.models.regressor import PoseBatch
 from groundwalk.training.regressor_settings import ADPoseNetSettings

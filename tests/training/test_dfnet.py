@@ -10,10 +10,10 @@ import torch
 from synthetic_walks import filled
 from torch import Tensor
 
-from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.manifests import MANIFEST
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import write_table
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.manifests import MANIFEST
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import write_table
 from groundwalk.training.data import IMAGENET_MEAN, IMAGENET_STD
 from groundwalk.training.models.dfnet import DFNet, triplet_loss
 from groundwalk.training.models.point_renderer import PointRenderer

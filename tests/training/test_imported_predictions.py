@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.manifests import load_manifest
 from groundwalk.training.stage import STAGE
 
 MakeScene = Callable[..., Path]

@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from benchmarks.official_mst import GivenMaps, copy_weights, official_model
-from groundwalk.artefacts import UserError
+from groundwalk.store import UserError
 from groundwalk.training.models.ms_transformer import MSTransformer
 from groundwalk.training.models.regressor import PoseBatch
 

@@ -11,8 +11,8 @@ import torch
 from test_train_loop import CPU, SmallRegressor, random_frames
 from torch import Tensor
 
-from groundwalk.artefacts import DataRoot, execute
-from groundwalk.artefacts.manifests import load_manifest
+from groundwalk.store import DataRoot, execute
+from groundwalk.store.manifests import load_manifest
 from groundwalk.training import precision, stage
 from groundwalk.training.data import View
 from groundwalk.training.models.regressor import PoseBatch

@@ -7,11 +7,11 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.images import read_image
-from groundwalk.artefacts.resizing import pinhole_image, small_image, turned_crop
-from groundwalk.artefacts.tables import pose_frame
 from groundwalk.geometry.cameras import Camera
+from groundwalk.store import UserError
+from groundwalk.store.images import read_image
+from groundwalk.store.resizing import pinhole_image, small_image, turned_crop
+from groundwalk.store.tables import pose_frame
 from groundwalk.training.data import ImageCache, Jitter, shift_hue
 from groundwalk.training.inputs import as_training_frames, virtual_focal
 

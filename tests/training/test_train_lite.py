@@ -11,7 +11,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from groundwalk.artefacts import DataRoot, UserError, execute
+from groundwalk.store import DataRoot, UserError, execute
 from groundwalk.training import loop, weights
 from groundwalk.training.data import Frames, ImageCache, View
 from groundwalk.training.features import FeatureCache, feature_cache

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from groundwalk.artefacts import UserError
+from groundwalk.store import UserError
 from groundwalk.training import loop
 from groundwalk.training.data import Frames, ImageCache, View
 from groundwalk.training.evaluation import mean_pose_errors, pose_errors

@@ -8,14 +8,14 @@ import pandas as pd
 import pytest
 import torch
 
-from groundwalk.artefacts import DataRoot, UserError, execute
-from groundwalk.artefacts.files import write_json
-from groundwalk.artefacts.images import read_image
-from groundwalk.artefacts.manifests import load_manifest, output_hashes
-from groundwalk.artefacts.resizing import pinhole_image
-from groundwalk.artefacts.schemas import schema
-from groundwalk.artefacts.tables import camera_of, dataset_frames, read_table, write_table
 from groundwalk.fusion.methods.localiser import is_covariance
+from groundwalk.store import DataRoot, UserError, execute
+from groundwalk.store.files import write_json
+from groundwalk.store.images import read_image
+from groundwalk.store.manifests import load_manifest, output_hashes
+from groundwalk.store.resizing import pinhole_image
+from groundwalk.store.schemas import schema
+from groundwalk.store.tables import camera_of, dataset_frames, read_table, write_table
 from groundwalk.training.build import load_trained
 from groundwalk.training.data import normalised, to_tensor
 from groundwalk.training.stage import STAGE

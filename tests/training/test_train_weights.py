@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from groundwalk.artefacts import UserError
+from groundwalk.store import UserError
 from groundwalk.training import weights
 from groundwalk.training.build import Trained, load_trained, save_trained
 from groundwalk.training.models.ms_transformer import MSTransformer

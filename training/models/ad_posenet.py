@@ -6,10 +6,10 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.files import sha256_of
-from groundwalk.artefacts.hints import setting_of
-from groundwalk.artefacts.images import read_image
+from groundwalk.store import UserError
+from groundwalk.store.files import sha256_of
+from groundwalk.store.hints import setting_of
+from groundwalk.store.images import read_image
 from groundwalk.training.models.posenet import PoseNet, single_scene
 from groundwalk.training.models.regressor import PoseBatch
 from groundwalk.training.models.resnet import FEATURES

@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from groundwalk.artefacts.compiled import Function, compiled_and_kept
+from groundwalk.store.compiled import Function, compiled_and_kept
 
 _LEVELS = 256
 _CACHED = 1 << 18  # numbers: a megabyte

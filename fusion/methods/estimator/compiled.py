@@ -8,7 +8,7 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-from groundwalk.artefacts.compiled import Function, compiled_and_kept, njit
+from groundwalk.store.compiled import Function, compiled_and_kept, njit
 
 
 def _stamp() -> str:

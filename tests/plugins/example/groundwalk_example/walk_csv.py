@@ -7,8 +7,6 @@
 import csv
 from pathlib import Path
 
-from groundwalk.artefacts import UserError
-from groundwalk.artefacts.choices import Clock, Tracking
 from groundwalk.capture_import.capture import ImageFile, Intrinsics, Limits, RawFrame, RawSession
 from groundwalk.capture_import.formats import Format
 from groundwalk.capture_import.parsing import (
@@ -20,6 +18,8 @@ from groundwalk.capture_import.parsing import (
     refuse_unreadable,
     seconds_to_ns,
 )
+from groundwalk.store import UserError
+from groundwalk.store.choices import Clock, Tracking
 
 COLUMNS = ["t_s", "image", "fx", "fy", "cx", "cy", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 

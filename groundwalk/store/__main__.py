@@ -1,0 +1,80 @@
+"""`python -m groundwalk.store`: look at, link and remove what the stages made."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from groundwalk.store import progress
+from groundwalk.store.cleaning import clean_scene
+from groundwalk.store.cli import DataOption, ProfileOption, SceneOption, new_app
+from groundwalk.store.errors import UserError
+from groundwalk.store.files import RECORDING
+from groundwalk.store.hints import run_command
+from groundwalk.store.locks import locked
+from groundwalk.store.settings import STAGES, DataRoot
+from groundwalk.store.web_viewer import view_in_browser, view_in_window
+
+app = new_app("Look at, link and remove what the stages made.")
+
+
+@app.command()
+def view(
+    scene: SceneOption,
+    profile: ProfileOption = "demo",
+    web: Annotated[bool, typer.Option("--web", help="In a browser, served to this machine only.")] = False,
+    data: DataOption = Path("data"),
+) -> None:
+    """Open the recordings of all finished stages in the Rerun viewer; each has its own blueprint."""
+    root = DataRoot(data)
+    recordings = [root.run(profile, scene, stage) / RECORDING for stage in STAGES]
+    files = [path for path in recordings if path.is_file()]
+    if not files:
+        do = run_command(root.run(profile, scene, STAGES[-1]))
+        raise UserError("there is no recording to view", where=root.run(profile, scene), do=do)
+    sys.exit(view_in_browser(files) if web else view_in_window(files))
+
+
+@app.command()
+def link_captures(
+    scene: SceneOption,
+    folder: Annotated[Path, typer.Option(help="A folder of phone captures.")],
+    data: DataOption = Path("data"),
+) -> None:
+    """Make data/captures/<scene> a link to a folder of captures, which stays as it is."""
+    link, folder = DataRoot(data).captures(scene), folder.expanduser()
+    if not folder.is_dir():
+        raise UserError("the captures folder isn't there", where=folder, expected="a folder of phone captures")
+    if link.resolve() == folder.resolve():
+        return
+    with locked(link):
+        if link.is_symlink():
+            link.unlink()
+        elif link.exists():
+            raise UserError(
+                f"scene {scene} has captures already",
+                where=link,
+                expected="nothing, or a link to other captures",
+                do="name another scene, or move that folder away",
+            )
+        link.symlink_to(folder.resolve(), target_is_directory=True)
+    progress.stdout.print(f"{link} → {folder}")
+
+
+@app.command()
+def clean(scene: SceneOption, profile: ProfileOption = "demo", data: DataOption = Path("data")) -> None:
+    """Remove a scene's artefacts of one profile, and its captures where they are simulated; never a real capture.
+
+    Only files that a manifest, a run's key file or SIMULATED.json lists are removed. What else is there is named and
+    left, and no link is followed.
+    """
+    cleaned = clean_scene(DataRoot(data), profile, scene)
+    for path in cleaned.removed:
+        progress.stdout.print(f"removed {path}")
+    for path in cleaned.left:
+        progress.stdout.print(f"left as it is, not made by groundwalk: {path}")
+
+
+if __name__ == "__main__":
+    app()

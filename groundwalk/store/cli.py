@@ -1,0 +1,184 @@
+"""The command line that every stage shares: `groundwalk <stage> --scene … --profile …`."""
+
+import gc
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from groundwalk.store.damage import as_user_error, causes, sentence
+from groundwalk.store.errors import UserError
+from groundwalk.store.settings import DataRoot, Settings
+from groundwalk.store.signals import Stopped, signals_raise
+from groundwalk.store.text import printable
+
+if TYPE_CHECKING:
+    from groundwalk.store.stage import Stage
+
+
+def _complete_scene(context: typer.Context) -> list[str]:
+    return _data_of(context).scenes()
+
+
+def _complete_profile(context: typer.Context) -> list[str]:
+    return _data_of(context).names("profiles")
+
+
+def _data_of(context: typer.Context) -> DataRoot:
+    return DataRoot(Path(context.params.get("data") or "data"))
+
+
+SceneOption = Annotated[
+    str,
+    typer.Option(
+        help="The scene: a folder of data/captures, or one that can be simulated.", autocompletion=_complete_scene
+    ),
+]
+ProfileOption = Annotated[
+    str,
+    typer.Option(
+        help="Settings for the whole run: demo, standard, paper or tiny (shipped/profiles), or yours (data/profiles).",
+        autocompletion=_complete_profile,
+    ),
+]
+DataOption = Annotated[Path, typer.Option(help="The data folder, with captures/ and runs/.")]
+# The limits are those of the libraries that take it.
+SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=2**31 - 1)]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="One setting, key=value as in TOML; may be given several times."),
+]
+
+# Those that numexpr, which pandas loads, and numba read.
+_THREADS = ("OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMEXPR_MAX_THREADS", "NUMBA_NUM_THREADS")
+_NUMBA_CONFIG = ".numba_config.yaml"
+
+
+class App(typer.Typer):
+    """A typer application that shows what a user or the machine caused in a few lines and exits with 2; with 130 after
+    Ctrl-C, 143 after SIGTERM."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        try:
+            with signals_raise():
+                _check_environment()
+                _distrust_current_folder()
+                return super().__call__(*args, **kwargs)
+        except (Stopped, Exception) as error:
+            # Python hides what stops it in some places, as while it makes a class.
+            stopped = next((cause for cause in causes(error) if isinstance(cause, Stopped)), None)
+            if stopped is not None:
+                print(f"stopped by {stopped}{f'; {stopped.again}' if stopped.again else ''}", file=sys.stderr)
+                sys.exit(stopped.exit_code)
+            message: BaseException = error
+            if isinstance(error, OSError) and error.errno is not None:
+                message = as_user_error(error) or sentence(error)
+            elif isinstance(error, MemoryError):
+                message = as_user_error(error) or error
+            if not isinstance(message, UserError):
+                raise
+            print(f"error: {printable(str(message))}", file=sys.stderr)
+            sys.exit(2)
+
+
+def _check_environment() -> None:
+    """What libraries fail without: open standard streams, as helper processes would take the numbers of closed ones for
+    their pipes, and numbers of threads that are numbers."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # it gets the lowest number that is free
+    for name in _THREADS:
+        if (value := os.environ.get(name)) and not (value.strip().isdecimal() and int(value) > 0):
+            raise UserError(
+                f"{name} is no number of threads", found=repr(value), expected="a whole number", do=f"unset {name}"
+            )
+
+
+def _distrust_current_folder() -> None:
+    """Nothing that lies in the current folder, which may be a stranger's captures, becomes code.
+
+    Processes that this one starts look for modules there only where this one does (`python -m`); of itself Python looks
+    there first. numba reads there which folder to load compiled code from.
+    """
+    try:
+        current = os.getcwd()  # noqa: PTH109 (as in sys.path)
+    except FileNotFoundError:
+        raise UserError("the current folder has been removed", do="change to one that is there") from None
+    if os.path.lexists(_NUMBA_CONFIG):
+        raise UserError(
+            "the current folder has settings of numba, which loads code from where they say",
+            where=Path(current) / _NUMBA_CONFIG,
+            do="run the command from another folder, or move the file away",
+        )
+    if not {"", current} & {*sys.path}:
+        os.environ["PYTHONSAFEPATH"] = "1"
+
+
+def new_app(help_text: str, **options: Any) -> App:
+    """An empty application; subcommands are added by its caller."""
+    options = {"add_completion": False, **options}
+    return App(help=help_text, rich_markup_mode="markdown", pretty_exceptions_enable=False, **options)
+
+
+def stage_app(stage: "Stage[Any]") -> App:
+    """The command line of a stage: without a subcommand it runs the stage."""
+    app = new_app(stage_help(stage))
+    app.callback(invoke_without_command=True)(stage_command(stage.name, lambda: stage))
+    return app
+
+
+def stage_help(stage: "Stage[Any]") -> str:
+    """What a stage does, and its settings, as Markdown."""
+    return f"{stage.help}\n\n{settings_help(stage.name, stage.settings)}"
+
+
+def stage_command(name: str, load: "Callable[[], Stage[Any]]") -> Callable[..., None]:
+    """The function behind a stage's command line; `load` gives the stage when it is run, as its libraries take seconds
+    to import."""
+
+    def main(
+        context: typer.Context,
+        scene: SceneOption = "",
+        profile: ProfileOption = "demo",
+        set_: SetOption = None,
+        seed: SeedOption = 0,
+        force: Annotated[bool, typer.Option("--force", help="Run anew, even if the artefact is up to date.")] = False,
+        data: DataOption = Path("data"),
+    ) -> None:
+        if context.invoked_subcommand is not None:
+            return
+        if not scene:
+            raise UserError(
+                "no scene was named",
+                do=f"add --scene <name>, for example --scene Church (stage {name})",
+            )
+        # What libraries make while they are imported stays in use: the garbage collector would look through it for
+        # nothing, again and again and as the process ends.
+        gc.disable()
+        from groundwalk.store.stage import execute
+
+        stage = load()
+        gc.freeze()
+        gc.enable()
+        execute(stage, scene, profile, DataRoot(data), set_, seed, force)
+
+    return main
+
+
+def settings_help(section: str, model: type[Settings]) -> str:
+    """The settings of a stage as a Markdown list for --help."""
+    lines = [
+        f"**Settings**, section `[{section}]` of your file data/profiles/<profile>.toml or data/scenes/<scene>.toml, "
+        "or `--set key=value`:",
+        "",
+    ]
+    for name, info in model.model_fields.items():
+        default = info.get_default(call_default_factory=True)
+        default_text = "" if isinstance(default, Settings) else f" (default {default!r})"
+        lines.append(f"- `{name}`{default_text}: {info.description or ''}")
+    return "\n".join(lines)

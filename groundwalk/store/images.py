@@ -1,0 +1,60 @@
+"""Images of import.frames: which file each is, and its pixels."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from groundwalk.store.errors import UserError
+from groundwalk.store.files import IMPORTED, hash_files, leads_outside
+
+Image = NDArray[np.uint8]
+
+
+def image_file(image: str, captures: Path, imported: Path) -> Path:
+    """The file of a `frames.image` entry: relative to the capture folder, or to the import artefact where import copied
+    the image (`import:` in front). UserError for one that leads out of that folder."""
+    if leads_outside(image):
+        raise UserError("an image's path leads out of its folder", where=captures, found=repr(image))
+    if image.startswith(IMPORTED):
+        return imported / image.removeprefix(IMPORTED)
+    return captures / image
+
+
+def verify_images(captures: Path, imported: Path) -> None:
+    """UserError where an image of import's frames isn't the one that import saw, by the hash that it noted; those that
+    it copied are among its outputs, and verified as these."""
+    # Here, so that whoever only reads an image needs no pandas.
+    from groundwalk.store.schemas import schema
+    from groundwalk.store.tables import read_table
+
+    frames = read_table(imported / "frames.parquet", schema("import", "frames"))
+    frames = frames[~frames["image"].str.startswith(IMPORTED)]
+    expected = dict(zip(frames["image"], frames["image_sha256"], strict=True))
+    hashes = hash_files(captures, [captures / name for name in expected if (captures / name).is_file()])
+    wrong = [name for name, digest in expected.items() if hashes.get(Path(name).as_posix()) != digest]
+    if wrong:
+        raise UserError(
+            f"{len(wrong)} of {len(expected)} images aren't as import saw them",
+            where=captures / wrong[0],
+            found="another sha256 than in import.frames" if (captures / wrong[0]).is_file() else "no such file",
+            do="put the image back, or import the scene again",
+        )
+
+
+def read_image(path: Path) -> Image:
+    """An image file as RGB (H, W, 3), as the sensor has it (a turn in the file's EXIF is left out, since poses and
+    intrinsics are the sensor's). UserError where it isn't there or can't be decoded."""
+    # OpenCV prints a warning of its own for a file that isn't there.
+    is_there = path.exists()
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR_BGR | cv2.IMREAD_IGNORE_ORIENTATION) if is_there else None
+    if image is None:
+        actual = "a file that isn't an image" if is_there else "no such file"
+        raise UserError("an image can't be read", where=path, found=actual, do="import the capture again")
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def read_grey_image(path: Path) -> Image:
+    """An image file in grey (H, W); as `read_image`."""
+    return np.asarray(cv2.cvtColor(read_image(path), cv2.COLOR_RGB2GRAY), np.uint8)

@@ -1,0 +1,208 @@
+"""What a stage reads: locked while it reads, hashed into its key, verified before use."""
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import pyarrow.parquet as pq
+
+from groundwalk.store.errors import UserError
+from groundwalk.store.files import hash_files, sha256_of
+from groundwalk.store.hints import link_command, run_command
+from groundwalk.store.locks import locked
+from groundwalk.store.manifests import MANIFEST, load_manifest, load_verified
+from groundwalk.store.settings import STAGES, DataRoot, SceneConfig
+from groundwalk.store.simulated import TRUTH_FILES, are_simulated
+
+
+class Reader(Protocol):
+    """The part of a stage that says what it reads."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def needs(self) -> tuple[str, ...]: ...
+    @property
+    def reads_captures(self) -> bool: ...
+    @property
+    def reads_shipped(self) -> tuple[str, ...]: ...
+
+
+@dataclass
+class Inputs:
+    """The inputs of one run of a stage; use it as a context, which locks them against being replaced.
+
+    `hashes` is what goes into the stage's key.
+    """
+
+    stage: Reader
+    scene: SceneConfig
+    profile: str
+    data: DataRoot
+    files: tuple[str, ...] = ()
+    reads_images: bool = False
+    hashes: dict[str, Any] = field(default_factory=dict)
+    _locks: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+
+    def __enter__(self) -> "Inputs":
+        try:
+            self._lock()
+            self.hashes = self._hashes()
+        except BaseException:
+            self._locks.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._locks.close()
+
+    def verify(self) -> None:
+        """UserError where an input isn't as its stage wrote it, or an image as import saw it."""
+        for _, _, folder in self._sources():
+            load_verified(folder)
+        from groundwalk.store.images import verify_images  # OpenCV, which the command `run` does without
+
+        for leaf in self.data.leaves(self.scene) if self.reads_images else ():
+            verify_images(self.data.captures(leaf), self.data.run(self.profile, leaf, "import"))
+
+    def refuse_outdated(self) -> None:
+        """UserError where an artefact among the inputs was made from others than are there now."""
+        for scene, stage, folder in self._sources():
+            self._refuse_outdated(scene, stage, load_manifest(folder))
+
+    def refuse_changed(self) -> None:
+        """UserError where an input isn't any more what it was when it was verified: no lock stops other programs."""
+        self.verify()
+        now = self._hashes()
+        for name, hashes in self.hashes.items():
+            if now[name] != hashes:
+                raise UserError(
+                    f"{name} changed while stage {self.stage.name} read them",
+                    where=self.data.captures(self.scene.name) if name == "captures" else self.data.root,
+                    do="wait until nothing writes there, then run the same command again",
+                )
+
+    def frames(self) -> int:
+        """How many frames the imports have that are read."""
+        files = [folder / "frames.parquet" for _, stage, folder in self._sources() if stage == "import"]
+        return sum(pq.read_metadata(file).num_rows for file in files if file.is_file())
+
+    def simulated(self) -> bool:
+        """Whether any capture behind this run is simulated, or exported from a simulated scene, as import saw it."""
+        if self.stage.reads_captures:
+            return are_simulated(capture_files(self.data.captures(self.scene.name)))
+        leaves = self.data.leaves(self.scene)
+        return any(load_manifest(self.data.run(self.profile, leaf, "import"))["simulated"] for leaf in leaves)
+
+    def _lock(self) -> None:
+        """Captures, too, are read by many stages, and are another profile's to simulate or remove."""
+        for leaf in self.data.leaves(self.scene):
+            if (captures := self.data.captures(leaf)).is_dir():
+                self._locks.enter_context(locked(captures, shared=True))
+        for scene, stage, folder in self._sources():
+            if not (folder / MANIFEST).is_file():
+                raise missing_input(stage, folder, scene)
+            self._locks.enter_context(locked(folder, shared=True))
+
+    def _hashes(self) -> dict[str, Any]:
+        hashes: dict[str, Any] = {}
+        if self.stage.reads_captures:
+            hashes["captures"] = self._hash_of_captures()
+        for scene, stage, folder in self._sources():
+            hashes[f"{scene}/{stage}"] = load_manifest(folder)["outputs"]
+        for name in self.stage.reads_shipped:
+            hashes[f"data/{name}"] = {file: sha256_of(path) for file, path in self.data.files(name).items()}
+        if self.files:
+            hashes["files"] = hashes_of_named(self.files, self.scene.name, self.data)
+        return hashes
+
+    def _hash_of_captures(self) -> dict[str, int | str]:
+        captures = self.data.captures(self.scene.name)
+        # Not links to nothing, or to themselves.
+        hashes = hash_files(captures, (path for path in capture_files(captures) if path.is_file()))
+        if not hashes:
+            raise no_captures(self.scene.name, captures, self.profile)
+        return {"files": len(hashes), "sha256": hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()}
+
+    def _sources(self) -> list[tuple[str, str, Path]]:
+        """Scene, stage and folder of every artefact that is read."""
+        named = [(leaf, need) for leaf in self.data.leaves(self.scene) for need in self.stage.needs]
+        if self.scene.is_group:
+            for group in (*self.scene.members, self.scene.name):
+                config = self.data.scene(group)[0]
+                if config.is_group:
+                    named += [(group, need) for need in self.stage.needs if need in config.stages]
+        return [(scene, need, self.data.run(self.profile, scene, need)) for scene, need in named]
+
+    def _refuse_outdated(self, scene: str, stage: str, manifest: dict[str, Any]) -> None:
+        """Each artefact must come from those that are there now, or a run would mix two imports."""
+        for source, hashes in manifest.get("inputs", {}).items():
+            its_scene, _, its_stage = source.partition("/")
+            if its_stage not in STAGES:
+                continue
+            folder = self.data.run(self.profile, its_scene, its_stage)
+            if not (folder / MANIFEST).is_file():
+                continue
+            made_from = load_manifest(folder)
+            if made_from["outputs"] != hashes:
+                raise UserError(
+                    f"artefact {stage} of scene {scene} is outdated: {its_stage} of scene {its_scene} has been made "
+                    "anew since",
+                    where=self.data.run(self.profile, scene, stage),
+                    do=run_command(self.data.run(self.profile, scene, stage)),
+                )
+            self._refuse_outdated(its_scene, its_stage, made_from)
+
+
+def hashes_of_named(files: Iterable[str], scene: str, data: DataRoot) -> dict[str, str]:
+    """sha256 of the files that a scene's settings name, relative to the data folder; UserError where one can't be
+    read."""
+    hashes = {}
+    for name in files:
+        try:
+            hashes[name] = sha256_of(data.root / name)
+        except OSError as error:
+            raise UserError(
+                f"a file that the settings of scene {scene} name can't be read",
+                where=data.root / name,
+                found=error.strerror,
+                do="put it there, or correct its path, which is relative to the data folder",
+            ) from None
+    return hashes
+
+
+def no_captures(scene: str, captures: Path, profile: str) -> UserError:
+    """The error for a scene without a file that import may read."""
+    links = sorted(path.name for path in captures.glob("*") if path.is_symlink() and path.is_dir())
+    link = link_command(captures, profile)
+    return UserError(
+        f"scene {scene} has no captures",
+        where=captures,
+        expected="a folder of phone captures",
+        found=f"links to folders, which import doesn't follow: {', '.join(links)}" if links else "nothing",
+        do=f"copy what they point to there; or move this folder away and link one that holds it: {link}"
+        if links
+        else link,
+    )
+
+
+def missing_input(stage: str, folder: Path, scene: str) -> UserError:
+    """The error for an artefact that isn't there."""
+    return UserError(f"stage {stage} of scene {scene} hasn't been run", where=folder, do=run_command(folder))
+
+
+def capture_files(captures: Path) -> list[Path]:
+    """The files of a capture folder that import may read: not those which hold the simulator's truth or notes."""
+    paths = []
+    for base, folders, names in os.walk(captures, followlinks=False):
+        folders[:] = sorted(f for f in folders if not f.startswith("."))
+        at_top = Path(base) == captures
+        for name in sorted(names):
+            if not (name.startswith(".") or (at_top and name in TRUTH_FILES)):
+                paths.append(Path(base) / name)
+    return paths

@@ -1,0 +1,108 @@
+"""Manifests of finished artefacts: what they have to say, and whether the artefact is still as it was written."""
+
+from pathlib import Path
+from typing import Any
+
+from groundwalk.store.errors import UserError
+from groundwalk.store.files import KEY_FILE, RECORDING, hash_files, leads_outside, read_json
+from groundwalk.store.hints import run_command
+from groundwalk.store.settings import STAGES
+
+MANIFEST = "manifest.json"
+# Not among the hashed outputs: a recording is a view of the tables and never the same twice.
+UNHASHED = (MANIFEST, RECORDING, KEY_FILE)
+
+
+def load_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest of a finished artefact; UserError where it can't be read or isn't one."""
+    content = read_json(folder / MANIFEST)
+    if not is_manifest(content):
+        raise UserError(
+            f"the manifest of artefact {folder.name} is damaged",
+            where=folder / MANIFEST,
+            expected="a JSON object with `outputs` and `simulated`, as the stage wrote it",
+            do=_again(folder),
+        )
+    return content
+
+
+def is_manifest(content: dict[str, Any]) -> bool:
+    """Whether the content of a manifest file has what every manifest has."""
+    outputs = content.get("outputs")
+    return (
+        isinstance(outputs, dict)
+        and all(isinstance(digest, str) for digest in outputs.values())
+        and isinstance(content.get("simulated"), bool)
+    )
+
+
+def output_hashes(folder: Path) -> dict[str, str]:
+    """sha256 of every file of an artefact that counts as its output."""
+    unhashed = {folder / name for name in UNHASHED}
+    return hash_files(folder, (p for p in folder.rglob("*") if p.is_file() and p not in unhashed))
+
+
+def listed_files(folder: Path) -> set[str]:
+    """The files of an artefact that its stage wrote, by its manifest; none where that is damaged."""
+    outputs = read_json(folder / MANIFEST).get("outputs")
+    return {*outputs, *UNHASHED} if isinstance(outputs, dict) else set()
+
+
+def damaged_outputs(folder: Path, manifest: dict[str, Any]) -> list[str]:
+    """The outputs that a manifest lists and that are gone or have another content."""
+    listed: dict[str, str] = manifest["outputs"]
+    there = [folder / name for name in listed if not leads_outside(name) and (folder / name).is_file()]
+    hashes = hash_files(folder, there)
+    return [name for name, digest in sorted(listed.items()) if hashes.get(name) != digest]
+
+
+def load_verified(folder: Path) -> dict[str, Any]:
+    """The manifest of a finished artefact all of whose outputs are as they were written; UserError otherwise."""
+    manifest = load_manifest(folder)
+    try:
+        damaged = damaged_outputs(folder, manifest)
+    except OSError as error:
+        raise UserError("an artefact can't be read", where=error.filename, found=error.strerror) from None
+    if damaged:
+        gone = sum(not (folder / name).is_file() for name in damaged)
+        raise UserError(
+            f"artefact {folder.name} isn't as its stage wrote it: {len(damaged)} of {len(manifest['outputs'])} files "
+            f"have another sha256 than in the manifest, {gone} of them are gone",
+            where=folder / damaged[0],
+            do=_again(folder),
+        )
+    return manifest
+
+
+def is_whole(folder: Path, key: str) -> bool:
+    """Whether a finished artefact of this key is there with all that it was written with."""
+    manifest = read_json(folder / MANIFEST)
+    if manifest.get("key") != key:
+        return False
+    try:
+        load_verified(folder)
+    except UserError:
+        return False
+    return not manifest.get("recorded") or (folder / RECORDING).is_file()
+
+
+def outdated_stages(folder: Path, manifests: dict[str, dict[str, Any]]) -> dict[str, str]:
+    """Stage -> the first input that isn't any more what the stage, or one that it was made from, read. `folder` is that
+    of a scene's run, with the manifests of its stages in order."""
+    outdated: dict[str, str] = {}
+    for stage, manifest in manifests.items():
+        for source, hashes in manifest.get("inputs", {}).items():
+            scene, _, needed = source.partition("/")
+            if needed not in STAGES:
+                continue
+            same_scene = scene == manifest["scene"].get("name")
+            now = manifests.get(needed) if same_scene else read_json(folder.parent / scene / needed / MANIFEST)
+            if same_scene and needed in outdated:
+                outdated.setdefault(stage, outdated[needed])
+            elif now and now.get("outputs") != hashes:
+                outdated.setdefault(stage, f"{needed} of scene {scene}")
+    return outdated
+
+
+def _again(folder: Path) -> str:
+    return f"{run_command(folder)}, which makes it anew"

@@ -1,0 +1,118 @@
+"""Progress with the time left: a bar on a terminal, a line now and then in a log."""
+
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from typing import Any, TypeVar
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from groundwalk.store.text import printable
+
+T = TypeVar("T")
+
+_LOG_EVERY_S = 10.0
+_TELLING = 0.02  # of the work, before which the time left is anyone's guess
+
+
+class TextConsole(Console):
+    """Prints text as it is, which may be a stranger's: no markup, and nothing that a terminal would act upon."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        texts = (printable(part) if isinstance(part, str) else part for part in objects)
+        super().print(*texts, **{**options, "markup": False})
+
+
+console = TextConsole(stderr=True, highlight=False, soft_wrap=True)
+stdout = TextConsole(highlight=False, soft_wrap=True)
+
+
+class Reporter:
+    """One task's progress: `advance` or `update` it; closes with a `with` block.
+
+    On a terminal it's a bar with the time left; elsewhere a line every ten seconds.
+    """
+
+    def __init__(self, text: str, total: int | None) -> None:
+        self.text = printable(text)
+        self.total = total
+        self.done = 0
+        self._start = self._last_line = time.monotonic()
+        self._bar: Progress | None = None
+        self._task = None
+        if console.is_terminal:
+            self._bar = Progress(
+                TextColumn("  {task.description}", markup=False),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeElapsedColumn(),
+                TextColumn("left"),
+                TimeRemainingColumn(),
+                console=console,
+                transient=True,
+            )
+            self._task = self._bar.add_task(self.text, total=total)
+
+    def __enter__(self) -> "Reporter":
+        if self._bar:
+            self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar:
+            self._bar.stop()
+
+    def advance(self, by: int = 1, text: str | None = None) -> None:
+        """Count `by` more items as done; `text` replaces the description."""
+        self.update(self.done + by, text)
+
+    def update(self, done: int, text: str | None = None) -> None:
+        """Set the number of items that are done."""
+        self.done = done
+        self.text = printable(text or self.text)
+        if self._bar and self._task is not None:
+            self._bar.update(self._task, completed=done, description=self.text)
+            return
+        now = time.monotonic()
+        if now - self._last_line >= _LOG_EVERY_S:
+            self._last_line = now
+            print(f"  {self.text}: {self._summary(now)}", file=sys.stderr, flush=True)
+
+    def _summary(self, now: float) -> str:
+        if not self.total:
+            return f"{self.done} done"
+        if not self.done:
+            return f"0/{self.total}"
+        done = f"{self.done}/{self.total} ({100 * self.done / self.total:.0f} %)"
+        if self.done < _TELLING * self.total:
+            return done
+        left = (now - self._start) / self.done * (self.total - self.done)
+        return f"{done}, {format_seconds(left)} left"
+
+
+def track(items: Iterable[T], text: str, total: int | None = None) -> Iterator[T]:
+    """Yield the items, showing progress; `total` where `items` has no length."""
+    if total is None and hasattr(items, "__len__"):
+        total = len(items)  # type: ignore[arg-type]
+    with Reporter(text, total) as reporter:
+        for item in items:
+            yield item
+            reporter.advance()
+
+
+def format_seconds(seconds: float) -> str:
+    """A duration as a person says it: 8 s, 2 min 05 s, 1 h 10 min."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"

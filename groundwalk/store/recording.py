@@ -1,0 +1,120 @@
+"""Rerun recordings: one file a stage with its blueprint inside, and the colours that all stages share."""
+
+import contextlib
+import os
+import shutil
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import rerun as rr
+
+from groundwalk.geometry.poses import Array
+from groundwalk.store.files import written_aside
+
+# One meaning, one colour, in recordings and in figures alike (Okabe-Ito, which colour-blind readers can distinguish).
+GROUND_TRUTH = (0, 158, 115)
+VIO = (230, 159, 0)
+APR = (86, 180, 233)
+FUSED = (204, 121, 167)
+REJECTED = (213, 94, 0)
+NEUTRAL = (150, 150, 150)
+
+# Of kinds of poses beyond these, in order; far from the ones above and from each other.
+MORE_COLOURS = ((240, 228, 66), (166, 86, 40), (102, 166, 30), (117, 112, 179), (231, 41, 138), (0, 114, 178))
+
+UP_AXIS = rr.ViewCoordinates.RIGHT_HAND_Y_UP
+TIMELINE = "capture_time"
+
+_CHUNK = 1 << 20
+
+
+@contextlib.contextmanager
+def open_recording(path: Path, stage: str, name: str, blueprint: object) -> Iterator[rr.RecordingStream]:
+    """Write `path`; it gets its name only when the block ends well.
+
+    Each stage is an application of its own, so that every recording keeps its own blueprint when several are opened
+    in one viewer.
+    """
+    with written_aside(path) as partial, partial.open("wb") as file, tempfile.TemporaryDirectory() as folder:
+        # Rerun waits without end where it can't write its file, on a full disk: so it writes into a pipe.
+        pipe = Path(folder, "recording")
+        os.mkfifo(pipe)
+        reading = os.fdopen(os.open(pipe, os.O_RDONLY | os.O_NONBLOCK), "rb")
+        writing = pipe.open("wb", buffering=0)  # the pipe doesn't end before Rerun has opened it
+        os.set_blocking(reading.fileno(), True)
+        failure: list[BaseException] = []
+        copying = threading.Thread(target=_copy, args=(reading, file, failure), daemon=True)
+        stream = rr.RecordingStream(f"groundwalk_{stage}", recording_id=f"{name}/{stage}")
+        try:
+            copying.start()
+            stream.save(pipe, default_blueprint=blueprint)  # type: ignore[arg-type]
+            writing.close()
+            stream.send_recording_name(f"{name} · {stage}")
+            yield stream
+            stream.flush()
+        finally:
+            writing.close()
+            stream.disconnect()
+        copying.join()
+        if failure:
+            raise failure[0]
+
+
+def _copy(source: BinaryIO, target: BinaryIO, failure: list[BaseException]) -> None:
+    """Copy until the end; all is read, too, where it can't be written."""
+    with source:
+        try:
+            shutil.copyfileobj(source, target)
+        except Exception as error:
+            failure.append(error)
+            while source.read(_CHUNK):
+                pass
+
+
+def set_time(stream: rr.RecordingStream, t_ns: int) -> None:
+    """Move the recording's clock to a capture time in nanoseconds."""
+    stream.set_time(TIMELINE, duration=np.timedelta64(int(t_ns), "ns"))
+
+
+def log_camera(
+    stream: rr.RecordingStream,
+    path: str,
+    world_T_cam: Array,
+    frame: Any,
+    colour: tuple[int, int, int],
+    size_m: float = 0.3,
+    static: bool = False,
+) -> None:
+    """A camera frustum at `path`: pose (4, 4) in OpenCV axes, `frame` a row of import.frames or a Camera.
+
+    Frusta are pinholes: an image shown in one has to be free of distortion for what lies before it to fall on it.
+    """
+    stream.log(path, rr.Transform3D(translation=world_T_cam[:3, 3], mat3x3=world_T_cam[:3, :3]), static=static)
+    stream.log(
+        f"{path}/image",
+        rr.Pinhole(
+            focal_length=(frame.fx, frame.fy),
+            principal_point=(frame.cx, frame.cy),
+            width=int(frame.width),
+            height=int(frame.height),
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=size_m,
+            color=colour,
+        ),
+        static=static,
+    )
+
+
+def log_path(
+    stream: rr.RecordingStream, path: str, xyz_N3: Array, colour: tuple[int, int, int], radius_px: float = 1.5
+) -> None:
+    """A trajectory as one static line; NaN positions break it."""
+    is_finite = np.isfinite(xyz_N3).all(axis=1)
+    # Where it flips, a strip begins or ends.
+    borders = np.flatnonzero(np.diff(np.concatenate([[False], is_finite, [False]]).astype(int)))
+    strips = [xyz_N3[start:stop] for start, stop in borders.reshape(-1, 2)]
+    stream.log(path, rr.LineStrips3D(strips, colors=colour, radii=rr.Radius.ui_points(radius_px)), static=True)

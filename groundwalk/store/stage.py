@@ -1,0 +1,358 @@
+"""Running a stage: its inputs and key, its partial folder, its manifest, and the rename that finishes it."""
+
+import contextlib
+import hashlib
+import json
+import os
+import platform
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import pandas as pd
+import rerun as rr
+
+from groundwalk import CHECKOUT
+from groundwalk.store import progress, recording
+from groundwalk.store.choices import MapUnit
+from groundwalk.store.damage import free_bytes
+from groundwalk.store.errors import UserError
+from groundwalk.store.files import (
+    RECORDING,
+    finish_interrupted_swap,
+    partial_folder,
+    refuse_irreplaceable,
+    swap_in,
+    write_json,
+)
+from groundwalk.store.hints import of_scene
+from groundwalk.store.images import image_file
+from groundwalk.store.inputs import Inputs, missing_input
+from groundwalk.store.locks import locked
+from groundwalk.store.manifests import MANIFEST, is_whole, listed_files, load_manifest, output_hashes
+from groundwalk.store.memory import PeakMemory
+from groundwalk.store.registry import PluginError
+from groundwalk.store.resuming import run_resumable
+from groundwalk.store.schemas import schema
+from groundwalk.store.settings import DataRoot, SceneConfig, Settings, resolve_settings
+from groundwalk.store.tables import (
+    dataset_frames,
+    map_unit,
+    read_table,
+    scale_warning,
+    with_gravity_of_map,
+    write_table,
+)
+
+S = TypeVar("S", bound=Settings)
+T = TypeVar("T")
+
+_SCRATCH = "scratch"
+_VERSIONS = (
+    "groundwalk",
+    "numpy",
+    "opencv-python-headless",
+    "pyarrow",
+    "pycolmap",
+    "rerun-sdk",
+    "scipy",
+    "torch",
+)
+
+
+@dataclass(frozen=True)
+class Stage(Generic[S]):
+    """A stage of the pipeline.
+
+    `version` goes up when the same input gives another output, so that old artefacts are made again.
+    `reads_captures` is for import, the one stage whose input is the capture folder.
+    """
+
+    name: str
+    version: int
+    settings: type[S]
+    needs: tuple[str, ...]
+    run: Callable[["StageRun[S]"], None]
+    help: str
+    reads_captures: bool = False
+    reads_shipped: tuple[str, ...] = ()  # folders of data/, whose files come with groundwalk
+    files: Callable[[S], Iterable[str]] = lambda settings: ()
+    """Further files that the settings name, relative to the data folder."""
+    reads_images: Callable[[S], bool] = lambda settings: False
+    """Whether it reads the images of import.frames, which are then verified before."""
+    plugins: Callable[[S], Mapping[str, str]] = lambda settings: {}
+    """Package and version of what other packages bring to a run with these settings, by id."""
+    space_bytes: Callable[[S, int], int] = lambda settings, frames: (16 << 20) + 50_000 * frames
+    """About what a run with so many frames takes of the disk, checkpoints and all."""
+
+
+@dataclass
+class StageRun(Generic[S]):
+    """What a stage's `run` function gets: its scene, settings and inputs, and where its outputs go."""
+
+    stage: Stage[S]
+    scene: SceneConfig
+    profile: str
+    settings: S
+    seed: int
+    data: DataRoot
+    simulated: bool
+    work: Path
+    figures: dict[str, Any] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def begin(self) -> None:
+        """Run the stage; figures and times of a failed attempt before are forgotten."""
+        self.figures.clear()
+        self.seconds.clear()
+        try:
+            self.stage.run(self)
+        except UserError as error:
+            if do := error.details["do"]:
+                error.details["do"] = self._of_scene(str(do))
+            raise
+
+    @property
+    def captures(self) -> Path:
+        """data/captures/<scene>, the capture folder."""
+        return self.data.captures(self.scene.name)
+
+    @property
+    def scratch(self) -> Path:
+        """A folder for checkpoints: it survives a kill and is dropped when the stage ends."""
+        path = self.work / _SCRATCH
+        path.mkdir(exist_ok=True)
+        return path
+
+    @property
+    def leaves(self) -> list[str]:
+        """The plain scenes of this run: the scene itself, or a group's."""
+        return self.data.leaves(self.scene)
+
+    def folder(self, stage: str, scene: str | None = None) -> Path:
+        """The finished artefact folder of a stage of this scene (or of a group's member)."""
+        path = self.data.run(self.profile, scene or self.scene.name, stage)
+        if not (path / MANIFEST).is_file():
+            raise missing_input(stage, path, scene or self.scene.name)
+        return path
+
+    def read(self, stage: str, table: str, scene: str | None = None) -> pd.DataFrame:
+        """A table of a finished stage of this scene (or of a group's member)."""
+        return read_table(self.folder(stage, scene) / f"{table}.parquet", schema(stage, table))
+
+    def dataset_frames(self, scene: str | None = None) -> pd.DataFrame:
+        """import.frames without support frames, and without gravity in a map without a vertical: what every stage reads
+        but sfm and align."""
+        frames = dataset_frames(self.read("import", "frames", scene))
+        return with_gravity_of_map(frames, self.read("align", "ground_truth", scene))
+
+    def map_unit(self, scene: str | None = None) -> MapUnit:
+        """The unit of the map that align made of this scene (or of a group's member)."""
+        return map_unit(self.read("align", "ground_truth", scene))
+
+    def manifest(self, stage: str, scene: str | None = None) -> dict[str, Any]:
+        """The manifest of a finished stage."""
+        return load_manifest(self.folder(stage, scene))
+
+    def image_path(self, image: str, scene: str | None = None) -> Path:
+        """The absolute path of a `frames.image` entry: relative to the capture folder, or to the import artefact
+        where import copied the image (`import:` in front)."""
+        name = scene or self.scene.name
+        return image_file(image, self.data.captures(name), self.data.run(self.profile, name, "import"))
+
+    def write(self, table: str, frame: pd.DataFrame) -> None:
+        """Write one of the stage's tables, checked against its schema."""
+        write_table(self.work / f"{table}.parquet", frame, schema(self.stage.name, table))
+
+    @contextlib.contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        """Time a step; the manifest lists the seconds."""
+        start = time.monotonic()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - start
+
+    def track(self, items: Iterable[T], text: str, total: int | None = None) -> Iterator[T]:
+        """Yield the items with progress and the time left."""
+        return progress.track(items, text, total)
+
+    def say(self, text: str) -> None:
+        """One line for the user."""
+        progress.console.print(f"  {self._of_scene(text)}")
+
+    def _of_scene(self, text: str) -> str:
+        return of_scene(text, self.data, self.scene.name)
+
+    def warn_of_scale(self) -> None:
+        """A line for each scene whose map isn't metric."""
+        for leaf in self.leaves:
+            if warning := scale_warning(self.map_unit(leaf)):
+                self.say(f"warning: {leaf}: {warning}")
+
+    def leave_out(self, faults: Iterable[PluginError]) -> None:
+        """Name each plug-in that takes no part, also in the manifest."""
+        for fault in faults:
+            self.say(f"warning: {fault}")
+            self.figure(f"left out: {fault.what}", f"{fault.details['where']}: {fault.reason}")
+
+    def figure(self, name: str, value: float | int | str | bool | None) -> None:
+        """Keep a number or text in the manifest."""
+        self.figures[name] = value
+
+    @contextlib.contextmanager
+    def recording(self, blueprint: object) -> Iterator[rr.RecordingStream]:
+        """The stage's recording.rrd, with its blueprint."""
+        name = f"{self.profile}/{self.scene.name}"
+        with recording.open_recording(self.work / RECORDING, self.stage.name, name, blueprint) as stream:
+            yield stream
+
+
+def execute(
+    stage: Stage[S],
+    scene_name: str,
+    profile: str,
+    data: DataRoot,
+    overrides: list[str] | None = None,
+    seed: int = 0,
+    force: bool = False,
+) -> Path:
+    """Run a stage unless a finished artefact with the same key is there, whole; returns the artefact's folder.
+
+    The key is a hash of everything that the output depends on. A partial folder that a killed run left is continued
+    when its key is the same, and dropped otherwise. Inputs are held while the stage runs, and verified before. Raises
+    UserError for what a user can cause.
+    """
+    scene, _ = data.scene(scene_name)
+    if scene.is_group and stage.name not in scene.stages:
+        members = ", ".join(data.leaves(scene))
+        raise UserError(
+            f"{scene_name} is a group of scenes and has no stage {stage.name}",
+            expected=f"one of {', '.join(scene.stages)}, or one of its scenes: {members}",
+        )
+    settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, overrides or [])
+    final = data.run(profile, scene_name, stage.name)
+    with _inputs(stage, scene, profile, data, settings) as inputs, locked(final):
+        finish_interrupted_swap(final, MANIFEST, listed_files)
+        inputs.refuse_outdated()
+        key, parts = _key(stage, settings, seed, inputs)
+        title = f"{stage.name} · {scene_name} · {profile}"
+        if not force and is_whole(final, key):
+            progress.console.print(f"{title}: up to date")
+            return final
+
+        work = partial_folder(final)
+        for folder in (final, work):
+            refuse_irreplaceable(folder)
+        inputs.verify()
+        _refuse_small_disk(work, stage.space_bytes(settings, inputs.frames()))
+        run = StageRun(stage, scene, profile, settings, seed, data, inputs.simulated(), work)
+        start = time.monotonic()
+        with PeakMemory() as memory:
+            resumed = run_resumable(work, key, title, force, run.begin)
+        elapsed = time.monotonic() - start
+        try:
+            inputs.refuse_changed()
+        except UserError:
+            shutil.rmtree(work, ignore_errors=True)  # its checkpoints may be of what was there meanwhile
+            raise
+        shutil.rmtree(work / _SCRATCH, ignore_errors=True)
+        circumstances = _circumstances(run, elapsed, resumed, memory)
+        write_json(work / MANIFEST, {"key": key, **parts, **circumstances, "outputs": output_hashes(work)})
+        swap_in(work, final, listed_files)
+        progress.console.print(f"{title}: done in {progress.format_seconds(elapsed)} → {_relative(final)}")
+        return final
+
+
+def _refuse_small_disk(work: Path, needed: int) -> None:
+    """UserError where a run has not enough room to begin or go on: better now than hours later."""
+    there = sum(path.lstat().st_size for path in work.rglob("*"))
+    free = free_bytes(work)
+    if free is not None and free + there < needed:
+        raise UserError(
+            "the disk is nearly full",
+            where=work.parent,
+            expected=f"about {(needed - there) / 2**20:,.0f} MiB for this stage",
+            found=f"{free / 2**20:,.0f} MiB free",
+            do="free some space, or name a data folder on another disk with --data",
+        )
+
+
+def is_up_to_date(stage: Stage[Any], scene_name: str, profile: str, data: DataRoot) -> bool:
+    """Whether `execute` without overrides, seed and force would do nothing. Raises UserError as it does."""
+    settings = resolve_settings(stage.settings, stage.name, data, profile, scene_name, [])
+    final = data.run(profile, scene_name, stage.name)
+    scene = data.scene(scene_name)[0]
+    with _inputs(stage, scene, profile, data, settings) as inputs, locked(final):
+        inputs.refuse_outdated()
+        return is_whole(final, _key(stage, settings, 0, inputs)[0])
+
+
+def _inputs(stage: Stage[S], scene: SceneConfig, profile: str, data: DataRoot, settings: S) -> Inputs:
+    return Inputs(stage, scene, profile, data, tuple(stage.files(settings)), stage.reads_images(settings))
+
+
+def _key(stage: Stage[S], settings: S, seed: int, inputs: Inputs) -> tuple[str, dict[str, Any]]:
+    """A hash of everything that a stage's output depends on, and what that is."""
+    parts: dict[str, Any] = {
+        "stage": stage.name,
+        "version": stage.version,
+        "scene": inputs.scene.model_dump(mode="json"),
+        "profile": inputs.profile,
+        "settings": settings.model_dump(mode="json"),
+        "seed": seed,
+        "inputs": inputs.hashes,
+        **({"plugins": plugins} if (plugins := dict(stage.plugins(settings))) else {}),
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest(), parts
+
+
+def _circumstances(run: StageRun[Any], elapsed: float, resumed: bool, memory: PeakMemory) -> dict[str, Any]:
+    return {
+        "simulated": run.simulated,
+        "figures": run.figures,
+        "seconds": {name: round(value, 3) for name, value in run.seconds.items()},
+        "total_seconds": round(elapsed, 3),
+        "resumed": resumed,
+        "peak_memory_mib": round(memory.peak_bytes / 2**20, 1),
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {name: _version(name) for name in _VERSIONS} | {"python": platform.python_version()},
+        "git_revision": git_revision(),
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        "recorded": (run.work / RECORDING).is_file(),
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def git_revision() -> str:
+    """The revision of this checkout, with `-dirty` where it has changes; `unknown` outside one."""
+    if CHECKOUT is None:
+        return "unknown"
+    try:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=12"],
+            cwd=CHECKOUT,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return described.stdout.strip()
+
+
+def _relative(path: Path) -> str:
+    try:
+        return str(path.relative_to(Path.cwd()))
+    except ValueError:
+        return str(path)

@@ -1,0 +1,282 @@
+"""How a command ends: by a signal, on a full disk, in a folder that can't be written; always with a sentence."""
+
+import errno
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from groundwalk.store import DataRoot, Settings, Stage, StageRun, UserError, execute
+from groundwalk.store.__main__ import app as look_at_artefacts
+from groundwalk.store.child import ProcessDied, Report, Task, in_child
+from groundwalk.store.cli import new_app, stage_app
+from groundwalk.store.signals import Stopped
+
+WAITING = "waiting"
+REJECTS = pd.DataFrame({"session_id": ["s"], "source": ["f"], "t_ns": [1], "reason": ["none"], "rejected": None})
+RESUMES = "the same command resumes from the last checkpoint"
+FORCED = "with --force the same command starts anew; without it, it resumes, unless the artefact is up to date"
+
+
+class NoSettings(Settings):
+    pass
+
+
+def wait_in_child(report: Report, flag: Path) -> None:
+    flag.touch()
+    time.sleep(60)
+
+
+def wait(r: StageRun[NoSettings]) -> None:
+    in_child("waiting", r.scratch / "log", "", Task(wait_in_child, (r.data.root / WAITING,)))
+
+
+def fill(r: StageRun[NoSettings]) -> None:
+    with (r.work / "large.bin").open("wb") as file:
+        for _ in range(64):
+            file.write(b"x" * 1024)
+
+
+def open_many(r: StageRun[NoSettings]) -> None:
+    files = []
+    for number in range(100_000):
+        files.append((r.scratch / str(number)).open("w"))
+
+
+def stage(run: Callable[[StageRun[NoSettings]], None]) -> Stage[NoSettings]:
+    return Stage("import", 1, NoSettings, (), run, "", reads_captures=True)
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> DataRoot:
+    walk = tmp_path / "captures" / "place" / "walk"
+    walk.mkdir(parents=True)
+    (walk / "frame.json").write_text("{}")
+    return DataRoot(tmp_path)
+
+
+def start(
+    run: str, data: DataRoot, limits: Callable[[], None] | None = None, options: tuple[str, ...] = ()
+) -> subprocess.Popen[str]:
+    program = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import test_endings\n"
+        f"test_endings.stage_app(test_endings.stage(test_endings.{run}))("
+        f"['--scene', 'place', '--profile', 'tiny', '--data', {str(data.root)!r}, *{options}])"
+    )
+    return subprocess.Popen(
+        [sys.executable, "-c", program],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=limits,
+    )
+
+
+@pytest.mark.parametrize(
+    ("number", "group", "options", "again"),
+    [
+        (signal.SIGINT, True, (), RESUMES),
+        (signal.SIGTERM, False, ("--force",), FORCED),
+        pytest.param(signal.SIGINT, False, (), RESUMES, marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, True, (), RESUMES, marks=pytest.mark.slow),
+    ],
+)
+def test_a_signal_ends_a_stage_with_one_line_and_its_exit_code(
+    data: DataRoot, number: signal.Signals, group: bool, options: tuple[str, ...], again: str
+) -> None:
+    process = start("wait", data, options=options)
+    deadline = time.monotonic() + 60
+    while not (data.root / WAITING).exists():
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.02)
+    (os.killpg if group else os.kill)(process.pid, number)
+    out, err = process.communicate(timeout=20)
+    assert process.returncode == 128 + number
+    assert out == "" and err.splitlines() == [
+        "import · place · tiny",
+        f"stopped by {number.name}; {again}",
+    ]
+
+
+def test_a_command_without_checkpoints_promises_none(capsys: pytest.CaptureFixture[str]) -> None:
+    app = new_app("")
+
+    @app.command()
+    def stopped() -> None:
+        raise Stopped(signal.SIGINT)
+
+    with pytest.raises(SystemExit) as ended:
+        app([])
+    assert ended.value.code == 130 and capsys.readouterr().err == "stopped by SIGINT\n"
+
+
+@pytest.mark.parametrize(("force", "again"), [(False, "resumes from the last"), (True, "starts anew")])
+def test_advice_after_a_failure_says_what_the_same_command_does(data: DataRoot, force: bool, again: str) -> None:
+    def dies(r: StageRun[NoSettings]) -> None:
+        raise ProcessDied("matching: its process died", do="take fewer", exit_code=1)
+
+    def fills(r: StageRun[NoSettings]) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(r.work))
+
+    for run, advice in ((dies, "take fewer; "), (fills, "free some space; ")):
+        with pytest.raises(UserError, match=f"{advice}.*{again}"):
+            execute(stage(run), "place", "tiny", data, force=force)
+
+
+def limit_size() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (16 * 1024, 16 * 1024))
+
+
+def limit_files() -> None:
+    resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+
+
+@pytest.mark.parametrize(
+    ("run", "limits", "message"),
+    [
+        ("fill", limit_size, "error: a file is larger than allowed here"),
+        ("open_many", limit_files, "error: too many files are open in this process"),
+    ],
+)
+def test_a_limit_of_the_machine_is_a_sentence(
+    data: DataRoot, run: str, limits: Callable[[], None], message: str
+) -> None:
+    process = start(run, data, limits)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert message in err and "where:" in err and "Traceback" not in err
+    assert not data.run("tiny", "place", "import").exists()
+
+
+LIBRARY = "a library's"
+CALLS = [
+    *("os.open", "os.fsync", "fcntl.flock"),
+    *(f"pathlib.Path.{n}" for n in ("rename", "replace", "mkdir")),
+    LIBRARY,
+]
+DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO}
+NETWORK = {errno.ENOLCK, errno.EOPNOTSUPP, errno.EBUSY, errno.ESTALE, errno.EXDEV, errno.ENOSYS}
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_every_error_of_the_disk_anywhere_is_a_sentence(
+    data: DataRoot, call: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # `make test-faults` has each number in each call.
+    numbers = {*DISKS, *NETWORK, *sorted(errno.errorcode)[CALLS.index(call) :: len(CALLS)]}
+    may_be_the_librarys_fault = {errno.ENOENT, errno.EISDIR, errno.EINVAL, errno.EBADF} if call == LIBRARY else set()
+    for number in sorted(numbers - may_be_the_librarys_fault - {errno.EPIPE}):
+
+        def fail(*_: object, number: int = number, **__: object) -> None:
+            # The system names no file where a call has its number alone.
+            raise OSError(number, os.strerror(number), *([] if call in ("os.fsync", "fcntl.flock") else ["/disk/x"]))
+
+        def run(r: StageRun[NoSettings], fail: Callable[[], None] = fail) -> None:
+            if call == LIBRARY:
+                try:
+                    fail()
+                except OSError as error:  # as libraries do that hide the cause
+                    raise RuntimeError("No registered database factory succeeded.") from error
+            r.write("rejects", REJECTS)
+
+        with monkeypatch.context() as patched, pytest.raises(SystemExit) as ended:
+            if call != LIBRARY:
+                patched.setattr(call, fail)
+            stage_app(stage(run))(["--scene", "place", "--profile", "tiny", "--data", str(data.root)])
+        said = capsys.readouterr().err
+        assert ended.value.code == 2 and re.search(rf"where:    (/disk/x|{data.root}/)", said), said
+        assert ("MiB free" in said) == (number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
+        assert not data.run("tiny", "place", "import").exists()
+
+
+def test_a_link_that_cannot_be_made_is_blamed_on_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    captures, data = tmp_path / "phone", tmp_path / "data"
+    captures.mkdir()
+    command = ["link-captures", "--scene", "place", "--folder", str(captures), "--data"]
+
+    def fail(source: str, target: str, *_: object, **__: object) -> None:
+        raise OSError(errno.EACCES, "Permission denied", str(source), None, str(target))
+
+    with monkeypatch.context() as patched, pytest.raises(SystemExit):
+        patched.setattr("os.symlink", fail)
+        look_at_artefacts([*command, str(data)])
+    said = capsys.readouterr().err
+    assert "error: permission is denied" in said and f"where:    {data / 'captures' / 'place'}\n" in said
+    (tmp_path / "file").touch()
+    with pytest.raises(SystemExit):
+        look_at_artefacts([*command, str(tmp_path / "file")])
+    assert "error: a file is where a folder should be" in capsys.readouterr().err
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "captures").touch()
+    with pytest.raises(SystemExit):
+        look_at_artefacts([*command, str(tmp_path / "other")])
+    assert "error: a file is there already" in capsys.readouterr().err
+
+
+def test_a_library_that_fails_on_a_full_disk_is_blamed_on_the_disk(
+    data: DataRoot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = type("Usage", (), {"free": 3 << 20})
+
+    def fail(r: StageRun[NoSettings]) -> None:
+        raise RuntimeError("No registered database factory succeeded.")
+
+    def fill_and_fail(r: StageRun[NoSettings]) -> None:
+        monkeypatch.setattr("shutil.disk_usage", lambda folder: usage)
+        fail(r)
+
+    with pytest.raises(RuntimeError):
+        execute(stage(fail), "place", "tiny", data)
+    with pytest.raises(UserError, match=r"(?s)the disk is full.*3 MiB free; No registered.*resumes") as told:
+        execute(stage(fill_and_fail), "place", "tiny", data)
+    assert str(data.root) in str(told.value)
+
+
+def test_a_stage_says_beforehand_that_the_disk_has_too_little_room(
+    data: DataRoot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = type("Usage", (), {"free": 3 << 20})
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: usage)
+    with pytest.raises(UserError, match=r"(?s)nearly full.*about 16 MiB for this stage.*3 MiB free"):
+        execute(stage(fill), "place", "tiny", data)
+    assert not data.run("tiny", "place", "import").exists()
+
+
+def test_a_stop_that_python_hides_in_another_error_is_still_a_stop(
+    data: DataRoot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As it does where a signal comes while a class is made: an import of SciPy."""
+
+    def hidden(r: StageRun[NoSettings]) -> None:
+        try:
+            raise Stopped(signal.SIGTERM)
+        except Stopped as stopped:
+            raise RuntimeError("Error calling __set_name__") from stopped
+
+    with pytest.raises(SystemExit) as ended:
+        stage_app(stage(hidden))(["--scene", "place", "--profile", "tiny", "--data", str(data.root)])
+    assert ended.value.code == 143 and capsys.readouterr().err.endswith("resumes from the last checkpoint\n")
+
+
+def test_the_first_process_of_all_is_started_with_signals_held_too() -> None:
+    code = (
+        "import multiprocessing, signal\n"
+        "from groundwalk.store.signals import signals_held_from_workers\n"
+        "with signals_held_from_workers():\n"
+        "    process = multiprocessing.get_context('spawn').Process(target=int)\n"
+        "    process.start()\n"
+        "    print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert ended.stdout == "True\n", ended.stderr

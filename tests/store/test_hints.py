@@ -1,0 +1,81 @@
+"""Advice names what works where it's given: the command with its data folder, the file of a scene."""
+
+import shlex
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from groundwalk import CHECKOUT
+from groundwalk.cli import app
+from groundwalk.pipeline import Step
+from groundwalk.store import DataRoot
+from groundwalk.store.hints import (
+    groundwalk_command,
+    link_command,
+    of_scene,
+    run_command,
+    setting_of,
+    view_command,
+)
+
+
+def test_advice_about_another_data_folder_works_as_it_is_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, asked = DataRoot(tmp_path / "my data"), []
+
+    def note(commands: list[Step], profile: str, root: DataRoot) -> None:
+        asked.append((commands[-1], profile, root.root))
+
+    monkeypatch.setattr("groundwalk.commands.run_steps", note)
+    (tmp_path / "captures").mkdir()
+    for command in (
+        run_command(data.run("tiny", "place", "report")),
+        link_command(data.captures("place"), "tiny").replace("<your folder>", shlex.quote(str(tmp_path / "captures"))),
+    ):
+        _, _, arguments = command.partition("groundwalk ")
+        done = CliRunner().invoke(app, shlex.split(arguments))
+        assert done.exit_code == 0, done.output
+        assert asked.pop() == (Step("report", "place"), "tiny", data.root)
+    _, _, arguments = view_command(data.run("tiny", "place")).partition("groundwalk ")
+    with pytest.raises(Exception, match=f"where: +{data.run('tiny', 'place')}"):
+        CliRunner().invoke(app, shlex.split(arguments), catch_exceptions=False)
+
+
+def test_make_is_advised_only_where_it_is_and_about_its_own_data(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert CHECKOUT is not None
+    monkeypatch.chdir(CHECKOUT)
+    assert run_command(DataRoot(Path("data")).run("tiny", "Bar", "sfm")) == "make scene=Bar profile=tiny sfm"
+    assert run_command(DataRoot(Path("other")).run("tiny", "Bar", "sfm")).endswith(f"--data {CHECKOUT / 'other'}")
+    monkeypatch.chdir(tmp_path)
+    assert run_command(DataRoot(Path("data")).run("tiny", "Bar", "sfm")).endswith(
+        "groundwalk run --scene Bar --profile tiny --until sfm"
+    )
+    assert run_command(Path("/copied/import")) == "run the stage import where this run comes from, and copy it again"
+
+
+def test_a_command_is_printed_with_its_folder_where_the_shell_wouldn_t_find_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = tmp_path / "groundwalk"
+    monkeypatch.setattr("sys.executable", str(tmp_path / "python"))
+    monkeypatch.setenv("PATH", "")
+    assert groundwalk_command() == f"{tmp_path}/python -P -m groundwalk"  # -P: no module of the current folder
+    script.touch(0o755)
+    assert groundwalk_command() == str(script)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert groundwalk_command() == "groundwalk"
+
+
+def test_a_setting_goes_into_the_users_file_of_the_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert CHECKOUT is not None
+    advice, data = setting_of("sfm", "max_features"), DataRoot(tmp_path)
+    assert of_scene(advice, data, "place") == f"[sfm] max_features in {tmp_path}/scenes/place.toml"
+    monkeypatch.chdir(tmp_path)
+    assert of_scene(advice, data, "place") == "[sfm] max_features in scenes/place.toml"
+    assert of_scene(advice, data, "Church") == "[sfm] max_features in scenes/Church.toml"
+    monkeypatch.chdir(CHECKOUT)
+    assert of_scene(advice, DataRoot(Path("data")), "Church") == "[sfm] max_features in data/scenes/Church.toml"

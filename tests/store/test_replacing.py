@@ -1,0 +1,175 @@
+"""A folder takes another one's place whole, with what its writer didn't make; where it can't, that is said first."""
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from groundwalk.store import DataRoot, Settings, Stage, StageRun, UserError, execute
+from groundwalk.store.files import fresh_folder
+from groundwalk.store.locks import lock_file, locked
+from groundwalk.store.settings import STAGES
+
+
+class NoSettings(Settings):
+    pass
+
+
+def one_file(r: StageRun[NoSettings]) -> None:
+    (r.work / "model").mkdir()
+    (r.work / "model" / "points.bin").write_text("points")
+
+
+def stage(name: str, run: Callable[[StageRun[NoSettings]], None] = one_file) -> Stage[NoSettings]:
+    return Stage(name, 1, NoSettings, (), run, "", reads_captures=True)
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> DataRoot:
+    (tmp_path / "data" / "captures" / "place").mkdir(parents=True)
+    (tmp_path / "data" / "captures" / "place" / "frame.json").write_text("{}")
+    (tmp_path / "data" / "profiles").mkdir()
+    (tmp_path / "data" / "profiles" / "tiny.toml").touch()
+    return DataRoot(tmp_path / "data")
+
+
+def files_in(folder: Path) -> dict[str, str]:
+    return {p.relative_to(folder).as_posix(): p.read_text() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_a_note_in_an_artefact_outlives_the_next_run(data: DataRoot) -> None:
+    folder = execute(stage("sfm"), "place", "tiny", data)
+    (folder / "model" / "note.txt").write_text("mine")
+
+    def other_files(r: StageRun[NoSettings]) -> None:
+        if not (folder / "colour").exists():
+            (folder / "colour").write_text("came while it ran")
+        for name in ("model", "colour"):  # where the notes would be
+            (r.work / name).write_text("new")
+
+    execute(stage("sfm"), "place", "tiny", data, force=True)
+    assert files_in(folder)["model/note.txt"] == "mine"
+    for _ in range(2):
+        execute(stage("sfm", other_files), "place", "tiny", data, force=True)
+    names = files_in(folder)
+    assert names.pop("manifest.json")
+    assert names == {
+        "model": "new",
+        "colour": "new",
+        "colour.kept": "came while it ran",
+        "model-note.txt.kept": "mine",
+    }
+
+
+@pytest.mark.parametrize("killed", ["between the renames", "before the old one is dropped"])
+def test_a_note_outlives_a_kill(data: DataRoot, killed: str) -> None:
+    folder = execute(stage("sfm"), "place", "tiny", data)
+    (folder / "note.txt").write_text("mine")
+    folder.rename(folder.with_name(".sfm.old"))
+    if killed != "between the renames":
+        folder.mkdir()
+        for name, text in (("manifest.json", (folder.parent / ".sfm.old" / "manifest.json").read_text()), ("x", "x")):
+            (folder / name).write_text(text)
+    execute(stage("sfm"), "place", "tiny", data, force=True)
+    assert files_in(folder)["note.txt"] == "mine"
+    assert not folder.with_name(".sfm.old").exists()
+
+
+@pytest.mark.parametrize("name", STAGES)
+@pytest.mark.parametrize("hidden", ["{}", ".{}.partial"])
+def test_a_stages_folder_that_is_a_link_is_refused_before_its_work(
+    data: DataRoot, tmp_path: Path, name: str, hidden: str
+) -> None:
+    """And made once the link is away; a link above it does no harm."""
+    elsewhere, scene = tmp_path / "elsewhere", data.run("tiny", "place")
+    elsewhere.mkdir()
+    scene.parent.mkdir(parents=True)
+    scene.symlink_to(tmp_path / "disk")
+    (tmp_path / "disk").mkdir()
+    link = scene / hidden.format(name)
+    link.symlink_to(elsewhere)
+    worked: list[StageRun[NoSettings]] = []
+    for _ in range(2):
+        with pytest.raises(UserError, match=r"(?s)can't be\n.*found: +a link\n.*move it away"):
+            execute(stage(name, worked.append), "place", "tiny", data)
+    assert not worked and not any(elsewhere.iterdir())
+    link.unlink()
+    execute(stage(name), "place", "tiny", data)
+
+
+def test_an_artefact_behind_a_link_is_still_read(data: DataRoot, tmp_path: Path) -> None:
+    folder = execute(stage("sfm"), "place", "tiny", data)
+    folder.rename(tmp_path / "elsewhere")
+    folder.symlink_to(tmp_path / "elsewhere")
+    assert execute(stage("sfm"), "place", "tiny", data) == folder
+
+
+def test_a_file_or_a_mounted_disk_in_a_folders_place_is_refused_before_the_work(
+    data: DataRoot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = data.run("tiny", "place", "sfm")
+    place.parent.mkdir(parents=True)
+    place.write_text("a file")
+    with pytest.raises(UserError, match=r"found: +a file"):
+        execute(stage("sfm", lambda r: pytest.fail("worked")), "place", "tiny", data)
+    with pytest.raises(UserError, match=r"found: +a file"), fresh_folder(place):
+        pytest.fail("worked")
+    place.unlink()
+    place.mkdir()
+    monkeypatch.setattr(Path, "is_mount", lambda self: self == place)
+    with pytest.raises(UserError, match=r"found: +a disk of its own"):
+        execute(stage("sfm", lambda r: pytest.fail("worked")), "place", "tiny", data)
+
+
+def test_what_comes_to_an_output_folder_while_it_is_written_anew_stays(tmp_path: Path) -> None:
+    out, link = tmp_path / "out", tmp_path / "link"
+    out.mkdir()
+    (out / "old.txt").write_text("an earlier result")
+    link.symlink_to(out)
+    for name, place in (("one", out), ("two", link)):
+        with fresh_folder(place) as folder:
+            (folder / "new.txt").write_text(name)
+            (out / f"{name}.txt").write_text("mine")
+    assert link.is_symlink()
+    # What was there as the second began had passed as an earlier result.
+    assert files_in(out) == {"new.txt": "two", "two.txt": "mine"}
+
+
+LOCKS: dict[str, Callable[[Path], object]] = {
+    "link to nothing": lambda path: path.symlink_to(path.with_name("nothing") / "there"),
+    "link to itself": lambda path: path.symlink_to(path),
+    "link to a file": lambda path: path.symlink_to(path.with_name("diary")),
+    "folder": lambda path: path.mkdir(),
+}
+
+
+@pytest.mark.parametrize("kind", LOCKS)
+def test_a_lock_that_is_no_file_is_an_error_at_once(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "diary").write_text("dear")
+    LOCKS[kind](lock_file(tmp_path / "sfm"))
+    with pytest.raises(OSError) as told, locked(tmp_path / "sfm"):
+        pass
+    assert told.value.errno in (errno.ELOOP, errno.EISDIR)
+    assert told.value.filename == str(lock_file(tmp_path / "sfm"))
+
+
+def test_a_lock_whose_file_is_another_one_at_each_look_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.path.samestat", lambda *_: False)  # a drive that numbers its files anew each time
+    with pytest.raises(UserError, match="can't be locked"), locked(tmp_path / "sfm"):
+        pass
+
+
+def test_a_folder_that_cannot_be_synced_is_left_to_its_drive(data: DataRoot, monkeypatch: pytest.MonkeyPatch) -> None:
+    fsync = os.fsync
+
+    def of_files_alone(descriptor: int) -> None:
+        if Path(f"/proc/self/fd/{descriptor}").is_dir():
+            raise OSError(errno.EINVAL, "Invalid argument")
+        fsync(descriptor)
+
+    monkeypatch.setattr("os.fsync", of_files_alone)
+    assert files_in(execute(stage("sfm"), "place", "tiny", data))["model/points.bin"] == "points"

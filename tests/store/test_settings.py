@@ -1,0 +1,204 @@
+"""Settings come from code, profile, scene and command line, and a mistake in one is said in one line."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pydantic import Field
+
+from groundwalk.store import DataRoot, Settings, UserError
+from groundwalk.store.choices import Split
+from groundwalk.store.cli import settings_help
+from groundwalk.store.settings import SHIPPED_DATA, SplitRules, resolve_settings
+
+
+class Inner(Settings):
+    depth: int = 1
+    exact: bool = True
+    sizes: tuple[int, float] = (1, 1.0)
+    split: Split = Split.TEST
+
+
+class Example(Settings):
+    features: int = Field(100, gt=0, description="how many")
+    ratio: float = 0.5
+    inner: Inner = Inner()
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> DataRoot:
+    for kind in ("profiles", "scenes"):
+        (tmp_path / kind).mkdir()
+    (tmp_path / "profiles" / "own.toml").write_text("[sfm]\nfeatures = 200\nratio = 0.1\n")
+    (tmp_path / "scenes" / "place.toml").write_text("environment = 'indoor'\n[sfm]\nratio = 0.2\ninner.depth = 2\n")
+    return DataRoot(tmp_path)
+
+
+def test_later_sources_win(data: DataRoot) -> None:
+    settings = resolve_settings(Example, "sfm", data, "own", "place", ["inner.depth=3"])
+    assert settings == Example(features=200, ratio=0.2, inner=Inner(depth=3))
+    assert data.scene("place")[0].environment == "indoor"
+    assert data.scene("unheard-of")[0].environment == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("nonsense=1", "nonsense"),
+        ("features=0", "greater than 0"),
+        ("features", "key=value"),
+        ("ratio=x", "ratio"),
+        ("features=true", "'features': Input should be a valid integer"),
+        ("features='100'", "'features': Input should be a valid integer"),
+        ("inner.exact=no", r"'inner.exact': [^\n]*\n.*\n *expected: true or false"),
+        ("features=3\nratio=1", "one --set has one setting"),
+        ("features=x\nratio=1", "one --set has one setting"),
+        ("features=2026-11-27", "no setting is a date or a time"),
+        ("features=\udc80", "isn't text in UTF-8"),
+    ],
+)
+def test_a_wrong_setting_is_named(data: DataRoot, override: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        resolve_settings(Example, "sfm", data, "own", "place", [override])
+
+
+def test_lists_numbers_and_choices_are_taken_as_toml_has_them(data: DataRoot) -> None:
+    overrides = ["ratio=1", "inner.sizes=[2, 3]", "inner.split=val", "inner.exact=false"]
+    settings = resolve_settings(Example, "sfm", data, "own", "place", overrides)
+    assert (settings.ratio, settings.inner.sizes) == (1.0, (2, 3.0))
+    assert settings.inner.split is Split.VAL and settings.inner.exact is False
+
+
+def test_a_wrong_file_is_named(data: DataRoot) -> None:
+    (data.root / "profiles" / "own.toml").write_text("[sfmm]\n")
+    with pytest.raises(UserError, match="unknown section 'sfmm'"):
+        data.profile("own")
+    (data.root / "scenes" / "place.toml").write_text("environment = \n")
+    with pytest.raises(UserError, match=r"place\.toml"):
+        data.scene("place")
+    with pytest.raises(UserError, match="no profile 'none'"):
+        data.profile("none")
+
+
+@pytest.mark.parametrize("value", ["inf", "-inf", "nan"])
+def test_a_number_that_is_not_finite_is_refused_with_its_file_section_and_key(data: DataRoot, value: str) -> None:
+    (data.root / "scenes" / "place.toml").write_text(f"[sfm]\nratio = {value}\n")
+    with pytest.raises(UserError, match=r"(?s)'ratio': .*finite number.*\[sfm\] of \S+place\.toml"):
+        resolve_settings(Example, "sfm", data, "own", "place", [])
+    (data.root / "profiles" / "own.toml").write_text(f"[sfm]\nratio = {value}\n")
+    with pytest.raises(UserError, match=r"(?s)finite number.*\[sfm\] of \S+own\.toml"):
+        resolve_settings(Example, "sfm", data, "own", "other", [])
+    with pytest.raises(UserError, match=rf"(?s)finite number.*--set ratio={value}"):
+        resolve_settings(Example, "sfm", data, "own", "place", [f"ratio={value}"])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("import = 3", r"import is a section of settings\n  where: .*place\.toml\n.*\[import\]"),
+        ("align = 3\n[[ruler]]\nkind = 'distance'", "align is a section of settings"),
+        ("[sfmm]", "unknown section 'sfmm'"),
+        ("can_simulate = 1", r"'can_simulate': .*boolean\n  where: .*place\.toml"),
+        ("[split]\nallow_leak = 'yes'", r"'split\.allow_leak': .*boolean\n  where: .*place\.toml"),
+        ("[split]\ntest = []", "test lists no session"),
+        ("[split]\ntest = ['a', 'b']\ntrain = ['c', 'a']", "'a' is listed for training and testing"),
+    ],
+)
+def test_a_scene_s_file_is_checked_as_it_is_read(data: DataRoot, text: str, message: str) -> None:
+    (data.root / "scenes" / "place.toml").write_text(text)
+    with pytest.raises(UserError, match=message):
+        data.scene("place")
+
+
+def test_a_group_that_is_its_own_member_is_refused(data: DataRoot) -> None:
+    for name, members in {"a": ["b"], "b": ["c", "a"], "alone": ["alone"], "twice": ["c", "c"]}.items():
+        (data.root / "scenes" / f"{name}.toml").write_text(f"members = {members}\n")
+    with pytest.raises(UserError, match="a has the member b has the member a"):
+        data.leaves(data.scene("a")[0])
+    with pytest.raises(UserError, match="alone is a member of itself"):
+        data.leaves(data.scene("alone")[0])
+    assert data.leaves(data.scene("twice")[0]) == ["c"]
+
+
+@pytest.mark.parametrize("name", ["../up", "a/b", ".hidden", ""])
+def test_a_scene_name_cannot_lead_out_of_the_data_folder(data: DataRoot, name: str) -> None:
+    with pytest.raises(UserError, match="name"):
+        data.scene(name)
+
+
+def test_every_shipped_profile_and_scene_is_valid() -> None:
+    data = DataRoot(Path("nowhere"))
+    assert {"demo", "standard", "paper", "tiny"} <= set(data.names("profiles"))
+    for name in data.names("profiles"):
+        assert data.profile(name)["description"]
+    for name in data.names("scenes"):
+        assert data.scene(name)[0].environment != "unknown"
+    assert data.leaves(data.scene("indoor")[0]) == ["Stairs", "Office", "Atrium"]
+
+
+def test_a_users_file_adds_to_the_shipped_one_of_its_name_and_wins(tmp_path: Path) -> None:
+    for kind, name, text in (
+        ("scenes", "Church", 'description = "ours"\n[align]\nmax_scale_sd = 0.5\n[split]\ntest_fraction = 0.5\n'),
+        ("scenes", "Mine", '[sfm]\nmapper = "global"\n'),
+        ("profiles", "demo", "[sfm]\nmax_features = 77\n"),
+    ):
+        (tmp_path / kind).mkdir(exist_ok=True)
+        (tmp_path / kind / f"{name}.toml").write_text(text)
+    data, shipped = DataRoot(tmp_path), DataRoot(SHIPPED_DATA)
+    config, sections = data.scene("Church")
+    assert config == shipped.scene("Church")[0].model_copy(
+        update={"description": "ours", "split": SplitRules(test_fraction=0.5)}
+    )
+    assert sections["align"]["max_scale_sd"] == 0.5 and "Mine" in data.names("scenes")
+    assert data.profile("demo") == shipped.profile("demo") | {
+        "sfm": {**shipped.profile("demo")["sfm"], "max_features": 77}
+    }
+    (tmp_path / "scenes" / "Church.toml").write_text("members = 3\n")
+    with pytest.raises(UserError, match="members") as caught:
+        data.scene("Church")
+    assert str(tmp_path / "scenes" / "Church.toml") in str(caught.value)
+
+
+def test_git_and_the_wheel_see_nothing_of_the_users(tmp_path: Path) -> None:
+    """A file of one's own where the docs say doesn't show up as untracked, and isn't beside what the wheel ships."""
+    root = Path(__file__).resolve().parents[2]
+    names = ["data/scenes/Mine.toml", "data/profiles/mine.toml", "data/captures/x", "data/predictions/x.parquet"]
+    done = subprocess.run(["git", "check-ignore", *names], cwd=root, capture_output=True, text=True)
+    assert done.stdout.split() == names
+    assert root / "shipped" == SHIPPED_DATA
+
+
+def test_a_file_of_the_data_folder_stands_before_the_shipped_one(tmp_path: Path) -> None:
+    (tmp_path / "published").mkdir()
+    (tmp_path / "published" / "claims.csv").write_text("")
+    files, shipped = DataRoot(tmp_path).files("published"), DataRoot(SHIPPED_DATA).files("published")
+    assert files == shipped | {"claims.csv": tmp_path / "published" / "claims.csv"}
+    assert "table1_dataset.csv" in shipped and shipped["claims.csv"].is_file()
+
+
+def test_help_lists_each_setting() -> None:
+    text = settings_help("sfm", Example)
+    assert "`features` (default 100): how many" in text
+
+
+def artefacts(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "groundwalk.store", *arguments], capture_output=True, text=True, cwd=cwd
+    )
+
+
+def test_user_errors_are_short(tmp_path: Path) -> None:
+    refused = artefacts("link-captures", "--scene", "x", "--folder", "missing", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert refused.stderr.startswith("error: the captures folder isn't there")
+    assert "Traceback" not in refused.stderr
+    assert "no recording" in artefacts("view", "--scene", "x", cwd=tmp_path).stderr
+
+
+def test_a_home_folder_that_no_shell_expanded_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "captures").mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path))
+    done = artefacts("link-captures", "--scene", "x", "--folder", "~/captures", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "data" / "captures" / "x").resolve() == (tmp_path / "captures").resolve()

@@ -1,0 +1,205 @@
+"""A stage run is atomic, resumable, and repeated only when something that it depends on changed."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from groundwalk.geometry.poses import make_pose
+from groundwalk.store import DataRoot, Settings, Stage, StageRun, UserError, execute
+from groundwalk.store.hints import setting_of
+from groundwalk.store.manifests import load_manifest
+from groundwalk.store.tables import pose_frame
+
+# The stage below stands in for any; it writes the one table that no real stage owns.
+PROGRAM = """
+import os, signal, sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from test_stage_runs import STAGE, execute, DataRoot
+import groundwalk.store.stage as stage_module
+
+die_at = sys.argv[2]
+def die(place):
+    if place == die_at:
+        os.kill(os.getpid(), signal.SIGKILL)
+for name in ("output_hashes", "swap_in", "write_json"):
+    original = getattr(stage_module, name)
+    def wrapped(*args, _original=original, _name=name):
+        die("before " + _name)
+        result = _original(*args)
+        die("after " + _name)
+        return result
+    setattr(stage_module, name, wrapped)
+rename = Path.rename
+def dying_rename(self, target):
+    result = rename(self, target)
+    die("rename to " + Path(target).name)
+    return result
+Path.rename = dying_rename
+import test_stage_runs
+test_stage_runs.DIE = die
+execute(STAGE, "place", "tiny", DataRoot(Path(sys.argv[1])), sys.argv[3:])
+"""
+
+
+class ExampleSettings(Settings):
+    rows: int = 3
+    offset: float = 0.0
+
+
+def DIE(place: str) -> None:
+    """Where the child process of a test kills itself."""
+
+
+def run_example(r: StageRun[ExampleSettings]) -> None:
+    safe = r.scratch / "counted"
+    with r.step("count"):
+        for i in r.track(range(r.settings.rows), "counting"):
+            if i >= len(safe.read_text() if safe.exists() else ""):
+                with safe.open("a") as file:
+                    file.write("x")
+                DIE(f"row {i}")
+    r.figure("rows counted here", r.settings.rows)
+    frame = pd.DataFrame({"session_id": ["s"] * r.settings.rows, "t_ns": range(r.settings.rows)})
+    positions = [[r.settings.offset + i, 0, 0] for i in range(r.settings.rows)]
+    poses = make_pose([[1, 0, 0], [0, 1, 0], [0, 0, 1]], positions)
+    r.write("true_poses", frame.join(pose_frame("map_cam", poses)))
+    DIE("table written")
+
+
+STAGE = Stage("simulate", 1, ExampleSettings, (), run_example, "An example.", reads_captures=True)
+
+
+def place(root: Path) -> DataRoot:
+    """A data folder with one capture, and a profile that sets nothing."""
+    captures = root / "captures" / "place" / "walk"
+    captures.mkdir(parents=True)
+    (captures / "frame.json").write_text("{}")
+    (root / "profiles").mkdir()
+    (root / "profiles" / "tiny.toml").write_text("")
+    return DataRoot(root)
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> DataRoot:
+    return place(tmp_path)
+
+
+def table_bytes(folder: Path) -> bytes:
+    return (folder / "true_poses.parquet").read_bytes()
+
+
+def test_second_run_does_nothing_and_a_change_runs_again(data: DataRoot, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = execute(STAGE, "place", "tiny", data)
+    first = load_manifest(folder)
+    assert first["figures"] == {"rows counted here": 3}
+    assert set(first["outputs"]) == {"true_poses.parquet"}
+    assert first["simulated"] is False
+    assert not (folder / "scratch").exists()
+
+    execute(STAGE, "place", "tiny", data)
+    assert "up to date" in capsys.readouterr().err
+    assert load_manifest(folder) == first
+
+    execute(STAGE, "place", "tiny", data, ["rows=4"])
+    assert load_manifest(folder)["key"] != first["key"]
+    (data.captures("place") / "walk" / "frame.json").write_text("{ }")
+    before = load_manifest(folder)["key"]
+    execute(STAGE, "place", "tiny", data, ["rows=4"])
+    assert load_manifest(folder)["key"] != before
+    # The simulator's truth is no input of any stage.
+    for name in ("true_poses", "true_cameras"):
+        (data.captures("place") / f"{name}.parquet").write_text("truth")
+    before = load_manifest(folder)["key"]
+    execute(STAGE, "place", "tiny", data, ["rows=4"])
+    assert load_manifest(folder)["key"] == before
+
+
+MOMENTS = [
+    "row 0",
+    "row 2",
+    "table written",
+    "before output_hashes",
+    "after write_json",
+    "before swap_in",
+    "rename to .simulate.old",
+    "rename to simulate",
+]
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_killed_run_leaves_nothing_half_and_goes_on(data: DataRoot, tmp_path: Path, moment: str) -> None:
+    untouched = place(tmp_path / "reference")
+    expected = table_bytes(execute(STAGE, "place", "tiny", untouched, ["offset=1"]))
+    folder = execute(STAGE, "place", "tiny", data)
+    old = table_bytes(folder)
+
+    program = PROGRAM.format(tests=str(Path(__file__).parent))
+    command = [sys.executable, "-c", program, str(data.root), moment, "offset=1"]
+    killed = subprocess.run(command, capture_output=True, text=True)
+    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    if (folder / "manifest.json").exists():
+        assert table_bytes(folder) in (old, expected)
+        assert json.loads((folder / "manifest.json").read_text())["outputs"]
+
+    execute(STAGE, "place", "tiny", data, ["offset=1"])
+    assert table_bytes(folder) == expected
+    hidden = [p.name for p in folder.parent.iterdir() if p.name.startswith(".") and not p.name.endswith(".lock")]
+    assert hidden == []
+
+
+def test_a_failing_stage_keeps_the_old_artefact(data: DataRoot) -> None:
+    folder = execute(STAGE, "place", "tiny", data)
+    before = table_bytes(folder)
+
+    def fail(r: StageRun[ExampleSettings]) -> None:
+        raise UserError("no luck")
+
+    with pytest.raises(UserError, match="no luck"):
+        execute(Stage("simulate", 2, ExampleSettings, (), fail, "", reads_captures=True), "place", "tiny", data)
+    assert table_bytes(folder) == before
+
+
+def test_missing_inputs_are_named_and_leave_no_folder(data: DataRoot) -> None:
+    with pytest.raises(UserError, match="run --scene elsewhere --profile tiny --captures <your folder> --data "):
+        execute(STAGE, "elsewhere", "tiny", data)
+    needs_sfm = Stage("align", 1, ExampleSettings, ("sfm",), run_example, "")
+    with pytest.raises(UserError, match="stage sfm of scene place hasn't been run"):
+        execute(needs_sfm, "place", "tiny", data)
+    with pytest.raises(UserError, match="group of scenes"):
+        execute(STAGE, "outdoor", "tiny", data)
+    assert not (data.root / "runs").exists()
+
+
+def test_two_runs_of_a_stage_keep_apart(data: DataRoot) -> None:
+    def run_inside(r: StageRun[ExampleSettings]) -> None:
+        with pytest.raises(UserError, match="under way"):
+            execute(STAGE, "place", "tiny", data)
+        run_example(r)
+
+    execute(Stage("simulate", 1, ExampleSettings, (), run_inside, "", reads_captures=True), "place", "tiny", data)
+
+
+def test_a_setting_goes_where_an_error_says(data: DataRoot, capsys: pytest.CaptureFixture[str]) -> None:
+    """The scene is named, in what a stage says as in what it raises."""
+
+    def refuse_many(r: StageRun[ExampleSettings]) -> None:
+        r.say(f"limit 2 ({setting_of('simulate', 'rows')})")
+        if r.settings.rows > 2:
+            raise UserError("too many rows", do=f"set {setting_of('simulate', 'rows = 2')}")
+        run_example(r)
+
+    stage = Stage("simulate", 1, ExampleSettings, (), refuse_many, "An example.", reads_captures=True)
+    with pytest.raises(UserError, match="too many rows") as caught:
+        execute(stage, "place", "tiny", data)
+    assert f"limit 2 ([simulate] rows in {data.root}/scenes/place.toml)" in capsys.readouterr().err
+    ((section, setting, file),) = re.findall(r"set (\[.*\]) (.*) in (.*)$", str(caught.value))
+    (data.root / "scenes").mkdir()
+    Path(file).write_text(f"{section}\n{setting}")
+    execute(stage, "place", "tiny", data)
